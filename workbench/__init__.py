@@ -1,0 +1,1 @@
+"""Face Energy Workbench: facial performance capture by optimisation."""

@@ -1,0 +1,21 @@
+"""Errors that a user can mend: one sentence with what was expected, what came, and what to do."""
+
+
+class WorkbenchError(Exception):
+    """Base of every error that the workbench raises on purpose; the command line prints it and exits with 2."""
+
+
+class InputError(WorkbenchError, ValueError):
+    """A picture, video, landmark file or array that cannot be used as it is."""
+
+
+class ModelError(WorkbenchError, ValueError):
+    """A face model whose parts are missing or do not belong together."""
+
+
+class ConfigError(WorkbenchError, ValueError):
+    """A configuration with unknown keys or values out of range."""
+
+
+class MissingDependencyError(WorkbenchError, ImportError):
+    """An optional package that is needed for what was asked."""
