@@ -1,0 +1,18 @@
+"""The parametric face: blendshapes, identity, jaw, landmark embedding, and the default head."""
+
+from workbench.face.alignment import align_targets as align_targets
+from workbench.face.alignment import rigid_alignment as rigid_alignment
+from workbench.face.blendshapes import absolute_form as absolute_form
+from workbench.face.blendshapes import delta_form as delta_form
+from workbench.face.blendshapes import targets_to_deltas as targets_to_deltas
+from workbench.face.default_head import GAZE_NAMES as GAZE_NAMES
+from workbench.face.default_head import load_default_head as load_default_head
+from workbench.face.landmark_model import LandmarkModel as LandmarkModel
+from workbench.face.landmark_model import contour_blend as contour_blend
+from workbench.face.landmark_model import landmark_model as landmark_model
+from workbench.face.landmark_model import model_landmarks as model_landmarks
+from workbench.face.landmark_model import PointModel as PointModel
+from workbench.face.model import Embedding as Embedding
+from workbench.face.model import FaceModel as FaceModel
+from workbench.face.obj_folder import read_obj_folder as read_obj_folder
+from workbench.face.parameters import FaceParameters as FaceParameters

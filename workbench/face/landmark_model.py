@@ -1,0 +1,94 @@
+"""The part of a face model that a landmark fit needs: 68 points and how they move, as arrays for the solver."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from workbench.face.model import BLINK_SCALE_RANGE, BLINKS, Embedding, FaceModel
+
+
+class LandmarkModel(NamedTuple):
+    """Head-frame landmarks, millimetres, with the jaw contour at its frontal place (entry 0) and for tabulated yaws."""
+
+    inner_neutral: Float[Array | np.ndarray, "51 3"]
+    inner_expression: Float[Array | np.ndarray, "k 51 3"]
+    inner_identity: Float[Array | np.ndarray, "i 51 3"]
+    contour_neutral: Float[Array | np.ndarray, "b 17 3"]
+    contour_expression: Float[Array | np.ndarray, "b k 17 3"]
+    contour_identity: Float[Array | np.ndarray, "b i 17 3"]
+    contour_yaw: Float[Array | np.ndarray, "b"]
+    """Yaw of each stored contour, radians; entries from 1 on ascend."""
+    expression_scale: Float[Array | np.ndarray, "k"]
+    """Travel of each blendshape for the mean identity (1 but for blinks)."""
+    expression_scale_identity: Float[Array | np.ndarray, "i k"]
+    """How the travel changes with each identity coefficient."""
+
+
+class PointModel(NamedTuple):
+    """The 68 landmarks as a linear function of weights and identity, for one place of the jaw contour."""
+
+    neutral: Float[Array, "68 3"]
+    expression: Float[Array, "k 68 3"]
+    identity: Float[Array, "i 68 3"]
+
+
+def landmark_model(model: FaceModel) -> LandmarkModel:
+    """The 68 landmarks of a face model with their expression and identity offsets."""
+    jaw = Embedding(model.landmarks.vertices[:17], model.landmarks.barycentric[:17])
+    inner = Embedding(model.landmarks.vertices[17:], model.landmarks.barycentric[17:])
+    contours = [jaw] + [
+        Embedding(vertices, barycentric)
+        for vertices, barycentric in zip(model.contour.vertices, model.contour.barycentric, strict=True)
+    ]
+    scale = np.ones(len(model.expression_names))
+    scale_identity = np.zeros((len(model.identity_deltas), len(model.expression_names)))
+    for side, name in enumerate(BLINKS):
+        if name in model.expression_names:
+            column = model.expression_names.index(name)
+            scale[column] = model.blink_scale[side]
+            scale_identity[:, column] = model.blink_scale_identity[:, side]
+    return LandmarkModel(
+        inner_neutral=inner.of(model.neutral),
+        inner_expression=inner.of(model.expression_deltas),
+        inner_identity=inner.of(model.identity_deltas),
+        contour_neutral=np.stack([place.of(model.neutral) for place in contours]),
+        contour_expression=np.stack([place.of(model.expression_deltas) for place in contours]),
+        contour_identity=np.stack([place.of(model.identity_deltas) for place in contours]),
+        contour_yaw=np.radians(np.concatenate([[0.0], model.contour_yaw_deg])),
+        expression_scale=scale,
+        expression_scale_identity=scale_identity,
+    )
+
+
+def contour_blend(
+    contour_yaw: Float[Array | np.ndarray, "b"], yaw: Float[Array, ""], sliding: Float[Array | np.ndarray, ""] | float
+) -> Float[Array, "b"]:
+    """Weights of the stored contours for a head yaw in radians: linear between tabulated yaws, held beyond them.
+
+    `sliding` 1 slides the contour, 0 keeps its frontal place (a traced number: switching compiles nothing).
+    """
+    count = len(contour_yaw)
+    frontal = jnp.zeros(count).at[0].set(1.0)
+    if count == 1:
+        return frontal
+    table = jnp.asarray(contour_yaw)[1:]
+    tabulated = jnp.stack([jnp.interp(yaw, table, row) for row in jnp.eye(count - 1)])
+    return frontal * (1.0 - sliding) + jnp.concatenate([jnp.zeros(1), tabulated]) * sliding
+
+
+def model_landmarks(model: LandmarkModel, blend: Float[Array, "b"], identity: Float[Array, "i"]) -> PointModel:
+    """The 68 points for one blend of contours, blink travel scaled for this identity."""
+    scale = model.expression_scale + identity @ model.expression_scale_identity
+    scale = jnp.clip(scale, *BLINK_SCALE_RANGE)
+    expression = jnp.concatenate(
+        [jnp.tensordot(blend, jnp.asarray(model.contour_expression), axes=1), model.inner_expression], axis=1
+    )
+    return PointModel(
+        neutral=jnp.concatenate([jnp.tensordot(blend, jnp.asarray(model.contour_neutral), axes=1), model.inner_neutral]),
+        expression=expression * scale[:, None, None],
+        identity=jnp.concatenate(
+            [jnp.tensordot(blend, jnp.asarray(model.contour_identity), axes=1), model.inner_identity], axis=1
+        ),
+    )

@@ -1,0 +1,117 @@
+"""The face model as data: neutral, blendshapes, identity basis, jaw, and where the 68 landmarks lie on it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int, Integer, UInt8
+
+from workbench.errors import ModelError
+
+BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
+BLINK_SCALE_RANGE = (0.3, 2.0)
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """Landmarks as barycentric points: landmark = Σ_j barycentric_j · vertex_j."""
+
+    vertices: Integer[np.ndarray, "*n 3"]
+    barycentric: Float[np.ndarray, "*n 3"]
+
+    def of(self, vertices: Float[np.ndarray, "*b v 3"]) -> Float[np.ndarray, "*b m 3"]:
+        """The landmarks of a mesh, or of a stack of vertex offsets, in its frame and unit."""
+        return np.einsum("...jd,...j->...d", vertices[..., self.vertices, :], self.barycentric)
+
+
+@dataclass(frozen=True)
+class FaceModel:
+    """A linear face model with ARKit-named blendshapes. Head frame, millimetres; sides are the subject's."""
+
+    name: str
+    neutral: Float[np.ndarray, "v 3"]
+    """b_0: the face with neutral expression and mean identity."""
+    triangles: Integer[np.ndarray, "t 3"]
+    """Counter-clockwise seen from outside."""
+    expression_names: tuple[str, ...]
+    expression_deltas: Float[np.ndarray, "k v 3"]
+    """B: offsets b_k − b_0 (FACE IT! Eq. 3)."""
+    identity_deltas: Float[np.ndarray, "i v 3"]
+    """Identity components scaled to unit variance."""
+    landmarks: Embedding
+    """The 68 points, jaw contour at its frontal place."""
+    contour_yaw_deg: Float[np.ndarray, "b"]
+    """Head yaws, ascending, for which the sliding jaw contour is tabulated; empty if there is none."""
+    contour: Embedding
+    """The 17 contour points for each of those yaws."""
+    colors: UInt8[np.ndarray, "v 3"]
+    regions: dict[str, Int[np.ndarray, "_"]]
+    """Vertex indices by anatomical region."""
+    joints: dict[str, Float[np.ndarray, "3"]]
+    jaw_weights: Float[np.ndarray, "v"]
+    """Linear blend skinning weight of the jaw joint."""
+    uv: Float[np.ndarray, "u 2"]
+    triangles_uv: Integer[np.ndarray, "t 3"]
+    mirror: Integer[np.ndarray, "v"]
+    """Index of each vertex's mirror image."""
+    identity_joint_deltas: dict[str, Float[np.ndarray, "i 3"]]
+    blink_scale: Float[np.ndarray, "2"]
+    """Scale of (eyeBlinkLeft, eyeBlinkRight) that just closes the lids of the mean identity."""
+    blink_scale_identity: Float[np.ndarray, "i 2"]
+    """How that scale changes with each identity coefficient."""
+
+    def __post_init__(self):
+        vertex_count = len(self.neutral)
+        for label, deltas in (("expression", self.expression_deltas), ("identity", self.identity_deltas)):
+            if deltas.ndim != 3 or deltas.shape[1:] != (vertex_count, 3):
+                raise ModelError(f"The {label} offsets need shape (n, {vertex_count}, 3), got {deltas.shape}.")
+        if len(self.expression_names) != len(self.expression_deltas):
+            raise ModelError(
+                f"{len(self.expression_deltas)} blendshapes need as many names, got {len(self.expression_names)}."
+            )
+        if self.landmarks.vertices.shape != (68, 3):
+            raise ModelError(f"The landmark embedding has 68 points, got {len(self.landmarks.vertices)}.")
+        if max(self.triangles.max(initial=0), self.landmarks.vertices.max()) >= vertex_count:
+            raise ModelError(f"A triangle or landmark names a vertex beyond the model's {vertex_count}.")
+
+    def with_expressions(self, names: tuple[str, ...]) -> "FaceModel":
+        """The model with these blendshapes only, in this order. Raises `ModelError` for names it does not have."""
+        missing = [name for name in names if name not in self.expression_names]
+        if missing:
+            raise ModelError(f"The model has no blendshape {missing[0]!r}; it has {', '.join(self.expression_names)}.")
+        index = [self.expression_names.index(name) for name in names]
+        return replace(self, expression_names=tuple(names), expression_deltas=self.expression_deltas[index])
+
+    def personal(self, identity: Float[np.ndarray, "i"]) -> "FaceModel":
+        """The model of one person: identity baked into neutral, joints and blink travel; no identity basis left.
+
+        The blinks are scaled because the same lid offset overshoots on narrow eyes and stays open on wide ones.
+        """
+        identity = np.asarray(identity, float)
+        deltas = self.expression_deltas.copy()
+        for side, scale in zip(BLINKS, self.blink_scale_for(identity), strict=True):
+            if side in self.expression_names:
+                deltas[self.expression_names.index(side)] *= scale
+        return replace(
+            self,
+            neutral=self.neutral + np.tensordot(identity, self.identity_deltas, axes=1),
+            expression_deltas=deltas,
+            identity_deltas=np.zeros((0, len(self.neutral), 3)),
+            joints={
+                name: joint + identity @ self.identity_joint_deltas[name] if len(identity) else joint
+                for name, joint in self.joints.items()
+            },
+            identity_joint_deltas={name: np.zeros((0, 3)) for name in self.joints},
+            blink_scale=np.ones(2),
+            blink_scale_identity=np.zeros((0, 2)),
+        )
+
+    def blink_scale_for(self, identity: Float[np.ndarray, "i"]) -> Float[np.ndarray, "2"]:
+        """Scale of (eyeBlinkLeft, eyeBlinkRight) with which weight 1 just closes this identity's lids."""
+        return np.clip(self.blink_scale + identity @ self.blink_scale_identity, *BLINK_SCALE_RANGE)
+
+    def vertices(self, expression: Float[np.ndarray, "k"]) -> Float[np.ndarray, "v 3"]:
+        """x(w): head-frame vertices of the mean identity with these weights (FACE IT! Eq. 3), millimetres.
+
+        For a person, call it on `personal(identity)`.
+        """
+        return self.neutral + np.tensordot(np.asarray(expression, float), self.expression_deltas, axes=1)

@@ -1,0 +1,25 @@
+"""How JAX runs here: double precision for the solves, and compiled programs kept between sessions."""
+
+import os
+from pathlib import Path
+
+import jax
+
+
+def cache_folder() -> Path:
+    """Folder of compiled programs and other things that can be made again."""
+    base = os.environ.get("WORKBENCH_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "face-energy-workbench"
+
+
+def configure_jax() -> None:
+    """Switch on float64 and the persistent compilation cache, leaving what the user has set himself.
+
+    A float32 Levenberg–Marquardt diverges on E_β, whose slope at the bounds is about 40,000. The cache keeps even
+    small programs (JAX skips those under a second by default), so a second start of a notebook compiles nothing.
+    """
+    jax.config.update("jax_enable_x64", True)
+    if jax.config.jax_compilation_cache_dir is None:
+        jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

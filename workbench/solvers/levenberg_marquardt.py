@@ -1,0 +1,245 @@
+"""Levenberg–Marquardt on normal equations, with bounds, driven one step at a time.
+
+Minimises Σ r(x)² over lower ≤ x ≤ upper. A problem is a function `evaluate(x)` that returns the cost and the normal
+equations `JᵀJ` and `Jᵀr` as a *system*: dense, or arrowhead (many local blocks that share a few unknowns). The trust
+region follows Ceres: damping λ·diag(JᵀJ) with λ = 1/radius, radius widened by the gain ratio. Bounds are kept by an
+active set inside each step: unknowns that would leave are put on their bound and the others solved again.
+
+The iteration limit and the tolerance are traced numbers, so a slider on them compiles nothing.
+"""
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve
+from jaxtyping import Array, Bool, Float, Int
+
+INITIAL_DAMPING = 1e-4
+SMALLEST_DAMPING = 1e-16
+LARGEST_DAMPING = 1e16
+HELD = 1e12
+"""Stiffness, relative to the largest diagonal entry, that holds an unknown on its bound."""
+ACTIVE_SET_PASSES = 8
+
+
+class Status(IntEnum):
+    """How a solve ended."""
+
+    RUNNING = 0
+    CONVERGED = 1
+    ITERATION_LIMIT = 2
+    STALLED = 3
+    NOT_FINITE = 4
+
+
+class DenseSystem(NamedTuple):
+    """Cost and normal equations of a small dense problem."""
+
+    cost: Float[Array, ""]
+    gradient: Float[Array, "n"]
+    """Jᵀr."""
+    matrix: Float[Array, "n n"]
+    """JᵀJ."""
+
+    def diagonal(self) -> Float[Array, "n"]:
+        """Diagonal of JᵀJ."""
+        return jnp.diagonal(self.matrix)
+
+    def solve(self, extra: Float[Array, "n"], right: Float[Array, "n"]) -> Float[Array, "n"]:
+        """Solution of (JᵀJ + diag(extra)) s = right."""
+        return cho_solve(cho_factor(self.matrix + jnp.diag(extra), lower=True), right)
+
+    def product(self, vector: Float[Array, "n"]) -> Float[Array, "n"]:
+        """JᵀJ · vector."""
+        return self.matrix @ vector
+
+
+class ArrowheadSystem(NamedTuple):
+    """Normal equations of `f` local blocks of `m` unknowns that share `s` unknowns; x is [locals…, shared]."""
+
+    cost: Float[Array, ""]
+    local_gradient: Float[Array, "f m"]
+    shared_gradient: Float[Array, "s"]
+    local: Float[Array, "f m m"]
+    border: Float[Array, "f m s"]
+    shared: Float[Array, "s s"]
+
+    @property
+    def gradient(self) -> Float[Array, "n"]:
+        """Jᵀr."""
+        return jnp.concatenate([self.local_gradient.ravel(), self.shared_gradient])
+
+    def diagonal(self) -> Float[Array, "n"]:
+        """Diagonal of JᵀJ."""
+        local = jnp.diagonal(self.local, axis1=1, axis2=2)
+        return jnp.concatenate([local.ravel(), jnp.diagonal(self.shared)])
+
+    def solve(self, extra: Float[Array, "n"], right: Float[Array, "n"]) -> Float[Array, "n"]:
+        """Solution of (JᵀJ + diag(extra)) s = right by the Schur complement of the local blocks."""
+        count, size = self.local_gradient.shape
+        extra_local, right_local = extra[: count * size].reshape(count, size), right[: count * size]
+        factor = jnp.linalg.cholesky(self.local + jax.vmap(jnp.diag)(extra_local))
+        stacked = jnp.concatenate([self.border, right_local.reshape(count, size, 1)], axis=2)
+        solved = jax.vmap(lambda lower, columns: cho_solve((lower, True), columns))(factor, stacked)
+        reduced = self.shared + jnp.diag(extra[count * size :])
+        reduced = reduced - jnp.einsum("fms,fmt->st", self.border, solved[..., :-1])
+        reduced_right = right[count * size :] - jnp.einsum("fms,fm->s", self.border, solved[..., -1])
+        shared = cho_solve(cho_factor(reduced, lower=True), reduced_right)
+        return jnp.concatenate([(solved[..., -1] - solved[..., :-1] @ shared).ravel(), shared])
+
+    def product(self, vector: Float[Array, "n"]) -> Float[Array, "n"]:
+        """JᵀJ · vector."""
+        count, size = self.local_gradient.shape
+        local, shared = vector[: count * size].reshape(count, size), vector[count * size :]
+        top = jnp.einsum("fmn,fn->fm", self.local, local) + self.border @ shared
+        return jnp.concatenate([top.ravel(), jnp.einsum("fms,fm->s", self.border, local) + self.shared @ shared])
+
+
+System = DenseSystem | ArrowheadSystem
+Evaluate = Callable[[Float[Array, "n"]], System]
+
+
+class SolverState(NamedTuple):
+    """Everything that one step hands to the next."""
+
+    x: Float[Array, "n"]
+    system: System
+    damping: Float[Array, ""]
+    growth: Float[Array, ""]
+    """Factor by which the next rejected step raises the damping."""
+    accepted: Bool[Array, ""]
+    status: Int[Array, ""]
+
+
+class Solution(NamedTuple):
+    """Result of `minimise`."""
+
+    x: Float[Array, "n"]
+    cost: Float[Array, ""]
+    status: Int[Array, ""]
+    """A `Status` value."""
+    iterations: Int[Array, ""]
+    system: Any
+    """Normal equations at the solution (None from solvers that do not form them)."""
+    trace: Any
+    """What `record` returned at the start and after each step, stacked (rows beyond the last step repeat it)."""
+
+
+def normal_equations(residual: Float[Array, "m"], jacobian: Float[Array, "m n"]) -> DenseSystem:
+    """Cost, Jᵀr and JᵀJ of one residual vector."""
+    return DenseSystem(residual @ residual, residual @ jacobian, jacobian.T @ jacobian)
+
+
+def init(evaluate: Evaluate, start: Float[Array, "n"]) -> SolverState:
+    """State before the first step."""
+    system = evaluate(start)
+    status = jnp.where(jnp.isfinite(system.cost), Status.RUNNING.value, Status.NOT_FINITE.value)
+    return SolverState(start, system, jnp.asarray(INITIAL_DAMPING), jnp.asarray(2.0), jnp.asarray(True), status)
+
+
+def step(
+    evaluate: Evaluate,
+    state: SolverState,
+    lower: Float[Array, "n"],
+    upper: Float[Array, "n"],
+    tolerance: Float[Array, ""] | float = 1e-6,
+) -> SolverState:
+    """One damped Gauss–Newton step, taken if it lowers the cost; converged when it lowers it by less than `tolerance`
+    of itself."""
+    x, system, damping = state.x, state.system, state.damping
+    gradient, diagonal = system.gradient, system.diagonal()
+    extra = damping * jnp.clip(diagonal, 1e-6, 1e32)
+    move = _bounded_move(system, extra, lower - x, upper - x)
+    candidate = x + move
+    proposed = evaluate(candidate)
+    decrease = system.cost - proposed.cost
+    predicted = -(2.0 * gradient @ move + move @ system.product(move))
+    accepted = decrease > 0.0
+    gain = decrease / jnp.where(predicted > 0.0, predicted, 1.0)
+    shrink = jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+    new_damping = jnp.clip(
+        jnp.where(accepted, damping * shrink, damping * state.growth), SMALLEST_DAMPING, LARGEST_DAMPING
+    )
+    # A step that moves nothing means that every unknown rests on a bound or at the minimum.
+    still = jnp.max(jnp.abs(move)) <= 1e-15 * (1.0 + jnp.max(jnp.abs(x)))
+    converged = (accepted & (decrease <= tolerance * system.cost)) | still
+    stalled = ~accepted & (damping >= LARGEST_DAMPING)
+    status = jnp.where(converged, Status.CONVERGED.value, jnp.where(stalled, Status.STALLED.value, state.status))
+    choose = lambda new, old: jnp.where(accepted, new, old)  # noqa: E731
+    return SolverState(
+        x=choose(candidate, x),
+        system=jax.tree.map(choose, proposed, system),
+        damping=new_damping,
+        growth=jnp.where(accepted, 2.0, state.growth * 2.0),
+        accepted=accepted,
+        status=status,
+    )
+
+
+def _bounded_move(system: System, extra, lowest_move, highest_move):
+    """Damped Gauss–Newton step inside a box: unknowns that would leave it go to its face, the others adapt."""
+    gradient = system.gradient
+    stiffness = HELD * jnp.max(system.diagonal()) + 1.0
+    pushed = ((lowest_move >= 0) & (gradient > 0)) | ((highest_move <= 0) & (gradient < 0))
+
+    def solve(held, move):
+        pinned = jnp.where(held, jnp.clip(move, lowest_move, highest_move), 0.0)
+        return system.solve(extra + jnp.where(held, stiffness, 0.0), jnp.where(held, stiffness * pinned, -gradient))
+
+    def leaves(carry):
+        count, held, move = carry
+        return (count < ACTIVE_SET_PASSES) & jnp.any(~held & ((move < lowest_move) | (move > highest_move)))
+
+    def shrink(carry):
+        count, held, move = carry
+        held = held | (move < lowest_move) | (move > highest_move)
+        return count + 1, held, solve(held, move)
+
+    first = solve(pushed, jnp.zeros_like(gradient))
+    _, _, move = jax.lax.while_loop(leaves, shrink, (jnp.asarray(0), pushed, first))
+    return jnp.clip(move, lowest_move, highest_move)
+
+
+def minimise(
+    evaluate: Evaluate,
+    start: Float[Array, "n"],
+    lower: Float[Array, "n"],
+    upper: Float[Array, "n"],
+    limit: Int[Array, ""] | int,
+    tolerance: Float[Array, ""] | float = 1e-6,
+    record: Callable[[SolverState], Any] | None = None,
+    record_length: int = 0,
+) -> Solution:
+    """Up to `limit` steps from `start`; `limit` and `tolerance` may be traced.
+
+    With `record`, its value at the start and after each step is kept in `record_length` + 1 rows, and steps beyond
+    that length are not taken. Without it no trace is computed.
+    """
+    start = jnp.clip(start, lower, upper)
+    first = init(evaluate, start)
+    limit = jnp.asarray(limit)
+
+    def running(carry):
+        count, state, _ = carry
+        return (count < limit) & (state.status == Status.RUNNING.value)
+
+    def body(carry):
+        count, state, trace = carry
+        state = step(evaluate, state, lower, upper, tolerance)
+        if record is not None:
+            # Later rows repeat the newest one, so that a plot of the whole trace shows a plateau.
+            rows = jnp.arange(record_length + 1) > count
+            spread = lambda old, new: jnp.where(rows.reshape(-1, *[1] * new.ndim), new, old)  # noqa: E731
+            trace = jax.tree.map(spread, trace, record(state))
+        return count + 1, state, trace
+
+    trace = None
+    if record is not None:
+        trace = jax.tree.map(lambda value: jnp.repeat(value[None], record_length + 1, axis=0), record(first))
+        limit = jnp.minimum(limit, record_length)
+    count, state, trace = jax.lax.while_loop(running, body, (jnp.asarray(0), first, trace))
+    status = jnp.where(state.status == Status.RUNNING.value, Status.ITERATION_LIMIT.value, state.status)
+    return Solution(state.x, state.system.cost, status, count, state.system, trace)

@@ -1,0 +1,64 @@
+"""Optimistix' Levenberg–Marquardt and dogleg behind the same call, as a second route to the same answers.
+
+`optimistix.least_squares` wants its step limit as a Python integer, so each new limit would compile again; driving
+`init`, `step` and `postprocess` inside a loop takes a traced limit.
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
+from jaxtyping import Array, Float, Int
+
+from workbench.solvers.levenberg_marquardt import Solution, Status
+
+_LINEAR = lx.Normal(lx.Cholesky())
+
+
+def minimise_with_optimistix(
+    residual: Callable[[Float[Array, "n"]], Float[Array, "m"]],
+    start: Float[Array, "n"],
+    scale: Float[Array, "n"],
+    limit: Int[Array, ""] | int,
+    tolerance: float = 1e-10,
+    method: Literal["levenberg-marquardt", "dogleg"] = "levenberg-marquardt",
+) -> Solution:
+    """Up to `limit` steps on Σ residual(x)², without bounds; `limit` may be traced, `tolerance` is fixed.
+
+    `scale` is the typical size of each unknown: Optimistix damps with λ·I, so unknowns of mixed units must be scaled.
+    """
+    kinds = {"levenberg-marquardt": optx.LevenbergMarquardt, "dogleg": optx.Dogleg}
+    solver = kinds[method](rtol=tolerance, atol=tolerance, linear_solver=_LINEAR)
+
+    def function(scaled, _):
+        return residual(scaled * scale), None
+
+    first = start / scale
+    structure = jax.eval_shape(lambda scaled: function(scaled, None), first)
+    state = solver.init(function, first, None, {}, *structure, frozenset())
+    arrays, static = eqx.partition(state, eqx.is_array)
+
+    def running(carry):
+        count, scaled, arrays = carry
+        done, result = solver.terminate(function, scaled, None, {}, eqx.combine(arrays, static), frozenset())
+        return (count < limit) & ~done & (result == optx.RESULTS.successful)
+
+    def body(carry):
+        count, scaled, arrays = carry
+        scaled, state, _ = solver.step(function, scaled, None, {}, eqx.combine(arrays, static), frozenset())
+        return count + 1, scaled, eqx.filter(state, eqx.is_array)
+
+    count, scaled, arrays = jax.lax.while_loop(running, body, (jnp.asarray(0), first, arrays))
+    state = eqx.combine(arrays, static)
+    done, _ = solver.terminate(function, scaled, None, {}, state, frozenset())
+    scaled, _, _ = solver.postprocess(function, scaled, None, None, {}, state, frozenset(), optx.RESULTS.successful)
+    x = scaled * scale
+    final = residual(x)
+    cost = final @ final
+    status = jnp.where(done, Status.CONVERGED.value, Status.ITERATION_LIMIT.value)
+    status = jnp.where(jnp.isfinite(cost), status, Status.NOT_FINITE.value)
+    return Solution(x, cost, status, count, None, None)
