@@ -1,0 +1,133 @@
+"""Identity calibration: one shared identity over several frames, each with its own pose and expression.
+
+FACE IT! animates a character or a reconstruction made beforehand; here the reconstruction is estimated from the
+landmarks themselves, by least squares with a normal prior on the identity coefficients. Chin and jaw come second:
+a detector's contour is a silhouette, and a pose fitted to it turns the head to explain a long face.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from workbench.energies import EnergyConstants, EnergyWeights, normal_system, pack, unpack
+from workbench.face import FaceParameters, LandmarkModel
+from workbench.geometry import Camera
+from workbench.solvers import ArrowheadSystem, minimise
+from workbench.tracking.frame_solver import FrameInput, SolveSettings, StageNumbers, stage_problem
+
+PASSES = (("rotation", "translation", "expression"), ("expression",))
+"""What each pass frees in every frame, beside the shared identity: first everything on the inner landmarks, then, with
+the poses held, expression and identity on all landmarks."""
+
+
+class CalibrationSettings(NamedTuple):
+    """Traced numbers of the calibration; residuals count in percent of the outer-eye distance."""
+
+    identity: Float[Array, ""] | float
+    """ω of ‖identity‖²: the squared landmark noise in percent that one standard deviation of a face weighs."""
+    expression: Float[Array, ""] | float
+    """ω of the smoothed L1 norm of each frame's weights: high, because identity should explain what stays."""
+    limits: tuple[Int[Array, ""] | int, ...]
+    """Iterations of each of the `PASSES`."""
+    landmark_weights: Float[Array, "passes 68"]
+    """Landmark weights of each of the `PASSES`."""
+    sliding: Float[Array, ""] | float
+
+
+class Calibration(NamedTuple):
+    """Shared identity, and the pose and expression of each frame in that solve."""
+
+    identity: Float[Array, "i"]
+    frames: FaceParameters
+    """Stacked over the frames."""
+    cost: Float[Array, ""]
+    iterations: Int[Array, "passes"]
+
+
+@jax.jit
+def calibrate_identity(
+    cameras: Camera,
+    model: LandmarkModel,
+    settings: CalibrationSettings,
+    starts: FaceParameters,
+    points: Float[Array, "f 68 2"],
+    weights: Float[Array, "f 68"],
+) -> Calibration:
+    """Solve for one identity and `f` poses and expressions; cameras and starts are stacked over the frames.
+
+    A frame with all weights zero takes no part. Weights are kept in [0, 1]. Each pass fixes contour and blink travel
+    from where the pass before ended.
+    """
+    frames, iterations = starts, []
+    for k in range(len(PASSES)):
+        frames, solution = _solve_pass(cameras, model, settings, k, frames, points, weights)
+        iterations.append(solution.iterations)
+    return Calibration(frames.identity[0], frames, solution.cost, jnp.stack(iterations))
+
+
+def _solve_pass(cameras, model, settings, k, frames, points, weights):
+    free = (*PASSES[k], "identity")
+    energy = EnergyWeights(tau=0.0, beta=0.0, sigma=0.0, sigma_smooth=settings.expression, identity=0.0)
+    solve_settings = SolveSettings(energy, EnergyConstants(), 0.0, 1.0, 1e-6, 1.0, settings.sliding)
+
+    def problem_of(camera, parameters, observed, weight):
+        frame = FrameInput(observed, weight, jnp.zeros(6), jnp.zeros(6), jnp.zeros(()), parameters)
+        number = StageNumbers(settings.limits[k], settings.landmark_weights[k])
+        return stage_problem(camera, model, solve_settings, number, frame, parameters)
+
+    problems = jax.vmap(problem_of)(cameras, frames, points, weights)
+    packed = jax.vmap(lambda frame: pack(frame, PASSES[k]))(frames)
+    own, common = slice(0, packed.shape[1]), slice(packed.shape[1], None)
+
+    def split(x):
+        return x[: packed.size].reshape(packed.shape), x[packed.size :]
+
+    def evaluate(x):
+        locals_, identity = split(x)
+        systems = jax.vmap(
+            lambda problem, local, frame: normal_system(
+                problem, unpack(jnp.concatenate([local, identity]), frame, free), free
+            )
+        )(problems, locals_, frames)
+        # The prior of the shared identity counts once, not once a frame.
+        return ArrowheadSystem(
+            cost=systems.cost.sum() + settings.identity * identity @ identity,
+            local_gradient=systems.gradient[:, own],
+            shared_gradient=systems.gradient[:, common].sum(0) + settings.identity * identity,
+            local=systems.matrix[:, own, own],
+            border=systems.matrix[:, own, common],
+            shared=systems.matrix[:, common, common].sum(0) + settings.identity * jnp.eye(len(identity)),
+        )
+
+    lower, upper = _bounds(frames, PASSES[k])
+    solution = minimise(
+        evaluate, jnp.concatenate([packed.ravel(), frames.identity[0]]), lower, upper, settings.limits[k], 1e-6
+    )
+    locals_, identity = split(solution.x)
+    moved = jax.vmap(lambda local, frame: unpack(local, frame, PASSES[k]))(locals_, frames)
+    return moved._replace(identity=jnp.broadcast_to(identity, frames.identity.shape)), solution
+
+
+def _bounds(frames: FaceParameters, free: tuple[str, ...]):
+    rigid = jnp.full(3 * (len(free) - 1), jnp.inf)
+    frame_count, expression_count = frames.expression.shape
+    unbounded = jnp.full(frames.identity.shape[1], jnp.inf)
+    lower = jnp.concatenate([-rigid, jnp.zeros(expression_count)])
+    upper = jnp.concatenate([rigid, jnp.ones(expression_count)])
+    return (
+        jnp.concatenate([jnp.tile(lower, frame_count), -unbounded]),
+        jnp.concatenate([jnp.tile(upper, frame_count), unbounded]),
+    )
+
+
+def spread_over_yaw(yaws_deg: Float[np.ndarray, "n"], count: int) -> Int[np.ndarray, "_"]:
+    """Indices of up to `count` frames spread evenly over the range of head yaws, in ascending order of time.
+
+    Views from several sides are what separates depth from expression.
+    """
+    order = np.argsort(yaws_deg, kind="stable")
+    chosen = order[np.unique(np.round(np.linspace(0, len(order) - 1, min(count, len(order)))).astype(int))]
+    return np.sort(chosen)

@@ -1,0 +1,53 @@
+"""The first pose of a shot, from the landmarks that expressions move least (FACE IT! Sec. 4, after its ref. [24])."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from workbench.geometry import Camera
+from workbench.landmarks.scheme import GROUPS
+
+
+def initial_pose(
+    camera: Camera, neutral_head: Float[np.ndarray, "68 3"], points: Float[np.ndarray, "68 2"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Axis-angle and translation (mm) that best explain eye corners and nose with the neutral face, by SQPnP.
+
+    SQPnP is globally optimal, so no first guess is needed; from a zero rotation the later iterations can end in a
+    wrong minimum. A solution behind the camera or facing away is replaced by a frontal pose at the right distance.
+    """
+    subset = list(GROUPS["robust"])
+    matrix = np.array(
+        [
+            [float(camera.focal_px[0]), 0.0, float(camera.principal_point_px[0])],
+            [0.0, float(camera.focal_px[1]), float(camera.principal_point_px[1])],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    distortion = np.asarray(camera.distortion, float)
+    found, rotation, translation = cv2.solvePnP(
+        np.ascontiguousarray(neutral_head[subset]),
+        np.ascontiguousarray(points[subset]),
+        matrix,
+        distortion,
+        flags=cv2.SOLVEPNP_SQPNP,
+    )
+    if found:
+        rotation, translation = rotation.ravel(), translation.ravel()
+        facing = cv2.Rodrigues(rotation)[0][2, 2] > 0.0
+        if facing and translation[2] > 0.0 and np.isfinite(np.concatenate([rotation, translation])).all():
+            return rotation, translation
+    return frontal_pose(camera, neutral_head, points)
+
+
+def frontal_pose(
+    camera: Camera, neutral_head: Float[np.ndarray, "68 3"], points: Float[np.ndarray, "68 2"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Zero rotation, at the place and distance where the model's points have the spread of the observed ones."""
+    spread_mm = np.sqrt(((neutral_head[:, :2] - neutral_head[:, :2].mean(0)) ** 2).sum(1).mean())
+    spread_px = np.sqrt(((points - points.mean(0)) ** 2).sum(1).mean())
+    focal = np.asarray(camera.focal_px, float)
+    depth = focal.mean() * spread_mm / max(spread_px, 1e-6)
+    offset_px = points.mean(0) - np.asarray(camera.principal_point_px, float)
+    centre = np.append(offset_px / focal * depth, depth)
+    return np.zeros(3), centre - np.append(neutral_head[:, :2].mean(0), 0.0)
