@@ -1,4 +1,4 @@
-"""Pictures in, pictures out: one image, several images, a folder or a video as a lazy stream; atomic video and picture files.
+"""Pictures in and out: one image, several, a folder or a video as a lazy stream; atomic video and picture files.
 
 Every picture is UInt8 (height, width, 3) RGB. A stream never holds more than the frame that it delivers, so an hour of
 video needs no more memory than a second, and `iterate(start)` delivers identical pictures whenever it is called again.
@@ -9,12 +9,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
+from types import TracebackType
 from typing import Protocol, runtime_checkable
 
 import av
 import cv2
 import numpy as np
+from av.container import InputContainer
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from workbench.errors import InputError
@@ -110,7 +115,8 @@ def _open_file(path: Path) -> Frames:
     if suffix in VIDEO_SUFFIXES:
         return VideoFrames(path)
     raise InputError(
-        f"{path} is no picture ({', '.join(IMAGE_SUFFIXES)}) and no video ({', '.join(VIDEO_SUFFIXES)}): convert it first"
+        f"{path} is neither a picture ({', '.join(IMAGE_SUFFIXES)}) nor a video ({', '.join(VIDEO_SUFFIXES)}): "
+        "convert it first"
     )
 
 
@@ -137,7 +143,9 @@ def read_picture(path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
     except (cv2.error, OSError) as error:
         raise InputError(f"{path} cannot be read as a picture ({error}): convert it to PNG or JPEG") from error
     if picture is None:
-        raise InputError(f"{path} does not contain a readable picture: it may be damaged, or another kind of file renamed")
+        raise InputError(
+            f"{path} does not contain a readable picture: it may be damaged, or another kind of file renamed"
+        )
     return picture
 
 
@@ -179,6 +187,7 @@ class VideoFrames:
         self.name = self.path.stem
         self.notes: list[str] = []
         self._key_frames: dict[int, int] = {}  # frame index -> presentation time stamp
+        self._damaged = False
         with self._open() as container:
             stream = container.streams.video[0]
             rate = stream.average_rate or stream.guessed_rate
@@ -198,14 +207,169 @@ class VideoFrames:
     def iterate(self, start: int = 0) -> Iterator[Frame]:
         """Yield the frames from index `start` on."""
         start = _checked_start(start)
-        index = max((i for i in self._key_frames if i <= start), default=0)
-        with self._open() as container:
-            decoded = self._decoded_from(container, self._key_frames.get(index))
-            if decoded is None:  # the container cannot seek there
-                index = 0
-        if decoded is None:
-            with self._open() as container:
-                yield from self._delivered(self._decoded(container), 0, start)
+        origin = max((index for index in self._key_frames if index <= start), default=0)
+        with ExitStack() as stack:
+            decoded = self._decoded_after_seek(stack.enter_context(self._open()), origin) if origin else None
+            if decoded is None:
+                origin, decoded = 0, self._decoded(stack.enter_context(self._open()))
+            index = origin - 1
+            for index, frame in enumerate(decoded, origin):
+                self._remember(index, frame)
+                if index >= start:
+                    yield Frame(index, _upright_rgb(frame), self._time(index, frame.pts), f"{self.name}#{index}")
+            if index >= 0 and self.announced_count and index + 1 < self.announced_count:
+                announced = f"the header announces {self.announced_count} frames"
+                self._note(f"{self.path.name}: {announced}, {index + 1} could be decoded")
+
+    def _open(self) -> InputContainer:
+        try:
+            # Only this file is read: a playlist under a video's name cannot reach for other files or the network.
+            container = av.open(str(self.path.absolute()), options={"protocol_whitelist": "file"})
+        except (av.error.FFmpegError, ValueError) as error:
+            raise InputError(
+                f"{self.path} cannot be opened as a video ({error}): it may be damaged, or another kind of file renamed"
+            ) from error
+        if not container.streams.video:
+            container.close()
+            raise InputError(f"{self.path} has no video stream: it may hold sound only")
+        return container
+
+    def _decoded(self, container: InputContainer) -> Iterator[VideoFrame]:
+        """Every frame that decodes, in order of presentation; packets that do not decode are noted and skipped."""
+        packets = container.demux(container.streams.video[0])
+        while True:
+            try:
+                packet = next(packets, None)
+                if packet is None:
+                    return
+                frames = packet.decode()
+            except av.error.EOFError:
+                return
+            except av.error.FFmpegError as error:
+                self._damaged = True
+                self._note(f"{self.path.name}: parts are damaged and were skipped ({error.strerror})")
+                continue
+            yield from frames
+
+    def _decoded_after_seek(self, container: InputContainer, index: int) -> Iterator[VideoFrame] | None:
+        """The frames from the remembered key frame `index` on; None where the container cannot seek to it."""
+        pts = self._key_frames[index]
+        try:
+            container.seek(pts, stream=container.streams.video[0])
+        except av.error.FFmpegError:
+            return None
+        decoded = self._decoded(container)
+        for frame in decoded:
+            if frame.pts == pts:
+                return chain([frame], decoded)
+            if frame.pts is None or frame.pts > pts:
+                return None
+        return None
+
+    def _remember(self, index: int, frame: VideoFrame) -> None:
+        """Keep a key frame as a seek point. After damage the decoder conceals, and a seek would give other pictures."""
+        usable = frame.key_frame and frame.pts is not None and not self._damaged
+        if usable and index - max(self._key_frames, default=0) >= KEY_FRAME_SPACING:
+            self._key_frames[index] = frame.pts
+
+    def _time(self, index: int, pts: int | None) -> float:
+        if pts is not None and self._first_pts is not None:
+            return (pts - self._first_pts) * self._time_base
+        return index / self.rate if self.rate else 0.0
+
+    def _note(self, sentence: str) -> None:
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+
+def _upright_rgb(frame: VideoFrame) -> UInt8[np.ndarray, "h w 3"]:
+    """Convert with the colour matrix named in the file and turn by the quarter turns of its display matrix."""
+    picture = frame.to_ndarray(format="rgb24")
+    quarter_turns = round(frame.rotation / 90) % 4  # counter-clockwise, as in np.rot90
+    return np.ascontiguousarray(np.rot90(picture, quarter_turns)) if quarter_turns else picture
+
+
+def _checked_start(start: int) -> int:
+    if start < 0:
+        raise InputError(f"a stream starts at frame 0 or later, got {start}")
+    return start
+
+
+class VideoWriter:
+    """Write pictures as H.264 (yuv420p, BT.709), a format that every browser plays; used in a `with` block.
+
+    The size is that of the first picture; H.264 in yuv420p wants even sizes, so an odd row or column is repeated at
+    the edge. The file appears under its name when the block ends; after an exception there is nothing under it.
+    Raises `InputError` for a picture of another size or type, and when the block ends without any picture.
+    """
+
+    def __init__(self, path: str | Path, rate: float = 25.0, quality: int = 20) -> None:
+        if not 0 < rate <= 1000:
+            raise InputError(f"a video needs a rate between 0 and 1000 frames per second, got {rate}")
+        self.path = Path(path)
+        if self.path.suffix.lower() not in (".mp4", ".m4v", ".mov", ".mkv"):
+            raise InputError(f"H.264 video is written as .mp4, .m4v, .mov or .mkv, got {self.path.name}")
+        self._rate = Fraction(rate).limit_denominator(1001)
+        self._quality = quality
+        self._stack = ExitStack()
+        self._stream: VideoStream | None = None
+        self._size = (0, 0)
+        self.count = 0
+
+    def __enter__(self) -> "VideoWriter":
+        temporary = self._stack.enter_context(atomic_path(self.path))
+        self._container = self._stack.enter_context(av.open(str(temporary.absolute()), "w"))
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        if kind is not None:
+            self._stack.__exit__(kind, error, traceback)
             return
-        with self._open() as container:
-            yield from self._delivered(self._decoded_from(container, self._key_frames.get(index)), index, start)
+        with self._stack:
+            if self._stream is None:
+                raise InputError(f"no picture was written to {self.path}: a video needs at least one")
+            self._container.mux(self._stream.encode(None))
+
+    def write(self, picture: UInt8[np.ndarray, "h w 3"]) -> None:
+        """Append one RGB picture."""
+        picture = _checked_picture(picture)
+        height, width = picture.shape[:2]
+        if self._stream is None:
+            self._size = (width, height)
+            self._stream = self._add_stream(width + width % 2, height + height % 2)
+        if (width, height) != self._size:
+            raise InputError(f"every picture of a video has one size: expected {self._size}, got {(width, height)}")
+        if width % 2 or height % 2:
+            picture = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+        frame = VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+        frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        frame.pts = self.count
+        frame.time_base = 1 / self._rate
+        self._container.mux(self._stream.encode(frame))
+        self.count += 1
+
+    def _add_stream(self, width: int, height: int) -> VideoStream:
+        stream = self._container.add_stream("libx264", rate=self._rate, options={"crf": str(self._quality)})
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        context = stream.codec_context
+        context.colorspace = context.color_primaries = context.color_trc = 1  # BT.709
+        context.color_range = 1  # limited, "MPEG"
+        return stream
+
+
+def write_picture(path: str | Path, picture: UInt8[np.ndarray, "h w 3"], quality: int = 95) -> None:
+    """Write an RGB picture as PNG or JPEG (by suffix; `quality` 0..100 is JPEG's), whole or not at all."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".png", ".jpg", ".jpeg"):
+        raise InputError(f"pictures are written as .png, .jpg or .jpeg, got {path.name}")
+    options = [] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, quality]
+    encoded = cv2.imencode(suffix, cv2.cvtColor(_checked_picture(picture), cv2.COLOR_RGB2BGR), options)[1]
+    with atomic_path(path) as temporary:
+        encoded.tofile(temporary)
+
+
+def _checked_picture(picture: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
+        raise InputError(f"expected an RGB picture, uint8 (h, w, 3), got {picture.dtype} {picture.shape}")
+    return picture
