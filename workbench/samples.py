@@ -21,7 +21,7 @@ def samples_folder() -> Path:
     for folder in (package / "data_samples", package.parent / "data_samples"):
         if (folder / "head").is_dir():
             return folder
-    raise InputError("The bundled data_samples folder is missing; install the package again or keep the whole checkout.")
+    raise InputError("The data_samples folder is missing; install the package again or keep the whole checkout.")
 
 
 def sample(name: str) -> Path:

@@ -1,14 +1,15 @@
 """Terms on the weights alone: sparsity E_σ, range E_β (FACE IT! Eqs. 11, 12), and the alternatives that we add."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from workbench.arrays import AnyArray
 from workbench.energies.weights import EnergyConstants, Scalar
 
-Weights = Float[Array, "k"]
+Weights = Float[AnyArray, "k"]
 
 
-def sigma_residual(weights: Weights) -> Float[Array, "1"]:
+def sigma_residual(weights: Weights) -> Float[AnyArray, "1"]:
     """E_σ as the paper's single residual Σ|w| (Eq. 11).
 
     A least-squares solver squares it: what is minimised is (Σ|w|)².
@@ -41,7 +42,7 @@ def beta_slope(weights: Weights, constants: EnergyConstants) -> Weights:
     return 0.25 * jnp.pi / constants.b * (1.0 / (1.0 + upper * upper) - 1.0 / (1.0 + lower * lower))
 
 
-def beta_residual(weights: Weights, constants: EnergyConstants) -> Float[Array, "1"]:
+def beta_residual(weights: Weights, constants: EnergyConstants) -> Float[AnyArray, "1"]:
     """E_β as the paper's single residual, summed over the weights; the solver minimises its square."""
     return jnp.sum(beta_curve(weights, constants), keepdims=True)
 
@@ -56,6 +57,6 @@ def range_slope(weights: Weights) -> Weights:
     return ((weights < 0.0) | (weights > 1.0)).astype(weights.dtype)
 
 
-def identity_residual(identity: Float[Array, "i"]) -> Float[Array, "i"]:
+def identity_residual(identity: Float[AnyArray, "i"]) -> Float[AnyArray, "i"]:
     """Identity coefficients in standard deviations: their squares are the L2 prior of the identity basis."""
     return identity

@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from workbench.arrays import AnyArray
 from workbench.face.landmark_model import PointModel
 from workbench.face.parameters import FaceParameters
 from workbench.geometry import Camera, project, project_with_derivative, rotation_matrix
@@ -14,15 +15,15 @@ from workbench.geometry import Camera, project, project_with_derivative, rotatio
 class Observation(NamedTuple):
     """Detected landmarks of one frame for the solver."""
 
-    points: Float[Array, "68 2"]
+    points: Float[AnyArray, "68 2"]
     """Pixels."""
-    weights: Float[Array, "68"]
+    weights: Float[AnyArray, "68"]
     """Factor of each landmark's squared error; 0 takes it out."""
-    unit_px: Float[Array, ""]
+    unit_px: Float[AnyArray, ""]
     """Pixels that count as 1 in the residual (1 for pixels, 1 % of the eye distance for percent)."""
 
 
-def points_head(model: PointModel, parameters: FaceParameters) -> Float[Array, "68 3"]:
+def points_head(model: PointModel, parameters: FaceParameters) -> Float[AnyArray, "68 3"]:
     """b_0 + B·w (+ identity) at the 68 landmarks, head frame, millimetres."""
     points = model.neutral + jnp.tensordot(parameters.expression, model.expression, axes=1)
     if model.identity.shape[0]:
@@ -30,7 +31,7 @@ def points_head(model: PointModel, parameters: FaceParameters) -> Float[Array, "
     return points
 
 
-def project_landmarks(camera: Camera, model: PointModel, parameters: FaceParameters) -> Float[Array, "68 2"]:
+def project_landmarks(camera: Camera, model: PointModel, parameters: FaceParameters) -> Float[AnyArray, "68 2"]:
     """π(R·P_i + t) for all landmarks, pixels."""
     points_camera = points_head(model, parameters) @ rotation_matrix(parameters.rotation).T + parameters.translation
     return project(camera, points_camera)
@@ -38,7 +39,7 @@ def project_landmarks(camera: Camera, model: PointModel, parameters: FaceParamet
 
 def reprojection_residual(
     camera: Camera, model: PointModel, parameters: FaceParameters, observation: Observation
-) -> Float[Array, "136"]:
+) -> Float[AnyArray, "136"]:
     """√weight · (π(R·P_i + t) − p_i) / unit, so that its square sum is Eq. 8 (or Eq. 10 with the pose of Eq. 8)."""
     error = project_landmarks(camera, model, parameters) - observation.points
     return (error * jnp.sqrt(observation.weights)[:, None] / observation.unit_px).ravel()
@@ -50,7 +51,7 @@ def reprojection_with_jacobian(
     parameters: FaceParameters,
     observation: Observation,
     free: tuple[str, ...],
-) -> tuple[Float[Array, "136"], Float[Array, "136 n"]]:
+) -> tuple[Float[AnyArray, "136"], Float[AnyArray, "136 n"]]:
     """The residual and its derivative by the chain rule ∂π · ∂(R·P + t), columns in the order of `free`.
 
     Written out because automatic differentiation would push one tangent per weight through all of it.
@@ -76,6 +77,6 @@ def reprojection_with_jacobian(
     return residual.ravel(), jacobian.reshape(136, -1)
 
 
-def _chain(outer: Float[Array, "68 2 3"], inner: Float[Array, "68 3 n"]) -> Float[Array, "68 2 n"]:
+def _chain(outer: Float[AnyArray, "68 2 3"], inner: Float[AnyArray, "68 3 n"]) -> Float[AnyArray, "68 2 n"]:
     # Three multiply-adds fuse into one loop; as a batched 2 × 3 by 3 × n product it is several times slower on a CPU.
     return sum(outer[:, :, axis, None] * inner[:, None, axis, :] for axis in range(3))

@@ -4,8 +4,9 @@ equations."""
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from workbench.arrays import AnyArray
 from workbench.energies.priors import (
     beta_residual,
     beta_slope,
@@ -36,9 +37,9 @@ class EnergyProblem(NamedTuple):
     observation: Observation
     weights: EnergyWeights
     constants: EnergyConstants
-    before_last_pose: Float[Array, "6"]
-    last_pose: Float[Array, "6"]
-    history: Float[Array, ""]
+    before_last_pose: Float[AnyArray, "6"]
+    last_pose: Float[AnyArray, "6"]
+    history: Float[AnyArray, ""]
     """1 where the two poses before exist, else 0: no E_τ on the first two frames of a shot."""
 
 
@@ -72,7 +73,7 @@ def residuals(problem: EnergyProblem, parameters: FaceParameters, free: tuple[st
     return found
 
 
-def energy_by_term(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]) -> Float[Array, "7"]:
+def energy_by_term(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]) -> Float[AnyArray, "7"]:
     """Weighted energy of each of `TERMS`, zero for terms that `free` parameters cannot change."""
     found = residuals(problem, parameters, free)
     return jnp.stack([jnp.sum(found[term] ** 2) if term in found else jnp.zeros(()) for term in TERMS])
@@ -122,12 +123,12 @@ def normal_system(problem: EnergyProblem, parameters: FaceParameters, free: tupl
     return DenseSystem(cost, gradient + jnp.concatenate(gradients), matrix + jnp.diag(jnp.concatenate(diagonal)))
 
 
-def pack(parameters: FaceParameters, free: tuple[str, ...]) -> Float[Array, "n"]:
+def pack(parameters: FaceParameters, free: tuple[str, ...]) -> Float[AnyArray, "n"]:
     """The free parameters as one vector."""
     return jnp.concatenate([getattr(parameters, name) for name in free])
 
 
-def unpack(vector: Float[Array, "n"], parameters: FaceParameters, free: tuple[str, ...]) -> FaceParameters:
+def unpack(vector: Float[AnyArray, "n"], parameters: FaceParameters, free: tuple[str, ...]) -> FaceParameters:
     """`parameters` with the free ones replaced by the entries of `vector`."""
     slots = _slots(parameters, free)
     return parameters._replace(**{name: vector[slot] for name, slot in slots.items()})

@@ -2,9 +2,11 @@
 
 from typing import NamedTuple
 
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-Scalar = Float[Array, ""] | float
+from workbench.arrays import AnyArray
+
+Scalar = Float[AnyArray, ""] | float
 
 
 class EnergyWeights(NamedTuple):

@@ -8,10 +8,10 @@ from workbench.face.blendshapes import targets_to_deltas as targets_to_deltas
 from workbench.face.default_head import GAZE_NAMES as GAZE_NAMES
 from workbench.face.default_head import load_default_head as load_default_head
 from workbench.face.landmark_model import LandmarkModel as LandmarkModel
+from workbench.face.landmark_model import PointModel as PointModel
 from workbench.face.landmark_model import contour_blend as contour_blend
 from workbench.face.landmark_model import landmark_model as landmark_model
 from workbench.face.landmark_model import model_landmarks as model_landmarks
-from workbench.face.landmark_model import PointModel as PointModel
 from workbench.face.model import Embedding as Embedding
 from workbench.face.model import FaceModel as FaceModel
 from workbench.face.obj_folder import read_obj_folder as read_obj_folder

@@ -40,9 +40,7 @@ def _from_arrays(arrays: dict[str, np.ndarray]) -> FaceModel:
         expression_names=tuple(arrays["expression_names"].tolist()),
         expression_deltas=arrays["expression_deltas"] * float(arrays["expression_step_mm"]),
         identity_deltas=arrays["identity_deltas"] * float(arrays["identity_step_mm"]),
-        landmarks=Embedding(
-            arrays["landmark_vertices"].astype(np.int32), arrays["landmark_barycentric"].astype(float)
-        ),
+        landmarks=Embedding(arrays["landmark_vertices"].astype(np.int32), arrays["landmark_barycentric"].astype(float)),
         contour_yaw_deg=arrays["contour_yaw_deg"].astype(float),
         contour=Embedding(arrays["contour_vertices"].astype(np.int32), arrays["contour_barycentric"].astype(float)),
         colors=arrays["colors"],

@@ -4,34 +4,54 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from workbench.arrays import AnyArray
 from workbench.face.model import BLINK_SCALE_RANGE, BLINKS, Embedding, FaceModel
 
 
 class LandmarkModel(NamedTuple):
     """Head-frame landmarks, millimetres, with the jaw contour at its frontal place (entry 0) and for tabulated yaws."""
 
-    inner_neutral: Float[Array | np.ndarray, "51 3"]
-    inner_expression: Float[Array | np.ndarray, "k 51 3"]
-    inner_identity: Float[Array | np.ndarray, "i 51 3"]
-    contour_neutral: Float[Array | np.ndarray, "b 17 3"]
-    contour_expression: Float[Array | np.ndarray, "b k 17 3"]
-    contour_identity: Float[Array | np.ndarray, "b i 17 3"]
-    contour_yaw: Float[Array | np.ndarray, "b"]
+    inner_neutral: Float[AnyArray, "51 3"]
+    inner_expression: Float[AnyArray, "k 51 3"]
+    inner_identity: Float[AnyArray, "i 51 3"]
+    contour_neutral: Float[AnyArray, "b 17 3"]
+    contour_expression: Float[AnyArray, "b k 17 3"]
+    contour_identity: Float[AnyArray, "b i 17 3"]
+    contour_yaw: Float[AnyArray, "b"]
     """Yaw of each stored contour, radians; entries from 1 on ascend."""
-    expression_scale: Float[Array | np.ndarray, "k"]
+    expression_scale: Float[AnyArray, "k"]
     """Travel of each blendshape for the mean identity (1 but for blinks)."""
-    expression_scale_identity: Float[Array | np.ndarray, "i k"]
+    expression_scale_identity: Float[AnyArray, "i k"]
     """How the travel changes with each identity coefficient."""
+
+    def personal(self, identity: Float[np.ndarray, "i"]) -> "LandmarkModel":
+        """The landmarks of one person: identity and blink travel baked in, no identity basis left."""
+        scale = np.clip(self.expression_scale + identity @ self.expression_scale_identity, *BLINK_SCALE_RANGE)
+        return LandmarkModel(
+            inner_neutral=self.inner_neutral + np.tensordot(identity, self.inner_identity, axes=1),
+            inner_expression=self.inner_expression * scale[:, None, None],
+            inner_identity=np.zeros((0, 51, 3)),
+            contour_neutral=self.contour_neutral + np.einsum("i,bind->bnd", identity, self.contour_identity),
+            contour_expression=self.contour_expression * scale[:, None, None],
+            contour_identity=np.zeros((len(self.contour_yaw), 0, 17, 3)),
+            contour_yaw=self.contour_yaw,
+            expression_scale=np.ones(len(scale)),
+            expression_scale_identity=np.zeros((0, len(scale))),
+        )
+
+    def frontal_neutral(self) -> Float[np.ndarray, "68 3"]:
+        """The 68 points of the neutral face, jaw contour at its frontal place."""
+        return np.concatenate([self.contour_neutral[0], self.inner_neutral])
 
 
 class PointModel(NamedTuple):
     """The 68 landmarks as a linear function of weights and identity, for one place of the jaw contour."""
 
-    neutral: Float[Array, "68 3"]
-    expression: Float[Array, "k 68 3"]
-    identity: Float[Array, "i 68 3"]
+    neutral: Float[AnyArray, "68 3"]
+    expression: Float[AnyArray, "k 68 3"]
+    identity: Float[AnyArray, "i 68 3"]
 
 
 def landmark_model(model: FaceModel) -> LandmarkModel:
@@ -63,8 +83,8 @@ def landmark_model(model: FaceModel) -> LandmarkModel:
 
 
 def contour_blend(
-    contour_yaw: Float[Array | np.ndarray, "b"], yaw: Float[Array, ""], sliding: Float[Array | np.ndarray, ""] | float
-) -> Float[Array, "b"]:
+    contour_yaw: Float[AnyArray, "b"], yaw: Float[AnyArray, ""], sliding: Float[AnyArray, ""] | float
+) -> Float[AnyArray, "b"]:
     """Weights of the stored contours for a head yaw in radians: linear between tabulated yaws, held beyond them.
 
     `sliding` 1 slides the contour, 0 keeps its frontal place (a traced number: switching compiles nothing).
@@ -78,17 +98,17 @@ def contour_blend(
     return frontal * (1.0 - sliding) + jnp.concatenate([jnp.zeros(1), tabulated]) * sliding
 
 
-def model_landmarks(model: LandmarkModel, blend: Float[Array, "b"], identity: Float[Array, "i"]) -> PointModel:
+def model_landmarks(model: LandmarkModel, blend: Float[AnyArray, "b"], identity: Float[AnyArray, "i"]) -> PointModel:
     """The 68 points for one blend of contours, blink travel scaled for this identity."""
     scale = model.expression_scale + identity @ model.expression_scale_identity
     scale = jnp.clip(scale, *BLINK_SCALE_RANGE)
     expression = jnp.concatenate(
         [jnp.tensordot(blend, jnp.asarray(model.contour_expression), axes=1), model.inner_expression], axis=1
     )
+    contour_neutral = jnp.tensordot(blend, jnp.asarray(model.contour_neutral), axes=1)
+    contour_identity = jnp.tensordot(blend, jnp.asarray(model.contour_identity), axes=1)
     return PointModel(
-        neutral=jnp.concatenate([jnp.tensordot(blend, jnp.asarray(model.contour_neutral), axes=1), model.inner_neutral]),
+        neutral=jnp.concatenate([contour_neutral, model.inner_neutral]),
         expression=expression * scale[:, None, None],
-        identity=jnp.concatenate(
-            [jnp.tensordot(blend, jnp.asarray(model.contour_identity), axes=1), model.inner_identity], axis=1
-        ),
+        identity=jnp.concatenate([contour_identity, model.inner_identity], axis=1),
     )

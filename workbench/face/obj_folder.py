@@ -92,9 +92,7 @@ def _check_correspondence(path, target, neutral_path, base) -> None:
             "all targets must come from one mesh."
         )
     if not np.array_equal(target.faces, base.faces):
-        raise ModelError(
-            f"{path.name} lists other faces than {neutral_path.name}; export without reordering vertices."
-        )
+        raise ModelError(f"{path.name} lists other faces than {neutral_path.name}; export without reordering vertices.")
 
 
 def _read_landmarks(path: Path, vertex_count: int) -> Embedding:

@@ -2,18 +2,19 @@
 
 from typing import NamedTuple
 
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+from workbench.arrays import AnyArray
 
 
 class FaceParameters(NamedTuple):
     """Pose, expression and identity of one frame."""
 
-    rotation: Float[Array | np.ndarray, "3"]
+    rotation: Float[AnyArray, "3"]
     """Axis-angle, head frame to camera frame, radians."""
-    translation: Float[Array | np.ndarray, "3"]
+    translation: Float[AnyArray, "3"]
     """Head origin in the camera frame, millimetres."""
-    expression: Float[Array | np.ndarray, "n_expressions"]
+    expression: Float[AnyArray, "n_expressions"]
     """Blendshape weights w, nominally 0 to 1."""
-    identity: Float[Array | np.ndarray, "n_identities"]
+    identity: Float[AnyArray, "n_identities"]
     """Identity coefficients, unit variance."""

@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from workbench.arrays import AnyArray
 from workbench.errors import InputError
 
 DISTORTION_COUNTS = (0, 4, 5, 8)
@@ -14,11 +15,11 @@ DISTORTION_COUNTS = (0, 4, 5, 8)
 class Camera(NamedTuple):
     """Intrinsic parameters as arrays, so that a new focal length compiles nothing."""
 
-    focal_px: Float[Array | np.ndarray, "2"]
+    focal_px: Float[AnyArray, "2"]
     """Focal lengths in x and y, pixels."""
-    principal_point_px: Float[Array | np.ndarray, "2"]
+    principal_point_px: Float[AnyArray, "2"]
     """Where the optical axis meets the picture, pixels."""
-    distortion: Float[Array | np.ndarray, "8"]
+    distortion: Float[AnyArray, "8"]
     """OpenCV's k1, k2, p1, p2, k3, k4, k5, k6."""
 
 
@@ -61,7 +62,7 @@ def horizontal_fov_deg(camera: Camera, image_size: tuple[int, int]) -> float:
     return float(2 * np.degrees(np.arctan(0.5 * image_size[0] / float(camera.focal_px[0]))))
 
 
-def project(camera: Camera, points_camera: Float[Array | np.ndarray, "*n 3"]) -> Float[Array, "*n 2"]:
+def project(camera: Camera, points_camera: Float[AnyArray, "*n 3"]) -> Float[AnyArray, "*n 2"]:
     """π: camera-frame points in millimetres to pixels (OpenCV's pinhole with radial and tangential distortion)."""
     points = jnp.asarray(points_camera)
     x, y = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
@@ -69,8 +70,8 @@ def project(camera: Camera, points_camera: Float[Array | np.ndarray, "*n 3"]) ->
 
 
 def project_with_derivative(
-    camera: Camera, points_camera: Float[Array, "n 3"]
-) -> tuple[Float[Array, "n 2"], Float[Array, "n 2 3"]]:
+    camera: Camera, points_camera: Float[AnyArray, "n 3"]
+) -> tuple[Float[AnyArray, "n 2"], Float[AnyArray, "n 2 3"]]:
     """π and ∂π/∂(x, y, z) of each point, written out because it stands in the innermost loop of every solve."""
     x_camera, y_camera, z_camera = points_camera[:, 0], points_camera[:, 1], points_camera[:, 2]
     inverse_z = 1.0 / z_camera

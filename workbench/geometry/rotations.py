@@ -10,11 +10,13 @@ Yaw, pitch and roll follow 300W-LP and AFLW2000, so that numbers compare with th
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from workbench.arrays import AnyArray
 
-def rotation_matrix(axis_angle: Float[Array, "3"]) -> Float[Array, "3 3"]:
+
+def rotation_matrix(axis_angle: Float[AnyArray, "3"]) -> Float[AnyArray, "3 3"]:
     """Rotation matrix of an axis-angle vector in radians (Rodrigues), differentiable at zero.
 
     Below 1e-4 rad the series replace sin θ/θ and (1 − cos θ)/θ², whose derivatives are 0/0 at zero.

@@ -15,7 +15,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
+
+from workbench.arrays import AnyArray
 
 INITIAL_DAMPING = 1e-4
 SMALLEST_DAMPING = 1e-16
@@ -38,21 +40,21 @@ class Status(IntEnum):
 class DenseSystem(NamedTuple):
     """Cost and normal equations of a small dense problem."""
 
-    cost: Float[Array, ""]
-    gradient: Float[Array, "n"]
+    cost: Float[AnyArray, ""]
+    gradient: Float[AnyArray, "n"]
     """Jᵀr."""
-    matrix: Float[Array, "n n"]
+    matrix: Float[AnyArray, "n n"]
     """JᵀJ."""
 
-    def diagonal(self) -> Float[Array, "n"]:
+    def diagonal(self) -> Float[AnyArray, "n"]:
         """Diagonal of JᵀJ."""
         return jnp.diagonal(self.matrix)
 
-    def solve(self, extra: Float[Array, "n"], right: Float[Array, "n"]) -> Float[Array, "n"]:
+    def solve(self, extra: Float[AnyArray, "n"], right: Float[AnyArray, "n"]) -> Float[AnyArray, "n"]:
         """Solution of (JᵀJ + diag(extra)) s = right."""
         return cho_solve(cho_factor(self.matrix + jnp.diag(extra), lower=True), right)
 
-    def product(self, vector: Float[Array, "n"]) -> Float[Array, "n"]:
+    def product(self, vector: Float[AnyArray, "n"]) -> Float[AnyArray, "n"]:
         """JᵀJ · vector."""
         return self.matrix @ vector
 
@@ -60,24 +62,24 @@ class DenseSystem(NamedTuple):
 class ArrowheadSystem(NamedTuple):
     """Normal equations of `f` local blocks of `m` unknowns that share `s` unknowns; x is [locals…, shared]."""
 
-    cost: Float[Array, ""]
-    local_gradient: Float[Array, "f m"]
-    shared_gradient: Float[Array, "s"]
-    local: Float[Array, "f m m"]
-    border: Float[Array, "f m s"]
-    shared: Float[Array, "s s"]
+    cost: Float[AnyArray, ""]
+    local_gradient: Float[AnyArray, "f m"]
+    shared_gradient: Float[AnyArray, "s"]
+    local: Float[AnyArray, "f m m"]
+    border: Float[AnyArray, "f m s"]
+    shared: Float[AnyArray, "s s"]
 
     @property
-    def gradient(self) -> Float[Array, "n"]:
+    def gradient(self) -> Float[AnyArray, "n"]:
         """Jᵀr."""
         return jnp.concatenate([self.local_gradient.ravel(), self.shared_gradient])
 
-    def diagonal(self) -> Float[Array, "n"]:
+    def diagonal(self) -> Float[AnyArray, "n"]:
         """Diagonal of JᵀJ."""
         local = jnp.diagonal(self.local, axis1=1, axis2=2)
         return jnp.concatenate([local.ravel(), jnp.diagonal(self.shared)])
 
-    def solve(self, extra: Float[Array, "n"], right: Float[Array, "n"]) -> Float[Array, "n"]:
+    def solve(self, extra: Float[AnyArray, "n"], right: Float[AnyArray, "n"]) -> Float[AnyArray, "n"]:
         """Solution of (JᵀJ + diag(extra)) s = right by the Schur complement of the local blocks."""
         count, size = self.local_gradient.shape
         extra_local, right_local = extra[: count * size].reshape(count, size), right[: count * size]
@@ -90,7 +92,7 @@ class ArrowheadSystem(NamedTuple):
         shared = cho_solve(cho_factor(reduced, lower=True), reduced_right)
         return jnp.concatenate([(solved[..., -1] - solved[..., :-1] @ shared).ravel(), shared])
 
-    def product(self, vector: Float[Array, "n"]) -> Float[Array, "n"]:
+    def product(self, vector: Float[AnyArray, "n"]) -> Float[AnyArray, "n"]:
         """JᵀJ · vector."""
         count, size = self.local_gradient.shape
         local, shared = vector[: count * size].reshape(count, size), vector[count * size :]
@@ -99,41 +101,41 @@ class ArrowheadSystem(NamedTuple):
 
 
 System = DenseSystem | ArrowheadSystem
-Evaluate = Callable[[Float[Array, "n"]], System]
+Evaluate = Callable[[Float[AnyArray, "n"]], System]
 
 
 class SolverState(NamedTuple):
     """Everything that one step hands to the next."""
 
-    x: Float[Array, "n"]
+    x: Float[AnyArray, "n"]
     system: System
-    damping: Float[Array, ""]
-    growth: Float[Array, ""]
+    damping: Float[AnyArray, ""]
+    growth: Float[AnyArray, ""]
     """Factor by which the next rejected step raises the damping."""
-    accepted: Bool[Array, ""]
-    status: Int[Array, ""]
+    accepted: Bool[AnyArray, ""]
+    status: Int[AnyArray, ""]
 
 
 class Solution(NamedTuple):
     """Result of `minimise`."""
 
-    x: Float[Array, "n"]
-    cost: Float[Array, ""]
-    status: Int[Array, ""]
+    x: Float[AnyArray, "n"]
+    cost: Float[AnyArray, ""]
+    status: Int[AnyArray, ""]
     """A `Status` value."""
-    iterations: Int[Array, ""]
+    iterations: Int[AnyArray, ""]
     system: Any
     """Normal equations at the solution (None from solvers that do not form them)."""
     trace: Any
     """What `record` returned at the start and after each step, stacked (rows beyond the last step repeat it)."""
 
 
-def normal_equations(residual: Float[Array, "m"], jacobian: Float[Array, "m n"]) -> DenseSystem:
+def normal_equations(residual: Float[AnyArray, "m"], jacobian: Float[AnyArray, "m n"]) -> DenseSystem:
     """Cost, Jᵀr and JᵀJ of one residual vector."""
     return DenseSystem(residual @ residual, residual @ jacobian, jacobian.T @ jacobian)
 
 
-def init(evaluate: Evaluate, start: Float[Array, "n"]) -> SolverState:
+def init(evaluate: Evaluate, start: Float[AnyArray, "n"]) -> SolverState:
     """State before the first step."""
     system = evaluate(start)
     status = jnp.where(jnp.isfinite(system.cost), Status.RUNNING.value, Status.NOT_FINITE.value)
@@ -143,9 +145,9 @@ def init(evaluate: Evaluate, start: Float[Array, "n"]) -> SolverState:
 def step(
     evaluate: Evaluate,
     state: SolverState,
-    lower: Float[Array, "n"],
-    upper: Float[Array, "n"],
-    tolerance: Float[Array, ""] | float = 1e-6,
+    lower: Float[AnyArray, "n"],
+    upper: Float[AnyArray, "n"],
+    tolerance: Float[AnyArray, ""] | float = 1e-6,
 ) -> SolverState:
     """One damped Gauss–Newton step, taken if it lowers the cost; converged when it lowers it by less than `tolerance`
     of itself."""
@@ -205,11 +207,11 @@ def _bounded_move(system: System, extra, lowest_move, highest_move):
 
 def minimise(
     evaluate: Evaluate,
-    start: Float[Array, "n"],
-    lower: Float[Array, "n"],
-    upper: Float[Array, "n"],
-    limit: Int[Array, ""] | int,
-    tolerance: Float[Array, ""] | float = 1e-6,
+    start: Float[AnyArray, "n"],
+    lower: Float[AnyArray, "n"],
+    upper: Float[AnyArray, "n"],
+    limit: Int[AnyArray, ""] | int,
+    tolerance: Float[AnyArray, ""] | float = 1e-6,
     record: Callable[[SolverState], Any] | None = None,
     record_length: int = 0,
 ) -> Solution:

@@ -12,18 +12,19 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
+from workbench.arrays import AnyArray
 from workbench.solvers.levenberg_marquardt import Solution, Status
 
 _LINEAR = lx.Normal(lx.Cholesky())
 
 
 def minimise_with_optimistix(
-    residual: Callable[[Float[Array, "n"]], Float[Array, "m"]],
-    start: Float[Array, "n"],
-    scale: Float[Array, "n"],
-    limit: Int[Array, ""] | int,
+    residual: Callable[[Float[AnyArray, "n"]], Float[AnyArray, "m"]],
+    start: Float[AnyArray, "n"],
+    scale: Float[AnyArray, "n"],
+    limit: Int[AnyArray, ""] | int,
     tolerance: float = 1e-10,
     method: Literal["levenberg-marquardt", "dogleg"] = "levenberg-marquardt",
 ) -> Solution:

@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
+from workbench.arrays import AnyArray
 from workbench.energies import (
     EnergyConstants,
     EnergyProblem,
@@ -33,9 +34,9 @@ OUTER_EYE_CORNERS = (36 - 17, 45 - 17)
 class StageNumbers(NamedTuple):
     """The traced part of one stage."""
 
-    limit: Int[Array, ""]
+    limit: Int[AnyArray, ""]
     """ρ or ε."""
-    landmark_weights: Float[Array, "68"]
+    landmark_weights: Float[AnyArray, "68"]
 
 
 class SolveSettings(NamedTuple):
@@ -43,24 +44,24 @@ class SolveSettings(NamedTuple):
 
     weights: EnergyWeights
     constants: EnergyConstants
-    lower: Float[Array, ""]
+    lower: Float[AnyArray, ""]
     """Lowest blendshape weight, −∞ for none."""
-    upper: Float[Array, ""]
-    tolerance: Float[Array, ""]
-    percent: Float[Array, ""]
+    upper: Float[AnyArray, ""]
+    tolerance: Float[AnyArray, ""]
+    percent: Float[AnyArray, ""]
     """1: residuals count in percent of the outer-eye distance; 0: in pixels."""
-    sliding: Float[Array, ""]
+    sliding: Float[AnyArray, ""]
     """1: the jaw contour slides with the yaw; 0: it stays at its frontal place."""
 
 
 class FrameInput(NamedTuple):
     """What one frame brings."""
 
-    points: Float[Array, "68 2"]
-    confidence: Float[Array, "68"]
-    last_pose: Float[Array, "6"]
-    before_last_pose: Float[Array, "6"]
-    history: Float[Array, ""]
+    points: Float[AnyArray, "68 2"]
+    confidence: Float[AnyArray, "68"]
+    last_pose: Float[AnyArray, "6"]
+    before_last_pose: Float[AnyArray, "6"]
+    history: Float[AnyArray, ""]
     start: FaceParameters
 
 
@@ -68,17 +69,19 @@ class FrameSolution(NamedTuple):
     """What the stages make of it."""
 
     parameters: FaceParameters
-    projected: Float[Array, "68 2"]
+    pose: Float[AnyArray, "6"]
+    """[r | t], for the next frame's E_τ."""
+    projected: Float[AnyArray, "68 2"]
     """Model landmarks in the picture, pixels."""
-    energies: Float[Array, "s 7"]
+    energies: Float[AnyArray, "s 7"]
     """Weighted energy of each term after each stage."""
-    status: Int[Array, "s"]
-    iterations: Int[Array, "s"]
+    status: Int[AnyArray, "s"]
+    iterations: Int[AnyArray, "s"]
     traces: tuple
     """By stage, None unless asked for: energies (steps, 7) and landmark residuals in pixels (steps, 68)."""
 
 
-def head_yaw(rotation: Float[Array, "3"]) -> Float[Array, ""]:
+def head_yaw(rotation: Float[AnyArray, "3"]) -> Float[AnyArray, ""]:
     """Yaw in radians of an axis-angle rotation (`geometry.rotations` has the convention)."""
     return jnp.arcsin(jnp.clip(rotation_matrix(rotation)[0, 2], -1.0, 1.0))
 
@@ -105,8 +108,9 @@ def solve_frame(
         iterations.append(solution.iterations)
         traces.append(solution.trace)
     projected = project_landmarks(camera, problem.points, parameters)
+    pose = jnp.concatenate([parameters.rotation, parameters.translation])
     return FrameSolution(
-        parameters, projected, jnp.stack(energies), jnp.stack(statuses), jnp.stack(iterations), tuple(traces)
+        parameters, pose, projected, jnp.stack(energies), jnp.stack(statuses), jnp.stack(iterations), tuple(traces)
     )
 
 
@@ -139,18 +143,11 @@ def stage_problem(
 
 def _solve_stage(problem, parameters, settings, number, free, trace_length) -> Solution:
     start = pack(parameters, free)
-    unbounded = jnp.full(start.shape, jnp.inf)
-    lower, upper = -unbounded, unbounded
+    upper = jnp.full(start.shape, jnp.inf)
+    lower = -upper
     if "expression" in free:
-        box = parameters._replace(
-            rotation=jnp.full(3, jnp.inf),
-            translation=jnp.full(3, jnp.inf),
-            expression=jnp.zeros_like(parameters.expression),
-            identity=jnp.full(parameters.identity.shape, jnp.inf),
-        )
-        lower = pack(box._replace(expression=box.expression + settings.lower), free)
-        upper = pack(box._replace(expression=box.expression + settings.upper), free)
-        lower = jnp.where(jnp.isposinf(lower), -jnp.inf, lower)
+        at = _slot("expression", parameters, free)
+        lower, upper = lower.at[at].set(settings.lower), upper.at[at].set(settings.upper)
 
     def evaluate(x):
         return normal_system(problem, unpack(x, parameters, free), free)
@@ -170,3 +167,8 @@ def _solve_stage(problem, parameters, settings, number, free, trace_length) -> S
         record if trace_length else None,
         trace_length,
     )
+
+
+def _slot(name: str, parameters: FaceParameters, free: tuple[str, ...]) -> slice:
+    start = sum(len(getattr(parameters, other)) for other in free[: free.index(name)])
+    return slice(start, start + len(getattr(parameters, name)))

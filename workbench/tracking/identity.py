@@ -10,8 +10,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
+from workbench.arrays import AnyArray
 from workbench.energies import EnergyConstants, EnergyWeights, normal_system, pack, unpack
 from workbench.face import FaceParameters, LandmarkModel
 from workbench.geometry import Camera
@@ -26,25 +27,25 @@ the poses held, expression and identity on all landmarks."""
 class CalibrationSettings(NamedTuple):
     """Traced numbers of the calibration; residuals count in percent of the outer-eye distance."""
 
-    identity: Float[Array, ""] | float
+    identity: Float[AnyArray, ""] | float
     """ω of ‖identity‖²: the squared landmark noise in percent that one standard deviation of a face weighs."""
-    expression: Float[Array, ""] | float
+    expression: Float[AnyArray, ""] | float
     """ω of the smoothed L1 norm of each frame's weights: high, because identity should explain what stays."""
-    limits: tuple[Int[Array, ""] | int, ...]
+    limits: tuple[Int[AnyArray, ""] | int, ...]
     """Iterations of each of the `PASSES`."""
-    landmark_weights: Float[Array, "passes 68"]
+    landmark_weights: Float[AnyArray, "passes 68"]
     """Landmark weights of each of the `PASSES`."""
-    sliding: Float[Array, ""] | float
+    sliding: Float[AnyArray, ""] | float
 
 
 class Calibration(NamedTuple):
     """Shared identity, and the pose and expression of each frame in that solve."""
 
-    identity: Float[Array, "i"]
+    identity: Float[AnyArray, "i"]
     frames: FaceParameters
     """Stacked over the frames."""
-    cost: Float[Array, ""]
-    iterations: Int[Array, "passes"]
+    cost: Float[AnyArray, ""]
+    iterations: Int[AnyArray, "passes"]
 
 
 @jax.jit
@@ -53,8 +54,8 @@ def calibrate_identity(
     model: LandmarkModel,
     settings: CalibrationSettings,
     starts: FaceParameters,
-    points: Float[Array, "f 68 2"],
-    weights: Float[Array, "f 68"],
+    points: Float[AnyArray, "f 68 2"],
+    weights: Float[AnyArray, "f 68"],
 ) -> Calibration:
     """Solve for one identity and `f` poses and expressions; cameras and starts are stacked over the frames.
 

@@ -1,0 +1,285 @@
+"""What a run does, as data: camera, schedule of stages, ω weights, identity, landmarks. Stored as commented TOML."""
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomlkit
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from workbench.errors import ConfigError
+from workbench.files import atomic_path
+from workbench.landmarks.scheme import GROUPS
+
+VERSION = 1
+PARAMETER_BLOCKS = ("rotation", "translation", "expression")
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Iterations = Annotated[int, Field(ge=0, le=500)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class CameraConfig(_Section):
+    """Camera: given as a matrix, or guessed from a field of view."""
+
+    fov_deg: Annotated[float, Field(gt=0.0, lt=180.0)] = Field(
+        45.0, description="Field of view over the longer side, degrees; a guess unless you know it."
+    )
+    matrix: list[list[float]] | None = Field(None, description="OpenCV camera matrix in pixels; replaces fov_deg.")
+    distortion: list[float] = Field([], description="OpenCV distortion, 0, 4, 5 or 8 coefficients.")
+
+
+class WeightsConfig(_Section):
+    """ω in the hierarchy of FACE IT! Eqs. 5-7: a term's factor is the product down its branch."""
+
+    sparse: NonNegative = Field(1.0, description="ω_sparse: all landmark terms.")
+    pose: NonNegative = Field(1.0, description="ω_pose: reprojection while the pose is free (Eq. 8).")
+    fit: NonNegative = Field(1.0, description="ω_fit: reprojection while the weights are free (Eq. 10).")
+    prior: NonNegative = Field(1.0, description="ω_prior: all prior terms.")
+    tau: NonNegative = Field(0.1, description="ω_τ: second difference of the pose (Eq. 9).")
+    beta: NonNegative = Field(0.0, description="ω_β: the paper's range term (Eq. 12).")
+    sigma: NonNegative = Field(0.0, description="ω_σ: the paper's single-residual L1 norm (Eq. 11).")
+    sigma_smooth: NonNegative = Field(0.0, description="ω_σ of the smoothed separable L1 norm.")
+    range: NonNegative = Field(0.0, description="Quadratic penalty outside [0, 1].")
+
+
+class ConstantsConfig(_Section):
+    """Constants inside the terms."""
+
+    a: float = Field(1.002, description="E_β: upper bound.")
+    b: Annotated[float, Field(gt=0.0)] = Field(2e-5, description="E_β: width of its steps.")
+    c: float = Field(2.5, description="E_β: offset.")
+    delta: Annotated[float, Field(gt=0.0)] = Field(0.01, description="Smoothed L1: where it turns quadratic.")
+    rotation_mm: NonNegative = Field(100.0, description="E_τ: millimetres that one radian counts as.")
+
+
+class SolverConfig(_Section):
+    """How each stage is solved."""
+
+    bounded: bool = Field(True, description="Keep every weight in [0, 1] (off: only the terms hold them).")
+    tolerance: NonNegative = Field(1e-6, description="Stop when a step lowers the energy by less than this part.")
+    unit: Literal["px", "percent"] = Field(
+        "percent", description="Unit of landmark residuals: pixels, or percent of the outer-eye distance."
+    )
+
+
+class ContourConfig(_Section):
+    """The jaw contour."""
+
+    sliding: bool = Field(True, description="Slide the 17 jaw points along the face with the yaw.")
+
+
+class IdentityConfig(_Section):
+    """Calibration of the subject's face shape before tracking."""
+
+    calibrate: bool = Field(True, description="Estimate one identity a shot (a photo); off: the model's mean face.")
+    window: Annotated[int, Field(ge=1, le=1000)] = Field(90, description="Frames of a shot that are looked at.")
+    frames: Annotated[int, Field(ge=1, le=24)] = Field(12, description="Frames of the window that are used.")
+    weight: NonNegative = Field(4.0, description="ω of ‖identity‖² against squared percent of the eye distance.")
+    expression: NonNegative = Field(20.0, description="ω of the smoothed L1 norm of the weights meanwhile.")
+    jaw: NonNegative = Field(0.1, description="Landmark weight of the jaw contour in the second pass.")
+    limits: tuple[Iterations, Iterations] = Field((30, 15), description="Iterations of the two passes.")
+
+
+class LandmarksConfig(_Section):
+    """Detection and tracking of the 68 points."""
+
+    detector: Literal["dlib", "dlib-hog", "dlib-cnn"] = Field("dlib", description="Face detector and predictor.")
+    face: tuple[float, float] | None = Field(None, description="A point in the wanted face, pixels; else the largest.")
+
+
+class Stage(_Section):
+    """One solve: what is free, what each landmark counts, how many iterations."""
+
+    name: str = Field(min_length=1)
+    free: tuple[Literal["rotation", "translation", "expression"], ...] = Field(min_length=1)
+    landmarks: dict[str, NonNegative] = Field({"all": 1.0}, description="Weight by group; later entries win.")
+    limit: Iterations = 15
+    when: Literal["always", "start"] = Field("always", description="start: only on the first frame of a shot.")
+    enabled: bool = True
+
+    @field_validator("free")
+    @classmethod
+    def _in_order(cls, value):
+        if len(set(value)) != len(value):
+            raise ValueError("lists a parameter twice")
+        return tuple(name for name in PARAMETER_BLOCKS if name in value)
+
+    @field_validator("landmarks")
+    @classmethod
+    def _known_groups(cls, value):
+        for name in value:
+            if name not in GROUPS and not (name.isdigit() and int(name) < 68):
+                near = difflib.get_close_matches(name, GROUPS, 1)
+                hint = f"did you mean {near[0]!r}?" if near else f"the groups are {', '.join(GROUPS)}"
+                raise ValueError(f"knows no landmark group {name!r}; {hint}")
+        return value
+
+    def landmark_weights(self) -> list[float]:
+        """Weight of each of the 68 landmarks: zero, then each group in turn."""
+        weights = [0.0] * 68
+        for name, weight in self.landmarks.items():
+            for index in (int(name),) if name.isdigit() else GROUPS[name]:
+                weights[index] = weight
+        return weights
+
+
+POSE = ("rotation", "translation")
+ROBUST_START = Stage(name="initial pose", free=POSE, landmarks={"robust": 1.0}, when="start")
+
+
+class Config(_Section):
+    """A whole configuration."""
+
+    version: Literal[1] = VERSION
+    preset: str = Field("calibrated", description="The preset this configuration started from.")
+    camera: CameraConfig = CameraConfig()
+    weights: WeightsConfig = WeightsConfig()
+    constants: ConstantsConfig = ConstantsConfig()
+    solver: SolverConfig = SolverConfig()
+    contour: ContourConfig = ContourConfig()
+    identity: IdentityConfig = IdentityConfig()
+    landmarks: LandmarksConfig = LandmarksConfig()
+    stages: tuple[Stage, ...] = Field(min_length=1, default=())
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_stages(cls, data: Any):
+        return {"stages": PRESET_STAGES["calibrated"], **data} if isinstance(data, dict) else data
+
+
+PRESET_STAGES: dict[str, tuple[Stage, ...]] = {
+    "face-it": (
+        ROBUST_START,
+        Stage(name="pose", free=POSE),
+        Stage(name="expression", free=("expression",)),
+    ),
+    "calibrated": (
+        ROBUST_START,
+        Stage(name="first pose", free=POSE, landmarks={"non_jaw": 1.0}, when="start"),
+        Stage(name="first expression", free=("expression",), when="start"),
+        Stage(name="pose", free=POSE, landmarks={"non_jaw": 1.0}),
+        Stage(name="expression", free=("expression",)),
+    ),
+    "joint": (
+        ROBUST_START,
+        Stage(name="pose and expression", free=(*POSE, "expression"), limit=30),
+    ),
+}
+
+PRESETS: dict[str, Config] = {
+    # The paper: residuals in pixels, E_β and E_σ as single residuals, no bounds, one fixed contour, no identity. It
+    # prints no values of ω; these leave E_fit in charge on a 640-pixel picture.
+    "face-it": Config(
+        preset="face-it",
+        weights=WeightsConfig(tau=0.01, beta=0.01, sigma=0.01),
+        solver=SolverConfig(bounded=False, unit="px"),
+        contour=ContourConfig(sliding=False),
+        identity=IdentityConfig(calibrate=False),
+        stages=PRESET_STAGES["face-it"],
+    ),
+    # Ours: the same alternation on a calibrated identity, weights truly in [0, 1], contour sliding with the yaw.
+    "calibrated": Config(preset="calibrated", weights=WeightsConfig(sigma_smooth=0.3)),
+    # Pose and expression as one problem of 50 unknowns.
+    "joint": Config(preset="joint", weights=WeightsConfig(sigma_smooth=0.3), stages=PRESET_STAGES["joint"]),
+}
+
+
+def preset(name: str) -> Config:
+    """A named preset. Raises `ConfigError` for a name that does not exist."""
+    if name not in PRESETS:
+        raise ConfigError(f"There is no preset {name!r}; the presets are {', '.join(PRESETS)}.")
+    return PRESETS[name]
+
+
+def read_config(path: str | Path) -> Config:
+    """Configuration of a TOML file; what it leaves out comes from its `preset` (default: calibrated).
+
+    Raises `ConfigError` for a missing file, invalid TOML, unknown keys (with the nearest known one) and bad values.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ConfigError(f"The configuration {path} does not exist; `workbench track` writes one as config.toml.")
+    try:
+        with path.open("rb") as stream:
+            stored = tomllib.load(stream)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}.") from error
+    base = preset(str(stored.get("preset", "calibrated"))).model_dump()
+    for key, value in stored.items():
+        base[key] = {**base[key], **value} if isinstance(value, dict) and isinstance(base.get(key), dict) else value
+    try:
+        return Config.model_validate(base)
+    except ValidationError as error:
+        raise ConfigError(f"{path}: {_first_problem(error)}") from error
+
+
+def write_config(config: Config, path: str | Path) -> None:
+    """Write a configuration as TOML with a comment at each value, whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(config_toml(config), encoding="utf-8")
+
+
+def config_toml(config: Config) -> str:
+    """The configuration as TOML text with a comment at each value, in stable order."""
+    document = tomlkit.document()
+    document.add(tomlkit.comment("Face Energy Workbench configuration. Lengths in millimetres and pixels."))
+    for name, field in type(config).model_fields.items():
+        value = getattr(config, name)
+        if isinstance(value, BaseModel):
+            document.add(name, _table(value))
+        elif name != "stages":
+            document.add(name, tomlkit.item(value))
+            if field.description:
+                document[name].comment(field.description)
+    stages = tomlkit.aot()
+    for stage in config.stages:
+        stages.append(_table(stage))
+    document.add("stages", stages)
+    return tomlkit.dumps(document)
+
+
+def _table(section: BaseModel):
+    table = tomlkit.table()
+    if section.__doc__ and not isinstance(section, Stage):
+        table.comment(section.__doc__.splitlines()[0])
+    for name, field in type(section).model_fields.items():
+        value = getattr(section, name)
+        if value is None:
+            continue
+        if isinstance(value, dict):
+            value = _inline(value)
+        table.add(name, tomlkit.item(list(value) if isinstance(value, tuple) else value))
+        if field.description:
+            table[name].comment(field.description)
+    return table
+
+
+def _inline(mapping: dict):
+    table = tomlkit.inline_table()
+    table.update(mapping)
+    return table
+
+
+def _first_problem(error: ValidationError) -> str:
+    problem = error.errors()[0]
+    place = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        known = _known_keys(problem["loc"][:-1])
+        near = difflib.get_close_matches(str(problem["loc"][-1]), known, 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"the keys here are {', '.join(known)}."
+        return f"there is no key {place!r}; {hint}"
+    return f"{place}: {problem['msg']} (got {problem.get('input')!r})."
+
+
+def _known_keys(location: tuple) -> list[str]:
+    section: Any = Config
+    for part in location:
+        if part == "stages":
+            section = Stage
+        elif isinstance(part, str) and part in section.model_fields:
+            section = section.model_fields[part].annotation
+    return list(section.model_fields)

@@ -1,0 +1,169 @@
+"""What a fit leaves: one frame (`FrameFit`) and a whole run (`Track`)."""
+
+import json
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from workbench.errors import InputError
+from workbench.files import atomic_path
+from workbench.geometry import Camera, yaw_pitch_roll_deg
+from workbench.landmarks.scheme import outer_eye_distance
+
+FORMAT = "face-energy-workbench-track"
+FORMAT_VERSION = 1
+SOURCES = ("none", "detected", "tracked", "given")
+"""Where the landmarks of a frame came from; stored as an index."""
+
+
+@dataclass(frozen=True)
+class FrameFit:
+    """One frame: what was observed and what the fit made of it. Without a face all numbers but the index are NaN."""
+
+    index: int
+    found: bool
+    shot: int
+    source: str
+    image_size: tuple[int, int]
+    """(width, height), pixels."""
+    camera: Camera
+    rotation: Float[np.ndarray, "3"]
+    """Axis-angle, head to camera, radians."""
+    translation: Float[np.ndarray, "3"]
+    """Millimetres."""
+    expression: Float[np.ndarray, "k"]
+    identity: Float[np.ndarray, "i"]
+    observed: Float[np.ndarray, "68 2"]
+    """Landmarks as given to the fit, pixels."""
+    confidence: Float[np.ndarray, "68"]
+    projected: Float[np.ndarray, "68 2"]
+    """The model's landmarks in the picture, pixels."""
+    energies: Float[np.ndarray, "s 7"]
+    """Weighted energy of each term (`energies.TERMS`) after each stage."""
+    status: Int[np.ndarray, "s"]
+    """`solvers.Status` of each stage, −1 for a stage that did not run."""
+    iterations: Int[np.ndarray, "s"]
+    milliseconds: Float[np.ndarray, "3"]
+    """Time for detection, landmarks and solve."""
+
+    @property
+    def residuals_px(self) -> Float[np.ndarray, "68"]:
+        """Distance of each model landmark from the observed one, pixels."""
+        return np.linalg.norm(self.projected - self.observed, axis=1)
+
+    @property
+    def angles_deg(self) -> Float[np.ndarray, "3"]:
+        """Yaw, pitch, roll (`geometry.rotations` has the convention)."""
+        return yaw_pitch_roll_deg(self.rotation)
+
+    @property
+    def errors(self) -> tuple[float, float, float]:
+        """(px over 68, inner-51 in % of the outer-eye distance, all 68 in %), means over landmarks."""
+        if not self.found:
+            return (np.nan, np.nan, np.nan)
+        residuals = self.residuals_px
+        percent = 100.0 * residuals / outer_eye_distance(self.observed)
+        return float(residuals.mean()), float(percent[17:].mean()), float(percent.mean())
+
+
+@dataclass(frozen=True)
+class Track:
+    """The frames of a run as stacked arrays, and how they were made (`meta`). `track[i]` is one `FrameFit`."""
+
+    index: Int[np.ndarray, "n"]
+    found: np.ndarray
+    shot: Int[np.ndarray, "n"]
+    source: np.ndarray
+    image_size: Int[np.ndarray, "n 2"]
+    focal_px: Float[np.ndarray, "n 2"]
+    principal_point_px: Float[np.ndarray, "n 2"]
+    distortion: Float[np.ndarray, "n 8"]
+    rotation: Float[np.ndarray, "n 3"]
+    translation: Float[np.ndarray, "n 3"]
+    expression: Float[np.ndarray, "n k"]
+    identity: Float[np.ndarray, "n i"]
+    observed: Float[np.ndarray, "n 68 2"]
+    confidence: Float[np.ndarray, "n 68"]
+    projected: Float[np.ndarray, "n 68 2"]
+    energies: Float[np.ndarray, "n s 7"]
+    status: Int[np.ndarray, "n s"]
+    iterations: Int[np.ndarray, "n s"]
+    milliseconds: Float[np.ndarray, "n 3"]
+    meta: dict[str, Any]
+    """Expression names, configuration, inputs, names of the frames, software versions: plain JSON."""
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __getitem__(self, position: int) -> FrameFit:
+        row = {name: getattr(self, name)[position] for name in ARRAYS}
+        camera = Camera(row.pop("focal_px"), row.pop("principal_point_px"), row.pop("distortion"))
+        row["index"], row["shot"], row["found"] = int(row["index"]), int(row["shot"]), bool(row["found"])
+        row["source"] = SOURCES[int(row["source"])]
+        row["image_size"] = (int(row["image_size"][0]), int(row["image_size"][1]))
+        return FrameFit(camera=camera, **row)
+
+    @property
+    def expression_names(self) -> tuple[str, ...]:
+        """Blendshape names, in the order of the columns of `expression`."""
+        return tuple(self.meta["expression_names"])
+
+    @property
+    def angles_deg(self) -> Float[np.ndarray, "n 3"]:
+        """Yaw, pitch, roll of each frame."""
+        return yaw_pitch_roll_deg(self.rotation)
+
+    def save(self, path: str | Path) -> None:
+        """Write the track as one .npz file, whole or not at all."""
+        with atomic_path(path) as temporary, temporary.open("wb") as stream:
+            arrays = {name: getattr(self, name) for name in ARRAYS}
+            np.savez_compressed(stream, meta=meta_array(self.meta), **arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Track":
+        """Read a track. Raises `InputError` for a missing, truncated or foreign file."""
+        path = Path(path)
+        if not path.is_file():
+            raise InputError(f"The track {path} does not exist; `workbench track INPUT` writes track.npz.")
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                meta = json.loads(stored["meta"].item())
+                if meta.get("format") != FORMAT:
+                    raise InputError(f"{path} is no workbench track; pass the track.npz of a run.")
+                if meta.get("format_version", 0) > FORMAT_VERSION:
+                    raise InputError(f"{path} was written by a newer workbench; upgrade to read it.")
+                return cls(meta=meta, **{name: stored[name] for name in ARRAYS})
+        except (zipfile.BadZipFile, KeyError, ValueError, OSError, EOFError, AttributeError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{path} is damaged or no workbench track ({error}); run the tracking again.") from error
+
+
+ARRAYS = tuple(field.name for field in fields(Track) if field.name != "meta")
+
+
+def meta_array(meta: dict[str, Any]) -> np.ndarray:
+    """The metadata as the scalar text array that is stored in the file."""
+    return np.array(json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION, **meta}))
+
+
+def stack_fits(fits: list[FrameFit]) -> dict[str, np.ndarray]:
+    """Arrays of `Track` for consecutive frames."""
+    columns = {
+        "index": np.array([fit.index for fit in fits], np.int64),
+        "found": np.array([fit.found for fit in fits], bool),
+        "shot": np.array([fit.shot for fit in fits], np.int64),
+        "source": np.array([SOURCES.index(fit.source) for fit in fits], np.int8),
+        "image_size": np.array([fit.image_size for fit in fits], np.int64),
+        "focal_px": np.stack([np.asarray(fit.camera.focal_px, float) for fit in fits]),
+        "principal_point_px": np.stack([np.asarray(fit.camera.principal_point_px, float) for fit in fits]),
+        "distortion": np.stack([np.asarray(fit.camera.distortion, float) for fit in fits]),
+    }
+    for name in ARRAYS:
+        if name not in columns:
+            columns[name] = np.stack([getattr(fit, name) for fit in fits])
+    return {name: columns[name] for name in ARRAYS}
