@@ -71,7 +71,7 @@ def test_frames_without_a_pose_have_no_angles():
 @pytest.mark.parametrize("count", [0, 4, 5, 8])
 def test_projection_is_opencvs(count):
     rng = np.random.default_rng(count)
-    points = rng.normal(0.0, 80.0, (40, 3)) + [0.0, 0.0, 600.0]
+    points = rng.normal([0.0, 0.0, 600.0], 80.0, (40, 3))
     distortion = np.array(COEFFICIENTS[:count])
     expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, distortion)
     camera = camera_from_matrix(MATRIX, distortion)
@@ -81,7 +81,7 @@ def test_projection_is_opencvs(count):
 
 def test_projection_derivative_agrees_with_automatic_differentiation():
     rng = np.random.default_rng(1)
-    points = jnp.asarray(rng.normal(0.0, 80.0, (40, 3)) + [0.0, 0.0, 600.0])
+    points = jnp.asarray(rng.normal([0.0, 0.0, 600.0], 80.0, (40, 3)))
     camera = camera_from_matrix(MATRIX, np.array(COEFFICIENTS))
     expected = jax.vmap(jax.jacfwd(lambda point: project(camera, point)))(points)
     np.testing.assert_allclose(project_with_derivative(camera, points)[1], expected, rtol=1e-9, atol=1e-9)

@@ -36,7 +36,7 @@ def camera_from_fov(image_size: tuple[int, int], fov_deg: float) -> Camera:
     return Camera(np.full(2, focal), np.array([(width - 1) / 2, (height - 1) / 2]), np.zeros(8))
 
 
-def camera_from_matrix(matrix: Float[np.ndarray, "3 3"], distortion: Float[np.ndarray, "n"] | None = None) -> Camera:
+def camera_from_matrix(matrix: Float[np.ndarray, "_ _"], distortion: Float[np.ndarray, "n"] | None = None) -> Camera:
     """Camera of an OpenCV calibration: 3 × 3 matrix in pixels and 0, 4, 5 or 8 distortion coefficients.
 
     Raises `InputError` for another shape, skew, or a focal length that is not positive.

