@@ -1,0 +1,77 @@
+"""Finding faces and their 68 landmarks: what a detector offers, and detectors by name."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from workbench.errors import ConfigError
+from workbench.landmarks.observations import Landmarks2D
+
+Box = tuple[float, float, float, float]
+"""(left, top, right, bottom): the edges of a face box in pixels; (0, 0) is the centre of the top-left pixel."""
+
+
+@dataclass(frozen=True)
+class FaceDetection:
+    """One face found in a picture."""
+
+    box: Box
+    """Roughly square: from above the brows to the chin, cheek to cheek."""
+    score: float
+    """The detector's own measure; larger is surer."""
+
+    @property
+    def area(self) -> float:
+        """Area of the box in square pixels."""
+        left, top, right, bottom = self.box
+        return (right - left) * (bottom - top)
+
+
+@runtime_checkable
+class LandmarkDetector(Protocol):
+    """What the tracker and the panels need of a detector."""
+
+    name: str
+
+    def detect_faces(self, picture: UInt8[np.ndarray, "h w 3"], thorough: bool = True) -> list[FaceDetection]:
+        """Faces, the largest first. `thorough=False` may miss faces for the sake of speed."""
+        ...
+
+    def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
+        """The landmarks of the face in `box`, as well as this detector can on one picture."""
+        ...
+
+    def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> Landmarks2D:
+        """The landmarks of the face near `points` (a frame ago, or carried by optical flow), quickly."""
+        ...
+
+
+def _dlib(faces: str) -> LandmarkDetector:
+    from workbench.landmarks.dlib_detector import DlibDetector  # dlib is optional: imported when it is asked for
+
+    return DlibDetector(faces)
+
+
+DETECTORS: Mapping[str, Callable[[], LandmarkDetector]] = MappingProxyType(
+    {
+        "dlib": partial(_dlib, "hog-then-cnn"),
+        "dlib-hog": partial(_dlib, "hog"),
+        "dlib-cnn": partial(_dlib, "cnn"),
+    }
+)
+"""Detector name -> factory."""
+
+
+def make_detector(name: str) -> LandmarkDetector:
+    """Build a detector by name.
+
+    Raises `ConfigError` for an unknown name and `MissingDependencyError` without the package that it needs.
+    """
+    if name not in DETECTORS:
+        raise ConfigError(f"there is no landmark detector {name!r}: choose one of {', '.join(DETECTORS)}")
+    return DETECTORS[name]()

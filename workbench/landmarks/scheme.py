@@ -1,0 +1,175 @@
+"""The iBUG 68-point scheme: groups, names, polylines, mirror, in this one place.
+
+Indices are 0-based (iBUG's own figures and .pts files count from 1). Side names are the SUBJECT's: the right eye
+is the one at image left on a frontal face. Some libraries name the same points by the sides of the image.
+"""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Num
+
+from workbench.errors import InputError
+
+POINT_COUNT = 68
+
+
+def _span(first: int, last: int) -> tuple[int, ...]:
+    return tuple(range(first, last + 1))
+
+
+GROUPS: Mapping[str, tuple[int, ...]] = MappingProxyType(
+    {
+        "all": _span(0, 67),
+        "jaw": _span(0, 16),  # from the subject's right ear over the chin (8) to the left ear
+        "right_brow": _span(17, 21),  # outer to inner end
+        "left_brow": _span(22, 26),  # inner to outer end
+        "brows": _span(17, 26),
+        "nose_bridge": _span(27, 30),  # top to tip
+        "nose_base": _span(31, 35),  # right to left nostril
+        "nose": _span(27, 35),
+        "right_eye": _span(36, 41),  # outer corner, upper lid, inner corner, lower lid
+        "left_eye": _span(42, 47),  # inner corner, upper lid, outer corner, lower lid
+        "eyes": _span(36, 47),
+        "outer_lips": _span(48, 59),
+        "inner_lips": _span(60, 67),
+        "mouth": _span(48, 67),
+        "non_jaw": _span(17, 67),
+        "inner": _span(17, 67),  # the "inner 51" of the literature
+        "robust": (*_span(27, 35), 36, 39, 42, 45),  # FACE IT!: eye corners and nose, for the initial pose
+    }
+)
+"""Group name -> ascending point indices."""
+
+POLYLINES: tuple[tuple[int, ...], ...] = (
+    GROUPS["jaw"],
+    GROUPS["right_brow"],
+    GROUPS["left_brow"],
+    GROUPS["nose_bridge"],
+    GROUPS["nose_base"],
+    (*GROUPS["right_eye"], 36),
+    (*GROUPS["left_eye"], 42),
+    (*GROUPS["outer_lips"], 48),
+    (*GROUPS["inner_lips"], 60),
+)
+"""Lines to draw a face with; a closed line repeats its first point."""
+
+POINT_NAMES: tuple[str, ...] = (
+    *(f"right jaw, point {i + 1} of 8 from the ear" for i in range(8)),
+    "chin",
+    *(f"left jaw, point {i} of 8 from the ear" for i in range(8, 0, -1)),
+    "right brow, outer end",
+    "right brow, outer quarter",
+    "right brow, middle",
+    "right brow, inner quarter",
+    "right brow, inner end",
+    "left brow, inner end",
+    "left brow, inner quarter",
+    "left brow, middle",
+    "left brow, outer quarter",
+    "left brow, outer end",
+    "nose bridge, top",
+    "nose bridge, upper third",
+    "nose bridge, lower third",
+    "nose tip",
+    "right nostril, outer edge",
+    "right nostril, inner edge",
+    "nose base, middle",
+    "left nostril, inner edge",
+    "left nostril, outer edge",
+    "right eye, outer corner",
+    "right eye, upper lid, outer",
+    "right eye, upper lid, inner",
+    "right eye, inner corner",
+    "right eye, lower lid, inner",
+    "right eye, lower lid, outer",
+    "left eye, inner corner",
+    "left eye, upper lid, inner",
+    "left eye, upper lid, outer",
+    "left eye, outer corner",
+    "left eye, lower lid, outer",
+    "left eye, lower lid, inner",
+    "mouth, right corner, outer edge",
+    "upper lip, outer edge, far right",
+    "upper lip, outer edge, right peak",
+    "upper lip, outer edge, middle",
+    "upper lip, outer edge, left peak",
+    "upper lip, outer edge, far left",
+    "mouth, left corner, outer edge",
+    "lower lip, outer edge, far left",
+    "lower lip, outer edge, left",
+    "lower lip, outer edge, middle",
+    "lower lip, outer edge, right",
+    "lower lip, outer edge, far right",
+    "mouth, right corner, inner edge",
+    "upper lip, inner edge, right",
+    "upper lip, inner edge, middle",
+    "upper lip, inner edge, left",
+    "mouth, left corner, inner edge",
+    "lower lip, inner edge, left",
+    "lower lip, inner edge, middle",
+    "lower lip, inner edge, right",
+)
+"""Anatomical name of each point; sides are the subject's."""
+
+MIRROR: tuple[int, ...] = (
+    *range(16, -1, -1),
+    *range(26, 16, -1),
+    *(27, 28, 29, 30),
+    *range(35, 30, -1),
+    *(45, 44, 43, 42, 47, 46),
+    *(39, 38, 37, 36, 41, 40),
+    *range(54, 47, -1),
+    *range(59, 54, -1),
+    *range(64, 59, -1),
+    *(67, 66, 65),
+)
+"""MIRROR[i] is the point that i becomes when left and right are swapped; its own inverse."""
+
+RIGHT_EYE_OUTER_CORNER = 36
+LEFT_EYE_OUTER_CORNER = 45
+
+
+def check_68(points: Num[np.ndarray, "..."]) -> Float[np.ndarray, "68 2"]:
+    """Return `points` as float64 (68, 2); raise `InputError` that says how many there are instead."""
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError(f"landmarks are an array of shape (68, 2), x and y in pixels; got shape {points.shape}")
+    if points.shape[0] != POINT_COUNT:
+        raise InputError(f"the iBUG scheme has 68 points, got {points.shape[0]}: convert other schemes first")
+    return points.astype(np.float64)
+
+
+def group_indices(name: str) -> tuple[int, ...]:
+    """The point indices of a group; raises `InputError` that lists the groups."""
+    if name not in GROUPS:
+        raise InputError(f"there is no landmark group {name!r}: choose one of {', '.join(GROUPS)}")
+    return GROUPS[name]
+
+
+def group_mask(*names: str) -> Bool[np.ndarray, "68"]:
+    """True for every point of any of the groups."""
+    mask = np.zeros(POINT_COUNT, bool)
+    for name in names:
+        mask[list(group_indices(name))] = True
+    return mask
+
+
+def mirror_points(points: Float[np.ndarray, "68 2"], width: int) -> Float[np.ndarray, "68 2"]:
+    """The landmarks of the horizontally flipped picture of `width` pixels (pixel centres: x becomes width - 1 - x)."""
+    mirrored = check_68(points)[list(MIRROR)]
+    mirrored[:, 0] = width - 1 - mirrored[:, 0]
+    return mirrored
+
+
+def outer_eye_distance(points: Float[np.ndarray, "68 2"]) -> float:
+    """Pixels between the outer corners of the eyes (36 to 45), the unit of landmark errors in the literature."""
+    points = check_68(points)
+    return float(np.linalg.norm(points[LEFT_EYE_OUTER_CORNER] - points[RIGHT_EYE_OUTER_CORNER]))
+
+
+def polyline_segments() -> Int[np.ndarray, "n 2"]:
+    """The polylines as pairs of point indices."""
+    return np.array([pair for line in POLYLINES for pair in pairwise(line)])
