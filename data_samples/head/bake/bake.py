@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from asset import quantised, write_npz
-from closure import blink_scale, levelled_blink, lid_slit, mouth_slit, resting_mouth_close
+from closure import blink_scale, corner_seal, levelled_blink, lid_slit, mouth_slit, resting_mouth_close
 from crop import REGIONS, Crop, cut_head, lip_coverage, region_ids, triangulate
 from expressions import face_units
 from identities import JOINT_CUBES, Generator, principal_components
@@ -64,6 +64,7 @@ def build(wheel: Path) -> Head:
         samples.append(head)
     mean, axes = principal_components(np.stack(samples), COMPONENTS)
     # Exact again after rounding errors; a component mirrors like a point set.
+    mean[:count] += corner_seal(crop, mean[:count], units["jawOpen"])
     mean, axes = generator.symmetrised(mean), np.stack([generator.symmetrised(axis) for axis in axes])
 
     # Weight 0 is now the closed mouth; weight 1 stays where MakeHuman's unit put it.

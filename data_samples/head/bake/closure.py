@@ -16,6 +16,11 @@ LIP_FRACTIONS = np.linspace(-0.75, 0.75, 13)
 LID_MARGIN_MM = 0.15
 LID_FRACTIONS = np.linspace(-0.7, 0.7, 15)
 MOST_MOUTH_CLOSE = 0.12
+CORNER_BASE_ID = 7203
+"""base.obj vertex on the edge of the lower lip, just inside the left corner."""
+CORNER_SEAL_MM, CORNER_RADIUS_MM = 0.8, 3.5
+CORNER_DROP_MM = 12.2
+"""How far jawOpen lowers the very corner of the mouth: less is upper lip, more is lower lip."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,17 @@ def resting_mouth_close(slit: Slit, vertices: np.ndarray, mouth_close: np.ndarra
     """The share of mouthClose that just closes the lips of one head, at most MOST_MOUTH_CLOSE."""
     weights = slit.closing_weights(vertices, mouth_close, LIP_FRACTIONS, LIP_MARGIN_MM)
     return float(min(weights.max(), MOST_MOUTH_CLOSE))
+
+
+def corner_seal(crop: Crop, vertices: np.ndarray, jaw_open: np.ndarray) -> np.ndarray:
+    """Displacement (v, 3) that presses the lips together beside the corners of the mouth, where mouthClose does nothing."""
+    corner = vertices[np.searchsorted(crop.base_ids, CORNER_BASE_ID)]
+    distance = np.linalg.norm(vertices * [1.0, 1.0, 0.6] - corner * [1.0, 1.0, 0.6], axis=1)
+    side = np.clip((CORNER_DROP_MM - jaw_open[:, 1]) / 2, -1, 1)
+    mouth = crop.is_part("skin") & ((crop.lip_mask > 0.05) | crop.mouth_cavity)
+    seal = np.zeros_like(vertices)
+    seal[:, 1] = CORNER_SEAL_MM * side * np.exp(-((distance / CORNER_RADIUS_MM) ** 2)) * mouth
+    return seal + crop.mirrored(seal)
 
 
 def levelled_blink(slit: Slit, vertices: np.ndarray, blink: np.ndarray) -> np.ndarray:

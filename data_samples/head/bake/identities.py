@@ -60,7 +60,7 @@ class Generator:
 
     source: MakeHuman
     crop: Crop
-    slider_sigma: float = 0.35
+    slider_sigma: float = 0.3
     slider_probability: float = 0.5
 
     @cached_property

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 SKIN = np.array([208.0, 163.0, 138.0])
 FLUSH = np.array([200.0, 122.0, 104.0])
 SHADE = np.array([168.0, 117.0, 98.0])
-LIP = np.array([172.0, 92.0, 84.0])
+LIP = np.array([178.0, 104.0, 95.0])
 HAIR = np.array([52.0, 39.0, 31.0])
 LASH = np.array([46.0, 33.0, 29.0])
 MOUTH = np.array([92.0, 32.0, 32.0])
@@ -66,7 +66,7 @@ def paint(surface: Surface, sitter: Sitter) -> Float[np.ndarray, "n 3"]:
         where = region == code
         colour[where] = paint_teeth(points[where], upper=code == UPPER_TEETH, detail=detail)
     where = region == TONGUE_REGION
-    furrow = np.exp(-((points[where, 0] / 1.2) ** 2)) * 0.25
+    furrow = np.exp(-((points[where, 0] / 1.2) ** 2)) * 0.12
     colour[where] = mixed(np.tile(TONGUE, (where.sum(), 1)), MOUTH, furrow)
     depth = np.clip((points[region == MOUTH_REGION, 2] + 25) / 50, 0, 1)
     colour[region == MOUTH_REGION] = mixed(np.tile(MOUTH, (len(depth), 1)), 0.45 * MOUTH, depth)
@@ -90,18 +90,19 @@ def brow_coverage(points: Float[np.ndarray, "n 3"], detail: float) -> Float[np.n
     # Hairs stand up at the inner end and lie along the arc at the outer end: shear the stroke coordinate accordingly.
     lean = np.interp(x, [8, 16, 30, 45], [0.25, 0.8, 1.6, 2.4])
     root = x - lean * (y - centre)
-    strokes = noise(np.stack([root / 0.55, (y - centre) / 3.5], axis=1), 1)
-    fine = noise(np.stack([root / 0.28, (y - centre) / 2.0], axis=1), 2)
-    hairs = smooth(body * 2.1 - 1.15 * (0.65 * strokes + 0.35 * fine))
-    return (1 - detail) * 0.85 * body + detail * (0.25 * body + 0.68 * hairs)
+    strokes = noise(np.stack([root / 0.75, (y - centre) / 4.0], axis=1), 1)
+    fine = noise(np.stack([root / 0.35, (y - centre) / 2.5], axis=1), 2)
+    hairs = smooth(body * 1.9 - 1.7 * (0.6 * strokes + 0.4 * fine))
+    return (1 - detail) * 0.8 * body + detail * (0.3 * body + 0.58 * hairs)
 
 
 def scalp_coverage(points: Float[np.ndarray, "n 3"], detail: float) -> Float[np.ndarray, "n"]:
     """Short hair above a line over the forehead, around the ears and down to the nape, with a ragged edge."""
     x, y, depth = points[:, 0], -points[:, 1], -points[:, 2]
     line = np.interp(depth, [-140, -95, -60, -25, 0, 20], [-60, -45, 5, 42, 56, 62])
-    ragged = (noise(np.stack([x / 2.2, depth / 5, y / 5], axis=1), 3) - 0.5) * 9 * detail
-    return smooth((y - line + ragged) / 9) * ((y > 30) | (x < 75))
+    strand = np.stack([x, depth, y], axis=1)
+    ragged = 5 * noise(strand / [1.0, 3.0, 3.0], 3) + 5 * noise(strand / [9.0, 14.0, 14.0], 8) - 5
+    return smooth((y - line + ragged * detail) / 11) * ((y > 30) | (x < 75))
 
 
 def smooth(value: np.ndarray) -> np.ndarray:
@@ -129,11 +130,12 @@ def _skin(points: np.ndarray, lip: np.ndarray, sitter: Sitter, detail: float) ->
     colour = mixed(colour, SHADE, 0.45 * np.exp(-((rim / 7.0) ** 2)))
     colour = mixed(colour, FLUSH, 0.5 * np.exp(-((rim / 1.3) ** 2)))
 
-    creases = 1 - 0.16 * detail * noise(np.stack([x / 0.7, y / 5], axis=1), 6)
+    creases = 1 - 0.08 * detail * noise(np.stack([x / 0.8, y / 4], axis=1), 6)
     lips = LIP * creases[:, None]
     seam, _ = KDTree(sitter.lip_seam / sitter.scale).query(points)
     lips = mixed(lips, MOUTH, 0.85 * np.exp(-((seam / 3.2) ** 2)))
     colour = mixed(colour, lips, smooth((lip - 0.15) / 0.6))
+    colour = mixed(colour, 0.8 * SHADE, 0.75 * spot((21.7, 67.2, -21.5), 2.8))
 
     upper, _ = KDTree(sitter.upper_lid / sitter.scale).query(points)
     colour = mixed(colour, LASH, 0.85 * smooth(1.5 - upper / 1.0))

@@ -1,0 +1,70 @@
+"""Bake the paint into a picture: rasterise the UV triangles, paint every texel, pad the seams."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from scipy import ndimage
+
+SIZE, OVERSAMPLING, PADDING = 1024, 2, 12
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Covered texels of a square picture, row by row from the top."""
+
+    texel: Int[np.ndarray, "n"]
+    """Flat index of each covered texel."""
+    triangle: Int[np.ndarray, "n"]
+    weights: Float[np.ndarray, "n 3"]
+
+    def gathered(self, values: np.ndarray, triangles: Int[np.ndarray, "t 3"]) -> np.ndarray:
+        """Per-vertex values interpolated at the covered texels."""
+        corners = values[triangles[self.triangle]]
+        return np.einsum("nk,nk...->n...", self.weights, corners)
+
+
+def rasterise(uvs: Float[np.ndarray, "u 2"], triangles: Int[np.ndarray, "t 3"], size: int) -> Raster:
+    """Find the triangle and barycentric weights at the centre of every covered texel (v up, row 0 on top)."""
+    pixels = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1) * size - 0.5
+    owner = np.full((size, size), -1)
+    weights = np.zeros((size, size, 3))
+    for index, corners in enumerate(pixels[triangles]):
+        low = np.clip(np.ceil(corners.min(axis=0)).astype(int), 0, size - 1)
+        high = np.clip(np.floor(corners.max(axis=0)).astype(int), 0, size - 1)
+        if (high < low).any():
+            continue
+        basis = np.vstack([corners.T, np.ones(3)])
+        if abs(np.linalg.det(basis)) < 1e-9:
+            continue
+        columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+        share = np.stack([columns.ravel(), rows.ravel(), np.ones(columns.size)], axis=1) @ np.linalg.inv(basis).T
+        inside = (share >= -1e-6).all(axis=1)
+        owner[rows.ravel()[inside], columns.ravel()[inside]] = index
+        weights[rows.ravel()[inside], columns.ravel()[inside]] = share[inside]
+    texel = np.flatnonzero(owner.ravel() >= 0)
+    return Raster(texel, owner.ravel()[texel], weights.reshape(-1, 3)[texel])
+
+
+def assembled(raster: Raster, colours: Float[np.ndarray, "n 3"], size: int) -> UInt8[np.ndarray, "s s 3"]:
+    """The picture (RGB), padded by the nearest covered texel around each island and reduced by OVERSAMPLING."""
+    picture = np.zeros((size * size, 3))
+    picture[raster.texel] = colours
+    covered = np.zeros(size * size, bool)
+    covered[raster.texel] = True
+    picture, covered = picture.reshape(size, size, 3), covered.reshape(size, size)
+    distance, (rows, columns) = ndimage.distance_transform_edt(~covered, return_indices=True)
+    filled = picture[rows, columns]
+    # Far from the islands nothing is ever sampled; one flat colour there keeps the file small.
+    filled[distance > PADDING * OVERSAMPLING] = np.median(colours, axis=0)
+    small = cv2.resize(filled, (size // OVERSAMPLING,) * 2, interpolation=cv2.INTER_AREA)
+    return np.rint(small).astype(np.uint8)
+
+
+def encoded_png(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """PNG bytes of an RGB picture at the strongest compression."""
+    done, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not done:
+        raise RuntimeError("OpenCV could not encode the texture as PNG")
+    return data.tobytes()
