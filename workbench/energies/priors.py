@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from workbench.arrays import AnyArray
-from workbench.energies.weights import EnergyConstants, Scalar
+from workbench.arrays import AnyArray, Scalar
+from workbench.energies.weights import EnergyConstants
 
 Weights = Float[AnyArray, "k"]
 

@@ -3,8 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from workbench.arrays import AnyArray
-from workbench.energies.weights import Scalar
+from workbench.arrays import AnyArray, Scalar
 
 Pose = Float[AnyArray, "6"]
 """[r | t]: axis-angle in radians, translation in millimetres."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from workbench.arrays import AnyArray
+from workbench.arrays import AnyArray, Scalar
 from workbench.energies.priors import (
     beta_residual,
     beta_slope,
@@ -19,7 +19,7 @@ from workbench.energies.priors import (
 )
 from workbench.energies.reprojection import Observation, reprojection_residual, reprojection_with_jacobian
 from workbench.energies.temporal import tau_residual, tau_scale
-from workbench.energies.weights import EnergyConstants, EnergyWeights, Scalar
+from workbench.energies.weights import EnergyConstants, EnergyWeights
 from workbench.face.landmark_model import PointModel
 from workbench.face.parameters import FaceParameters
 from workbench.geometry import Camera
@@ -53,7 +53,7 @@ def is_pose_only(free: tuple[str, ...]) -> bool:
     return not {"expression", "identity"} & set(free)
 
 
-def residuals(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]) -> dict[str, Array]:
+def residuals(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]) -> dict[str, AnyArray]:
     """Residuals of every term that `free` parameters can change, weights applied; E is the sum of their squares."""
     weights, constants, w = problem.weights, problem.constants, parameters.expression
     data = reprojection_residual(problem.camera, problem.points, parameters, problem.observation)

@@ -2,11 +2,7 @@
 
 from typing import NamedTuple
 
-from jaxtyping import Float
-
-from workbench.arrays import AnyArray
-
-Scalar = Float[AnyArray, ""] | float
+from workbench.arrays import Scalar
 
 
 class EnergyWeights(NamedTuple):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from workbench.arrays import AnyArray
+from workbench.arrays import AnyArray, Scalar
 from workbench.face.model import BLINK_SCALE_RANGE, BLINKS, Embedding, FaceModel
 
 
@@ -82,9 +82,7 @@ def landmark_model(model: FaceModel) -> LandmarkModel:
     )
 
 
-def contour_blend(
-    contour_yaw: Float[AnyArray, "b"], yaw: Float[AnyArray, ""], sliding: Float[AnyArray, ""] | float
-) -> Float[AnyArray, "b"]:
+def contour_blend(contour_yaw: Float[AnyArray, "b"], yaw: Scalar, sliding: Scalar) -> Float[AnyArray, "b"]:
     """Weights of the stored contours for a head yaw in radians: linear between tabulated yaws, held beyond them.
 
     `sliding` 1 slides the contour, 0 keeps its frontal place (a traced number: switching compiles nothing).

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Bool, Float, Int
 
-from workbench.arrays import AnyArray
+from workbench.arrays import AnyArray, Count, Scalar
 
 INITIAL_DAMPING = 1e-4
 SMALLEST_DAMPING = 1e-16
@@ -147,7 +147,7 @@ def step(
     state: SolverState,
     lower: Float[AnyArray, "n"],
     upper: Float[AnyArray, "n"],
-    tolerance: Float[AnyArray, ""] | float = 1e-6,
+    tolerance: Scalar = 1e-6,
 ) -> SolverState:
     """One damped Gauss–Newton step, taken if it lowers the cost; converged when it lowers it by less than `tolerance`
     of itself."""
@@ -210,8 +210,8 @@ def minimise(
     start: Float[AnyArray, "n"],
     lower: Float[AnyArray, "n"],
     upper: Float[AnyArray, "n"],
-    limit: Int[AnyArray, ""] | int,
-    tolerance: Float[AnyArray, ""] | float = 1e-6,
+    limit: Count,
+    tolerance: Scalar = 1e-6,
     record: Callable[[SolverState], Any] | None = None,
     record_length: int = 0,
 ) -> Solution:

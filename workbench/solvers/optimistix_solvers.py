@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from workbench.arrays import AnyArray
+from workbench.arrays import AnyArray, Count
 from workbench.solvers.levenberg_marquardt import Solution, Status
 
 _LINEAR = lx.Normal(lx.Cholesky())
@@ -24,7 +24,7 @@ def minimise_with_optimistix(
     residual: Callable[[Float[AnyArray, "n"]], Float[AnyArray, "m"]],
     start: Float[AnyArray, "n"],
     scale: Float[AnyArray, "n"],
-    limit: Int[AnyArray, ""] | int,
+    limit: Count,
     tolerance: float = 1e-10,
     method: Literal["levenberg-marquardt", "dogleg"] = "levenberg-marquardt",
 ) -> Solution:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from workbench.arrays import AnyArray
+from workbench.arrays import AnyArray, Count, Scalar
 from workbench.energies import EnergyConstants, EnergyWeights, normal_system, pack, unpack
 from workbench.face import FaceParameters, LandmarkModel
 from workbench.geometry import Camera
@@ -27,15 +27,15 @@ the poses held, expression and identity on all landmarks."""
 class CalibrationSettings(NamedTuple):
     """Traced numbers of the calibration; residuals count in percent of the outer-eye distance."""
 
-    identity: Float[AnyArray, ""] | float
+    identity: Scalar
     """ω of ‖identity‖²: the squared landmark noise in percent that one standard deviation of a face weighs."""
-    expression: Float[AnyArray, ""] | float
+    expression: Scalar
     """ω of the smoothed L1 norm of each frame's weights: high, because identity should explain what stays."""
-    limits: tuple[Int[AnyArray, ""] | int, ...]
+    limits: tuple[Count, ...]
     """Iterations of each of the `PASSES`."""
     landmark_weights: Float[AnyArray, "passes 68"]
     """Landmark weights of each of the `PASSES`."""
-    sliding: Float[AnyArray, ""] | float
+    sliding: Scalar
 
 
 class Calibration(NamedTuple):

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from workbench.config import Config
+from workbench.config import Config, Stage
 from workbench.energies import TERMS, EnergyConstants, EnergyWeights
+from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, camera_from_fov, camera_from_matrix, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
@@ -21,6 +22,8 @@ from workbench.tracking.identity import CalibrationSettings, calibrate_identity,
 from workbench.tracking.initial_pose import initial_pose
 from workbench.tracking.records import FrameFit
 
+TRACE_LENGTH = 500
+"""Longest trace; the largest limit that a stage may have."""
 JUMP = 0.5
 """Mean landmark motion between frames, in outer-eye distances, that restarts the pose."""
 
@@ -75,9 +78,24 @@ def solve_settings(config: Config) -> SolveSettings:
 
 def stage_program(config: Config, start: bool) -> tuple[tuple[tuple[str, ...], ...], tuple[StageNumbers, ...]]:
     """Free parameters (part of the program) and numbers (data) of the stages of a first or a later frame."""
-    chosen = [stage for stage in config.stages if stage.enabled and (start or stage.when == "always")]
+    chosen = running_stages(config, start)
     numbers = tuple(StageNumbers(jnp.asarray(stage.limit), jnp.asarray(stage.landmark_weights())) for stage in chosen)
     return tuple(stage.free for stage in chosen), numbers
+
+
+def running_stages(config: Config, start: bool) -> list[Stage]:
+    """The stages that run on the first frame of a shot (`start`) or on a later one."""
+    return [stage for stage in config.stages if stage.enabled and (start or stage.when == "always")]
+
+
+class StageTrace(NamedTuple):
+    """Every iteration of one stage; row 0 is the start."""
+
+    stage: str
+    energies: Float[np.ndarray, "steps 7"]
+    """Weighted energy of each of `energies.TERMS`."""
+    residuals_px: Float[np.ndarray, "steps 68"]
+    """Distance of each model landmark from the observed one."""
 
 
 class FaceTracker:
@@ -113,13 +131,37 @@ class FaceTracker:
         if self._identity is None and self._faces_pending():
             if len(self._pending) < (1 if self.stills else self.config.identity.window):
                 return ready
-            self._calibrate()
+            self._calibrate(self._pending)
         return ready + self._flush()
+
+    def explain(self, observation: FrameObservation) -> tuple[FrameFit, tuple["StageTrace", ...]]:
+        """Fit one frame as the next `push` would, with every iteration kept; the tracker itself does not move.
+
+        The identity is the calibrated one if the shot has it, else calibrated on this frame alone.
+        Raises `InputError` for a frame without landmarks.
+        """
+        if observation.landmarks is None:
+            raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
+        saved = (self._last, self._identity, self._starts)
+        if self._identity is None:
+            self._calibrate([observation])
+        last = self._continuing(observation)
+        fit, solution = self._solve(observation, last, TRACE_LENGTH)
+        names = [stage.name for stage in running_stages(self.config, start=last is None)]
+        self._last, identity, self._starts = saved
+        if identity is None:
+            self._identity = None
+        iterations = fit.iterations[len(fit.iterations) - len(names) :]
+        traces = tuple(
+            StageTrace(name, np.asarray(energies)[: count + 1], np.asarray(residuals)[: count + 1])
+            for name, (energies, residuals), count in zip(names, solution.traces, iterations, strict=True)
+        )
+        return fit, traces
 
     def finish(self) -> list[FrameFit]:
         """Fits of the frames still held back: the shot has ended."""
         if self._identity is None and self._faces_pending():
-            self._calibrate()
+            self._calibrate(self._pending)
         return self._flush()
 
     def fit_all(self, observations: Iterable[FrameObservation]) -> Iterator[FrameFit]:
@@ -189,8 +231,8 @@ class FaceTracker:
         pending, self._pending = self._pending, []
         return [self._fit(observation) for observation in pending]
 
-    def _calibrate(self) -> None:
-        usable = [observation for observation in self._pending if observation.landmarks is not None]
+    def _calibrate(self, observations: list[FrameObservation]) -> None:
+        usable = [observation for observation in observations if observation.landmarks is not None]
         neutral = self._landmarks.frontal_neutral()
         poses = [
             initial_pose(self.camera(observation.image_size), neutral, observation.landmarks.points)
@@ -243,31 +285,34 @@ class FaceTracker:
         if observation.landmarks is None:
             self._last = None
             return self._empty(observation)
-        began = time.perf_counter()
-        points = observation.landmarks.points
-        last = self._last
-        if last is not None and self._jumped(last.points, points):
-            last = None
-        camera, camera_on_device = self._camera_pair(observation.image_size)
-        stages, numbers = self._start_program if last is None else self._next_program
-        solution = solve_frame(
-            stages,
-            camera_on_device,
-            self._personal,
-            self._settings,
-            numbers,
-            self._frame_input(observation, last),
-        )
-        fetched = jax.device_get(solution)
+        fit, solution = self._solve(observation, last := self._continuing(observation))
         self._last = Continuation(
             solution.parameters,
             solution.pose,
             solution.pose if last is None else last.pose,
             1 if last is None else last.frames + 1,
-            points,
+            observation.landmarks.points,
         )
+        return fit
+
+    def _continuing(self, observation: FrameObservation) -> Continuation | None:
+        if self._last is None or self._jumped(self._last.points, observation.landmarks.points):
+            return None
+        return self._last
+
+    def _solve(
+        self, observation: FrameObservation, last: Continuation | None, trace_length: int = 0
+    ) -> tuple[FrameFit, FrameSolution]:
+        began = time.perf_counter()
+        camera, camera_on_device = self._camera_pair(observation.image_size)
+        stages, numbers = self._start_program if last is None else self._next_program
+        frame = self._frame_input(observation, last)
+        solution = solve_frame(
+            stages, camera_on_device, self._personal, self._settings, numbers, frame, trace_length=trace_length
+        )
+        fetched = jax.device_get(solution)
         milliseconds = 1e3 * (time.perf_counter() - began)
-        return self._record(observation, camera, stages, fetched, milliseconds)
+        return self._record(observation, camera, stages, fetched, milliseconds), solution
 
     def _frame_input(self, observation: FrameObservation, last: Continuation | None) -> FrameInput:
         points, confidence = observation.landmarks.points, observation.landmarks.confidence

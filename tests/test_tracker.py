@@ -1,0 +1,223 @@
+"""FACE IT! on landmarks with known truth: pose, expression, identity, shots, and nothing compiled twice."""
+
+import numpy as np
+import pytest
+
+from tests.scenes import IMAGE_SIZE, make_scene, random_expression
+from workbench.config import PRESETS, Config, Stage
+from workbench.landmarks.observations import Landmarks2D
+from workbench.solvers import Status
+from workbench.tracking import FaceTracker, FrameObservation
+from workbench.tracking.frame_solver import solve_frame
+
+EXACT = Config(
+    identity={"calibrate": False},
+    contour={"sliding": False},
+    solver={"tolerance": 1e-14, "bounded": True},
+    weights={"tau": 0.0, "sigma_smooth": 0.0},
+    stages=(
+        PRESETS["calibrated"].stages[0],
+        Stage(name="both", free=("rotation", "translation", "expression"), limit=200),
+    ),
+)
+POSES = [(0, 0, 0), (40, 0, 0), (-40, 20, 0), (25, -20, 10), (-15, 15, -20)]
+
+
+def changed(config: Config, **sections) -> Config:
+    """The configuration with some keys of some sections replaced."""
+    stored = config.model_dump()
+    for section, values in sections.items():
+        stored[section] = {**stored[section], **values} if isinstance(values, dict) else values
+    return Config.model_validate(stored)
+
+
+@pytest.mark.parametrize("angles", POSES)
+def test_exact_landmarks_give_the_pose_within_a_tenth_of_a_degree_and_explain_the_picture(head, angles):
+    rng = np.random.default_rng(abs(hash(angles)) % 1000)
+    scene = make_scene(head, angles, random_expression(head, rng))
+    fit = FaceTracker(head, EXACT).push(scene.observation())[0]
+    np.testing.assert_allclose(fit.angles_deg, angles, atol=0.1)
+    assert fit.residuals_px.max() < 0.1
+
+
+def test_identifiable_weights_are_recovered(head):
+    truth = {"jawOpen": 0.6, "browInnerUp": 0.5, "eyeBlinkLeft": 0.4, "mouthSmileRight": 0.7, "mouthLeft": 0.3}
+    fit = FaceTracker(head, EXACT).push(make_scene(head, (10, 5, 0), truth).observation())[0]
+    for name, weight in truth.items():
+        assert fit.expression[head.expression_names.index(name)] == pytest.approx(weight, abs=0.05)
+
+
+def test_a_calibrated_identity_is_shared_by_the_frames_and_explains_them(head):
+    identity = np.random.default_rng(3).normal(0.0, 1.0, 50)
+    scenes = [make_scene(head, (yaw, 5, 0), {"jawOpen": 0.3}, identity, sliding=True) for yaw in (-30, -15, 0, 15, 30)]
+    tracker = FaceTracker(head, PRESETS["calibrated"])
+    fits = list(tracker.fit_all(scene.observation(k) for k, scene in enumerate(scenes)))
+    without = FaceTracker(head, changed(PRESETS["calibrated"], identity={"calibrate": False}))
+    plain = list(without.fit_all(scene.observation(k) for k, scene in enumerate(scenes)))
+    assert len({fit.identity.tobytes() for fit in fits}) == 1
+    assert np.mean([fit.errors[1] for fit in fits]) < 0.5 * np.mean([fit.errors[1] for fit in plain])
+    errors = np.abs([fit.angles_deg - scene.angles_deg for fit, scene in zip(fits, scenes, strict=True)])
+    plain_errors = np.abs([fit.angles_deg - scene.angles_deg for fit, scene in zip(plain, scenes, strict=True)])
+    assert errors.mean() < 0.5 * plain_errors.mean()
+
+
+def test_calibration_off_leaves_the_models_mean_face(head):
+    scene = make_scene(head, (5, 0, 0))
+    fit = FaceTracker(head, PRESETS["face-it"]).push(scene.observation())[0]
+    np.testing.assert_array_equal(fit.identity, 0.0)
+
+
+def test_bounds_keep_every_weight_in_range_where_the_papers_preset_does_not(head):
+    scene = make_scene(head, (0, 0, 0), {"jawOpen": 1.0})
+    exaggerated = scene.points.copy()
+    exaggerated[54:60, 1] += 25.0
+    landmarks = Landmarks2D(exaggerated, np.ones(68), IMAGE_SIZE)
+    observation = FrameObservation(0, landmarks, IMAGE_SIZE)
+    bounded = FaceTracker(head, changed(PRESETS["calibrated"], identity={"calibrate": False})).push(observation)[0]
+    paper = FaceTracker(head, PRESETS["face-it"]).push(observation)[0]
+    assert bounded.expression.min() >= 0.0
+    assert bounded.expression.max() <= 1.0
+    assert paper.expression.min() < 0.0 or paper.expression.max() > 1.0
+
+
+def test_a_frame_without_a_face_is_a_record_and_the_next_face_starts_afresh(head):
+    scene = make_scene(head, (10, 0, 0))
+    tracker = FaceTracker(head, EXACT)
+    gap = FrameObservation(1, None, IMAGE_SIZE)
+    fits = [fit for item in (scene.observation(0), gap, scene.observation(2)) for fit in tracker.push(item)]
+    assert [fit.found for fit in fits] == [True, False, True]
+    assert np.isnan(fits[1].rotation).all()
+    assert np.isnan(fits[1].angles_deg).all()
+    assert fits[1].source == "none"
+    assert fits[2].status[0] >= 0  # the initial-pose stage ran again
+
+
+def test_no_temporal_term_links_two_shots(head):
+    config = changed(EXACT, weights={"tau": 1e6})
+    first = [make_scene(head, (yaw, 0, 0)).observation(k) for k, yaw in enumerate((0, 5, 10))]
+    after = make_scene(head, (-30, 0, 0))
+    tracker = FaceTracker(head, config)
+    fits = list(tracker.fit_all([*first, after.observation(3, cut=True)]))
+    assert [fit.shot for fit in fits] == [0, 0, 0, 1]
+    np.testing.assert_allclose(fits[3].angles_deg, (-30, 0, 0), atol=0.1)
+
+
+def test_a_jump_of_the_landmarks_restarts_the_pose_without_a_cut(head):
+    config = changed(EXACT, weights={"tau": 1e6})
+    poses = [make_scene(head, (yaw, 0, 0)).observation(k) for k, yaw in enumerate((0, 1, 2))]
+    elsewhere = make_scene(head, (-20, 0, 0), translation=(150.0, 40.0, 500.0)).observation(3)
+    fits = list(FaceTracker(head, config).fit_all([*poses, elsewhere]))
+    assert fits[3].shot == 0
+    np.testing.assert_allclose(fits[3].angles_deg, (-20, 0, 0), atol=0.1)
+
+
+def test_tau_damps_the_jitter_of_the_pose(head):
+    def jitter(tau):
+        config = changed(PRESETS["face-it"], weights={"tau": tau})
+        observations = (make_scene(head, (k, 0, 0)).observation(k, noise_px=1.0, seed=5) for k in range(20))
+        angles = np.array([fit.angles_deg for fit in FaceTracker(head, config).fit_all(observations)])
+        return np.abs(np.diff(angles, 2, axis=0)).mean()
+
+    assert jitter(30.0) < 0.7 * jitter(0.0)
+
+
+def test_a_weight_of_zero_takes_a_landmark_out(head):
+    scene = make_scene(head, (10, 0, 0))
+    spoiled = scene.points.copy()
+    spoiled[17:27] += 80.0
+    landmarks = Landmarks2D(spoiled, np.ones(68), IMAGE_SIZE)
+    muted = Stage(
+        name="both", free=("rotation", "translation", "expression"), landmarks={"all": 1.0, "brows": 0.0}, limit=200
+    )
+    config = changed(EXACT, stages=(EXACT.stages[0], muted))
+    fit = FaceTracker(head, config).push(FrameObservation(0, landmarks, IMAGE_SIZE))[0]
+    np.testing.assert_allclose(fit.angles_deg, (10, 0, 0), atol=0.1)
+
+
+def test_confidence_zero_takes_a_landmark_out(head):
+    scene = make_scene(head, (10, 0, 0))
+    spoiled, confidence = scene.points.copy(), np.ones(68)
+    spoiled[:10] += 80.0
+    confidence[:10] = 0.0
+    landmarks = Landmarks2D(spoiled, confidence, IMAGE_SIZE)
+    fit = FaceTracker(head, EXACT).push(FrameObservation(0, landmarks, IMAGE_SIZE))[0]
+    np.testing.assert_allclose(fit.angles_deg, (10, 0, 0), atol=0.1)
+
+
+def test_the_sliding_contour_follows_the_yaw(head):
+    scene = make_scene(head, (35, 0, 0), sliding=True)
+    fixed = FaceTracker(head, EXACT).push(scene.observation())[0]
+    sliding = FaceTracker(head, changed(EXACT, contour={"sliding": True})).push(scene.observation())[0]
+    assert sliding.errors[0] < 0.3 * fixed.errors[0]
+
+
+def test_stills_do_not_know_each_other(head):
+    scenes = [make_scene(head, (yaw, 0, 0)) for yaw in (-20, 30)]
+    together = FaceTracker(head, PRESETS["calibrated"], stills=True)
+    both = [fit for k, scene in enumerate(scenes) for fit in together.push(scene.observation(k))]
+    alone = FaceTracker(head, PRESETS["calibrated"], stills=True).push(scenes[1].observation(1))[0]
+    np.testing.assert_array_equal(both[1].expression, alone.expression)
+    np.testing.assert_array_equal(both[1].rotation, alone.rotation)
+    assert [fit.shot for fit in both] == [0, 1]
+
+
+def test_a_restored_tracker_goes_on_with_the_same_numbers(head):
+    observations = [make_scene(head, (2 * k, 0, 0), {"jawOpen": 0.05 * k}).observation(k, 0.5) for k in range(8)]
+    config = changed(PRESETS["calibrated"], identity={"window": 4})
+    whole = list(FaceTracker(head, config).fit_all(observations))
+    first, second = FaceTracker(head, config), FaceTracker(head, config)
+    for item in observations[:5]:
+        first.push(item)
+    second.restore(first.state())
+    rest = [fit for item in observations[5:] for fit in second.push(item)]
+    for expected, found in zip(whole[5:], rest, strict=True):
+        np.testing.assert_array_equal(found.rotation, expected.rotation)
+        np.testing.assert_array_equal(found.expression, expected.expression)
+        np.testing.assert_array_equal(found.identity, expected.identity)
+
+
+def test_moving_any_number_compiles_nothing(head):
+    """50 random settings of ρ, ε, every ω, a, b, c, landmark weights, bounds, unit and contour."""
+    rng = np.random.default_rng(7)
+    tracker = FaceTracker(head, changed(PRESETS["calibrated"], identity={"calibrate": False}))
+    observations = [make_scene(head, (k, 0, 0)).observation(k) for k in range(3)]
+    for item in observations:
+        tracker.push(item)
+    before = solve_frame._cache_size()
+    for index in range(3, 53):
+        stored = tracker.config.model_dump()
+        stored["weights"] = {name: float(rng.uniform(0, 2)) for name in stored["weights"]}
+        stored["constants"] = {name: float(rng.uniform(0.01, 2)) for name in stored["constants"]}
+        stored["solver"] = {
+            "bounded": bool(rng.integers(2)),
+            "tolerance": float(rng.uniform(0, 1e-3)),
+            "unit": str(rng.choice(["px", "percent"])),
+        }
+        stored["contour"]["sliding"] = bool(rng.integers(2))
+        for stage in stored["stages"]:
+            stage["limit"] = int(rng.integers(1, 60))
+            stage["landmarks"] = {"all": 1.0, "jaw": float(rng.uniform(0, 2)), "36": float(rng.uniform(0, 2))}
+        tracker.configure(Config.model_validate(stored))
+        tracker.push(make_scene(head, (1, 0, 0)).observation(index))
+    assert solve_frame._cache_size() == before
+
+
+def test_the_trace_shows_every_iteration_of_every_stage(head):
+    tracker = FaceTracker(head, PRESETS["face-it"])
+    observation = make_scene(head, (20, 5, 0), {"jawOpen": 0.5}).observation(0, 0.5)
+    fit, traces = tracker.explain(observation)
+    assert [trace.stage for trace in traces] == ["initial pose", "pose", "expression"]
+    for trace, iterations in zip(traces, fit.iterations, strict=True):
+        assert trace.energies.shape == (iterations + 1, 7)
+        assert trace.residuals_px.shape == (iterations + 1, 68)
+        assert (np.diff(trace.energies.sum(axis=1)) <= 1e-9).all()
+    np.testing.assert_allclose(traces[-1].residuals_px[-1], fit.residuals_px, atol=1e-9)
+    plain = tracker.push(observation)[0]
+    np.testing.assert_allclose(plain.expression, fit.expression, atol=1e-9)
+
+
+def test_the_status_tells_a_limit_from_convergence(head):
+    scene = make_scene(head, (20, 5, 0), {"jawOpen": 0.5})
+    short = changed(EXACT, stages=(EXACT.stages[0], Stage(name="e", free=("expression",), limit=1)))
+    assert FaceTracker(head, short).push(scene.observation())[0].status[-1] == Status.ITERATION_LIMIT
+    assert FaceTracker(head, EXACT).push(scene.observation())[0].status[-1] == Status.CONVERGED
