@@ -1,0 +1,256 @@
+"""Pictures of a head: off-screen VTK where GL works, else the plain painter, which says so."""
+
+from concurrent.futures import Future
+from functools import lru_cache
+from types import TracebackType
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from workbench.errors import InputError, MissingDependencyError, WorkbenchError
+from workbench.face.model import FaceModel
+from workbench.frames import read_picture
+from workbench.geometry import Camera
+from workbench.rendering.background import background_picture, composite
+from workbench.rendering.gl_probe import gl_available
+from workbench.rendering.lighting import STUDIO, Lighting
+from workbench.rendering.mesh import check_scene, to_camera
+from workbench.rendering.render_thread import RenderThread
+from workbench.rendering.wireframe import draw_wireframe
+from workbench.samples import sample
+
+LARGEST_PX = 8192
+PORTRAIT_MARGIN = 1.24
+"""Height of a portrait in heights of the head from chin to crown."""
+NO_GL_NOTE = (
+    "3D pictures are drawn without GL (flat shading, no texture): install libegl1 and libgl1-mesa-dri, "
+    "or libosmesa6, and restart."
+)
+
+Background = UInt8[np.ndarray, "h w 3"] | tuple[int, int, int] | None
+
+
+class HeadPainter(Protocol):
+    """Something that draws one model at one size; calls may come from any thread."""
+
+    size: tuple[int, int]
+    note: str | None
+    """What the user should know about the quality of the pictures."""
+
+    def render(
+        self, vertices: np.ndarray, camera: Camera, rotation: np.ndarray, translation: np.ndarray,
+        background: Background = None, lighting: Lighting = STUDIO,
+    ) -> np.ndarray: ...  # fmt: skip
+
+    def submit(
+        self, vertices: np.ndarray, camera: Camera, rotation: np.ndarray, translation: np.ndarray,
+        background: Background = None, lighting: Lighting = STUDIO,
+    ) -> Future: ...  # fmt: skip
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> "HeadPainter": ...
+
+    def __exit__(self, kind: type | None, error: BaseException | None, traceback: TracebackType | None) -> None: ...
+
+
+class HeadRenderer:
+    """Off-screen renderer of one model at one picture size (width, height).
+
+    All VTK work happens in a private thread, so calls may come from any thread. `texture` True takes the bundled
+    albedo for the default head and the vertex colours for other models, False the vertex colours, and an RGB picture
+    is used through the model's UVs. `smooth_edges` (antialiasing) costs two thirds of the time. Raises `MissingDependencyError` without usable GL, `InputError` for a size
+    outside 1..8192.
+    """
+
+    note = None
+
+    def __init__(
+        self,
+        model: FaceModel,
+        size: tuple[int, int],
+        texture: bool | UInt8[np.ndarray, "th tw 3"] = True,
+        smooth_edges: bool = True,
+    ) -> None:
+        _check_size(size)
+        if not gl_available():
+            raise MissingDependencyError(
+                "The 3D renderer needs OpenGL without a screen, and VTK cannot use it here; "
+                "install libegl1 and libgl1-mesa-dri, or use draw_wireframe."
+            )
+        self.size = size
+        self._vertex_count = len(model.neutral)
+        albedo = _albedo(model, texture)
+        self._thread = RenderThread(lambda: _make_scene(model, size, albedo, smooth_edges), lambda scene: scene.close())
+
+    def render(
+        self,
+        vertices: Float[np.ndarray, "v 3"],
+        camera: Camera,
+        rotation: Float[np.ndarray, "3"],
+        translation: Float[np.ndarray, "3"],
+        background: Background = None,
+        lighting: Lighting = STUDIO,
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """RGB picture of head-frame `vertices` (millimetres) in this pose, seen by `camera` (of a picture of `size`).
+
+        `rotation` is axis-angle, head to camera; `background` an RGB colour, a picture of the same size, or None for
+        a plain dark one. Raises `InputError` for a wrong number of vertices and for numbers that are not finite.
+        """
+        return self.submit(vertices, camera, rotation, translation, background, lighting).result()[0]
+
+    def render_with_mask(
+        self,
+        vertices: Float[np.ndarray, "v 3"],
+        camera: Camera,
+        rotation: Float[np.ndarray, "3"],
+        translation: Float[np.ndarray, "3"],
+        background: Background = None,
+        lighting: Lighting = STUDIO,
+    ) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]]:
+        """As `render`, with the head's coverage of each pixel, 0 to 255."""
+        return self.submit(vertices, camera, rotation, translation, background, lighting).result()
+
+    def submit(
+        self,
+        vertices: Float[np.ndarray, "v 3"],
+        camera: Camera,
+        rotation: Float[np.ndarray, "3"],
+        translation: Float[np.ndarray, "3"],
+        background: Background = None,
+        lighting: Lighting = STUDIO,
+    ) -> Future:
+        """As `render_with_mask`, without waiting: a future of (picture, mask)."""
+        if not self._thread.running:
+            raise WorkbenchError("This head renderer has been closed; make a new one.")
+        check_scene(vertices, self._vertex_count, rotation, translation, camera)
+        behind = background_picture(background, self.size)
+        points_camera = to_camera(vertices, rotation, translation)
+        return self._thread.submit(_draw, points_camera, camera, lighting, behind)
+
+    def close(self) -> None:
+        """End the render thread and free the GL context; closing twice is fine."""
+        self._thread.stop()
+
+    def __enter__(self) -> "HeadRenderer":
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        self.close()
+
+
+class PlainPainter:
+    """`draw_wireframe` with the interface of `HeadRenderer`, for machines without GL."""
+
+    note = NO_GL_NOTE
+
+    def __init__(self, model: FaceModel, size: tuple[int, int]) -> None:
+        _check_size(size)
+        self.model, self.size = model, size
+
+    def render(
+        self,
+        vertices: Float[np.ndarray, "v 3"],
+        camera: Camera,
+        rotation: Float[np.ndarray, "3"],
+        translation: Float[np.ndarray, "3"],
+        background: Background = None,
+        lighting: Lighting = STUDIO,
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """As `HeadRenderer.render`."""
+        return draw_wireframe(self.model, self.size, vertices, camera, rotation, translation, background, lighting)[0]
+
+    def submit(
+        self,
+        vertices: Float[np.ndarray, "v 3"],
+        camera: Camera,
+        rotation: Float[np.ndarray, "3"],
+        translation: Float[np.ndarray, "3"],
+        background: Background = None,
+        lighting: Lighting = STUDIO,
+    ) -> Future:
+        """As `HeadRenderer.submit`; the future is already done."""
+        future: Future = Future()
+        future.set_result(
+            draw_wireframe(self.model, self.size, vertices, camera, rotation, translation, background, lighting)
+        )
+        return future
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+    def __enter__(self) -> "PlainPainter":
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        self.close()
+
+
+def head_painter(
+    model: FaceModel,
+    size: tuple[int, int],
+    texture: bool | UInt8[np.ndarray, "th tw 3"] = True,
+    smooth_edges: bool = True,
+) -> HeadRenderer | PlainPainter:
+    """The best way to draw this model here; `.note` says what is missing, None if nothing is."""
+    return HeadRenderer(model, size, texture, smooth_edges) if gl_available() else PlainPainter(model, size)
+
+
+def picture_of_head(
+    model: FaceModel,
+    size: tuple[int, int],
+    vertices: Float[np.ndarray, "v 3"],
+    camera: Camera,
+    rotation: Float[np.ndarray, "3"],
+    translation: Float[np.ndarray, "3"],
+    background: Background = None,
+    texture: bool | UInt8[np.ndarray, "th tw 3"] = True,
+    lighting: Lighting = STUDIO,
+) -> tuple[UInt8[np.ndarray, "h w 3"], str | None]:
+    """One picture as `HeadRenderer.render`, with a note where it had to be drawn without GL (else None)."""
+    with head_painter(model, size, texture) as painter:
+        return painter.render(vertices, camera, rotation, translation, background, lighting), painter.note
+
+
+def portrait_view(
+    model: FaceModel, size: tuple[int, int], distance_mm: float = 900.0
+) -> tuple[Camera, Float[np.ndarray, "3"]]:
+    """Camera and translation that show the head in a picture (width, height), cut at the neck as in a portrait."""
+    top = float(model.neutral[:, 1].min())
+    chin = float(model.landmarks.of(model.neutral)[8, 1])
+    radius = PORTRAIT_MARGIN * (chin - top) / 2
+    translation = np.array([0.0, -(top + chin) / 2 - 0.06 * radius, distance_mm])
+    focal = 0.5 * min(size) * distance_mm / radius
+    return Camera(np.full(2, focal), np.array([(size[0] - 1) / 2, (size[1] - 1) / 2]), np.zeros(8)), translation
+
+
+def _make_scene(model: FaceModel, size: tuple[int, int], albedo: np.ndarray | None, smooth_edges: bool):
+    # VTK is imported in the thread that uses it, and only where GL has been found to work.
+    from workbench.rendering.head_scene import HeadScene
+
+    return HeadScene(model, size, albedo, smooth_edges)
+
+
+def _draw(scene, points_camera, camera: Camera, lighting: Lighting, behind: np.ndarray):
+    rgba = scene.render(points_camera, camera, lighting)
+    return composite(rgba, behind), rgba[..., 3].copy()
+
+
+def _check_size(size: tuple[int, int]) -> None:
+    if not all(1 <= side <= LARGEST_PX for side in size):
+        raise InputError(f"A picture of a head has sides of 1 to {LARGEST_PX} pixels, got {size[0]} × {size[1]}.")
+
+
+def _albedo(model: FaceModel, texture: bool | np.ndarray) -> np.ndarray | None:
+    if texture is False or len(model.uv) == 0:
+        return None
+    if texture is True:
+        return _bundled_albedo() if model.name == "default-head" else None
+    return texture
+
+
+@lru_cache(maxsize=1)
+def _bundled_albedo() -> np.ndarray | None:
+    path = sample("head-texture")
+    return read_picture(path) if path.is_file() else None

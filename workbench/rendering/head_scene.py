@@ -1,0 +1,189 @@
+"""The VTK scene of one head. Every call comes from one thread (`render_thread`): a GL context belongs to its maker."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  (registers the GL classes behind the abstract ones)
+from jaxtyping import Float, Int, UInt8
+from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkPoints, vtkUnsignedCharArray
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkImageData, vtkPolyData
+from vtkmodules.vtkCommonMath import vtkMatrix4x4
+from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow, vtkTexture
+
+from workbench.face.model import FaceModel
+from workbench.geometry import Camera
+from workbench.rendering.lighting import Lighting
+from workbench.rendering.mesh import corner_sum, split_seams, to_pixels, vertex_normals
+
+SAMPLES_PER_PIXEL = 4
+WET_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
+"""Parts that shine."""
+SKIN_SHINE, WET_SHINE = (0.10, 14.0), (0.55, 70.0)
+"""(strength, exponent) of the highlights."""
+VTK_AXES = np.array([1.0, -1.0, -1.0])
+"""VTK's camera looks along -z with y up, ours along +z with y down."""
+
+
+class HeadScene:
+    """Head, lights and off-screen window of one size."""
+
+    def __init__(
+        self, model: FaceModel, size: tuple[int, int], texture: UInt8[np.ndarray, "th tw 3"] | None, smooth_edges: bool
+    ) -> None:
+        self.size = size
+        self.triangles = model.triangles
+        self.corner_sum = corner_sum(model.triangles, len(model.neutral))
+        self.lighting: Lighting | None = None
+        if texture is None:
+            self.vertex_of_point = np.arange(len(model.neutral))
+            points_of_triangle = model.triangles.astype(np.int64)
+        else:
+            self.vertex_of_point, uv_of_point, points_of_triangle = split_seams(model.triangles, model.triangles_uv)
+        self.points = vtkPoints()
+        self.renderer = vtkRenderer()
+        self.renderer.SetBackgroundAlpha(0.0)
+        self.renderer.AutomaticLightCreationOff()
+        self.renderer.SetLightFollowCamera(False)
+        self.meshes = []
+        for triangles, shine in zip(_by_shine(model, points_of_triangle), (SKIN_SHINE, WET_SHINE), strict=True):
+            mesh = _mesh(self.points, triangles)
+            if texture is None:
+                mesh.GetPointData().SetScalars(numpy_to_vtk(np.ascontiguousarray(model.colors), deep=True))
+            else:
+                coordinates = np.ascontiguousarray(model.uv[uv_of_point], np.float32)
+                mesh.GetPointData().SetTCoords(numpy_to_vtk(coordinates, deep=True))
+            self.meshes.append(mesh)
+            self.renderer.AddActor(_actor(mesh, shine, texture))
+        self.camera = self.renderer.GetActiveCamera()
+        self.camera.SetPosition(0.0, 0.0, 0.0)
+        self.camera.SetFocalPoint(0.0, 0.0, -1.0)
+        self.camera.SetViewUp(0.0, 1.0, 0.0)
+        self.camera.UseExplicitProjectionTransformMatrixOn()
+        self.window = vtkRenderWindow()
+        self.window.SetOffScreenRendering(1)
+        self.window.SetMultiSamples(SAMPLES_PER_PIXEL if smooth_edges else 0)
+        self.window.SetAlphaBitPlanes(1)
+        self.window.SetSize(*size)
+        self.window.AddRenderer(self.renderer)
+        self.pixels = vtkUnsignedCharArray()
+
+    def render(
+        self, points_camera: Float[np.ndarray, "v 3"], camera: Camera, lighting: Lighting
+    ) -> UInt8[np.ndarray, "h w 4"]:
+        """RGBA of the head alone, colours already multiplied by alpha; camera-frame vertices in millimetres."""
+        width, height = self.size
+        depth = points_camera[:, 2]
+        if depth.max() <= 0.0:
+            return np.zeros((height, width, 4), np.uint8)
+        self._set_points(_distorted(camera, points_camera))
+        self._set_lighting(lighting)
+        # Depth resolution is near/far: the range hugs the head.
+        self._set_projection(camera, near=max(0.95 * depth.min(), 0.05 * depth.max()), far=1.05 * depth.max())
+        self.window.Render()
+        self.window.GetRGBACharPixelData(0, 0, width - 1, height - 1, 0, self.pixels)
+        return vtk_to_numpy(self.pixels).reshape(height, width, 4)[::-1].copy()
+
+    def close(self) -> None:
+        """Give the GL context back."""
+        self.window.Finalize()
+
+    def _set_points(self, points_camera) -> None:
+        normals = vertex_normals(points_camera, self.triangles, self.corner_sum)
+        self.points.SetData(_vectors(points_camera, self.vertex_of_point))
+        self.points.Modified()
+        normals = _vectors(normals, self.vertex_of_point)
+        for mesh in self.meshes:
+            mesh.GetPointData().SetNormals(normals)
+            mesh.Modified()
+
+    def _set_lighting(self, lighting: Lighting) -> None:
+        if lighting == self.lighting:
+            return
+        self.renderer.RemoveAllLights()
+        for light in lighting.lights:
+            distant = vtkLight()
+            distant.SetLightTypeToSceneLight()
+            distant.SetPositional(False)
+            distant.SetPosition(*(VTK_AXES * light.direction))
+            distant.SetFocalPoint(0.0, 0.0, 0.0)
+            distant.SetColor(*light.color)
+            distant.SetIntensity(light.intensity)
+            self.renderer.AddLight(distant)
+        for actor in self.renderer.GetActors():
+            actor.GetProperty().SetAmbient(lighting.ambient)
+        self.lighting = lighting
+
+    def _set_projection(self, camera: Camera, near: float, far: float) -> None:
+        (fx, fy), (cx, cy) = camera.focal_px, camera.principal_point_px
+        width, height = self.size
+        matrix = vtkMatrix4x4()
+        # GL counts pixel edges: our pixel (0, 0), a centre, is its (0.5, 0.5).
+        rows = (
+            (2 * fx / width, 0.0, 1 - 2 * (cx + 0.5) / width, 0.0),
+            (0.0, 2 * fy / height, 2 * (cy + 0.5) / height - 1, 0.0),
+            (0.0, 0.0, (near + far) / (near - far), 2 * near * far / (near - far)),
+            (0.0, 0.0, -1.0, 0.0),
+        )
+        matrix.DeepCopy([float(entry) for row in rows for entry in row])
+        self.camera.SetClippingRange(near, far)
+        self.camera.SetExplicitProjectionTransformMatrix(matrix)
+
+
+def _by_shine(model: FaceModel, points_of_triangle) -> tuple[Int[np.ndarray, "a 3"], Int[np.ndarray, "b 3"]]:
+    wet = np.zeros(len(model.neutral), bool)
+    for name in WET_REGIONS:
+        wet[model.regions.get(name, np.zeros(0, int))] = True
+    inside = wet[model.triangles].all(1)
+    return points_of_triangle[~inside], points_of_triangle[inside]
+
+
+def _mesh(points: vtkPoints, triangles: Int[np.ndarray, "t 3"]) -> vtkPolyData:
+    cells = vtkCellArray()
+    cells.SetData(3, numpy_to_vtkIdTypeArray(np.ascontiguousarray(triangles, np.int64).ravel(), deep=True))
+    mesh = vtkPolyData()
+    mesh.SetPoints(points)
+    mesh.SetPolys(cells)
+    return mesh
+
+
+def _actor(mesh: vtkPolyData, shine: Sequence[float], texture) -> vtkActor:
+    mapper = vtkPolyDataMapper()
+    mapper.SetInputData(mesh)
+    actor = vtkActor()
+    actor.SetMapper(mapper)
+    material = actor.GetProperty()
+    material.SetInterpolationToPhong()
+    material.SetDiffuse(1.0)
+    material.SetSpecular(shine[0])
+    material.SetSpecularPower(shine[1])
+    if texture is not None:
+        actor.SetTexture(_texture(texture))
+    return actor
+
+
+def _texture(picture: UInt8[np.ndarray, "h w 3"]) -> vtkTexture:
+    height, width = picture.shape[:2]
+    image = vtkImageData()
+    image.SetDimensions(width, height, 1)
+    # VTK's first row is the lowest, where v = 0.
+    image.GetPointData().SetScalars(numpy_to_vtk(np.ascontiguousarray(picture[::-1]).reshape(-1, 3), deep=True))
+    texture = vtkTexture()
+    texture.SetInputData(image)
+    texture.InterpolateOn()
+    texture.MipmapOn()
+    # Anisotropic filtering, VTK's default, costs a software GL three times the rest of the frame.
+    texture.SetMaximumAnisotropicFiltering(1)
+    return texture
+
+
+def _distorted(camera: Camera, points_camera):
+    """Points moved sideways, so that a plain pinhole shows them where the lens does."""
+    if not np.any(camera.distortion):
+        return points_camera
+    rays = (to_pixels(camera, points_camera) - camera.principal_point_px) / camera.focal_px
+    return np.concatenate([rays * points_camera[:, 2:], points_camera[:, 2:]], axis=1)
+
+
+def _vectors(vectors: Float[np.ndarray, "v 3"], order: Int[np.ndarray, "s"]):
+    return numpy_to_vtk(np.ascontiguousarray((vectors * VTK_AXES)[order], np.float32), deep=True)
