@@ -23,14 +23,6 @@ EXACT = Config(
 POSES = [(0, 0, 0), (40, 0, 0), (-40, 20, 0), (25, -20, 10), (-15, 15, -20)]
 
 
-def changed(config: Config, **sections) -> Config:
-    """The configuration with some keys of some sections replaced."""
-    stored = config.model_dump()
-    for section, values in sections.items():
-        stored[section] = {**stored[section], **values} if isinstance(values, dict) else values
-    return Config.model_validate(stored)
-
-
 @pytest.mark.parametrize("angles", POSES)
 def test_exact_landmarks_give_the_pose_within_a_tenth_of_a_degree_and_explain_the_picture(head, angles):
     rng = np.random.default_rng(abs(hash(angles)) % 1000)
@@ -52,7 +44,7 @@ def test_a_calibrated_identity_is_shared_by_the_frames_and_explains_them(head):
     scenes = [make_scene(head, (yaw, 5, 0), {"jawOpen": 0.3}, identity, sliding=True) for yaw in (-30, -15, 0, 15, 30)]
     tracker = FaceTracker(head, PRESETS["calibrated"])
     fits = list(tracker.fit_all(scene.observation(k) for k, scene in enumerate(scenes)))
-    without = FaceTracker(head, changed(PRESETS["calibrated"], identity={"calibrate": False}))
+    without = FaceTracker(head, PRESETS["calibrated"].changed(identity={"calibrate": False}))
     plain = list(without.fit_all(scene.observation(k) for k, scene in enumerate(scenes)))
     assert len({fit.identity.tobytes() for fit in fits}) == 1
     assert np.mean([fit.errors[1] for fit in fits]) < 0.5 * np.mean([fit.errors[1] for fit in plain])
@@ -73,7 +65,7 @@ def test_bounds_keep_every_weight_in_range_where_the_papers_preset_does_not(head
     exaggerated[54:60, 1] += 25.0
     landmarks = Landmarks2D(exaggerated, np.ones(68), IMAGE_SIZE)
     observation = FrameObservation(0, landmarks, IMAGE_SIZE)
-    bounded = FaceTracker(head, changed(PRESETS["calibrated"], identity={"calibrate": False})).push(observation)[0]
+    bounded = FaceTracker(head, PRESETS["calibrated"].changed(identity={"calibrate": False})).push(observation)[0]
     paper = FaceTracker(head, PRESETS["face-it"]).push(observation)[0]
     assert bounded.expression.min() >= 0.0
     assert bounded.expression.max() <= 1.0
@@ -93,7 +85,7 @@ def test_a_frame_without_a_face_is_a_record_and_the_next_face_starts_afresh(head
 
 
 def test_no_temporal_term_links_two_shots(head):
-    config = changed(EXACT, weights={"tau": 1e6})
+    config = EXACT.changed(weights={"tau": 1e6})
     first = [make_scene(head, (yaw, 0, 0)).observation(k) for k, yaw in enumerate((0, 5, 10))]
     after = make_scene(head, (-30, 0, 0))
     tracker = FaceTracker(head, config)
@@ -103,7 +95,7 @@ def test_no_temporal_term_links_two_shots(head):
 
 
 def test_a_jump_of_the_landmarks_restarts_the_pose_without_a_cut(head):
-    config = changed(EXACT, weights={"tau": 1e6})
+    config = EXACT.changed(weights={"tau": 1e6})
     poses = [make_scene(head, (yaw, 0, 0)).observation(k) for k, yaw in enumerate((0, 1, 2))]
     elsewhere = make_scene(head, (-20, 0, 0), translation=(150.0, 40.0, 500.0)).observation(3)
     fits = list(FaceTracker(head, config).fit_all([*poses, elsewhere]))
@@ -113,7 +105,7 @@ def test_a_jump_of_the_landmarks_restarts_the_pose_without_a_cut(head):
 
 def test_tau_damps_the_jitter_of_the_pose(head):
     def jitter(tau):
-        config = changed(PRESETS["face-it"], weights={"tau": tau})
+        config = PRESETS["face-it"].changed(weights={"tau": tau})
         observations = (make_scene(head, (k, 0, 0)).observation(k, noise_px=1.0, seed=5) for k in range(20))
         angles = np.array([fit.angles_deg for fit in FaceTracker(head, config).fit_all(observations)])
         return np.abs(np.diff(angles, 2, axis=0)).mean()
@@ -129,7 +121,7 @@ def test_a_weight_of_zero_takes_a_landmark_out(head):
     muted = Stage(
         name="both", free=("rotation", "translation", "expression"), landmarks={"all": 1.0, "brows": 0.0}, limit=200
     )
-    config = changed(EXACT, stages=(EXACT.stages[0], muted))
+    config = EXACT.changed(stages=(EXACT.stages[0], muted))
     fit = FaceTracker(head, config).push(FrameObservation(0, landmarks, IMAGE_SIZE))[0]
     np.testing.assert_allclose(fit.angles_deg, (10, 0, 0), atol=0.1)
 
@@ -147,7 +139,7 @@ def test_confidence_zero_takes_a_landmark_out(head):
 def test_the_sliding_contour_follows_the_yaw(head):
     scene = make_scene(head, (35, 0, 0), sliding=True)
     fixed = FaceTracker(head, EXACT).push(scene.observation())[0]
-    sliding = FaceTracker(head, changed(EXACT, contour={"sliding": True})).push(scene.observation())[0]
+    sliding = FaceTracker(head, EXACT.changed(contour={"sliding": True})).push(scene.observation())[0]
     assert sliding.errors[0] < 0.3 * fixed.errors[0]
 
 
@@ -163,7 +155,7 @@ def test_stills_do_not_know_each_other(head):
 
 def test_a_restored_tracker_goes_on_with_the_same_numbers(head):
     observations = [make_scene(head, (2 * k, 0, 0), {"jawOpen": 0.05 * k}).observation(k, 0.5) for k in range(8)]
-    config = changed(PRESETS["calibrated"], identity={"window": 4})
+    config = PRESETS["calibrated"].changed(identity={"window": 4})
     whole = list(FaceTracker(head, config).fit_all(observations))
     first, second = FaceTracker(head, config), FaceTracker(head, config)
     for item in observations[:5]:
@@ -179,7 +171,7 @@ def test_a_restored_tracker_goes_on_with_the_same_numbers(head):
 def test_moving_any_number_compiles_nothing(head):
     """50 random settings of ρ, ε, every ω, a, b, c, landmark weights, bounds, unit and contour."""
     rng = np.random.default_rng(7)
-    tracker = FaceTracker(head, changed(PRESETS["calibrated"], identity={"calibrate": False}))
+    tracker = FaceTracker(head, PRESETS["calibrated"].changed(identity={"calibrate": False}))
     observations = [make_scene(head, (k, 0, 0)).observation(k) for k in range(3)]
     for item in observations:
         tracker.push(item)
@@ -218,6 +210,6 @@ def test_the_trace_shows_every_iteration_of_every_stage(head):
 
 def test_the_status_tells_a_limit_from_convergence(head):
     scene = make_scene(head, (20, 5, 0), {"jawOpen": 0.5})
-    short = changed(EXACT, stages=(EXACT.stages[0], Stage(name="e", free=("expression",), limit=1)))
+    short = EXACT.changed(stages=(EXACT.stages[0], Stage(name="e", free=("expression",), limit=1)))
     assert FaceTracker(head, short).push(scene.observation())[0].status[-1] == Status.ITERATION_LIMIT
     assert FaceTracker(head, EXACT).push(scene.observation())[0].status[-1] == Status.CONVERGED

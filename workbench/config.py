@@ -145,6 +145,16 @@ class Config(_Section):
     landmarks: LandmarksConfig = LandmarksConfig()
     stages: tuple[Stage, ...] = Field(min_length=1, default=())
 
+    def changed(self, **sections: dict[str, Any]) -> "Config":
+        """The configuration with some keys of some sections replaced, checked anew.
+
+        Raises `ConfigError` for unknown keys and bad values.
+        """
+        stored = self.model_dump()
+        for section, values in sections.items():
+            stored[section] = {**stored.get(section, {}), **values} if isinstance(values, dict) else values
+        return _validated(stored, "The configuration")
+
     @model_validator(mode="before")
     @classmethod
     def _default_stages(cls, data: Any):
@@ -211,10 +221,14 @@ def read_config(path: str | Path) -> Config:
     base = preset(str(stored.get("preset", "calibrated"))).model_dump()
     for key, value in stored.items():
         base[key] = {**base[key], **value} if isinstance(value, dict) and isinstance(base.get(key), dict) else value
+    return _validated(base, str(path))
+
+
+def _validated(stored: dict[str, Any], origin: str) -> Config:
     try:
-        return Config.model_validate(base)
+        return Config.model_validate(stored)
     except ValidationError as error:
-        raise ConfigError(f"{path}: {_first_problem(error)}") from error
+        raise ConfigError(f"{origin}: {_first_problem(error)}") from error
 
 
 def write_config(config: Config, path: str | Path) -> None:
@@ -232,9 +246,7 @@ def config_toml(config: Config) -> str:
         if isinstance(value, BaseModel):
             document.add(name, _table(value))
         elif name != "stages":
-            document.add(name, tomlkit.item(value))
-            if field.description:
-                document[name].comment(field.description)
+            document.add(name, _commented(value, field.description))
     stages = tomlkit.aot()
     for stage in config.stages:
         stages.append(_table(stage))
@@ -250,18 +262,17 @@ def _table(section: BaseModel):
         value = getattr(section, name)
         if value is None:
             continue
-        if isinstance(value, dict):
-            value = _inline(value)
-        table.add(name, tomlkit.item(list(value) if isinstance(value, tuple) else value))
-        if field.description:
-            table[name].comment(field.description)
+        table.add(name, _commented(value, field.description))
     return table
 
 
-def _inline(mapping: dict):
-    table = tomlkit.inline_table()
-    table.update(mapping)
-    return table
+def _commented(value: Any, description: str | None):
+    if isinstance(value, dict):
+        item = tomlkit.inline_table()
+        item.update(value)
+    else:
+        item = tomlkit.item(list(value) if isinstance(value, tuple) else value)
+    return item.comment(description) if description else item
 
 
 def _first_problem(error: ValidationError) -> str:

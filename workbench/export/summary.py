@@ -1,6 +1,7 @@
 """The numbers of a run at a glance."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -8,48 +9,46 @@ import numpy as np
 
 from workbench.files import atomic_path
 from workbench.geometry import Camera, horizontal_fov_deg
-from workbench.landmarks.scheme import outer_eye_distance
 from workbench.tracking import Track
 
+TIMES = ("detect", "landmarks", "solve")
 
-def summary_of(track: Track, seconds: float | None = None) -> dict[str, Any]:
-    """Frames, reprojection errors, times and the assumed camera of a track; `seconds` is the wall time of the run.
 
-    Errors are means over the landmarks of a frame, then mean, median and 95th percentile over the frames with a face.
+def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[str, Any]:
+    """Frames, reprojection errors, times and the assumed camera of a run; `seconds` is its wall time.
+
+    `tracks` are consecutive pieces of one run. Errors are means over the landmarks of a frame, then mean, median and
+    95th percentile over the frames with a face.
     """
-    found = np.flatnonzero(track.found)
-    residuals = np.linalg.norm(track.projected[found] - track.observed[found], axis=2)
-    eye_distance = np.array([outer_eye_distance(points) for points in track.observed[found]])
-    percent = 100.0 * residuals / eye_distance[:, None] if len(found) else residuals
-    stages = ("detect", "landmarks", "solve")
-    camera = Camera(track.focal_px[0], track.principal_point_px[0], track.distortion[0])
-    size = (int(track.image_size[0, 0]), int(track.image_size[0, 1]))
+    errors, milliseconds, found, iterations, shots, camera = [], [], [], [], 0, {}
+    for track in tracks:
+        residuals = np.linalg.norm(track.projected - track.observed, axis=2)
+        eye_distance = np.linalg.norm(track.observed[:, 45] - track.observed[:, 36], axis=1)
+        inner, every = residuals[:, 17:].mean(1), residuals.mean(1)
+        errors.append(np.stack([inner, every, 100 * inner / eye_distance, 100 * every / eye_distance], axis=1))
+        milliseconds.append(track.milliseconds)
+        found.append(track.found)
+        iterations.append(track.iterations)
+        shots = int(track.shot.max()) + 1
+        camera = camera or _camera(track)
+    found = np.concatenate(found)
+    errors, milliseconds = np.concatenate(errors)[found], np.concatenate(milliseconds)[found]
+    names = (
+        "inner_51_px",
+        "all_68_px",
+        "inner_51_percent_of_eye_distance",
+        "all_68_percent_of_eye_distance",
+    )
     return {
-        "frames": len(track),
-        "frames_with_face": len(found),
-        "shots": int(track.shot.max()) + 1,
-        "reprojection_error": {
-            "inner_51_px": _spread(residuals[:, 17:]),
-            "all_68_px": _spread(residuals),
-            "inner_51_percent_of_eye_distance": _spread(percent[:, 17:]),
-            "all_68_percent_of_eye_distance": _spread(percent),
-        },
-        "milliseconds_per_frame": {
-            name: _times(track.milliseconds[found, column]) for column, name in enumerate(stages)
-        },
+        "frames": len(found),
+        "frames_with_face": int(found.sum()),
+        "shots": shots,
+        "reprojection_error": {name: _spread(errors[:, k]) for k, name in enumerate(names)},
+        "milliseconds_per_frame": {name: _times(milliseconds[:, k]) for k, name in enumerate(TIMES)},
+        "solver_iterations_mean": np.concatenate(iterations)[found].mean(0).round(2).tolist() if found.any() else [],
         "seconds": None if seconds is None else round(seconds, 3),
-        "frames_per_second": None if not seconds else round(len(track) / seconds, 2),
-        "camera": {
-            "image_size": size,
-            "focal_px": [round(float(value), 3) for value in camera.focal_px],
-            "principal_point_px": [round(float(value), 3) for value in camera.principal_point_px],
-            "distortion": [float(value) for value in camera.distortion],
-            "horizontal_fov_deg": round(horizontal_fov_deg(camera, size), 2),
-            "guessed": track.meta.get("camera_guessed", True),
-        },
-        "solver_iterations_mean": [round(float(value), 2) for value in track.iterations[found].mean(0)]
-        if len(found)
-        else [],
+        "frames_per_second": None if not seconds else round(len(found) / seconds, 2),
+        "camera": camera,
     }
 
 
@@ -59,14 +58,26 @@ def write_summary(summary: dict[str, Any], path: str | Path) -> None:
         temporary.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
+def _camera(track: Track) -> dict[str, Any]:
+    camera = Camera(track.focal_px[0], track.principal_point_px[0], track.distortion[0])
+    width, height = (int(length) for length in track.image_size[0])
+    return {
+        "image_size": [width, height],
+        "focal_px": camera.focal_px.round(3).tolist(),
+        "principal_point_px": camera.principal_point_px.round(3).tolist(),
+        "distortion": camera.distortion.tolist(),
+        "horizontal_fov_deg": round(horizontal_fov_deg(camera, (width, height)), 2),
+        "guessed": bool(track.meta.get("camera_guessed", True)),
+    }
+
+
 def _spread(values: np.ndarray) -> dict[str, float | None]:
     if not len(values):
         return {"mean": None, "median": None, "p95": None}
-    by_frame = values.mean(axis=1)
     return {
-        "mean": round(float(by_frame.mean()), 4),
-        "median": round(float(np.median(by_frame)), 4),
-        "p95": round(float(np.percentile(by_frame, 95)), 4),
+        "mean": round(float(values.mean()), 4),
+        "median": round(float(np.median(values)), 4),
+        "p95": round(float(np.percentile(values, 95)), 4),
     }
 
 

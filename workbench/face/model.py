@@ -1,5 +1,6 @@
 """The face model as data: neutral, blendshapes, identity basis, jaw, and where the 68 landmarks lie on it."""
 
+import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,6 +73,19 @@ class FaceModel:
             raise ModelError(f"The landmark embedding has 68 points, got {len(self.landmarks.vertices)}.")
         if max(self.triangles.max(initial=0), self.landmarks.vertices.max()) >= vertex_count:
             raise ModelError(f"A triangle or landmark names a vertex beyond the model's {vertex_count}.")
+
+    def fingerprint(self) -> str:
+        """SHA-256 of the shape, blendshapes and landmarks: two models with one fingerprint fit alike."""
+        digest = hashlib.sha256("\n".join(self.expression_names).encode())
+        embeddings = (
+            self.landmarks.vertices,
+            self.landmarks.barycentric,
+            self.contour.vertices,
+            self.contour.barycentric,
+        )
+        for array in (self.neutral, self.expression_deltas, self.identity_deltas, *embeddings):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
 
     def with_expressions(self, names: tuple[str, ...]) -> "FaceModel":
         """The model with these blendshapes only, in this order. Raises `ModelError` for names it does not have."""

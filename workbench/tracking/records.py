@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from workbench.errors import InputError
 from workbench.files import atomic_path
 from workbench.geometry import Camera, yaw_pitch_roll_deg
-from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 
 FORMAT = "face-energy-workbench-track"
 FORMAT_VERSION = 1
@@ -51,6 +51,11 @@ class FrameFit:
     """Time for detection, landmarks and solve."""
 
     @property
+    def errors(self) -> tuple[float, float, float]:
+        """Mean error in px over all 68 landmarks, in % of the outer-eye distance over the inner 51 and over all."""
+        return tuple(_errors(self.projected[None], self.observed[None])[0].tolist())
+
+    @property
     def residuals_px(self) -> Float[np.ndarray, "68"]:
         """Distance of each model landmark from the observed one, pixels."""
         return np.linalg.norm(self.projected - self.observed, axis=1)
@@ -59,15 +64,6 @@ class FrameFit:
     def angles_deg(self) -> Float[np.ndarray, "3"]:
         """Yaw, pitch, roll (`geometry.rotations` has the convention)."""
         return yaw_pitch_roll_deg(self.rotation)
-
-    @property
-    def errors(self) -> tuple[float, float, float]:
-        """(px over 68, inner-51 in % of the outer-eye distance, all 68 in %), means over landmarks."""
-        if not self.found:
-            return (np.nan, np.nan, np.nan)
-        residuals = self.residuals_px
-        percent = 100.0 * residuals / outer_eye_distance(self.observed)
-        return float(residuals.mean()), float(percent[17:].mean()), float(percent.mean())
 
 
 @dataclass(frozen=True)
@@ -167,3 +163,15 @@ def stack_fits(fits: list[FrameFit]) -> dict[str, np.ndarray]:
         if name not in columns:
             columns[name] = np.stack([getattr(fit, name) for fit in fits])
     return {name: columns[name] for name in ARRAYS}
+
+
+def frame_errors(track: Track) -> Float[np.ndarray, "n 3"]:
+    """`FrameFit.errors` of every frame; NaN without a face."""
+    return _errors(track.projected, track.observed)
+
+
+def _errors(projected: Float[np.ndarray, "n 68 2"], observed: Float[np.ndarray, "n 68 2"]) -> Float[np.ndarray, "n 3"]:
+    residuals = np.linalg.norm(projected - observed, axis=2)
+    eye_distance = np.linalg.norm(observed[:, LEFT_EYE_OUTER_CORNER] - observed[:, RIGHT_EYE_OUTER_CORNER], axis=1)
+    percent = 100.0 * residuals / eye_distance[:, None]
+    return np.stack([residuals.mean(1), percent[:, 17:].mean(1), percent.mean(1)], axis=1)

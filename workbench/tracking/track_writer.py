@@ -12,7 +12,7 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.files import atomic_path
-from workbench.tracking.records import ARRAYS, FrameFit, meta_array, stack_fits
+from workbench.tracking.records import ARRAYS, FrameFit, Track, meta_array, stack_fits
 
 PART_FRAMES = 256
 
@@ -24,11 +24,13 @@ class TrackWriter:
     goes on from there. `fingerprint` says what the run depends on; parts of another run are discarded.
     """
 
-    def __init__(self, path: str | Path, fingerprint: str, resume: bool = False):
+    def __init__(self, path: str | Path, meta: dict[str, Any], fingerprint: str, resume: bool = False):
         self.path = Path(path)
         self.parts_folder = self.path.with_name(self.path.name + ".parts")
+        self.meta = meta
         self._buffer: list[FrameFit] = []
         self._count = 0
+        self._open_part: tuple[int, Track | None] = (0, None)
         if resume and self._matches(fingerprint):
             self._count = sum(
                 int(json.loads(path.with_suffix(".json").read_text())["frames"]) for path in self._parts()
@@ -37,11 +39,6 @@ class TrackWriter:
             shutil.rmtree(self.parts_folder, ignore_errors=True)
             self.parts_folder.mkdir(parents=True)
             (self.parts_folder / "fingerprint").write_text(fingerprint)
-
-    @property
-    def frames_written(self) -> int:
-        """Frames in finished parts: where an interrupted run goes on."""
-        return self._count
 
     def state(self) -> dict[str, np.ndarray]:
         """State stored with the newest part; empty if there is none."""
@@ -75,15 +72,31 @@ class TrackWriter:
         self._count += len(self._buffer)
         self._buffer = []
 
-    def fits_so_far(self) -> Iterator[dict[str, np.ndarray]]:
-        """The arrays of each finished part in turn."""
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, position: int) -> FrameFit:
+        """A frame of a finished part; frames that follow each other read each part once."""
+        if not 0 <= position < self._count:
+            raise IndexError(position)
+        first, track = self._open_part
+        if track is None or not first <= position < first + len(track):
+            first = 0
+            for track in self.tracks():
+                if position < first + len(track):
+                    break
+                first += len(track)
+            self._open_part = (first, track)
+        return track[position - first]
+
+    def tracks(self) -> Iterator[Track]:
+        """Each finished part as a track of its own."""
         for part in self._parts():
             with np.load(part, allow_pickle=False) as stored:
-                yield {name: stored[name] for name in ARRAYS}
+                yield Track(meta=self.meta, **{name: stored[name] for name in ARRAYS})
 
-    def close(self, meta: dict[str, Any]) -> None:
+    def close(self) -> None:
         """Join the parts to the track file and remove them. Raises `InputError` if there is no frame."""
-        self.write_part({})
         if not self._count:
             shutil.rmtree(self.parts_folder, ignore_errors=True)
             raise InputError("There was no frame to track; check that the input holds pictures.")
@@ -95,7 +108,7 @@ class TrackWriter:
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     self._join(name, member)
             with archive.open("meta.npy", "w") as member:
-                np.lib.format.write_array(member, meta_array(meta), allow_pickle=False)
+                np.lib.format.write_array(member, meta_array(self.meta), allow_pickle=False)
         shutil.rmtree(self.parts_folder)
 
     def discard(self) -> None:

@@ -14,7 +14,7 @@ from workbench.config import Config, Stage
 from workbench.energies import TERMS, EnergyConstants, EnergyWeights
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
-from workbench.geometry import Camera, camera_from_fov, camera_from_matrix, yaw_pitch_roll_deg
+from workbench.geometry import Camera, camera_from_fov, camera_from_matrix, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import outer_eye_distance
 from workbench.tracking.frame_solver import FrameInput, FrameSolution, SolveSettings, StageNumbers, solve_frame
@@ -111,6 +111,17 @@ class FaceTracker:
         self._pending: list[FrameObservation] = []
         self.configure(config)
         self._start_shot()
+
+    def warm_up(self, image_size: tuple[int, int]) -> None:
+        """Compile (or load from the cache) all that a run needs, so that its first frames are as fast as the others."""
+        other = FaceTracker(self.model, self.config, stills=self.stills)
+        neutral = self._landmarks.frontal_neutral()
+        camera = self.camera(image_size)
+        points = np.asarray(project(camera, neutral + np.array([0.0, 0.0, 600.0])))
+        landmarks = Landmarks2D(points, np.ones(68), image_size)
+        for index in range(2):
+            other.push(FrameObservation(index, landmarks, image_size))
+        other.finish()
 
     def configure(self, config: Config) -> None:
         """Use another configuration from the next frame on; only another order of free parameters compiles."""

@@ -1,0 +1,255 @@
+"""The command line: `workbench track|demo|lab|info`."""
+
+import importlib.metadata
+import importlib.util
+import platform
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from workbench import __version__
+from workbench.config import PRESETS, Config, preset, read_config
+from workbench.errors import ConfigError, WorkbenchError
+from workbench.runtime import cache_folder
+from workbench.samples import sample, samples_folder
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    help="Face Energy Workbench: facial performance capture by optimisation.",
+)
+console = Console(highlight=False)
+errors = Console(stderr=True, highlight=False)
+
+TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weights for every frame.
+
+[bold]Examples[/bold]
+
+  workbench track talk.mp4                          a video; results in out/talk
+
+  workbench track portrait.jpg --out portrait       one photo
+
+  workbench track photos/ --stills                  unrelated photos of a folder
+
+  workbench track points.csv                        landmarks from a file, no detector
+
+  workbench track talk.mp4 --preset face-it         as the paper has it
+
+  workbench track talk.mp4 --config tuned.toml      your own configuration
+
+  workbench track talk.mp4 --resume                 go on with an interrupted run
+"""
+
+
+@app.command(help=TRACK_HELP)
+def track(
+    inputs: Annotated[list[Path], typer.Argument(help="Photos, a folder, a video, or .csv/.json/.pts landmarks.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the results (default: out/NAME).")] = None,
+    config: Annotated[Path | None, typer.Option(help="Configuration file (TOML).")] = None,
+    preset_name: Annotated[str | None, typer.Option("--preset", help=f"One of: {', '.join(PRESETS)}.")] = None,
+    stills: Annotated[bool, typer.Option("--stills", help="Unrelated photos: nothing links one to the next.")] = False,
+    detector: Annotated[str | None, typer.Option(help="dlib, dlib-hog or dlib-cnn.")] = None,
+    fov: Annotated[float | None, typer.Option(help="Field of view over the longer side, degrees.")] = None,
+    face: Annotated[str | None, typer.Option(help="A point X,Y in the wanted face, pixels.")] = None,
+    identity: Annotated[
+        bool | None, typer.Option("--identity/--no-identity", help="Calibrate the subject's face shape first.")
+    ] = None,
+    landmarks: Annotated[Path | None, typer.Option(help="Stored landmarks of the pictures: no detector.")] = None,
+    pictures: Annotated[bool, typer.Option(help="Write the overlay video or pictures.")] = True,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
+) -> None:
+    """Track faces in pictures, a video or landmark files."""
+    settings = _configuration(config, preset_name, detector, fov, face, identity)
+    folder = out or Path("out") / (inputs[0].stem or "run")
+    _run(inputs, folder, settings, stills=stills, pictures=pictures, resume=resume, landmarks=landmarks)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo_out"),
+    pictures: Annotated[bool, typer.Option(help="Write the overlay video and picture.")] = True,
+) -> None:
+    """Track the bundled portrait and performance clip from their stored landmarks; needs no detector."""
+    for name in ("astronaut", "performance"):
+        console.print(f"[bold]{name}[/bold]")
+        landmarks = sample(f"{name}-landmarks")
+        _run([sample(name)], out / name, preset("calibrated"), pictures=pictures, landmarks=landmarks)
+
+
+@app.command()
+def lab(
+    port: Annotated[int, typer.Option(help="Port of the server.")] = 8888,
+    browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
+) -> None:
+    """Open JupyterLab on the first notebook; prints its address where there is no browser."""
+    folder = notebooks_folder()
+    command = [sys.executable, "-m", "jupyterlab", f"--notebook-dir={folder}", f"--port={port}"]
+    command += [f"--LabApp.default_url=/lab/tree/{sorted(folder.glob('*.ipynb'))[0].name}"]
+    command += [] if browser and _has_browser() else ["--no-browser"]
+    raise typer.Exit(subprocess.run(command, check=False).returncode)
+
+
+@app.command()
+def info() -> None:
+    """Versions, what is installed, and where things are."""
+    from workbench.face import load_default_head
+    from workbench.rendering.gl_probe import gl_available
+
+    head = load_default_head()
+    table = Table(show_header=False, box=None)
+    packages = ("jax", "equinox", "optimistix", "opencv-contrib-python-headless", "pyvista", "vtk", "dlib-bin")
+    rows = {
+        "workbench": __version__,
+        "Python": platform.python_version(),
+        **{name: _version(name) for name in packages},
+        "dlib detector": "installed" if _has_dlib() else 'missing: pip install "face-energy-workbench[dlib]"',
+        "3D pictures": "VTK off screen" if gl_available() else "plain (VTK found no usable OpenGL library)",
+        "default head": f"{len(head.neutral)} vertices, {len(head.expression_names)} blendshapes",
+        "presets": ", ".join(PRESETS),
+        "samples": str(samples_folder()),
+        "cache": str(cache_folder()),
+    }
+    for name, value in rows.items():
+        table.add_row(f"[bold]{name}[/bold]", value)
+    console.print(table)
+
+
+def notebooks_folder() -> Path:
+    """Folder of the notebooks: beside the package in a checkout, inside it in an installed wheel."""
+    package = Path(__file__).resolve().parent
+    folders = (package / "notebooks", package.parent / "notebooks")
+    return next((folder for folder in folders if any(folder.glob("*.ipynb"))), Path.cwd())
+
+
+def main() -> None:
+    """Entry point: errors that a user can mend are one sentence and exit code 2."""
+    try:
+        app()
+    except WorkbenchError as error:
+        errors.print(f"[red]error:[/red] {error}")
+        sys.exit(2)
+    except KeyboardInterrupt:
+        errors.print("[yellow]interrupted[/yellow]; finished parts are kept, --resume goes on from there")
+        sys.exit(130)
+
+
+def _configuration(config, preset_name, detector, fov, face, identity) -> Config:
+    if config is not None and preset_name is not None:
+        raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
+    base = read_config(config) if config is not None else preset(preset_name or "calibrated")
+    landmarks, camera = {}, {}
+    if detector is not None:
+        landmarks["detector"] = detector
+    if face is not None:
+        landmarks["face"] = _point(face)
+    if fov is not None:
+        camera = {"fov_deg": fov, "matrix": None}
+    changes = {
+        "landmarks": landmarks,
+        "camera": camera,
+        "identity": {} if identity is None else {"calibrate": identity},
+    }
+    return base.changed(**changes)
+
+
+def _point(text: str) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(f"A face is chosen by a point X,Y in pixels, got {text!r}; for example 320,180.") from None
+    return x, y
+
+
+def _run(inputs, folder, config, **options) -> None:
+    from workbench.face import load_default_head
+    from workbench.pipeline import is_landmark_file, track
+
+    if options.get("landmarks") is None and not all(is_landmark_file(path) for path in inputs):
+        _print_licence_notice()
+    bar = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description:8}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+    )
+    with bar:
+        tasks = {"warm-up": bar.add_task("warm-up", total=None, rate="")}
+
+        def progress(step: str, done: int, total: int | None) -> None:
+            if step not in tasks:
+                bar.update(tasks.popitem()[1], visible=False)
+                tasks[step] = bar.add_task(step, total=total, rate="")
+            speed = bar.tasks[tasks[step]].speed
+            bar.update(tasks[step], completed=done, total=total, rate=f"{speed:.0f} frames/s" if speed else "")
+
+        result = track(inputs, folder, load_default_head(), config, progress=progress, **options)
+    _print_summary(result)
+
+
+def _print_summary(result) -> None:
+    from workbench.pipeline import OUTPUTS
+
+    summary = result.summary
+    error = summary["reprojection_error"]
+    inner, every = error["inner_51_percent_of_eye_distance"], error["all_68_percent_of_eye_distance"]
+    times, camera = summary["milliseconds_per_frame"], summary["camera"]
+    table = Table(show_header=False, box=None)
+    faces = f"{summary['frames_with_face']} of {summary['frames']} with a face, {summary['shots']} shot(s)"
+    table.add_row("[bold]frames[/bold]", faces)
+    if summary["frames_with_face"]:
+        table.add_row(
+            "[bold]error[/bold]",
+            f"inner 51: {inner['mean']:.2f} % (p95 {inner['p95']:.2f} %), all 68: {every['mean']:.2f} % "
+            f"(p95 {every['p95']:.2f} %) of the eye distance",
+        )
+        spent = ", ".join(f"{name} {value['p50']:.1f} ms" for name, value in times.items())
+        rate = f"; {summary['frames_per_second']:.0f} frames/s" if summary["frames_per_second"] else ""
+        table.add_row("[bold]time[/bold]", f"median {spent}{rate}")
+    kind = "guessed, --fov changes it" if camera["guessed"] else "as given"
+    table.add_row(
+        "[bold]camera[/bold]",
+        f"focal length {camera['focal_px'][0]:.0f} px, {camera['horizontal_fov_deg']:.0f}° horizontally ({kind})",
+    )
+    for path in result.files[:8]:
+        key = "overlay.mp4" if "overlay" in path.name or path.parent.name == "overlay" else path.name
+        table.add_row("", f"{path}  [dim]{OUTPUTS.get(key, '')}[/dim]")
+    console.print(table)
+    for note in result.notes:
+        console.print(f"[yellow]note:[/yellow] {note}")
+
+
+def _print_licence_notice() -> None:
+    from workbench.landmarks.dlib_detector import licence_notice_once
+
+    notice = licence_notice_once()
+    if notice:
+        console.print(f"[dim]{notice}[/dim]")
+
+
+def _has_browser() -> bool:
+    names = ("chromium", "google-chrome", "firefox", "xdg-open", "open", "explorer.exe")
+    return any(shutil.which(name) for name in names)
+
+
+def _has_dlib() -> bool:
+    return all(importlib.util.find_spec(name) for name in ("dlib", "face_recognition_models"))
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
