@@ -1,7 +1,9 @@
 """The VTK scene of one head. Every call comes from one thread (`render_thread`): a GL context belongs to its maker."""
 
+import math
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  (registers the GL classes behind the abstract ones)
 from jaxtyping import Float, Int, UInt8
@@ -16,7 +18,6 @@ from workbench.geometry import Camera
 from workbench.rendering.lighting import Lighting
 from workbench.rendering.mesh import corner_sum, split_seams, to_pixels, vertex_normals
 
-SAMPLES_PER_PIXEL = 4
 WET_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
 """Parts that shine."""
 SKIN_SHINE, WET_SHINE = (0.10, 14.0), (0.55, 70.0)
@@ -29,7 +30,7 @@ class HeadScene:
     """Head, lights and off-screen window of one size."""
 
     def __init__(
-        self, model: FaceModel, size: tuple[int, int], texture: UInt8[np.ndarray, "th tw 3"] | None, smooth_edges: bool
+        self, model: FaceModel, size: tuple[int, int], texture: UInt8[np.ndarray, "th tw 3"] | None, supersampling: float
     ) -> None:
         self.size = size
         self.triangles = model.triangles
@@ -62,9 +63,11 @@ class HeadScene:
         self.camera.UseExplicitProjectionTransformMatrixOn()
         self.window = vtkRenderWindow()
         self.window.SetOffScreenRendering(1)
-        self.window.SetMultiSamples(SAMPLES_PER_PIXEL if smooth_edges else 0)
+        # Rendered larger and reduced: as fast as multisampling in a software GL, and textures are smoothed too.
+        self.window.SetMultiSamples(0)
         self.window.SetAlphaBitPlanes(1)
-        self.window.SetSize(*size)
+        self.drawn_size = (math.ceil(size[0] * supersampling), math.ceil(size[1] * supersampling))
+        self.window.SetSize(*self.drawn_size)
         self.window.AddRenderer(self.renderer)
         self.pixels = vtkUnsignedCharArray()
 
@@ -81,8 +84,10 @@ class HeadScene:
         # Depth resolution is near/far: the range hugs the head.
         self._set_projection(camera, near=max(0.95 * depth.min(), 0.05 * depth.max()), far=1.05 * depth.max())
         self.window.Render()
-        self.window.GetRGBACharPixelData(0, 0, width - 1, height - 1, 0, self.pixels)
-        return vtk_to_numpy(self.pixels).reshape(height, width, 4)[::-1].copy()
+        drawn_width, drawn_height = self.drawn_size
+        self.window.GetRGBACharPixelData(0, 0, drawn_width - 1, drawn_height - 1, 0, self.pixels)
+        rgba = vtk_to_numpy(self.pixels).reshape(drawn_height, drawn_width, 4)[::-1]
+        return rgba.copy() if self.drawn_size == self.size else cv2.resize(rgba, self.size, interpolation=cv2.INTER_AREA)
 
     def close(self) -> None:
         """Give the GL context back."""

@@ -56,7 +56,8 @@ def draw_overlay(
 
     White rings are the observed landmarks, dots the model's, and the line between them is their residual, coloured
     (viridis, readable with colour-blindness) by its length in % of the outer-eye distance. Line widths grow with the
-    face. Pictures whose longer side is under 320 or over 1920 pixels are resized to that. `parts.mesh` needs the `model` of `fit`.
+    face. Pictures whose longer side is under 320 or over 1920 pixels are resized to that. `parts.mesh` needs
+    the `model` of `fit`.
     """
     scale, canvas = _for_display(picture)
     unit = _unit(canvas)
@@ -87,6 +88,13 @@ def draw_overlay(
     return canvas
 
 
+def displayed_size(image_size: tuple[int, int]) -> tuple[int, int]:
+    """(width, height) of the overlay of a frame of this (width, height)."""
+    longest = max(image_size)
+    scale = min(max(longest, SMALLEST_SIDE), LARGEST_SIDE) / longest
+    return max(1, round(image_size[0] * scale)), max(1, round(image_size[1] * scale))
+
+
 def side_by_side(left: UInt8[np.ndarray, "lh lw 3"], right: UInt8[np.ndarray, "rh rw 3"]) -> UInt8[np.ndarray, "h w 3"]:
     """Two pictures in one row; the right one is resized to the height of the left one."""
     height = left.shape[0]
@@ -112,11 +120,11 @@ def _scale_colors() -> UInt8[np.ndarray, "256 3"]:
 
 def _for_display(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[float, UInt8[np.ndarray, "oh ow 3"]]:
     """Scale, and a copy to draw on."""
-    longest = max(picture.shape[:2])
-    scale = float(np.clip(longest, SMALLEST_SIDE, LARGEST_SIDE)) / longest
-    if scale == 1.0:
+    height, width = picture.shape[:2]
+    size = displayed_size((width, height))
+    if size == (width, height):
         return 1.0, np.ascontiguousarray(picture).copy()
-    size = (max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale)))
+    scale = max(size) / max(width, height)
     return scale, cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
 
 
@@ -183,7 +191,7 @@ def _draw_axes(canvas, fit: FrameFit, nose, scale, unit) -> None:
 
 def _draw_mesh(canvas, fit: FrameFit, model: FaceModel, scale: float) -> None:
     """The edges of the triangles that face the camera, half transparent."""
-    vertices = personal_model(model, fit.identity).vertices(fit.expression)
+    vertices = model.personal(fit.identity).vertices(fit.expression)
     points_camera = to_camera(vertices, fit.rotation, fit.translation)
     if points_camera[:, 2].min() <= 1.0:
         return
@@ -242,14 +250,3 @@ def _legend(unit: float) -> UInt8[np.ndarray, "h w 3"]:
         x = pad + round(length * percent / WORST_PERCENT - wide * percent / WORST_PERCENT)
         cv2.putText(bar, text, (x, top + thick + round(1.3 * size)), PAPER, FONT, size)
     return bar
-
-
-def personal_model(model: FaceModel, identity: Float[np.ndarray, "i"]) -> FaceModel:
-    """`model.personal(identity)`, remembered for the last identity: the frames of a run share it."""
-    key = (id(model), identity.tobytes())
-    if _last_person.get("key") != key:
-        _last_person.update(key=key, base=model, model=model.personal(identity))
-    return _last_person["model"]
-
-
-_last_person: dict = {}

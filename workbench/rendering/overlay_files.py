@@ -1,0 +1,146 @@
+"""Overlay videos and stills: left the frame with the fit drawn into it, right the head in 3D."""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import UInt8
+
+from workbench.errors import InputError
+from workbench.face.model import FaceModel
+from workbench.frames import Frame, Frames, VideoWriter, write_picture
+from workbench.rendering.background import background_picture
+from workbench.rendering.head_picture import HeadRenderer, PlainPainter, head_painter, portrait_view
+from workbench.rendering.overlay import ALL_BUT_MESH, OverlayParts, displayed_size, draw_overlay, side_by_side
+from workbench.tracking.records import FrameFit, Track
+
+HeadView = Literal["pose", "front"]
+"""The 3D head turns with the face, or stays frontal so that only the expression moves."""
+
+LARGEST_HEAD_PX = 480
+"""Longest side of the 3D picture as rendered; next to larger frames it is enlarged."""
+VIDEO_SUPERSAMPLING = 1.5
+"""Edges a little less smooth than in stills, for half of the time."""
+RATE_OF_IMAGES = 25.0
+"""Frames per second for inputs that have no rate of their own."""
+
+
+def write_overlay_video(
+    frames: Frames,
+    track: Track,
+    model: FaceModel,
+    path: str | Path,
+    progress: Callable[[int, int], None] | None = None,
+    view: HeadView = "pose",
+    parts: OverlayParts = ALL_BUT_MESH,
+) -> str | None:
+    """Write an H.264 video of a tracked input: the frames of `track` with their fits, beside the head in 3D.
+
+    A second, streaming pass over the frames that holds two of them at a time; the head is rendered in its own thread
+    while the previous frame is encoded. `progress` is called with (frames done, frames of the track). Returns a note
+    where the head had to be drawn without GL, else None. Raises `InputError` for an empty track, and if none of its
+    frames is in the input; after any error there is nothing under `path`.
+    """
+    if len(track) == 0:
+        raise InputError("The track has no frames, so there is nothing to draw; track the input first.")
+    first_width, first_height = displayed_size(frames.image_size)
+    with (
+        HeadPanel(model, (first_width, first_height), view, VIDEO_SUPERSAMPLING) as panel,
+        VideoWriter(path, rate=frames.rate or RATE_OF_IMAGES) as writer,
+    ):
+        waiting: tuple[np.ndarray, Future] | None = None
+        for frame, fit in _matched(frames, track):
+            head = panel.submit(fit)
+            overlay = _on_canvas(draw_overlay(frame.picture, fit, model, parts), (first_width, first_height))
+            if waiting is not None:
+                _write(writer, waiting, progress, len(track))
+            waiting = overlay, head
+        if waiting is None:
+            raise InputError(f"None of the track's frames is in {frames.name}; pass the input that was tracked.")
+        _write(writer, waiting, progress, len(track))
+        return panel.note
+
+
+def write_overlay_picture(
+    path: str | Path,
+    picture: UInt8[np.ndarray, "h w 3"],
+    fit: FrameFit,
+    model: FaceModel,
+    view: HeadView = "pose",
+    parts: OverlayParts = ALL_BUT_MESH,
+) -> str | None:
+    """Write one frame with its fit and the head in 3D beside it, as PNG or JPEG; returns a note as the video does."""
+    overlay = draw_overlay(picture, fit, model, parts)
+    height, width = overlay.shape[:2]
+    with HeadPanel(model, (width, height), view) as panel:
+        write_picture(path, side_by_side(overlay, panel.submit(fit).result()[0]))
+        return panel.note
+
+
+class HeadPanel:
+    """The 3D head of one fit after the other, sized to stand beside frames of (width, height)."""
+
+    def __init__(
+        self, model: FaceModel, frame_size: tuple[int, int], view: HeadView = "pose", supersampling: float = 2.0
+    ) -> None:
+        if view not in ("pose", "front"):
+            raise InputError(f'The view of the head is "pose" or "front", got {view!r}.')
+        width, height = min(frame_size), frame_size[1]
+        scale = min(1.0, LARGEST_HEAD_PX / height)
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        self.model, self.view = model, view
+        self.camera, self.translation = portrait_view(model, size)
+        self.painter: HeadRenderer | PlainPainter = head_painter(model, size, supersampling=supersampling)
+        self.note = self.painter.note
+        self._identity: np.ndarray | None = None
+        self._person = model
+
+    def submit(self, fit: FrameFit) -> Future:
+        """A future of (picture, mask); the picture of a frame without a face is empty."""
+        if not fit.found:
+            empty: Future = Future()
+            picture = background_picture(None, self.painter.size)
+            empty.set_result((picture, np.zeros(picture.shape[:2], np.uint8)))
+            return empty
+        # The frames of a run share their identity, and to bake one into the model takes longer than to draw it.
+        if self._identity is None or not np.array_equal(fit.identity, self._identity):
+            self._identity, self._person = fit.identity, self.model.personal(fit.identity)
+        rotation = fit.rotation if self.view == "pose" else np.zeros(3)
+        return self.painter.submit(self._person.vertices(fit.expression), self.camera, rotation, self.translation)
+
+    def __enter__(self) -> "HeadPanel":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.painter.close()
+
+
+def _matched(frames: Frames, track: Track) -> Iterator[tuple[Frame, FrameFit]]:
+    """Frames and fits of equal index; a track may leave frames out."""
+    place_of = {int(index): place for place, index in enumerate(track.index)}
+    last = max(place_of)
+    for frame in frames.iterate(min(place_of)):
+        if frame.index in place_of:
+            yield frame, track[place_of[frame.index]]
+        if frame.index >= last:
+            return
+
+
+def _write(writer: VideoWriter, waiting: tuple[np.ndarray, Future], progress, total: int) -> None:
+    overlay, head = waiting
+    writer.write(side_by_side(overlay, head.result()[0]))
+    if progress is not None:
+        progress(writer.count, total)
+
+
+def _on_canvas(picture: UInt8[np.ndarray, "h w 3"], size: tuple[int, int]) -> UInt8[np.ndarray, "ch cw 3"]:
+    """The picture cut or padded to (width, height): images of one folder may differ in size, a video may not."""
+    width, height = size
+    if picture.shape[:2] == (height, width):
+        return picture
+    canvas = background_picture(None, size)
+    part = picture[:height, :width]
+    canvas[: part.shape[0], : part.shape[1]] = part
+    return canvas
