@@ -10,6 +10,7 @@ dlib reports pixel indices: a whole number is the centre of a pixel, as everywhe
 """
 
 import importlib.util
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -35,15 +36,35 @@ SMALLEST_SIDE = 16
 
 CROP_SIDE, CROP_MARGIN = 200, 80
 """Pixels of the box side in the predictor's crop, and of the margin around it."""
-STILL_MOVES = ((0.0, 0.0, 1.0), (0.03, 0.03, 0.95), (-0.03, 0.03, 1.05), (0.03, -0.03, 1.05), (-0.03, -0.03, 0.95))
-QUICK_MOVES = ((0.0, -0.03, 1.0), (0.03, 0.02, 0.96), (-0.03, 0.02, 1.04))
-"""Moves of the box, (x, y, scale) in box sides, whose answers are averaged: on a still, and on a video frame."""
+Moves = tuple[tuple[float, float, float], ...]
+"""Moves of the predictor's box: (x, y, scale) in box sides."""
+UNMOVED: Moves = ((0.0, 0.0, 1.0),)
+STILL_MOVES: Moves = (
+    (0.0, 0.0, 1.0),
+    (0.03, 0.03, 0.95),
+    (-0.03, 0.03, 1.05),
+    (0.03, -0.03, 1.05),
+    (-0.03, -0.03, 0.95),
+)
+QUICK_MOVES: Moves = ((0.0, -0.03, 1.0), (0.03, 0.02, 0.96), (-0.03, 0.02, 1.04))
+"""Moves whose answers are averaged: on a still, and on a video frame."""
 STILL_STARTS = (0.0, -0.15, 0.15, -0.3, 0.3)
 """Sideways starts in box sides: detectors centre a profile on the head, the predictor wants it on the face."""
 DOUBTFUL_SCATTER = 0.012
 """Median scatter in box sides above which the next start is tried too."""
-CONFIDENCE_SCATTER = 0.015
+LARGEST_SHIFT = 0.4
+"""Box sides by which the landmarks' middle may differ from the middle of the box that they were asked for."""
+STRAYED_SCATTER = 0.03
+"""Scatter added to answers that left their box."""
+CONFIDENCE_SCATTER = 0.012
 """Scatter in box sides at which the confidence has fallen to exp(-1/2)."""
+
+LIKENESS_SIDE, LIKENESS_MARGIN = 100, 60
+"""Pixels of the box side, and around it, in the crop that HOG scores."""
+LIKENESS_SCORES = (-1.0, -0.4)
+"""HOG scores between which a crop turns from no face to a face."""
+UNLIKE = 0.45
+"""Factor on the confidence where HOG sees no face: more likely than not the landmarks are wrong."""
 
 LICENCE_NOTICE = (
     "The dlib landmark predictor was trained on the iBUG 300-W data set, whose licence excludes commercial use. "
@@ -101,38 +122,53 @@ class DlibDetector:
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
         """The landmarks of the face in `box`: mean of five moved boxes, from the start with the least scatter."""
+        wanted = frame_from_box(box)
         best: tuple[float, np.ndarray, np.ndarray] | None = None
         for start in STILL_STARTS:
-            face = frame_from_box(box).moved(x=start)
+            face = wanted.moved(x=start)
             for _ in range(2):  # the answer gives a better box (position, size, roll)
-                face = frame_from_points(self._predict(picture, face))
-            points, scatter = self._predict_moved(picture, face, STILL_MOVES)
+                face = frame_from_points(self._predict(picture, face, UNMOVED)[0])
+            points, scatter = _mean_and_scatter(self._predict(picture, face, STILL_MOVES), face)
+            if not _fills(points, wanted):
+                scatter = scatter + STRAYED_SCATTER
             median = float(np.median(scatter))
             if best is None or median < best[0]:
                 best = (median, points, scatter)
             if median < DOUBTFUL_SCATTER:
                 break
-        return _landmarks(best[1], best[2], picture)
+        landmarks = _landmarks(best[1], best[2], picture)
+        likeness = self._likeness(picture, frame_from_points(landmarks.points))
+        return replace(landmarks, confidence=landmarks.confidence * likeness)
 
     def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> Landmarks2D:
         """The landmarks of the face near `points`: mean of three moved boxes, about 2 ms."""
-        return _landmarks(*self._predict_moved(picture, frame_from_points(points), QUICK_MOVES), picture)
+        face = frame_from_points(points)
+        return _landmarks(*_mean_and_scatter(self._predict(picture, face, QUICK_MOVES), face), picture)
 
-    def _predict_moved(
-        self, picture: np.ndarray, face: FaceFrame, moves: tuple[tuple[float, float, float], ...]
-    ) -> tuple[Float[np.ndarray, "68 2"], Float[np.ndarray, "68"]]:
-        """Mean of the predictions from moved boxes, and each landmark's scatter (standard deviation) in box sides."""
-        answers = np.array([self._predict(picture, face.moved(*move)) for move in moves])
-        mean = answers.mean(axis=0)
-        variance = ((answers - mean) ** 2).sum(axis=(0, 2)) / (len(moves) - 1)
-        return mean, np.sqrt(variance) / face.side
+    def _likeness(self, picture: np.ndarray, face: FaceFrame) -> float:
+        """How much the upright crop looks like the face that the landmarks claim, UNLIKE to 1.
 
-    def _predict(self, picture: np.ndarray, face: FaceFrame) -> Float[np.ndarray, "68 2"]:
-        """One run of the predictor on the upright crop of a face frame."""
+        HOG scores here: -0.2 and more on fitted faces up to a yaw of 40 degrees, below -1 or none on profiles whose
+        landmarks lie on the cheek, and on walls.
+        """
+        crop, _ = grey_face_crop(picture, face, LIKENESS_SIDE, LIKENESS_MARGIN)
+        best = LIKENESS_SCORES[0]
+        for box, score in zip(*self._hog.run(crop, 0, LIKENESS_SCORES[0])[:2], strict=True):
+            shift = np.array([box.left() + box.right(), box.top() + box.bottom()]) / 2 - (len(crop) - 1) / 2
+            if np.abs(shift).max() < 0.3 * LIKENESS_SIDE and 0.65 < box.width() / LIKENESS_SIDE < 1.5:
+                best = max(best, score)
+        return float(np.interp(best, LIKENESS_SCORES, (UNLIKE, 1.0)))
+
+    def _predict(self, picture: np.ndarray, face: FaceFrame, moves: Moves) -> Float[np.ndarray, "n 68 2"]:
+        """The predictor's answers for the moved boxes on one upright crop of the face."""
         crop, to_image = grey_face_crop(picture, face, CROP_SIDE, CROP_MARGIN)
-        last = CROP_MARGIN + CROP_SIDE - 1
-        parts = self._predictor(crop, self._dlib.rectangle(CROP_MARGIN, CROP_MARGIN, last, last)).parts()
-        return to_image.to_image(np.array([(part.x, part.y) for part in parts], np.float64))
+        answers = []
+        for x, y, scale in moves:
+            side = 2 * round(scale * CROP_SIDE / 2)
+            left, top = (round(shift * CROP_SIDE) + CROP_MARGIN + (CROP_SIDE - side) // 2 for shift in (x, y))
+            parts = self._predictor(crop, self._dlib.rectangle(left, top, left + side - 1, top + side - 1)).parts()
+            answers.append(to_image.to_image(np.array([(part.x, part.y) for part in parts], np.float64)))
+        return np.array(answers)
 
     def _detect_hog(self, picture: np.ndarray, longest_side: int) -> list[FaceDetection]:
         resized, scale = _resized(picture, longest_side)
@@ -146,8 +182,24 @@ class DlibDetector:
         return [FaceDetection(_unscaled(face.rect, scale), float(face.confidence)) for face in found]
 
 
+def _mean_and_scatter(
+    answers: Float[np.ndarray, "n 68 2"], face: FaceFrame
+) -> tuple[Float[np.ndarray, "68 2"], Float[np.ndarray, "68"]]:
+    """Mean of the answers, and each landmark's scatter (standard deviation) in box sides."""
+    mean = answers.mean(axis=0)
+    variance = ((answers - mean) ** 2).sum(axis=(0, 2)) / (len(answers) - 1)
+    return mean, np.sqrt(variance) / face.side
+
+
+def _fills(points: Float[np.ndarray, "68 2"], wanted: FaceFrame) -> bool:
+    """Do the landmarks fill the box that they were asked for, rather than half of two faces?"""
+    face = frame_from_points(points)
+    distance = float(np.linalg.norm(face.origin - wanted.origin)) / wanted.side
+    return distance < LARGEST_SHIFT and 0.7 < face.side / wanted.side < 1.4
+
+
 def _landmarks(points: Float[np.ndarray, "68 2"], scatter: Float[np.ndarray, "68"], picture: np.ndarray) -> Landmarks2D:
-    """Confidence from scatter: the point's own and the face's in equal parts, since few runs measure a point roughly."""
+    """Confidence from scatter: the point's own and the face's in equal parts, since few runs measure one roughly."""
     squared = (scatter**2 + np.median(scatter) ** 2) / 2
     confidence = np.exp(-0.5 * squared / CONFIDENCE_SCATTER**2)
     return Landmarks2D(points, confidence, (picture.shape[1], picture.shape[0]))
