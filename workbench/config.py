@@ -145,7 +145,7 @@ class Config(_Section):
     landmarks: LandmarksConfig = LandmarksConfig()
     stages: tuple[Stage, ...] = Field(min_length=1, default=())
 
-    def changed(self, **sections: dict[str, Any]) -> "Config":
+    def changed(self, **sections: Any) -> "Config":
         """The configuration with some keys of some sections replaced, checked anew.
 
         Raises `ConfigError` for unknown keys and bad values.

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float, Int
 
 from workbench.arrays import AnyArray
@@ -57,8 +58,8 @@ class SolveSettings(NamedTuple):
 class FrameInput(NamedTuple):
     """What one frame brings."""
 
-    points: Float[AnyArray, "68 2"]
-    confidence: Float[AnyArray, "68"]
+    measured: Float[AnyArray, "68 3"]
+    """x and y in pixels, and confidence: one array, because each one handed over costs as much as an iteration."""
     last_pose: Float[AnyArray, "6"]
     before_last_pose: Float[AnyArray, "6"]
     history: Float[AnyArray, ""]
@@ -77,6 +78,8 @@ class FrameSolution(NamedTuple):
     """Weighted energy of each term after each stage."""
     status: Int[AnyArray, "s"]
     iterations: Int[AnyArray, "s"]
+    report: Float[AnyArray, "n"]
+    """Everything above but the traces in one vector (`read_report`): one transfer instead of nine."""
     traces: tuple
     """By stage, None unless asked for: energies (steps, 7) and landmark residuals in pixels (steps, 68)."""
 
@@ -109,9 +112,22 @@ def solve_frame(
         traces.append(solution.trace)
     projected = project_landmarks(camera, problem.points, parameters)
     pose = jnp.concatenate([parameters.rotation, parameters.translation])
-    return FrameSolution(
-        parameters, pose, projected, jnp.stack(energies), jnp.stack(statuses), jnp.stack(iterations), tuple(traces)
-    )
+    parts = (parameters, pose, projected, jnp.stack(energies), jnp.stack(statuses), jnp.stack(iterations))
+    report = jnp.concatenate([jnp.ravel(leaf).astype(float) for leaf in jax.tree.leaves(parts)])
+    return FrameSolution(*parts, report, tuple(traces))
+
+
+def read_report(solution: FrameSolution) -> FrameSolution:
+    """The solution with NumPy arrays, fetched in one transfer; traces stay where they are."""
+    parts = tuple(solution)[:6]
+    leaves, structure = jax.tree.flatten(parts)
+    report = np.asarray(solution.report)
+    ends = np.cumsum([leaf.size for leaf in leaves])
+    pieces = np.split(report, ends[:-1])
+    host = [
+        piece.reshape(leaf.shape).astype(leaf.dtype, copy=False) for piece, leaf in zip(pieces, leaves, strict=True)
+    ]
+    return FrameSolution(*jax.tree.unflatten(structure, host), report, solution.traces)
 
 
 def stage_problem(
@@ -128,7 +144,8 @@ def stage_problem(
     eye_distance_mm = jnp.linalg.norm(points.neutral[45] - points.neutral[36])
     eye_distance_px = jnp.mean(jnp.asarray(camera.focal_px)) * eye_distance_mm / parameters.translation[2]
     unit = jnp.where(settings.percent > 0.5, 0.01 * eye_distance_px, 1.0)
-    observation = Observation(frame.points, number.landmark_weights * frame.confidence, unit)
+    weights = number.landmark_weights * frame.measured[:, 2]
+    observation = Observation(frame.measured[:, :2], weights, unit)
     return EnergyProblem(
         camera,
         points,

@@ -75,7 +75,8 @@ def _solve_pass(cameras, model, settings, k, frames, points, weights):
     solve_settings = SolveSettings(energy, EnergyConstants(), 0.0, 1.0, 1e-6, 1.0, settings.sliding)
 
     def problem_of(camera, parameters, observed, weight):
-        frame = FrameInput(observed, weight, jnp.zeros(6), jnp.zeros(6), jnp.zeros(()), parameters)
+        measured = jnp.concatenate([observed, weight[:, None]], axis=1)
+        frame = FrameInput(measured, jnp.zeros(6), jnp.zeros(6), jnp.zeros(()), parameters)
         number = StageNumbers(settings.limits[k], settings.landmark_weights[k])
         return stage_problem(camera, model, solve_settings, number, frame, parameters)
 

@@ -17,7 +17,14 @@ from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_mo
 from workbench.geometry import Camera, camera_from_fov, camera_from_matrix, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import outer_eye_distance
-from workbench.tracking.frame_solver import FrameInput, FrameSolution, SolveSettings, StageNumbers, solve_frame
+from workbench.tracking.frame_solver import (
+    FrameInput,
+    FrameSolution,
+    SolveSettings,
+    StageNumbers,
+    read_report,
+    solve_frame,
+)
 from workbench.tracking.identity import CalibrationSettings, calibrate_identity, spread_over_yaw
 from workbench.tracking.initial_pose import initial_pose
 from workbench.tracking.records import FrameFit
@@ -321,21 +328,22 @@ class FaceTracker:
         solution = solve_frame(
             stages, camera_on_device, self._personal, self._settings, numbers, frame, trace_length=trace_length
         )
-        fetched = jax.device_get(solution)
+        fetched = read_report(solution)
         milliseconds = 1e3 * (time.perf_counter() - began)
         return self._record(observation, camera, stages, fetched, milliseconds), solution
 
     def _frame_input(self, observation: FrameObservation, last: Continuation | None) -> FrameInput:
-        points, confidence = observation.landmarks.points, observation.landmarks.confidence
+        points = observation.landmarks.points
+        measured = np.column_stack([points, observation.landmarks.confidence])
         if last is not None:
             history = _ONE if last.frames >= 2 else _ZERO
-            return FrameInput(points, confidence, last.pose, last.last_pose, history, last.parameters)
+            return FrameInput(measured, last.pose, last.last_pose, history, last.parameters)
         start = self._starts.get(observation.index)
         if start is None:
             rotation, translation = initial_pose(self.camera(observation.image_size), self._neutral, points)
             expression = np.zeros(len(self.model.expression_names))
             start = FaceParameters(rotation, translation, expression, np.zeros(0))
-        return FrameInput(points, confidence, _NO_POSE, _NO_POSE, _ZERO, start)
+        return FrameInput(measured, _NO_POSE, _NO_POSE, _ZERO, start)
 
     @staticmethod
     def _jumped(before: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]) -> bool:
@@ -396,4 +404,4 @@ def _on_device(tree):
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
 
 
-_ZERO, _ONE, _NO_POSE = np.zeros(()), np.ones(()), np.zeros(6)
+_ZERO, _ONE, _NO_POSE = jnp.zeros(()), jnp.ones(()), jnp.zeros(6)
