@@ -303,7 +303,7 @@ class VideoWriter:
     Raises `InputError` for a picture of another size or type, and when the block ends without any picture.
     """
 
-    def __init__(self, path: str | Path, rate: float = 25.0, quality: int = 20) -> None:
+    def __init__(self, path: str | Path, rate: float | int = 25.0, quality: int = 20) -> None:
         if not 0 < rate <= 1000:
             raise InputError(f"a video needs a rate between 0 and 1000 frames per second, got {rate}")
         self.path = Path(path)
@@ -330,8 +330,8 @@ class VideoWriter:
                 raise InputError(f"no picture was written to {self.path}: a video needs at least one")
             self._container.mux(self._stream.encode(None))
 
-    def write(self, picture: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Append one RGB picture."""
+    def write(self, picture: UInt8[np.ndarray, "..."]) -> None:
+        """Append one RGB picture (h, w, 3)."""
         picture = _checked_picture(picture)
         height, width = picture.shape[:2]
         if self._stream is None:
@@ -357,8 +357,8 @@ class VideoWriter:
         return stream
 
 
-def write_picture(path: str | Path, picture: UInt8[np.ndarray, "h w 3"], quality: int = 95) -> None:
-    """Write an RGB picture as PNG or JPEG (by suffix; `quality` 0..100 is JPEG's), whole or not at all."""
+def write_picture(path: str | Path, picture: UInt8[np.ndarray, "..."], quality: int = 95) -> None:
+    """Write an RGB picture (h, w, 3) as PNG or JPEG (by suffix; `quality` 0..100 is JPEG's), whole or not at all."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in (".png", ".jpg", ".jpeg"):

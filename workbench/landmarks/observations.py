@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Num
 
 from workbench.errors import InputError
 from workbench.landmarks.scheme import check_68
@@ -17,10 +17,10 @@ class Landmarks2D:
     outside 0..1 or an empty image size.
     """
 
-    points: Float[np.ndarray, "68 2"]
-    """x right, y down, in pixels; (0, 0) is the centre of the top-left pixel. Points may lie outside the picture."""
-    confidence: Float[np.ndarray, "68"]
-    """0 (worthless) to 1 (certain)."""
+    points: Num[np.ndarray, "..."]
+    """(68, 2): x right, y down, in pixels; (0, 0) is the centre of the top-left pixel. Points may lie outside the picture."""
+    confidence: Num[np.ndarray, "..."]
+    """(68,): 0 (worthless) to 1 (certain)."""
     image_size: tuple[int, int]
     """(width, height) of the picture, in pixels."""
 
