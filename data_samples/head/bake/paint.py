@@ -1,8 +1,8 @@
 """Procedural paint: a colour for every point of the neutral surface.
 
-One function serves the texture (evaluated at every texel) and the vertex colours (evaluated at every vertex). Positions are
-in the head frame (x subject's left, y down, z away) divided by `Sitter.scale`, so the paint is anatomical, independent of
-the UVs and, because only |x| is used, mirror symmetric.
+One function serves the texture (evaluated at every texel) and the vertex colours (evaluated at every vertex).
+Positions are in the head frame (x subject's left, y down, z away) divided by `Sitter.scale`, so the paint is
+anatomical, independent of the UVs and, because only |x| is used, mirror symmetric.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Paint of the parts behind lids and lips: eyeballs and teeth. Points are in the frame of the average head, mm, x >= 0."""
+"""Paint of eyeballs and teeth. Points are in the frame of the average head, mm, x >= 0."""
 
 import numpy as np
 from jaxtyping import Float

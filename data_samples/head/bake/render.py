@@ -141,7 +141,9 @@ def vertex_normals(vertices: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray
     """Area-weighted outward unit normals."""
     corners = vertices[triangles]
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = np.stack([np.bincount(triangles.ravel(), np.repeat(face[:, i], 3), len(vertices)) for i in range(3)], axis=1)
+    total = np.stack(
+        [np.bincount(triangles.ravel(), np.repeat(face[:, i], 3), len(vertices)) for i in range(3)], axis=1
+    )
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
 
 

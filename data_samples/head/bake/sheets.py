@@ -41,7 +41,7 @@ def sheet(pictures: list[np.ndarray], columns: int) -> np.ndarray:
 
 
 def jaw_turned(asset: Asset, vertices: np.ndarray, degrees: float) -> np.ndarray:
-    """Jaw opened by linear blend skinning about the jaw joint (positive opens; -x axis in our frame turns the chin down)."""
+    """Jaw opened by linear blend skinning about the jaw joint (positive degrees about +x open it)."""
     angle = np.radians(degrees)
     turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
     joint, weights = asset.arrays["joints"][0], asset.arrays["jaw_weights"].astype(float)[:, None]
