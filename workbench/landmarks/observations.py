@@ -18,7 +18,7 @@ class Landmarks2D:
     """
 
     points: Num[np.ndarray, "..."]
-    """(68, 2): x right, y down, in pixels; (0, 0) is the centre of the top-left pixel. Points may lie outside the picture."""
+    """(68, 2): x right, y down, in pixels, (0, 0) the centre of the top-left pixel; may lie outside the picture."""
     confidence: Num[np.ndarray, "..."]
     """(68,): 0 (worthless) to 1 (certain)."""
     image_size: tuple[int, int]
