@@ -1,5 +1,6 @@
 """Whether VTK can draw off screen here, found out in another process, because VTK without usable GL kills its own."""
 
+import hashlib
 import json
 import os
 import platform
@@ -63,12 +64,12 @@ def _working_window() -> str | None:
         key = f"{sys.version}|{version('vtk')}|{platform.node()}|{os.environ.get(WINDOW_VARIABLE, '')}"
     except PackageNotFoundError:
         return None
-    remembered = cache_folder() / "gl.json"
-    if (window := _read_answer(remembered, key)) is not None:
+    remembered = cache_folder() / f"gl-{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
+    if (window := _read_answer(remembered)) is not None:
         return window
     for window in _candidates():
         if _draws(window):
-            _write_answer(remembered, key, window)
+            _write_answer(remembered, window)
             return window
     # A "no" is not kept on disk: the user may install the libraries next.
     return None
@@ -92,18 +93,18 @@ def _draws(window: str) -> bool:
     return done.returncode == 0
 
 
-def _read_answer(path: Path, key: str) -> str | None:
+def _read_answer(path: Path) -> str | None:
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        return stored["window"] if stored["key"] == key else None
+        window = json.loads(path.read_text(encoding="utf-8"))["window"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
+    return window if isinstance(window, str) else None
 
 
-def _write_answer(path: Path, key: str, window: str) -> None:
+def _write_answer(path: Path, window: str) -> None:
     try:
         with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps({"key": key, "window": window}), encoding="utf-8")
+            temporary.write_text(json.dumps({"window": window}), encoding="utf-8")
     except OSError:
         # A read-only home costs one more probe next time, nothing else.
         return

@@ -15,6 +15,7 @@ from workbench.rendering.background import background_picture
 from workbench.rendering.head_picture import HeadRenderer, PlainPainter, head_painter, portrait_view
 from workbench.rendering.overlay import ALL_BUT_MESH, OverlayParts, displayed_size, draw_overlay, side_by_side
 from workbench.tracking.records import FrameFit, Track
+from workbench.tracking.track_writer import TrackWriter
 
 HeadView = Literal["pose", "front"]
 """The 3D head turns with the face, or stays frontal so that only the expression moves."""
@@ -29,7 +30,7 @@ RATE_OF_IMAGES = 25.0
 
 def write_overlay_video(
     frames: Frames,
-    track: Track,
+    track: Track | TrackWriter,
     model: FaceModel,
     path: str | Path,
     progress: Callable[[int, int], None] | None = None,
@@ -117,7 +118,7 @@ class HeadPanel:
         self.painter.close()
 
 
-def _matched(frames: Frames, track: Track) -> Iterator[tuple[Frame, FrameFit]]:
+def _matched(frames: Frames, track: Track | TrackWriter) -> Iterator[tuple[Frame, FrameFit]]:
     """Frames and fits of equal index; a track may leave frames out."""
     place_of = {int(index): place for place, index in enumerate(track.index)}
     last = max(place_of)
