@@ -44,8 +44,9 @@ class TrackerOptions:
     retry_interval: int = 10
     """Frames between thorough searches while no face is found; a quick one is made at every frame."""
     patience: int = 5
-    """Frames that flow alone bridges where the predictor fails, as when a hand passes."""
-    accept_confidence: float = 0.25
+    """Frames that flow alone bridges where the predictor fails, as when a hand passes; doubtful fits are checked anew
+    after as many."""
+    accept_confidence: float = 0.3
     """Median confidence from which a newly aligned face is believed."""
     sure_confidence: float = 0.5
     """Median confidence below which a quickly found face is compared with those of a thorough search."""
@@ -171,7 +172,9 @@ class LandmarkTracker:
         if not self._plausible(picture, refined):
             return self._realign(picture, flow.points) or self._bridge(picture, flow, refined)
         self._bridged = 0
-        if self._since_check >= self.options.check_interval and self._realign(picture, refined.points) is None:
+        doubtful = np.median(refined.confidence) * self._trust < self.options.accept_confidence
+        due = self.options.patience if doubtful else self.options.check_interval
+        if self._since_check >= due and self._realign(picture, refined.points) is None:
             return None
         return self._fuse(flow, refined, difference, side)
 
@@ -220,10 +223,10 @@ class LandmarkTracker:
     def _plausible(self, picture: np.ndarray, landmarks: Landmarks2D) -> bool:
         """Does the predictor see a face here that can be the one of the last frame?"""
         ratio = frame_from_points(landmarks.points).side / self._side
+        # What was lost for a moment must convince again.
+        needed = self.options.accept_confidence if self._bridged else self.options.keep_confidence
         return bool(
-            np.median(landmarks.confidence) >= self.options.keep_confidence
-            and 0.7 < ratio < 1.4
-            and self._is_face(picture, landmarks)
+            np.median(landmarks.confidence) >= needed and 0.7 < ratio < 1.4 and self._is_face(picture, landmarks)
         )
 
     def _is_face(self, picture: np.ndarray, landmarks: Landmarks2D) -> bool:
