@@ -282,14 +282,14 @@ def _write_pictures(source, writer, model, stills, folder, progress, notes) -> t
     if not stills:
         path = folder / "overlay.mp4"
         note = write_overlay_video(
-            source.frames, writer, model, path, progress=lambda done: progress("overlay", done, total)
+            source.frames, writer, model, path, progress=lambda done, total: progress("overlay", done, total)
         )
         notes += [note] if note else []
         return (path,)
     made = []
     for frame in source.frames.iterate():
         name = "overlay.png" if total == 1 else f"overlay/{frame.index:04d}-{Path(frame.name).stem}.jpg"
-        note = write_overlay_picture(frame.picture, writer[frame.index], model, folder / name)
+        note = write_overlay_picture(folder / name, frame.picture, writer[frame.index], model)
         if note and note not in notes:
             notes.append(note)
         made.append(folder / name)

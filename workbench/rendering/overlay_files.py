@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Literal
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import UInt8
@@ -14,10 +14,10 @@ from workbench.frames import Frame, Frames, VideoWriter, write_picture
 from workbench.rendering.background import background_picture
 from workbench.rendering.head_picture import HeadRenderer, PlainPainter, head_painter, portrait_view
 from workbench.rendering.overlay import ALL_BUT_MESH, OverlayParts, displayed_size, draw_overlay, side_by_side
-from workbench.tracking.records import FrameFit, Track
+from workbench.tracking.records import FrameFit
 from workbench.tracking.track_writer import TrackWriter
 
-HeadView = Literal["pose", "front"]
+HEAD_VIEWS = ("pose", "front")
 """The 3D head turns with the face, or stays frontal so that only the expression moves."""
 
 LARGEST_HEAD_PX = 480
@@ -34,7 +34,7 @@ def write_overlay_video(
     model: FaceModel,
     path: str | Path,
     progress: Callable[[int, int], None] | None = None,
-    view: HeadView = "pose",
+    view: str = "pose",
     parts: OverlayParts = ALL_BUT_MESH,
 ) -> str | None:
     """Write an H.264 video of a tracked input: the frames of `track` with their fits, beside the head in 3D.
@@ -69,7 +69,7 @@ def write_overlay_picture(
     picture: UInt8[np.ndarray, "h w 3"],
     fit: FrameFit,
     model: FaceModel,
-    view: HeadView = "pose",
+    view: str = "pose",
     parts: OverlayParts = ALL_BUT_MESH,
 ) -> str | None:
     """Write one frame with its fit and the head in 3D beside it, as PNG or JPEG; returns a note as the video does."""
@@ -81,12 +81,15 @@ def write_overlay_picture(
 
 
 class HeadPanel:
-    """The 3D head of one fit after the other, sized to stand beside frames of (width, height)."""
+    """The 3D head of one fit after the other, sized to stand beside frames of (width, height).
+
+    Raises `InputError` for another `view` than "pose" and "front".
+    """
 
     def __init__(
-        self, model: FaceModel, frame_size: tuple[int, int], view: HeadView = "pose", supersampling: float = 2.0
+        self, model: FaceModel, frame_size: tuple[int, int], view: str = "pose", supersampling: float = 2.0
     ) -> None:
-        if view not in ("pose", "front"):
+        if view not in HEAD_VIEWS:
             raise InputError(f'The view of the head is "pose" or "front", got {view!r}.')
         width, height = min(frame_size), frame_size[1]
         scale = min(1.0, LARGEST_HEAD_PX / height)
@@ -118,15 +121,17 @@ class HeadPanel:
         self.painter.close()
 
 
-def _matched(frames: Frames, track: Track | TrackWriter) -> Iterator[tuple[Frame, FrameFit]]:
+def _matched(frames: Frames, track: Fits) -> Iterator[tuple[Frame, FrameFit]]:
     """Frames and fits of equal index; a track may leave frames out."""
-    place_of = {int(index): place for place, index in enumerate(track.index)}
-    last = max(place_of)
-    for frame in frames.iterate(min(place_of)):
-        if frame.index in place_of:
-            yield frame, track[place_of[frame.index]]
-        if frame.index >= last:
-            return
+    place, fit = 0, track[0]
+    for frame in frames.iterate(fit.index):
+        while fit.index < frame.index and place + 1 < len(track):
+            place += 1
+            fit = track[place]
+        if fit.index == frame.index:
+            yield frame, fit
+            if place + 1 == len(track):
+                return
 
 
 def _write(writer: VideoWriter, waiting: tuple[np.ndarray, Future], progress, total: int) -> None:

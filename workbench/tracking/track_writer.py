@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 
 from workbench.errors import InputError
 from workbench.files import atomic_path
@@ -88,6 +89,11 @@ class TrackWriter:
                 first += len(track)
             self._open_part = (first, track)
         return track[position - first]
+
+    @property
+    def index(self) -> Int[np.ndarray, "n"]:
+        """Frame indices of the finished parts: a run takes every frame of its input, from 0."""
+        return np.arange(self._count)
 
     def tracks(self) -> Iterator[Track]:
         """Each finished part as a track of its own."""

@@ -1,0 +1,80 @@
+"""Configuration files: round trips, defaults, and errors that name the key and the nearest known one."""
+
+import tomllib
+
+import pytest
+
+from workbench.config import PRESETS, Config, Stage, config_toml, preset, read_config, write_config
+from workbench.errors import ConfigError
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_survives_the_file_unchanged(name, tmp_path):
+    write_config(preset(name), tmp_path / "config.toml")
+    assert read_config(tmp_path / "config.toml") == preset(name)
+
+
+def test_the_file_explains_its_values_and_has_a_stable_order():
+    text = config_toml(preset("calibrated"))
+    assert "ω_τ: second difference of the pose (Eq. 9)." in text
+    assert text == config_toml(preset("calibrated"))
+    assert list(tomllib.loads(text)) == list(Config.model_fields)
+
+
+def test_a_short_file_takes_the_rest_from_its_preset(tmp_path):
+    path = tmp_path / "short.toml"
+    path.write_text('preset = "face-it"\n[weights]\ntau = 0.5\n')
+    config = read_config(path)
+    assert config.weights.tau == 0.5
+    assert config.weights.sigma == PRESETS["face-it"].weights.sigma
+    assert config.stages == PRESETS["face-it"].stages
+    assert config.solver.unit == "px"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[weights]\ntua = 1.0\n", "did you mean 'tau'"),
+        ("[wieghts]\ntau = 1.0\n", "did you mean 'weights'"),
+        ("[weights]\nunheard = 1.0\n", "the keys here are sparse"),
+        ("[weights]\ntau = -1.0\n", "weights.tau"),
+        ("[weights]\ntau = nan\n", "weights.tau"),
+        ("[camera]\nfov_deg = 190\n", "camera.fov_deg"),
+        ('preset = "nope"\n', "There is no preset 'nope'"),
+        ("weights = [1\n", "not valid TOML"),
+        ('[[stages]]\nname = "a"\nfree = ["pose"]\n', "stages.0.free"),
+        ('[[stages]]\nname = "a"\nfree = ["rotation"]\nlandmarks = {noose = 1}\n', "did you mean 'nose"),
+        ('[[stages]]\nname = "a"\nfree = ["rotation", "rotation"]\n', "twice"),
+        ("version = 99\n", "version"),
+    ],
+)
+def test_wrong_files_are_refused_with_a_hint(text, message, tmp_path):
+    path = tmp_path / "wrong.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        read_config(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ConfigError, match="does not exist"):
+        read_config(tmp_path / "none.toml")
+
+
+def test_changed_replaces_single_keys_and_checks_them():
+    config = preset("calibrated").changed(weights={"tau": 3.0}, camera={"fov_deg": 30.0})
+    assert config.weights.tau == 3.0
+    assert config.weights.sigma_smooth == preset("calibrated").weights.sigma_smooth
+    with pytest.raises(ConfigError, match="did you mean 'tau'"):
+        preset("calibrated").changed(weights={"tao": 3.0})
+
+
+def test_landmark_groups_are_applied_in_order_and_single_points_by_number():
+    stage = Stage(name="s", free=("expression",), landmarks={"all": 1.0, "jaw": 0.25, "30": 4.0})
+    weights = stage.landmark_weights()
+    assert weights[:17] == [0.25] * 17
+    assert weights[30] == 4.0
+    assert weights[31] == 1.0
+
+
+def test_free_parameters_have_one_order_whatever_the_file_says():
+    assert Stage(name="s", free=("expression", "rotation")).free == ("rotation", "expression")
