@@ -3,8 +3,8 @@
     python data_samples/make_performance.py [--sheet sheet.png]
 
 writes performance.mp4 (9.6 s, 25 frames/s, 640 × 480), performance_truth.npz, performance_landmarks.csv and
-astronaut_landmarks.csv. Run it again after the head has been baked anew; everything random is seeded. The landmark files
-hold what the dlib tracker gives, so that a first run needs no detector; without dlib installed, they are left as they are.
+astronaut_landmarks.csv. Run it again after the head has been baked anew; everything random is seeded. The landmark
+files hold what the dlib tracker gives, so that a first run needs no detector; without dlib, they are left as they are.
 """
 
 import argparse
@@ -25,7 +25,6 @@ from workbench.landmarks.dlib_detector import DlibDetector
 from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.rendering import HeadRenderer
-from workbench.rendering.mesh import to_camera
 
 FOLDER = Path(__file__).resolve().parent
 SIZE = (640, 480)
@@ -102,7 +101,10 @@ def write_clip(path: Path, model: FaceModel, truth: dict[str, np.ndarray]) -> li
     camera = Camera(truth["focal_px"], truth["principal_point_px"], truth["distortion"])
     stage = Stage(SIZE, camera)
     kept = []
-    with HeadRenderer(model, SIZE, texture=albedo_of_person(model)) as renderer, VideoWriter(path, RATE, QUALITY) as out:
+    with (
+        HeadRenderer(model, SIZE, texture=albedo_of_person(model)) as renderer,
+        VideoWriter(path, RATE, QUALITY) as out,
+    ):
         for k in range(FRAME_COUNT):
             rotation, translation = truth["rotation"][k], truth["translation"][k]
             vertices = looking_at_camera(person, truth["expression"][k], rotation, translation)

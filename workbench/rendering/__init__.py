@@ -15,7 +15,6 @@ from workbench.rendering.overlay import OverlayParts as OverlayParts
 from workbench.rendering.overlay import draw_overlay as draw_overlay
 from workbench.rendering.overlay import side_by_side as side_by_side
 from workbench.rendering.overlay_files import HeadPanel as HeadPanel
-from workbench.rendering.overlay_files import HeadView as HeadView
 from workbench.rendering.overlay_files import write_overlay_picture as write_overlay_picture
 from workbench.rendering.overlay_files import write_overlay_video as write_overlay_video
 from workbench.rendering.wireframe import draw_wireframe as draw_wireframe

@@ -83,7 +83,9 @@ class HeadRenderer:
         self.size = size
         self._vertex_count = len(model.neutral)
         albedo = _albedo(model, texture)
-        self._thread = RenderThread(lambda: _make_scene(model, size, albedo, supersampling), lambda scene: scene.close())
+        self._thread = RenderThread(
+            lambda: _make_scene(model, size, albedo, supersampling), lambda scene: scene.close()
+        )
 
     def render(
         self,

@@ -15,7 +15,7 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkPolyDataMapper, v
 
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
-from workbench.rendering.lighting import Lighting
+from workbench.rendering.lighting import Light, Lighting
 from workbench.rendering.mesh import corner_sum, split_seams, to_pixels, vertex_normals
 
 WET_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
@@ -30,7 +30,11 @@ class HeadScene:
     """Head, lights and off-screen window of one size."""
 
     def __init__(
-        self, model: FaceModel, size: tuple[int, int], texture: UInt8[np.ndarray, "th tw 3"] | None, supersampling: float
+        self,
+        model: FaceModel,
+        size: tuple[int, int],
+        texture: UInt8[np.ndarray, "th tw 3"] | None,
+        supersampling: float,
     ) -> None:
         self.size = size
         self.triangles = model.triangles
@@ -87,7 +91,9 @@ class HeadScene:
         drawn_width, drawn_height = self.drawn_size
         self.window.GetRGBACharPixelData(0, 0, drawn_width - 1, drawn_height - 1, 0, self.pixels)
         rgba = vtk_to_numpy(self.pixels).reshape(drawn_height, drawn_width, 4)[::-1]
-        return rgba.copy() if self.drawn_size == self.size else cv2.resize(rgba, self.size, interpolation=cv2.INTER_AREA)
+        return (
+            rgba.copy() if self.drawn_size == self.size else cv2.resize(rgba, self.size, interpolation=cv2.INTER_AREA)
+        )
 
     def close(self) -> None:
         """Give the GL context back."""
@@ -106,7 +112,8 @@ class HeadScene:
         if lighting == self.lighting:
             return
         self.renderer.RemoveAllLights()
-        for light in lighting.lights:
+        # Without any light VTK would show surfaces at full brightness.
+        for light in lighting.lights or (Light((0.0, 0.0, -1.0), 0.0),):
             distant = vtkLight()
             distant.SetLightTypeToSceneLight()
             distant.SetPositional(False)

@@ -15,7 +15,6 @@ from workbench.rendering.background import background_picture
 from workbench.rendering.head_picture import HeadRenderer, PlainPainter, head_painter, portrait_view
 from workbench.rendering.overlay import ALL_BUT_MESH, OverlayParts, displayed_size, draw_overlay, side_by_side
 from workbench.tracking.records import FrameFit
-from workbench.tracking.track_writer import TrackWriter
 
 HEAD_VIEWS = ("pose", "front")
 """The 3D head turns with the face, or stays frontal so that only the expression moves."""
@@ -28,9 +27,18 @@ RATE_OF_IMAGES = 25.0
 """Frames per second for inputs that have no rate of their own."""
 
 
+@runtime_checkable
+class Fits(Protocol):
+    """A `Track`, or anything else that holds the fits of a run in ascending order of their frames."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, position: int, /) -> FrameFit: ...
+
+
 def write_overlay_video(
     frames: Frames,
-    track: Track | TrackWriter,
+    track: Fits,
     model: FaceModel,
     path: str | Path,
     progress: Callable[[int, int], None] | None = None,
