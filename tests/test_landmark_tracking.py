@@ -218,11 +218,11 @@ def test_a_given_point_chooses_the_face():
 
 
 def test_thorough_searches_start_each_shot_and_then_back_off():
-    scenes = [without_face()] * 25
+    scenes = [without_face()] * 35
     _, detector = run(scenes, retry_interval=10)
     thorough_at = [i for i, thorough in enumerate(detector.searches) if thorough]
     assert sum(detector.searches) == 3
-    assert thorough_at == [1, 12, 23]  # frames 0, 10 and 20: each follows a quick search that found nothing
+    assert thorough_at == [1, 12, 33]  # frames 0, 10 and 30: each follows a quick search that found nothing
     _, detector = run([scene(0)], KnownFaces([scene(0)], quick_finds=False))
     assert detector.searches == [False, True]
 

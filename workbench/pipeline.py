@@ -148,9 +148,6 @@ class _PictureSource:
     def state(self) -> dict[str, np.ndarray]:
         return self._tracker.state()
 
-    def names(self) -> list[str]:
-        return [frame.name for frame in self.frames.iterate()] if self.frames.kind == "images" else []
-
     def _still(self, frame: Frame) -> FrameObservation:
         height, width = frame.picture.shape[:2]
         self._tracker.reset()
@@ -182,9 +179,6 @@ class _FileSource:
 
     def state(self) -> dict[str, np.ndarray]:
         return {}
-
-    def names(self) -> list[str]:
-        return []
 
     def _records(self) -> Iterator[LandmarkRecord]:
         for path in self._paths:
@@ -303,7 +297,7 @@ def _meta(paths, model: FaceModel, config: Config, stills: bool, source) -> dict
         "stages": [stage.name for stage in config.stages if stage.enabled],
         "config": json.loads(config.model_dump_json()),
         "inputs": [{"path": str(path), "sha256": _content_hash(path)} for path in paths],
-        "names": source.names() if stills else [],
+        "names": [frame.name for frame in source.frames.iterate()] if stills else [],
         "stills": stills,
         "rate": source.frames.rate,
         "camera_guessed": config.camera.matrix is None,

@@ -168,7 +168,7 @@ def _read_csv(path: Path, has_confidence: bool) -> Iterator[LandmarkRecord]:
             if not row:
                 continue
             if len(row) != width:
-                raise InputError(f"{where}: expected {width} cells as in the header, got {len(row)}")
+                raise InputError(f"{where}: expected {width} cells as in the header (68 points), got {len(row)}")
             frame, *size = _integers(where, row[:3])
             if frame <= last:
                 raise InputError(f"{where}: frame indices must ascend, got {frame} after {last}: sort the rows")

@@ -29,6 +29,8 @@ from workbench.landmarks.scheme import GROUPS
 FLOW_BOX, FLOW_MARGIN = 128, 64
 """Pixels of the face box, and around it, in the crops that flow is measured on: cost independent of picture size."""
 THUMBNAIL = 32
+LONGEST_RETRY = 8
+"""Times the retry interval: how rare thorough searches become in a long shot without a face."""
 CANDIDATES = 5
 """Faces aligned, at most, when one is chosen."""
 
@@ -42,7 +44,8 @@ class TrackerOptions:
     check_interval: int = 45
     """Frames between checks: the face is aligned anew, as if just detected, and lost if that finds no face there."""
     retry_interval: int = 10
-    """Frames between thorough searches while no face is found; a quick one is made at every frame."""
+    """Frames between thorough searches while no face is found, doubled after each in vain up to eight times this; a
+    quick one is made at every frame."""
     patience: int = 5
     """Frames that flow alone bridges where the predictor fails, as when a hand passes; doubtful fits are checked anew
     after as many."""
@@ -130,7 +133,7 @@ class LandmarkTracker:
         self._trust = 1.0
         self._since_check = 0
         self._bridged = 0
-        self._since_search = self.options.retry_interval  # frames since the last thorough search: one is due
+        self._search_at_once()
         self._thumbnail: np.ndarray | None = None
         self._flow_crop: np.ndarray | None = None
         self._flow_frame: FaceFrame | None = None
@@ -145,7 +148,7 @@ class LandmarkTracker:
         self._since_search += 1
         if cut:
             self._points = self._place = None
-            self._since_search = self.options.retry_interval
+            self._search_at_once()
         landmarks = self._follow(picture) if self._points is not None else None
         source: Literal["detected", "tracked", "none"] = "tracked"
         if landmarks is None:
@@ -259,13 +262,19 @@ class LandmarkTracker:
         self._since_check = self._bridged = 0
         landmarks = self._choose(picture, self._detect(picture, thorough=False))
         doubtful = landmarks is None or np.median(landmarks.confidence) < self.options.sure_confidence
-        if doubtful and self._since_search >= self.options.retry_interval:
+        if doubtful and self._since_search >= self._retry_after:
             self._since_search = 0
             found = self._choose(picture, self._detect(picture, thorough=True))
+            interval = self.options.retry_interval
+            in_vain = min(max(interval, 2 * self._retry_after), LONGEST_RETRY * interval)
+            self._retry_after = interval if found else in_vain
             landmarks = found if found is not None else landmarks
         if landmarks is not None:
             self._trust_from(picture, landmarks)
         return landmarks
+
+    def _search_at_once(self) -> None:
+        self._since_search = self._retry_after = 0
 
     def _detect(self, picture: np.ndarray, thorough: bool) -> list[FaceDetection]:
         started = perf_counter()
@@ -320,7 +329,14 @@ class LandmarkTracker:
             "side": np.array(self._side),
             "trust": np.array(self._trust),
             "counters": np.array(
-                [self._since_check, self._bridged, self._since_search, self._thumbnail is not None, self.detections]
+                [
+                    self._since_check,
+                    self._bridged,
+                    self._since_search,
+                    self._retry_after,
+                    self._thumbnail is not None,
+                    self.detections,
+                ]
             ),
         }
 
@@ -336,11 +352,11 @@ class LandmarkTracker:
             "side": ((),),
             "trust": ((),),
         }
-        for name, shapes in {**expected, "counters": ((5,),)}.items():
+        for name, shapes in {**expected, "counters": ((6,),)}.items():
             if name not in state or np.shape(state[name]) not in shapes:
                 raise InputError(f"this is no tracker state: {name} is missing or has another shape than {shapes[0]}")
         self.reset()
-        check, bridged, search, started, detections = (int(value) for value in state["counters"])
+        check, bridged, search, retry, started, detections = (int(value) for value in state["counters"])
         if started and previous_picture is None:
             raise InputError("a tracker state is restored with the last picture before it: pass that picture")
         if started:
@@ -352,7 +368,7 @@ class LandmarkTracker:
         self._variance = np.array(state["variance"], np.float64)
         self._place = np.array(state["place"], np.float64) if len(state["place"]) else None
         self._side, self._trust = float(state["side"]), float(state["trust"])
-        self._since_check, self._bridged, self._since_search = check, bridged, search
+        self._since_check, self._bridged, self._since_search, self._retry_after = check, bridged, search, retry
         self.detections = detections
 
 

@@ -126,7 +126,8 @@ class Track:
         if not path.is_file():
             raise InputError(f"The track {path} does not exist; `workbench track INPUT` writes track.npz.")
         try:
-            with np.load(path, allow_pickle=False) as stored:
+            # Opened here, because NumPy leaves a damaged archive open.
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
                 meta = json.loads(stored["meta"].item())
                 if meta.get("format") != FORMAT:
                     raise InputError(f"{path} is no workbench track; pass the track.npz of a run.")

@@ -1,0 +1,280 @@
+"""The whole job on real files: what it writes, how it resumes, and what bad input does to it."""
+
+import csv
+import json
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from tests.scenes import make_scene
+from workbench.config import preset, read_config
+from workbench.errors import InputError
+from workbench.frames import VideoWriter, open_frames
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
+from workbench.landmarks.observations import Landmarks2D
+from workbench.pipeline import OUTPUTS, track
+from workbench.samples import sample
+from workbench.tracking import Track
+from workbench.tracking.track_writer import TrackWriter
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """A configuration that calibrates on a short window."""
+    return preset("calibrated").changed(identity={"window": 6, "frames": 4})
+
+
+@pytest.fixture(scope="module")
+def clip(head, tmp_path_factory):
+    """A landmark file of 20 frames; frame 7 has no face, frame 12 starts another shot far away."""
+    path = tmp_path_factory.mktemp("clip") / "clip.csv"
+    with LandmarkCsvWriter(path, confidence=False) as writer:
+        for index in range(20):
+            yaw = 2.0 * index if index < 12 else -30.0
+            place = (0.0, 0.0, 600.0) if index < 12 else (120.0, 30.0, 450.0)
+            scene = make_scene(head, (yaw, 0, 0), {"jawOpen": 0.02 * index}, translation=place)
+            landmarks = None if index == 7 else Landmarks2D(scene.points, np.ones(68), (640, 480))
+            writer.write(LandmarkRecord(index, f"{index}", landmarks, (640, 480)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(head, clip, quick, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    return track(clip, folder, head, quick)
+
+
+def rows(path):
+    with path.open(encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_a_run_leaves_every_file_it_promises_and_nothing_else(run):
+    assert sorted(path.name for path in run.folder.iterdir()) == sorted(OUTPUTS)
+    assert all(path.is_file() for path in run.files)
+
+
+def test_the_parameter_table_has_a_row_a_frame_and_a_column_a_weight(run, head):
+    table = rows(run.folder / "parameters.csv")
+    assert len(table) == 20
+    assert ",".join(list(table[0])[:11]) == "frame,found,rx,ry,rz,tx,ty,tz,yaw_deg,pitch_deg,roll_deg"
+    assert tuple(list(table[0])[11:-3]) == head.expression_names
+    assert list(table[0])[-3:] == ["error_px", "error_inner_pct", "error_all_pct"]
+    assert table[7]["found"] == "0"
+    assert table[7]["rx"] == table[7]["jawOpen"] == table[7]["error_px"] == ""
+    assert float(table[3]["yaw_deg"]) == pytest.approx(6.0, abs=3.0)
+
+
+def test_the_landmark_table_reads_back_as_the_input(run, clip):
+    assert rows(run.folder / "landmarks.csv") == rows(clip)
+
+
+def test_the_summary_agrees_with_the_track(run):
+    summary = json.loads((run.folder / "summary.json").read_text())
+    fits = [run.track[k] for k in range(20) if run.track.found[k]]
+    assert summary == run.summary
+    assert summary["frames"] == 20
+    assert summary["frames_with_face"] == 19
+    percent = np.array([fit.errors for fit in fits])
+    error = summary["reprojection_error"]
+    assert error["inner_51_percent_of_eye_distance"]["mean"] == pytest.approx(percent[:, 1].mean(), abs=1e-3)
+    assert error["all_68_percent_of_eye_distance"]["p95"] == pytest.approx(np.percentile(percent[:, 2], 95), abs=1e-3)
+    assert error["all_68_px"]["median"] == pytest.approx(np.median(percent[:, 0]), abs=1e-3)
+    assert set(summary["milliseconds_per_frame"]) == {"detect", "landmarks", "solve"}
+    assert summary["camera"]["guessed"] is True
+
+
+def test_the_stored_configuration_gives_the_same_numbers_again(run, clip, head, tmp_path):
+    again = track(clip, tmp_path, head, read_config(run.folder / "config.toml"), pictures=False)
+    np.testing.assert_array_equal(again.track.expression, run.track.expression)
+    np.testing.assert_array_equal(again.track.rotation, run.track.rotation)
+
+
+def test_the_overlay_has_a_picture_a_frame(run):
+    with av.open(str(run.folder / "overlay.mp4")) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 20
+
+
+def test_a_track_saves_and_loads_back_equal(run, tmp_path):
+    run.track.save(tmp_path / "copy.npz")
+    copy = Track.load(tmp_path / "copy.npz")
+    for name, value in vars(run.track).items():
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(getattr(copy, name), value)
+    assert copy.meta == run.track.meta
+    assert copy.meta["inputs"][0]["sha256"]
+    assert copy.expression_names == run.track.expression_names
+
+
+@pytest.mark.parametrize("damage", ["truncated", "foreign", "text", "missing"])
+def test_a_track_file_that_is_none_is_refused(damage, run, tmp_path):
+    path = tmp_path / "bad.npz"
+    if damage == "truncated":
+        path.write_bytes((run.folder / "track.npz").read_bytes()[:3000])
+    elif damage == "foreign":
+        np.savez(path, meta=np.array("{}"))
+    elif damage == "text":
+        path.write_text("no archive")
+    with pytest.raises(InputError, match=r"bad.npz"):
+        Track.load(path)
+
+
+def test_an_interrupted_run_resumes_with_the_same_numbers(head, clip, quick, run, tmp_path, monkeypatch):
+    monkeypatch.setattr("workbench.tracking.track_writer.PART_FRAMES", 4)
+    stop_at = 14
+
+    def interrupt(step, done, total):
+        if done == stop_at:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        track(clip, tmp_path, head, quick, progress=interrupt, pictures=False)
+    assert not (tmp_path / "track.npz").exists()
+    seen = []
+    track(clip, tmp_path, head, quick, progress=lambda *a: seen.append(a[1]), pictures=False, resume=True)
+    assert seen[0] > 4
+    resumed = Track.load(tmp_path / "track.npz")
+    for name in ("rotation", "expression", "identity", "projected", "shot"):
+        np.testing.assert_array_equal(getattr(resumed, name), getattr(run.track, name))
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(set(OUTPUTS) - {"overlay.mp4"})
+
+
+def test_parts_of_another_configuration_are_not_resumed(head, clip, quick, tmp_path):
+    writer = TrackWriter(tmp_path / "track.npz", {}, "another fingerprint")
+    assert writer.parts_folder.is_dir()
+    seen = []
+    track(clip, tmp_path, head, quick, progress=lambda *a: seen.append(a[1]), pictures=False, resume=True)
+    assert seen[0] == 1
+
+
+def test_a_crash_leaves_no_file_under_a_final_name(head, clip, quick, tmp_path):
+    def fail(step, done, total):
+        if done == 9:
+            raise RuntimeError("as if the power went")
+
+    with pytest.raises(RuntimeError):
+        track(clip, tmp_path, head, quick, progress=fail)
+    assert not any((tmp_path / name).exists() for name in OUTPUTS)
+
+
+def test_stored_landmarks_stand_in_for_a_detector(head, tmp_path):
+    result = track(sample("astronaut"), tmp_path, head, preset("calibrated"), landmarks=sample("astronaut-landmarks"))
+    assert result.summary["frames_with_face"] == 1
+    assert result.track[0].source == "given"
+    picture = cv2.imread(str(tmp_path / "overlay.png"))
+    assert picture.std() > 10
+
+
+def test_stills_get_a_picture_each_and_their_names(head, tmp_path):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    scenes = [make_scene(head, (yaw, 0, 0)) for yaw in (-10, 20)]
+    with LandmarkCsvWriter(tmp_path / "points.csv", confidence=False) as writer:
+        for index, scene in enumerate(scenes):
+            cv2.imwrite(str(folder / f"photo{index}.png"), np.full((480, 640, 3), 90, np.uint8))
+            writer.write(LandmarkRecord(index, "", Landmarks2D(scene.points, np.ones(68), (640, 480)), None))
+    out = tmp_path / "out"
+    result = track(folder, out, head, preset("calibrated"), landmarks=tmp_path / "points.csv", stills=True)
+    assert sorted(path.name for path in (out / "overlay").iterdir()) == ["0000-photo0.jpg", "0001-photo1.jpg"]
+    assert result.track.meta["names"] == ["photo0.png", "photo1.png"]
+    assert list(result.track.shot) == [0, 1]
+
+
+class NoFaces:
+    """A detector that finds nothing (the real ones have tests of their own)."""
+
+    name = "no-faces"
+
+    def detect_faces(self, picture, thorough=True):
+        return []
+
+    def align(self, picture, box):
+        raise AssertionError("no face was found, so none is aligned")
+
+    def refine(self, picture, points):
+        raise AssertionError("no face was found, so none is followed")
+
+
+@pytest.fixture
+def no_faces(monkeypatch):
+    monkeypatch.setattr("workbench.pipeline.make_detector", lambda name: NoFaces())
+
+
+@pytest.mark.usefixtures("no_faces")
+def test_a_video_without_a_face_is_a_track_that_says_so(head, tmp_path):
+    with VideoWriter(tmp_path / "grey.mp4", rate=25) as writer:
+        for _ in range(5):
+            writer.write(np.full((64, 96, 3), 120, np.uint8))
+    result = track(tmp_path / "grey.mp4", tmp_path / "out", head, preset("calibrated"))
+    assert result.summary["frames_with_face"] == 0
+    assert result.summary["reprojection_error"]["all_68_px"]["mean"] is None
+    assert np.isnan(result.track.rotation).all()
+    assert open_frames(tmp_path / "out" / "overlay.mp4").announced_count == 5
+
+
+@pytest.mark.usefixtures("no_faces")
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("missing.mp4", None, "missing.mp4"),
+        ("empty.mp4", b"", "empty.mp4"),
+        ("empty.png", b"", "empty.png"),
+        ("text.mp4", b"this is a shopping list\n" * 40, "text.mp4"),
+        ("text.jpg", b"this is a shopping list\n" * 40, "text.jpg"),
+        ("header_only.csv", b"frame,width,height\n", "header_only.csv"),
+    ],
+)
+def test_files_that_are_no_pictures_are_refused_and_leave_nothing(name, content, message, head, tmp_path):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        track(path, tmp_path / "out", head, preset("calibrated"))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("no_faces")
+@pytest.mark.parametrize(
+    "picture",
+    [
+        np.full((40, 50), 128, np.uint8),
+        np.full((40, 50, 4), 128, np.uint8),
+        np.full((40, 50, 3), 40000, np.uint16),
+        np.full((1, 1, 3), 7, np.uint8),
+        np.full((6000, 8000, 3), 128, np.uint8),
+    ],
+    ids=["grey", "rgba", "16-bit", "1x1", "8000x6000"],
+)
+def test_unusual_pictures_are_tracked_like_others(picture, head, tmp_path):
+    cv2.imwrite(str(tmp_path / "picture.png"), picture)
+    result = track(tmp_path / "picture.png", tmp_path / "out", head, preset("calibrated"))
+    assert result.summary["frames"] == 1
+    assert result.track.image_size[0].tolist() == [picture.shape[1], picture.shape[0]]
+    assert (tmp_path / "out" / "overlay.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        (["0", "640", "480", *["1.0"] * 134], "68"),
+        (["0", "640", "480", *["nan"] * 136], "finite|nan|number"),
+        (["0", "640", "480", "x", *["1.0"] * 135], "number|x0"),
+    ],
+    ids=["67 points", "NaN", "text"],
+)
+def test_bad_landmarks_are_refused_with_their_line(row, message, head, tmp_path):
+    path = tmp_path / "bad.csv"
+    header = ["frame", "width", "height", *(f"{axis}{i}" for i in range(68) for axis in "xy")]
+    path.write_text("\n".join([",".join(header), ",".join(row)]) + "\n")
+    with pytest.raises(InputError, match=message):
+        track(path, tmp_path / "out", head, preset("calibrated"))
+    assert not (tmp_path / "out" / "track.npz").exists()
+
+
+def test_pictures_and_landmark_files_do_not_mix(head, clip, tmp_path):
+    with pytest.raises(InputError, match="--landmarks"):
+        track([clip, sample("astronaut")], tmp_path, head, preset("calibrated"))
+    with pytest.raises(InputError, match="nothing to track"):
+        track([], tmp_path, head, preset("calibrated"))
