@@ -253,6 +253,19 @@ def test_sizes_out_of_range_are_refused(head):
 
 
 @needs_gl
+def test_a_faded_neck_ends_softly_and_leaves_the_face(head, renderer, view):
+    camera, translation = view
+    whole = renderer.render_with_mask(head.neutral, camera, np.zeros(3), translation)[1].astype(int)
+    with HeadRenderer(head, SIZE, fade_neck=True) as fading:
+        faded = fading.render_with_mask(head.neutral, camera, np.zeros(3), translation)[1].astype(int)
+    mouth_row, chin_row = np.round(
+        to_pixels(camera, head.landmarks.of(head.neutral)[[57, 8]] + translation)[:, 1]
+    ).astype(int)
+    assert np.array_equal(whole[:mouth_row], faded[:mouth_row])
+    assert faded[chin_row:][whole[chin_row:] == 255].min() < 200
+
+
+@needs_gl
 def test_a_closed_renderer_says_so(head, view):
     renderer = HeadRenderer(head, (32, 32))
     renderer.close()

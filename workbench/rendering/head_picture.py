@@ -21,7 +21,7 @@ from workbench.rendering.wireframe import draw_wireframe
 from workbench.samples import sample
 
 LARGEST_PX = 8192
-PORTRAIT_MARGIN = 1.24
+PORTRAIT_MARGIN = 1.2
 """Height of a portrait in heights of the head from chin to crown."""
 NO_GL_NOTE = (
     "3D pictures are drawn without GL (flat shading, no texture): install libegl1 and libgl1-mesa-dri, "
@@ -60,8 +60,9 @@ class HeadRenderer:
 
     All VTK work happens in a private thread, so calls may come from any thread. `texture` True takes the bundled
     albedo for the default head and the vertex colours for other models, False the vertex colours, and an RGB picture
-    is used through the model's UVs. `supersampling` (1 to 4) renders larger and reduces, against jagged edges. Raises
-    `MissingDependencyError` without usable GL, `InputError` for a size outside 1..8192.
+    is used through the model's UVs. `supersampling` (1 to 4) renders larger and reduces, against jagged edges.
+    `fade_neck` lets the open end of the neck fade out, for portraits. Raises `MissingDependencyError` without usable
+    GL, `InputError` for a size outside 1..8192.
     """
 
     note = None
@@ -72,6 +73,7 @@ class HeadRenderer:
         size: tuple[int, int],
         texture: bool | UInt8[np.ndarray, "th tw 3"] = True,
         supersampling: float = 2.0,
+        fade_neck: bool = False,
     ) -> None:
         _check_size(size)
         supersampling = min(max(supersampling, 1.0), 4.0, max(1.0, LARGEST_PX / max(size)))
@@ -84,7 +86,7 @@ class HeadRenderer:
         self._vertex_count = len(model.neutral)
         albedo = _albedo(model, texture)
         self._thread = RenderThread(
-            lambda: _make_scene(model, size, albedo, supersampling), lambda scene: scene.close()
+            lambda: _make_scene(model, size, albedo, supersampling, fade_neck), lambda scene: scene.close()
         )
 
     def render(
@@ -195,9 +197,12 @@ def head_painter(
     size: tuple[int, int],
     texture: bool | UInt8[np.ndarray, "th tw 3"] = True,
     supersampling: float = 2.0,
+    fade_neck: bool = False,
 ) -> HeadRenderer | PlainPainter:
     """The best way to draw this model here; `.note` says what is missing, None if nothing is."""
-    return HeadRenderer(model, size, texture, supersampling) if gl_available() else PlainPainter(model, size)
+    if not gl_available():
+        return PlainPainter(model, size)
+    return HeadRenderer(model, size, texture, supersampling, fade_neck)
 
 
 def picture_of_head(
@@ -210,9 +215,10 @@ def picture_of_head(
     background: Background = None,
     texture: bool | UInt8[np.ndarray, "th tw 3"] = True,
     lighting: Lighting = STUDIO,
+    fade_neck: bool = False,
 ) -> tuple[UInt8[np.ndarray, "h w 3"], str | None]:
     """One picture as `HeadRenderer.render`, with a note where it had to be drawn without GL (else None)."""
-    with head_painter(model, size, texture) as painter:
+    with head_painter(model, size, texture, fade_neck=fade_neck) as painter:
         return painter.render(vertices, camera, rotation, translation, background, lighting), painter.note
 
 
@@ -223,16 +229,18 @@ def portrait_view(
     top = float(model.neutral[:, 1].min())
     chin = float(model.landmarks.of(model.neutral)[8, 1])
     radius = PORTRAIT_MARGIN * (chin - top) / 2
-    translation = np.array([0.0, -(top + chin) / 2 - 0.06 * radius, distance_mm])
+    translation = np.array([0.0, -(top + chin) / 2 - 0.03 * radius, distance_mm])
     focal = 0.5 * min(size) * distance_mm / radius
     return Camera(np.full(2, focal), np.array([(size[0] - 1) / 2, (size[1] - 1) / 2]), np.zeros(8)), translation
 
 
-def _make_scene(model: FaceModel, size: tuple[int, int], albedo: np.ndarray | None, supersampling: float):
+def _make_scene(
+    model: FaceModel, size: tuple[int, int], albedo: np.ndarray | None, supersampling: float, fade_neck: bool
+):
     # VTK is imported in the thread that uses it, and only where GL has been found to work.
     from workbench.rendering.head_scene import HeadScene
 
-    return HeadScene(model, size, albedo, supersampling)
+    return HeadScene(model, size, albedo, supersampling, fade_neck)
 
 
 def _draw(scene, points_camera, camera: Camera, lighting: Lighting, behind: np.ndarray):

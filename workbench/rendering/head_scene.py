@@ -16,7 +16,7 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkPolyDataMapper, v
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.rendering.lighting import Light, Lighting
-from workbench.rendering.mesh import corner_sum, split_seams, to_pixels, vertex_normals
+from workbench.rendering.mesh import corner_sum, neck_opacity, split_seams, to_pixels, vertex_normals
 
 WET_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
 """Parts that shine."""
@@ -35,6 +35,7 @@ class HeadScene:
         size: tuple[int, int],
         texture: UInt8[np.ndarray, "th tw 3"] | None,
         supersampling: float,
+        fade_neck: bool,
     ) -> None:
         self.size = size
         self.triangles = model.triangles
@@ -45,6 +46,9 @@ class HeadScene:
             points_of_triangle = model.triangles.astype(np.int64)
         else:
             self.vertex_of_point, uv_of_point, points_of_triangle = split_seams(model.triangles, model.triangles_uv)
+        opacity = np.rint(255 * neck_opacity(model)) if fade_neck else np.full(len(model.neutral), 255)
+        tint = model.colors if texture is None else np.full_like(model.colors, 255)
+        colors = np.column_stack([tint, opacity]).astype(np.uint8)
         self.points = vtkPoints()
         self.renderer = vtkRenderer()
         self.renderer.SetBackgroundAlpha(0.0)
@@ -53,9 +57,9 @@ class HeadScene:
         self.meshes = []
         for triangles, shine in zip(_by_shine(model, points_of_triangle), (SKIN_SHINE, WET_SHINE), strict=True):
             mesh = _mesh(self.points, triangles)
-            if texture is None:
-                mesh.GetPointData().SetScalars(numpy_to_vtk(np.ascontiguousarray(model.colors), deep=True))
-            else:
+            # The texture is multiplied by the colours of the points.
+            mesh.GetPointData().SetScalars(numpy_to_vtk(colors[self.vertex_of_point], deep=True))
+            if texture is not None:
                 coordinates = np.ascontiguousarray(model.uv[uv_of_point], np.float32)
                 mesh.GetPointData().SetTCoords(numpy_to_vtk(coordinates, deep=True))
             self.meshes.append(mesh)
@@ -164,6 +168,8 @@ def _actor(mesh: vtkPolyData, shine: Sequence[float], texture) -> vtkActor:
     mapper.SetInputData(mesh)
     actor = vtkActor()
     actor.SetMapper(mapper)
+    # A faded neck blends with the empty ground in the plain depth-tested pass; sorted transparency is not needed.
+    actor.ForceOpaqueOn()
     material = actor.GetProperty()
     material.SetInterpolationToPhong()
     material.SetDiffuse(1.0)

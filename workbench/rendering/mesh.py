@@ -4,9 +4,13 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, Integer
 from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
 from workbench.errors import InputError
+from workbench.face.model import FaceModel
 from workbench.geometry import Camera
+
+NECK_FADE_MM = 38.0
 
 
 def to_camera(
@@ -61,6 +65,19 @@ def vertex_normals(
     """Unit normals, averaged over the neighbouring triangles by area. `sums` comes from `corner_sum`."""
     normals = sums @ face_normals(points, triangles)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
+def neck_opacity(model: FaceModel) -> Float[np.ndarray, "v"]:
+    """Opacity of each vertex that lets the open end of the neck fade out: 0 at its rim, 1 from `NECK_FADE_MM` away."""
+    edges = np.sort(model.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
+    pairs, uses = np.unique(edges, axis=0, return_counts=True)
+    rim = np.unique(pairs[uses == 1])
+    chin = model.landmarks.of(model.neutral)[8, 1]
+    rim = rim[model.neutral[rim, 1] > chin]
+    if len(rim) == 0:
+        return np.ones(len(model.neutral))
+    place = np.clip(cKDTree(model.neutral[rim]).query(model.neutral)[0] / NECK_FADE_MM, 0.0, 1.0)
+    return place * place * (3.0 - 2.0 * place)
 
 
 def split_seams(

@@ -205,7 +205,7 @@ def _draw_mesh(canvas, fit: FrameFit, model: FaceModel, scale: float) -> None:
 
 
 def _numbers(fit: FrameFit) -> str:
-    yaw, pitch, roll = fit.angles_deg
+    yaw, pitch, roll = np.rint(fit.angles_deg) + 0.0  # adding zero turns −0 into 0
     pixels, _, percent = fit.errors
     text = f"frame {fit.index}   error {pixels:.1f} px ({percent:.1f} %)   "
     return (text + f"yaw {yaw:+.0f}°  pitch {pitch:+.0f}°  roll {roll:+.0f}°").replace("-", "\u2212")

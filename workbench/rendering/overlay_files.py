@@ -104,7 +104,9 @@ class HeadPanel:
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         self.model, self.view = model, view
         self.camera, self.translation = portrait_view(model, size)
-        self.painter: HeadRenderer | PlainPainter = head_painter(model, size, supersampling=supersampling)
+        self.painter: HeadRenderer | PlainPainter = head_painter(
+            model, size, supersampling=supersampling, fade_neck=True
+        )
         self.note = self.painter.note
         self._identity: np.ndarray | None = None
         self._person = model
