@@ -19,7 +19,7 @@ def delta_form(
 
 
 def targets_to_deltas(
-    neutral: Float[np.ndarray, "p 3"], targets: Float[np.ndarray, "n p 3"]
+    neutral: Float[np.ndarray, "p 3"], targets: Float[np.ndarray, "n q 3"]
 ) -> Float[np.ndarray, "n p 3"]:
     """Offsets b_k − b_0 of targets in vertex correspondence with the neutral.
 
