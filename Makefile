@@ -1,0 +1,56 @@
+# Everything runs in a local virtual environment that the first command makes.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+OUT ?= demo_out
+
+.PHONY: help lab demo test test-fast notebooks lint format bench head clip clean
+
+help:
+	@echo "make lab    open JupyterLab on the first notebook"
+	@echo "make demo   track the bundled portrait and clip into $(OUT)/, no browser needed"
+	@echo "make test   lint and run all tests"
+	@echo "make bench  run the benchmarks and print a table"
+	@echo "make lint, make format, make test-fast, make head, make clip, make clean"
+
+$(STAMP): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable ".[dlib,test]"
+	@touch $(STAMP)
+
+lab: $(STAMP)
+	$(BIN)/workbench lab
+
+demo: $(STAMP)
+	$(BIN)/workbench demo --out $(OUT)
+
+test: lint
+	$(BIN)/python -m pytest
+
+test-fast: $(STAMP)
+	$(BIN)/python -m pytest --ignore=tests/test_notebooks.py --ignore=tests/test_browser.py
+
+notebooks: $(STAMP)
+	$(BIN)/python -m pytest tests/test_notebooks.py tests/test_browser.py
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(STAMP)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: $(STAMP)
+	$(BIN)/python benchmarks/run_all.py
+
+head: $(STAMP)
+	$(BIN)/python data_samples/head/bake/bake.py --out data_samples/head
+
+clip: $(STAMP)
+	$(BIN)/python data_samples/make_performance.py
+
+clean:
+	rm -rf $(VENV) .cache .pytest_cache .ruff_cache $(OUT)
