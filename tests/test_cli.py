@@ -1,0 +1,156 @@
+"""The command line: what a user types and reads."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tests.scenes import make_scene
+from workbench import cli
+from workbench.config import preset, read_config
+from workbench.geometry import yaw_pitch_roll_deg
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
+from workbench.landmarks.observations import Landmarks2D
+from workbench.samples import sample
+from workbench.tracking import FaceTracker, FrameObservation, Track
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    """Run a command line in an empty folder: (exit code, standard output, standard error)."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "console", cli.Console(width=200, highlight=False))
+    monkeypatch.setattr(cli, "errors", cli.Console(width=200, stderr=True, highlight=False))
+
+    def call(*arguments: str):
+        monkeypatch.setattr(sys, "argv", ["workbench", *arguments])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        out, err = capsys.readouterr()
+        return stop.value.code or 0, out, err
+
+    return call
+
+
+@pytest.fixture
+def points(head, tmp_path):
+    """A landmark file of five frames."""
+    path = tmp_path / "points.csv"
+    with LandmarkCsvWriter(path, confidence=False) as writer:
+        for index in range(5):
+            scene = make_scene(head, (4.0 * index, 0, 0), {"jawOpen": 0.1 * index})
+            writer.write(LandmarkRecord(index, "", Landmarks2D(scene.points, np.ones(68), (640, 480)), None))
+    return path
+
+
+def test_track_writes_the_results_beside_the_caller_and_tells_what_they_are(run, points, tmp_path):
+    code, out, err = run("track", "points.csv", "--no-pictures")
+    assert code == 0
+    assert err == ""
+    assert "5 of 5 with a face" in out
+    assert "of the eye distance" in out
+    assert "guessed" in out
+    assert "parameters.csv" in out
+    assert json.loads((tmp_path / "out" / "points" / "summary.json").read_text())["frames"] == 5
+
+
+def test_options_end_up_in_the_stored_configuration(run, points, tmp_path):
+    arguments = ["--preset", "face-it", "--fov", "40", "--no-identity", "--face", "320,200", "--out", "here"]
+    assert run("track", "points.csv", "--no-pictures", *arguments)[0] == 0
+    config = read_config(tmp_path / "here" / "config.toml")
+    assert config.preset == "face-it"
+    assert config.camera.fov_deg == 40.0
+    assert config.landmarks.face == (320.0, 200.0)
+    assert not config.identity.calibrate
+
+
+def test_an_exported_configuration_gives_the_same_numbers_and_an_edited_one_does_not(run, points, tmp_path):
+    run("track", "points.csv", "--no-pictures", "--out", "first")
+    run("track", "points.csv", "--no-pictures", "--out", "second", "--config", "first/config.toml")
+    text = (tmp_path / "first" / "config.toml").read_text()
+    (tmp_path / "edited.toml").write_text(text.replace("sigma_smooth = 6.0", "sigma_smooth = 60.0"))
+    run("track", "points.csv", "--no-pictures", "--out", "third", "--config", "edited.toml")
+    first, second, third = (Track.load(tmp_path / name / "track.npz") for name in ("first", "second", "third"))
+    np.testing.assert_array_equal(first.expression, second.expression)
+    assert np.abs(first.expression - third.expression).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["track", "nowhere.mp4"], "nowhere.mp4"),
+        (["track", "points.csv", "--preset", "nope"], "There is no preset 'nope'"),
+        (["track", "points.csv", "--config", "none.toml"], "does not exist"),
+        (["track", "points.csv", "--preset", "face-it", "--config", "none.toml"], "not both"),
+        (["track", "points.csv", "--fov", "200"], "camera.fov_deg"),
+        (["track", "points.csv", "--detector", "magic"], "landmarks.detector"),
+        (["track", "points.csv", "--face", "left"], "X,Y"),
+    ],
+)
+def test_mistakes_are_one_sentence_and_exit_code_2(arguments, message, run, points):
+    code, out, err = run(*arguments)
+    assert code == 2
+    assert err.startswith("error: ")
+    assert message in err
+    assert "Traceback" not in out + err
+
+
+@pytest.mark.parametrize("command", [[], ["track"], ["demo"], ["lab"], ["info"]])
+def test_help_explains_every_command(command, run):
+    code, out, _ = run(*command, "--help")
+    assert code == 0
+    assert "Usage" in out
+    if command == ["track"]:
+        assert "workbench track talk.mp4 --preset face-it" in out
+
+
+def test_info_names_versions_and_places(run):
+    code, out, _ = run("info")
+    assert code == 0
+    for word in ("jax", "optimistix", "presets", "samples", "dlib detector", "3D pictures"):
+        assert word in out
+
+
+def test_the_demo_tracks_the_bundled_portrait_and_clip_without_a_detector(run, tmp_path):
+    code, _, err = run("demo", "--no-pictures")
+    assert code == 0, err
+    portrait = Track.load(tmp_path / "demo_out" / "astronaut" / "track.npz")
+    clip = Track.load(tmp_path / "demo_out" / "performance" / "track.npz")
+    assert len(portrait) == 1
+    assert len(clip) == 240
+    assert clip.found.all()
+
+
+def test_the_demo_clip_is_tracked_close_to_its_truth(head):
+    records = read_landmark_file(sample("performance-landmarks"))
+    config = preset("calibrated").changed(camera={"fov_deg": 33.0})
+    fits = list(
+        FaceTracker(head, config).fit_all(
+            FrameObservation(record.frame, record.landmarks, record.landmarks.image_size) for record in records
+        )
+    )
+    with np.load(sample("performance-truth"), allow_pickle=False) as truth:
+        expected = yaw_pitch_roll_deg(truth["rotation"])
+    errors = np.abs(np.array([fit.angles_deg for fit in fits]) - expected).mean(axis=0)
+    assert (errors < 3.0).all()
+    assert np.mean([fit.errors[1] for fit in fits]) < 2.5
+
+
+def test_lab_serves_the_notebooks_and_keeps_its_token(monkeypatch):
+    commands = []
+
+    def remember(command, check):
+        commands.append(command)
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", remember)
+    monkeypatch.setattr(sys, "argv", ["workbench", "lab", "--no-browser", "--port", "8899"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    text = " ".join(commands[0])
+    assert "jupyterlab" in text
+    assert "--no-browser" in text
+    assert "00_" in text
+    assert "token" not in text
