@@ -26,7 +26,7 @@ class CameraConfig(_Section):
     """Camera: given as a matrix, or guessed from a field of view."""
 
     fov_deg: Annotated[float, Field(gt=0.0, lt=180.0)] = Field(
-        60.0, description="Field of view over the longer side, degrees; a guess unless you know it."
+        45.0, description="Field of view over the longer side, degrees; a guess unless you know it."
     )
     matrix: list[list[float]] | None = Field(None, description="OpenCV camera matrix in pixels; replaces fov_deg.")
     distortion: list[float] = Field([], description="OpenCV distortion, 0, 4, 5 or 8 coefficients.")
@@ -78,7 +78,7 @@ class IdentityConfig(_Section):
     calibrate: bool = Field(True, description="Estimate one identity a shot (a photo); off: the model's mean face.")
     window: Annotated[int, Field(ge=1, le=1000)] = Field(90, description="Frames of a shot that are looked at.")
     frames: Annotated[int, Field(ge=1, le=24)] = Field(12, description="Frames of the window that are used.")
-    weight: NonNegative = Field(2.0, description="ω of ‖identity‖² against squared percent of the eye distance.")
+    weight: NonNegative = Field(5.0, description="ω of ‖identity‖² against squared percent of the eye distance.")
     expression: NonNegative = Field(40.0, description="ω of the smoothed L1 norm of the weights meanwhile.")
     jaw: NonNegative = Field(0.3, description="Landmark weight of the jaw contour in the second pass.")
     limits: tuple[Iterations, Iterations] = Field((30, 15), description="Iterations of the two passes.")
@@ -192,9 +192,9 @@ PRESETS: dict[str, Config] = {
         stages=PRESET_STAGES["face-it"],
     ),
     # Ours: the same alternation on a calibrated identity, weights truly in [0, 1], contour sliding with the yaw.
-    "calibrated": Config(preset="calibrated", weights=WeightsConfig(sigma_smooth=6.0)),
+    "calibrated": Config(preset="calibrated", weights=WeightsConfig(sigma_smooth=20.0)),
     # Pose and expression as one problem of 50 unknowns.
-    "joint": Config(preset="joint", weights=WeightsConfig(sigma_smooth=6.0), stages=PRESET_STAGES["joint"]),
+    "joint": Config(preset="joint", weights=WeightsConfig(sigma_smooth=20.0), stages=PRESET_STAGES["joint"]),
 }
 
 
