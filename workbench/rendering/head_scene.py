@@ -63,7 +63,7 @@ class HeadScene:
                 coordinates = np.ascontiguousarray(model.uv[uv_of_point], np.float32)
                 mesh.GetPointData().SetTCoords(numpy_to_vtk(coordinates, deep=True))
             self.meshes.append(mesh)
-            self.renderer.AddActor(_actor(mesh, shine, texture))
+            self.renderer.AddActor(_actor(mesh, shine, texture, fade_neck))
         self.camera = self.renderer.GetActiveCamera()
         self.camera.SetPosition(0.0, 0.0, 0.0)
         self.camera.SetFocalPoint(0.0, 0.0, -1.0)
@@ -163,14 +163,16 @@ def _mesh(points: vtkPoints, triangles: Int[np.ndarray, "t 3"]) -> vtkPolyData:
     return mesh
 
 
-def _actor(mesh: vtkPolyData, shine: Sequence[float], texture) -> vtkActor:
+def _actor(mesh: vtkPolyData, shine: Sequence[float], texture, fade_neck: bool) -> vtkActor:
     mapper = vtkPolyDataMapper()
     mapper.SetInputData(mesh)
     actor = vtkActor()
     actor.SetMapper(mapper)
-    # A faded neck blends with the empty ground in the plain depth-tested pass; sorted transparency is not needed.
+    # A faded neck blends with the empty ground in the plain depth-tested pass. That needs no sorting as long as the
+    # inner side of the neck, which would show through here and there, is not drawn.
     actor.ForceOpaqueOn()
     material = actor.GetProperty()
+    material.SetBackfaceCulling(fade_neck)
     material.SetInterpolationToPhong()
     material.SetDiffuse(1.0)
     material.SetSpecular(shine[0])
