@@ -1,18 +1,16 @@
-"""Shared set-up: one compilation cache for the whole run, shared models."""
+"""Shared set-up: one compilation cache for the whole run and its subprocesses, shared models."""
 
 import os
 from pathlib import Path
 
-os.environ.setdefault("MPLBACKEND", "agg")
-
-import jax
 import pytest
 from hypothesis import settings
 
-import workbench  # noqa: F401  (sets JAX up before any test does)
-
-CACHE = Path(__file__).resolve().parent.parent / ".cache" / "jax"
-jax.config.update("jax_compilation_cache_dir", str(CACHE))
+# Set before anything imports JAX; notebooks' kernels inherit it.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).resolve().parent.parent / ".cache" / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+os.environ.setdefault("MPLBACKEND", "agg")
 
 # Hypothesis draws the same examples on every machine; compiled functions make the first call slow.
 settings.register_profile("workbench", derandomize=True, deadline=None, max_examples=40)
