@@ -18,6 +18,7 @@ from workbench.energies.temporal import tau_residual as tau_residual
 from workbench.energies.temporal import tau_scale as tau_scale
 from workbench.energies.total import TERMS as TERMS
 from workbench.energies.total import EnergyProblem as EnergyProblem
+from workbench.energies.total import energy as energy
 from workbench.energies.total import energy_by_term as energy_by_term
 from workbench.energies.total import normal_system as normal_system
 from workbench.energies.total import pack as pack

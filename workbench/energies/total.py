@@ -73,6 +73,13 @@ def residuals(problem: EnergyProblem, parameters: FaceParameters, free: tuple[st
     return found
 
 
+def energy(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]) -> Float[AnyArray, ""]:
+    """E(γ), summed in the order of `normal_system`, so that both round alike."""
+    found = residuals(problem, parameters, free)
+    data = found.pop("data")
+    return data @ data + sum(jnp.sum(part**2) for part in found.values())
+
+
 def energy_by_term(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]) -> Float[AnyArray, "7"]:
     """Weighted energy of each of `TERMS`, zero for terms that `free` parameters cannot change."""
     found = residuals(problem, parameters, free)

@@ -102,6 +102,7 @@ class ArrowheadSystem(NamedTuple):
 
 System = DenseSystem | ArrowheadSystem
 Evaluate = Callable[[Float[AnyArray, "n"]], System]
+Cost = Callable[[Float[AnyArray, "n"]], Float[AnyArray, ""]]
 
 
 class SolverState(NamedTuple):
@@ -148,16 +149,20 @@ def step(
     lower: Float[AnyArray, "n"],
     upper: Float[AnyArray, "n"],
     tolerance: Scalar = 1e-6,
+    cost: Cost | None = None,
 ) -> SolverState:
     """One damped Gauss–Newton step, taken if it lowers the cost; converged when it lowers it by less than `tolerance`
-    of itself."""
+    of itself.
+
+    `cost` gives what `evaluate(x).cost` would: with it only steps that are taken pay for their normal equations.
+    """
     x, system, damping = state.x, state.system, state.damping
     gradient, diagonal = system.gradient, system.diagonal()
     extra = damping * jnp.clip(diagonal, 1e-6, 1e32)
     move = _bounded_move(system, extra, lower - x, upper - x)
     candidate = x + move
-    proposed = evaluate(candidate)
-    decrease = system.cost - proposed.cost
+    proposed = evaluate(candidate) if cost is None else None
+    decrease = system.cost - (proposed.cost if cost is None else cost(candidate))
     predicted = -(2.0 * gradient @ move + move @ system.product(move))
     accepted = decrease > 0.0
     gain = decrease / jnp.where(predicted > 0.0, predicted, 1.0)
@@ -171,9 +176,13 @@ def step(
     stalled = ~accepted & (damping >= LARGEST_DAMPING)
     status = jnp.where(converged, Status.CONVERGED.value, jnp.where(stalled, Status.STALLED.value, state.status))
     choose = lambda new, old: jnp.where(accepted, new, old)  # noqa: E731
+    if cost is None:
+        system = jax.tree.map(choose, proposed, system)
+    else:
+        system = jax.lax.cond(accepted, lambda: evaluate(candidate), lambda: system)
     return SolverState(
         x=choose(candidate, x),
-        system=jax.tree.map(choose, proposed, system),
+        system=system,
         damping=new_damping,
         growth=jnp.where(accepted, 2.0, state.growth * 2.0),
         accepted=accepted,
@@ -214,11 +223,12 @@ def minimise(
     tolerance: Scalar = 1e-6,
     record: Callable[[SolverState], Any] | None = None,
     record_length: int = 0,
+    cost: Cost | None = None,
 ) -> Solution:
     """Up to `limit` steps from `start`; `limit` and `tolerance` may be traced.
 
     With `record`, its value at the start and after each step is kept in `record_length` + 1 rows, and steps beyond
-    that length are not taken. Without it no trace is computed.
+    that length are not taken. Without it no trace is computed. `cost`: see `step`.
     """
     start = jnp.clip(start, lower, upper)
     first = init(evaluate, start)
@@ -230,7 +240,7 @@ def minimise(
 
     def body(carry):
         count, state, trace = carry
-        state = step(evaluate, state, lower, upper, tolerance)
+        state = step(evaluate, state, lower, upper, tolerance, cost)
         if record is not None:
             # Later rows repeat the newest one, so that a plot of the whole trace shows a plateau.
             rows = jnp.arange(record_length + 1) > count
