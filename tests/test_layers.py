@@ -25,8 +25,11 @@ ORDER = [
     "energies",
     "config",
     "tracking",
+    "diagnosis",
     "rendering",
+    "plots",
     "export",
+    "widgets",
     "pipeline",
     "cli",
 ]

@@ -1,0 +1,171 @@
+"""A photo, a few sliders, and a fit that follows them at once."""
+
+import html
+import threading
+
+import cv2
+import ipywidgets as widgets
+import numpy as np
+from jaxtyping import UInt8
+
+from workbench.config import PRESETS, Config, preset
+from workbench.errors import WorkbenchError
+from workbench.face import FaceModel
+from workbench.landmarks.observations import Landmarks2D
+from workbench.plots import close_up
+from workbench.rendering import HeadPanel, draw_overlay, side_by_side
+from workbench.rendering.overlay import OverlayParts
+from workbench.tracking import FaceTracker, FrameFit, FrameObservation
+
+PARTS = OverlayParts(text=False)
+JPEG_QUALITY = 90
+SIDE_PX = 460
+Number = float | int
+
+
+def adjusted(config: Config, sigma_smooth: float, rho: int, epsilon: int, jaw: float, fov_deg: float) -> Config:
+    """The configuration with the numbers of the sliders in it.
+
+    `rho` limits the stages that free only the pose, `epsilon` those that free weights. `jaw` multiplies the landmark
+    weight of the jaw contour, in every stage and in the calibration of the identity.
+    """
+    stages = [
+        stage.model_copy(
+            update={
+                "limit": epsilon if "expression" in stage.free else rho,
+                "landmarks": {**stage.landmarks, "jaw": jaw * stage.landmark_weights()[0]},
+            }
+        ).model_dump()
+        for stage in config.stages
+    ]
+    return config.changed(
+        weights={"sigma_smooth": sigma_smooth},
+        identity={"jaw": jaw * config.identity.jaw},
+        camera={"fov_deg": fov_deg},
+        stages=stages,
+    )
+
+
+def start_values(config: Config) -> dict[str, Number]:
+    """Where the sliders stand for an unchanged configuration."""
+    limits = {"expression" in stage.free: stage.limit for stage in config.stages}
+    return {
+        "sigma_smooth": config.weights.sigma_smooth,
+        "rho": limits.get(False, 15),
+        "epsilon": limits.get(True, 15),
+        "jaw": 1.0,
+        "fov_deg": config.camera.fov_deg,
+    }
+
+
+def jpeg(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """An RGB picture as JPEG bytes, for `ipywidgets.Image`."""
+    encoded = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+    return encoded.tobytes()
+
+
+class FitPlayground(widgets.VBox):
+    """Sliders on one photo: every move fits it again and shows the overlay, the head in 3D and the error.
+
+    Callbacks may come from any thread, as in JupyterLab: one lock guards the tracker, and the head is drawn in a
+    thread of its own. `fit` and `config` hold the latest result.
+    """
+
+    def __init__(
+        self,
+        picture: UInt8[np.ndarray, "h w 3"],
+        landmarks: Landmarks2D,
+        model: FaceModel,
+        config: Config | None = None,
+    ) -> None:
+        config = preset("calibrated") if config is None else config
+        self._picture, self._model, self._base = picture, model, config
+        self._observation = FrameObservation(0, landmarks, landmarks.image_size)
+        self._lock = threading.RLock()
+        self._quiet = False
+        self._tracker = FaceTracker(model, config, stills=True)
+        self._panel = HeadPanel(model, (SIDE_PX, SIDE_PX))
+        self.config, self.fit = config, None
+        self.preset = widgets.Dropdown(options=list(PRESETS), value=config.preset, description="preset")
+        self.sliders = _sliders(start_values(config))
+        self.status = widgets.HTML()
+        self.image = widgets.Image(format="jpeg", width=2 * SIDE_PX, height=SIDE_PX)
+        self.preset.observe(self._on_preset, "value")
+        for slider in self.sliders.values():
+            slider.observe(self._on_slider, "value")
+        grid = widgets.GridBox(
+            [self.preset, *self.sliders.values()],
+            layout=widgets.Layout(grid_template_columns="repeat(2, 460px)", max_width="100%"),
+        )
+        super().__init__([grid, self.status, self.image])
+        self.refit()
+
+    def __repr__(self) -> str:
+        return f"FitPlayground({self.preset.value!r}, {self._model.name!r})"
+
+    def refit(self) -> FrameFit | None:
+        """Fit with the sliders as they stand and show it; shows why and returns None if the numbers cannot be used."""
+        with self._lock:
+            try:
+                values = {name: slider.value for name, slider in self.sliders.items()}
+                self.config = adjusted(self._base, **values)
+                self._tracker.configure(self.config)
+                self.fit = self._tracker.push(self._observation)[0]
+                self.image.value = jpeg(self._draw(self.fit))
+            except WorkbenchError as error:
+                self.status.value = f"<b style='color:#b3261e'>{html.escape(str(error))}</b>"
+                return None
+            self.status.value = status_line(self.fit)
+            return self.fit
+
+    def close(self) -> None:
+        """Close the widget and the renderer behind it."""
+        self._panel.painter.close()
+        super().close()
+
+    def _draw(self, fit: FrameFit) -> UInt8[np.ndarray, "h w 3"]:
+        head = self._panel.submit(fit)  # drawn while the overlay is
+        overlay = draw_overlay(*close_up(self._picture, fit, SIDE_PX), parts=PARTS)
+        return side_by_side(overlay, head.result()[0])
+
+    def _on_slider(self, _change) -> None:
+        if not self._quiet:
+            self.refit()
+
+    def _on_preset(self, change) -> None:
+        with self._lock:
+            self._base = preset(change["new"])
+            self._quiet = True  # one fit for the preset, not one for each slider that it moves
+            try:
+                for name, value in start_values(self._base).items():
+                    self.sliders[name].value = value
+            finally:
+                self._quiet = False
+            self.refit()
+
+
+def status_line(fit: FrameFit) -> str:
+    """Error, pose and time of a fit as one line of HTML."""
+    pixels, _, percent = fit.errors
+    yaw, pitch, roll = fit.angles_deg
+    return (
+        f"<code>error <b>{pixels:.2f} px</b> ({percent:.2f} % of the eye distance) &nbsp; yaw {yaw:+.1f}° "
+        f"pitch {pitch:+.1f}° roll {roll:+.1f}° &nbsp; solved in {fit.milliseconds[2]:.0f} ms</code>"
+    )
+
+
+def _sliders(values: dict[str, Number]) -> dict[str, widgets.Widget]:
+    def slider(kind, name, label, low, high, step, tip):
+        return kind(
+            value=values[name], min=low, max=high, step=step, description=label, tooltip=tip,
+            style={"description_width": "130px"}, layout=widgets.Layout(width="440px"),
+        )  # fmt: skip
+
+    real, whole = widgets.FloatSlider, widgets.IntSlider
+    return {
+        "sigma_smooth": slider(real, "sigma_smooth", "sparsity ω_σ", 0, 60, 0.5, "Eq. 11, smoothed L1 norm"),
+        "rho": slider(whole, "rho", "pose steps ρ", 0, 50, 1, "iterations of the pose (Eq. 8)"),
+        "epsilon": slider(whole, "epsilon", "expression steps ε", 0, 50, 1, "iterations of the weights (Eq. 10)"),
+        "jaw": slider(real, "jaw", "jaw landmarks ×", 0, 3, 0.1, "factor on the weight of the 17 contour points"),
+        "fov_deg": slider(real, "fov_deg", "field of view, °", 10, 110, 1, "over the longer side of the picture"),
+    }
