@@ -1,0 +1,64 @@
+"""What the README promises exists and runs."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from workbench.cli import app
+from workbench.pipeline import OUTPUTS
+from workbench.samples import sample
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMANDS = sorted(set(re.findall(r"^(?:\.venv/bin/)?(workbench [^#\n]*)", README, re.M)))
+TARGETS = sorted(set(re.findall(r"^make (\w+)", README, re.M)))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_line_is_understood(command):
+    _, name, *arguments = shlex.split(command)
+    text = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "200", "TERM": "dumb"}).output
+    for argument in arguments:
+        if argument.startswith("--"):
+            assert argument in text
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_every_make_target_exists(target):
+    assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
+
+
+def test_the_readme_has_commands_to_check():
+    assert len(COMMANDS) >= 7
+    assert {"lab", "test", "demo"} <= set(TARGETS)
+
+
+def test_the_python_snippet_runs(tmp_path):
+    snippet = re.search(r"```python\n(.*?)```", README, re.S).group(1)
+    snippet = snippet.replace('"talk.mp4", "out/talk"', f'r"{sample("astronaut-landmarks")}", r"{tmp_path}"')
+    names = {}
+    exec(compile(snippet, "README.md", "exec"), names)
+    assert names["smile"].shape == (1,)
+    assert names["smile"][0] > 0.2
+
+
+def test_every_output_file_is_described():
+    for name in OUTPUTS:
+        assert f"`{name}`" in README
+
+
+@pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\(([^)#]+)\)", README))))
+def test_links_lead_to_files(link):
+    if not link.startswith("http"):
+        assert (ROOT / link).exists()
+
+
+def test_every_bundled_file_has_its_source_stated():
+    stated = (ROOT / "data_samples" / "SOURCES.md").read_text(encoding="utf-8")
+    for path in (ROOT / "data_samples").iterdir():
+        if path.is_file() and path.suffix in {".png", ".jpg", ".mp4", ".csv", ".npz"}:
+            assert f"`{path.name}`" in stated
+    assert (ROOT / "data_samples" / "head" / "LICENSE-CC0.txt").is_file()
