@@ -1,0 +1,216 @@
+"""JupyterLab in a real Chromium: a server with a token, a page that runs notebooks, and what the page shows."""
+
+import os
+import secrets
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlparse
+
+import cv2
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+CHROMIUM = os.environ.get("WORKBENCH_CHROMIUM", "/usr/bin/chromium")
+FLAGS = [
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
+    *("--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader"),
+    "--enable-unsafe-swiftshader",
+]
+NO_NEWS = '{"@jupyterlab/apputils-extension:notification": {"checkForUpdates": false, "fetchNews": "false"}}'
+START_S, RUN_S = 90.0, 300.0
+
+
+def missing() -> str | None:
+    """What this machine lacks for browser tests, None if nothing."""
+    try:
+        import playwright.sync_api  # noqa: F401
+    except ImportError:
+        return "the package playwright is not installed"
+    return None if Path(CHROMIUM).is_file() else f"there is no Chromium at {CHROMIUM}"
+
+
+@dataclass(frozen=True)
+class LabServer:
+    """A running JupyterLab."""
+
+    url: str
+    token: str
+    folder: Path
+
+
+@contextmanager
+def lab_server(folder: Path, settings: Path) -> Iterator[LabServer]:
+    """JupyterLab with a token on a free port, its root in `folder`, its settings apart from the user's."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    token = secrets.token_hex(16)
+    overrides = settings / "lab" / "settings"
+    overrides.mkdir(parents=True)
+    (overrides / "overrides.json").write_text(NO_NEWS, encoding="utf-8")
+    environment = {
+        **{name: value for name, value in os.environ.items() if name != "MPLBACKEND"},
+        "PYTHONPATH": str(ROOT),
+        "JUPYTER_CONFIG_DIR": str(settings / "config"),
+        "JUPYTER_DATA_DIR": str(settings / "data"),
+        "JUPYTER_RUNTIME_DIR": str(settings / "runtime"),
+        "JUPYTERLAB_SETTINGS_DIR": str(settings / "user-settings"),
+        "JUPYTERLAB_WORKSPACES_DIR": str(settings / "workspaces"),
+    }
+    command = [
+        *(sys.executable, "-m", "jupyterlab", "--no-browser", "--ip=127.0.0.1", f"--port={port}"),
+        *(f"--IdentityProvider.token={token}", f"--ServerApp.root_dir={folder}", "--ServerApp.port_retries=0"),
+        *("--LabApp.expose_app_in_browser=True", f"--LabApp.app_settings_dir={overrides}", "--allow-root"),
+    ]
+    with (settings / "server.log").open("wb") as log:
+        process = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=subprocess.STDOUT)
+        try:
+            url = f"http://127.0.0.1:{port}"
+            _wait_for(url, process, settings / "server.log")
+            yield LabServer(url, token, folder)
+        finally:
+            process.terminate()  # the server ends its kernels
+            try:
+                process.wait(timeout=20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def _wait_for(url: str, process: subprocess.Popen, log: Path) -> None:
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            break
+        try:
+            with urllib.request.urlopen(f"{url}/api", timeout=2):
+                return
+        except OSError:
+            time.sleep(0.2)
+    raise RuntimeError(f"JupyterLab did not start:\n{log.read_text(errors='replace')[-2000:]}")
+
+
+class LabPage:
+    """One browser page on a server, with everything that went wrong in it."""
+
+    def __init__(self, page, server: LabServer):
+        self.page, self.server = page, server
+        self.page_errors: list[str] = []
+        self.console_errors: list[str] = []
+        self.foreign_requests: list[str] = []
+        page.on("pageerror", lambda error: self.page_errors.append(str(error)[:300]))
+        page.on("console", self._on_console)
+        page.on("request", self._on_request)
+
+    def open(self, notebook: str) -> None:
+        """Open a notebook and wait for its kernel."""
+        self.page.goto(f"{self.server.url}/lab/tree/{notebook}?reset&token={self.server.token}")
+        self.page.wait_for_function(_KERNEL_IDLE, timeout=1000 * START_S)
+
+    def run_all(self) -> None:
+        """Run every cell and wait until the last one is done."""
+        self.page.evaluate("() => { window.ran = window.jupyterapp.commands.execute('notebook:run-all-cells'); }")
+        self.page.evaluate("() => window.ran", None)
+        self.page.wait_for_function(_KERNEL_IDLE, timeout=1000 * RUN_S)
+
+    def outputs(self) -> list[dict]:
+        """Output type, MIME types and text of every output of every code cell."""
+        return self.page.evaluate(_OUTPUTS)
+
+    def execution_counts(self) -> list[int | None]:
+        """Execution count of every code cell; None for one that did not run."""
+        return self.page.evaluate(_COUNTS)
+
+    def slider(self, label: str):
+        """The handle of the ipywidgets slider with this description, scrolled into view."""
+        row = self.page.locator(".widget-slider").filter(has=self.page.get_by_text(label, exact=True)).first
+        row.scroll_into_view_if_needed()
+        return row.locator(".noUi-handle").first
+
+    def picture(self, selector: str) -> np.ndarray:
+        """The decoded pixels (h, w, 3) of an image element: what the widget shows, not what surrounds it."""
+        data = self.page.locator(selector).first.evaluate(_IMAGE_BYTES)
+        return cv2.imdecode(np.array(data, np.uint8), cv2.IMREAD_COLOR)
+
+    def screenshots(self, folder: Path, stem: str) -> list[Path]:
+        """The notebook from top to bottom, one file a screen."""
+        folder.mkdir(parents=True, exist_ok=True)
+        made, bottom = [], False
+        self.page.evaluate(_SCROLL_TO, 0)
+        while not bottom:
+            self.page.wait_for_timeout(700)
+            made.append(folder / f"{stem}-{len(made):02d}.png")
+            self.page.locator(".jp-NotebookPanel:not(.lm-mod-hidden)").first.screenshot(path=made[-1])
+            bottom = self.page.evaluate(_SCROLL_ON)
+        return made
+
+    def _on_request(self, request) -> None:
+        address = urlparse(request.url)
+        if address.scheme in ("http", "https", "ws", "wss") and address.hostname not in ("127.0.0.1", "localhost"):
+            self.foreign_requests.append(request.url[:200])
+
+    def _on_console(self, message) -> None:
+        if message.type == "error":
+            self.console_errors.append(message.text[:300])
+
+
+@contextmanager
+def lab_page(server: LabServer, profile: Path) -> Iterator[LabPage]:
+    """A fresh Chromium with its own profile on a server."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        context = playwright.chromium.launch_persistent_context(
+            str(profile), executable_path=CHROMIUM, headless=True, args=FLAGS, viewport={"width": 1280, "height": 1000}
+        )
+        context.set_default_timeout(1000 * RUN_S)
+        try:
+            yield LabPage(context.pages[0], server)
+        finally:
+            context.close()
+            shutil.rmtree(profile, ignore_errors=True)
+
+
+_KERNEL_IDLE = """() => {
+  const panel = window.jupyterapp && window.jupyterapp.shell.currentWidget;
+  const session = panel && panel.sessionContext && panel.sessionContext.session;
+  return Boolean(session && session.kernel && session.kernel.status === 'idle');
+}"""
+_OUTPUTS = """() => {
+  const found = [], cells = window.jupyterapp.shell.currentWidget.content.model.cells;
+  for (let k = 0; k < cells.length; k++) {
+    const outputs = cells.get(k).outputs;
+    for (let j = 0; outputs && j < outputs.length; j++) {
+      const output = outputs.get(j).toJSON();
+      found.push({cell: k, type: output.output_type, name: output.name || '', mime: Object.keys(output.data || {}),
+                  text: [output.ename, output.evalue, output.text].filter(Boolean).join(' ').slice(0, 500)});
+    }
+  }
+  return found;
+}"""
+_COUNTS = """() => {
+  const found = [], cells = window.jupyterapp.shell.currentWidget.content.model.cells;
+  for (let k = 0; k < cells.length; k++) {
+    if (cells.get(k).type === 'code') found.push(cells.get(k).executionCount);
+  }
+  return found;
+}"""
+_IMAGE_BYTES = """async (element) => [...new Uint8Array(await (await fetch(element.src)).arrayBuffer())]"""
+_SCROLLER = """
+  const panel = window.jupyterapp.shell.currentWidget.node;
+  const box = panel.querySelector('.jp-WindowedPanel-outer') || panel.querySelector('.jp-Notebook');
+"""
+_SCROLL_TO = f"(top) => {{ {_SCROLLER} box.scrollTop = top; }}"
+_SCROLL_ON = f"""() => {{ {_SCROLLER}
+  const before = box.scrollTop;
+  box.scrollTop = before + box.clientHeight - 60;
+  return box.scrollTop <= before + 1;
+}}"""
