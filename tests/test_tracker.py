@@ -1,10 +1,15 @@
 """FACE IT! on landmarks with known truth: pose, expression, identity, shots, and nothing compiled twice."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from tests.scenes import IMAGE_SIZE, make_scene, random_expression
+from tests.scenes import FOV_DEG, IMAGE_SIZE, make_scene, random_expression
 from workbench.config import PRESETS, Config, Stage
+from workbench.diagnosis.identifiability import indistinguishable_groups
+from workbench.face import contour_blend, landmark_model, model_landmarks
+from workbench.geometry import camera_from_fov
 from workbench.landmarks.observations import Landmarks2D
 from workbench.solvers import Status
 from workbench.tracking import FaceTracker, FrameObservation
@@ -32,11 +37,35 @@ def test_exact_landmarks_give_the_pose_within_a_tenth_of_a_degree_and_explain_th
     assert fit.residuals_px.max() < 0.1
 
 
-def test_identifiable_weights_are_recovered(head):
-    truth = {"jawOpen": 0.6, "browInnerUp": 0.5, "eyeBlinkLeft": 0.4, "mouthSmileRight": 0.7, "mouthLeft": 0.3}
-    fit = FaceTracker(head, EXACT).push(make_scene(head, (10, 5, 0), truth).observation())[0]
-    for name, weight in truth.items():
-        assert fit.expression[head.expression_names.index(name)] == pytest.approx(weight, abs=0.05)
+@pytest.fixture(scope="module")
+def telling(head):
+    """What a frontal view of the 68 landmarks tells about the weights."""
+    frontal = make_scene(head).parameters
+    model = landmark_model(head)
+    points = model_landmarks(model, contour_blend(model.contour_yaw, 0.0, 0.0), frontal.identity)
+    camera = camera_from_fov(IMAGE_SIZE, FOV_DEG)
+    return indistinguishable_groups(points, camera, [frontal], head.expression_names)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_weights_that_the_landmarks_can_tell_apart_are_recovered(seed, head, telling):
+    """Any expression, also one with shapes from the indistinguishable groups, on a head turned anywhere."""
+    rng = np.random.default_rng(seed)
+    hidden = {name for group in (*telling.groups, telling.unseen) for name in group}
+    clear = [name for name in head.expression_names if name not in hidden]
+    truth = {str(name): float(rng.uniform(0.1, 0.9)) for name in rng.choice(clear, 6, replace=False)}
+    angles = rng.uniform(-20, 20, 3)
+    fit = FaceTracker(head, EXACT).push(make_scene(head, angles, truth).observation())[0]
+    found = dict(zip(head.expression_names, fit.expression, strict=True))
+    for name in clear:
+        assert found[name] == pytest.approx(truth.get(name, 0.0), abs=0.05), name
+    assert fit.residuals_px.max() < 0.1
+
+
+def test_the_readme_names_the_indistinguishable_groups(telling):
+    readme = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
+    for group in (*telling.groups, telling.unseen):
+        assert ", ".join(f"`{name}`" for name in group) in readme
 
 
 def test_a_calibrated_identity_is_shared_by_the_frames_and_explains_them(head):

@@ -26,6 +26,8 @@ from workbench.tracking.track_writer import TrackWriter
 
 LANDMARK_SUFFIXES = (".csv", ".json", ".pts")
 PACKAGES = ("jax", "optimistix", "numpy", "scipy", "opencv-contrib-python-headless", "pyvista")
+STILL_CONFIDENCE = 0.5
+"""Median landmark confidence that a photo needs: no later frame would put a doubtful face right."""
 CANVAS = 235
 """Grey level behind the landmarks of a file that comes without its pictures."""
 
@@ -125,9 +127,9 @@ class _PictureSource:
         self.single_picture = frames.kind == "images" and frames.announced_count == 1
         self.image_size = frames.image_size
         self.count = frames.announced_count
-        self._detector = detector
-        self._face = config.landmarks.face
-        self._tracker = LandmarkTracker(detector, TrackerOptions(face=self._face))
+        face = config.landmarks.face
+        self._tracker = LandmarkTracker(detector, TrackerOptions(face=face))
+        self._finder = LandmarkTracker(detector, TrackerOptions(face=face, accept_confidence=STILL_CONFIDENCE))
 
     def notes(self) -> list[str]:
         return list(self.frames.notes)
@@ -150,8 +152,8 @@ class _PictureSource:
 
     def _still(self, frame: Frame) -> FrameObservation:
         height, width = frame.picture.shape[:2]
-        self._tracker.reset()
-        found = self._tracker.step(frame.picture)
+        self._finder.reset()
+        found = self._finder.step(frame.picture)
         times = (found.milliseconds["detect"], found.milliseconds["landmarks"])
         return FrameObservation(frame.index, found.landmarks, (width, height), found.source, True, times)
 
