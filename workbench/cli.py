@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import importlib.util
+import os
 import platform
 import shutil
 import subprocess
@@ -98,6 +99,8 @@ def lab(
     command = [sys.executable, "-m", "jupyterlab", f"--notebook-dir={folder}", f"--port={port}"]
     command += [f"--LabApp.default_url=/lab/tree/{sorted(folder.glob('*.ipynb'))[0].name}"]
     command += [] if browser and _has_browser() else ["--no-browser"]
+    # Jupyter refuses to start as root, which is who one is in a container.
+    command += ["--allow-root"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
     raise typer.Exit(subprocess.run(command, check=False).returncode)
 
 
