@@ -1,5 +1,6 @@
 """FACE IT! over a stream of landmarks: identity calibration, first poses, and one frame after the other."""
 
+import copy
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -160,15 +161,13 @@ class FaceTracker:
         """
         if observation.landmarks is None:
             raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
-        saved = (self._last, self._identity, self._starts)
-        if self._identity is None:
-            self._calibrate([observation])
-        last = self._continuing(observation)
-        fit, solution = self._solve(observation, last, TRACE_LENGTH)
+        probe = copy.copy(self)
+        probe._starts = dict(self._starts)
+        if probe._identity is None:
+            probe._calibrate([observation])
+        last = probe._continuing(observation)
+        fit, solution = probe._solve(observation, last, TRACE_LENGTH)
         names = [stage.name for stage in running_stages(self.config, start=last is None)]
-        self._last, identity, self._starts = saved
-        if identity is None:
-            self._identity = None
         iterations = fit.iterations[len(fit.iterations) - len(names) :]
         traces = tuple(
             StageTrace(name, np.asarray(energies)[: count + 1], np.asarray(residuals)[: count + 1])
