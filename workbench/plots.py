@@ -13,6 +13,7 @@ from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from workbench.energies import EnergyConstants, beta_curve, beta_slope
 from workbench.geometry import Camera
@@ -21,6 +22,8 @@ from workbench.tracking import FrameFit
 Picture = UInt8[np.ndarray, "_ _ 3"]
 BLUE, RED, GREY, GREEN = "#2a6f97", "#c0392b", "#8d99a6", "#2d936c"
 DPI = 100
+PAGE_WIDTH, GAP, TITLE_HEIGHT = 8.4, 0.04, 0.26
+"""Width of a notebook's outputs, space between pictures, and height of a title, inches."""
 CLOSE_UP_MARGIN = 1.5
 """Side of a close-up in sides of the box around the landmarks."""
 
@@ -28,12 +31,14 @@ CLOSE_UP_MARGIN = 1.5
 def close_up(picture: Picture, fit: FrameFit, side: int) -> tuple[Picture, FrameFit]:
     """The square around the face, `side` pixels wide, and the fit in its pixels: small faces become readable.
 
-    What lies outside the picture repeats its edge.
+    The square stays inside the picture where it can; beyond it the picture's edge is repeated.
     """
     low, high = fit.observed.min(axis=0), fit.observed.max(axis=0)
     # Landmarks end at the brows, so the middle of the face lies above the middle of their box.
     half = 0.5 * CLOSE_UP_MARGIN * float(np.max(high - low))
     corner = (low + high) / 2 - half - np.array([0.0, 0.12 * half])
+    room = np.array([picture.shape[1], picture.shape[0]]) - 2 * half
+    corner = np.where(room > 0, np.clip(corner, -0.5, room - 0.5), corner)
     scale = side / (2 * half)
     matrix = np.array([[scale, 0.0, -0.5], [0.0, scale, -0.5]])
     matrix[:, 2] += scale * (0.5 - corner)
@@ -52,18 +57,29 @@ def close_up(picture: Picture, fit: FrameFit, side: int) -> tuple[Picture, Frame
 
 
 def pictures_in_a_row(pictures: Sequence[Picture], titles: Sequence[str] = (), columns: int | None = None) -> Figure:
-    """Pictures at their own size, side by side or in rows of `columns`, each under its title."""
+    """Pictures side by side, or in rows of `columns`, each under its title; wide rows are reduced to the page.
+
+    Pictures of one call should have one size.
+    """
     columns = min(columns or len(pictures), len(pictures))
     rows = -(-len(pictures) // columns)
     height, width = np.max([picture.shape[:2] for picture in pictures], axis=0) / DPI
-    head = 0.28 if titles else 0.02
-    figure, axes = _subplots(rows, columns, (columns * width, rows * (height + head)))
-    for k, axis in enumerate(axes.ravel()):
+    scale = min(1.0, (PAGE_WIDTH - GAP * (columns - 1)) / (columns * width))
+    width, height = scale * width, scale * height
+    # A row whose titles are all empty needs no room for them.
+    titled = [any(titles[row * columns : (row + 1) * columns]) for row in range(rows)]
+    heads = [TITLE_HEIGHT if has_title else GAP for has_title in titled]
+    total_width, total_height = columns * width + (columns - 1) * GAP, rows * height + sum(heads)
+    figure = _figure(total_width, total_height)
+    for k, picture in enumerate(pictures):
+        row, column = divmod(k, columns)
+        bottom = total_height - sum(heads[: row + 1]) - (row + 1) * height
+        left = column * (width + GAP)
+        axis = figure.add_axes((left / total_width, bottom / total_height, width / total_width, height / total_height))
+        axis.imshow(picture)
         axis.axis("off")
-        if k < len(pictures):
-            axis.imshow(pictures[k], interpolation="nearest")
-            axis.set_title(titles[k] if titles else "", fontsize=9, pad=4)
-    figure.subplots_adjust(0, 0, 1, 1 - head / (rows * (height + head)), 0.02, head / height)
+        if titled[row]:
+            axis.set_title(titles[k], fontsize=9, pad=4)
     return figure
 
 
@@ -72,8 +88,12 @@ def strongest_weights(
     weights: Float[np.ndarray, "k"] | dict[str, np.ndarray],
     count: int = 12,
     x_label: str = "weight",
+    in_range: tuple[float, float] | None = (0.0, 1.0),
 ) -> Figure:
-    """Bars of the largest weights by size; for several vectors by label, grouped bars in the order of the largest."""
+    """Bars of the largest weights by size; for several vectors by label, grouped bars in the order of the largest.
+
+    `in_range` is shaded.
+    """
     series = weights if isinstance(weights, dict) else {"": weights}
     values = np.array(list(series.values()))
     order = np.argsort(-np.abs(values).max(axis=0), kind="stable")[:count][::-1]
@@ -84,7 +104,8 @@ def strongest_weights(
         axis.barh(place, row[order], thick, color=(BLUE, RED, GREEN, GREY)[k], label=label)
     axis.set_yticks(np.arange(len(order)), [names[k] for k in order], fontsize=9)
     axis.set_xlabel(x_label)
-    axis.axvspan(0, 1, color="0.95", zorder=0)
+    if in_range is not None:
+        axis.axvspan(*in_range, color="0.95", zorder=0)
     axis.axvline(0, color="0.3", linewidth=0.8)
     if len(series) > 1:
         axis.legend(frameon=False, fontsize=9)
@@ -97,6 +118,9 @@ def energy_over_iterations(curves: dict[str, np.ndarray], y_label: str = "energy
     for (label, energies), color in zip(curves.items(), (BLUE, RED, GREEN, GREY, "#e09f3e"), strict=False):
         axis.plot(np.asarray(energies), "o-", markersize=3, color=color, label=label)
     axis.set_yscale("log")
+    axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.yaxis.set_major_formatter("{x:g}")
+    axis.yaxis.set_minor_formatter(NullFormatter())
     axis.set_xlabel("iteration")
     axis.set_ylabel(y_label)
     axis.legend(frameon=False, fontsize=9)
@@ -194,9 +218,14 @@ def _axes(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def _subplots(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, np.ndarray]:
-    figure, axes = pyplot.subplots(rows, columns, figsize=size, dpi=DPI, squeeze=False)
+    figure = _figure(*size)
+    return figure, figure.subplots(rows, columns, squeeze=False).ravel()
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = pyplot.figure(figsize=(width, height), dpi=DPI)
     pyplot.close(figure)
-    return figure, axes.ravel()
+    return figure
 
 
 def _plain(axis: Axes) -> None:

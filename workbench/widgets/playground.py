@@ -19,7 +19,7 @@ from workbench.tracking import FaceTracker, FrameFit, FrameObservation
 
 PARTS = OverlayParts(text=False)
 JPEG_QUALITY = 90
-SIDE_PX = 460
+SIDE_PX = 440
 Number = float | int
 
 
@@ -86,16 +86,18 @@ class FitPlayground(widgets.VBox):
         self._tracker = FaceTracker(model, config, stills=True)
         self._panel = HeadPanel(model, (SIDE_PX, SIDE_PX))
         self.config, self.fit = config, None
-        self.preset = widgets.Dropdown(options=list(PRESETS), value=config.preset, description="preset")
+        self.preset = widgets.Dropdown(
+            options=list(PRESETS), value=config.preset, description="preset", style={"description_width": "130px"}
+        )
         self.sliders = _sliders(start_values(config))
         self.status = widgets.HTML()
-        self.image = widgets.Image(format="jpeg", width=2 * SIDE_PX, height=SIDE_PX)
+        self.image = widgets.Image(format="jpeg", layout=widgets.Layout(max_width="100%", object_fit="contain"))
         self.preset.observe(self._on_preset, "value")
         for slider in self.sliders.values():
             slider.observe(self._on_slider, "value")
         grid = widgets.GridBox(
             [self.preset, *self.sliders.values()],
-            layout=widgets.Layout(grid_template_columns="repeat(2, 460px)", max_width="100%"),
+            layout=widgets.Layout(grid_template_columns="repeat(2, minmax(280px, 1fr))", max_width=f"{2 * SIDE_PX}px"),
         )
         super().__init__([grid, self.status, self.image])
         self.refit()
@@ -158,7 +160,7 @@ def _sliders(values: dict[str, Number]) -> dict[str, widgets.Widget]:
     def slider(kind, name, label, low, high, step, tip):
         return kind(
             value=values[name], min=low, max=high, step=step, description=label, tooltip=tip,
-            style={"description_width": "130px"}, layout=widgets.Layout(width="440px"),
+            style={"description_width": "130px"}, layout=widgets.Layout(width="auto"),
         )  # fmt: skip
 
     real, whole = widgets.FloatSlider, widgets.IntSlider
