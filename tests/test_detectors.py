@@ -151,7 +151,7 @@ def test_refining_from_nearby_points_agrees_with_aligning(detector, astronaut):
 def test_where_there_is_no_face_none_is_found_and_landmarks_are_not_trusted(detector):
     noise = np.random.default_rng(0).integers(0, 256, (300, 400, 3), np.uint8)
     hills = cv2.GaussianBlur(noise, (0, 0), 9)
-    assert detector.detect_faces(hills, thorough=False) == []
+    assert detector.detect_faces(hills, effort="quick") == []
     assert np.median(detector.align(hills, (100.0, 80.0, 220.0, 200.0)).confidence) < 0.2
 
 

@@ -72,9 +72,9 @@ class KnownFaces:
         self.quick_finds = quick_finds
         self.searches: list[bool] = []
 
-    def detect_faces(self, picture, thorough=True):
-        self.searches.append(thorough)
-        if not thorough and not self.quick_finds:
+    def detect_faces(self, picture, effort="full"):
+        self.searches.append(effort)
+        if effort == "quick" and not self.quick_finds:
             return []
         frames = [frame_from_points(face) for face in self.faces[picture.tobytes()]]
         return sorted((FaceDetection(f.box(), 1.0) for f in frames), key=lambda found: -found.area)
@@ -217,14 +217,14 @@ def test_a_given_point_chooses_the_face():
         assert error_in_sides(results[0], face) < 0.02
 
 
-def test_thorough_searches_start_each_shot_and_then_back_off():
+def test_a_full_search_starts_each_shot_and_thorough_ones_back_off():
     scenes = [without_face()] * 35
     _, detector = run(scenes, retry_interval=10)
-    thorough_at = [i for i, thorough in enumerate(detector.searches) if thorough]
-    assert sum(detector.searches) == 3
-    assert thorough_at == [1, 12, 33]  # frames 0, 10 and 30: each follows a quick search that found nothing
+    slow = {i: effort for i, effort in enumerate(detector.searches) if effort != "quick"}
+    # Frames 0, 10 and 30: each follows a quick search that found nothing.
+    assert slow == {1: "full", 12: "thorough", 33: "thorough"}
     _, detector = run([scene(0)], KnownFaces([scene(0)], quick_finds=False))
-    assert detector.searches == [False, True]
+    assert detector.searches == ["quick", "full"]
 
 
 def test_a_face_that_moves_out_of_the_picture_is_lost():

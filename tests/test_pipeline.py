@@ -187,7 +187,7 @@ class NoFaces:
 
     name = "no-faces"
 
-    def detect_faces(self, picture, thorough=True):
+    def detect_faces(self, picture, effort="full"):
         return []
 
     def align(self, picture, box):

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -12,6 +12,8 @@ from jaxtyping import Float, UInt8
 from workbench.errors import ConfigError
 from workbench.landmarks.observations import Landmarks2D
 
+Effort = Literal["quick", "thorough", "full"]
+"""How hard to look for faces: at every frame, now and then, once a shot."""
 Box = tuple[float, float, float, float]
 """(left, top, right, bottom): the edges of a face box in pixels; (0, 0) is the centre of the top-left pixel."""
 
@@ -38,8 +40,8 @@ class LandmarkDetector(Protocol):
 
     name: str
 
-    def detect_faces(self, picture: UInt8[np.ndarray, "h w 3"], thorough: bool = True) -> list[FaceDetection]:
-        """Faces, the largest first. `thorough=False` may miss faces for the sake of speed."""
+    def detect_faces(self, picture: UInt8[np.ndarray, "h w 3"], effort: Effort = "full") -> list[FaceDetection]:
+        """Faces, the largest first; less effort may miss faces for the sake of speed."""
         ...
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:

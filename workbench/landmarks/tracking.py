@@ -22,7 +22,7 @@ from workbench.landmarks.alignment import (
     grey_face_crop,
     shape_deviation,
 )
-from workbench.landmarks.detectors import Box, FaceDetection, LandmarkDetector
+from workbench.landmarks.detectors import Box, Effort, FaceDetection, LandmarkDetector
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS
 
@@ -44,8 +44,8 @@ class TrackerOptions:
     check_interval: int = 45
     """Frames between checks: the face is aligned anew, as if just detected, and lost if that finds no face there."""
     retry_interval: int = 10
-    """Frames between thorough searches while no face is found, doubled after each in vain up to eight times this; a
-    quick one is made at every frame."""
+    """Frames between thorough searches while no face is found, doubled after each in vain up to eight times this. A
+    shot starts with a full search, and a quick one is made at every frame."""
     patience: int = 5
     """Frames that flow alone bridges where the predictor fails, as when a hand passes; doubtful fits are checked anew
     after as many."""
@@ -257,14 +257,15 @@ class LandmarkTracker:
     # --- finding ---
 
     def _find(self, picture: np.ndarray) -> Landmarks2D | None:
-        """Look for the face where it was, then with the detector; the thorough search at intervals only."""
+        """Look for the face where it was, then with the detector; slower searches at intervals only."""
         self._variance = np.full(68, self.options.predictor_noise_sides**2)
         self._since_check = self._bridged = 0
-        landmarks = self._choose(picture, self._detect(picture, thorough=False))
+        landmarks = self._choose(picture, self._detect(picture, "quick"))
         doubtful = landmarks is None or np.median(landmarks.confidence) < self.options.sure_confidence
         if doubtful and self._since_search >= self._retry_after:
             self._since_search = 0
-            found = self._choose(picture, self._detect(picture, thorough=True))
+            effort: Effort = "full" if self._retry_after == 0 else "thorough"
+            found = self._choose(picture, self._detect(picture, effort))
             interval = self.options.retry_interval
             in_vain = min(max(interval, 2 * self._retry_after), LONGEST_RETRY * interval)
             self._retry_after = interval if found else in_vain
@@ -276,10 +277,10 @@ class LandmarkTracker:
     def _search_at_once(self) -> None:
         self._since_search = self._retry_after = 0
 
-    def _detect(self, picture: np.ndarray, thorough: bool) -> list[FaceDetection]:
+    def _detect(self, picture: np.ndarray, effort: Effort) -> list[FaceDetection]:
         started = perf_counter()
         self.detections += 1
-        found = self.detector.detect_faces(picture, thorough=thorough)
+        found = self.detector.detect_faces(picture, effort)
         self._detect_seconds += perf_counter() - started
         return found
 
