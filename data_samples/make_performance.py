@@ -15,16 +15,18 @@ import numpy as np
 from performance_look import Stage, albedo_of_person
 from performance_timeline import FRAME_COUNT, RATE, performance
 
+from workbench.energies import project_landmarks
 from workbench.errors import MissingDependencyError
-from workbench.face import contour_blend, landmark_model, load_default_head, model_landmarks
+from workbench.face import FaceParameters, contour_blend, landmark_model, load_default_head, model_landmarks
 from workbench.face.model import FaceModel
 from workbench.files import atomic_path
 from workbench.frames import VideoWriter, open_frames, write_picture
-from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov, project, rotation_matrix
+from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov
 from workbench.landmarks.dlib_detector import DlibDetector
 from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.rendering import HeadRenderer
+from workbench.tracking.frame_solver import head_yaw
 
 FOLDER = Path(__file__).resolve().parent
 SIZE = (640, 480)
@@ -81,11 +83,10 @@ def exact_landmarks(model: FaceModel, truth: dict[str, np.ndarray]) -> np.ndarra
     for rotation, translation, expression in zip(
         truth["rotation"], truth["translation"], truth["expression"], strict=True
     ):
-        matrix = rotation_matrix(rotation)
-        yaw = np.arcsin(matrix[0, 2])
-        points = model_landmarks(points_of, contour_blend(points_of.contour_yaw, yaw, 1.0), truth["identity"])
-        points_head = points.neutral + np.tensordot(expression, points.expression, axes=1)
-        landmarks.append(np.asarray(project(camera, points_head @ matrix.T + translation)))
+        parameters = FaceParameters(rotation, translation, expression, truth["identity"])
+        blend = contour_blend(points_of.contour_yaw, head_yaw(rotation), 1.0)
+        points = model_landmarks(points_of, blend, truth["identity"])
+        landmarks.append(np.asarray(project_landmarks(camera, points, parameters)))
     return np.stack(landmarks)
 
 

@@ -154,3 +154,15 @@ def test_lab_serves_the_notebooks_and_keeps_its_token(monkeypatch):
     assert "--no-browser" in text
     assert "00_" in text
     assert "token" not in text
+
+
+def test_notebooks_of_an_installed_package_are_opened_as_copies(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    installed = tmp_path / "site-packages" / "workbench" / "notebooks"
+    installed.mkdir(parents=True)
+    (installed / "00_first.ipynb").write_text("original")
+    copies = cli.working_copies(installed, installed.parent)
+    assert copies == tmp_path / "workbench_notebooks"
+    (copies / "00_first.ipynb").write_text("changed by the user")
+    assert (cli.working_copies(installed, installed.parent) / "00_first.ipynb").read_text() == "changed by the user"
+    assert (installed / "00_first.ipynb").read_text() == "original"

@@ -237,6 +237,16 @@ def test_the_trace_shows_every_iteration_of_every_stage(head):
     np.testing.assert_allclose(plain.expression, fit.expression, atol=1e-9)
 
 
+def test_explaining_a_still_starts_afresh_as_push_does(head):
+    tracker = FaceTracker(head, PRESETS["calibrated"], stills=True)
+    tracker.push(make_scene(head, (-20, 0, 0)).observation(0))
+    still = make_scene(head, (30, 0, 0), translation=(80.0, 0.0, 500.0)).observation(1)
+    explained, _ = tracker.explain(still)
+    pushed = tracker.push(still)[0]
+    np.testing.assert_allclose(explained.angles_deg, pushed.angles_deg, atol=1e-6)
+    np.testing.assert_allclose(explained.expression, pushed.expression, atol=1e-6)
+
+
 def test_the_status_tells_a_limit_from_convergence(head):
     scene = make_scene(head, (20, 5, 0), {"jawOpen": 0.5})
     short = EXACT.changed(stages=(EXACT.stages[0], Stage(name="e", free=("expression",), limit=1)))

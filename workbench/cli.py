@@ -95,7 +95,7 @@ def lab(
     browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
 ) -> None:
     """Open JupyterLab on the first notebook; prints its address where there is no browser."""
-    folder = notebooks_folder()
+    folder = working_copies(notebooks_folder())
     command = [sys.executable, "-m", "jupyterlab", f"--notebook-dir={folder}", f"--port={port}"]
     command += [f"--LabApp.default_url=/lab/tree/{sorted(folder.glob('*.ipynb'))[0].name}"]
     command += [] if browser and _has_browser() else ["--no-browser"]
@@ -134,6 +134,22 @@ def notebooks_folder() -> Path:
     package = Path(__file__).resolve().parent
     folders = (package / "notebooks", package.parent / "notebooks")
     return next((folder for folder in folders if any(folder.glob("*.ipynb"))), Path.cwd())
+
+
+def working_copies(folder: Path, package: Path = Path(__file__).resolve().parent) -> Path:
+    """The notebooks of a checkout as they are; those of an installed package copied to ./workbench_notebooks.
+
+    JupyterLab saves what it runs, and an installed package is no place for that. Notebooks that are already there
+    stay as the user left them.
+    """
+    if not folder.is_relative_to(package):
+        return folder
+    copies = Path.cwd() / "workbench_notebooks"
+    copies.mkdir(exist_ok=True)
+    for notebook in folder.glob("*.ipynb"):
+        if not (copies / notebook.name).exists():
+            shutil.copyfile(notebook, copies / notebook.name)
+    return copies
 
 
 def main() -> None:

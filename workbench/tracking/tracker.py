@@ -156,13 +156,15 @@ class FaceTracker:
     def explain(self, observation: FrameObservation) -> tuple[FrameFit, tuple["StageTrace", ...]]:
         """Fit one frame as the next `push` would, with every iteration kept; the tracker itself does not move.
 
-        The identity is the calibrated one if the shot has it, else calibrated on this frame alone.
+        The identity is the calibrated one if the shot has it, else (and for stills) calibrated on this frame alone.
         Raises `InputError` for a frame without landmarks.
         """
         if observation.landmarks is None:
             raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
         probe = copy.copy(self)
         probe._starts = dict(self._starts)
+        if self.stills:
+            probe._start_shot()
         if probe._identity is None:
             probe._calibrate([observation])
         last = probe._continuing(observation)
