@@ -29,6 +29,7 @@ app = typer.Typer(
     help="Face Energy Workbench: facial performance capture by optimisation.",
 )
 console = Console(highlight=False)
+PACKAGE = Path(__file__).resolve().parent
 errors = Console(stderr=True, highlight=False)
 
 DEMO = {"astronaut": {}, "performance": {"camera": {"fov_deg": 33.0}}}
@@ -131,12 +132,11 @@ def info() -> None:
 
 def notebooks_folder() -> Path:
     """Folder of the notebooks: beside the package in a checkout, inside it in an installed wheel."""
-    package = Path(__file__).resolve().parent
-    folders = (package / "notebooks", package.parent / "notebooks")
+    folders = (PACKAGE / "notebooks", PACKAGE.parent / "notebooks")
     return next((folder for folder in folders if any(folder.glob("*.ipynb"))), Path.cwd())
 
 
-def working_copies(folder: Path, package: Path = Path(__file__).resolve().parent) -> Path:
+def working_copies(folder: Path, package: Path = PACKAGE) -> Path:
     """The notebooks of a checkout as they are; those of an installed package copied to ./workbench_notebooks.
 
     JupyterLab saves what it runs, and an installed package is no place for that. Notebooks that are already there
