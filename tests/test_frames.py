@@ -1,7 +1,6 @@
 """Streams of pictures: what is opened, in which order, upright, complete, the same at every pass; atomic writing."""
 
 import struct
-import threading
 from pathlib import Path
 
 import av
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 from workbench.errors import InputError
-from workbench.frames import Frame, Frames, VideoWriter, open_frames, prefetched, read_picture, write_picture
+from workbench.frames import Frames, VideoWriter, open_frames, read_picture, write_picture
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -292,37 +291,3 @@ def test_pictures_are_written_losslessly_as_png_and_nothing_else_is_written(tmp_
     with pytest.raises(InputError, match="are written as"):
         write_picture(tmp_path / "p.tiff", picture)
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
-
-
-def numbered(count, fail_at=None):
-    for index in range(count):
-        if index == fail_at:
-            raise InputError(f"frame {index} is damaged")
-        yield Frame(index, np.full((2, 2, 3), index % 256, np.uint8), 0.0, str(index))
-
-
-def test_prefetched_frames_are_the_same_in_the_same_order():
-    assert [frame.index for frame in prefetched(numbered(50))] == list(range(50))
-
-
-def test_an_error_while_prefetching_arrives_after_the_frames_before_it():
-    frames = prefetched(numbered(20, fail_at=7))
-    seen = [next(frames).index for _ in range(7)]
-    with pytest.raises(InputError, match="frame 7"):
-        next(frames)
-    assert seen == list(range(7))
-
-
-def test_prefetching_stops_with_its_user_and_looks_only_a_little_ahead():
-    made = []
-
-    def watched():
-        for frame in numbered(1000):
-            made.append(frame.index)
-            yield frame
-
-    frames = prefetched(watched(), depth=3)
-    next(frames)
-    frames.close()
-    assert len(made) <= 6
-    assert not any(thread.name == "frame decoder" for thread in threading.enumerate())

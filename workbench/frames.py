@@ -4,9 +4,7 @@ Every picture is UInt8 (height, width, 3) RGB. A stream never holds more than th
 video needs no more memory than a second, and `iterate(start)` delivers identical pictures whenever it is called again.
 """
 
-import queue
 import re
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -93,41 +91,6 @@ def open_frames(inputs: str | Path | Sequence[str | Path]) -> Frames:
         if path.suffix.lower() in VIDEO_SUFFIXES or path.is_dir():
             raise InputError(f"several inputs must all be images, got {path}: open a video or a folder on its own")
     return ImageFrames(paths, name=paths[0].stem)
-
-
-def prefetched(frames: Iterator[Frame], depth: int = 4) -> Iterator[Frame]:
-    """The same frames, decoded in a thread up to `depth` frames ahead of their use; errors arrive in their place."""
-    waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(depth)
-    stop = threading.Event()
-
-    def hand_over(item: Frame | BaseException | None) -> None:
-        while not stop.is_set():
-            try:
-                waiting.put(item, timeout=0.1)
-                return
-            except queue.Full:
-                continue
-
-    def decode() -> None:
-        try:
-            for frame in frames:
-                hand_over(frame)
-                if stop.is_set():
-                    return
-            hand_over(None)
-        except BaseException as error:  # whatever happened is raised where the frames are used
-            hand_over(error)
-
-    thread = threading.Thread(target=decode, name="frame decoder", daemon=True)
-    thread.start()
-    try:
-        while (item := waiting.get()) is not None:
-            if isinstance(item, BaseException):
-                raise item
-            yield item
-    finally:
-        stop.set()
-        thread.join()
 
 
 def images_in_folder(folder: Path) -> list[Path]:

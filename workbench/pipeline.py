@@ -16,7 +16,7 @@ from workbench.config import Config, config_toml, write_config
 from workbench.errors import InputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.face import FaceModel
-from workbench.frames import Frame, Frames, open_frames, prefetched
+from workbench.frames import Frame, Frames, open_frames
 from workbench.landmarks.detectors import LandmarkDetector, make_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
@@ -136,9 +136,9 @@ class _PictureSource:
 
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
         if stills:
-            yield from (self._still(frame) for frame in prefetched(self.frames.iterate(start)))
+            yield from (self._still(frame) for frame in self.frames.iterate(start))
             return
-        frames = prefetched(self.frames.iterate(max(start - 1, 0)))
+        frames = self.frames.iterate(max(start - 1, 0))
         if start:
             self._tracker.restore(state, next(frames).picture)
         for frame in frames:
