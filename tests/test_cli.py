@@ -166,3 +166,13 @@ def test_notebooks_of_an_installed_package_are_opened_as_copies(monkeypatch, tmp
     (copies / "00_first.ipynb").write_text("changed by the user")
     assert (cli.working_copies(installed, installed.parent) / "00_first.ipynb").read_text() == "changed by the user"
     assert (installed / "00_first.ipynb").read_text() == "original"
+
+
+def test_an_interruption_says_how_to_go_on(run, points, monkeypatch):
+    def interrupted(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("workbench.pipeline.track", interrupted)
+    code, _, err = run("track", "points.csv")
+    assert code == 130
+    assert "--resume" in err

@@ -159,9 +159,6 @@ def main() -> None:
     except WorkbenchError as error:
         errors.print(f"[red]error:[/red] {error}")
         sys.exit(2)
-    except KeyboardInterrupt:
-        errors.print("[yellow]interrupted[/yellow]; finished parts are kept, --resume goes on from there")
-        sys.exit(130)
 
 
 def _configuration(config, preset_name, detector, fov, face, identity) -> Config:
@@ -217,7 +214,11 @@ def _run(inputs, folder, config, **options) -> None:
             speed = bar.tasks[tasks[step]].speed
             bar.update(tasks[step], completed=done, total=total, rate=f"{speed:.0f} frames/s" if speed else "")
 
-        result = track(inputs, folder, load_default_head(), config, progress=progress, **options)
+        try:
+            result = track(inputs, folder, load_default_head(), config, progress=progress, **options)
+        except KeyboardInterrupt:
+            errors.print("[yellow]interrupted[/yellow]: finished parts are kept, --resume goes on from there")
+            raise typer.Exit(130) from None
     _print_summary(result)
 
 
