@@ -199,6 +199,8 @@ def test_contour_weights_sum_to_one_and_touch_two_neighbours(yaw, sliding):
     assert blend.sum() == pytest.approx(1.0)
     assert blend.min() >= 0.0
     assert (blend[1:] > 0).sum() <= 2
+    mean_yaw = np.interp(yaw, table[1:], table[1:])
+    assert blend[1:] @ table[1:] == pytest.approx(sliding * mean_yaw, abs=1e-12)
 
 
 def test_the_contour_slides_towards_the_visible_silhouette(head):

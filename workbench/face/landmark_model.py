@@ -92,7 +92,10 @@ def contour_blend(contour_yaw: Float[AnyArray, "b"], yaw: Scalar, sliding: Scala
     if count == 1:
         return frontal
     table = jnp.asarray(contour_yaw)[1:]
-    tabulated = jnp.stack([jnp.interp(yaw, table, row) for row in jnp.eye(count - 1)])
+    # Hat functions: each entry rises from its left neighbour and falls to its right one.
+    passed = (jnp.clip(yaw, table[0], table[-1]) - table[:-1]) / jnp.diff(table)
+    one = jnp.ones(1)
+    tabulated = jnp.clip(jnp.minimum(jnp.append(one, passed), jnp.append(1.0 - passed, one)), 0.0, 1.0)
     return frontal * (1.0 - sliding) + jnp.concatenate([jnp.zeros(1), tabulated]) * sliding
 
 
