@@ -149,6 +149,27 @@ def test_parts_of_another_configuration_are_not_resumed(head, clip, quick, tmp_p
     assert seen[0] == 1
 
 
+def test_a_run_on_other_landmarks_is_not_resumed(head, clip, quick, tmp_path, monkeypatch):
+    monkeypatch.setattr("workbench.tracking.track_writer.PART_FRAMES", 4)
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for index in range(20):
+        cv2.imwrite(str(pictures / f"{index:02d}.png"), np.full((480, 640, 3), 90, np.uint8))
+
+    def interrupt(step, done, total):
+        if done == 12:
+            raise KeyboardInterrupt
+
+    options = {"pictures": False, "progress": interrupt}
+    with pytest.raises(KeyboardInterrupt):
+        track(pictures, tmp_path / "out", head, quick, landmarks=clip, **options)
+    other, seen = tmp_path / "other.csv", []
+    other.write_text(clip.read_text().replace("640,480", "640,481"))
+    options = {"pictures": False, "progress": lambda *a: seen.append(a[1]), "resume": True}
+    track(pictures, tmp_path / "out", head, quick, landmarks=other, **options)
+    assert seen[0] == 1
+
+
 def test_a_crash_leaves_no_file_under_a_final_name(head, clip, quick, tmp_path):
     def fail(step, done, total):
         if done == 9:

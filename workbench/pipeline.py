@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from workbench import __version__
-from workbench.config import Config, config_toml, write_config
+from workbench.config import Config, write_config
 from workbench.errors import InputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.face import FaceModel
-from workbench.frames import Frame, Frames, open_frames
+from workbench.frames import Frame, Frames, ImageFrames, open_frames
 from workbench.landmarks.detectors import LandmarkDetector, make_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
@@ -84,8 +84,8 @@ def track(
     tracker = FaceTracker(model, config, stills=stills)
     tracker.warm_up(source.image_size)
     folder.mkdir(parents=True, exist_ok=True)
-    meta = _meta(paths, model, config, stills, source)
-    writer = TrackWriter(folder / "track.npz", meta, _fingerprint(paths, config, stills), resume)
+    meta = _meta(paths, landmarks, model, config, stills, source)
+    writer = TrackWriter(folder / "track.npz", meta, _fingerprint(meta), resume)
     began, already = time.perf_counter(), len(writer)
     try:
         _track_frames(source, tracker, writer, stills, progress)
@@ -293,13 +293,14 @@ def _write_pictures(source, writer, model, stills, folder, progress, notes) -> t
     return tuple(made)
 
 
-def _meta(paths, model: FaceModel, config: Config, stills: bool, source) -> dict[str, Any]:
+def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, stills: bool, source) -> dict[str, Any]:
     return {
         "expression_names": list(model.expression_names),
         "stages": [stage.name for stage in config.stages if stage.enabled],
         "config": json.loads(config.model_dump_json()),
         "inputs": [{"path": str(path), "sha256": _content_hash(path)} for path in paths],
-        "names": [frame.name for frame in source.frames.iterate()] if stills else [],
+        "landmarks": None if landmarks is None else {"path": str(landmarks), "sha256": _content_hash(landmarks)},
+        "names": _names(source.frames) if stills else [],
         "stills": stills,
         "rate": source.frames.rate,
         "camera_guessed": config.camera.matrix is None,
@@ -308,9 +309,15 @@ def _meta(paths, model: FaceModel, config: Config, stills: bool, source) -> dict
     }
 
 
-def _fingerprint(paths: list[Path], config: Config, stills: bool) -> str:
-    parts = [__version__, config_toml(config), str(stills), *(f"{path}:{_content_hash(path)}" for path in paths)]
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+def _names(frames: Frames) -> list[str]:
+    if isinstance(frames, ImageFrames):
+        return [path.name for path in frames.paths]  # reading large photos once more for this would take long
+    return [frame.name for frame in frames.iterate()]
+
+
+def _fingerprint(meta: dict[str, Any]) -> str:
+    """The metadata holds all that a run depends on: inputs, configuration, model, versions."""
+    return hashlib.sha256(json.dumps(meta, sort_keys=True).encode()).hexdigest()
 
 
 def _content_hash(path: Path) -> str:
