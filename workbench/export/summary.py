@@ -10,6 +10,7 @@ import numpy as np
 from workbench.files import atomic_path
 from workbench.geometry import Camera, horizontal_fov_deg
 from workbench.tracking import Track
+from workbench.tracking.records import frame_errors
 
 TIMES = ("detect", "landmarks", "solve")
 
@@ -22,10 +23,7 @@ def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[st
     """
     errors, milliseconds, found, iterations, shots, camera = [], [], [], [], 0, {}
     for track in tracks:
-        residuals = np.linalg.norm(track.projected - track.observed, axis=2)
-        eye_distance = np.linalg.norm(track.observed[:, 45] - track.observed[:, 36], axis=1)
-        inner, every = residuals[:, 17:].mean(1), residuals.mean(1)
-        errors.append(np.stack([inner, every, 100 * inner / eye_distance, 100 * every / eye_distance], axis=1))
+        errors.append(frame_errors(track))
         milliseconds.append(track.milliseconds)
         found.append(track.found)
         iterations.append(track.iterations)

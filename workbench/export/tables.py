@@ -25,7 +25,7 @@ def write_parameter_table(tracks: Iterable[Track], expression_names: Sequence[st
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["frame", "found", *POSE_COLUMNS, *expression_names, *ERROR_COLUMNS])
         for track in tracks:
-            blocks = [track.rotation, track.translation, track.angles_deg, track.expression, frame_errors(track)]
+            blocks = [track.rotation, track.translation, track.angles_deg, track.expression, frame_errors(track)[:, 1:]]
             for index, found, row in zip(track.index, track.found, np.concatenate(blocks, axis=1), strict=True):
                 numbers = ["" if not np.isfinite(cell) else f"{cell:.9g}" for cell in row]
                 writer.writerow([int(index), int(found), *numbers])

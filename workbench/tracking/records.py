@@ -53,7 +53,7 @@ class FrameFit:
     @property
     def errors(self) -> tuple[float, float, float]:
         """Mean error in px over all 68 landmarks, in % of the outer-eye distance over the inner 51 and over all."""
-        return tuple(_errors(self.projected[None], self.observed[None])[0].tolist())
+        return tuple(_errors(self.projected[None], self.observed[None])[0, 1:].tolist())
 
     @property
     def residuals_px(self) -> Float[np.ndarray, "68"]:
@@ -166,13 +166,16 @@ def stack_fits(fits: list[FrameFit]) -> dict[str, np.ndarray]:
     return {name: columns[name] for name in ARRAYS}
 
 
-def frame_errors(track: Track) -> Float[np.ndarray, "n 3"]:
-    """`FrameFit.errors` of every frame; NaN without a face."""
+def frame_errors(track: Track) -> Float[np.ndarray, "n 4"]:
+    """Mean error of every frame in px over the inner 51 and over all 68, then both in % of the outer-eye distance.
+
+    NaN without a face. The last three are `FrameFit.errors`.
+    """
     return _errors(track.projected, track.observed)
 
 
-def _errors(projected: Float[np.ndarray, "n 68 2"], observed: Float[np.ndarray, "n 68 2"]) -> Float[np.ndarray, "n 3"]:
+def _errors(projected: Float[np.ndarray, "n 68 2"], observed: Float[np.ndarray, "n 68 2"]) -> Float[np.ndarray, "n 4"]:
     residuals = np.linalg.norm(projected - observed, axis=2)
     eye_distance = np.linalg.norm(observed[:, LEFT_EYE_OUTER_CORNER] - observed[:, RIGHT_EYE_OUTER_CORNER], axis=1)
-    percent = 100.0 * residuals / eye_distance[:, None]
-    return np.stack([residuals.mean(1), percent[:, 17:].mean(1), percent.mean(1)], axis=1)
+    pixels = np.stack([residuals[:, 17:].mean(1), residuals.mean(1)], axis=1)
+    return np.concatenate([pixels, 100.0 * pixels / eye_distance[:, None]], axis=1)
