@@ -22,9 +22,9 @@ from workbench.config import Config, preset
 from workbench.face import FaceParameters, landmark_model
 from workbench.runtime import cache_folder
 from workbench.tracking import FaceTracker, FrameFit
+from workbench.tracking.fitter import solve_settings, stage_program
 from workbench.tracking.frame_solver import FrameInput, solve_frame
 from workbench.tracking.initial_pose import initial_pose
-from workbench.tracking.tracker import solve_settings, stage_program
 
 ROUNDS = 7
 AGREEMENT = 0.01
@@ -122,13 +122,13 @@ class Batch:
     """
 
     def __init__(self, clip: Clip, fits: list[FrameFit], config: Config, spread: Callable):
-        stages, numbers = stage_program(config, start=False)
+        program = stage_program(config, start=False)
         model = landmark_model(clip.head).personal(np.zeros(len(clip.head.identity_deltas)))
         settings = solve_settings(config)
         camera, model = jax.tree.map(jnp.asarray, (clip.camera, model))
         self._clip = clip
         self._frames = _stacked_inputs(fits)
-        self._solve = jax.jit(spread(lambda frame: solve_frame(stages, camera, model, settings, numbers, frame)))
+        self._solve = jax.jit(spread(lambda frame: solve_frame(camera, model, settings, program, frame)))
 
     def run(self) -> tuple[float, float]:
         """Milliseconds a frame, NumPy in and NumPy report out, and the reprojection error."""

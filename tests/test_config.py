@@ -18,7 +18,7 @@ def test_the_file_explains_its_values_and_has_a_stable_order():
     text = config_toml(preset("calibrated"))
     assert "ω_τ: second difference of the pose (Eq. 9)." in text
     assert text == config_toml(preset("calibrated"))
-    assert list(tomllib.loads(text)) == list(Config.model_fields)
+    assert list(tomllib.loads(text)) == [name for name in Config.model_fields if name != "provenance"]
 
 
 def test_a_short_file_takes_the_rest_from_its_preset(tmp_path):
@@ -45,7 +45,15 @@ def test_a_short_file_takes_the_rest_from_its_preset(tmp_path):
         ('[[stages]]\nname = "a"\nfree = ["pose"]\n', "stages.0.free"),
         ('[[stages]]\nname = "a"\nfree = ["rotation"]\nlandmarks = {noose = 1}\n', "did you mean 'nose"),
         ('[[stages]]\nname = "a"\nfree = ["rotation", "rotation"]\n', "twice"),
-        ("version = 99\n", "version"),
+        ("version = 99\n", "version is 99, this workbench reads 1 to 2"),
+        ('[solver]\nmethod = "optimistix-lm"\n', "knows no bounds: set bounded = false"),
+        (
+            "[landmarks]\nweights = {noose = 0}\n",
+            "landmarks.weights knows no landmark group 'noose'; did you mean 'nose",
+        ),
+        ("[subsets]\njaw = [1, 2]\n", "cannot be called 'jaw'"),
+        ("[subsets]\nmine = [68]\n", "subsets.mine.0"),
+        ('[[stages]]\nname = "a"\nfree = ["rotation"]\nwhen = "start"\n', "no enabled stage runs on every frame"),
     ],
 )
 def test_wrong_files_are_refused_with_a_hint(text, message, tmp_path):
@@ -78,3 +86,33 @@ def test_landmark_groups_are_applied_in_order_and_single_points_by_number():
 
 def test_free_parameters_have_one_order_whatever_the_file_says():
     assert Stage(name="s", free=("expression", "rotation")).free == ("rotation", "expression")
+
+
+def test_a_file_of_version_1_is_read_as_if_written_today(tmp_path):
+    path = tmp_path / "old.toml"
+    path.write_text('version = 1\npreset = "calibrated"\n[contour]\nsliding = false\n[weights]\ntau = 0.5\n')
+    config = read_config(path)
+    assert config.contour.mode == "fixed"
+    assert config.version == 2
+    assert config == preset("calibrated").changed(contour={"mode": "fixed"}, weights={"tau": 0.5})
+
+
+def test_subsets_are_used_like_groups_and_survive_the_file(tmp_path):
+    stage = Stage(name="s", free=("expression",), landmarks={"all": 1.0, "cheek": 0.5})
+    config = preset("calibrated").changed(
+        subsets={"cheek": (2, 3, 14)}, stages=[stage.model_dump()], landmarks={"weights": {"cheek": 2.0, "30": 0.0}}
+    )
+    weights = config.stages[0].landmark_weights(config.subsets)
+    assert (weights[2], weights[3], weights[4]) == (0.5, 0.5, 1.0)
+    factors = config.point_weights()
+    assert (factors[2], factors[30], factors[31]) == (2.0, 0.0, 1.0)
+    write_config(config, tmp_path / "config.toml")
+    assert read_config(tmp_path / "config.toml") == config
+
+
+def test_provenance_survives_the_file(tmp_path):
+    provenance = {"exported": "2026-01-01", "versions": {"jax": "0.10"}, "changed": ["weights.tau: 0.1 → 0.5"]}
+    config = preset("calibrated").changed(provenance=provenance)
+    write_config(config, tmp_path / "config.toml")
+    assert read_config(tmp_path / "config.toml") == config
+    assert config.provenance.versions["jax"] == "0.10"

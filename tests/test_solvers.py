@@ -36,7 +36,7 @@ def unbounded(start):
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
-@pytest.mark.parametrize("route", ["ours", "levenberg-marquardt", "dogleg"])
+@pytest.mark.parametrize("route", ["ours", "lm", "dogleg"])
 def test_every_solver_finds_scipys_minimum(name, route):
     residual, start = PROBLEMS[name]
     if route == "ours":
@@ -94,15 +94,32 @@ def test_stepping_by_hand_is_what_minimise_does():
 def test_the_trace_records_the_start_and_every_step_and_changes_nothing():
     residual, start = PROBLEMS["rosenbrock"]
     plain = minimise(evaluator(residual), jnp.asarray(start), *unbounded(start), 50, 1e-12)
-    traced = minimise(
-        evaluator(residual), jnp.asarray(start), *unbounded(start), 50, 1e-12, lambda state: state.system.cost, 60
-    )
+    cost = lambda x: residual(x) @ residual(x)  # noqa: E731
+    traced = minimise(evaluator(residual), jnp.asarray(start), *unbounded(start), 50, 1e-12, cost, 60)
     costs = np.asarray(traced.trace)
     np.testing.assert_array_equal(traced.x, plain.x)
     assert costs[0] == pytest.approx(24.2)
     assert (np.diff(costs) <= 0).all()
     assert costs[int(traced.iterations)] == costs[-1] == float(plain.cost)
     assert plain.trace is None
+
+
+@pytest.mark.parametrize("route", ["lm", "dogleg"])
+def test_the_trace_of_optimistix_ends_at_its_solution_and_its_numbers_are_traced(route):
+    residual, start = PROBLEMS["rosenbrock"]
+    cost = lambda x: residual(x) @ residual(x)  # noqa: E731
+
+    @jax.jit
+    def solve(limit, tolerance):
+        return minimise_with_optimistix(residual, jnp.asarray(start), jnp.ones(2), limit, tolerance, route, cost, 60)
+
+    short, long = solve(3, 1e-3), solve(50, 1e-10)
+    assert solve._cache_size() == 1
+    assert int(short.iterations) == 3
+    costs = np.asarray(long.trace)
+    assert costs[0] == pytest.approx(24.2)
+    assert costs[int(long.iterations)] == costs[-1] == pytest.approx(float(long.cost))
+    np.testing.assert_allclose(costs[:4], np.asarray(short.trace)[:4])
 
 
 def test_a_start_that_is_not_finite_is_a_status_not_a_crash():

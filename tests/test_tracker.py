@@ -17,7 +17,7 @@ from workbench.tracking.frame_solver import solve_frame
 
 EXACT = Config(
     identity={"calibrate": False},
-    contour={"sliding": False},
+    contour={"mode": "fixed"},
     solver={"tolerance": 1e-14, "bounded": True},
     weights={"tau": 0.0, "sigma_smooth": 0.0},
     stages=(
@@ -168,7 +168,7 @@ def test_confidence_zero_takes_a_landmark_out(head):
 def test_the_sliding_contour_follows_the_yaw(head):
     scene = make_scene(head, (35, 0, 0), sliding=True)
     fixed = FaceTracker(head, EXACT).push(scene.observation())[0]
-    sliding = FaceTracker(head, EXACT.changed(contour={"sliding": True})).push(scene.observation())[0]
+    sliding = FaceTracker(head, EXACT.changed(contour={"mode": "sliding"})).push(scene.observation())[0]
     assert sliding.errors[0] < 0.3 * fixed.errors[0]
 
 
@@ -198,7 +198,8 @@ def test_a_restored_tracker_goes_on_with_the_same_numbers(head):
 
 
 def test_moving_any_number_compiles_nothing(head):
-    """50 random settings of ρ, ε, every ω, a, b, c, landmark weights, bounds, unit and contour."""
+    """50 random settings of ρ, ε, every ω, a, b, c, landmark weights, bounds, unit, contour, and of the stages: their
+    order, free parameters, and which run."""
     rng = np.random.default_rng(7)
     tracker = FaceTracker(head, PRESETS["calibrated"].changed(identity={"calibrate": False}))
     observations = [make_scene(head, (k, 0, 0)).observation(k) for k in range(3)]
@@ -214,10 +215,17 @@ def test_moving_any_number_compiles_nothing(head):
             "tolerance": float(rng.uniform(0, 1e-3)),
             "unit": str(rng.choice(["px", "percent"])),
         }
-        stored["contour"]["sliding"] = bool(rng.integers(2))
+        stored["contour"]["mode"] = str(rng.choice(["sliding", "fixed"]))
         for stage in stored["stages"]:
             stage["limit"] = int(rng.integers(1, 60))
             stage["landmarks"] = {"all": 1.0, "jaw": float(rng.uniform(0, 2)), "36": float(rng.uniform(0, 2))}
+        order = rng.permutation(len(stored["stages"]))
+        stored["stages"] = tuple(stored["stages"][k] for k in order)
+        for stage in stored["stages"]:
+            blocks = ("rotation", "translation", "expression")
+            stage["free"] = tuple(str(name) for name in rng.choice(blocks, rng.integers(1, 4), replace=False))
+            stage["enabled"] = stage["when"] == "always" or bool(rng.integers(2))
+        stored["landmarks"]["weights"] = {"brows": float(rng.uniform(0, 2)), "8": 0.0}
         tracker.configure(Config.model_validate(stored))
         tracker.push(make_scene(head, (1, 0, 0)).observation(index))
     assert solve_frame._cache_size() == before
@@ -252,3 +260,38 @@ def test_the_status_tells_a_limit_from_convergence(head):
     short = EXACT.changed(stages=(EXACT.stages[0], Stage(name="e", free=("expression",), limit=1)))
     assert FaceTracker(head, short).push(scene.observation())[0].status[-1] == Status.ITERATION_LIMIT
     assert FaceTracker(head, EXACT).push(scene.observation())[0].status[-1] == Status.CONVERGED
+
+
+@pytest.mark.parametrize("method", ["optimistix-lm", "optimistix-dogleg"])
+def test_the_papers_solvers_find_the_same_fit(head, method):
+    """Two routes to one answer: no bounds, no term that only one of them could treat well."""
+    scene = make_scene(head, (15, 5, 0), {"jawOpen": 0.4, "mouthSmileLeft": 0.5})
+    free = EXACT.changed(solver={"bounded": False}, weights={"range": 1.0, "sigma_smooth": 5.0})
+    ours = FaceTracker(head, free).push(scene.observation(0, 0.3))[0]
+    other = FaceTracker(head, free.changed(solver={"method": method})).push(scene.observation(0, 0.3))[0]
+    assert other.energies[-1].sum() == pytest.approx(ours.energies[-1].sum(), rel=1e-4)
+    np.testing.assert_allclose(other.angles_deg, ours.angles_deg, atol=0.02)
+    np.testing.assert_allclose(other.projected, ours.projected, atol=0.05)
+
+
+def test_a_muted_point_takes_no_part_in_any_stage_nor_in_the_identity(head):
+    scene = make_scene(head, (10, 0, 0), {"jawOpen": 0.3})
+    spoiled = scene.points.copy()
+    spoiled[30] += 60.0
+    observation = FrameObservation(0, Landmarks2D(spoiled, np.ones(68), IMAGE_SIZE), IMAGE_SIZE)
+    muted = PRESETS["calibrated"].changed(landmarks={"weights": {"30": 0.0}})
+    clean, fit = (FaceTracker(head, muted, stills=True).push(item)[0] for item in (scene.observation(), observation))
+    np.testing.assert_allclose(fit.identity, clean.identity, atol=1e-6)
+    np.testing.assert_allclose(fit.expression, clean.expression, atol=1e-6)
+
+
+def test_a_tracker_resumed_in_a_frames_context_repeats_that_frame_and_goes_on(head):
+    observations = [make_scene(head, (2 * k, 0, 0), {"jawOpen": 0.05 * k}).observation(k, 0.5) for k in range(8)]
+    tracker = FaceTracker(head, PRESETS["calibrated"].changed(identity={"window": 4}))
+    whole = [pair for item in observations for pair in tracker.advance(item)] + tracker.complete()
+    again = FaceTracker(head, tracker.config)
+    again.resume(whole[5][1])
+    for k in (5, 6, 7):
+        fit = again.push(observations[k])[0]
+        np.testing.assert_array_equal(fit.expression, whole[k][0].expression)
+        np.testing.assert_array_equal(fit.rotation, whole[k][0].rotation)

@@ -2,7 +2,9 @@
 
 import difflib
 import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import tomlkit
@@ -12,7 +14,7 @@ from workbench.errors import ConfigError
 from workbench.files import atomic_path
 from workbench.landmarks.scheme import GROUPS
 
-VERSION = 1
+VERSION = 2
 PARAMETER_BLOCKS = ("rotation", "translation", "expression")
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Iterations = Annotated[int, Field(ge=0, le=500)]
@@ -59,17 +61,28 @@ class ConstantsConfig(_Section):
 class SolverConfig(_Section):
     """How each stage is solved."""
 
+    method: Literal["lm", "optimistix-lm", "optimistix-dogleg"] = Field(
+        "lm", description="lm: ours, which knows bounds; Optimistix' two need bounded = false."
+    )
     bounded: bool = Field(True, description="Keep every weight in [0, 1] (off: only the terms hold them).")
     tolerance: NonNegative = Field(1e-6, description="Stop when a step lowers the energy by less than this part.")
     unit: Literal["px", "percent"] = Field(
         "percent", description="Unit of landmark residuals: pixels, or percent of the outer-eye distance."
     )
 
+    @model_validator(mode="after")
+    def _bounds_need_our_solver(self):
+        if self.bounded and self.method != "lm":
+            raise ValueError(f"the method {self.method!r} knows no bounds: set bounded = false, or method = 'lm'")
+        return self
+
 
 class ContourConfig(_Section):
     """The jaw contour."""
 
-    sliding: bool = Field(True, description="Slide the 17 jaw points along the face with the yaw.")
+    mode: Literal["sliding", "fixed"] = Field(
+        "sliding", description="sliding: the 17 jaw points slide along the face with the yaw; fixed: they stay."
+    )
 
 
 class IdentityConfig(_Section):
@@ -89,6 +102,9 @@ class LandmarksConfig(_Section):
 
     detector: Literal["dlib", "dlib-hog", "dlib-cnn"] = Field("dlib", description="Face detector and predictor.")
     face: tuple[float, float] | None = Field(None, description="A point in the wanted face, pixels; else the largest.")
+    weights: dict[str, NonNegative] = Field(
+        {}, description="Factor by group, subset or point number, in every stage and in the identity; 0 mutes."
+    )
 
 
 class Stage(_Section):
@@ -108,23 +124,39 @@ class Stage(_Section):
             raise ValueError("lists a parameter twice")
         return tuple(name for name in PARAMETER_BLOCKS if name in value)
 
-    @field_validator("landmarks")
-    @classmethod
-    def _known_groups(cls, value):
-        for name in value:
-            if name not in GROUPS and not (name.isdigit() and int(name) < 68):
-                near = difflib.get_close_matches(name, GROUPS, 1)
-                hint = f"did you mean {near[0]!r}?" if near else f"the groups are {', '.join(GROUPS)}"
-                raise ValueError(f"knows no landmark group {name!r}; {hint}")
-        return value
+    def landmark_weights(self, subsets: Mapping[str, Sequence[int]] = MappingProxyType({})) -> list[float]:
+        """Weight of each of the 68 landmarks: zero, then each group or subset in turn."""
+        return _weights_in_turn(self.landmarks, subsets, 0.0)
 
-    def landmark_weights(self) -> list[float]:
-        """Weight of each of the 68 landmarks: zero, then each group in turn."""
-        weights = [0.0] * 68
-        for name, weight in self.landmarks.items():
-            for index in (int(name),) if name.isdigit() else GROUPS[name]:
-                weights[index] = weight
-        return weights
+
+def _weights_in_turn(table: Mapping[str, float], subsets: Mapping[str, Sequence[int]], start: float) -> list[float]:
+    weights = [start] * 68
+    for name, weight in table.items():
+        for index in (int(name),) if name.isdigit() else (GROUPS | dict(subsets))[name]:
+            weights[index] = weight
+    return weights
+
+
+def _unknown_group(name: str, subsets: Mapping[str, Sequence[int]]) -> str | None:
+    """What is wrong with the name of a landmark group, None if nothing."""
+    if name in GROUPS or name in subsets or (name.isdigit() and int(name) < 68):
+        return None
+    near = difflib.get_close_matches(name, [*GROUPS, *subsets], 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"the groups are {', '.join([*GROUPS, *subsets])}"
+    return f"knows no landmark group {name!r}; {hint}"
+
+
+class Provenance(_Section):
+    """Where an exported configuration comes from; a run does not read it."""
+
+    exported: str = Field("", description="Date and time, UTC.")
+    versions: dict[str, str] = Field({}, description="Software that the numbers below were computed with.")
+    model: str = Field("", description="Name and SHA-256 of the face model.")
+    inputs: list[str] = Field([], description="Path and SHA-256 of each input.")
+    landmarks: str = Field("", description="Path and SHA-256 of the landmark file, if one was used.")
+    changed: list[str] = Field([], description="What differs from the preset that the tuning started from.")
+    before: dict[str, float] = Field({}, description="Metrics with that preset.")
+    after: dict[str, float] = Field({}, description="Metrics with this configuration.")
 
 
 POSE = ("rotation", "translation")
@@ -134,7 +166,7 @@ ROBUST_START = Stage(name="initial pose", free=POSE, landmarks={"robust": 1.0}, 
 class Config(_Section):
     """A whole configuration."""
 
-    version: Literal[1] = VERSION
+    version: Literal[2] = VERSION
     preset: str = Field("calibrated", description="The preset this configuration started from.")
     camera: CameraConfig = CameraConfig()
     weights: WeightsConfig = WeightsConfig()
@@ -143,7 +175,15 @@ class Config(_Section):
     contour: ContourConfig = ContourConfig()
     identity: IdentityConfig = IdentityConfig()
     landmarks: LandmarksConfig = LandmarksConfig()
+    subsets: dict[str, tuple[Annotated[int, Field(ge=0, lt=68)], ...]] = Field(
+        {}, description="Named sets of landmark numbers, used like the built-in groups."
+    )
     stages: tuple[Stage, ...] = Field(min_length=1, default=())
+    provenance: Provenance | None = None
+
+    def point_weights(self) -> list[float]:
+        """Factor of each of the 68 landmarks in every stage: one, then each entry of `landmarks.weights` in turn."""
+        return _weights_in_turn(self.landmarks.weights, self.subsets, 1.0)
 
     def changed(self, **sections: Any) -> "Config":
         """The configuration with some keys of some sections replaced, checked anew.
@@ -152,8 +192,23 @@ class Config(_Section):
         """
         stored = self.model_dump()
         for section, values in sections.items():
-            stored[section] = {**stored.get(section, {}), **values} if isinstance(values, dict) else values
+            stored[section] = {**(stored.get(section) or {}), **values} if isinstance(values, dict) else values
         return _validated(stored, "The configuration")
+
+    @model_validator(mode="after")
+    def _names_are_known(self):
+        for name in self.subsets:
+            if name in GROUPS or name.isdigit() or not name:
+                raise ValueError(f"a subset cannot be called {name!r}: that is a built-in group or a point number")
+        tables = {"landmarks.weights": self.landmarks.weights}
+        tables |= {f"stage {stage.name!r}": stage.landmarks for stage in self.stages}
+        for place, table in tables.items():
+            for name in table:
+                if problem := _unknown_group(name, self.subsets):
+                    raise ValueError(f"{place} {problem}")
+        if not any(stage.enabled and stage.when == "always" for stage in self.stages):
+            raise ValueError("no enabled stage runs on every frame: enable one with when = 'always'")
+        return self
 
     @model_validator(mode="before")
     @classmethod
@@ -187,7 +242,7 @@ PRESETS: dict[str, Config] = {
         preset="face-it",
         weights=WeightsConfig(tau=0.01, beta=0.01, sigma=0.01),
         solver=SolverConfig(bounded=False, unit="px"),
-        contour=ContourConfig(sliding=False),
+        contour=ContourConfig(mode="fixed"),
         identity=IdentityConfig(calibrate=False),
         stages=PRESET_STAGES["face-it"],
     ),
@@ -218,10 +273,40 @@ def read_config(path: str | Path) -> Config:
             stored = tomllib.load(stream)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} is not valid TOML: {error}.") from error
+    return parse_config(stored, str(path))
+
+
+def parse_config(stored: Mapping[str, Any], origin: str) -> Config:
+    """Configuration of a plain dictionary of any version; what it leaves out comes from its `preset`.
+
+    `origin` names it in messages. Raises `ConfigError` as `read_config`.
+    """
+    stored = _migrated(dict(stored), origin)
     base = preset(str(stored.get("preset", "calibrated"))).model_dump()
     for key, value in stored.items():
         base[key] = {**base[key], **value} if isinstance(value, dict) and isinstance(base.get(key), dict) else value
-    return _validated(base, str(path))
+    return _validated(base, origin)
+
+
+def _migrated(stored: dict[str, Any], origin: str) -> dict[str, Any]:
+    version = stored.get("version", VERSION)
+    if not isinstance(version, int) or not 1 <= version <= VERSION:
+        raise ConfigError(f"{origin}: version is {version!r}, this workbench reads 1 to {VERSION}; upgrade it.")
+    for step in range(version, VERSION):
+        stored = MIGRATIONS[step](stored)
+    return {**stored, "version": VERSION}
+
+
+def _contour_by_mode(stored: dict[str, Any]) -> dict[str, Any]:
+    """1 → 2: `contour.sliding` became `contour.mode`."""
+    contour = dict(stored.get("contour", {}))
+    if "sliding" in contour:
+        contour["mode"] = "sliding" if contour.pop("sliding") else "fixed"
+    return {**stored, "contour": contour}
+
+
+MIGRATIONS = {1: _contour_by_mode}
+"""By version: what turns a stored configuration into one of the next version."""
 
 
 def _validated(stored: dict[str, Any], origin: str) -> Config:
@@ -245,12 +330,15 @@ def config_toml(config: Config) -> str:
         value = getattr(config, name)
         if isinstance(value, BaseModel):
             document.add(name, _table(value))
-        elif name != "stages":
+        elif name == "subsets":
+            document.add(name, _subsets_table(value, field.description))
+        elif name == "stages":
+            stages = tomlkit.aot()
+            for stage in value:
+                stages.append(_table(stage))
+            document.add(name, stages)
+        elif value is not None:
             document.add(name, _commented(value, field.description))
-    stages = tomlkit.aot()
-    for stage in config.stages:
-        stages.append(_table(stage))
-    document.add("stages", stages)
     return tomlkit.dumps(document)
 
 
@@ -266,6 +354,13 @@ def _table(section: BaseModel):
     return table
 
 
+def _subsets_table(subsets: Mapping[str, Sequence[int]], description: str | None):
+    table = tomlkit.table().comment(description or "")
+    for name, points in subsets.items():
+        table.add(name, list(points))
+    return table
+
+
 def _commented(value: Any, description: str | None):
     if isinstance(value, dict):
         item = tomlkit.inline_table()
@@ -278,6 +373,8 @@ def _commented(value: Any, description: str | None):
 def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
     place = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "value_error":
+        return f"{place + ': ' if place else ''}{problem['ctx']['error']}."
     if problem["type"] == "extra_forbidden":
         known = _known_keys(problem["loc"][:-1])
         near = difflib.get_close_matches(str(problem["loc"][-1]), known, 1)

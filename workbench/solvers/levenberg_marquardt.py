@@ -221,14 +221,14 @@ def minimise(
     upper: Float[AnyArray, "n"],
     limit: Count,
     tolerance: Scalar = 1e-6,
-    record: Callable[[SolverState], Any] | None = None,
+    record: Callable[[Float[AnyArray, "n"]], Any] | None = None,
     record_length: int = 0,
     cost: Cost | None = None,
 ) -> Solution:
     """Up to `limit` steps from `start`; `limit` and `tolerance` may be traced.
 
-    With `record`, its value at the start and after each step is kept in `record_length` + 1 rows, and steps beyond
-    that length are not taken. Without it no trace is computed. `cost`: see `step`.
+    With `record`, its value `record(x)` at the start and after each step is kept in `record_length` + 1 rows, and
+    steps beyond that length are not taken. Without it no trace is computed. `cost`: see `step`.
     """
     start = jnp.clip(start, lower, upper)
     first = init(evaluate, start)
@@ -242,16 +242,28 @@ def minimise(
         count, state, trace = carry
         state = step(evaluate, state, lower, upper, tolerance, cost)
         if record is not None:
-            # Later rows repeat the newest one, so that a plot of the whole trace shows a plateau.
-            rows = jnp.arange(record_length + 1) > count
-            spread = lambda old, new: jnp.where(rows.reshape(-1, *[1] * new.ndim), new, old)  # noqa: E731
-            trace = jax.tree.map(spread, trace, record(state))
+            trace = trace_after(trace, count, record(state.x))
         return count + 1, state, trace
 
     trace = None
     if record is not None:
-        trace = jax.tree.map(lambda value: jnp.repeat(value[None], record_length + 1, axis=0), record(first))
+        trace = trace_rows(record(first.x), record_length)
         limit = jnp.minimum(limit, record_length)
     count, state, trace = jax.lax.while_loop(running, body, (jnp.asarray(0), first, trace))
     status = jnp.where(state.status == Status.RUNNING.value, Status.ITERATION_LIMIT.value, state.status)
     return Solution(state.x, state.system.cost, status, count, state.system, trace)
+
+
+def trace_rows(first: Any, length: int) -> Any:
+    """Room for `length` steps behind the value at the start."""
+    return jax.tree.map(lambda value: jnp.repeat(value[None], length + 1, axis=0), first)
+
+
+def trace_after(trace: Any, count: Count, value: Any) -> Any:
+    """The trace with `value` in the row behind step `count` and all later ones: a plot of all rows shows a plateau."""
+
+    def spread(old, new):
+        rows = jnp.arange(len(old)) > count
+        return jnp.where(rows.reshape(-1, *[1] * new.ndim), new, old)
+
+    return jax.tree.map(spread, trace, value)

@@ -1,12 +1,12 @@
 """One frame through the stages of a schedule, as one compiled program.
 
-The free parameters of the stages are part of the program; limits, weights, landmark weights, bounds, camera and model
-are data, so that moving any of them compiles nothing.
+Which stages run, what each frees, their limits, all weights, bounds, camera and model are data: moving any of them
+compiles nothing. Only the solver's method and whether a trace is kept make another program.
 """
 
 import math
 from functools import partial
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from workbench.arrays import AnyArray
 from workbench.energies import (
+    TERMS,
     EnergyConstants,
     EnergyProblem,
     EnergyWeights,
@@ -24,22 +25,42 @@ from workbench.energies import (
     normal_system,
     pack,
     project_landmarks,
+    residuals,
     unpack,
 )
 from workbench.face import FaceParameters, LandmarkModel, contour_blend, model_landmarks
 from workbench.geometry import Camera, rotation_matrix
-from workbench.solvers import Solution, minimise
+from workbench.solvers import Solution, minimise, minimise_with_optimistix
 
 OUTER_EYE_CORNERS = (36 - 17, 45 - 17)
 """Among the 51 inner landmarks."""
 
 
-class StageNumbers(NamedTuple):
-    """The traced part of one stage."""
+FREE_SETS = (
+    ("rotation", "translation"),
+    ("expression",),
+    ("rotation", "translation", "expression"),
+    ("rotation",),
+    ("translation",),
+    ("rotation", "expression"),
+    ("translation", "expression"),
+)
+"""What a stage may free. Each is one branch of one compiled program, so that no schedule compiles anew."""
+STAGE_SLOTS = 8
+"""Schedules are padded to a multiple of this many stages."""
+Method = Literal["lm", "optimistix-lm", "optimistix-dogleg"]
 
-    limit: Int[AnyArray, ""]
+
+class StageProgram(NamedTuple):
+    """The stages to run, as data."""
+
+    free: Int[AnyArray, "s"]
+    """Index into `FREE_SETS`."""
+    limit: Int[AnyArray, "s"]
     """ρ or ε."""
-    landmark_weights: Float[AnyArray, "68"]
+    landmark_weights: Float[AnyArray, "s 68"]
+    count: Int[AnyArray, ""]
+    """Stages that run; rows beyond are padding."""
 
 
 class SolveSettings(NamedTuple):
@@ -69,7 +90,7 @@ class FrameInput(NamedTuple):
 
 
 class FrameSolution(NamedTuple):
-    """What the stages make of it."""
+    """What the stages make of it; rows of stages that did not run hold NaN, −1 and 0."""
 
     parameters: FaceParameters
     pose: Float[AnyArray, "6"]
@@ -82,8 +103,8 @@ class FrameSolution(NamedTuple):
     iterations: Int[AnyArray, "s"]
     report: Float[AnyArray, "n"]
     """Everything above but the traces in one vector (`read_report`): one transfer instead of nine."""
-    traces: tuple
-    """By stage, None unless asked for: energies (steps, 7) and landmark residuals in pixels (steps, 68)."""
+    traces: Any
+    """None unless asked for: by stage, energies (s, steps, 7) and landmark residuals in pixels (s, steps, 68)."""
 
 
 def head_yaw(rotation: Float[AnyArray, "3"]) -> Float[AnyArray, ""]:
@@ -91,32 +112,49 @@ def head_yaw(rotation: Float[AnyArray, "3"]) -> Float[AnyArray, ""]:
     return jnp.arcsin(jnp.clip(rotation_matrix(rotation)[0, 2], -1.0, 1.0))
 
 
-@partial(jax.jit, static_argnames=("stages", "trace_length"))
+@partial(jax.jit, static_argnames=("method", "trace_length"))
 def solve_frame(
-    stages: tuple[tuple[str, ...], ...],
     camera: Camera,
     model: LandmarkModel,
     settings: SolveSettings,
-    numbers: tuple[StageNumbers, ...],
+    program: StageProgram,
     frame: FrameInput,
+    method: Method = "lm",
     trace_length: int = 0,
 ) -> FrameSolution:
-    """Run the stages in order, each from where the one before ended. `stages` lists each one's free parameters."""
-    parameters = frame.start
-    energies, statuses, iterations, traces = [], [], [], []
-    for free, number in zip(stages, numbers, strict=True):
-        problem = stage_problem(camera, model, settings, number, frame, parameters)
-        solution = _solve_stage(problem, parameters, settings, number, free, trace_length)
-        parameters = unpack(solution.x, parameters, free)
-        energies.append(energy_by_term(problem, parameters, free))
-        statuses.append(solution.status)
-        iterations.append(solution.iterations)
-        traces.append(solution.trace)
-    projected = project_landmarks(camera, problem.points, parameters)
+    """Run the stages in order, each from where the one before ended."""
+
+    def branch(free: tuple[str, ...]):
+        def run(parameters: FaceParameters, limit, landmark_weights):
+            problem = stage_problem(camera, model, settings, landmark_weights, frame, parameters)
+            solution = _solve_stage(problem, parameters, settings, limit, free, method, trace_length)
+            parameters = unpack(solution.x, parameters, free)
+            energies = energy_by_term(problem, parameters, free)
+            projected = project_landmarks(camera, problem.points, parameters)
+            return parameters, projected, energies, solution.status, solution.iterations, solution.trace
+
+        return run
+
+    branches = [branch(free) for free in FREE_SETS]
+
+    def body(carry):
+        k, parameters, _, rows = carry
+        arguments = (parameters, program.limit[k], program.landmark_weights[k])
+        parameters, projected, *new = jax.lax.switch(program.free[k], branches, *arguments)
+        return k + 1, parameters, projected, jax.tree.map(lambda old, row: old.at[k].set(row), rows, tuple(new))
+
+    slots = len(program.free)
+    trace = None
+    if trace_length:
+        trace = (jnp.zeros((slots, trace_length + 1, len(TERMS))), jnp.zeros((slots, trace_length + 1, 68)))
+    rows = (jnp.full((slots, len(TERMS)), jnp.nan), jnp.full(slots, -1), jnp.zeros(slots, int), trace)
+    parameters = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), frame.start)
+    start = (jnp.asarray(0), parameters, jnp.zeros((68, 2)), rows)
+    _, parameters, projected, rows = jax.lax.while_loop(lambda carry: carry[0] < program.count, body, start)
     pose = jnp.concatenate([parameters.rotation, parameters.translation])
-    parts = (parameters, pose, projected, jnp.stack(energies), jnp.stack(statuses), jnp.stack(iterations))
+    parts = (parameters, pose, projected, *rows[:3])
     report = jnp.concatenate([jnp.ravel(leaf).astype(float) for leaf in jax.tree.leaves(parts)])
-    return FrameSolution(*parts, report, tuple(traces))
+    return FrameSolution(*parts, report, rows[3])
 
 
 def read_report(solution: FrameSolution) -> FrameSolution:
@@ -137,7 +175,7 @@ def stage_problem(
     camera: Camera,
     model: LandmarkModel,
     settings: SolveSettings,
-    number: StageNumbers,
+    landmark_weights: Float[AnyArray, "68"],
     frame: FrameInput,
     parameters: FaceParameters,
 ) -> EnergyProblem:
@@ -147,7 +185,7 @@ def stage_problem(
     eye_distance_mm = jnp.linalg.norm(points.neutral[45] - points.neutral[36])
     eye_distance_px = jnp.mean(jnp.asarray(camera.focal_px)) * eye_distance_mm / parameters.translation[2]
     unit = jnp.where(settings.percent > 0.5, 0.01 * eye_distance_px, 1.0)
-    weights = number.landmark_weights * frame.measured[:, 2]
+    weights = landmark_weights * frame.measured[:, 2]
     observation = Observation(frame.measured[:, :2], weights, unit)
     return EnergyProblem(
         camera,
@@ -161,36 +199,43 @@ def stage_problem(
     )
 
 
-def _solve_stage(problem, parameters, settings, number, free, trace_length) -> Solution:
+def _solve_stage(problem, parameters, settings, limit, free, method: Method, trace_length) -> Solution:
     start = pack(parameters, free)
+
+    def record(x):
+        at = unpack(x, parameters, free)
+        error = project_landmarks(problem.camera, problem.points, at) - problem.observation.points
+        return energy_by_term(problem, at, free), jnp.linalg.norm(error, axis=1)
+
+    def cost(x):
+        return energy(problem, unpack(x, parameters, free), free)
+
+    recorded = (record if trace_length else None, trace_length)
+    if method != "lm":
+        kind = method.removeprefix("optimistix-")
+        return minimise_with_optimistix(
+            lambda x: _residual_vector(problem, unpack(x, parameters, free), free),
+            start, _scale(parameters, free), limit, settings.tolerance, kind, *recorded,
+        )  # fmt: skip
     upper = jnp.full(start.shape, jnp.inf)
     lower = -upper
     if "expression" in free:
         at = _slot("expression", parameters, free)
         lower, upper = lower.at[at].set(settings.lower), upper.at[at].set(settings.upper)
-
-    def evaluate(x):
-        return normal_system(problem, unpack(x, parameters, free), free)
-
-    def cost(x):
-        return energy(problem, unpack(x, parameters, free), free)
-
-    def record(state):
-        at = unpack(state.x, parameters, free)
-        error = project_landmarks(problem.camera, problem.points, at) - problem.observation.points
-        return energy_by_term(problem, at, free), jnp.linalg.norm(error, axis=1)
-
     return minimise(
-        evaluate,
-        start,
-        lower,
-        upper,
-        number.limit,
-        settings.tolerance,
-        record if trace_length else None,
-        trace_length,
-        cost,
-    )
+        lambda x: normal_system(problem, unpack(x, parameters, free), free),
+        start, lower, upper, limit, settings.tolerance, *recorded, cost,
+    )  # fmt: skip
+
+
+def _residual_vector(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]):
+    return jnp.concatenate(list(residuals(problem, parameters, free).values()))
+
+
+def _scale(parameters: FaceParameters, free: tuple[str, ...]):
+    """Typical size of each unknown: Optimistix damps all alike."""
+    sizes = {"rotation": 0.1, "translation": 10.0, "expression": 0.3}
+    return jnp.concatenate([jnp.full(len(getattr(parameters, name)), sizes[name]) for name in free])
 
 
 def _slot(name: str, parameters: FaceParameters, free: tuple[str, ...]) -> slice:

@@ -17,7 +17,7 @@ from workbench.energies import EnergyConstants, EnergyWeights, normal_system, pa
 from workbench.face import FaceParameters, LandmarkModel
 from workbench.geometry import Camera
 from workbench.solvers import ArrowheadSystem, minimise
-from workbench.tracking.frame_solver import FrameInput, SolveSettings, StageNumbers, stage_problem
+from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem
 
 PASSES = (("rotation", "translation", "expression"), ("expression",))
 """What each pass frees in every frame, beside the shared identity: first everything on the inner landmarks, then, with
@@ -77,8 +77,7 @@ def _solve_pass(cameras, model, settings, k, frames, points, weights):
     def problem_of(camera, parameters, observed, weight):
         measured = jnp.concatenate([observed, weight[:, None]], axis=1)
         frame = FrameInput(measured, jnp.zeros(6), jnp.zeros(6), jnp.zeros(()), parameters)
-        number = StageNumbers(settings.limits[k], settings.landmark_weights[k])
-        return stage_problem(camera, model, solve_settings, number, frame, parameters)
+        return stage_problem(camera, model, solve_settings, settings.landmark_weights[k], frame, parameters)
 
     problems = jax.vmap(problem_of)(cameras, frames, points, weights)
     packed = jax.vmap(lambda frame: pack(frame, PASSES[k]))(frames)

@@ -2,21 +2,30 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from workbench.geometry import Camera
 from workbench.landmarks.scheme import GROUPS
 
+FEWEST_POINTS = 6
+"""Of the robust ones; with fewer the pose would hang on the noise of single points."""
+
 
 def initial_pose(
-    camera: Camera, neutral_head: Float[np.ndarray, "68 3"], points: Float[np.ndarray, "68 2"]
+    camera: Camera,
+    neutral_head: Float[np.ndarray, "68 3"],
+    points: Float[np.ndarray, "68 2"],
+    used: Bool[np.ndarray, "68"] | None = None,
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Axis-angle and translation (mm) that best explain eye corners and nose with the neutral face, by SQPnP.
 
     SQPnP is globally optimal, so no first guess is needed; from a zero rotation the later iterations can end in a
     wrong minimum. A solution behind the camera or facing away is replaced by a frontal pose at the right distance.
+    `used` leaves muted points out, as long as enough remain.
     """
-    subset = list(GROUPS["robust"])
+    subset = [index for index in GROUPS["robust"] if used is None or used[index]]
+    if len(subset) < FEWEST_POINTS:
+        subset = list(GROUPS["robust"])
     matrix = np.array(
         [
             [float(camera.focal_px[0]), 0.0, float(camera.principal_point_px[0])],
