@@ -4,7 +4,7 @@ import tomllib
 
 import pytest
 
-from workbench.config import PRESETS, Config, Stage, config_toml, preset, read_config, write_config
+from workbench.config import PRESETS, Config, Stage, config_toml, differences, preset, read_config, write_config
 from workbench.errors import ConfigError
 
 
@@ -51,6 +51,7 @@ def test_a_short_file_takes_the_rest_from_its_preset(tmp_path):
             "[landmarks]\nweights = {noose = 0}\n",
             "landmarks.weights knows no landmark group 'noose'; did you mean 'nose",
         ),
+        ("[landmarks.moved]\n12 = {70 = [1.0, 2.0]}\n", "landmarks.moved.12.70"),
         ("[subsets]\njaw = [1, 2]\n", "cannot be called 'jaw'"),
         ("[subsets]\nmine = [68]\n", "subsets.mine.0"),
         ('[[stages]]\nname = "a"\nfree = ["rotation"]\nwhen = "start"\n', "no enabled stage runs on every frame"),
@@ -116,3 +117,23 @@ def test_provenance_survives_the_file(tmp_path):
     write_config(config, tmp_path / "config.toml")
     assert read_config(tmp_path / "config.toml") == config
     assert config.provenance.versions["jax"] == "0.10"
+
+
+def test_points_moved_by_hand_survive_the_file(tmp_path):
+    config = preset("calibrated").changed(landmarks={"moved": {"12": {"30": (100.123456789, 50.25)}}})
+    write_config(config, tmp_path / "config.toml")
+    assert read_config(tmp_path / "config.toml").moved_points(12) == {30: (100.123456789, 50.25)}
+    assert config.moved_points(13) == {}
+
+
+def test_differences_name_every_changed_value_by_its_path():
+    before = preset("calibrated")
+    stages = [stage.model_dump() for stage in before.stages]
+    stages[-1]["limit"] = 3
+    after = before.changed(weights={"tau": 0.5}, landmarks={"weights": {"jaw": 0.2}}, stages=stages)
+    assert [str(item) for item in differences(before, after)] == [
+        "weights.tau: 0.1 → 0.5",
+        "landmarks.weights.jaw: (none) → 0.2",
+        "stages.expression.limit: 15 → 3",
+    ]
+    assert differences(before, before) == []

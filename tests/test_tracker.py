@@ -295,3 +295,16 @@ def test_a_tracker_resumed_in_a_frames_context_repeats_that_frame_and_goes_on(he
         fit = again.push(observations[k])[0]
         np.testing.assert_array_equal(fit.expression, whole[k][0].expression)
         np.testing.assert_array_equal(fit.rotation, whole[k][0].rotation)
+
+
+def test_a_detection_put_right_by_hand_is_fitted_where_it_was_put(head):
+    scene = make_scene(head, (10, 0, 0), {"jawOpen": 0.3})
+    spoiled = scene.points.copy()
+    spoiled[30] += 60.0
+    observation = FrameObservation(4, Landmarks2D(spoiled, np.ones(68), IMAGE_SIZE), IMAGE_SIZE)
+    place = tuple(float(x) for x in scene.points[30])
+    config = PRESETS["calibrated"].changed(landmarks={"moved": {"4": {"30": place}}})
+    fit = FaceTracker(head, config, stills=True).push(observation)[0]
+    clean = FaceTracker(head, PRESETS["calibrated"], stills=True).push(scene.observation(4))[0]
+    np.testing.assert_array_equal(fit.observed[30], scene.points[30])
+    np.testing.assert_array_equal(fit.expression, clean.expression)

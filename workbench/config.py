@@ -3,6 +3,7 @@
 import difflib
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
@@ -17,6 +18,9 @@ from workbench.landmarks.scheme import GROUPS
 VERSION = 2
 PARAMETER_BLOCKS = ("rotation", "translation", "expression")
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
+PointKey = Annotated[str, Field(pattern=r"^([0-9]|[1-5][0-9]|6[0-7])$")]
+"""A point number from 0 to 67; TOML's keys are text."""
 Iterations = Annotated[int, Field(ge=0, le=500)]
 
 
@@ -105,6 +109,9 @@ class LandmarksConfig(_Section):
     weights: dict[str, NonNegative] = Field(
         {}, description="Factor by group, subset or point number, in every stage and in the identity; 0 mutes."
     )
+    moved: dict[FrameKey, dict[PointKey, tuple[float, float]]] = Field(
+        {}, description="Detections put right by hand: frame number, then point number, then its place in pixels."
+    )
 
 
 class Stage(_Section):
@@ -185,6 +192,10 @@ class Config(_Section):
         """Factor of each of the 68 landmarks in every stage: one, then each entry of `landmarks.weights` in turn."""
         return _weights_in_turn(self.landmarks.weights, self.subsets, 1.0)
 
+    def moved_points(self, frame: int) -> dict[int, tuple[float, float]]:
+        """The detections of a frame that were put right by hand, by point."""
+        return {int(point): place for point, place in self.landmarks.moved.get(str(frame), {}).items()}
+
     def changed(self, **sections: Any) -> "Config":
         """The configuration with some keys of some sections replaced, checked anew.
 
@@ -251,6 +262,54 @@ PRESETS: dict[str, Config] = {
     # Pose and expression as one problem of 50 unknowns.
     "joint": Config(preset="joint", weights=WeightsConfig(sigma_smooth=20.0), stages=PRESET_STAGES["joint"]),
 }
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One value that two configurations do not share."""
+
+    path: str
+    """As `weights.tau`; `stages.pose.limit` for a stage by its name."""
+    before: Any
+    """None where the value is new."""
+    after: Any
+    """None where it is gone."""
+
+    def __str__(self) -> str:
+        return f"{self.path}: {_short(self.before)} → {_short(self.after)}"
+
+
+def differences(before: Config, after: Config) -> list[Difference]:
+    """What differs, in the order of the file; `provenance` and `preset` are no settings."""
+    old, new = _flat(before), _flat(after)
+    paths = [*new, *(path for path in old if path not in new)]
+    return [Difference(path, old.get(path), new.get(path)) for path in paths if old.get(path) != new.get(path)]
+
+
+def _flat(config: Config) -> dict[str, Any]:
+    stored = config.model_dump(exclude={"version", "preset", "provenance", "stages"})
+    found: dict[str, Any] = {}
+    for section, values in stored.items():
+        for key, value in values.items():
+            if isinstance(value, dict):
+                found |= {f"{section}.{key}.{name}": entry for name, entry in value.items()}
+            else:
+                found[f"{section}.{key}"] = value
+    found["stages"] = [stage.name for stage in config.stages]
+    for stage in config.stages:
+        for key, value in stage.model_dump(exclude={"name"}).items():
+            found[f"stages.{stage.name}.{key}"] = value
+    return found
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(str(entry) for entry in value) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_short(entry)}" for key, entry in value.items()) + "}"
+    return "(none)" if value is None else str(value)
 
 
 def preset(name: str) -> Config:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -125,6 +125,17 @@ def stage_program(config: Config, start: bool) -> StageProgram:
         free[k], limit[k] = FREE_SETS.index(stage.free), stage.limit
         weights[k] = np.multiply(stage.landmark_weights(config.subsets), config.point_weights())
     return StageProgram(*(jnp.asarray(part) for part in (free, limit, weights, len(chosen))))
+
+
+def corrected(observation: FrameObservation, config: Config) -> FrameObservation:
+    """The observation with the detections that the configuration moves; these count as certain."""
+    moved = config.moved_points(observation.index)
+    if not moved or observation.landmarks is None:
+        return observation
+    points, confidence = observation.landmarks.points.copy(), observation.landmarks.confidence.copy()
+    for point, place in moved.items():
+        points[point], confidence[point] = place, 1.0
+    return replace(observation, landmarks=replace(observation.landmarks, points=points, confidence=confidence))
 
 
 class FrameFitter:

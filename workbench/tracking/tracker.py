@@ -1,6 +1,6 @@
 """FACE IT! over a stream of landmarks: identity calibration, first poses, and one frame after the other."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,14 @@ from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera
 from workbench.landmarks.scheme import outer_eye_distance
-from workbench.tracking.fitter import Continuation, FrameContext, FrameFitter, FrameObservation, StageTrace
+from workbench.tracking.fitter import (
+    Continuation,
+    FrameContext,
+    FrameFitter,
+    FrameObservation,
+    StageTrace,
+    corrected,
+)
 from workbench.tracking.records import FrameFit
 
 JUMP = 0.5
@@ -51,7 +58,7 @@ class FaceTracker:
 
     def advance(self, observation: FrameObservation) -> list[tuple[FrameFit, FrameContext]]:
         """As `push`, each fit with the context that it was fitted in."""
-        ready = []
+        observation, ready = corrected(observation, self.config), []
         if (observation.cut or self.stills) and (self._pending or self._seen):
             ready += self.complete()
             self._start_shot()
@@ -79,6 +86,7 @@ class FaceTracker:
         The identity is the calibrated one if the shot has it, else (and for stills) calibrated on this frame alone.
         Raises `InputError` for a frame without landmarks.
         """
+        observation = corrected(observation, self.config)
         if observation.landmarks is None:
             raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
         identity, starts = self._identity, self._starts
@@ -166,6 +174,12 @@ class FaceTracker:
         if self._last is None or jumped(self._last.points, observation.landmarks.points):
             return None
         return self._last
+
+
+def calibration_window(shot: Sequence[FrameObservation], window: int) -> Sequence[FrameObservation]:
+    """The frames of a shot that the tracker looks at for its identity: `window` from the first face on."""
+    first = next((k for k, observation in enumerate(shot) if observation.landmarks is not None), len(shot))
+    return shot[first : first + window]
 
 
 def jumped(before: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]) -> bool:
