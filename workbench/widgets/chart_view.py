@@ -1,0 +1,146 @@
+"""A small line chart that keeps up with a fit: energies over iterations, weights over frames."""
+
+import logging
+import math
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import anywidget
+import numpy as np
+import traitlets
+from jaxtyping import Num
+
+from workbench.errors import InputError
+from workbench.widgets.overlay_view import float_bytes
+
+Number = float | int
+INK = "ink"
+"""Stands for the colour of the page's text, black or white."""
+COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", INK)
+"""Okabe and Ito's colours, readable with colour-blindness; their black follows the theme. Further series use them
+again with dashed lines."""
+
+
+def series_colors(count: int) -> list[str]:
+    """A colour for each of `count` series."""
+    return [COLORS[k % len(COLORS)] for k in range(count)]
+
+
+def pack_series(
+    x: Num[np.ndarray, "n"], series: Mapping[str, Num[np.ndarray, "n"]], colors: Mapping[str, str] | None = None
+) -> dict[str, object]:
+    """Series as a message: names, colours, and one row of float32 each after the row of `x`.
+
+    Raises `InputError` for lengths that differ and for an `x` that is not ascending.
+    """
+    x = np.asarray(x, float)
+    if x.ndim != 1 or not np.isfinite(x).all() or np.any(np.diff(x) < 0):
+        raise InputError("x of a chart is one row of ascending numbers; sort the series before showing them")
+    rows = [x]
+    for name, values in series.items():
+        if np.shape(values) != x.shape:
+            raise InputError(f"series {name!r} has shape {np.shape(values)}, but x has {len(x)} values")
+        rows.append(np.asarray(values, float))
+    chosen = dict(zip(series, series_colors(len(series)), strict=True)) | dict(colors or {})
+    # Values beyond float32 become infinite, which the chart leaves out like NaN.
+    with np.errstate(over="ignore"):
+        data = float_bytes(np.stack(rows))
+    return {"names": list(series), "colors": [chosen[name] for name in series], "count": len(x), "data": data}
+
+
+class ChartView(anywidget.AnyWidget):
+    """Lines over a common x, with a legend that switches them and a readout under the mouse.
+
+    NaN leaves a gap. With `y_log` zeros and negative values lie on the lower edge. A click calls the callbacks of
+    `on_pick` with the nearest x and moves `cursor` there. Setters may be called from any thread.
+    """
+
+    _esm = Path(__file__).with_name("chart_view.js")
+    _css = """
+.fw-chart { position: relative; width: 100%; min-width: 0; box-sizing: border-box; font: 11px/16px
+  var(--jp-ui-font-family, system-ui, sans-serif); color: var(--jp-ui-font-color1, #222); }
+.fw-chart .fw-top { display: flex; gap: 2px 10px; align-items: baseline; padding: 0 2px 2px; }
+.fw-chart .fw-title { font-weight: 600; font-size: 12px; white-space: nowrap; }
+.fw-chart .fw-keys { display: flex; flex-wrap: wrap; gap: 0 8px; max-height: 50px; overflow-y: auto; min-width: 0; }
+.fw-chart .fw-key { all: unset; cursor: pointer; white-space: nowrap; display: inline-flex; align-items: center;
+  gap: 4px; border-radius: 2px; padding: 0 2px; }
+.fw-chart .fw-key:focus-visible { outline: 2px solid var(--jp-brand-color1, #2196f3); }
+.fw-chart .fw-key[aria-pressed="false"] { opacity: 0.4; text-decoration: line-through; }
+.fw-chart .fw-key i { width: 14px; height: 0; border-top: 2px solid; }
+.fw-chart .fw-stage { position: relative; width: 100%; outline: none; cursor: crosshair; }
+.fw-chart .fw-stage:focus-visible { box-shadow: 0 0 0 2px var(--jp-brand-color1, #2196f3); border-radius: 2px; }
+.fw-chart canvas { position: absolute; inset: 0; width: 100%; height: 100%; display: block; }
+.fw-chart .fw-hover { position: absolute; pointer-events: none; z-index: 3; padding: 4px 8px; border-radius: 3px;
+  background: rgba(18, 20, 24, 0.9); color: #f4f6f8; font-size: 12px; line-height: 1.4;
+  font-variant-numeric: tabular-nums; }
+.fw-chart .fw-hover div { display: flex; gap: 6px; align-items: center; white-space: nowrap; }
+.fw-chart .fw-hover i { width: 10px; height: 3px; flex: none; }
+.fw-chart .fw-hover b { margin-left: auto; padding-left: 8px; font-weight: 600; }
+.fw-chart [hidden] { display: none; }
+"""
+
+    title = traitlets.Unicode("").tag(sync=True)
+    y_log = traitlets.Bool(False).tag(sync=True)
+    height_px = traitlets.Int(180, min=80).tag(sync=True)
+    cursor = traitlets.Float(None, allow_none=True, help="x of the vertical line").tag(sync=True)
+    hidden = traitlets.List(traitlets.Unicode(), help="names of series that are switched off").tag(sync=True)
+    _series = traitlets.Dict().tag(sync=True)
+
+    def __init__(self, height_px: int = 180, y_log: bool = False, title: str = "", **traits: object) -> None:
+        self._lock = threading.RLock()
+        self._callbacks: list[Callable[[float], object]] = []
+        super().__init__(height_px=height_px, y_log=y_log, title=title, **traits)
+        self.clear()
+        self.on_msg(self._on_message)
+
+    def __repr__(self) -> str:
+        return f"ChartView({self.title!r}, {len(self._series['names'])} series of {self._series['count']})"
+
+    def clear(self) -> None:
+        """Show no series."""
+        self.set_series(np.zeros(0), {})
+
+    def set_series(
+        self,
+        x: Num[np.ndarray, "n"],
+        series: Mapping[str, Num[np.ndarray, "n"]],
+        *,
+        colors: Mapping[str, str] | None = None,
+        y_label: str = "",
+        x_label: str = "",
+        marks: Sequence[tuple[Number, str]] = (),
+        cursor: Number | None = None,
+        selected: tuple[Number, Number] | None = None,
+    ) -> None:
+        """Show named series over ascending `x`, in the order given.
+
+        `colors` by name are CSS colours (the default is `series_colors`); `marks` are vertical lines with a label, as
+        where stages begin; `selected` is a range of x that is shaded; `cursor` None leaves the line where it is.
+        """
+        packed = pack_series(x, series, colors)
+        packed["marks"] = [[float(place), str(label)] for place, label in marks]
+        packed["selected"] = None if selected is None else [float(selected[0]), float(selected[1])]
+        packed |= {"x_label": x_label, "y_label": y_label}
+        with self._lock, self.hold_sync():
+            self._series = packed
+            if cursor is not None:
+                self.cursor = float(cursor)
+
+    def on_pick(self, callback: Callable[[float], object], remove: bool = False) -> None:
+        """Call `callback(x)` when the user clicks; `remove` takes it away again."""
+        if remove:
+            self._callbacks.remove(callback)
+        else:
+            self._callbacks.append(callback)
+
+    def _on_message(self, _widget: object, content: object, _buffers: object) -> None:
+        picked = content.get("pick") if isinstance(content, dict) else None
+        if not isinstance(picked, int | float) or isinstance(picked, bool) or not math.isfinite(picked):
+            return
+        self.cursor = float(picked)
+        for callback in tuple(self._callbacks):
+            try:
+                callback(float(picked))
+            except Exception:
+                logging.getLogger(__name__).exception("a callback of ChartView failed")

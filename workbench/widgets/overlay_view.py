@@ -1,0 +1,304 @@
+"""The frame with its landmarks: residuals in colour, hovering, selecting, and moving detections by hand."""
+
+import logging
+import math
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import anywidget
+import cv2
+import numpy as np
+import traitlets
+from jaxtyping import Float, Num, UInt8
+
+from workbench.errors import InputError, WorkbenchError
+from workbench.landmarks.scheme import GROUPS, POINT_COUNT, POINT_NAMES, POLYLINES, check_68
+from workbench.rendering.overlay import WORST_PERCENT, residual_colors
+
+JPEG_QUALITY = 88
+LARGEST_SIDE = 2560
+"""Longer pictures are sent reduced to this; landmarks stay in the pixels of the original."""
+SMALLEST_SCALE = 0.5
+"""The automatic colour scale ends here at the lowest: a good fit must not look like a bad one."""
+CALM_STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+"""Automatic scales end at one of these times a power of ten, so that they hardly change from frame to frame."""
+TOOLS = ("select", "lasso", "move")
+KINDS = ("select", "lasso", "mute", "weight_up", "weight_down", "drag", "drop", "reset")
+LAYERS: Mapping[str, bool] = {
+    "observed": True,
+    "model": True,
+    "residuals": True,
+    "lines": False,
+    "labels": False,
+    "wire": True,
+    "layer": True,
+}
+"""What is drawn at first; the wireframe and the picture layer appear when they are set."""
+FINE_GROUPS = (
+    *("jaw", "right_brow", "left_brow", "nose_bridge", "nose_base"),
+    *("right_eye", "left_eye", "outer_lips", "inner_lips"),
+)
+"""Groups that do not overlap and together hold every point."""
+
+
+@dataclass(frozen=True)
+class OverlayEvent:
+    """What the user did in an `OverlayView`; `points` are landmark indices, `x` and `y` picture pixels.
+
+    "select" and "lasso" carry the new selection; "mute" (toggle), "weight_up" (double), "weight_down" (halve) and
+    "reset" (back to the detector's place) the selection they are meant for; "drag" (while the mouse moves) and
+    "drop" (the end of it, or an arrow key) one landmark and its new place.
+    """
+
+    kind: str
+    points: tuple[int, ...]
+    x: float | None
+    y: float | None
+
+
+def automatic_scale(values: Num[np.ndarray, "..."]) -> float:
+    """Upper end of a colour scale: the 95th percentile of the finite values, rounded up to a calm number."""
+    finite = values[np.isfinite(values)]
+    wanted = max(float(np.percentile(finite, 95)), SMALLEST_SCALE) if finite.size else SMALLEST_SCALE
+    decade = 10.0 ** math.floor(math.log10(wanted))
+    return next(step * decade for step in CALM_STEPS if step * decade >= wanted * (1 - 1e-9))
+
+
+def color_table() -> UInt8[np.ndarray, "256 3"]:
+    """The colours of residuals from 0 to the end of the scale: the viridis of the drawn overlays."""
+    return np.array(residual_colors(np.linspace(0.0, WORST_PERCENT, 256)), np.uint8)
+
+
+def point_groups() -> list[str]:
+    """For every landmark the name of its smallest group, as words."""
+    names = {index: group.replace("_", " ") for group in FINE_GROUPS for index in GROUPS[group]}
+    return [names[index] for index in range(POINT_COUNT)]
+
+
+def float_bytes(values: Num[np.ndarray, "..."]) -> bytes:
+    """Little-endian float32, row by row, as a browser reads them."""
+    return np.ascontiguousarray(values, "<f4").tobytes()
+
+
+def fit_table(
+    observed: Num[np.ndarray, "68 2"],
+    projected: Num[np.ndarray, "68 2"] | None,
+    values: Num[np.ndarray, "68"] | None,
+    confidence: Num[np.ndarray, "68"] | None,
+    weights: Num[np.ndarray, "68"] | None,
+) -> Float[np.ndarray, "68 8"]:
+    """One row per landmark: observed x, y; model x, y; value shown; distance, px; confidence; weight.
+
+    Without a model the model's columns are NaN, without values they are the distances, without confidence or weights
+    those are one. Raises `InputError` for another number of landmarks.
+    """
+    observed = check_68(observed)
+    projected = np.full((POINT_COUNT, 2), np.nan) if projected is None else check_68(projected)
+    distance = np.linalg.norm(projected - observed, axis=1)
+    columns = [
+        _per_point("residuals", values, distance),
+        distance,
+        _per_point("confidences", confidence, np.ones(POINT_COUNT)),
+        _per_point("weights", weights, np.ones(POINT_COUNT)),
+    ]
+    return np.column_stack([observed, projected, *columns])
+
+
+def read_event(content: object) -> OverlayEvent | None:
+    """The event in a message from a browser; None if it is not one."""
+    if not isinstance(content, dict) or content.get("kind") not in KINDS:
+        return None
+    points, place = content.get("points"), (content.get("x"), content.get("y"))
+    if not isinstance(points, list) or not all(type(i) is int and 0 <= i < POINT_COUNT for i in points):
+        return None
+    if not all(value is None or (isinstance(value, int | float) and math.isfinite(value)) for value in place):
+        return None
+    if content["kind"] in ("drag", "drop") and (len(points) != 1 or None in place):
+        return None
+    x, y = (None if value is None else float(value) for value in place)
+    return OverlayEvent(content["kind"], tuple(points), x, y)
+
+
+def picture_bytes(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """JPEG of an RGB picture, reduced if it is very large."""
+    longest = max(rgb.shape[:2])
+    if longest > LARGEST_SIDE:
+        scale = LARGEST_SIDE / longest
+        size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
+        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+
+
+class OverlayView(anywidget.AnyWidget):
+    """A picture with landmarks over it, to look at and to edit.
+
+    Everything between two clicks happens in the browser: hovering, zooming, dragging. What the user did arrives at
+    the callbacks of `on_event`. Setters may be called from any thread; arrays that are set are not kept.
+    """
+
+    _esm = Path(__file__).with_name("overlay_view.js")
+    _css = """
+.fw-overlay { position: relative; width: 100%; min-width: 0; box-sizing: border-box; }
+.fw-overlay .fw-stage { position: relative; width: 100%; overflow: hidden; border-radius: 3px; background: #1b1d21;
+  outline: none; cursor: default; }
+.fw-overlay .fw-stage:focus-visible { box-shadow: inset 0 0 0 2px var(--jp-brand-color1, #2196f3); }
+.fw-overlay canvas { position: absolute; inset: 0; width: 100%; height: 100%; display: block; }
+.fw-overlay .fw-marks { touch-action: none; }
+.fw-overlay .fw-focus { position: absolute; inset: 0; pointer-events: none; border-radius: 3px; }
+.fw-overlay .fw-stage:focus-visible .fw-focus { box-shadow: inset 0 0 0 2px var(--jp-brand-color1, #2196f3); }
+.fw-overlay .fw-hover, .fw-overlay .fw-message, .fw-overlay .fw-legend { position: absolute; pointer-events: none;
+  background: rgba(18, 20, 24, 0.86); color: #f4f6f8; border-radius: 3px; font: 12px/1.4 var(--jp-ui-font-family,
+  system-ui, sans-serif); }
+.fw-overlay .fw-hover { padding: 4px 8px; max-width: 280px; white-space: pre-line; z-index: 2; }
+.fw-overlay .fw-hover b { font-weight: 600; }
+.fw-overlay .fw-message { top: 8px; left: 50%; transform: translateX(-50%); padding: 3px 10px; max-width: 90%;
+  box-sizing: border-box; width: max-content; }
+.fw-overlay .fw-legend { left: 8px; bottom: 8px; width: 148px; padding: 3px 8px 2px; font-size: 11px; }
+.fw-overlay .fw-bar { height: 6px; margin: 2px 0 0; border-radius: 1px; }
+.fw-overlay .fw-numbers { display: flex; justify-content: space-between; font-variant-numeric: tabular-nums; }
+.fw-overlay .fw-help { height: 18px; margin-top: 2px; color: var(--jp-ui-font-color2, #777); font: 11px/18px
+  var(--jp-ui-font-family, system-ui, sans-serif); white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
+.fw-overlay [hidden] { display: none; }
+"""
+
+    layers = traitlets.Dict(key_trait=traitlets.Unicode(), value_trait=traitlets.Bool()).tag(sync=True)
+    layer_opacity = traitlets.Float(0.6, min=0.0, max=1.0).tag(sync=True)
+    scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0 chooses it").tag(sync=True)
+    unit = traitlets.Unicode("px", help="of the residuals").tag(sync=True)
+    selection = traitlets.List(traitlets.Int(min=0, max=POINT_COUNT - 1)).tag(sync=True)
+    subset = traitlets.List(traitlets.Int(min=0, max=POINT_COUNT - 1)).tag(sync=True)
+    tool = traitlets.Enum(TOOLS, "select").tag(sync=True)
+    message = traitlets.Unicode("", help="shown over the picture").tag(sync=True)
+    webgl = traitlets.Bool(None, allow_none=True, help="WebGL2 in the browser; None until shown").tag(sync=True)
+    height_px = traitlets.Int(420, min=80).tag(sync=True)
+    _picture = traitlets.Bytes(b"").tag(sync=True)
+    _size = traitlets.List(traitlets.Int(), [0, 0]).tag(sync=True)
+    _layer = traitlets.Bytes(b"").tag(sync=True)
+    _wire = traitlets.Bytes(b"").tag(sync=True)
+    _fit = traitlets.Bytes(b"").tag(sync=True)
+    _no_face = traitlets.Bool(False).tag(sync=True)
+    _scale = traitlets.Float(SMALLEST_SCALE).tag(sync=True)
+    _scheme = traitlets.Dict().tag(sync=True)
+
+    def __init__(self, height_px: int = 420, **traits: object) -> None:
+        self._lock = threading.RLock()
+        self._callbacks: list[Callable[[OverlayEvent], object]] = []
+        self._shown: np.ndarray | None = None
+        self._rows: Float[np.ndarray, "68 8"] | None = None
+        scheme = {"names": list(POINT_NAMES), "groups": point_groups(), "lines": [list(line) for line in POLYLINES]}
+        scheme["colors"] = color_table().tobytes()
+        traits["layers"] = {**LAYERS, **traits.get("layers", {})}
+        super().__init__(height_px=height_px, _scheme=scheme, **traits)
+        self.on_msg(self._on_message)
+        self.observe(self._on_scale, "scale_max")
+
+    def __repr__(self) -> str:
+        return f"OverlayView({self._size[0]} × {self._size[1]}, {'no face' if self._rows is None else 'face'})"
+
+    @property
+    def muted(self) -> tuple[int, ...]:
+        """Landmarks whose weight is zero: drawn hollow, grey and crossed."""
+        rows = self._rows
+        return () if rows is None else tuple(np.flatnonzero(rows[:, 7] == 0).tolist())
+
+    @property
+    def scale(self) -> float:
+        """Residual at the bright end of the colours, in `unit`."""
+        return self._scale
+
+    def set_picture(self, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
+        """Show an RGB picture; the same array object again sends nothing."""
+        if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
+            raise InputError(f"a picture is uint8 of shape (h, w, 3); got {rgb.dtype} of shape {rgb.shape}")
+        with self._lock:
+            if rgb is self._shown:
+                return
+            encoded = picture_bytes(rgb)
+            with self.hold_sync():
+                self._picture = encoded
+                self._size = [rgb.shape[1], rgb.shape[0]]
+            self._shown = rgb
+
+    def set_fit(
+        self,
+        observed: Num[np.ndarray, "68 2"] | None,
+        projected: Num[np.ndarray, "68 2"] | None = None,
+        values: Num[np.ndarray, "68"] | None = None,
+        confidence: Num[np.ndarray, "68"] | None = None,
+        weights: Num[np.ndarray, "68"] | None = None,
+    ) -> None:
+        """Show the detections (px), the model's landmarks (px) and the residuals `values` in `unit`.
+
+        `observed` None: there is no face, which is said over the picture. The other defaults are those of
+        `fit_table`. Raises `InputError` for another number of landmarks.
+        """
+        rows = None if observed is None else fit_table(observed, projected, values, confidence, weights)
+        with self._lock:
+            self._rows = rows
+            with self.hold_sync():
+                self._no_face = rows is None
+                self._fit = b"" if rows is None else float_bytes(rows)
+                self._scale = self._chosen_scale()
+
+    def set_layer(self, rgba: UInt8[np.ndarray, "h w 4"] | None) -> None:
+        """Lay a picture with transparency over the whole photo (any resolution), or take it away."""
+        encoded = b""
+        if rgba is not None:
+            if rgba.ndim != 3 or rgba.shape[2] != 4 or rgba.dtype != np.uint8:
+                raise InputError(f"a layer is uint8 of shape (h, w, 4); got {rgba.dtype} of shape {rgba.shape}")
+            pixels = cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA)
+            encoded = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+        with self._lock:
+            self._layer = encoded
+
+    def set_wire(self, segments: Num[np.ndarray, "n 2 2"] | None) -> None:
+        """Draw line segments (start and end, px), or none; segments that are not finite are left out."""
+        if segments is None:
+            segments = np.empty((0, 2, 2))
+        if segments.ndim != 3 or segments.shape[1:] != (2, 2):
+            raise InputError(f"segments are an array of shape (n, 2, 2); got shape {segments.shape}")
+        encoded = float_bytes(segments[np.isfinite(segments).all(axis=(1, 2))])
+        with self._lock:
+            self._wire = encoded
+
+    def on_event(self, callback: Callable[[OverlayEvent], object], remove: bool = False) -> None:
+        """Call `callback(event)` for everything the user does; `remove` takes it away again."""
+        if remove:
+            self._callbacks.remove(callback)
+        else:
+            self._callbacks.append(callback)
+
+    def _chosen_scale(self) -> float:
+        if self.scale_max > 0:
+            return self.scale_max
+        if self._rows is None:
+            return self._scale
+        return automatic_scale(self._rows[self._rows[:, 7] != 0, 4])
+
+    def _on_scale(self, _change: object) -> None:
+        with self._lock:
+            self._scale = self._chosen_scale()
+
+    def _on_message(self, _widget: object, content: object, _buffers: object) -> None:
+        event = read_event(content)
+        if event is None:
+            return
+        if event.kind in ("select", "lasso"):
+            self.selection = list(event.points)
+        for callback in tuple(self._callbacks):
+            try:
+                callback(event)
+            except Exception as error:
+                # The user sees it where he clicked; the widget goes on.
+                self.message = str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}"
+                logging.getLogger(__name__).debug("callback of OverlayView failed", exc_info=True)
+
+
+def _per_point(what: str, given: Num[np.ndarray, "..."] | None, otherwise: Float[np.ndarray, "68"]) -> np.ndarray:
+    if given is None:
+        return otherwise
+    if np.shape(given) != (POINT_COUNT,):
+        raise InputError(f"{what} are one number for each of the 68 landmarks; got shape {np.shape(given)}")
+    return np.asarray(given, float)

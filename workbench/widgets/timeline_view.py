@@ -1,0 +1,223 @@
+"""A strip of landmark errors over all frames of a clip: where to look, and the way to go there."""
+
+import threading
+from pathlib import Path
+
+import anywidget
+import numpy as np
+import traitlets
+from jaxtyping import Bool, Float, Int, Num, UInt8
+
+from workbench.errors import InputError
+from workbench.landmarks.scheme import GROUPS, POINT_COUNT, POINT_NAMES
+from workbench.widgets.overlay_view import SMALLEST_SCALE, automatic_scale, color_table, float_bytes
+
+NOTHING = 255
+"""Colour index of a frame without a face; 0 to 254 are colours."""
+FLAGGED, STALE, FOUND, NEW_SHOT = 1, 2, 4, 8
+"""Bits of a frame's mark."""
+ROW_GROUPS = ("jaw", "brows", "nose", "eyes", "mouth")
+
+
+def color_indices(values: Num[np.ndarray, "n 68"], scale: float) -> UInt8[np.ndarray, "n 68"]:
+    """Colour index of every residual: 0 at zero, 254 at `scale` and above, `NOTHING` where it is not finite."""
+    places = np.clip(np.where(np.isfinite(values), values, 0.0) / scale, 0.0, 1.0)
+    return np.where(np.isfinite(values), np.rint(places * (NOTHING - 1)), NOTHING).astype(np.uint8)
+
+
+def worst_landmarks(values: Num[np.ndarray, "n 68"]) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """Largest residual of every frame and its landmark; NaN and 0 in a frame without any."""
+    filled = np.where(np.isfinite(values), values, -np.inf)
+    worst = filled.argmax(axis=1) if len(filled) else np.zeros(0, int)
+    largest = filled[np.arange(len(filled)), worst]
+    return np.where(np.isfinite(largest), largest, np.nan), worst
+
+
+def frame_marks(
+    flagged: Bool[np.ndarray, "n"],
+    stale: Bool[np.ndarray, "n"],
+    found: Bool[np.ndarray, "n"],
+    shots: Int[np.ndarray, "n"],
+) -> UInt8[np.ndarray, "n"]:
+    """One byte of marks for every frame; the first frame of each shot but the first carries `NEW_SHOT`."""
+    cuts = np.diff(shots, prepend=shots[:1]) != 0
+    return (FLAGGED * flagged + STALE * stale + FOUND * found + NEW_SHOT * cuts).astype(np.uint8)
+
+
+class TimelineView(anywidget.AnyWidget):
+    """Landmarks against frames in colour, with flags and shots above; a click goes to a frame.
+
+    `frame` is the current frame, numbered from the `first_index` of the track, and follows the mouse and the keys.
+    Setters may be called from any thread. Drawn narrower than the clip is long, every pixel shows the worst of its
+    frames, so that a single bad one is never lost.
+    """
+
+    _esm = Path(__file__).with_name("timeline_view.js")
+    _css = """
+.fw-timeline { position: relative; width: 100%; min-width: 0; box-sizing: border-box; font: 11px/16px
+  var(--jp-ui-font-family, system-ui, sans-serif); color: var(--jp-ui-font-color2, #777); }
+.fw-timeline .fw-stage { position: relative; width: 100%; outline: none; cursor: pointer; }
+.fw-timeline .fw-stage:focus-visible { box-shadow: 0 0 0 2px var(--jp-brand-color1, #2196f3); border-radius: 2px; }
+.fw-timeline canvas { position: absolute; inset: 0; width: 100%; height: 100%; display: block; }
+.fw-timeline .fw-cursor { touch-action: none; }
+.fw-timeline .fw-hover { position: absolute; pointer-events: none; z-index: 3; padding: 4px 8px; white-space: pre;
+  background: rgba(18, 20, 24, 0.9); color: #f4f6f8; border-radius: 3px; font-size: 12px; line-height: 1.4; }
+.fw-timeline .fw-below { display: flex; gap: 12px; align-items: center; height: 18px; }
+.fw-timeline .fw-help { flex: 1 1 0; min-width: 0; white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
+.fw-timeline .fw-scale { display: flex; gap: 5px; align-items: center; white-space: nowrap; }
+.fw-timeline .fw-bar { width: 70px; height: 7px; border-radius: 1px; }
+.fw-timeline [hidden] { display: none; }
+"""
+
+    frame = traitlets.Int(0, help="the current frame").tag(sync=True)
+    scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0 chooses it").tag(sync=True)
+    unit = traitlets.Unicode("px", help="of the residuals").tag(sync=True)
+    height_px = traitlets.Int(150, min=100).tag(sync=True)
+    _scale = traitlets.Float(SMALLEST_SCALE).tag(sync=True)
+    _scheme = traitlets.Dict().tag(sync=True)
+    # A counter here, the whole track in the message: a part of a track can then be sent alone, and a browser that
+    # comes later still gets everything.
+    _track = traitlets.Int(0).tag(sync=True, to_json=lambda _counter, view: view._packed())
+
+    def __init__(self, height_px: int = 150, **traits: object) -> None:
+        self._lock = threading.RLock()
+        self._first = 0
+        self._values = np.zeros((0, POINT_COUNT), np.float32)
+        self._flagged, self._stale, self._found = (np.zeros(0, bool) for _ in range(3))
+        self._shots = np.zeros(0, int)
+        self._patched = False
+        rows = [{"name": name, "first": GROUPS[name][0], "count": len(GROUPS[name])} for name in ROW_GROUPS]
+        scheme = {"names": list(POINT_NAMES), "rows": rows, "colors": color_table().tobytes()}
+        super().__init__(height_px=height_px, _scheme=scheme, **traits)
+        self.on_msg(self._on_message)
+        self.observe(self._on_scale, "scale_max")
+
+    def __repr__(self) -> str:
+        return f"TimelineView({len(self._values)} frames from {self._first}, at {self.frame})"
+
+    @property
+    def scale(self) -> float:
+        """Residual at the bright end of the colours, in `unit`."""
+        return self._scale
+
+    @property
+    def flagged(self) -> tuple[int, ...]:
+        """Indices of the flagged frames."""
+        return tuple((self._first + np.flatnonzero(self._flagged)).tolist())
+
+    def set_track(
+        self,
+        values: Num[np.ndarray, "n 68"],
+        flagged: Bool[np.ndarray, "n"] | None = None,
+        stale: Bool[np.ndarray, "n"] | None = None,
+        found: Bool[np.ndarray, "n"] | None = None,
+        shots: Int[np.ndarray, "n"] | None = None,
+        first_index: int = 0,
+    ) -> None:
+        """Show the residuals (in `unit`, NaN where there is no face) of all frames, the first numbered `first_index`.
+
+        Without `found` a face is where any residual is; without `shots` the clip is one shot. `frame` is kept if the
+        track has it. Raises `InputError` for arrays that do not fit together.
+        """
+        values = _checked_values(values)
+        count = len(values)
+        shots = np.zeros(count, int) if shots is None else _per_frame("shots", shots, count, int)
+        marks = [
+            np.zeros(count, bool) if given is None else _per_frame(name, given, count, bool)
+            for name, given in (("flagged", flagged), ("stale", stale))
+        ]
+        found = np.isfinite(values).any(axis=1) if found is None else _per_frame("found", found, count, bool)
+        with self._lock:
+            self._first, self._values, self._shots, self._found = int(first_index), values, shots, found
+            self._flagged, self._stale = marks
+            with self.hold_sync():
+                self._scale = self._chosen_scale()
+                self.frame = int(np.clip(self.frame, self._first, self._first + max(count - 1, 0)))
+                self._send_all()
+
+    def update_frames(
+        self,
+        start: int,
+        values: Num[np.ndarray, "n 68"],
+        flagged: Bool[np.ndarray, "n"] | None = None,
+        stale: Bool[np.ndarray, "n"] | None = None,
+        found: Bool[np.ndarray, "n"] | None = None,
+        shots: Int[np.ndarray, "n"] | None = None,
+    ) -> None:
+        """Replace the frames from index `start` on; only they are sent, unless the automatic scale must grow.
+
+        `flagged`, `stale` and `shots` stay as they are where not given; `found` follows the values. Raises
+        `InputError` for frames outside the track.
+        """
+        values = _checked_values(values)
+        count = len(values)
+        with self._lock:
+            begin = start - self._first
+            if begin < 0 or begin + count > len(self._values):
+                last = self._first + len(self._values) - 1
+                raise InputError(
+                    f"frames {start} to {start + count - 1} are not all in the track {self._first} to {last}"
+                )
+            part = slice(begin, begin + count)
+            new = {"_flagged": flagged, "_stale": stale, "_shots": shots}
+            new["_found"] = np.isfinite(values).any(axis=1) if found is None else found
+            for name, given in new.items():
+                if given is not None:
+                    kind = getattr(self, name).dtype.type
+                    getattr(self, name)[part] = _per_frame(name.removeprefix("_"), given, count, kind)
+            self._values[part] = values
+            if self.scale_max == 0 and automatic_scale(values) > self._scale and self._chosen_scale() != self._scale:
+                with self.hold_sync():
+                    self._scale = self._chosen_scale()
+                    self._send_all()
+                return
+            self._patched = True
+            # The frame after the part may begin a shot now, or no longer.
+            part = slice(begin, min(begin + count + 1, len(self._values)))
+            arrays = self._arrays(part)
+            self.send({"kind": "part", "start": begin, "names": list(arrays)}, buffers=list(arrays.values()))
+
+    def _arrays(self, part: slice) -> dict[str, bytes]:
+        values = self._values[part]
+        largest, worst = worst_landmarks(values)
+        marks = frame_marks(self._flagged, self._stale, self._found, self._shots)[part]
+        return {
+            "codes": color_indices(values, self._scale).tobytes(),
+            "largest": float_bytes(largest),
+            "worst": worst.astype(np.uint8).tobytes(),
+            "marks": marks.tobytes(),
+        }
+
+    def _packed(self) -> dict[str, object]:
+        with self._lock:
+            return {"first": self._first, "count": len(self._values), **self._arrays(slice(None))}
+
+    def _send_all(self) -> None:
+        self._patched = False
+        self._track += 1
+
+    def _chosen_scale(self) -> float:
+        return self.scale_max if self.scale_max > 0 else automatic_scale(self._values)
+
+    def _on_scale(self, _change: object) -> None:
+        with self._lock, self.hold_sync():
+            self._scale = self._chosen_scale()
+            self._send_all()
+
+    def _on_message(self, _widget: object, content: object, _buffers: object) -> None:
+        # A second display of the view in the same page knows only the last whole track.
+        with self._lock:
+            if isinstance(content, dict) and content.get("kind") == "shown" and self._patched:
+                self._send_all()
+
+
+def _checked_values(values: Num[np.ndarray, "n 68"]) -> Float[np.ndarray, "n 68"]:
+    if np.ndim(values) != 2 or np.shape(values)[1] != POINT_COUNT:
+        raise InputError(f"residuals of a track have shape (frames, 68); got {np.shape(values)}")
+    return np.array(values, np.float32)
+
+
+def _per_frame(name: str, given: np.ndarray, count: int, kind: type) -> np.ndarray:
+    if np.shape(given) != (count,):
+        raise InputError(f"{name} has one entry for each of the {count} frames; got shape {np.shape(given)}")
+    return np.array(given, kind)
