@@ -1,10 +1,12 @@
 """Pictures of a head: off-screen VTK where GL works, else the plain painter, which says so."""
 
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import lru_cache
 from types import TracebackType
 from typing import Protocol
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -13,9 +15,10 @@ from workbench.face.model import FaceModel
 from workbench.frames import read_picture
 from workbench.geometry import Camera
 from workbench.rendering.background import background_picture, composite
+from workbench.rendering.extras import GHOST_COLOR, NOTHING, SEGMENT_MM, Extras, outer_triangles
 from workbench.rendering.gl_probe import gl_available
 from workbench.rendering.lighting import STUDIO, Lighting
-from workbench.rendering.mesh import check_scene, to_camera
+from workbench.rendering.mesh import check_scene, to_camera, to_pixels
 from workbench.rendering.render_thread import RenderThread
 from workbench.rendering.wireframe import draw_wireframe
 from workbench.samples import sample
@@ -40,12 +43,12 @@ class HeadPainter(Protocol):
 
     def render(
         self, vertices: np.ndarray, camera: Camera, rotation: np.ndarray, translation: np.ndarray,
-        background: Background = None, lighting: Lighting = STUDIO,
+        background: Background = None, lighting: Lighting = STUDIO, extras: Extras = NOTHING,
     ) -> np.ndarray: ...  # fmt: skip
 
     def submit(
         self, vertices: np.ndarray, camera: Camera, rotation: np.ndarray, translation: np.ndarray,
-        background: Background = None, lighting: Lighting = STUDIO,
+        background: Background = None, lighting: Lighting = STUDIO, extras: Extras = NOTHING,
     ) -> Future: ...  # fmt: skip
 
     def close(self) -> None: ...
@@ -97,13 +100,14 @@ class HeadRenderer:
         translation: Float[np.ndarray, "3"],
         background: Background = None,
         lighting: Lighting = STUDIO,
+        extras: Extras = NOTHING,
     ) -> UInt8[np.ndarray, "h w 3"]:
         """RGB picture of head-frame `vertices` (millimetres) in this pose, seen by `camera` (of a picture of `size`).
 
         `rotation` is axis-angle, head to camera; `background` an RGB colour, a picture of the same size, or None for
         a plain dark one. Raises `InputError` for a wrong number of vertices and for numbers that are not finite.
         """
-        return self.submit(vertices, camera, rotation, translation, background, lighting).result()[0]
+        return self.submit(vertices, camera, rotation, translation, background, lighting, extras).result()[0]
 
     def render_with_mask(
         self,
@@ -113,9 +117,10 @@ class HeadRenderer:
         translation: Float[np.ndarray, "3"],
         background: Background = None,
         lighting: Lighting = STUDIO,
+        extras: Extras = NOTHING,
     ) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]]:
         """As `render`, with the head's coverage of each pixel, 0 to 255."""
-        return self.submit(vertices, camera, rotation, translation, background, lighting).result()
+        return self.submit(vertices, camera, rotation, translation, background, lighting, extras).result()
 
     def submit(
         self,
@@ -125,6 +130,7 @@ class HeadRenderer:
         translation: Float[np.ndarray, "3"],
         background: Background = None,
         lighting: Lighting = STUDIO,
+        extras: Extras = NOTHING,
     ) -> Future:
         """As `render_with_mask`, without waiting: a future of (picture, mask)."""
         if not self._thread.running:
@@ -132,7 +138,7 @@ class HeadRenderer:
         check_scene(vertices, self._vertex_count, rotation, translation, camera)
         behind = background_picture(background, self.size)
         points_camera = to_camera(vertices, rotation, translation)
-        return self._thread.submit(_draw, points_camera, camera, lighting, behind)
+        return self._thread.submit(_draw, points_camera, camera, lighting, behind, extras, (rotation, translation))
 
     def close(self) -> None:
         """End the render thread and free the GL context; closing twice is fine."""
@@ -162,9 +168,10 @@ class PlainPainter:
         translation: Float[np.ndarray, "3"],
         background: Background = None,
         lighting: Lighting = STUDIO,
+        extras: Extras = NOTHING,
     ) -> UInt8[np.ndarray, "h w 3"]:
         """As `HeadRenderer.render`."""
-        return draw_wireframe(self.model, self.size, vertices, camera, rotation, translation, background, lighting)[0]
+        return self._draw(vertices, camera, rotation, translation, background, lighting, extras)[0]
 
     def submit(
         self,
@@ -174,16 +181,25 @@ class PlainPainter:
         translation: Float[np.ndarray, "3"],
         background: Background = None,
         lighting: Lighting = STUDIO,
+        extras: Extras = NOTHING,
     ) -> Future:
         """As `HeadRenderer.submit`; the future is already done."""
         future: Future = Future()
-        future.set_result(
-            draw_wireframe(self.model, self.size, vertices, camera, rotation, translation, background, lighting)
-        )
+        future.set_result(self._draw(vertices, camera, rotation, translation, background, lighting, extras))
         return future
 
     def close(self) -> None:
         """Nothing to free."""
+
+    def _draw(self, vertices, camera, rotation, translation, background, lighting, extras: Extras):
+        model = self.model if extras.colors is None else replace(self.model, colors=extras.colors)
+        picture, mask = draw_wireframe(model, self.size, vertices, camera, rotation, translation, background, lighting)
+        if extras.ghost is not None:
+            view = (camera, rotation, translation)
+            ghost = draw_wireframe(_ghost_model(self.model), self.size, extras.ghost, *view, picture, lighting)[0]
+            picture = cv2.addWeighted(ghost, extras.ghost_opacity, picture, 1.0 - extras.ghost_opacity, 0.0)
+        _paint_marks(picture, extras, camera, rotation, translation)
+        return picture, mask
 
     def __enter__(self) -> "PlainPainter":
         return self
@@ -243,14 +259,36 @@ def _make_scene(
     return HeadScene(model, size, albedo, supersampling, fade_neck)
 
 
-def _draw(scene, points_camera, camera: Camera, lighting: Lighting, behind: np.ndarray):
-    rgba = scene.render(points_camera, camera, lighting)
+def _draw(scene, points_camera, camera: Camera, lighting: Lighting, behind: np.ndarray, extras: Extras, pose):
+    rgba = scene.render(points_camera, camera, lighting, extras, pose)
     return composite(rgba, behind), rgba[..., 3].copy()
 
 
 def _check_size(size: tuple[int, int]) -> None:
     if not all(1 <= side <= LARGEST_PX for side in size):
         raise InputError(f"A picture of a head has sides of 1 to {LARGEST_PX} pixels, got {size[0]} × {size[1]}.")
+
+
+def _ghost_model(model: FaceModel) -> FaceModel:
+    colors = np.tile(np.array(GHOST_COLOR, np.uint8), (len(model.neutral), 1))
+    return replace(model, triangles=outer_triangles(model), colors=colors)
+
+
+def _paint_marks(picture: UInt8[np.ndarray, "h w 3"], extras: Extras, camera: Camera, rotation, translation) -> None:
+    """Points and segments over the head, also those that it hides: painting knows no depth."""
+    marks = []
+    if extras.segments is not None:
+        marks += list(zip(extras.segments, extras.segment_colors, [SEGMENT_MM] * len(extras.segments), strict=True))
+    if extras.points is not None:
+        points = np.repeat(extras.points[:, None], 2, axis=1)
+        marks += list(zip(points, extras.point_colors, [extras.point_mm] * len(points), strict=True))
+    for ends_head, color, thickness_mm in marks:
+        ends = to_camera(ends_head, rotation, translation)
+        pixels = np.rint(to_pixels(camera, ends)) if ends[:, 2].min() > 1.0 else np.full((2, 2), np.inf)
+        if np.abs(pixels).max() < 30_000:
+            width = max(1, round(thickness_mm * float(camera.focal_px[0]) / ends[0, 2]))
+            (x0, y0), (x1, y1) = pixels.astype(int).tolist()
+            cv2.line(picture, (x0, y0), (x1, y1), color.tolist(), width, cv2.LINE_AA)
 
 
 def _albedo(model: FaceModel, texture: bool | np.ndarray) -> np.ndarray | None:

@@ -15,8 +15,9 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkPolyDataMapper, v
 
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
+from workbench.rendering.extras import GHOST_COLOR, NOTHING, Extras, marks_mesh, outer_triangles
 from workbench.rendering.lighting import Light, Lighting
-from workbench.rendering.mesh import corner_sum, neck_opacity, split_seams, to_pixels, vertex_normals
+from workbench.rendering.mesh import corner_sum, neck_opacity, split_seams, to_camera, to_pixels, vertex_normals
 
 WET_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
 """Parts that shine."""
@@ -48,22 +49,32 @@ class HeadScene:
             self.vertex_of_point, uv_of_point, points_of_triangle = split_seams(model.triangles, model.triangles_uv)
         opacity = np.rint(255 * neck_opacity(model)) if fade_neck else np.full(len(model.neutral), 255)
         tint = model.colors if texture is None else np.full_like(model.colors, 255)
-        colors = np.column_stack([tint, opacity]).astype(np.uint8)
+        self.opacity = opacity.astype(np.uint8)
+        self.own_colors = np.column_stack([tint, self.opacity]).astype(np.uint8)
+        self.shown_colors: UInt8[np.ndarray, "v 3"] | None = None
+        self.texture = None if texture is None else _texture(texture)
+        self.outer_triangles = outer_triangles(model).astype(np.int64)
+        self.marks, self.ghost = _Part(translucent=False), _Part(translucent=True)
         self.points = vtkPoints()
         self.renderer = vtkRenderer()
         self.renderer.SetBackgroundAlpha(0.0)
         self.renderer.AutomaticLightCreationOff()
         self.renderer.SetLightFollowCamera(False)
-        self.meshes = []
+        self.meshes, self.actors = [], []
         for triangles, shine in zip(_by_shine(model, points_of_triangle), (SKIN_SHINE, WET_SHINE), strict=True):
             mesh = _mesh(self.points, triangles)
             # The texture is multiplied by the colours of the points.
-            mesh.GetPointData().SetScalars(numpy_to_vtk(colors[self.vertex_of_point], deep=True))
+            mesh.GetPointData().SetScalars(numpy_to_vtk(self.own_colors[self.vertex_of_point], deep=True))
             if texture is not None:
                 coordinates = np.ascontiguousarray(model.uv[uv_of_point], np.float32)
                 mesh.GetPointData().SetTCoords(numpy_to_vtk(coordinates, deep=True))
             self.meshes.append(mesh)
-            self.renderer.AddActor(_actor(mesh, shine, texture, fade_neck))
+            actor = _actor(mesh, shine, fade_neck)
+            actor.SetTexture(self.texture)
+            self.actors.append(actor)
+            self.renderer.AddActor(actor)
+        for part in (self.marks, self.ghost):
+            self.renderer.AddActor(part.actor)
         self.camera = self.renderer.GetActiveCamera()
         self.camera.SetPosition(0.0, 0.0, 0.0)
         self.camera.SetFocalPoint(0.0, 0.0, -1.0)
@@ -80,14 +91,24 @@ class HeadScene:
         self.pixels = vtkUnsignedCharArray()
 
     def render(
-        self, points_camera: Float[np.ndarray, "v 3"], camera: Camera, lighting: Lighting
+        self,
+        points_camera: Float[np.ndarray, "v 3"],
+        camera: Camera,
+        lighting: Lighting,
+        extras: Extras = NOTHING,
+        pose: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None = None,
     ) -> UInt8[np.ndarray, "h w 4"]:
-        """RGBA of the head alone, colours already multiplied by alpha; camera-frame vertices in millimetres."""
+        """RGBA of the head and the extras alone, colours already multiplied by alpha.
+
+        Camera-frame vertices in millimetres; `pose` (rotation, translation) takes the head-frame extras there.
+        """
         width, height = self.size
         depth = points_camera[:, 2]
         if depth.max() <= 0.0:
             return np.zeros((height, width, 4), np.uint8)
         self._set_points(_distorted(camera, points_camera))
+        self._set_colors(extras.colors)
+        depth = np.concatenate([depth, *self._set_extras(extras, camera, pose)])
         self._set_lighting(lighting)
         # Depth resolution is near/far: the range hugs the head.
         self._set_projection(camera, near=max(0.95 * depth.min(), 0.05 * depth.max()), far=1.05 * depth.max())
@@ -111,6 +132,30 @@ class HeadScene:
         for mesh in self.meshes:
             mesh.GetPointData().SetNormals(normals)
             mesh.Modified()
+
+    def _set_colors(self, colors: UInt8[np.ndarray, "v 3"] | None) -> None:
+        if colors is self.shown_colors:
+            return
+        rgba = self.own_colors if colors is None else np.column_stack([colors, self.opacity])
+        scalars = numpy_to_vtk(rgba[self.vertex_of_point], deep=True)
+        for mesh, actor in zip(self.meshes, self.actors, strict=True):
+            mesh.GetPointData().SetScalars(scalars)
+            actor.SetTexture(self.texture if colors is None else None)
+        self.shown_colors = colors
+
+    def _set_extras(self, extras: Extras, camera: Camera, pose) -> list[Float[np.ndarray, "_"]]:
+        """Show marks and ghost; the depths of their points."""
+        parts = []
+        vertices, triangles, colors = marks_mesh(extras)
+        if self.marks.show(len(vertices) > 0 and pose is not None):
+            self.marks.set(_distorted(camera, points := to_camera(vertices, *pose)), triangles, colors)
+            parts.append(points[:, 2])
+        if self.ghost.show(extras.ghost is not None and pose is not None and extras.ghost_opacity > 0.0):
+            points = to_camera(extras.ghost, *pose)
+            rgba = np.array([*GHOST_COLOR, round(255 * min(extras.ghost_opacity, 1.0))], np.uint8)
+            self.ghost.set(_distorted(camera, points), self.outer_triangles, np.tile(rgba, (len(points), 1)))
+            parts.append(points[:, 2])
+        return parts
 
     def _set_lighting(self, lighting: Lighting) -> None:
         if lighting == self.lighting:
@@ -146,6 +191,33 @@ class HeadScene:
         self.camera.SetExplicitProjectionTransformMatrix(matrix)
 
 
+class _Part:
+    """An actor with a mesh of its own, replaced as a whole."""
+
+    def __init__(self, translucent: bool) -> None:
+        self.mesh = vtkPolyData()
+        # Only outer sides of a translucent head are drawn: blending them then needs no sorting.
+        self.actor = _actor(self.mesh, SKIN_SHINE, fade_neck=translucent)
+        if translucent:
+            self.actor.ForceOpaqueOff()
+            self.actor.ForceTranslucentOn()
+        self.actor.SetVisibility(False)
+
+    def show(self, shown: bool) -> bool:
+        self.actor.SetVisibility(shown)
+        return shown
+
+    def set(self, points_camera, triangles: Int[np.ndarray, "t 3"], colors: UInt8[np.ndarray, "v _"]) -> None:
+        order = np.arange(len(points_camera))
+        points = vtkPoints()
+        points.SetData(_vectors(points_camera, order))
+        made = _mesh(points, triangles)
+        normals = vertex_normals(points_camera, triangles, corner_sum(triangles, len(points_camera)))
+        made.GetPointData().SetNormals(_vectors(normals, order))
+        made.GetPointData().SetScalars(numpy_to_vtk(np.ascontiguousarray(colors), deep=True))
+        self.mesh.ShallowCopy(made)
+
+
 def _by_shine(model: FaceModel, points_of_triangle) -> tuple[Int[np.ndarray, "a 3"], Int[np.ndarray, "b 3"]]:
     wet = np.zeros(len(model.neutral), bool)
     for name in WET_REGIONS:
@@ -163,7 +235,7 @@ def _mesh(points: vtkPoints, triangles: Int[np.ndarray, "t 3"]) -> vtkPolyData:
     return mesh
 
 
-def _actor(mesh: vtkPolyData, shine: Sequence[float], texture, fade_neck: bool) -> vtkActor:
+def _actor(mesh: vtkPolyData, shine: Sequence[float], fade_neck: bool) -> vtkActor:
     mapper = vtkPolyDataMapper()
     mapper.SetInputData(mesh)
     actor = vtkActor()
@@ -177,8 +249,6 @@ def _actor(mesh: vtkPolyData, shine: Sequence[float], texture, fade_neck: bool) 
     material.SetDiffuse(1.0)
     material.SetSpecular(shine[0])
     material.SetSpecularPower(shine[1])
-    if texture is not None:
-        actor.SetTexture(_texture(texture))
     return actor
 
 

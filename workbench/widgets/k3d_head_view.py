@@ -1,0 +1,219 @@
+"""The head drawn by the browser: k3d (WebGL). Turning it with the mouse costs the kernel nothing."""
+
+import threading
+from dataclasses import replace
+
+import ipywidgets as widgets
+import k3d
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from workbench.face.model import FaceModel
+from workbench.geometry import Camera
+from workbench.rendering.background import SLATE
+from workbench.rendering.extras import GHOST_COLOR, SEGMENT_MM, outer_triangles
+from workbench.rendering.head_picture import head_painter
+from workbench.widgets.head_view import (
+    Shown,
+    check_marks,
+    check_opacity,
+    check_vertices,
+    check_view,
+    legend,
+    posed,
+    value_colors,
+    viewpoint_of,
+)
+from workbench.widgets.viewpoint import Viewpoint, front_viewpoint
+
+WORLD = np.array([1.0, -1.0, -1.0])
+"""k3d orbits about +y as up; the head frame has y down and z away. A half turn about x takes one to the other."""
+MATRIX = np.diag([*WORLD, 1.0]).astype(np.float32)
+GRID_MM = 400.0
+"""Half width of the box from which k3d takes its clipping planes."""
+LIGHTING, ROUGHNESS = 1.5, 0.6
+
+
+class K3dHeadView:
+    """A `HeadView` in WebGL. The browser keeps the mesh and the camera; only what changed is sent."""
+
+    def __init__(self, model: FaceModel, size: tuple[int, int]) -> None:
+        self._model, self._size = model, size
+        self._lock = threading.RLock()
+        self._shown = Shown(model.neutral.astype(np.float32))
+        self.note: str | None = None
+        viewpoint = front_viewpoint(model, size)
+        self.plot = k3d.plot(
+            height=size[1], antialias=2, background_color=_packed(np.array([SLATE]))[0].item(), lighting=LIGHTING,
+            menu_visibility=False, grid_visible=False, grid_auto_fit=False, camera_auto_fit=False, axes_helper=0,
+            grid=(-GRID_MM, -GRID_MM, -GRID_MM, GRID_MM, GRID_MM, GRID_MM), camera_mode="orbit", camera_up_axis="y",
+            camera_fov=viewpoint.vertical_fov_deg(size[1]), camera=_camera_array(viewpoint),
+        )  # fmt: skip
+        self.plot.layout = widgets.Layout(width=f"{size[0]}px", max_width="100%", height=f"{size[1]}px")
+        self.plot.add_class("fw-head3d")
+        self._mesh = _mesh(self._shown.vertices, model.triangles, colors=_packed(model.colors), side="double")
+        self._ghost = self._points = self._segments = None
+        self.plot += self._mesh
+        self._legend = widgets.HTML(layout=widgets.Layout(display="none", margin="2px 0 0 0", max_width=f"{size[0]}px"))
+        self.widget = widgets.VBox([self.plot, self._legend], layout=widgets.Layout(overflow="hidden"))
+
+    def __repr__(self) -> str:
+        return f"K3dHeadView({self._model.name!r}, {self._size[0]} × {self._size[1]})"
+
+    def set_vertices(self, vertices: Float[np.ndarray, "v 3"]) -> None:
+        """See `HeadView.set_vertices`."""
+        check_vertices(vertices, len(self._model.neutral))
+        with self._lock:
+            sent = vertices.astype(np.float32)
+            self._shown = replace(self._shown, vertices=sent)
+            self._mesh.vertices = sent
+
+    def set_pose(
+        self,
+        rotation: Float[np.ndarray, "3"],
+        translation: Float[np.ndarray, "3"],
+        camera: Camera,
+        image_size: tuple[int, int],
+    ) -> None:
+        """See `HeadView.set_pose`."""
+        pose = posed(rotation, translation, camera, image_size, self._size)
+        with self._lock:
+            self._shown = replace(self._shown, pose=pose)
+            if self._shown.view == "camera":
+                self._look_from(pose)
+
+    def set_view(self, view: str) -> None:
+        """See `HeadView.set_view`."""
+        check_view(view)
+        with self._lock:
+            self._shown = replace(self._shown, view=view)
+            viewpoint = viewpoint_of(self._shown, self._model, self._size)
+            if viewpoint is not None:
+                self._look_from(viewpoint)
+
+    def set_values(self, values: Float[np.ndarray, "v"] | None, low: float, high: float, label: str) -> None:
+        """See `HeadView.set_values`."""
+        colors = value_colors(values, low, high, len(self._model.neutral))
+        with self._lock:
+            self._shown = self._shown.with_extras(colors=colors)
+            self._mesh.colors = _packed(self._model.colors if colors is None else colors)
+            self._legend.value = "" if colors is None else legend(label, low, high)
+            self._legend.layout.display = "none" if colors is None else None
+
+    def set_points(
+        self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "n 3"] | None, size_mm: float = 2.0
+    ) -> None:
+        """See `HeadView.set_points`."""
+        check_marks(points, colors, (3,), "Points")
+        with self._lock:
+            self._shown = self._shown.with_extras(points=points, point_colors=colors, point_mm=size_mm)
+            if points is None or not len(points):
+                _hide(self._points)
+                return
+            state = {"positions": points.astype(np.float32), "colors": _packed(colors), "point_size": float(size_mm)}
+            if self._points is None:
+                self._points = k3d.points(**state, shader="3d", model_matrix=MATRIX)
+                self.plot += self._points
+            else:
+                _update(self._points, state)
+
+    def set_segments(
+        self, segments: Float[np.ndarray, "n 2 3"] | None, colors: UInt8[np.ndarray, "n 3"] | None
+    ) -> None:
+        """See `HeadView.set_segments`."""
+        check_marks(segments, colors, (2, 3), "Segments")
+        with self._lock:
+            self._shown = self._shown.with_extras(segments=segments, segment_colors=colors)
+            if segments is None or not len(segments):
+                _hide(self._segments)
+                return
+            ends = np.arange(2 * len(segments), dtype=np.uint32).reshape(-1, 2)
+            packed = np.repeat(_packed(colors), 2)
+            state = {"vertices": segments.astype(np.float32).reshape(-1, 3), "indices": ends, "colors": packed}
+            if self._segments is None:
+                self._segments = k3d.lines(
+                    **state, indices_type="segment", shader="mesh", width=SEGMENT_MM / 2, model_matrix=MATRIX
+                )
+                self.plot += self._segments
+            else:
+                _update(self._segments, state)
+
+    def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: float = 0.35) -> None:
+        """See `HeadView.set_ghost`."""
+        check_opacity(opacity)
+        if vertices is not None:
+            check_vertices(vertices, len(self._model.neutral))
+        with self._lock:
+            self._shown = self._shown.with_extras(ghost=vertices, ghost_opacity=opacity)
+            if vertices is None:
+                _hide(self._ghost)
+                return
+            state = {"vertices": vertices.astype(np.float32), "opacity": float(opacity)}
+            if self._ghost is None:
+                color = _packed(np.array([GHOST_COLOR]))[0].item()
+                self._ghost = _mesh(**state, triangles=outer_triangles(self._model), color=color, side="front")
+                self.plot += self._ghost
+            else:
+                _update(self._ghost, state)
+
+    def snapshot(self) -> UInt8[np.ndarray, "h w 3"]:
+        """See `HeadView.snapshot`."""
+        with self._lock:
+            shown, viewpoint = self._shown, self.viewpoint
+        with head_painter(self._model, self._size) as painter:
+            return painter.render(shown.vertices.astype(float), viewpoint.camera, *viewpoint.pose, extras=shown.extras)
+
+    @property
+    def viewpoint(self) -> Viewpoint:
+        """From where the browser looks, as far as it has told."""
+        position, target, up = np.reshape(self.plot.camera, (3, 3)) * WORLD
+        width, height = self._size
+        focal = 0.5 * height / np.tan(0.5 * np.radians(self.plot.camera_fov))
+        centre = np.array([(width - 1) / 2, (height - 1) / 2])
+        return Viewpoint(position, target, up, Camera(np.full(2, focal), centre, np.zeros(8)))
+
+    def close(self) -> None:
+        """See `HeadView.close`."""
+        for part in (self._mesh, self._ghost, self._points, self._segments, self.plot, self._legend, self.widget):
+            if part is not None:
+                widgets.Widget.close(part)
+
+    def _look_from(self, viewpoint: Viewpoint) -> None:
+        fov, camera = viewpoint.vertical_fov_deg(self._size[1]), _camera_array(viewpoint)
+        if fov != self.plot.camera_fov:
+            self.plot.camera_fov = fov
+        if camera == list(self.plot.camera):
+            # The mouse may have moved the browser's camera without telling yet.
+            self.plot.send_state("camera")
+        else:
+            self.plot.camera = camera
+
+
+def _camera_array(viewpoint: Viewpoint) -> list[float]:
+    """k3d's nine numbers: position, target, up."""
+    return (np.stack([viewpoint.position, viewpoint.target, viewpoint.up]) * WORLD).ravel().tolist()
+
+
+def _mesh(vertices: np.ndarray, triangles: np.ndarray, **state: object) -> k3d.objects.Mesh:
+    return k3d.mesh(
+        vertices, triangles.astype(np.uint32), flat_shading=False, roughness=ROUGHNESS, model_matrix=MATRIX, **state
+    )
+
+
+def _packed(colors: UInt8[np.ndarray, "n 3"]) -> np.ndarray:
+    """0xRRGGBB of each colour."""
+    red, green, blue = colors.astype(np.uint32).T
+    return (red << 16) | (green << 8) | blue
+
+
+def _update(part: k3d.objects.Drawable, state: dict) -> None:
+    """Set everything in one message."""
+    with part.hold_sync():
+        for name, value in state.items():
+            setattr(part, name, value)
+        part.visible = True
+
+
+def _hide(part: k3d.objects.Drawable | None) -> None:
+    if part is not None:
+        part.visible = False
