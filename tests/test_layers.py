@@ -29,8 +29,9 @@ ORDER = [
     "rendering",
     "plots",
     "export",
-    "widgets",
     "pipeline",
+    "session",
+    "widgets",
     "cli",
 ]
 

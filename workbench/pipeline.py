@@ -79,7 +79,7 @@ def track(
     if not paths:
         raise InputError("There is nothing to track; name a photo, a folder, a video or a landmark file.")
     folder, progress = Path(folder), progress or _silent
-    source = _open(paths, config, landmarks)
+    source = open_source(paths, config, landmarks)
     stills = stills or source.single_picture
     tracker = FaceTracker(model, config, stills=stills)
     tracker.warm_up(source.image_size)
@@ -119,7 +119,7 @@ def _silent(step: str, done: int, total: int | None) -> None:
     """No progress is shown."""
 
 
-class _PictureSource:
+class PictureSource:
     """Frames through a detector and, unless they are stills, through the landmark tracker."""
 
     def __init__(self, frames: Frames, detector: LandmarkDetector, config: Config):
@@ -158,7 +158,7 @@ class _PictureSource:
         return FrameObservation(frame.index, found.landmarks, (width, height), found.source, True, times)
 
 
-class _FileSource:
+class FileSource:
     """Landmarks that were stored before, with or without their pictures."""
 
     def __init__(self, paths: list[Path], frames: Frames | None):
@@ -192,7 +192,7 @@ class _Canvas:
 
     kind, rate, announced_count = "images", 25.0, None
 
-    def __init__(self, source: _FileSource):
+    def __init__(self, source: FileSource):
         self._source = source
         self.name = source._paths[0].stem
         self.image_size = source.image_size
@@ -209,16 +209,17 @@ def _size(record: LandmarkRecord) -> tuple[int, int]:
     return record.landmarks.image_size if record.landmarks is not None else record.image_size
 
 
-def _open(paths: list[Path], config: Config, landmarks: Path | None) -> _PictureSource | _FileSource:
+def open_source(paths: list[Path], config: Config, landmarks: Path | None) -> PictureSource | FileSource:
+    """Frames and their landmarks: from a detector, or from a landmark file. Raises `InputError` for a mixture."""
     of_landmarks = [path for path in paths if is_landmark_file(path)]
     if of_landmarks and (len(of_landmarks) < len(paths) or landmarks is not None):
         raise InputError("A run takes pictures or landmark files as input; for both, name the file with --landmarks.")
     if of_landmarks:
-        return _FileSource(paths, None)
+        return FileSource(paths, None)
     frames = open_frames(paths if len(paths) > 1 else paths[0])
     if landmarks is not None:
-        return _FileSource([landmarks], frames)
-    return _PictureSource(frames, make_detector(config.landmarks.detector), config)
+        return FileSource([landmarks], frames)
+    return PictureSource(frames, make_detector(config.landmarks.detector), config)
 
 
 def _track_frames(source, tracker: FaceTracker, writer: TrackWriter, stills: bool, progress: Progress) -> None:
@@ -298,15 +299,20 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
         "expression_names": list(model.expression_names),
         "stages": [stage.name for stage in config.stages if stage.enabled],
         "config": json.loads(config.model_dump_json()),
-        "inputs": [{"path": str(path), "sha256": _content_hash(path)} for path in paths],
-        "landmarks": None if landmarks is None else {"path": str(landmarks), "sha256": _content_hash(landmarks)},
+        "inputs": [{"path": str(path), "sha256": content_hash(path)} for path in paths],
+        "landmarks": None if landmarks is None else {"path": str(landmarks), "sha256": content_hash(landmarks)},
         "names": _names(source.frames) if stills else [],
         "stills": stills,
         "rate": source.frames.rate,
         "camera_guessed": config.camera.matrix is None,
         "model": {"name": model.name, "sha256": model.fingerprint()},
-        "versions": {"workbench": __version__} | {name: importlib.metadata.version(name) for name in PACKAGES},
+        "versions": software_versions(),
     }
+
+
+def software_versions() -> dict[str, str]:
+    """Versions of what the numbers of a run depend on."""
+    return {"workbench": __version__} | {name: importlib.metadata.version(name) for name in PACKAGES}
 
 
 def _names(frames: Frames) -> list[str]:
@@ -320,7 +326,8 @@ def _fingerprint(meta: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(meta, sort_keys=True).encode()).hexdigest()
 
 
-def _content_hash(path: Path) -> str:
+def content_hash(path: Path) -> str:
+    """SHA-256 of a file, or of the files of a folder in order."""
     digest = hashlib.sha256()
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     for file in files:

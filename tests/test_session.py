@@ -1,0 +1,393 @@
+"""The tuning session without a screen: history, fits equal to the command line's, landmarks, export."""
+
+import shlex
+import threading
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.scenes import IMAGE_SIZE, make_scene
+from workbench.cli import app
+from workbench.config import PRESETS, preset, read_config
+from workbench.errors import ConfigError, InputError
+from workbench.frames import read_picture
+from workbench.landmarks.files import read_landmark_file
+from workbench.landmarks.observations import Landmarks2D
+from workbench.pipeline import track as run_track
+from workbench.samples import sample
+from workbench.session import Material, TuningSession, material_of_photo, material_of_track, open_session
+from workbench.session.material import PictureStore
+from workbench.tracking import FaceTracker, FrameObservation, Track
+from workbench.tracking.frame_solver import solve_frame
+from workbench.tracking.identity import calibrate_identity
+
+QUICK = preset("calibrated").changed(identity={"window": 6, "frames": 12})
+
+
+@pytest.fixture(scope="module")
+def clip(head):
+    """Two shots of one person, a gap without a face in the second."""
+    rng = np.random.default_rng(2)
+    identity = rng.normal(0.0, 0.7, 50)
+    observations = []
+    for k in range(22):
+        angles = (2.0 * k - 20.0, 5.0 * np.sin(k / 3), 0.0)
+        weights = {"jawOpen": 0.3 + 0.3 * np.sin(k / 2), "mouthSmileLeft": 0.4}
+        scene = make_scene(head, angles, weights, identity, sliding=True)
+        found = scene.observation(k, noise_px=0.5, cut=k == 10)
+        observations.append(FrameObservation(k, None, IMAGE_SIZE) if k == 15 else found)
+    pictures = PictureStore(None, [IMAGE_SIZE] * len(observations))
+    return Material("clip", tuple(observations), pictures, stills=False)
+
+
+@pytest.fixture(scope="module")
+def photo():
+    landmarks = next(iter(read_landmark_file(sample("astronaut-landmarks")))).landmarks
+    return material_of_photo(read_picture(sample("astronaut")), landmarks, "astronaut")
+
+
+@pytest.fixture
+def session(head, clip):
+    return TuningSession(head, clip, QUICK)
+
+
+def same(first, second):
+    """Whether two fits agree to the bit."""
+    names = ("rotation", "translation", "expression", "identity", "projected", "observed")
+    return all(np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True) for name in names)
+
+
+# --- history ---
+
+
+def test_every_change_can_be_taken_back_and_made_again(session):
+    session.set("tau", weights={"tau": 0.5})
+    session.set("fov", camera={"fov_deg": 30.0})
+    assert (session.undo_label, session.redo_label) == ("fov", None)
+    assert session.undo() == "fov"
+    assert session.config.camera.fov_deg == QUICK.camera.fov_deg
+    assert session.undo() == "tau"
+    assert session.config == QUICK
+    assert session.undo() is None
+    assert [session.redo(), session.redo(), session.redo()] == ["tau", "fov", None]
+    assert session.config.weights.tau == 0.5
+
+
+def test_a_change_after_undo_forgets_what_was_taken_back(session):
+    session.set("a", weights={"tau": 0.5})
+    session.undo()
+    session.set("b", weights={"tau": 0.7})
+    assert session.redo_label is None
+
+
+def test_a_dragged_slider_is_one_step(session):
+    for value in np.linspace(0.1, 2.0, 30):
+        session.set("ω_τ", gesture="weights.tau", weights={"tau": float(value)})
+    session.set("ω_σ", gesture="weights.sigma_smooth", weights={"sigma_smooth": 3.0})
+    assert session.undo() == "ω_σ"
+    assert session.undo() == "ω_τ"
+    assert session.config == QUICK
+
+
+def test_a_refused_change_leaves_everything_as_it_was(session):
+    with pytest.raises(ConfigError, match="did you mean 'tau'"):
+        session.set(weights={"tao": 1.0})
+    assert session.config == QUICK
+    assert session.undo_label is None
+
+
+def test_snapshots_are_kept_by_name_and_restored_as_a_step(session):
+    session.set(weights={"tau": 0.5})
+    session.take_snapshot("strong τ")
+    session.set(weights={"tau": 0.0})
+    assert [str(item) for item in session.changes("strong τ")] == ["weights.tau: 0.5 → 0"]
+    session.restore_snapshot("strong τ")
+    assert session.config.weights.tau == 0.5
+    session.undo()
+    assert session.config.weights.tau == 0.0
+    with pytest.raises(ConfigError, match="There is no snapshot 'x'; there are: strong τ"):
+        session.restore_snapshot("x")
+    with pytest.raises(ConfigError, match="needs a name"):
+        session.take_snapshot(" ")
+
+
+def test_listeners_hear_of_changes_until_they_leave(session):
+    heard = []
+    leave = session.listen(heard.append)
+    session.set(weights={"tau": 0.5})
+    session.undo()
+    leave()
+    session.redo()
+    assert heard == ["config", "config"]
+
+
+# --- fits ---
+
+
+def test_a_run_has_the_bits_of_the_tracker(session, head, clip):
+    expected = list(FaceTracker(head, QUICK).fit_all(clip.observations))
+    session.fit_clip()
+    assert len(session.run.fits) == len(expected)
+    assert all(same(found, fit) for found, fit in zip(session.run.fits, expected, strict=True))
+    assert [fit.shot for fit in session.run.fits] == [fit.shot for fit in expected]
+
+
+def test_stills_have_the_bits_of_the_tracker(head, clip):
+    stills = Material("stills", clip.observations[:4], clip.pictures, stills=True)
+    session = TuningSession(head, stills, QUICK)
+    session.fit_clip()
+    tracker = FaceTracker(head, QUICK, stills=True)
+    expected = [fit for item in stills.observations for fit in tracker.push(item)]
+    assert all(same(found, fit) for found, fit in zip(session.run.fits, expected, strict=True))
+
+
+def test_a_frame_of_an_unchanged_clip_is_fitted_as_the_run_did(session):
+    session.fit_clip()
+    for frame in (0, 5, 10, 14, 16, 21):
+        assert same(session.fit_frame(frame), session.run.fits[frame])
+
+
+def test_a_change_makes_the_run_stale_until_it_is_taken_back_or_run_again(session):
+    assert session.stale.all()
+    session.fit_clip()
+    assert not session.stale.any()
+    session.set(weights={"sigma_smooth": 5.0})
+    assert session.stale.all()
+    session.undo()
+    assert not session.stale.any()
+    session.redo()
+    session.fit_clip()
+    assert not session.stale.any()
+
+
+def test_a_moved_point_makes_only_its_shot_stale(session):
+    session.fit_clip()
+    session.move(3, 30, (300.0, 200.0))
+    np.testing.assert_array_equal(np.flatnonzero(session.stale), np.arange(10))
+
+
+def test_a_cancelled_run_leaves_the_last_one(session):
+    session.fit_clip()
+    before = session.run
+    session.set(weights={"tau": 0.5})
+    assert session.fit_clip(cancelled=lambda: True) is None
+    assert session.run is before
+
+
+def test_a_run_reports_each_frame(session):
+    told = []
+    session.fit_clip(progress=lambda step, done, total: told.append((step, done, total)))
+    assert told[0] == ("fit", 1, 22)
+    assert told[-1] == ("fit", 22, 22)
+
+
+def test_stepping_goes_through_the_stages_one_iteration_at_a_time(session):
+    _, traces = session.explain_frame(0)
+    counts = [len(trace.energies) - 1 for trace in traces]
+    at = 0
+    for trace, count in zip(traces, counts, strict=True):
+        for step in range(1, count + 1):
+            fit = session.fit_steps(0, at + step)
+            np.testing.assert_allclose(fit.residuals_px, trace.residuals_px[step], atol=1e-6)
+        at += count
+    assert same(session.fit_steps(0, at), session.fit_frame(0))
+
+
+def test_a_coarse_fit_keeps_the_identity_of_the_shot(session):
+    exact = session.fit_frame(4)
+    session.set(camera={"fov_deg": 30.0})
+    coarse, full = session.fit_frame(4, coarse=True), session.fit_frame(4)
+    np.testing.assert_array_equal(coarse.identity, exact.identity)
+    assert not np.array_equal(full.identity, exact.identity)
+
+
+def test_nothing_compiles_after_the_warm_up(head, photo):
+    session = TuningSession(head, photo)
+    session.warm_up()
+    before = solve_frame._cache_size(), calibrate_identity._cache_size()
+    session.fit_frame(0)
+    for changes in (
+        {"weights": {"tau": 1.0, "sigma": 1.0, "beta": 0.5, "range": 1.0}},
+        {"camera": {"fov_deg": 60.0}},
+        {"contour": {"mode": "fixed"}},
+        {"identity": {"calibrate": False}},
+        {"solver": {"bounded": False}},
+        {"solver": {"method": "optimistix-lm", "bounded": False}},
+        {"solver": {"method": "optimistix-dogleg", "bounded": False}},
+        {"stages": [stage.model_dump() for stage in PRESETS["joint"].stages]},
+    ):
+        session.set(**changes)
+        session.fit_frame(0)
+        session.explain_frame(0)
+    assert (solve_frame._cache_size(), calibrate_identity._cache_size()) == before
+
+
+def test_threads_may_change_and_fit_at_once(session):
+    session.fit_clip()
+    wrong = []
+
+    def work(seed):
+        rng = np.random.default_rng(seed)
+        try:
+            for _ in range(6):
+                session.set(weights={"sigma_smooth": float(rng.uniform(0, 30))})
+                assert np.isfinite(session.fit_frame(int(rng.integers(10))).expression).all()
+                session.undo()
+        except Exception as error:
+            wrong.append(error)
+
+    threads = [threading.Thread(target=work, args=(seed,)) for seed in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=60)
+    assert wrong == []
+
+
+# --- landmarks ---
+
+
+def test_a_muted_point_has_no_say_and_comes_back(session):
+    session.weigh([48, 54], 0.0)
+    assert session.config.point_weights()[48] == 0.0
+    session.weigh([48, 54], 1.0)
+    assert session.config == QUICK
+
+
+def test_a_muted_point_of_a_weighted_group_comes_back_to_one(session):
+    session.set(landmarks={"weights": {"jaw": 0.2}})
+    session.weigh([8], 0.0)
+    session.weigh([8], 1.0)
+    assert session.config.point_weights()[7:10] == [0.2, 1.0, 0.2]
+
+
+def test_a_moved_detection_is_fitted_and_put_back(session):
+    place = (310.0, 222.0)
+    session.move(4, 30, place)
+    np.testing.assert_array_equal(session.fit_frame(4).observed[30], place)
+    session.put_back(4, [30])
+    assert session.config == QUICK
+
+
+def test_a_subset_is_saved_for_stages(session):
+    session.save_subset("upper lip", [50, 51, 52, 51])
+    assert session.config.subsets == {"upper lip": (50, 51, 52)}
+    session.set(landmarks={"weights": {"upper lip": 3.0}})
+    assert session.config.point_weights()[51] == 3.0
+    with pytest.raises(ConfigError, match="at least one point"):
+        session.save_subset("empty", [])
+
+
+def test_a_frame_outside_the_material_is_refused(session):
+    with pytest.raises(InputError, match="There is no frame 22; clip has frames 0 to 21"):
+        session.fit_frame(22)
+
+
+# --- material ---
+
+
+def test_pictures_come_in_any_order_and_stay_the_same(head):
+    session = open_session(sample("performance"), landmarks=sample("performance-landmarks"), model=head)
+    first, later = session.picture(0), session.picture(120)
+    assert first.std() > 10
+    assert np.abs(first.astype(int) - later).mean() > 0.5
+    np.testing.assert_array_equal(session.picture(0), first)
+    small = PictureStore(session.material.pictures._frames, [first.shape[1::-1]] * 240, kept_bytes=1)
+    np.testing.assert_array_equal(small[120], later)
+    np.testing.assert_array_equal(small[0], first)
+
+
+def test_a_track_is_tuned_on_as_the_input_that_it_came_from(head, tmp_path):
+    result = run_track(sample("astronaut"), tmp_path, head, QUICK, landmarks=sample("astronaut-landmarks"))
+    session = open_session(result.track, model=head)
+    assert session.config == QUICK
+    assert session.material.pictures.real
+    assert same(session.fit_frame(0), result.track[0])
+
+
+def test_a_track_whose_pictures_are_gone_is_tuned_on_a_blank_canvas(head, tmp_path):
+    result = run_track(sample("astronaut-landmarks"), tmp_path, head, QUICK, pictures=False)
+    material = material_of_track(result.track)
+    assert not material.pictures.real
+    assert np.ptp(material.pictures[0]) == 0
+
+
+# --- export ---
+
+SETUPS = {
+    "photo, weights and stages": {
+        "weights": {"sigma_smooth": 7.0},
+        "stages": [stage.model_dump() for stage in PRESETS["joint"].stages],
+    },
+    "photo, dogleg": {
+        "solver": {"method": "optimistix-dogleg", "bounded": False},
+        "weights": {"range": 2.0},
+        "camera": {"fov_deg": 30.0},
+    },
+    "landmarks, subset, moved and muted": {
+        "subsets": {"corners": (48, 54)},
+        "landmarks": {"weights": {"corners": 0.3, "8": 0.0}, "moved": {"3": {"30": (322.123456, 241.5)}}},
+        "contour": {"mode": "fixed"},
+        "weights": {"tau": 2.0},
+    },
+}
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_an_exported_configuration_gives_the_same_bits_on_the_command_line(name, head, tmp_path):
+    if name.startswith("photo"):
+        inputs, landmarks = sample("astronaut"), sample("astronaut-landmarks")
+    else:
+        inputs, landmarks = _short_clip(tmp_path), None
+    session = open_session(inputs, landmarks=landmarks, model=head)
+    session.set(**SETUPS[name])
+    file = session.export(tmp_path / "tuned.toml")
+    command = [*shlex.split(session.command(file))[1:], "--no-pictures", "--out", str(tmp_path / "again")]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    again = Track.load(tmp_path / "again" / "track.npz")
+    assert all(same(again[k], fit) for k, fit in enumerate(session.run.fits))
+    text = file.read_text(encoding="utf-8").replace("sigma_smooth = 7.0", "sigma_smooth = 9.0")
+    text = text.replace("range = 2.0", "range = 0.5").replace("tau = 2.0", "tau = 0.0")
+    file.write_text(text, encoding="utf-8")
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    other = Track.load(tmp_path / "again" / "track.npz")
+    assert not all(same(other[k], fit) for k, fit in enumerate(session.run.fits))
+
+
+def _short_clip(folder):
+    path = folder / "clip.csv"
+    lines = sample("performance-landmarks").read_text().splitlines()[:31]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_the_exported_file_says_where_it_comes_from(session, tmp_path):
+    session.set(weights={"tau": 3.0})
+    session.export(tmp_path / "tuned.toml")
+    stored = read_config(tmp_path / "tuned.toml")
+    provenance = stored.provenance
+    assert stored.changed(provenance=None) == session.config
+    assert provenance.changed == ["weights.tau: 0.1 → 3"]
+    assert provenance.model.startswith("default-head sha256:")
+    assert provenance.versions["jax"]
+    assert provenance.after["jitter_deg"] < provenance.before["jitter_deg"]
+    assert provenance.before["frames_with_face"] == 21
+
+
+def test_what_changed_since_the_export_is_known(session, tmp_path):
+    session.set(weights={"tau": 3.0})
+    assert len(session.unexported) == 1
+    session.export(tmp_path / "tuned.toml")
+    assert session.unexported == []
+    session.set(weights={"tau": 4.0})
+    assert [item.path for item in session.unexported] == ["weights.tau"]
+
+
+def test_a_photo_of_another_shape_is_fitted(head):
+    scene = make_scene(head)
+    landmarks = Landmarks2D(scene.points, np.ones(68), IMAGE_SIZE)
+    session = TuningSession(head, material_of_photo(np.zeros((480, 640, 3), np.uint8), landmarks))
+    assert session.fit_frame(0).errors[1] < 1.0

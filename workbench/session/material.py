@@ -1,0 +1,159 @@
+"""What is tuned on: the landmarks of every frame, and its pictures when they are looked at."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from workbench.config import Config
+from workbench.errors import InputError
+from workbench.frames import Frame, Frames, open_frames
+from workbench.landmarks.observations import Landmarks2D
+from workbench.pipeline import content_hash, is_landmark_file, open_source
+from workbench.tracking import FrameObservation, Track
+from workbench.tracking.records import SOURCES
+
+KEPT_BYTES = 256 << 20
+"""Decoded pictures that a session keeps for going back and forth."""
+CANVAS = 235
+"""Grey level where a frame has no picture."""
+
+
+class PictureStore:
+    """Pictures by frame index, decoded when asked for; the latest ones are kept. Calls may come from any thread."""
+
+    def __init__(self, frames: Frames | None, sizes: Sequence[tuple[int, int]], kept_bytes: int = KEPT_BYTES):
+        """`sizes`: (width, height) of each frame, for blank pictures where `frames` is None or ends early."""
+        self._frames, self._sizes, self._kept_bytes = frames, sizes, kept_bytes
+        self._kept: OrderedDict[int, np.ndarray] = OrderedDict()
+        self._next, self._stream = -1, iter(())
+        self._lock = threading.Lock()
+
+    @property
+    def real(self) -> bool:
+        """Whether there are pictures and not only their sizes."""
+        return self._frames is not None
+
+    def __getitem__(self, index: int) -> UInt8[np.ndarray, "h w 3"]:
+        with self._lock:
+            if index not in self._kept:
+                self._keep(index, self._read(index))
+            self._kept.move_to_end(index)
+            return self._kept[index]
+
+    def _read(self, index: int) -> np.ndarray:
+        if self._frames is None:
+            return self._blank(index)
+        if index != self._next:
+            self._stream = self._frames.iterate(index)
+        frame: Frame | None = next(self._stream, None)
+        self._next = index + 1
+        return self._blank(index) if frame is None else frame.picture
+
+    def _blank(self, index: int) -> np.ndarray:
+        width, height = self._sizes[index]
+        return np.full((height, width, 3), CANVAS, np.uint8)
+
+    def _keep(self, index: int, picture: np.ndarray) -> None:
+        picture.setflags(write=False)
+        self._kept[index] = picture
+        while len(self._kept) > 1 and sum(kept.nbytes for kept in self._kept.values()) > self._kept_bytes:
+            self._kept.popitem(last=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """A photo, photos, a clip or stored landmarks, with the landmarks of every frame."""
+
+    name: str
+    observations: tuple[FrameObservation, ...]
+    pictures: PictureStore
+    stills: bool
+    """Whether every frame stands alone."""
+    inputs: tuple[Path, ...] = ()
+    landmark_file: Path | None = None
+
+    @property
+    def shots(self) -> tuple[range, ...]:
+        """The frames of each shot, as the tracker divides them."""
+        starts = [k for k, item in enumerate(self.observations) if k == 0 or item.cut or self.stills]
+        return tuple(range(*pair) for pair in zip(starts, [*starts[1:], len(self.observations)], strict=True))
+
+    def sources(self) -> list[str]:
+        """Path and SHA-256 of each input that is a file."""
+        return [f"{path} sha256:{content_hash(path)}" for path in self.inputs if path.exists()]
+
+    def landmark_source(self) -> str:
+        """Path and SHA-256 of the landmark file, empty if a detector made the landmarks."""
+        path = self.landmark_file
+        return f"{path} sha256:{content_hash(path)}" if path is not None and path.exists() else ""
+
+
+Progress = Callable[[str, int, int | None], None]
+
+
+def load_material(
+    inputs: str | Path | Sequence[str | Path],
+    config: Config,
+    landmarks: str | Path | None = None,
+    stills: bool = False,
+    progress: Progress | None = None,
+) -> Material:
+    """Open pictures, a video or a landmark file as `workbench track` does, and find the landmarks of every frame.
+
+    `landmarks` is a file with the landmarks of the pictures: no detector runs. `progress(step, done, total)` is
+    called after each frame. Raises `InputError` for inputs that cannot be used.
+    """
+    paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
+    if not paths:
+        raise InputError("There is nothing to tune on; name a photo, a folder, a video or a landmark file.")
+    source = open_source(paths, config, None if landmarks is None else Path(landmarks))
+    stills = stills or source.single_picture
+    found = []
+    for observation in source.observations(0, {}, stills):
+        found.append(observation)
+        if progress is not None:
+            progress("landmarks", len(found), source.count)
+    if not found:
+        raise InputError(f"{paths[0]} holds no frame to tune on; check that it plays.")
+    frames = None if is_landmark_file(paths[0]) else source.frames
+    sizes = [observation.image_size for observation in found]
+    file = None if landmarks is None else Path(landmarks)
+    name = source.frames.name
+    return Material(name, tuple(found), PictureStore(frames, sizes), stills, tuple(paths), file)
+
+
+def material_of_photo(picture: UInt8[np.ndarray, "h w 3"], landmarks: Landmarks2D, name: str = "photo") -> Material:
+    """A picture that is already in memory, with its landmarks."""
+    observation = FrameObservation(0, landmarks, landmarks.image_size)
+    store = PictureStore(None, [landmarks.image_size])
+    store._keep(0, np.array(picture))
+    return Material(name, (observation,), store, stills=True)
+
+
+def material_of_track(track: Track) -> Material:
+    """The landmarks of a stored run, with its pictures where they still lie.
+
+    Points that the run's configuration had moved by hand stay where they were put.
+    """
+    inputs = tuple(Path(item["path"]) for item in track.meta.get("inputs", []))
+    stored = track.meta.get("landmarks")
+    observations = []
+    for k in range(len(track)):
+        fit = track[k]
+        landmarks = Landmarks2D(fit.observed, fit.confidence, fit.image_size) if fit.found else None
+        cut = k > 0 and bool(track.shot[k] != track.shot[k - 1])
+        source, times = SOURCES[int(track.source[k])], (float(fit.milliseconds[0]), float(fit.milliseconds[1]))
+        observations.append(FrameObservation(fit.index, landmarks, fit.image_size, source, cut, times))
+    frames = None
+    if inputs and all(path.exists() and not is_landmark_file(path) for path in inputs):
+        frames = open_frames(inputs if len(inputs) > 1 else inputs[0])
+    sizes = [observation.image_size for observation in observations]
+    name = inputs[0].stem if inputs else "track"
+    file = None if stored is None else Path(stored["path"])
+    stills = bool(track.meta.get("stills", False))
+    return Material(name, tuple(observations), PictureStore(frames, sizes), stills, inputs, file)

@@ -1,0 +1,524 @@
+"""A tuning session: one configuration under change, its history, and the fits that belong to it. No widgets."""
+
+import shlex
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from workbench.config import Config, Difference, Stage, differences, parse_config, preset, write_config
+from workbench.errors import ConfigError, InputError
+from workbench.face import FaceModel, load_default_head
+from workbench.pipeline import software_versions
+from workbench.session.material import Material, Progress, load_material, material_of_track
+from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation, StageTrace, Track
+from workbench.tracking.fitter import Calibrated, Continuation, corrected, running_stages
+from workbench.tracking.records import frame_errors, stack_fits
+from workbench.tracking.tracker import calibration_window, jumped
+
+GESTURE_S = 0.8
+"""Changes of one control that follow each other within this time are one step of undo."""
+HISTORY = 200
+"""Steps that can be taken back."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One entry of the history: the configuration before a change, and what the change was called."""
+
+    config: Config
+    label: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """The fits of all frames under one configuration."""
+
+    config: Config
+    fits: tuple[FrameFit, ...]
+    contexts: tuple[FrameContext, ...]
+
+
+class TuningSession:
+    """Frames, landmarks, model and a configuration that is tuned; the panel is a view on this.
+
+    `fit_frame` fits one frame under the present configuration in the context of the last whole run (the frame before
+    it, as that run left it). `fit_clip` runs all frames, with the same numbers as `workbench track`. Methods may be
+    called from any thread.
+    """
+
+    def __init__(self, model: FaceModel, material: Material, config: Config | None = None):
+        self.model, self.material = model, material
+        self.base = preset("calibrated") if config is None else config
+        self._config = self.base
+        self._undo: list[Step] = []
+        self._redo: list[Step] = []
+        self._gesture: tuple[str, float] | None = None
+        self._snapshots: dict[str, Config] = {}
+        self._exported: Config | None = None
+        self._run: Run | None = None
+        self._base_metrics: dict[str, float] | None = None
+        self._calibrations: dict[tuple, Calibrated] = {}
+        self._listeners: list[Callable[[str], None]] = []
+        self._lock = threading.RLock()
+        self._fitting = threading.RLock()
+        self._calibrating = threading.Lock()
+        self._fitter = FrameFitter(model, self.base)
+
+    def __repr__(self) -> str:
+        return f"TuningSession({self.material.name!r}, {len(self)} frames, preset {self._config.preset!r})"
+
+    def __len__(self) -> int:
+        return len(self.material.observations)
+
+    # --- configuration and history ---
+
+    @property
+    def config(self) -> Config:
+        """The present configuration."""
+        return self._config
+
+    def set(self, label: str = "", gesture: str | None = None, **sections: Any) -> Config:
+        """Change keys of sections, as `Config.changed`; one step of undo.
+
+        Changes with the same `gesture` that follow each other within 0.8 s are one step: a dragged slider. Raises
+        `ConfigError` for what a configuration cannot hold, and leaves everything as it was.
+        """
+        return self.use(self._config.changed(**sections), label or ", ".join(sections), gesture)
+
+    def use(self, config: Config, label: str = "configuration", gesture: str | None = None) -> Config:
+        """Replace the whole configuration; one step of undo."""
+        with self._lock:
+            if config == self._config:
+                return config
+            now = time.monotonic()
+            same = gesture is not None and self._gesture is not None and self._gesture[0] == gesture
+            if not (same and now - self._gesture[1] < GESTURE_S):
+                self._undo = [*self._undo[-HISTORY + 1 :], Step(self._config, label)]
+            self._gesture = None if gesture is None else (gesture, now)
+            self._redo = []
+            self._config = config
+        self._tell("config")
+        return config
+
+    def undo(self) -> str | None:
+        """Take back the last change; its label, None if there is none."""
+        return self._travel(self._undo, self._redo)
+
+    def redo(self) -> str | None:
+        """Make the change again that was taken back last; its label, None if there is none."""
+        return self._travel(self._redo, self._undo)
+
+    @property
+    def undo_label(self) -> str | None:
+        """What `undo` would take back."""
+        return self._undo[-1].label if self._undo else None
+
+    @property
+    def redo_label(self) -> str | None:
+        """What `redo` would make again."""
+        return self._redo[-1].label if self._redo else None
+
+    def take_snapshot(self, name: str) -> None:
+        """Keep the present configuration under a name. Raises `ConfigError` for an empty name."""
+        if not name.strip():
+            raise ConfigError("A snapshot needs a name.")
+        self._snapshots[name.strip()] = self._config
+        self._tell("snapshots")
+
+    def restore_snapshot(self, name: str) -> Config:
+        """Return to a snapshot; one step of undo. Raises `ConfigError` for a name that was never taken."""
+        return self.use(self._snapshot(name), f"snapshot {name}")
+
+    @property
+    def snapshots(self) -> Mapping[str, Config]:
+        """Configurations that were kept, by name."""
+        return dict(self._snapshots)
+
+    def changes(self, since: Config | str | None = None) -> list[Difference]:
+        """What differs from a configuration, a snapshot by name, or the start of the session (default)."""
+        if isinstance(since, str):
+            since = self._snapshot(since)
+        return differences(self.base if since is None else since, self._config)
+
+    @property
+    def unexported(self) -> list[Difference]:
+        """What changed since the last export, or since the start if there was none."""
+        return self.changes(self._exported)
+
+    def _snapshot(self, name: str) -> Config:
+        if name not in self._snapshots:
+            known = ", ".join(self._snapshots) or "none yet"
+            raise ConfigError(f"There is no snapshot {name!r}; there are: {known}.")
+        return self._snapshots[name]
+
+    def _travel(self, source: list[Step], target: list[Step]) -> str | None:
+        with self._lock:
+            if not source:
+                return None
+            step = source.pop()
+            target.append(Step(self._config, step.label))
+            self._config, self._gesture = step.config, None
+        self._tell("config")
+        return step.label
+
+    # --- landmarks and stages ---
+
+    def weigh(self, points: Iterable[int], factor: float, label: str = "") -> Config:
+        """Set the factor of single landmarks in every stage; 0 mutes, 1 is as configured."""
+        stored = dict(self._config.landmarks.weights)
+        for point in points:
+            stored.pop(str(point), None)
+            stored[str(point)] = float(factor)
+        # A point that only its own entry touches needs none for a factor of one.
+        groups = {name: value for name, value in stored.items() if not name.isdigit()}
+        singles = {name: value for name, value in stored.items() if name.isdigit() and (value != 1.0 or groups)}
+        return self._set_landmarks("weights", groups | singles, label or "landmark weight")
+
+    def move(self, frame: int, point: int, place: tuple[float, float], gesture: str | None = None) -> Config:
+        """Put a detection of one frame where it belongs, pixels."""
+        self.observation(frame)
+        moved = {key: dict(points) for key, points in self._config.landmarks.moved.items()}
+        moved.setdefault(str(frame), {})[str(point)] = (float(place[0]), float(place[1]))
+        return self._set_landmarks("moved", moved, f"landmark {point} of frame {frame}", gesture)
+
+    def put_back(self, frame: int, points: Iterable[int]) -> Config:
+        """Give points of a frame the places that the detector gave them."""
+        moved = {key: dict(places) for key, places in self._config.landmarks.moved.items()}
+        for point in points:
+            moved.get(str(frame), {}).pop(str(point), None)
+        moved = {key: places for key, places in moved.items() if places}
+        return self._set_landmarks("moved", moved, f"detections of frame {frame}")
+
+    def save_subset(self, name: str, points: Iterable[int]) -> Config:
+        """Name a set of landmarks, for stages and weights. Raises `ConfigError` for an empty one or a group's name."""
+        points = tuple(sorted({int(point) for point in points}))
+        if not points:
+            raise ConfigError("A landmark subset needs at least one point; select some first.")
+        return self.set(f"subset {name}", subsets={name: points})
+
+    def set_stages(self, stages: Sequence[Stage], label: str = "stages", gesture: str | None = None) -> Config:
+        """Replace the schedule."""
+        return self.set(label, gesture, stages=[stage.model_dump() for stage in stages])
+
+    def _set_landmarks(self, key: str, value: dict, label: str, gesture: str | None = None) -> Config:
+        stored = self._config.landmarks.model_dump()
+        stored[key] = value
+        return self.set(label, gesture, landmarks=stored)
+
+    # --- frames and fits ---
+
+    def observation(self, frame: int) -> FrameObservation:
+        """A frame's observation with the detections that were moved. Raises `InputError` outside the material."""
+        if not 0 <= frame < len(self):
+            raise InputError(f"There is no frame {frame}; {self.material.name} has frames 0 to {len(self) - 1}.")
+        return corrected(self.material.observations[frame], self._config)
+
+    def picture(self, frame: int) -> UInt8[np.ndarray, "h w 3"]:
+        """The picture of a frame; blank where the material has none."""
+        self.observation(frame)
+        return self.material.pictures[frame]
+
+    def fit_frame(self, frame: int, coarse: bool = False) -> FrameFit:
+        """The fit of one frame under the present configuration.
+
+        `coarse` keeps an identity that an earlier configuration calibrated on the shot, for dragging in a clip.
+        """
+        with self._fitting:
+            config, observation, context = self._prepared(frame, coarse)
+            self._configure(config)
+            return self._fitter.fit(observation, context)[0]
+
+    def explain_frame(self, frame: int) -> tuple[FrameFit, tuple[StageTrace, ...]]:
+        """`fit_frame` with every iteration kept. Raises `InputError` for a frame without landmarks."""
+        with self._fitting:
+            config, observation, context = self._prepared(frame, coarse=True)
+            self._configure(config)
+            return self._fitter.explain(observation, context)
+
+    def fit_steps(self, frame: int, steps: int) -> FrameFit:
+        """The fit of a frame stopped after `steps` iterations, counted through all stages."""
+        with self._fitting:
+            config, observation, context = self._prepared(frame, coarse=True)
+            self._configure(config)
+            counts = [len(trace.energies) - 1 for trace in self._fitter.explain(observation, context)[1]]
+            self._configure(_stopped(config, context.last is None, counts, steps))
+            return self._fitter.fit(observation, context)[0]
+
+    def context(self, frame: int) -> FrameContext:
+        """What the fit of a frame starts from under the present configuration."""
+        with self._fitting:
+            return self._prepared(frame, coarse=False)[2]
+
+    def fit_clip(self, progress: Progress | None = None, cancelled: Callable[[], bool] = lambda: False) -> Track | None:
+        """Fit all frames under the present configuration, as `workbench track` does; None if cancelled.
+
+        A cancelled run leaves the fits of the last whole one.
+        """
+        config = self._config
+        fitter = FrameFitter(self.model, config)
+        fits, contexts = [], []
+        for shot, frames in enumerate(self.material.shots):
+            calibrated, last = self._calibrated(shot, config, fitter), None
+            for frame in frames:
+                if cancelled():
+                    return None
+                observation = corrected(self.material.observations[frame], config)
+                context = _context(shot, calibrated, observation, last)
+                fit, last = fitter.fit(observation, context)
+                fits.append(fit)
+                contexts.append(context)
+                if progress is not None:
+                    progress("fit", len(fits), len(self))
+        with self._lock:
+            self._run = Run(config, tuple(fits), tuple(contexts))
+            if config == self.base:
+                self._base_metrics = metrics_of(self._run.fits)
+        self._tell("run")
+        return self.track
+
+    @property
+    def run(self) -> Run | None:
+        """The last whole run."""
+        return self._run
+
+    @property
+    def track(self) -> Track:
+        """The last whole run as a track; runs all frames if there was none."""
+        if self._run is None:
+            self.fit_clip()
+        run = self._run
+        meta = {
+            "expression_names": list(self.model.expression_names),
+            "stages": [stage.name for stage in run.config.stages if stage.enabled],
+            "stills": self.material.stills,
+            "camera_guessed": run.config.camera.matrix is None,
+            "config": run.config.model_dump(mode="json"),
+        }
+        return Track(meta=meta, **stack_fits(list(run.fits)))
+
+    @property
+    def stale(self) -> Bool[np.ndarray, "n"]:
+        """Frames whose fit in the last run belongs to another configuration."""
+        if self._run is None:
+            return np.ones(len(self), bool)
+        if _without_moves(self._run.config) != _without_moves(self._config):
+            return np.ones(len(self), bool)
+        before, now = self._run.config.landmarks.moved, self._config.landmarks.moved
+        frames = {int(key) for key in {*before, *now} if before.get(key) != now.get(key)}
+        stale = np.zeros(len(self), bool)
+        for shot in self.material.shots:
+            # A moved point can reach every frame of its shot: through the identity, and from frame to frame.
+            touched = [frame for frame in shot if frame in frames]
+            if touched:
+                stale[shot.start : shot.stop] = True
+        return stale
+
+    def metrics(self) -> dict[str, float]:
+        """Errors and jitter of the last whole run."""
+        return metrics_of(self.track_fits())
+
+    def track_fits(self) -> tuple[FrameFit, ...]:
+        """The fits of the last whole run; runs all frames if there was none."""
+        if self._run is None:
+            self.fit_clip()
+        return self._run.fits
+
+    def warm_up(self) -> None:
+        """Compile all that the controls of a panel can ask for: every solver, with and without its trace."""
+        size = self.material.observations[0].image_size
+        for changes in ({}, {"method": "optimistix-lm"}, {"method": "optimistix-dogleg"}):
+            fitter = FrameFitter(self.model, self.base.changed(solver={"method": "lm", "bounded": False, **changes}))
+            fitter.warm_up(size, trace=True)
+        for frames in {1, self.base.identity.frames}:
+            fitter.calibrate([fitter.neutral_observation(size)], frames)
+
+    # --- export ---
+
+    def export(self, path: str | Path, progress: Progress | None = None) -> Path:
+        """Write the configuration with its provenance; `workbench track --config` runs it to the same numbers.
+
+        All frames are fitted first if the last run belongs to another configuration, so that the metrics in the file
+        are those of the file.
+        """
+        path = Path(path)
+        if self.stale.any():
+            self.fit_clip(progress)
+        config, after = self._config, metrics_of(self._run.fits)
+        before = self._base_metrics if self._base_metrics is not None else self._metrics_of_base(progress)
+        provenance = {
+            "exported": datetime.now(UTC).isoformat(timespec="seconds"),
+            "versions": software_versions(),
+            "model": f"{self.model.name} sha256:{self.model.fingerprint()}",
+            "inputs": self.material.sources(),
+            "landmarks": self.material.landmark_source(),
+            "changed": [str(item) for item in differences(self.base, config)],
+            "before": before,
+            "after": after,
+        }
+        write_config(config.changed(provenance=provenance), path)
+        self._exported = config
+        self._tell("export")
+        return path
+
+    def command(self, path: str | Path) -> str:
+        """The command line that runs an exported configuration on this material."""
+        words = ["workbench", "track", *(self.material.inputs or ["INPUT"]), "--config", path]
+        if self.material.landmark_file is not None:
+            words += ["--landmarks", self.material.landmark_file]
+        if self.material.stills and len(self) > 1:
+            words.append("--stills")
+        return shlex.join(str(word) for word in words)
+
+    # --- listeners ---
+
+    def listen(self, callback: Callable[[str], None]) -> Callable[[], None]:
+        """Call `callback(what)` after each change of "config", "run", "snapshots", "export"; returns what ends it.
+
+        Callbacks run in the thread that made the change.
+        """
+        self._listeners.append(callback)
+        return lambda: self._listeners.remove(callback) if callback in self._listeners else None
+
+    def _tell(self, what: str) -> None:
+        for callback in tuple(self._listeners):
+            callback(what)
+
+    # --- within ---
+
+    def _configure(self, config: Config) -> None:
+        if self._fitter.config is not config:
+            self._fitter.configure(config)
+
+    def _prepared(self, frame: int, coarse: bool) -> tuple[Config, FrameObservation, FrameContext]:
+        config = self._config
+        observation = self.observation(frame)
+        shot = next(number for number, frames in enumerate(self.material.shots) if frame in frames)
+        self._configure(config)
+        calibrated = self._calibrated(shot, config, self._fitter, coarse)
+        last = self._run.contexts[frame].last if self._run is not None else None
+        return config, observation, _context(shot, calibrated, observation, last)
+
+    def _calibrated(self, shot: int, config: Config, fitter: FrameFitter, coarse: bool = False) -> Calibrated:
+        if not config.identity.calibrate:
+            return Calibrated(fitter.mean_identity(), {})
+        stills = self.material.stills
+        frames = self.material.shots[shot]
+        seen = [self.material.observations[frame] for frame in frames]
+        window = calibration_window(seen, 1 if stills else config.identity.window)
+        window = [corrected(observation, config) for observation in window]
+        if not any(observation.landmarks is not None for observation in window):
+            return Calibrated(fitter.mean_identity(), {})
+        key = (shot, _identity_key(config, window))
+        with self._calibrating:
+            if coarse and len(frames) > 1 and key not in self._calibrations:
+                earlier = [found for (number, _), found in self._calibrations.items() if number == shot]
+                if earlier:
+                    return Calibrated(earlier[-1].identity, {})
+            if key not in self._calibrations:
+                self._calibrations[key] = fitter.calibrate(window, 1 if stills else config.identity.frames)
+                while len(self._calibrations) > 4 * len(self.material.shots) + 32:
+                    self._calibrations.pop(next(iter(self._calibrations)))
+            return self._calibrations[key]
+
+    def _metrics_of_base(self, progress: Progress | None) -> dict[str, float]:
+        other = TuningSession(self.model, self.material, self.base)
+        other.fit_clip(progress)
+        self._base_metrics = metrics_of(other._run.fits)
+        return self._base_metrics
+
+
+def open_session(
+    inputs: str | Path | Sequence[str | Path] | Track | Material,
+    config: Config | str | None = None,
+    model: FaceModel | None = None,
+    landmarks: str | Path | None = None,
+    stills: bool = False,
+    progress: Progress | None = None,
+) -> TuningSession:
+    """A session on a photo, photos, a clip, a landmark file, a `Track`, or a `Material`.
+
+    `config` is a configuration or the name of a preset; a track brings its own. Raises `InputError` and `ConfigError`
+    as reading them does.
+    """
+    model = load_default_head() if model is None else model
+    if isinstance(config, str):
+        config = preset(config)
+    if isinstance(inputs, Material):
+        return TuningSession(model, inputs, config)
+    if isinstance(inputs, Track):
+        stored = inputs.meta.get("config")
+        config = config or (parse_config(stored, "the track's configuration") if stored else None)
+        return TuningSession(model, material_of_track(inputs), config)
+    config = config or preset("calibrated")
+    return TuningSession(model, load_material(inputs, config, landmarks, stills, progress), config)
+
+
+def metrics_of(fits: Sequence[FrameFit]) -> dict[str, float]:
+    """Errors in % of the outer-eye distance over all frames with a face, and the jitter of the head pose.
+
+    Jitter is the mean length of the second difference of the rotation in degrees, within shots.
+    """
+    columns = stack_fits(list(fits))
+    found = columns["found"]
+    track = Track(meta={}, **columns)
+    errors = frame_errors(track)[found]
+    numbers = {"frames": float(len(fits)), "frames_with_face": float(found.sum())}
+    if not found.any():
+        return numbers
+    for name, column in (("inner_51_percent", 2), ("all_68_percent", 3)):
+        numbers[f"{name}_mean"] = round(float(errors[:, column].mean()), 4)
+        numbers[f"{name}_p95"] = round(float(np.percentile(errors[:, column], 95)), 4)
+    jitter = _jitter_deg(columns["rotation"], columns["shot"], found)
+    if jitter is not None:
+        numbers["jitter_deg"] = round(jitter, 4)
+    return numbers
+
+
+def _jitter_deg(rotation: Float[np.ndarray, "n 3"], shot: np.ndarray, found: np.ndarray) -> float | None:
+    if len(rotation) < 3:
+        return None
+    whole = found[:-2] & found[1:-1] & found[2:] & (shot[:-2] == shot[2:])
+    if not whole.any():
+        return None
+    second = np.linalg.norm(rotation[:-2] - 2.0 * rotation[1:-1] + rotation[2:], axis=1)[whole]
+    return float(np.degrees(second.mean()))
+
+
+def _context(
+    shot: int, calibrated: Calibrated, observation: FrameObservation, last: Continuation | None
+) -> FrameContext:
+    if observation.landmarks is None or (last is not None and jumped(last.points, observation.landmarks.points)):
+        last = None
+    return FrameContext(shot, calibrated.identity, calibrated.starts.get(observation.index), last)
+
+
+def _stopped(config: Config, start: bool, counts: Sequence[int], steps: int) -> Config:
+    """The configuration cut off after `steps` iterations in all; `counts` are those of each stage.
+
+    Stages that are not reached do not run: even without an iteration they would move the jaw contour.
+    """
+    running = running_stages(config, start)
+    left, cut = max(steps, 0), {}
+    for k, (stage, count) in enumerate(zip(running, counts, strict=True)):
+        cut[id(stage)] = {"limit": min(count, left), "enabled": left > 0 or k == 0}
+        left -= min(count, left)
+    stages = [stage.model_copy(update=cut.get(id(stage), {})) for stage in config.stages]
+    return config.model_copy(update={"stages": tuple(stages)})
+
+
+def _without_moves(config: Config) -> str:
+    return config.model_dump_json(exclude={"preset": True, "provenance": True, "landmarks": {"moved"}})
+
+
+def _identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
+    """What the identity of a shot depends on."""
+    moved = {key: config.landmarks.moved[key] for item in window if (key := str(item.index)) in config.landmarks.moved}
+    sections = config.model_dump_json(include={"camera", "identity", "contour", "subsets"})
+    return f"{sections}{config.point_weights()}{moved}"
