@@ -91,10 +91,11 @@ function render({ model, el }) {
   const toY = (value) => TOP + height() * (1 - (level(value) - range.low) / (range.high - range.low));
 
   function measure() {
-    let low = Infinity, high = -Infinity;
+    let low = Infinity, high = -Infinity, zeros = false;
     rows.forEach((row, k) => {
       if (!shown(k)) return;
       for (const value of row) {
+        if (log() && value <= 0) zeros = true;
         if (!Number.isFinite(value) || (log() && value <= 0)) continue;
         if (value < low) low = value;
         if (value > high) high = value;
@@ -106,7 +107,7 @@ function render({ model, el }) {
       low = Math.max(low, high - 14); // beyond that there is rounding, not information
     }
     const room = high - low || Math.abs(high) * 0.1 || 1, first = x.length ? x[0] : 0, last = x.length ? x[x.length - 1] : 1;
-    range = { low: low - 0.06 * room, high: high + 0.06 * room, left: first, right: last };
+    range = { low: low - (zeros ? 0.15 : 0.06) * room, high: high + 0.06 * room, left: first, right: last, zeros };
     if (first === last) Object.assign(range, { left: first - 0.5, right: last + 0.5 });
   }
 
@@ -214,6 +215,7 @@ function render({ model, el }) {
       context.fillText(words(log() ? +(10 ** tick).toPrecision(3) : +tick.toPrecision(10)), LEFT - 5, y);
     }
     context.fillRect(LEFT, Math.round(bottom), width(), 1);
+    if (range.zeros) context.fillText("≤ 0", LEFT - 5, bottom);
     if (!x.length) return;
     context.textAlign = "center";
     for (const tick of linearTicks(range.left, range.right, Math.max(2, Math.floor(width() / 70)))) {
@@ -240,7 +242,7 @@ function render({ model, el }) {
 
   function paintRow(context, row, k) {
     context.strokeStyle = context.fillStyle = palette[k];
-    context.lineWidth = 1.6;
+    context.lineWidth = rows.length > 12 ? 1.1 : 1.6; // many lines must not become one surface
     context.setLineDash(DASHES[dash(k)]);
     context.beginPath();
     if (x.length > 2 * width()) traceDense(context, row);

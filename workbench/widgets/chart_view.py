@@ -2,7 +2,6 @@
 
 import logging
 import math
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -28,7 +27,7 @@ def series_colors(count: int) -> list[str]:
 
 
 def pack_series(
-    x: Num[np.ndarray, "n"], series: Mapping[str, Num[np.ndarray, "n"]], colors: Mapping[str, str] | None = None
+    x: Num[np.ndarray, "..."], series: Mapping[str, Num[np.ndarray, "..."]], colors: Mapping[str, str] | None = None
 ) -> dict[str, object]:
     """Series as a message: names, colours, and one row of float32 each after the row of `x`.
 
@@ -62,7 +61,7 @@ class ChartView(anywidget.AnyWidget):
   var(--jp-ui-font-family, system-ui, sans-serif); color: var(--jp-ui-font-color1, #222); }
 .fw-chart .fw-top { display: flex; gap: 2px 10px; align-items: baseline; padding: 0 2px 2px; }
 .fw-chart .fw-title { font-weight: 600; font-size: 12px; white-space: nowrap; }
-.fw-chart .fw-keys { display: flex; flex-wrap: wrap; gap: 0 8px; max-height: 50px; overflow-y: auto; min-width: 0; }
+.fw-chart .fw-keys { display: flex; flex-wrap: wrap; gap: 0 8px; max-height: 66px; overflow-y: auto; min-width: 0; }
 .fw-chart .fw-key { all: unset; cursor: pointer; white-space: nowrap; display: inline-flex; align-items: center;
   gap: 4px; border-radius: 2px; padding: 0 2px; }
 .fw-chart .fw-key:focus-visible { outline: 2px solid var(--jp-brand-color1, #2196f3); }
@@ -88,23 +87,18 @@ class ChartView(anywidget.AnyWidget):
     _series = traitlets.Dict().tag(sync=True)
 
     def __init__(self, height_px: int = 180, y_log: bool = False, title: str = "", **traits: object) -> None:
-        self._lock = threading.RLock()
         self._callbacks: list[Callable[[float], object]] = []
         super().__init__(height_px=height_px, y_log=y_log, title=title, **traits)
-        self.clear()
+        self.set_series(np.zeros(0), {})
         self.on_msg(self._on_message)
 
     def __repr__(self) -> str:
         return f"ChartView({self.title!r}, {len(self._series['names'])} series of {self._series['count']})"
 
-    def clear(self) -> None:
-        """Show no series."""
-        self.set_series(np.zeros(0), {})
-
     def set_series(
         self,
-        x: Num[np.ndarray, "n"],
-        series: Mapping[str, Num[np.ndarray, "n"]],
+        x: Num[np.ndarray, "..."],
+        series: Mapping[str, Num[np.ndarray, "..."]],
         *,
         colors: Mapping[str, str] | None = None,
         y_label: str = "",
@@ -122,10 +116,9 @@ class ChartView(anywidget.AnyWidget):
         packed["marks"] = [[float(place), str(label)] for place, label in marks]
         packed["selected"] = None if selected is None else [float(selected[0]), float(selected[1])]
         packed |= {"x_label": x_label, "y_label": y_label}
-        with self._lock, self.hold_sync():
-            self._series = packed
-            if cursor is not None:
-                self.cursor = float(cursor)
+        self._series = packed
+        if cursor is not None:
+            self.cursor = float(cursor)
 
     def on_pick(self, callback: Callable[[float], object], remove: bool = False) -> None:
         """Call `callback(x)` when the user clicks; `remove` takes it away again."""

@@ -200,7 +200,7 @@ function render({ model, el }) {
 
   function outline(context, color, width) {
     context.strokeStyle = INK;
-    context.lineWidth = width + 1.6;
+    context.lineWidth = width + Math.min(1.6, 0.6 + 0.6 * width);
     context.stroke();
     context.strokeStyle = color;
     context.lineWidth = width;
@@ -519,7 +519,7 @@ function render({ model, el }) {
   const onLayer = () => layers.push(bytesOf(model.get("_layer")));
   const redraw = () => draw(true);
   const watched = [
-    ["change:_picture", onPicture], ["change:_fit", onFit], ["change:_no_face", redraw], ["change:_wire", onWire],
+    ["change:_picture", onPicture], ["change:_fits", onFit], ["change:_wire", onWire],
     ["change:_layer", onLayer], ["change:height_px", onSize],
     ...["layers", "layer_opacity", "unit", "selection", "subset", "tool", "message", "_scale"].map((name) => ["change:" + name, redraw]),
   ];

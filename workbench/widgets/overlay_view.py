@@ -11,7 +11,7 @@ import anywidget
 import cv2
 import numpy as np
 import traitlets
-from jaxtyping import Float, Num, UInt8
+from jaxtyping import Float, Num, Shaped, UInt8
 
 from workbench.errors import InputError, WorkbenchError
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT, POINT_NAMES, POLYLINES, check_68
@@ -83,16 +83,16 @@ def float_bytes(values: Num[np.ndarray, "..."]) -> bytes:
 
 
 def fit_table(
-    observed: Num[np.ndarray, "68 2"],
-    projected: Num[np.ndarray, "68 2"] | None,
-    values: Num[np.ndarray, "68"] | None,
-    confidence: Num[np.ndarray, "68"] | None,
-    weights: Num[np.ndarray, "68"] | None,
+    observed: Num[np.ndarray, "..."],
+    projected: Num[np.ndarray, "..."] | None,
+    values: Num[np.ndarray, "..."] | None,
+    confidence: Num[np.ndarray, "..."] | None,
+    weights: Num[np.ndarray, "..."] | None,
 ) -> Float[np.ndarray, "68 8"]:
     """One row per landmark: observed x, y; model x, y; value shown; distance, px; confidence; weight.
 
-    Without a model the model's columns are NaN, without values they are the distances, without confidence or weights
-    those are one. Raises `InputError` for another number of landmarks.
+    Points are (68, 2), px, the others (68,). Without a model the model's columns are NaN, without values they are the
+    distances, without confidence or weights those are one. Raises `InputError` for another number of landmarks.
     """
     observed = check_68(observed)
     projected = np.full((POINT_COUNT, 2), np.nan) if projected is None else check_68(projected)
@@ -155,7 +155,8 @@ class OverlayView(anywidget.AnyWidget):
 .fw-overlay .fw-hover b { font-weight: 600; }
 .fw-overlay .fw-message { top: 8px; left: 50%; transform: translateX(-50%); padding: 3px 10px; max-width: 90%;
   box-sizing: border-box; width: max-content; }
-.fw-overlay .fw-legend { left: 8px; bottom: 8px; width: 148px; padding: 3px 8px 2px; font-size: 11px; }
+.fw-overlay .fw-legend { left: 8px; bottom: 8px; min-width: 130px; padding: 3px 8px 2px; font-size: 11px;
+  white-space: nowrap; }
 .fw-overlay .fw-bar { height: 6px; margin: 2px 0 0; border-radius: 1px; }
 .fw-overlay .fw-numbers { display: flex; justify-content: space-between; font-variant-numeric: tabular-nums; }
 .fw-overlay .fw-help { height: 18px; margin-top: 2px; color: var(--jp-ui-font-color2, #777); font: 11px/18px
@@ -163,7 +164,7 @@ class OverlayView(anywidget.AnyWidget):
 .fw-overlay [hidden] { display: none; }
 """
 
-    layers = traitlets.Dict(key_trait=traitlets.Unicode(), value_trait=traitlets.Bool()).tag(sync=True)
+    layers = traitlets.Dict(key_trait=traitlets.Enum(tuple(LAYERS)), value_trait=traitlets.Bool()).tag(sync=True)
     layer_opacity = traitlets.Float(0.6, min=0.0, max=1.0).tag(sync=True)
     scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0 chooses it").tag(sync=True)
     unit = traitlets.Unicode("px", help="of the residuals").tag(sync=True)
@@ -179,12 +180,15 @@ class OverlayView(anywidget.AnyWidget):
     _wire = traitlets.Bytes(b"").tag(sync=True)
     _fit = traitlets.Bytes(b"").tag(sync=True)
     _no_face = traitlets.Bool(False).tag(sync=True)
+    # Counts the fits: one that equals the last must still reach a browser where a landmark has been moved.
+    _fits = traitlets.Int(0).tag(sync=True)
     _scale = traitlets.Float(SMALLEST_SCALE).tag(sync=True)
     _scheme = traitlets.Dict().tag(sync=True)
 
     def __init__(self, height_px: int = 420, **traits: object) -> None:
         self._lock = threading.RLock()
         self._callbacks: list[Callable[[OverlayEvent], object]] = []
+        self._failed = False
         self._shown: np.ndarray | None = None
         self._rows: Float[np.ndarray, "68 8"] | None = None
         scheme = {"names": list(POINT_NAMES), "groups": point_groups(), "lines": [list(line) for line in POLYLINES]}
@@ -208,8 +212,8 @@ class OverlayView(anywidget.AnyWidget):
         """Residual at the bright end of the colours, in `unit`."""
         return self._scale
 
-    def set_picture(self, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Show an RGB picture; the same array object again sends nothing."""
+    def set_picture(self, rgb: Shaped[np.ndarray, "..."]) -> None:
+        """Show an RGB picture, uint8 (h, w, 3); the same array object again sends nothing."""
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
             raise InputError(f"a picture is uint8 of shape (h, w, 3); got {rgb.dtype} of shape {rgb.shape}")
         with self._lock:
@@ -223,13 +227,13 @@ class OverlayView(anywidget.AnyWidget):
 
     def set_fit(
         self,
-        observed: Num[np.ndarray, "68 2"] | None,
-        projected: Num[np.ndarray, "68 2"] | None = None,
-        values: Num[np.ndarray, "68"] | None = None,
-        confidence: Num[np.ndarray, "68"] | None = None,
-        weights: Num[np.ndarray, "68"] | None = None,
+        observed: Num[np.ndarray, "..."] | None,
+        projected: Num[np.ndarray, "..."] | None = None,
+        values: Num[np.ndarray, "..."] | None = None,
+        confidence: Num[np.ndarray, "..."] | None = None,
+        weights: Num[np.ndarray, "..."] | None = None,
     ) -> None:
-        """Show the detections (px), the model's landmarks (px) and the residuals `values` in `unit`.
+        """Show detections and model landmarks, (68, 2) px, and residuals (68,) in `unit`, with confidence and weights.
 
         `observed` None: there is no face, which is said over the picture. The other defaults are those of
         `fit_table`. Raises `InputError` for another number of landmarks.
@@ -241,9 +245,10 @@ class OverlayView(anywidget.AnyWidget):
                 self._no_face = rows is None
                 self._fit = b"" if rows is None else float_bytes(rows)
                 self._scale = self._chosen_scale()
+                self._fits += 1
 
-    def set_layer(self, rgba: UInt8[np.ndarray, "h w 4"] | None) -> None:
-        """Lay a picture with transparency over the whole photo (any resolution), or take it away."""
+    def set_layer(self, rgba: Shaped[np.ndarray, "..."] | None) -> None:
+        """Lay a picture with transparency, uint8 (h, w, 4), over the whole photo, or take it away; any resolution."""
         encoded = b""
         if rgba is not None:
             if rgba.ndim != 3 or rgba.shape[2] != 4 or rgba.dtype != np.uint8:
@@ -253,8 +258,8 @@ class OverlayView(anywidget.AnyWidget):
         with self._lock:
             self._layer = encoded
 
-    def set_wire(self, segments: Num[np.ndarray, "n 2 2"] | None) -> None:
-        """Draw line segments (start and end, px), or none; segments that are not finite are left out."""
+    def set_wire(self, segments: Num[np.ndarray, "..."] | None) -> None:
+        """Draw line segments, (n, 2, 2): start and end, px; or none; segments that are not finite are left out."""
         if segments is None:
             segments = np.empty((0, 2, 2))
         if segments.ndim != 3 or segments.shape[1:] != (2, 2):
@@ -285,6 +290,8 @@ class OverlayView(anywidget.AnyWidget):
         event = read_event(content)
         if event is None:
             return
+        if self._failed:
+            self._failed, self.message = False, ""
         if event.kind in ("select", "lasso"):
             self.selection = list(event.points)
         for callback in tuple(self._callbacks):
@@ -292,6 +299,7 @@ class OverlayView(anywidget.AnyWidget):
                 callback(event)
             except Exception as error:
                 # The user sees it where he clicked; the widget goes on.
+                self._failed = True
                 self.message = str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}"
                 logging.getLogger(__name__).debug("callback of OverlayView failed", exc_info=True)
 

@@ -107,17 +107,17 @@ class TimelineView(anywidget.AnyWidget):
 
     def set_track(
         self,
-        values: Num[np.ndarray, "n 68"],
-        flagged: Bool[np.ndarray, "n"] | None = None,
-        stale: Bool[np.ndarray, "n"] | None = None,
-        found: Bool[np.ndarray, "n"] | None = None,
-        shots: Int[np.ndarray, "n"] | None = None,
+        values: Num[np.ndarray, "..."],
+        flagged: Bool[np.ndarray, "..."] | None = None,
+        stale: Bool[np.ndarray, "..."] | None = None,
+        found: Bool[np.ndarray, "..."] | None = None,
+        shots: Int[np.ndarray, "..."] | None = None,
         first_index: int = 0,
     ) -> None:
-        """Show the residuals (in `unit`, NaN where there is no face) of all frames, the first numbered `first_index`.
+        """Show residuals (frames, 68) in `unit`, NaN where there is no face; the first frame is number `first_index`.
 
-        Without `found` a face is where any residual is; without `shots` the clip is one shot. `frame` is kept if the
-        track has it. Raises `InputError` for arrays that do not fit together.
+        The others are (frames,). Without `found` a face is where any residual is; without `shots` the clip is one shot.
+        `frame` is kept if the track has it. Raises `InputError` for arrays that do not fit together.
         """
         values = _checked_values(values)
         count = len(values)
@@ -132,17 +132,18 @@ class TimelineView(anywidget.AnyWidget):
             self._flagged, self._stale = marks
             with self.hold_sync():
                 self._scale = self._chosen_scale()
-                self.frame = int(np.clip(self.frame, self._first, self._first + max(count - 1, 0)))
                 self._send_all()
+        # Outside the lock: who observes the frame may wait for another thread that wants this view.
+        self.frame = int(np.clip(self.frame, first_index, first_index + max(count - 1, 0)))
 
     def update_frames(
         self,
         start: int,
-        values: Num[np.ndarray, "n 68"],
-        flagged: Bool[np.ndarray, "n"] | None = None,
-        stale: Bool[np.ndarray, "n"] | None = None,
-        found: Bool[np.ndarray, "n"] | None = None,
-        shots: Int[np.ndarray, "n"] | None = None,
+        values: Num[np.ndarray, "..."],
+        flagged: Bool[np.ndarray, "..."] | None = None,
+        stale: Bool[np.ndarray, "..."] | None = None,
+        found: Bool[np.ndarray, "..."] | None = None,
+        shots: Int[np.ndarray, "..."] | None = None,
     ) -> None:
         """Replace the frames from index `start` on; only they are sent, unless the automatic scale must grow.
 
@@ -211,7 +212,7 @@ class TimelineView(anywidget.AnyWidget):
                 self._send_all()
 
 
-def _checked_values(values: Num[np.ndarray, "n 68"]) -> Float[np.ndarray, "n 68"]:
+def _checked_values(values: Num[np.ndarray, "..."]) -> Float[np.ndarray, "n 68"]:
     if np.ndim(values) != 2 or np.shape(values)[1] != POINT_COUNT:
         raise InputError(f"residuals of a track have shape (frames, 68); got {np.shape(values)}")
     return np.array(values, np.float32)
