@@ -250,6 +250,11 @@ def portrait_view(
     return Camera(np.full(2, focal), np.array([(size[0] - 1) / 2, (size[1] - 1) / 2]), np.zeros(8)), translation
 
 
+def bundled_texture(model: FaceModel) -> UInt8[np.ndarray, "h w 3"] | None:
+    """The albedo picture of the default head, None for other models."""
+    return _bundled_albedo() if model.name == "default-head" and len(model.uv) else None
+
+
 def _make_scene(
     model: FaceModel, size: tuple[int, int], albedo: np.ndarray | None, supersampling: float, fade_neck: bool
 ):
@@ -294,9 +299,7 @@ def _paint_marks(picture: UInt8[np.ndarray, "h w 3"], extras: Extras, camera: Ca
 def _albedo(model: FaceModel, texture: bool | np.ndarray) -> np.ndarray | None:
     if texture is False or len(model.uv) == 0:
         return None
-    if texture is True:
-        return _bundled_albedo() if model.name == "default-head" else None
-    return texture
+    return bundled_texture(model) if texture is True else texture
 
 
 @lru_cache(maxsize=1)

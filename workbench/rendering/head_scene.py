@@ -53,6 +53,8 @@ class HeadScene:
         self.own_colors = np.column_stack([tint, self.opacity]).astype(np.uint8)
         self.shown_colors: UInt8[np.ndarray, "v 3"] | None = None
         self.texture = None if texture is None else _texture(texture)
+        # VTK keeps on drawing a texture that is taken away; a white one takes its place.
+        self.blank = None if texture is None else _texture(np.full((2, 2, 3), 255, np.uint8))
         self.outer_triangles = outer_triangles(model).astype(np.int64)
         self.marks, self.ghost = _Part(translucent=False), _Part(translucent=True)
         self.points = vtkPoints()
@@ -140,7 +142,7 @@ class HeadScene:
         scalars = numpy_to_vtk(rgba[self.vertex_of_point], deep=True)
         for mesh, actor in zip(self.meshes, self.actors, strict=True):
             mesh.GetPointData().SetScalars(scalars)
-            actor.SetTexture(self.texture if colors is None else None)
+            actor.SetTexture(self.texture if colors is None else self.blank)
         self.shown_colors = colors
 
     def _set_extras(self, extras: Extras, camera: Camera, pose) -> list[Float[np.ndarray, "_"]]:
@@ -152,8 +154,9 @@ class HeadScene:
             parts.append(points[:, 2])
         if self.ghost.show(extras.ghost is not None and pose is not None and extras.ghost_opacity > 0.0):
             points = to_camera(extras.ghost, *pose)
-            rgba = np.array([*GHOST_COLOR, round(255 * min(extras.ghost_opacity, 1.0))], np.uint8)
-            self.ghost.set(_distorted(camera, points), self.outer_triangles, np.tile(rgba, (len(points), 1)))
+            opacity = np.rint(extras.ghost_opacity * self.opacity.astype(float))
+            rgba = np.column_stack([np.tile(GHOST_COLOR, (len(points), 1)), opacity]).astype(np.uint8)
+            self.ghost.set(_distorted(camera, points), self.outer_triangles, rgba)
             parts.append(points[:, 2])
         return parts
 

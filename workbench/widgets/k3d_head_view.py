@@ -3,16 +3,20 @@
 import threading
 from dataclasses import replace
 
+import anywidget
+import cv2
 import ipywidgets as widgets
 import k3d
 import numpy as np
-from jaxtyping import Float, UInt8
+import traitlets
+from jaxtyping import Float, Integer, UInt8
 
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.rendering.background import SLATE
 from workbench.rendering.extras import GHOST_COLOR, SEGMENT_MM, outer_triangles
-from workbench.rendering.head_picture import head_painter
+from workbench.rendering.head_picture import bundled_texture, head_painter
+from workbench.rendering.mesh import neck_opacity, split_seams
 from workbench.widgets.head_view import (
     Shown,
     check_marks,
@@ -27,11 +31,40 @@ from workbench.widgets.head_view import (
 from workbench.widgets.viewpoint import Viewpoint, front_viewpoint
 
 WORLD = np.array([1.0, -1.0, -1.0])
-"""k3d orbits about +y as up; the head frame has y down and z away. A half turn about x takes one to the other."""
+"""WebGL's world has y up and z towards the viewer, the head frame y down and z away: half a turn about x."""
 MATRIX = np.diag([*WORLD, 1.0]).astype(np.float32)
 GRID_MM = 400.0
 """Half width of the box from which k3d takes its clipping planes."""
 LIGHTING, ROUGHNESS = 1.5, 0.6
+COLLAR_TILT, COLLAR_MM = 0.25, 600.0
+"""The neck is cut by a plane that falls towards the front, just above the ragged rim of the mesh. The opacity that
+marks it goes from 0 to 1 over a length of more than a head: linear in every triangle, it makes the cut straight."""
+JPEG_QUALITY = 90
+NO_WEBGL_NOTE = "This browser shows no WebGL; choose the back end 'pictures' for the 3D view."
+PROBE = """
+function render({ model, el }) {
+  const canvas = document.createElement("canvas");
+  const context = canvas.getContext("webgl2");
+  if (!context) {
+    el.textContent = model.get("_note");
+    el.style.cssText = "font-size:12px; color:var(--jp-error-color1, #b3261e)";
+  } else {
+    const lose = context.getExtension("WEBGL_lose_context");
+    if (lose) lose.loseContext(); // a browser keeps only some 16 of them
+  }
+  model.set("_missing", !context);
+  model.save_changes();
+}
+export default { render };
+"""
+
+
+class WebGLProbe(anywidget.AnyWidget):
+    """Nothing to see, unless the browser lacks WebGL."""
+
+    _esm = PROBE
+    _note = traitlets.Unicode(NO_WEBGL_NOTE).tag(sync=True)
+    _missing = traitlets.Bool(False).tag(sync=True)
 
 
 class K3dHeadView:
@@ -41,21 +74,35 @@ class K3dHeadView:
         self._model, self._size = model, size
         self._lock = threading.RLock()
         self._shown = Shown(model.neutral.astype(np.float32))
-        self.note: str | None = None
         viewpoint = front_viewpoint(model, size)
         self.plot = k3d.plot(
             height=size[1], antialias=2, background_color=_packed(np.array([SLATE]))[0].item(), lighting=LIGHTING,
             menu_visibility=False, grid_visible=False, grid_auto_fit=False, camera_auto_fit=False, axes_helper=0,
-            grid=(-GRID_MM, -GRID_MM, -GRID_MM, GRID_MM, GRID_MM, GRID_MM), camera_mode="orbit", camera_up_axis="y",
+            grid=(-GRID_MM, -GRID_MM, -GRID_MM, GRID_MM, GRID_MM, GRID_MM), camera_mode="orbit", camera_up_axis="none",
             camera_fov=viewpoint.vertical_fov_deg(size[1]), camera=_camera_array(viewpoint),
         )  # fmt: skip
         self.plot.layout = widgets.Layout(width=f"{size[0]}px", max_width="100%", height=f"{size[1]}px")
         self.plot.add_class("fw-head3d")
-        self._mesh = _mesh(self._shown.vertices, model.triangles, colors=_packed(model.colors), side="double")
-        self._ghost = self._points = self._segments = None
-        self.plot += self._mesh
+        self._opacities = collar_opacity(model)
+        self._textured, self._order = _textured_mesh(model, self._opacities)
+        self._colored = self._ghost = self._points = self._segments = None
+        if self._textured is None:
+            self._colored = self._colored_mesh(model.colors)
+        self.plot += self.mesh
+        self._probe = WebGLProbe()
         self._legend = widgets.HTML(layout=widgets.Layout(display="none", margin="2px 0 0 0", max_width=f"{size[0]}px"))
-        self.widget = widgets.VBox([self.plot, self._legend], layout=widgets.Layout(overflow="hidden"))
+        self.widget = widgets.VBox([self.plot, self._probe, self._legend], layout=widgets.Layout(overflow="hidden"))
+
+    @property
+    def note(self) -> str | None:
+        """See `HeadView.note`; the browser tells about WebGL when it first shows the view."""
+        return NO_WEBGL_NOTE if self._probe._missing else None
+
+    @property
+    def mesh(self) -> k3d.objects.Mesh:
+        """The mesh that is seen: with the texture, or, for values and models without one, with vertex colours."""
+        textured = self._textured is not None and self._shown.extras.colors is None
+        return self._textured if textured else self._colored
 
     def __repr__(self) -> str:
         return f"K3dHeadView({self._model.name!r}, {self._size[0]} × {self._size[1]})"
@@ -64,9 +111,8 @@ class K3dHeadView:
         """See `HeadView.set_vertices`."""
         check_vertices(vertices, len(self._model.neutral))
         with self._lock:
-            sent = vertices.astype(np.float32)
-            self._shown = replace(self._shown, vertices=sent)
-            self._mesh.vertices = sent
+            self._shown = replace(self._shown, vertices=vertices.astype(np.float32))
+            self.mesh.vertices = self._vertices_of(self.mesh)
 
     def set_pose(
         self,
@@ -95,8 +141,17 @@ class K3dHeadView:
         """See `HeadView.set_values`."""
         colors = value_colors(values, low, high, len(self._model.neutral))
         with self._lock:
+            before = self.mesh
             self._shown = self._shown.with_extras(colors=colors)
-            self._mesh.colors = _packed(self._model.colors if colors is None else colors)
+            if colors is not None and self._colored is None:
+                self._colored = self._colored_mesh(colors)
+                self.plot += self._colored
+            shown = {"vertices": self._vertices_of(self.mesh)}
+            if self.mesh is self._colored:
+                shown["colors"] = _packed(self._model.colors if colors is None else colors)
+            _update(self.mesh, shown)
+            if before is not self.mesh:
+                before.visible = False
             self._legend.value = "" if colors is None else legend(label, low, high)
             self._legend.layout.display = "none" if colors is None else None
 
@@ -151,7 +206,9 @@ class K3dHeadView:
             state = {"vertices": vertices.astype(np.float32), "opacity": float(opacity)}
             if self._ghost is None:
                 color = _packed(np.array([GHOST_COLOR]))[0].item()
-                self._ghost = _mesh(**state, triangles=outer_triangles(self._model), color=color, side="front")
+                triangles = outer_triangles(self._model)
+                triangles = triangles[(self._opacities > 0.5)[triangles].all(1)]
+                self._ghost = _mesh(**state, triangles=triangles, color=color)
                 self.plot += self._ghost
             else:
                 _update(self._ghost, state)
@@ -174,9 +231,20 @@ class K3dHeadView:
 
     def close(self) -> None:
         """See `HeadView.close`."""
-        for part in (self._mesh, self._ghost, self._points, self._segments, self.plot, self._legend, self.widget):
+        meshes = (self._textured, self._colored, self._ghost, self._points, self._segments)
+        for part in (*meshes, self.plot, self._probe, self._legend, self.widget):
             if part is not None:
                 widgets.Widget.close(part)
+
+    def _vertices_of(self, mesh: k3d.objects.Mesh) -> Float[np.ndarray, "n 3"]:
+        vertices = self._shown.vertices
+        return vertices[self._order] if mesh is self._textured else vertices
+
+    def _colored_mesh(self, colors: UInt8[np.ndarray, "v 3"]) -> k3d.objects.Mesh:
+        return _mesh(
+            self._shown.vertices, self._model.triangles, colors=_packed(colors), side="double",
+            **_cut_off(self._opacities),
+        )  # fmt: skip
 
     def _look_from(self, viewpoint: Viewpoint) -> None:
         fov, camera = viewpoint.vertical_fov_deg(self._size[1]), _camera_array(viewpoint)
@@ -192,6 +260,40 @@ class K3dHeadView:
 def _camera_array(viewpoint: Viewpoint) -> list[float]:
     """k3d's nine numbers: position, target, up."""
     return (np.stack([viewpoint.position, viewpoint.target, viewpoint.up]) * WORLD).ravel().tolist()
+
+
+def collar_opacity(model: FaceModel) -> Float[np.ndarray, "v"]:
+    """More than 0.5 above the plane that cuts the neck off and less below it; 1 for a head without a rim."""
+    height = model.neutral[:, 1] + COLLAR_TILT * model.neutral[:, 2]
+    rim = neck_opacity(model) == 0.0
+    if not rim.any():
+        return np.ones(len(model.neutral))
+    return np.clip(0.5 + (height[rim].min() - 1.0 - height) / COLLAR_MM, 0.0, 1.0)
+
+
+def _textured_mesh(
+    model: FaceModel, opacities: Float[np.ndarray, "v"]
+) -> tuple[k3d.objects.Mesh | None, Integer[np.ndarray, "n"]]:
+    """The mesh with its texture, and the vertex of each point: all vertices, then the doubles along UV seams."""
+    picture = bundled_texture(model)
+    if picture is None:
+        return None, np.arange(len(model.neutral))
+    vertex, uv, triangles = split_seams(model.triangles, model.triangles_uv)
+    first = np.zeros(len(vertex), bool)
+    first[np.unique(vertex, return_index=True)[1]] = True
+    order = np.lexsort([vertex, ~first])
+    rank = np.argsort(order)
+    encoded = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+    mesh = _mesh(
+        model.neutral[vertex[order]].astype(np.float32), rank[triangles], texture=encoded, texture_file_format="jpeg",
+        uvs=(model.uv[uv[order]] * [1.0, -1.0] + [0.0, 1.0]).astype(np.float32), side="double",
+        **_cut_off(opacities[vertex[order]]),
+    )  # fmt: skip
+    return mesh, vertex[order]
+
+
+def _cut_off(opacities: Float[np.ndarray, "n"]) -> dict:
+    return {"alpha_mode": "mask", "alpha_cutoff": 0.5, "opacities": opacities.astype(np.float32)}
 
 
 def _mesh(vertices: np.ndarray, triangles: np.ndarray, **state: object) -> k3d.objects.Mesh:
