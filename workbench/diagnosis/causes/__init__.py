@@ -1,0 +1,31 @@
+"""Every cause of a bad frame as a small function that tries its hypothesis on a `Trial`."""
+
+from workbench.diagnosis.causes.configuration import (
+    not_converged,
+    pose_expression_tradeoff,
+    tau_fights_data,
+    weights_at_bounds,
+)
+from workbench.diagnosis.causes.groups import face_outside, group_biased, jaw_disagrees, occluded
+from workbench.diagnosis.causes.motion import frozen_detector, low_flow_consistency, motion_blur
+from workbench.diagnosis.causes.order import mirrored_order, points_swapped
+from workbench.diagnosis.causes.person import wrong_focal, wrong_identity
+
+CAUSES = (
+    mirrored_order,
+    points_swapped,
+    face_outside,
+    frozen_detector,
+    low_flow_consistency,
+    motion_blur,
+    occluded,
+    group_biased,
+    jaw_disagrees,
+    not_converged,
+    tau_fights_data,
+    weights_at_bounds,
+    pose_expression_tradeoff,
+    wrong_focal,
+    wrong_identity,
+)
+"""In no particular order: each is tried on every frame."""

@@ -1,0 +1,147 @@
+"""The configuration itself: too few iterations, a prior that wins, weights on their bounds, alternation that sticks."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from workbench.config import PRESET_STAGES
+from workbench.diagnosis.group_pull import between_poses
+from workbench.diagnosis.records import Change
+from workbench.diagnosis.trial import Finding, Trial
+from workbench.solvers import Status
+from workbench.tracking.fitter import running_stages
+
+MORE_ITERATIONS = 20
+LARGEST_LIMIT = 500
+RELAXED_TAU = 1e-3
+"""Factor on ω_τ that shows what it holds back."""
+FEWEST_AT_BOUND = 3
+JOINT_LIMIT = 60
+LEAST_POSE_DEG, LEAST_POSE_MM = 1.0, 3.0
+
+
+def not_converged(trial: Trial) -> Iterator[Finding]:
+    """A stage stops at its limit (ρ or ε) although more iterations would help."""
+    stages = running_stages(trial.case.config, start=trial.case.context.last is None)
+    status = trial.fit.status[len(trial.fit.status) - len(stages) :]
+    best = None
+    for stage, ended in zip(stages, status, strict=True):
+        if ended != Status.ITERATION_LIMIT.value:
+            continue
+        more = min(stage.limit + MORE_ITERATIONS, LARGEST_LIMIT)
+        one_more, many_more = (
+            trial.refit(Change(f"Raise the limit of “{stage.name}” to {limit}", limits={stage.name: limit}))
+            for limit in (min(stage.limit + 1, LARGEST_LIMIT), more)
+        )
+        gain = trial.gain(many_more)
+        if best is None or gain > best[0]:
+            best = gain, stage, more, one_more, many_more
+    if best is None or best[0] <= 0.0:
+        return
+    gain, stage, more, one_more, many_more = best
+    before, once, after = (trial.error_percent(fit) for fit in (trial.fit, one_more, many_more))
+    yield Finding(
+        code="not_converged",
+        title=f"The stage “{stage.name}” has too few iterations",
+        evidence=f"The stage ends at its limit of {stage.limit}: one more iteration brings the error from {before:.1f} "
+        f"to {once:.1f}, {MORE_ITERATIONS} more to {after:.1f} % of the eye distance.",
+        change=Change(f"Raise the limit of “{stage.name}” to {more}", limits={stage.name: more}),
+        gain=gain,
+        before_percent=before,
+        after_percent=after,
+        specificity=1.0 if stage.limit <= 5 else 0.9,
+        numbers={"limit": float(stage.limit), "one_more_percent": once, "more_percent": after},
+        outranks=("pose_expression_tradeoff", "weights_at_bounds"),
+    )
+
+
+def tau_fights_data(trial: Trial) -> Iterator[Finding]:
+    """E_τ holds the pose on a straight line while the landmarks accelerate."""
+    weights = trial.case.config.weights
+    last = trial.case.context.last
+    if last is None or last.frames < 2 or weights.tau * weights.prior == 0.0:
+        return
+    relaxed = weights.tau * RELAXED_TAU
+    change = Change(f"Lower ω_τ from {weights.tau:g} to {relaxed:g}", config={"weights": {"tau": relaxed}})
+    fit = trial.refit(change)
+    gain = trial.gain(fit)
+    if gain <= 0.0:
+        return
+    before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
+    degrees, millimetres = between_poses(trial.fit, fit)
+    yield Finding(
+        code="tau_fights_data",
+        title="The smoothness of the pose (ω_τ) works against the landmarks",
+        evidence=f"With ω_τ = {relaxed:g} instead of {weights.tau:g} the pose moves by {degrees:.1f}° and "
+        f"{millimetres:.0f} mm and the error falls from {before:.1f} to {after:.1f} % of the eye distance.",
+        change=change,
+        gain=gain,
+        before_percent=before,
+        after_percent=after,
+        numbers={"tau": weights.tau, "pose_deg": degrees, "pose_mm": millimetres},
+        outranks=("pose_expression_tradeoff", "jaw_disagrees", "group_biased", "occluded"),
+    )
+
+
+def weights_at_bounds(trial: Trial) -> Iterator[Finding]:
+    """Blendshape weights press against 1: the model's range ends before the expression does."""
+    solver = trial.case.config.solver
+    if not solver.bounded:
+        return
+    pressing = trial.fit.expression >= 1.0 - 1e-6
+    count = int(pressing.sum())
+    if count < FEWEST_AT_BOUND:
+        return
+    config = {"solver": {"bounded": False}, "weights": {"range": max(trial.case.config.weights.range, 5.0)}}
+    change = Change("Let weights leave [0, 1] against a quadratic penalty", config=config)
+    fit = trial.refit(change)
+    names = [name for name, at in zip(trial.names, pressing, strict=True) if at]
+    before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
+    yield Finding(
+        code="weights_at_bounds",
+        title=f"{count} blendshape weights press against their bound",
+        evidence=f"{', '.join(names[:4])}{' and others' if count > 4 else ''} rest on 1; without the bound the error "
+        f"goes from {before:.1f} to {after:.1f} % of the eye distance.",
+        change=change,
+        gain=trial.gain(fit, 0.5 * count),
+        before_percent=before,
+        after_percent=after,
+        specificity=0.7,
+        numbers={"count": float(count), "largest_free": float(fit.expression.max())},
+    )
+
+
+def pose_expression_tradeoff(trial: Trial) -> Iterator[Finding]:
+    """Pose and expression, solved in turn, hold each other where a joint solve finds a better pair."""
+    config = trial.case.config
+    if any("expression" in stage.free and len(stage.free) > 1 for stage in config.stages):
+        return
+    patient = {
+        stage.name: JOINT_LIMIT
+        for stage in running_stages(config, trial.case.context.last is None)
+        if stage.limit < JOINT_LIMIT
+    }
+    alternated = trial.refit(Change("", limits=patient))
+    stages = [stage.model_dump() for stage in PRESET_STAGES["joint"]]
+    change = Change("Solve pose and expression together", config={"stages": stages})
+    joint = trial.refit(change)
+    # Only what alternation with enough iterations does not reach speaks for the joint solve.
+    gain = min(trial.gain(joint), trial.misfit(alternated) - trial.misfit(joint))
+    degrees, millimetres = between_poses(trial.fit, joint)
+    if gain <= 0.0 or (degrees < LEAST_POSE_DEG and millimetres < LEAST_POSE_MM):
+        return
+    before, after = trial.error_percent(trial.fit), trial.error_percent(joint)
+    strongest = int(np.argmax(np.abs(joint.expression - trial.fit.expression)))
+    yield Finding(
+        code="pose_expression_tradeoff",
+        title="Pose and expression trade against each other",
+        evidence=f"Solved together, the pose moves by {degrees:.1f}° and {millimetres:.0f} mm, "
+        f"{trial.names[strongest]} from {trial.fit.expression[strongest]:.2f} to {joint.expression[strongest]:.2f}, and the error falls from "
+        f"{before:.1f} to {after:.1f} % of the eye distance.",
+        change=change,
+        gain=gain,
+        before_percent=before,
+        after_percent=after,
+        specificity=0.75,
+        numbers={"pose_deg": degrees, "pose_mm": millimetres},
+    )

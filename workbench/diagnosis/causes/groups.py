@@ -1,0 +1,250 @@
+"""Groups of landmarks that do not fit the others: the jaw, a shifted group, an occluded one, points off the picture."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from workbench.diagnosis.flags import outside_picture
+from workbench.diagnosis.group_pull import between_poses
+from workbench.diagnosis.picture_evidence import change_of_patch
+from workbench.diagnosis.records import Change
+from workbench.diagnosis.trial import Finding, Trial, points_change
+from workbench.landmarks.scheme import GROUPS, group_mask
+from workbench.tracking import FrameFit
+
+TITLES = {
+    "jaw": "jaw",
+    "right_brow": "right brow",
+    "left_brow": "left brow",
+    "nose": "nose",
+    "right_eye": "right eye",
+    "left_eye": "left eye",
+    "mouth": "mouth",
+}
+SIDES = {
+    "right_side": (*range(0, 8), *GROUPS["right_brow"], *GROUPS["right_eye"], 31, 32, 48, 49, 50, 58, 59, 60, 67),
+    "left_side": (*range(9, 17), *GROUPS["left_brow"], *GROUPS["left_eye"], 34, 35, 52, 53, 54, 55, 56, 64, 65),
+    "upper_face": (*GROUPS["brows"], *GROUPS["eyes"]),
+    "lower_face": (*range(4, 13), *GROUPS["mouth"]),
+}
+"""Larger parts that something in front of the face may hide."""
+LEAST_OFFSET_PERCENT = 2.0
+COHERENT = 1.0
+"""Length of the mean offset in units of the scatter about it from which an offset is one of the whole group."""
+FEWEST_OUTSIDE = 3
+
+
+def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
+    """The jaw contour says another pose than the other points (Deep Energies Sec. 8.2, Fig. 7)."""
+    mask = group_mask("jaw")
+    change = Change("Give the jaw points a tenth of their weight", config={"landmarks": {"weights": {"jaw": 0.1}}})
+    fit = trial.refit(change)
+    offset, scatter = _offset(trial, fit, mask)
+    believed_alone = trial.gain(fit, doubted=mask)
+    _, moved_fit = _shifted_back(trial, mask, offset, "jaw")
+    gain = max(believed_alone, trial.gain(moved_fit, 2.0))
+    distance = float(trial.percent(fit.residuals_px[mask].mean()))
+    if gain <= 0.0 or distance < LEAST_OFFSET_PERCENT:
+        return
+    jaw_only = trial.refit(
+        Change("", config={"landmarks": {"weights": {"non_jaw": 0.1}}, "stages": _all_points(trial)})
+    )
+    degrees, millimetres = between_poses(fit, jaw_only)
+    before, after = trial.error_percent(trial.fit, mask), trial.error_percent(fit, mask)
+    yield Finding(
+        code="jaw_disagrees",
+        title="The jaw points disagree with the rest of the face",
+        evidence=f"The jaw points lie {distance:.1f} % of the eye distance from where the others predict them (mean "
+        f"offset {_vector(trial, offset)}); the jaw alone asks for a pose {degrees:.0f}° and {millimetres:.0f} mm "
+        "away.",
+        change=change,
+        gain=gain,
+        before_percent=before,
+        after_percent=after,
+        doubted=mask,
+        specificity=0.95,
+        numbers={
+            "distance_percent": distance,
+            "offset_right_percent": float(trial.percent(offset[0])),
+            "offset_down_percent": float(trial.percent(offset[1])),
+            "scatter_percent": float(trial.percent(scatter)),
+            "pose_deg": degrees,
+            "pose_mm": millimetres,
+        },
+        outranks=("occluded",),
+    )
+
+
+def group_biased(trial: Trial) -> Iterator[Finding]:
+    """The points of a group are all shifted alike."""
+    for group, title in TITLES.items():
+        if group == "jaw":
+            continue
+        mask = group_mask(group)
+        without = trial.refit(muted(group))
+        offset, scatter = _offset(trial, without, mask)
+        candidates = [offset, *_motion_offset(trial, mask)]
+        tried = [(vector, *_shifted_back(trial, mask, vector, title)) for vector in candidates if _long(trial, vector)]
+        if not tried:
+            continue
+        vector, change, fit = max(tried, key=lambda entry: trial.gain(entry[2], 2.0))
+        gain = trial.gain(fit, 2.0)
+        if gain <= 0.0:
+            continue
+        before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
+        length = float(trial.percent(np.linalg.norm(vector)))
+        yield Finding(
+            code="group_biased",
+            title=f"The points of the {title} are shifted",
+            evidence=f"All points of the {title} lie {_vector(trial, vector)} from where the other points and the "
+            f"motion of the picture put them, with a scatter of only {trial.percent(scatter):.1f} %.",
+            change=change,
+            gain=gain,
+            before_percent=before,
+            after_percent=after,
+            specificity=0.9,
+            numbers={
+                "offset_right_percent": float(trial.percent(vector[0])),
+                "offset_down_percent": float(trial.percent(vector[1])),
+                "offset_percent": length,
+                "scatter_percent": float(trial.percent(scatter)),
+                "first_point": float(GROUPS[group][0]),
+            },
+        )
+
+
+def occluded(trial: Trial) -> Iterator[Finding]:
+    """A part of the face whose points scatter without order, or that the detector itself doubts."""
+    confidence = trial.case.observation.landmarks.confidence
+    for name, indices in {**{group: GROUPS[group] for group in TITLES}, **SIDES}.items():
+        mask = np.isin(np.arange(68), indices)
+        change = muted(name)
+        fit = trial.refit(change)
+        gain = trial.gain(fit, doubted=mask)
+        offset, scatter = _offset(trial, fit, mask)
+        sure, others = float(confidence[mask].mean()), float(confidence[~mask].mean())
+        unsure = sure < 0.5 * others
+        if (gain <= 0.0 and not unsure) or trial.percent(scatter) < LEAST_OFFSET_PERCENT:
+            continue
+        title = TITLES.get(name, name.replace("_", " "))
+        picture = _picture_changed(trial, mask, indices)
+        before, after = trial.error_percent(trial.fit, mask), trial.error_percent(fit, mask)
+        evidence = f"The {mask.sum()} points of the {title} scatter by {trial.percent(scatter):.1f} % of the eye "
+        evidence += "distance about where the others predict them, without a common direction"
+        evidence += f"; the detector's confidence there is {sure:.2f} against {others:.2f}" if unsure else ""
+        evidence += f"; the picture there changed {picture:.1f} times as much as elsewhere" if picture > 1.5 else ""
+        incoherent = 1.0 if np.linalg.norm(offset) < COHERENT * scatter else 0.6
+        yield Finding(
+            code="occluded",
+            title=f"The {title} seems to be hidden",
+            evidence=evidence + ".",
+            change=change,
+            gain=gain,
+            before_percent=before,
+            after_percent=after,
+            doubted=mask,
+            specificity=min(1.0, incoherent * (0.8 + 0.1 * unsure + 0.1 * (picture > 1.5)) * _purity(trial, fit, mask)),
+            numbers={
+                "scatter_percent": float(trial.percent(scatter)),
+                "confidence": sure,
+                "confidence_elsewhere": others,
+                "picture_change": picture,
+                "points": float(mask.sum()),
+            },
+            outranks=("group_biased",) if incoherent == 1.0 else (),
+        )
+
+
+def face_outside(trial: Trial) -> Iterator[Finding]:
+    """Points beyond the picture's edge: there a detector guesses."""
+    mask = outside_picture(trial.points, trial.case.observation.image_size)
+    count = int(mask.sum())
+    if count < FEWEST_OUTSIDE:
+        return
+    weights = {str(index): 0.0 for index in np.flatnonzero(mask)}
+    change = Change("Mute the points outside the picture", config={"landmarks": {"weights": weights}})
+    fit = trial.refit(change)
+    before, after = trial.error_percent(trial.fit, mask), trial.error_percent(fit, mask)
+    yield Finding(
+        code="face_outside",
+        title="The face leaves the picture",
+        evidence=f"{count} of 68 points lie on or beyond the edge of the picture, where a detector can only guess; "
+        f"without them the error of the others goes from {before:.1f} to {after:.1f} % of the eye distance.",
+        change=change,
+        gain=trial.gain(fit, doubted=mask),
+        before_percent=before,
+        after_percent=after,
+        doubted=mask,
+        direct=min(0.95, 0.5 + 0.05 * count),
+        numbers={"points": float(count)},
+        outranks=("occluded", "group_biased", "jaw_disagrees"),
+    )
+
+
+def muted(name: str) -> Change:
+    """Mute a group, or one of `SIDES` point by point."""
+    title = TITLES.get(name, name.replace("_", " "))
+    weights = {name: 0.0} if name in GROUPS else {str(index): 0.0 for index in SIDES[name]}
+    return Change(f"Mute the points of the {title}", config={"landmarks": {"weights": weights}})
+
+
+def _all_points(trial: Trial) -> list[dict]:
+    """The stages with every landmark in each, so that a fit on the jaw has the jaw in its pose."""
+    return [{**stage.model_dump(), "landmarks": {"all": 1.0}} for stage in trial.case.config.stages]
+
+
+def _offset(trial: Trial, fit: FrameFit, mask: Bool[np.ndarray, "68"]) -> tuple[Float[np.ndarray, "2"], float]:
+    """Median offset of the masked points from a fit, and their root mean square scatter about it, pixels."""
+    error = trial.points[mask] - fit.projected[mask]
+    offset = np.median(error, axis=0)
+    return offset, float(np.sqrt(((error - offset) ** 2).sum(1).mean()))
+
+
+def _motion_offset(trial: Trial, mask: Bool[np.ndarray, "68"]) -> Iterator[Float[np.ndarray, "2"]]:
+    """How far the group as a whole left the motion of the picture, or of the frames around, more than the rest did."""
+    places = [] if trial.carried is None else [trial.carried]
+    if trial.case.before is not None and trial.case.after is not None:
+        places.append(trial.middle(trial.points))
+    for place in places:
+        away = trial.points - place
+        known = np.isfinite(away[:, 0])
+        if (known & mask).sum() >= 3 and (known & ~mask).sum() >= 10:
+            yield np.median(away[known & mask], axis=0) - np.median(away[known & ~mask], axis=0)
+
+
+def _long(trial: Trial, vector: Float[np.ndarray, "2"]) -> bool:
+    return bool(trial.percent(np.linalg.norm(vector)) >= LEAST_OFFSET_PERCENT)
+
+
+def _shifted_back(trial: Trial, mask: Bool[np.ndarray, "68"], offset: Float[np.ndarray, "2"], title: str):
+    points = trial.points - np.where(mask[:, None], offset, 0.0)
+    change = points_change(f"Move the points of the {title} back", points, np.flatnonzero(mask))
+    return change, trial.refit(change)
+
+
+def _purity(trial: Trial, fit: FrameFit, mask: Bool[np.ndarray, "68"]) -> float:
+    """Part of the doubted points that lie far off: a part of the face is hidden as a whole, not in single points."""
+    far = trial.percent(fit.residuals_px) / trial.reference.residual_percent > 2.0
+    return 0.3 + 0.7 * float(far[mask].mean())
+
+
+def _picture_changed(trial: Trial, mask: Bool[np.ndarray, "68"], indices: tuple[int, ...]) -> float:
+    """Grey change under the group since the previous picture, in units of that under the other groups; 0 unknown."""
+    case = trial.case
+    if case.picture is None or case.previous_picture is None or case.before is None:
+        return 0.0
+    before = case.before.landmarks.points
+    others, others_before = trial.points[~mask], before[~mask]
+    here, elsewhere = (
+        change_of_patch(case.previous_picture, case.picture, before, trial.points, hull, others, others_before)
+        for hull in (indices, tuple(np.flatnonzero(~mask)))
+    )
+    return here / max(elsewhere, 1.0)
+
+
+def _vector(trial: Trial, vector: Float[np.ndarray, "2"]) -> str:
+    right, down = trial.percent(vector)
+    return (
+        f"{abs(right):.1f} % {'right' if right >= 0 else 'left'} and {abs(down):.1f} % {'down' if down >= 0 else 'up'}"
+    )

@@ -1,0 +1,176 @@
+"""What time and pictures say: landmarks that stand still, that leave the motion of the picture, a blurred picture."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench.diagnosis.records import Change
+from workbench.diagnosis.trial import Finding, Trial, points_change
+
+STILL_PX = 1e-3
+"""Largest motion of any landmark from frame to frame that counts as none: no detector repeats itself so exactly."""
+MOVING_PERCENT = 0.6
+"""Median motion of the picture, % of the face's size, from which standing landmarks are wrong."""
+FARTHEST_STEPS = 60
+FLOW_SURPRISE = 3.0
+"""Usual motion deviations from which a landmark contradicts the picture."""
+FEWEST_SURPRISED = 4
+BLURRED = 0.55
+"""Squared slope along the blur, relative to the previous picture, below which the picture counts as blurred."""
+SHARP_ALONE = 0.12
+"""The same where there is no previous picture: relative to the slope across."""
+ALONG = 1.5
+"""Ratio of the residual along the blur to that across it from which the landmarks suffer from it."""
+
+
+def frozen_detector(trial: Trial) -> Iterator[Finding]:
+    """The landmarks repeat those of the frame before while the face moves on."""
+    before = trial.case.before
+    if before is None or np.abs(trial.points - before.landmarks.points).max() > STILL_PX:
+        return
+    index = trial.case.observation.index
+    first, last = index - 1, index
+    while _same(trial, first - 1) and first > index - FARTHEST_STEPS:
+        first -= 1
+    while _same(trial, last + 1) and last < index + FARTHEST_STEPS:
+        last += 1
+    flow = _picture_motion(trial)
+    if flow is not None and flow < MOVING_PERCENT:
+        return
+    places = _thawed(trial, first, last)
+    jump = 0.0 if places is None else float(trial.percent(np.linalg.norm(places - trial.points, axis=1).mean()))
+    if flow is None and jump < MOVING_PERCENT:
+        return
+    change = Change("") if places is None else points_change("Carry the points over the gap", places, range(68))
+    fit = trial.refit(change)
+    moved = f"the picture moved by {flow:.1f} % of the eye distance" if flow is not None else "the face moved on"
+    yield Finding(
+        code="frozen_detector",
+        title="The landmarks are frozen",
+        evidence=f"All 68 points are exactly those of frame {first} ({last - first + 1} equal frames) although "
+        f"{moved} since the frame before.",
+        change=change if places is not None else None,
+        gain=trial.gain(fit),
+        before_percent=_flow_disagreement(trial, trial.points),
+        after_percent=_flow_disagreement(trial, change.moved(trial.case.observation).landmarks.points),
+        direct=0.97 if flow is not None else 0.8,
+        numbers={"frames": float(last - first + 1), "picture_motion_percent": flow or 0.0, "jump_percent": jump},
+        measure="distance from the motion of the picture",
+        outranks=("low_flow_consistency", "group_biased", "motion_blur", "occluded", "jaw_disagrees"),
+    )
+
+
+def low_flow_consistency(trial: Trial) -> Iterator[Finding]:
+    """Landmarks leave the motion of the picture (Lucas–Kanade from the frame before)."""
+    if trial.carried is None:
+        return
+    deviation = trial.motion_deviation(trial.points)
+    known = np.isfinite(trial.carried[:, 0])
+    surprised = known & (deviation > FLOW_SURPRISE * trial.reference.motion_percent)
+    count = int(surprised.sum())
+    if count < FEWEST_SURPRISED:
+        return
+    change = points_change("Carry these points with the picture", trial.carried, np.flatnonzero(surprised))
+    fit = trial.refit(change)
+    mean = float(deviation[surprised].mean())
+    yield Finding(
+        code="low_flow_consistency",
+        title="Landmarks do not follow the motion of the picture",
+        evidence=f"{count} points lie {mean:.1f} % of the eye distance from where optical flow carries them since the "
+        "frame before.",
+        change=change,
+        # Each replaced point costs: any frame agrees with the one before once its points are taken from there.
+        gain=trial.gain(fit, 0.5 * count),
+        before_percent=_flow_disagreement(trial, trial.points),
+        after_percent=_flow_disagreement(trial, change.moved(trial.case.observation).landmarks.points),
+        specificity=0.7,
+        numbers={"points": float(count), "deviation_percent": mean},
+        measure="distance from the motion of the picture",
+    )
+
+
+def motion_blur(trial: Trial) -> Iterator[Finding]:
+    """The picture is blurred along a direction, and the landmarks scatter along it."""
+    blur, places = trial.blur, trial.neighbours
+    if blur is None:
+        return
+    alone = trial.case.previous_picture is None
+    if blur.sharpness > (SHARP_ALONE if alone else BLURRED):
+        return
+    # The part of the error that a shift of the whole face does not explain.
+    error = trial.points - (trial.fit.projected if places is None else places)
+    error = error - np.median(error, axis=0)
+    along = float(np.sqrt(np.mean((error @ blur.direction) ** 2)))
+    across = float(np.sqrt(np.mean((error @ np.array([-blur.direction[1], blur.direction[0]])) ** 2)))
+    if along < ALONG * across:
+        return
+    change = _interpolated(trial, places)
+    fit = trial.refit(change)
+    gain = trial.gain(fit, 4.0)
+    limit = SHARP_ALONE if alone else BLURRED
+    sure = float(np.interp(blur.sharpness / limit, [0.3, 1.0], [1.0, 0.5]))
+    angle = float(np.degrees(np.arctan2(blur.direction[1], blur.direction[0]))) % 180.0
+    before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
+    yield Finding(
+        code="motion_blur",
+        title="The picture is blurred by motion",
+        evidence=f"Along {angle:.0f}° the face has {100 * blur.sharpness:.0f} % of the detail "
+        f"{'it has across' if alone else 'of the frame before'}, and the points scatter "
+        f"{along / max(across, 1e-9):.1f} times as much along it as across.",
+        change=change,
+        gain=gain,
+        before_percent=before,
+        after_percent=after,
+        specificity=sure,
+        direct=0.0 if gain <= 0.0 else 0.8 * sure,
+        numbers={
+            "direction_deg": angle,
+            "sharpness": blur.sharpness,
+            "sharpness_across": blur.across,
+            "along_percent": float(trial.percent(along)),
+            "across_percent": float(trial.percent(across)),
+        },
+        outranks=("occluded", "group_biased", "low_flow_consistency", "jaw_disagrees"),
+    )
+
+
+def _interpolated(trial: Trial, places: Float[np.ndarray, "68 2"] | None) -> Change:
+    if places is None:
+        return Change("Trust the landmarks of this frame less", config={"landmarks": {"weights": {"all": 0.2}}})
+    both = trial.case.before is not None and trial.case.after is not None
+    label = "Take the points from the frames around" if both else "Take the points from the frame beside"
+    return points_change(label, places, range(68))
+
+
+def _same(trial: Trial, index: int) -> bool:
+    found = trial.observation_at(index)
+    return found is not None and bool(np.abs(found.landmarks.points - trial.points).max() <= STILL_PX)
+
+
+def _picture_motion(trial: Trial) -> float | None:
+    """Median motion of the picture at the landmarks since the frame before, %; None without pictures."""
+    if trial.carried is None:
+        return None
+    moved = np.linalg.norm(trial.carried - trial.case.before.landmarks.points, axis=1)
+    known = np.isfinite(moved)
+    return float(trial.percent(np.median(moved[known]))) if known.sum() >= 10 else None
+
+
+def _thawed(trial: Trial, first: int, last: int) -> Float[np.ndarray, "68 2"] | None:
+    """The landmarks between the last that were seen (frame `first`) and the next (`last` + 1), or carried by flow."""
+    after = trial.observation_at(last + 1)
+    if after is not None:
+        part = (trial.case.observation.index - first) / (last + 1 - first)
+        return (1.0 - part) * trial.points + part * after.landmarks.points
+    if trial.carried is None:
+        return None
+    return np.where(np.isfinite(trial.carried), trial.carried, trial.points)
+
+
+def _flow_disagreement(trial: Trial, points: Float[np.ndarray, "68 2"]) -> float:
+    if trial.carried is None:
+        return float(trial.motion_deviation(points).mean())
+    away = np.linalg.norm(points - trial.carried, axis=1)
+    known = np.isfinite(away)
+    return float(trial.percent(away[known].mean())) if known.any() else 0.0

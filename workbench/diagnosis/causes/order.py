@@ -1,0 +1,124 @@
+"""Points in the wrong places of the list: all sides exchanged, or a few pairs of points."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench.diagnosis.records import Change
+from workbench.diagnosis.reference import robust_similarity
+from workbench.diagnosis.trial import Finding, Trial, points_change
+from workbench.landmarks.scheme import MIRROR, POINT_NAMES
+from workbench.tracking import FrameFit
+
+SUSPECT_PERCENT = 4.0
+"""Distance from the prediction, % of the face's size, from which a point is tried in another place."""
+AGREEMENT = 0.4
+"""Part of the distance that may be left after an exchange."""
+MOST_PAIRS = 6
+
+
+def mirrored_order(trial: Trial) -> Iterator[Finding]:
+    """The landmarks are those of the mirror image: each point carries the number of its counterpart."""
+    points = trial.points[list(MIRROR)]
+    change = points_change("Exchange the points of left and right", points, range(68))
+    mean = np.zeros_like(trial.case.context.identity)
+    contexts = [trial.case.context._replace(last=None, start=None, identity=who) for who in (trial.fit.identity, mean)]
+    fits = [trial.refit(change, context) for context in contexts]
+    fit = min(fits, key=trial.misfit)
+    gain = trial.gain(fit)
+    before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
+    if gain > 0.0 and after < 0.6 * before:
+        yield Finding(
+            code="mirrored_order",
+            title="Left and right are exchanged in the order of the points",
+            evidence=f"With every point renamed to its mirror partner the error falls from {before:.1f} to {after:.1f} "
+            "% of the eye distance; the landmarks look like those of a flipped picture.",
+            change=change,
+            gain=gain,
+            before_percent=before,
+            after_percent=after,
+            numbers={"points": 68.0},
+            outranks=("points_swapped", "occluded", "group_biased", "jaw_disagrees", "wrong_identity"),
+        )
+
+
+def points_swapped(trial: Trial) -> Iterator[Finding]:
+    """A few points carry each other's numbers."""
+    best = None
+    for predicted in _predictions(trial):
+        pairs = exchanged_pairs(trial.points, predicted, 0.01 * SUSPECT_PERCENT * trial.face_px)
+        if not 1 <= len(pairs) <= MOST_PAIRS:
+            continue
+        points = trial.points.copy()
+        for first, second in pairs:
+            points[[first, second]] = points[[second, first]]
+        chosen = [index for pair in pairs for index in pair]
+        change = points_change(f"Exchange {_named(pairs)}", points, chosen)
+        fit = trial.refit(change)
+        gain = trial.gain(fit, 0.5 * len(pairs))
+        if best is None or gain > best[0]:
+            best = gain, pairs, change, fit
+    if best is None or best[0] <= 0.0:
+        return
+    gain, pairs, change, fit = best
+    before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
+    yield Finding(
+        code="points_swapped",
+        title="Two points are exchanged" if len(pairs) == 1 else f"{len(pairs)} pairs of points are exchanged",
+        evidence=f"{_named(pairs)[0].upper()}{_named(pairs)[1:]} lie where the other one belongs; exchanged, the error "
+        f"falls from {before:.1f} to {after:.1f} % of the eye distance.",
+        change=change,
+        gain=gain,
+        before_percent=before,
+        after_percent=after,
+        numbers={"pairs": float(len(pairs)), "first": float(pairs[0][0]), "second": float(pairs[0][1])},
+        outranks=("occluded", "group_biased", "jaw_disagrees", "low_flow_consistency"),
+    )
+
+
+def exchanged_pairs(
+    points: Float[np.ndarray, "68 2"], predicted: Float[np.ndarray, "68 2"], suspect_px: float
+) -> list[tuple[int, int]]:
+    """Pairs of suspect points that each lie where the other is predicted, the surest first."""
+    away = np.linalg.norm(points[:, None] - predicted[None], axis=2)
+    own = np.diagonal(away)
+    suspects = np.flatnonzero(own > suspect_px)
+    found = []
+    for k, first in enumerate(suspects):
+        for second in suspects[k + 1 :]:
+            apart, exchanged = own[first] + own[second], away[first, second] + away[second, first]
+            if exchanged < AGREEMENT * apart:
+                found.append((exchanged - apart, int(first), int(second)))
+    pairs, taken = [], set()
+    for _, first, second in sorted(found):
+        if first not in taken and second not in taken:
+            pairs.append((first, second))
+            taken |= {first, second}
+    return pairs
+
+
+def _predictions(trial: Trial) -> list[Float[np.ndarray, "68 2"]]:
+    """Where the points should be: by a fit that gives up on far points, and by the frames around."""
+    predictions = [robust_fit(trial).projected]
+    if trial.neighbours is not None:
+        predictions.append(robust_similarity(trial.neighbours, trial.points).to_image(trial.neighbours))
+    return predictions
+
+
+def robust_fit(trial: Trial, rounds: int = 3) -> FrameFit:
+    """The fit with the farthest points muted in turn: a prediction that single bad points do not pull."""
+    fit = trial.fit
+    for _ in range(rounds):
+        ratio = trial.percent(fit.residuals_px) / trial.reference.residual_percent
+        muted = ratio > max(3.0, float(np.quantile(ratio, 0.75)))
+        if not muted.any():
+            break
+        weights = {str(index): 0.0 for index in np.flatnonzero(muted)}
+        fit = trial.refit(Change("", config={"landmarks": {"weights": weights}}))
+    return fit
+
+
+def _named(pairs: list[tuple[int, int]]) -> str:
+    named = [f"{first} ({POINT_NAMES[first]}) and {second} ({POINT_NAMES[second]})" for first, second in pairs[:2]]
+    return "points " + ", ".join(named) + (" and others" if len(pairs) > 2 else "")

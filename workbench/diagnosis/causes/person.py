@@ -1,0 +1,117 @@
+"""What a whole shot shares: the face that is fitted, and the lens."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from workbench.diagnosis.flags import face_size
+from workbench.diagnosis.records import Change
+from workbench.diagnosis.reference import FOCAL_FACTORS
+from workbench.diagnosis.trial import Finding, Trial
+from workbench.tracking import FrameFit
+from workbench.tracking.fitter import camera_of
+
+LEAST_IDENTITY_GAIN = 0.2
+"""Part of the shot's unexplained evidence that another face must explain."""
+LEAST_FOCAL_RATIO = 1.06
+"""Cost of the faces under the configured lens, relative to the best lens, from which the lens is doubted."""
+SURE_FOCAL_RATIO = 1.2
+LEAST_FOCAL_COST = 10.0
+
+
+def wrong_identity(trial: Trial) -> Iterator[Finding]:
+    """Another face, calibrated on the shot's other frames, explains the frames better."""
+    identity = trial.reference.identity
+    if identity is None:
+        return
+    change = Change(
+        "Calibrate the identity of the shot anew",
+        config={} if trial.case.config.identity.calibrate else {"identity": {"calibrate": True}},
+        calibrate=True,
+        identity=identity,
+    )
+    usual_now, usual_then = (
+        float(np.median([_nats(trial, fit) for fit in fits]))
+        for fits in (trial.reference.fits(trial.case.context.identity), trial.reference.usual_fits)
+    )
+    fit = trial.refit(change)
+    gain = min(trial.gain(fit, 2.0), usual_now - usual_then)
+    if gain <= 0.0 or gain < LEAST_IDENTITY_GAIN * usual_now:
+        return
+    before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
+    yield Finding(
+        code="wrong_identity",
+        title="The face shape is not this person's",
+        evidence=f"Calibrated anew on {len(trial.reference.frames)} frames of the shot, the face brings the error here "
+        f"from {before:.1f} to {after:.1f} % of the eye distance, and helps the other frames alike.",
+        change=change,
+        gain=gain,
+        before_percent=before,
+        after_percent=after,
+        numbers={
+            "distance_sigma": float(np.linalg.norm(identity - trial.case.context.identity)),
+            "shot_before_nats": usual_now,
+            "shot_after_nats": usual_then,
+        },
+        outranks=("jaw_disagrees", "group_biased", "occluded", "weights_at_bounds", "pose_expression_tradeoff"),
+    )
+
+
+def wrong_focal(trial: Trial) -> Iterator[Finding]:
+    """Faces and poses of the whole shot fit better under another focal length."""
+    config = trial.case.config
+    if config.camera.matrix is not None or trial.reference.focal_costs is None:
+        return
+    costs = trial.reference.focal_costs
+    here = FOCAL_FACTORS.index(1.0)
+    factor, lowest = best_factor(costs)
+    ratio = costs[here] / lowest
+    if ratio < LEAST_FOCAL_RATIO or costs[here] - lowest < LEAST_FOCAL_COST:
+        return
+    fov = fov_with(config.camera.fov_deg, factor)
+    changed = config.changed(camera={"fov_deg": fov})
+    identity = trial.reference.identity_under(changed)
+    change = Change(
+        f"Set the field of view to {fov:.0f}°", config={"camera": {"fov_deg": fov}}, calibrate=True, identity=identity
+    )
+    fit = trial.refit(change)
+    size = trial.case.observation.image_size
+    focal = float(np.mean(camera_of(config, size).focal_px))
+    yield Finding(
+        code="wrong_focal",
+        title="The focal length does not suit the face",
+        evidence=f"Over {len(trial.reference.frames)} frames of the shot, faces and poses leave "
+        f"{100 * (1 - 1 / ratio):.0f} % less with a focal length of {focal * factor:.0f} px than with {focal:.0f} px "
+        f"(a field of view of {fov:.0f}° instead of {config.camera.fov_deg:.0f}°).",
+        change=change,
+        gain=trial.gain(fit),
+        before_percent=float(np.sqrt(costs[here] / (136 * 12))),
+        after_percent=float(np.sqrt(lowest / (136 * 12))),
+        direct=float(np.interp(ratio, [LEAST_FOCAL_RATIO, SURE_FOCAL_RATIO], [0.5, 0.95])),
+        measure="shot-wide error with the face shape fitted to each lens",
+        numbers={"factor": factor, "fov_deg": fov, "cost_ratio": float(ratio)},
+        outranks=("jaw_disagrees", "group_biased", "weights_at_bounds", "pose_expression_tradeoff"),
+    )
+
+
+def best_factor(costs: np.ndarray) -> tuple[float, float]:
+    """The focal factor of least cost, by a parabola in its logarithm through the lowest of `FOCAL_FACTORS`."""
+    steps = np.log(FOCAL_FACTORS)
+    low = int(np.argmin(costs))
+    if not 0 < low < len(costs) - 1:
+        return float(FOCAL_FACTORS[low]), float(costs[low])
+    a, b, c = np.polyfit(steps[low - 1 : low + 2] - steps[low], costs[low - 1 : low + 2], 2)
+    if a <= 0.0:
+        return float(FOCAL_FACTORS[low]), float(costs[low])
+    move = float(np.clip(-b / (2.0 * a), -0.35, 0.35))
+    return float(np.exp(steps[low] + move)), float(a * move * move + b * move + c)
+
+
+def fov_with(fov_deg: float, factor: float) -> float:
+    """The field of view after the focal length was multiplied, degrees, rounded to a tenth."""
+    return round(float(np.degrees(2.0 * np.arctan(np.tan(np.radians(fov_deg) / 2.0) / factor))), 1)
+
+
+def _nats(trial: Trial, fit: FrameFit) -> float:
+    percent = 100.0 * fit.residuals_px / face_size(fit.observed)
+    return float(np.log1p((percent / trial.reference.residual_percent) ** 2).sum())

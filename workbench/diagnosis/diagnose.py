@@ -1,0 +1,58 @@
+"""Why one frame fails: every cause is tried on it, and the reasons are ranked by what their changes mend."""
+
+from workbench.diagnosis.causes import CAUSES
+from workbench.diagnosis.group_pull import leave_one_group_out as pulls_of
+from workbench.diagnosis.ranking import ranked
+from workbench.diagnosis.records import Diagnosis, FrameCase, GroupPull
+from workbench.diagnosis.reference import ShotReference
+from workbench.diagnosis.trial import Trial
+from workbench.diagnosis.uncertainty import estimate_uncertainty
+from workbench.errors import InputError
+from workbench.face import FaceModel
+from workbench.tracking import FrameFitter
+
+
+def diagnose_frame(
+    model: FaceModel,
+    case: FrameCase,
+    fitter: FrameFitter | None = None,
+    reference: ShotReference | None = None,
+) -> Diagnosis:
+    """Ranked reasons why a frame's fit is bad, none for an unremarkable frame; each with a change that was tried.
+
+    `fitter` of the same model saves setting one up; it is not changed. `reference` (`reference_of`) holds what is usual
+    in the shot; pass one to the diagnoses of several frames, else it is made from the case's shot without this frame.
+    Raises `InputError` for a frame without landmarks.
+    """
+    trial = start_trial(model, case, fitter, reference)
+    findings = [finding for cause in CAUSES for finding in cause(trial)]
+    return Diagnosis(
+        reasons=ranked(trial, findings),
+        leave_group_out=pulls_of(trial),
+        uncertainty=estimate_uncertainty(model, case.config, case.context, trial.fit),
+        fit=trial.fit,
+    )
+
+
+def leave_one_group_out(model: FaceModel, case: FrameCase, fitter: FrameFitter | None = None) -> tuple[GroupPull, ...]:
+    """What each group of landmarks does to the fit of a frame: the fit without it.
+
+    Raises `InputError` for a frame without landmarks.
+    """
+    return pulls_of(start_trial(model, case, fitter, None))
+
+
+def start_trial(
+    model: FaceModel, case: FrameCase, fitter: FrameFitter | None = None, reference: ShotReference | None = None
+) -> Trial:
+    """The frame with its fit, ready for hypotheses. Raises `InputError` for a frame without landmarks."""
+    observation = case.observation
+    if observation.landmarks is None:
+        raise InputError(
+            f"A diagnosis needs a frame with landmarks; frame {observation.index} has none: choose a frame with a face."
+        )
+    fitter = fitter or FrameFitter(model, case.config)
+    if reference is None:
+        others = [other for other in case.shot if other.index != observation.index]
+        reference = ShotReference(model, case.config, others, fitter)
+    return Trial(case, fitter, reference)

@@ -1,0 +1,135 @@
+"""A cheap screen over a whole track, without any fit: which frames deserve a diagnosis."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from workbench.config import Config
+from workbench.diagnosis.records import FrameFlags
+from workbench.solvers import Status
+from workbench.tracking import Track
+
+FLOOR_PERCENT = 2.5
+"""Mean error over the inner points, % of the face's size, below which no frame is flagged for its residual."""
+DEVIATIONS = 5.0
+"""Robust standard deviations above the shot's median that make an outlier."""
+JUMP_DEG, JUMP_MM = 8.0, 30.0
+"""Second difference of the pose between frames that no head at 25 frames/s makes."""
+MOST_AT_BOUND = 0.25
+"""Part of the blendshapes at their upper bound that is too many."""
+FEWEST_OUTSIDE = 3
+"""Landmarks outside the picture that make a face cut off."""
+STILL_PX = 1e-3
+EYE_PER_SPREAD = 1.48
+"""Outer-eye distance of a frontal face in units of the root mean square distance of its 68 points from their centre."""
+
+
+class _Screen(NamedTuple):
+    """One test: severity of each frame, 0 where it passes, and what to say."""
+
+    severity: Float[np.ndarray, "n"]
+    text: Callable[[int], str]
+
+
+def face_size(points: Float[np.ndarray, "*n 68 2"]) -> Float[np.ndarray, "*n"]:
+    """What the outer-eye distance of the face would be from the front, pixels: from the spread of all points.
+
+    Turning the head, exchanging points or losing one eye hardly changes it, unlike the distance itself.
+    """
+    centred = points - points.mean(axis=-2, keepdims=True)
+    return EYE_PER_SPREAD * np.sqrt((centred**2).sum(-1).mean(-1))
+
+
+def flag_frames(track: Track, config: Config | None = None) -> FrameFlags:
+    """Frames of a track that stand out, with a severity and a short text each; a clean clip flags none.
+
+    Robust outliers of the residual within the shot that also exceed an absolute floor, pose jumps, frozen landmarks,
+    stages that end at their limit where the shot's others do not, weights at their bounds en masse, faces cut off.
+    Frames without a face are not flagged. `config` is the run's (for its bounds), if known.
+    """
+    screens = [_residual(track), _jump(track), _frozen(track), _limit(track), _bounds(track, config), _outside(track)]
+    severity = np.stack([np.where(track.found, screen.severity, 0.0) for screen in screens])
+    worst = severity.max(axis=0)
+    texts = []
+    for frame in range(len(track)):
+        order = np.argsort(-severity[:, frame], kind="stable")
+        texts.append("; ".join(screens[k].text(frame) for k in order if severity[k, frame] > 0.0))
+    return FrameFlags(worst > 0.0, worst, tuple(texts))
+
+
+def _residual(track: Track) -> _Screen:
+    residual = np.linalg.norm(track.projected - track.observed, axis=2)
+    percent = 100.0 * residual[:, 17:].mean(1) / face_size(track.observed)
+    above = np.zeros(len(track))
+    for shot in _shots(track):
+        usual = np.median(percent[shot])
+        spread = max(1.4826 * np.median(np.abs(percent[shot] - usual)), 0.1 * usual)
+        limit = max(usual + DEVIATIONS * spread, FLOOR_PERCENT) if shot.sum() >= 5 else 2.0 * FLOOR_PERCENT
+        above[shot] = percent[shot] / limit
+    return _Screen(_ramp(above), lambda frame: f"error {percent[frame]:.1f} % of the eye distance")
+
+
+def _jump(track: Track) -> _Screen:
+    degrees, millimetres = np.zeros(len(track)), np.zeros(len(track))
+    rotations = Rotation.from_rotvec(np.nan_to_num(track.rotation))
+    for k in range(1, len(track) - 1):
+        near = slice(k - 1, k + 2)
+        if track.found[near].all() and len(set(track.shot[near])) == 1 and (np.diff(track.index[near]) == 1).all():
+            first, second = rotations[k] * rotations[k - 1].inv(), rotations[k + 1] * rotations[k].inv()
+            degrees[k] = np.degrees(np.linalg.norm(second.as_rotvec() - first.as_rotvec()))
+            step = np.diff(track.translation[near], axis=0)
+            millimetres[k] = np.linalg.norm((step[1] - step[0])[:2])
+    above = np.maximum(degrees / JUMP_DEG, millimetres / JUMP_MM)
+    return _Screen(_ramp(above), lambda frame: f"the pose jumps ({degrees[frame]:.0f}°, {millimetres[frame]:.0f} mm)")
+
+
+def _frozen(track: Track) -> _Screen:
+    same = np.zeros(len(track), bool)
+    moved = np.linalg.norm(np.diff(track.observed, axis=0), axis=2).max(axis=1)
+    beside = (np.diff(track.shot) == 0) & track.found[1:] & track.found[:-1]
+    same[1:] = beside & (moved < STILL_PX)
+    return _Screen(0.6 * same, lambda frame: "the landmarks repeat the frame before")
+
+
+def _limit(track: Track) -> _Screen:
+    at_limit = (track.status == Status.ITERATION_LIMIT.value).any(axis=1)
+    residual = np.linalg.norm(track.projected - track.observed, axis=2).mean(1) / face_size(track.observed)
+    severity = np.zeros(len(track))
+    for shot in _shots(track):
+        converged = shot & ~at_limit
+        if at_limit[shot].mean() < 0.2 and converged.sum() >= 5:
+            usual = np.median(residual[converged])
+            severity[shot & at_limit & (residual > 3.0 * usual) & (100.0 * residual > FLOOR_PERCENT)] = 0.5
+    return _Screen(severity, lambda frame: "a stage ends at its limit of iterations")
+
+
+def _bounds(track: Track, config: Config | None) -> _Screen:
+    if config is not None and not config.solver.bounded:
+        return _Screen(np.zeros(len(track)), lambda frame: "")
+    count = (track.expression >= 1.0 - 1e-9).sum(axis=1)
+    above = count / max(MOST_AT_BOUND * track.expression.shape[1], 1.0)
+    return _Screen(_ramp(above), lambda frame: f"{count[frame]} weights rest on their bound")
+
+
+def _outside(track: Track) -> _Screen:
+    count = outside_picture(track.observed, track.image_size[:, None]).sum(axis=1)
+    return _Screen(_ramp(count / FEWEST_OUTSIDE), lambda frame: f"{count[frame]} landmarks outside the picture")
+
+
+def outside_picture(points: Float[np.ndarray, "*n 68 2"], image_size) -> Bool[np.ndarray, "*n 68"]:
+    """Which points lie beyond the picture's edge pixels (or on the edge itself, where detectors clamp them)."""
+    size = np.asarray(image_size, float)
+    return ((points <= 0.0) | (points >= size - 1.0)).any(axis=-1)
+
+
+def _ramp(above: np.ndarray) -> np.ndarray:
+    """Severity of a ratio to its limit: 0 below 1, 0.5 at 1, towards 1 beyond."""
+    above = np.nan_to_num(above)
+    return np.where(above >= 1.0, 1.0 - 0.5 / np.maximum(above, 1.0), 0.0)
+
+
+def _shots(track: Track) -> list[Bool[np.ndarray, "n"]]:
+    return [(track.shot == shot) & track.found for shot in np.unique(track.shot[track.found])]

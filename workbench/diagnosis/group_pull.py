@@ -1,0 +1,44 @@
+"""What each group of landmarks does to the fit: the fit without it."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from workbench.diagnosis.records import Change, GroupPull
+from workbench.diagnosis.trial import Trial
+from workbench.landmarks.scheme import group_mask, outer_eye_distance
+from workbench.tracking import FrameFit
+
+PULLING_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "eyes", "mouth")
+MOST_WEIGHTS = 5
+LEAST_CHANGE = 0.02
+"""Change of a blendshape weight that is worth a line."""
+
+
+def leave_one_group_out(trial: Trial) -> tuple[GroupPull, ...]:
+    """The pull of each of `PULLING_GROUPS`: pose, weights and prediction without it."""
+    return tuple(_pull(trial, group) for group in PULLING_GROUPS)
+
+
+def between_poses(first: FrameFit, second: FrameFit) -> tuple[float, float]:
+    """Angle in degrees and distance in millimetres between the poses of two fits."""
+    turn = Rotation.from_rotvec(np.array(second.rotation)) * Rotation.from_rotvec(np.array(first.rotation)).inv()
+    return float(np.degrees(turn.magnitude())), float(np.linalg.norm(second.translation - first.translation))
+
+
+def _pull(trial: Trial, group: str) -> GroupPull:
+    mask = group_mask(group)
+    without = trial.refit(Change("", config={"landmarks": {"weights": {group: 0.0}}}))
+    degrees, millimetres = between_poses(trial.fit, without)
+    difference = without.expression - trial.fit.expression
+    largest = np.argsort(-np.abs(difference), kind="stable")[:MOST_WEIGHTS]
+    offset = 100.0 * (trial.points[mask] - without.projected[mask]) / outer_eye_distance(trial.points)
+    return GroupPull(
+        group=group,
+        rotation_deg=degrees,
+        translation_mm=millimetres,
+        weights=tuple((trial.names[k], float(difference[k])) for k in largest if abs(difference[k]) >= LEAST_CHANGE),
+        distance_percent=float(np.linalg.norm(offset, axis=1).mean()),
+        offset_percent=offset.mean(axis=0),
+        error_without_percent=trial.error_percent(without, mask),
+        error_with_percent=trial.error_percent(trial.fit, mask),
+    )

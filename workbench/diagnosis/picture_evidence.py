@@ -1,0 +1,117 @@
+"""What the pictures say about landmarks: where the picture moved to, how sharp it is and along which direction."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from workbench.landmarks.alignment import fit_similarity
+
+FLOW_FACE_PX = 160.0
+"""Size that faces are scaled to before flow is measured, so that one window fits all."""
+FLOW_WINDOW = 21
+ROUND_TRIP = 0.01
+"""Largest distance of a point from itself carried forward and back, in face sizes, for its flow to count."""
+MARGIN = 0.6
+"""Picture kept around the landmarks, in face sizes."""
+
+
+def carried_by_flow(
+    previous: UInt8[np.ndarray, "h w 3"],
+    picture: UInt8[np.ndarray, "h w 3"],
+    points: Float[np.ndarray, "68 2"],
+    face_px: float,
+) -> Float[np.ndarray, "68 2"]:
+    """Where the picture content at `points` of the previous picture is now (Lucas–Kanade), pixels.
+
+    NaN where a point carried forward and back does not return to itself, or leaves the picture.
+    """
+    scale = FLOW_FACE_PX / face_px
+    low = np.maximum(np.floor(points.min(0) - MARGIN * face_px), 0).astype(int)
+    high = np.minimum(np.ceil(points.max(0) + MARGIN * face_px) + 1, [picture.shape[1], picture.shape[0]]).astype(int)
+    missing = np.full((68, 2), np.nan)
+    if previous.shape != picture.shape or (high - low < 8).any():
+        return missing
+    first, second = (_grey(each[low[1] : high[1], low[0] : high[0]], scale) for each in (previous, picture))
+    # Pixel centres: (p + 0.5) · scale − 0.5.
+    start = np.float32((points - low + 0.5) * scale - 0.5)[:, None]
+    options = {"winSize": (FLOW_WINDOW, FLOW_WINDOW), "maxLevel": 4}
+    there, ahead, _ = cv2.calcOpticalFlowPyrLK(first, second, start, None, **options)
+    back, behind, _ = cv2.calcOpticalFlowPyrLK(second, first, there, None, **options)
+    size = np.array([first.shape[1], first.shape[0]])
+    good = (ahead.ravel() == 1) & (behind.ravel() == 1)
+    good &= np.linalg.norm(back - start, axis=2).ravel() < ROUND_TRIP * FLOW_FACE_PX
+    good &= ((start > 0) & (start < size - 1) & (there > 0) & (there < size - 1)).all(axis=(1, 2))
+    moved = (there[:, 0].astype(float) + 0.5) / scale - 0.5 + low
+    return np.where(good[:, None], moved, missing)
+
+
+def _grey(picture: np.ndarray, scale: float) -> np.ndarray:
+    grey = cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2GRAY)
+    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+    return cv2.resize(grey, None, fx=scale, fy=scale, interpolation=how)
+
+
+def gradient_energy(
+    picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"], face_px: float
+) -> Float[np.ndarray, "2 2"]:
+    """Structure tensor of the face region per unit of its contrast: dᵀ·E·d is the squared grey slope along d.
+
+    The face is scaled to one size first, so that numbers of one shot compare.
+    """
+    low = np.clip(np.floor(points.min(0)), 0, [picture.shape[1] - 4, picture.shape[0] - 4]).astype(int)
+    high = np.maximum(np.ceil(points.max(0)).astype(int) + 1, low + 4)
+    grey = _grey(picture[low[1] : high[1], low[0] : high[0]], FLOW_FACE_PX / face_px).astype(np.float32)
+    # A little smoothing: noise and compression would otherwise pass for sharpness.
+    grey = cv2.GaussianBlur(grey, (0, 0), 1.0)
+    slope = np.stack([cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)], axis=-1).reshape(-1, 2)
+    return (slope.T @ slope / len(slope) / max(float(grey.var()), 1.0)).astype(float)
+
+
+@dataclass(frozen=True)
+class Blur:
+    """How a picture is blurred along one direction."""
+
+    direction: Float[np.ndarray, "2"]
+    """Unit vector in the picture along which detail is lost."""
+    sharpness: float
+    """Squared slope along it, relative to the previous picture's along the same direction (or to that across)."""
+    across: float
+    """The same ratio across that direction: 1 for a blur of this direction only."""
+
+
+def directional_blur(energy: Float[np.ndarray, "2 2"], previous: Float[np.ndarray, "2 2"] | None) -> Blur:
+    """The direction that lost most detail compared with the previous picture (or with the other direction)."""
+    reference = np.eye(2) * np.linalg.eigvalsh(energy)[1] if previous is None else previous
+    # Generalised eigenproblem: the ratio of the two quadratic forms is least along the first vector.
+    root = np.linalg.inv(np.linalg.cholesky(reference + 1e-9 * np.eye(2)))
+    values, vectors = np.linalg.eigh(root @ energy @ root.T)
+    direction = root.T @ vectors[:, 0]
+    return Blur(direction / np.linalg.norm(direction), float(values[0]), float(values[1]))
+
+
+def change_of_patch(
+    previous: UInt8[np.ndarray, "h w 3"],
+    picture: UInt8[np.ndarray, "h w 3"],
+    points_before: Float[np.ndarray, "68 2"],
+    points_now: Float[np.ndarray, "68 2"],
+    hull: tuple[int, ...],
+    others: Float[np.ndarray, "n 2"],
+    others_before: Float[np.ndarray, "n 2"],
+) -> float:
+    """Mean absolute change of grey under a group's hull since the previous picture, in grey levels.
+
+    The face is carried by the similarity of the other points, so that a head which moves changes nothing.
+    """
+    to_now = fit_similarity(others_before, others)
+    inverse = np.linalg.inv(to_now.matrix)
+    matrix = np.column_stack([to_now.matrix, to_now.origin])
+    warped = cv2.warpAffine(previous, matrix, (picture.shape[1], picture.shape[0]))
+    inside = np.zeros(picture.shape[:2], np.uint8)
+    region = to_now.to_image(points_before[list(hull)])
+    cv2.fillConvexPoly(inside, cv2.convexHull(np.float32(region)).astype(np.int32), 1)
+    if not inside.any() or not np.isfinite(inverse).all():
+        return 0.0
+    greys = [cv2.cvtColor(each, cv2.COLOR_RGB2GRAY).astype(np.float32)[inside == 1] for each in (warped, picture)]
+    return float(np.abs(greys[1] - greys[0]).mean())

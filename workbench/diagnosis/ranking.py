@@ -1,0 +1,65 @@
+"""From hypotheses to a short ranked list of reasons.
+
+A reason's score is the share of what the fit leaves unexplained that its change explains, times how specific its
+evidence is; evidence that speaks for itself (a face cut off by the picture's edge) has a score of its own. A
+hypothesis that says the same less specifically steps behind the one that outranks it.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from workbench.diagnosis.records import Reason
+from workbench.diagnosis.trial import Finding, Trial
+
+LEAST_SCORE = 0.3
+LEAST_GAIN = 12.0
+"""Nats that a change must explain to be worth a reason; noise alone brings about half of it."""
+LEAST_SHARE = 0.25
+DEMOTED = 0.5
+CLOSE = 0.7
+"""A more specific hypothesis demotes a less specific one whose score is not much better."""
+MOST_REASONS = 6
+
+
+def ranked(trial: Trial, findings: Iterable[Finding]) -> tuple[Reason, ...]:
+    """The reasons that are worth listing, best first, one for each code."""
+    scored = sorted(((score(trial, finding), finding) for finding in findings), key=lambda pair: -pair[0])
+    best: dict[str, tuple[float, Finding]] = {}
+    for value, finding in scored:
+        best.setdefault(finding.code, (value, finding))
+    kept = [(_demoted(value, finding, best), finding) for value, finding in best.values()]
+    kept = sorted((pair for pair in kept if pair[0] >= LEAST_SCORE), key=lambda pair: -pair[0])
+    return tuple(reason_of(finding, value) for value, finding in kept[:MOST_REASONS])
+
+
+def score(trial: Trial, finding: Finding) -> float:
+    """Score of one hypothesis by itself, 0 to 1."""
+    unexplained = max(trial.unexplained - trial.usual, finding.gain, 1e-9)
+    share = float(np.clip(finding.gain / unexplained, 0.0, 1.0))
+    by_fit = 0.0
+    if finding.gain >= LEAST_GAIN and share >= LEAST_SHARE:
+        by_fit = finding.specificity * share * (1.0 - float(np.exp(-finding.gain / LEAST_GAIN)))
+    return max(by_fit, finding.direct)
+
+
+def reason_of(finding: Finding, value: float) -> Reason:
+    """The reason that a finding becomes."""
+    return Reason(
+        code=finding.code,
+        title=finding.title,
+        evidence=finding.evidence,
+        score=value,
+        numbers={**finding.numbers, "gain_nats": finding.gain},
+        change=finding.change,
+        before_percent=finding.before_percent,
+        after_percent=finding.after_percent,
+        measure=finding.measure,
+    )
+
+
+def _demoted(value: float, finding: Finding, best: dict[str, tuple[float, Finding]]) -> float:
+    for other_value, other in best.values():
+        if finding.code in other.outranks and other_value >= max(CLOSE * value, LEAST_SCORE):
+            return min(DEMOTED * value, 0.9 * other_value)
+    return value

@@ -1,0 +1,189 @@
+"""What is usual in a shot: how large its residuals are, how its landmarks move, whose face it is, which lens fits."""
+
+import copy
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench.config import Config
+from workbench.diagnosis.flags import face_size
+from workbench.errors import InputError
+from workbench.face import FaceModel, FaceParameters, landmark_model
+from workbench.geometry import Camera
+from workbench.landmarks.alignment import fit_similarity
+from workbench.landmarks.scheme import GROUPS
+from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation
+from workbench.tracking.identity import CalibrationSettings, calibrate_identity
+
+MOST_FRAMES = 24
+"""Frames of the shot that are looked at."""
+ENOUGH_FRAMES = 4
+"""Other frames without which nothing is said about the person or the lens."""
+USUAL_PERCENT = (0.7, 1.6)
+"""Range that the usual residual of a landmark is clipped to, % of the face's size: a shot that is bad throughout shall
+not pass for usual."""
+USUAL_MOTION_PERCENT = (0.6, 2.0)
+LEAST_LIMIT = 30
+FOCAL_FACTORS = (0.5, 1.0 / np.sqrt(2.0), 1.0, np.sqrt(2.0), 2.0)
+
+
+class ShotReference:
+    """The usual of one shot under one configuration. Make it once a shot; its parts are computed when asked for.
+
+    `frames` are the landmarks to learn from: observations of the shot without the frame under diagnosis.
+    """
+
+    def __init__(self, model: FaceModel, config: Config, shot: Sequence[FrameObservation], fitter: FrameFitter):
+        usable = [observation for observation in shot if observation.landmarks is not None]
+        count = min(MOST_FRAMES, len(usable))
+        places = np.unique(np.round(np.linspace(0, len(usable) - 1, count)).astype(int)) if count else []
+        self.frames = [usable[k] for k in places]
+        self.config = config
+        self._shot = usable
+        # Enough iterations and no muted terms of time: what is usual must not depend on what is under suspicion.
+        stages = [{**stage.model_dump(), "limit": max(stage.limit, LEAST_LIMIT)} for stage in config.stages]
+        self._config = config.changed(stages=stages)
+        self._fitter = copy.copy(fitter)
+        self._fitter.configure(self._config)
+        self._model = model
+
+    @property
+    def knows_person(self) -> bool:
+        """Whether there are enough frames to calibrate on."""
+        return len(self.frames) >= ENOUGH_FRAMES
+
+    @cached_property
+    def identity(self) -> Float[np.ndarray, "i"] | None:
+        """The identity calibrated on these frames, outliers left out; None with too few frames."""
+        return self.identity_under(self._config)
+
+    def identity_under(self, config: Config) -> Float[np.ndarray, "i"] | None:
+        """The identity calibrated on these frames with another configuration (a camera, say)."""
+        if not self.knows_person:
+            return None
+        fitter = copy.copy(self._fitter)
+        fitter.configure(config)
+        return fitter.calibrate(self._sound_frames, config.identity.frames).identity
+
+    @cached_property
+    def _sound_frames(self) -> list[FrameObservation]:
+        """The frames whose shapes resemble each other: one with exchanged sides would spoil the calibration."""
+        shapes = np.stack([observation.landmarks.points for observation in self.frames])[:, 17:]
+        usual = shapes[0]
+        for _ in range(2):
+            usual = np.median([fit_similarity(shape, usual).to_image(shape) for shape in shapes], axis=0)
+        away = [_percent_from(shape, usual) for shape in shapes]
+        limit = max(2.5 * np.median(away), 6.0)
+        return [observation for observation, far in zip(self.frames, away, strict=True) if far <= limit]
+
+    def fits(self, identity: Float[np.ndarray, "i"]) -> list[FrameFit]:
+        """Each of the frames on its own with this identity."""
+        return [self._fitter.fit(frame, FrameContext(0, identity, None, None))[0] for frame in self._sound_frames]
+
+    @cached_property
+    def usual_fits(self) -> list[FrameFit]:
+        """The fits with the identity calibrated here."""
+        return self.fits(self.identity) if self.identity is not None else []
+
+    @cached_property
+    def residual_percent(self) -> Float[np.ndarray, "68"]:
+        """Usual distance of each landmark from the model, % of the face's size."""
+        if not self.usual_fits:
+            return np.full(68, 1.0)
+        each = [100.0 * fit.residuals_px / face_size(fit.observed) for fit in self.usual_fits]
+        return np.clip(1.2 * np.median(each, axis=0), *USUAL_PERCENT)
+
+    @cached_property
+    def motion_percent(self) -> Float[np.ndarray, "68"]:
+        """Usual distance of each landmark from the middle between the frames around it, the head's motion taken out."""
+        points = {observation.index: observation.landmarks.points for observation in self._shot}
+        centres = [index for index in points if index - 1 in points and index + 1 in points]
+        centres = centres[:: max(1, len(centres) // 40)]
+        if len(centres) < ENOUGH_FRAMES:
+            return np.full(68, 1.2)
+        away = [
+            100.0 * np.linalg.norm(points[k] - between(points[k - 1], points[k + 1], points[k]), axis=1)
+            / face_size(points[k])
+            for k in centres
+        ]  # fmt: skip
+        return np.clip(1.5 * np.median(away, axis=0), *USUAL_MOTION_PERCENT)
+
+    @cached_property
+    def focal_costs(self) -> Float[np.ndarray, "5"] | None:
+        """Cost of the best faces and poses for the focal length times `FOCAL_FACTORS`; None with too few frames.
+
+        In squared percent of the outer-eye distance, so that differences of ten and more speak.
+        """
+        if not self.knows_person:
+            return None
+        return np.array([self._focal_cost(factor) for factor in FOCAL_FACTORS])
+
+    def _focal_cost(self, factor: float) -> float:
+        count = self.config.identity.frames
+        frames = self._sound_frames
+        chosen = [frames[k] for k in np.unique(np.round(np.linspace(0, len(frames) - 1, count)).astype(int))]
+        padding = count - len(chosen)
+        fits = {fit.index: fit for fit in self.usual_fits}
+        starts, cameras = [], []
+        for frame in chosen:
+            fit = fits[frame.index]
+            focal = np.asarray(fit.camera.focal_px) * factor
+            cameras.append(Camera(focal, np.asarray(fit.camera.principal_point_px), np.asarray(fit.camera.distortion)))
+            # The same picture from `factor` times the distance.
+            starts.append(
+                FaceParameters(fit.rotation, fit.translation * [1.0, 1.0, factor], fit.expression, fit.identity)
+            )
+        weights = np.stack([frame.landmarks.confidence for frame in chosen] + [np.zeros(68)] * padding)
+        chosen, starts, cameras = (part + part[-1:] * padding for part in (chosen, starts, cameras))
+        used = np.array(self.config.point_weights())
+        settings = CalibrationSettings(
+            identity=1.0, expression=8.0, limits=(40, 15), landmark_weights=np.stack([used, used]), sliding=1.0
+        )
+        solved = calibrate_identity(
+            _stacked(cameras),
+            landmark_model(self._model),
+            settings,
+            _stacked(starts),
+            np.stack([frame.landmarks.points for frame in chosen]),
+            weights,
+        )
+        return float(solved.cost)
+
+
+def between(
+    before: Float[np.ndarray, "68 2"], after: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]
+) -> Float[np.ndarray, "68 2"]:
+    """The middle between the points before and after, carried to `now` by the similarity that most points follow."""
+    middle = 0.5 * (before + after)
+    return robust_similarity(middle, now).to_image(middle)
+
+
+def robust_similarity(source: Float[np.ndarray, "68 2"], target: Float[np.ndarray, "68 2"]):
+    """The similarity that takes most points of `source` to `target`: refitted on the nearest half, then two thirds."""
+    chosen = np.asarray(GROUPS["all"])
+    face = fit_similarity(source[chosen], target[chosen])
+    for part in (0.5, 0.5, 0.66):
+        away = np.linalg.norm(face.to_image(source) - target, axis=1)
+        chosen = np.argsort(away, kind="stable")[: int(part * len(source))]
+        face = fit_similarity(source[chosen], target[chosen])
+    return face
+
+
+def _percent_from(shape: Float[np.ndarray, "51 2"], usual: Float[np.ndarray, "51 2"]) -> float:
+    away = np.linalg.norm(fit_similarity(shape, usual).to_image(shape) - usual, axis=1).mean()
+    return float(100.0 * away / np.linalg.norm(usual[45 - 17] - usual[36 - 17]))
+
+
+def _stacked(records):
+    return type(records[0])(*(np.stack([np.asarray(part) for part in parts]) for parts in zip(*records, strict=True)))
+
+
+def reference_of(
+    model: FaceModel, config: Config, shot: Sequence[FrameObservation], fitter: FrameFitter | None = None
+) -> ShotReference:
+    """What is usual in a shot, to be shared by the diagnoses of its frames. Raises `InputError` without landmarks."""
+    if not any(observation.landmarks is not None for observation in shot):
+        raise InputError("A shot's reference needs landmarks; none of these frames has any.")
+    return ShotReference(model, config, shot, fitter or FrameFitter(model, config))

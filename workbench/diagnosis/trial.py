@@ -1,0 +1,198 @@
+"""The frame on trial: its fit, fits with changes, and one measure of how much of the evidence they leave unexplained.
+
+The measure is Σ log(1 + (d/s)²) over the landmarks, with d the distance from the model and s what is usual in the shot:
+the logarithm of a heavy-tailed likelihood, in nats. The same for the distance of each landmark from where the motion
+of the picture (or of its neighbours in time) puts it. A landmark that a hypothesis doubts costs a fixed price at most.
+So hypotheses of all kinds compare: what they explain, less what they cost.
+"""
+
+import copy
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from workbench.config import Config
+from workbench.diagnosis.flags import face_size
+from workbench.diagnosis.picture_evidence import Blur, carried_by_flow, directional_blur, gradient_energy
+from workbench.diagnosis.records import Change, FrameCase
+from workbench.diagnosis.reference import ShotReference, between
+from workbench.landmarks.scheme import outer_eye_distance
+from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation
+
+DOUBTED = 3.0
+"""Price of a landmark that a hypothesis takes for wrong, nats: it lies some four usual distances off."""
+PARAMETER = 2.0
+"""Price of a number that a hypothesis chooses freely, nats."""
+MOTION_SHARE = 0.5
+"""Weight of the evidence from motion: the detector itself was helped by it."""
+FLOW_USUAL = 1.2
+"""Factor on the usual motion deviation where optical flow says where a point should be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """A hypothesis that was tried."""
+
+    code: str
+    title: str
+    evidence: str
+    change: Change | None
+    gain: float
+    """Nats that it explains, its own price taken off."""
+    before_percent: float
+    after_percent: float
+    specificity: float = 1.0
+    """How much this explanation is preferred to others that explain as much, 0 to 1."""
+    direct: float = 0.0
+    """Score that the evidence has by itself, whatever the fit says."""
+    numbers: dict[str, float] = field(default_factory=dict)
+    measure: str = "landmark error"
+    doubted: Bool[np.ndarray, "68"] | None = None
+    outranks: tuple[str, ...] = ()
+    """Codes that say the same less specifically."""
+
+
+Cause = Callable[["Trial"], Iterable[Finding]]
+
+
+class Trial:
+    """One frame, its fit, and whatever is tried on it."""
+
+    def __init__(self, case: FrameCase, fitter: FrameFitter, reference: ShotReference):
+        self.case = case
+        self.reference = reference
+        self.names = fitter.model.expression_names
+        self._fitter = copy.copy(fitter)
+        self._fitter.configure(case.config)
+        self.points = case.observation.landmarks.points
+        self.face_px = float(face_size(self.points))
+        self.fit, _ = self._fitter.fit(case.observation, case.context)
+        self._others: dict[bytes, FrameFitter] = {}
+
+    # --- fits ---
+
+    def refit(self, change: Change, context: FrameContext | None = None) -> FrameFit:
+        """The fit with a change, exactly as a session would apply it."""
+        context = change.applied(self.case.context if context is None else context)
+        observation = change.moved(self.case.observation)
+        return self.fitter(change.apply_to(self.case.config), context).fit(observation, context)[0]
+
+    def fitter(self, config: Config, context: FrameContext) -> FrameFitter:
+        """A fitter for this configuration; one is kept for each identity."""
+        key = np.asarray(context.identity).tobytes()
+        if key not in self._others:
+            self._others[key] = copy.copy(self._fitter)
+        fitter = self._others[key]
+        if fitter.config is not config:
+            fitter.configure(config)
+        return fitter
+
+    # --- the measure ---
+
+    def misfit(self, fit: FrameFit, doubted: Bool[np.ndarray, "68"] | None = None) -> float:
+        """Nats left unexplained by a fit; `doubted` landmarks cost their price at most."""
+        each = self.residual_costs(fit) + MOTION_SHARE * self.motion_costs(fit.observed)
+        each = each * np.minimum(self.case.observation.landmarks.confidence * 2.0, 1.0)
+        if doubted is not None:
+            each = np.where(doubted, np.minimum(each, DOUBTED), each)
+        return float(each.sum())
+
+    def residual_costs(self, fit: FrameFit) -> Float[np.ndarray, "68"]:
+        """Nats of each landmark for its distance from the model."""
+        return np.log1p((self.percent(fit.residuals_px) / self.reference.residual_percent) ** 2)
+
+    def motion_costs(self, points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68"]:
+        """Nats of each landmark for its distance from where motion puts it."""
+        return np.log1p((self.motion_deviation(points) / self.reference.motion_percent) ** 2)
+
+    def motion_deviation(self, points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68"]:
+        """Distance of each landmark from where the motion of the picture or of the frames around puts it, in %.
+
+        The kinder of the two where both are known, because each fails in its own way; 0 where none is.
+        """
+        found = np.full((2, 68), np.inf)
+        if self.carried is not None:
+            found[0] = np.linalg.norm(points - self.carried, axis=1) / FLOW_USUAL
+        if self.case.before is not None and self.case.after is not None:
+            found[1] = np.linalg.norm(points - self.middle(points), axis=1)
+        least = np.nanmin(np.where(np.isnan(found), np.inf, found), axis=0)
+        return np.where(np.isfinite(least), self.percent(least), 0.0)
+
+    @cached_property
+    def unexplained(self) -> float:
+        """Nats that the fit under diagnosis leaves."""
+        return self.misfit(self.fit)
+
+    @cached_property
+    def usual(self) -> float:
+        """Nats that an unremarkable frame of this shot leaves: the least that is asked of an explanation."""
+        fits = self.reference.usual_fits
+        if not fits:
+            return 0.35 * 68
+        usual = self.reference.residual_percent
+        each = [np.log1p((100.0 * fit.residuals_px / face_size(fit.observed) / usual) ** 2).sum() for fit in fits]
+        return float(min(np.median(each), 0.6 * 68))
+
+    def gain(self, fit: FrameFit, parameters: float = 0.0, doubted: Bool[np.ndarray, "68"] | None = None) -> float:
+        """Nats that a changed fit explains beyond the one under diagnosis, less the price of its free numbers."""
+        return self.unexplained - self.misfit(fit, doubted) - PARAMETER * parameters
+
+    def percent(self, px):
+        """Pixels in percent of the face's size."""
+        return 100.0 * px / self.face_px
+
+    def error_percent(self, fit: FrameFit, doubted: Bool[np.ndarray, "68"] | None = None) -> float:
+        """Mean error over the landmarks that are not doubted, % of the outer-eye distance (as `FrameFit.errors`)."""
+        believed = np.ones(68, bool) if doubted is None or doubted.all() else ~doubted
+        return float(100.0 * fit.residuals_px[believed].mean() / outer_eye_distance(fit.observed))
+
+    # --- evidence beside the fit ---
+
+    @cached_property
+    def carried(self) -> Float[np.ndarray, "68 2"] | None:
+        """Where optical flow carries the landmarks of the frame before; NaN where it does not know."""
+        case = self.case
+        if case.picture is None or case.previous_picture is None or case.before is None:
+            return None
+        points = case.before.landmarks.points
+        return carried_by_flow(case.previous_picture, case.picture, points, float(face_size(points)))
+
+    def middle(self, points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68 2"]:
+        """Where the frames before and after put the landmarks, the motion of the head taken from `points`."""
+        return between(self.case.before.landmarks.points, self.case.after.landmarks.points, points)
+
+    @cached_property
+    def neighbours(self) -> Float[np.ndarray, "68 2"] | None:
+        """Where the frames around put the landmarks without looking at this frame's: interpolated or carried over."""
+        before, after = self.case.before, self.case.after
+        if before is None and after is None:
+            return None
+        if before is not None and after is not None:
+            return 0.5 * (before.landmarks.points + after.landmarks.points)
+        return (before or after).landmarks.points
+
+    @cached_property
+    def blur(self) -> Blur | None:
+        """How the picture is blurred along one direction; None without a picture."""
+        case = self.case
+        if case.picture is None:
+            return None
+        points = self.points if self.neighbours is None else self.neighbours
+        energy = gradient_energy(case.picture, points, self.face_px)
+        previous = None
+        if case.previous_picture is not None and case.before is not None:
+            previous = gradient_energy(case.previous_picture, case.before.landmarks.points, self.face_px)
+        return directional_blur(energy, previous)
+
+    def observation_at(self, index: int) -> FrameObservation | None:
+        """An observation of the shot by frame index, if it has landmarks."""
+        found = self.case._by_index.get(index)
+        return found if found is not None and found.landmarks is not None else None
+
+
+def points_change(label: str, points: Float[np.ndarray, "68 2"], chosen: Iterable[int]) -> Change:
+    """The change that moves the chosen points to their rows of `points`."""
+    return Change(label, landmarks={int(k): (float(points[k, 0]), float(points[k, 1])) for k in chosen})
