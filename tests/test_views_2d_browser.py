@@ -214,7 +214,8 @@ def fresh(views):
 
 
 def test_everything_is_drawn(views, screenshots):
-    views.lab.screenshots(screenshots, "views-light")
+    views.corner("overlay")
+    views.page.screenshot(path=screenshots / "views-light.png")
     assert views.canvas("overlay", "picture")[..., :3].std() > 30
     assert 0.005 < (views.canvas("overlay", "marks")[..., 3] > 0).mean() < 0.2
     assert views.canvas("timeline", "strip")[..., :3].std() > 20
@@ -322,10 +323,12 @@ def test_zooming_and_panning_keep_the_mapping(fresh, points, screenshots):
 
 
 def test_a_double_click_shows_the_face(fresh, points, screenshots):
+    fresh.page.mouse.click(*fresh.place(points[33]))
     left, top = fresh.corner("overlay")
     fresh.page.mouse.dblclick(left + 20, top + 20)
     fresh.page.wait_for_timeout(100)
     assert fresh.state("overlay")["mode"] == "face"
+    assert fresh.reaches("selection", [33])
     places = np.array([fresh.place(point) for point in points]) - fresh.corner("overlay")
     assert places.min() > 0
     assert places[:, 1].max() < 420
@@ -437,7 +440,9 @@ def test_the_dark_theme_is_followed(views, screenshots):
     views.page.wait_for_timeout(500)
     assert np.abs(views.canvas("chart", "lines").astype(int) - before).max() > 50
     views.ask("fit")
-    views.lab.screenshots(screenshots, "views-dark")
+    for name in ("overlay", "chart"):
+        views.corner(name)
+        views.page.screenshot(path=screenshots / f"views-dark-{name}.png")
 
 
 def test_nothing_came_from_another_host_and_the_page_had_no_errors(views):

@@ -30,7 +30,8 @@ function cleared(canvas) {
 function words(value) {
   if (!Number.isFinite(value)) return "–";
   const size = Math.abs(value);
-  const text = size && (size >= 1e5 || size < 1e-3) ? value.toExponential(1).replace(".0e", "e").replace("e+", "e") : String(+value.toPrecision(4));
+  const short = size === 0 || (size < 1e5 && size >= 1e-3);
+  const text = short ? String(+value.toPrecision(4)) : value.toExponential(1).replace(".0e", "e").replace("e+", "e");
   return text.replaceAll("-", "−");
 }
 
@@ -79,10 +80,11 @@ function render({ model, el }) {
   stage.setAttribute("role", "application");
   root.dataset.lmSuppressShortcuts = "true";
 
-  let sent = null, x = null, rows = [], range = null, frame = 0, stale = true, draws = 0, hover = null, theme = {};
+  let sent = null, x = null, rows = [], range = null, plot = { width: 1, height: 1, log: false };
+  let frame = 0, stale = true, draws = 0, hover = null, theme = {};
 
-  const width = () => Math.max(stage.clientWidth - LEFT - RIGHT, 1), height = () => Math.max(stage.clientHeight - TOP - BOTTOM, 1);
-  const log = () => model.get("y_log");
+  // Measured once for each drawing: asking the page for every point would take most of the time.
+  const width = () => plot.width, height = () => plot.height, log = () => plot.log;
   const shown = (k) => !model.get("hidden").includes(sent.names[k]);
   const toX = (value) => LEFT + ((value - range.left) / (range.right - range.left)) * width();
   const fromX = (place) => range.left + ((place - LEFT) / width()) * (range.right - range.left);
@@ -92,6 +94,10 @@ function render({ model, el }) {
 
   function measure() {
     let low = Infinity, high = -Infinity, zeros = false;
+    plot = {
+      width: Math.max(stage.clientWidth - LEFT - RIGHT, 1), height: Math.max(stage.clientHeight - TOP - BOTTOM, 1),
+      log: model.get("y_log"),
+    };
     rows.forEach((row, k) => {
       if (!shown(k)) return;
       for (const value of row) {
@@ -106,9 +112,11 @@ function render({ model, el }) {
       [low, high] = [Math.log10(low), Math.log10(high)];
       low = Math.max(low, high - 14); // beyond that there is rounding, not information
     }
-    const room = high - low || Math.abs(high) * 0.1 || 1, first = x.length ? x[0] : 0, last = x.length ? x[x.length - 1] : 1;
-    range = { low: low - (zeros ? 0.15 : 0.06) * room, high: high + 0.06 * room, left: first, right: last, zeros };
-    if (first === last) Object.assign(range, { left: first - 0.5, right: last + 0.5 });
+    const room = high - low || Math.abs(high) * 0.1 || 1;
+    const first = x.length ? x[0] : 0, last = x.length ? x[x.length - 1] : 1, half = first === last ? 0.5 : 0;
+    range = {
+      low: low - (zeros ? 0.15 : 0.06) * room, high: high + 0.06 * room, left: first - half, right: last + half, zeros,
+    };
   }
 
   // ---- drawing ------------------------------------------------------------------------------------------------
@@ -121,7 +129,8 @@ function render({ model, el }) {
     frame = 0;
     if (!stage.clientWidth) return; // in a hidden tab
     if (stale) {
-      const style = getComputedStyle(root), read = (name, otherwise) => style.getPropertyValue(name).trim() || otherwise;
+      const style = getComputedStyle(root);
+      const read = (name, otherwise) => style.getPropertyValue(name).trim() || otherwise;
       theme = {
         ink: read("--jp-ui-font-color1", "#222"), muted: read("--jp-ui-font-color2", "#777"),
         grid: read("--jp-border-color2", "#ddd"), font: style.fontFamily, ground: read("--jp-layout-color0", "#fff"),
@@ -134,21 +143,25 @@ function render({ model, el }) {
     paintCursor();
     paintHover();
     root.dataset.draws = String(++draws);
-    root.dataset.state = JSON.stringify({ ...range, plot: [LEFT, TOP, width(), height()], series: sent.names.length, count: x.length });
+    root.dataset.state = JSON.stringify({ ...range, plot: [LEFT, TOP, width(), height()], count: x.length });
   }
 
+  const swatch = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true }), known = new Map();
   function lightness(color) {
-    const context = new OffscreenCanvas(1, 1).getContext("2d");
-    context.fillStyle = color;
-    context.fillRect(0, 0, 1, 1);
-    const [red, green, blue] = context.getImageData(0, 0, 1, 1).data;
-    return (0.2126 * red + 0.7152 * green + 0.0722 * blue) / 255;
+    if (!known.has(color)) {
+      swatch.fillStyle = color;
+      swatch.fillRect(0, 0, 1, 1);
+      const [red, green, blue] = swatch.getImageData(0, 0, 1, 1).data;
+      known.set(color, (0.2126 * red + 0.7152 * green + 0.0722 * blue) / 255);
+    }
+    return known.get(color);
   }
 
   // A colour that the ground would swallow (yellow on white) is darkened or lightened a little.
   function colorOf(k) {
     const color = sent.colors[k] === "ink" ? theme.ink : sent.colors[k];
-    return Math.abs(lightness(color) - lightness(theme.ground)) > 0.2 ? color : `color-mix(in srgb, ${color} 70%, ${theme.ink})`;
+    const seen = Math.abs(lightness(color) - lightness(theme.ground)) > 0.2;
+    return seen ? color : `color-mix(in srgb, ${color} 70%, ${theme.ink})`;
   }
 
   const dash = (k) => Math.floor(k / 8) % DASHES.length;
@@ -159,8 +172,8 @@ function render({ model, el }) {
     title.textContent = model.get("title");
     title.hidden = !title.textContent;
     top.hidden = title.hidden && !sent.names.length;
-    const same = keys.childElementCount === sent.names.length && sent.names.every((name, k) => keys.children[k].dataset.name === name);
-    if (!same) {
+    const there = [...keys.children].map((key) => key.dataset.name);
+    if (there.length !== sent.names.length || there.some((name, k) => name !== sent.names[k])) {
       keys.replaceChildren(...sent.names.map((name) => {
         const key = document.createElement("button");
         key.className = "fw-key";
@@ -328,17 +341,20 @@ function render({ model, el }) {
       return entry;
     });
     hoverBox.replaceChildren(line, ...entries);
-    if (chosen.length < seen.length) element(hoverBox, "div", "").textContent = `and ${seen.length - chosen.length} more`;
+    const left = seen.length - chosen.length;
+    if (left) element(hoverBox, "div", "").textContent = `and ${left} more`;
     const at = toX(x[hover.index]), wide = hoverBox.offsetWidth;
     hoverBox.style.left = `${at + 12 + wide > stage.clientWidth ? Math.max(at - 12 - wide, 0) : at + 12}px`;
-    hoverBox.style.top = `${clamp(hover.y - hoverBox.offsetHeight / 2, -TOP, Math.max(0, stage.clientHeight - hoverBox.offsetHeight))}px`;
+    const tall = hoverBox.offsetHeight, lowest = Math.max(0, stage.clientHeight - tall);
+    hoverBox.style.top = `${clamp(hover.y - tall / 2, -TOP, lowest)}px`;
   }
 
   // ---- what the user does -------------------------------------------------------------------------------------
   function onMove(event) {
     if (!x.length || !range) return;
     const box = over.getBoundingClientRect(), place = event.clientX - box.left;
-    hover = place < LEFT - 8 || place > LEFT + width() + 8 ? null : { index: nearest(x, fromX(place)), y: event.clientY - box.top };
+    const inside = place >= LEFT - 8 && place <= LEFT + width() + 8;
+    hover = inside ? { index: nearest(x, fromX(place)), y: event.clientY - box.top } : null;
     draw();
   }
 

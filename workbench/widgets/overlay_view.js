@@ -7,10 +7,11 @@ const COLUMNS = 8; // of the table of landmarks: observed x y, model x y, value,
 const REACH = 10; // screen pixels between the pointer and a landmark it means
 const CLICK = 3; // screen pixels that a click may move
 const DRAG_MS = 40; // between two "drag" messages
+const DOUBLE_MS = 800; // at most between the clicks of a double-click
 const TRUST_MS = 2000; // a moved landmark stays where the user put it until the kernel confirms, or this long
 const HELP = {
-  select: "scroll zoom · drag pan · double-click face/all · click select · M mute · +/− weight",
-  lasso: "draw around landmarks · Ctrl adds · Shift+drag pans · M mute · +/− weight",
+  select: "scroll zoom · drag pan · double-click face · click select · M mute · ± weight",
+  lasso: "draw around landmarks · Ctrl adds · Shift+drag pans · M mute · ± weight",
   move: "drag a ring · arrows nudge (Shift more) · R detector's place · scroll zoom",
 };
 const HELP_MORE = `Wheel: zoom. Drag on empty ground, with Shift, or with the middle or right button: pan.
@@ -49,7 +50,9 @@ function insidePolygon(x, y, corners) {
   return inside;
 }
 
-const short = (value) => (!Number.isFinite(value) ? "–" : value >= 100 ? value.toFixed(0) : value.toFixed(value >= 10 ? 1 : 2));
+function short(value) {
+  return Number.isFinite(value) ? value.toFixed(value >= 100 ? 0 : value >= 10 ? 1 : 2) : "–";
+}
 
 function hasWebGL() {
   const context = document.createElement("canvas").getContext("webgl2");
@@ -95,13 +98,14 @@ function render({ model, el }) {
 
   const scheme = model.get("_scheme");
   const table = new Uint8Array(bytesOf(scheme.colors));
-  const colors = Array.from({ length: 256 }, (_, k) => `rgb(${table[3 * k]}, ${table[3 * k + 1]}, ${table[3 * k + 2]})`);
+  const colors = Array.from({ length: 256 }, (_, k) => `rgb(${table.slice(3 * k, 3 * k + 3).join()})`);
   bar.style.background = `linear-gradient(90deg, ${colors.filter((_, k) => k % 17 === 0).join(", ")})`;
 
   const view = { scale: 1, x: 0, y: 0, mode: "whole" };
   const moved = new Map(); // landmark -> {x, y, until}: where the user put it, until the kernel sends it back
   let fit = null, wire = null, bitmap = null, layerBitmap = null, size = [0, 0];
   let hovered = -1, pointer = null, gesture = null, draws = 0, asked = 0, stalePicture = true, placedFor = "";
+  let dropped = { points: [], at: -Infinity };
 
   // ---- places -------------------------------------------------------------------------------------------------
   const toScreen = (x, y) => [view.scale * x + view.x, view.scale * y + view.y];
@@ -282,25 +286,37 @@ function render({ model, el }) {
         } else outline(context, GREY, 0.8 * unit);
       }
     }
-    context.font = `${clamp(Math.round(10 * unit), 9, 13)}px system-ui, sans-serif`;
+    for (const i of chosen) {
+      circle(observed(i), 6.0 * unit);
+      outline(context, CHOSEN, 1.8);
+    }
+    if (hovered >= 0) {
+      circle(observed(hovered), 8.0 * unit);
+      outline(context, WHITE, 1);
+    }
+    paintLabels(context, chosen, layer("labels") ? all : [], unit);
+  }
+
+  // Numbers stand on the outer side of their landmark. One that would cover another is left out until zooming in
+  // makes room; those of selected landmarks come first.
+  function paintLabels(context, chosen, all, unit) {
+    const size = clamp(Math.round(10 * unit), 10, 13), taken = [];
+    const middle = [observed(30), observed(51)].map((spot) => toScreen(...spot)); // nose tip and upper lip
+    context.font = `${size}px system-ui, sans-serif`;
     context.textBaseline = "middle";
-    for (const i of all) {
-      if (chosen.has(i)) {
-        circle(observed(i), 6.0 * unit);
-        outline(context, CHOSEN, 1.8);
-      }
-      if (i === hovered) {
-        circle(observed(i), 8.0 * unit);
-        outline(context, WHITE, 1);
-      }
-      if (chosen.has(i) || layer("labels")) {
-        const [x, y] = toScreen(...observed(i));
-        context.strokeStyle = INK;
-        context.lineWidth = 3;
-        context.strokeText(i, x + 7 * unit + 1, y - 5 * unit);
-        context.fillStyle = chosen.has(i) ? CHOSEN : WHITE;
-        context.fillText(i, x + 7 * unit + 1, y - 5 * unit);
-      }
+    context.textAlign = "center";
+    for (const i of [...chosen, ...all.filter((i) => !chosen.has(i))]) {
+      const [x, y] = toScreen(...observed(i)), [mx, my] = i < 48 ? middle[0] : middle[1];
+      const away = Math.hypot(x - mx, y - my), far = 6 * unit + 8;
+      const [dx, dy] = away > 1 ? [(x - mx) / away, (y - my) / away] : [0.7, -0.7];
+      const [left, top] = [x + far * dx, y + far * dy];
+      if (taken.some(([a, b]) => Math.abs(a - left) < 1.25 * size && Math.abs(b - top) < 0.95 * size)) continue;
+      taken.push([left, top]);
+      context.strokeStyle = INK;
+      context.lineWidth = 3;
+      context.strokeText(i, left, top);
+      context.fillStyle = chosen.has(i) ? CHOSEN : WHITE;
+      context.fillText(i, left, top);
     }
   }
 
@@ -308,12 +324,13 @@ function render({ model, el }) {
     const limit = model.get("_scale"), words = model.get("message");
     legend.hidden = !fit || !(layer("model") || layer("residuals")) || stage.clientWidth < 240;
     legendTitle.textContent = "residual, " + model.get("unit");
-    [0, limit / 2, limit].forEach((number, k) => (ends[k].textContent = +number.toPrecision(3) + (k === 2 ? "+" : "")));
+    [0, limit / 2, limit].forEach((number, k) => (ends[k].textContent = String(+number.toPrecision(3))));
+    ends[2].textContent += "+";
     banner.textContent = words || (model.get("_no_face") ? "no face in this frame" : "");
     banner.hidden = !banner.textContent;
     help.textContent = HELP[model.get("tool")];
-    stage.style.cursor =
-      gesture?.kind === "pan" ? "grabbing" : model.get("tool") === "lasso" ? "crosshair" : hovered < 0 ? "grab" : "pointer";
+    const idle = model.get("tool") === "lasso" ? "crosshair" : hovered < 0 ? "grab" : "pointer";
+    stage.style.cursor = gesture?.kind === "pan" ? "grabbing" : idle;
     hoverBox.hidden = hovered < 0 || hovered >= count() || gesture !== null;
     if (!hoverBox.hidden) paintHover(model.get("unit"));
   }
@@ -322,9 +339,10 @@ function render({ model, el }) {
     const [distance, confidence] = [fit[COLUMNS * hovered + 5], fit[COLUMNS * hovered + 6]];
     const title = document.createElement("b");
     title.textContent = `${hovered} · ${scheme.names[hovered]}`;
-    const residual = unit === "px" ? `${short(distance)} px` : `${short(value(hovered))} ${unit} (${short(distance)} px)`;
-    const facts = [`group: ${scheme.groups[hovered]}`, `residual: ${residual}`];
-    facts.push(`confidence ${confidence.toFixed(2)} · ${weight(hovered) ? "weight " + +weight(hovered).toPrecision(3) : "muted"}`);
+    const pixels = `${short(distance)} px`, residual = `${short(value(hovered))} ${unit} (${pixels})`;
+    const facts = [`group: ${scheme.groups[hovered]}`, `residual: ${unit === "px" ? pixels : residual}`];
+    const weighs = weight(hovered) ? `weight ${+weight(hovered).toPrecision(3)}` : "muted";
+    facts.push(`confidence ${confidence.toFixed(2)} · ${weighs}`);
     hoverBox.replaceChildren(title, "\n" + facts.join("\n"));
     const { offsetWidth: width, offsetHeight: height } = hoverBox, [x, y] = pointer;
     hoverBox.style.left = `${x + 16 + width > stage.clientWidth ? Math.max(x - 16 - width, 2) : x + 16}px`;
@@ -411,9 +429,13 @@ function render({ model, el }) {
     } else if (!done.moved && done.button === 0) {
       const index = hit(x, y);
       if (index < 0) {
-        if (!adds && before.length) select([]);
+        if (!adds && before.length) {
+          dropped = { points: before, at: performance.now() };
+          select([]);
+        }
       } else if (!adds) select([index]);
-      else select(before.includes(index) ? before.filter((i) => i !== index) : [...before, index].sort((a, b) => a - b));
+      else if (before.includes(index)) select(before.filter((i) => i !== index));
+      else select([...before, index].sort((a, b) => a - b));
     }
     draw();
   }
@@ -441,7 +463,10 @@ function render({ model, el }) {
     draw(true);
   }
 
-  function onDouble() {
+  function onDouble(event) {
+    if (event.button !== 0) return;
+    // Its first click has taken the selection away, which was not meant.
+    if (performance.now() - dropped.at < DOUBLE_MS && !model.get("selection").length) select(dropped.points);
     view.mode = view.mode === "whole" && fit ? "face" : "whole";
     place();
     draw(true);
@@ -521,7 +546,9 @@ function render({ model, el }) {
   const watched = [
     ["change:_picture", onPicture], ["change:_fits", onFit], ["change:_wire", onWire],
     ["change:_layer", onLayer], ["change:height_px", onSize],
-    ...["layers", "layer_opacity", "unit", "selection", "subset", "tool", "message", "_scale"].map((name) => ["change:" + name, redraw]),
+    ...["layers", "layer_opacity", "unit", "selection", "subset", "tool", "message", "_scale"].map(
+      (name) => ["change:" + name, redraw],
+    ),
   ];
   watched.forEach(([name, callback]) => model.on(name, callback));
   const listeners = {

@@ -1,13 +1,13 @@
-// Landmark errors over the frames of a clip. The strip is drawn on one canvas; the cursor, which moves often, on another.
+// Landmark errors over the frames of a clip. The strip is one canvas; the cursor, which moves often, another.
 
 const GUTTER = 48, RIGHT = 8, FLAG_ROW = 13, AXIS = 17; // pixels around the strip: labels, flags, frame numbers
 const POINTS = 68, NOTHING = 255;
 const FLAGGED = 1, STALE = 2, FOUND = 4, NEW_SHOT = 8;
 const SHORTEST = 8; // frames that zooming in leaves
 const FLAG_COLOR = "#d55e00", CURSOR_HALO = "rgba(0, 0, 0, 0.75)";
-const HELP = "click or drag: go to frame · scroll: zoom · ← → step · N P flagged";
-const HELP_MORE = `Click or drag: go to a frame. Wheel: zoom in time; with Shift: along the clip. Double-click: whole clip.
-Left and right: one frame, with Shift ten. Home, End. N, P: next and previous flagged frame.
+const HELP = "click go to frame · scroll zoom · N P flagged";
+const HELP_MORE = `Click or drag: go to a frame. Wheel: zoom in time; with Shift: along the clip.
+Double-click: whole clip. Left and right: one frame, with Shift ten. Home, End. N, P: next and previous flagged frame.
 Orange: flagged. Hatched: out of date. Vertical lines: a new shot. Blank: no face.`;
 
 // A copy: the view may start anywhere in a larger buffer, and floats must start at a multiple of four.
@@ -135,7 +135,9 @@ function render({ model, el }) {
     context.fillStyle = muted;
     context.fillText("flags", GUTTER - 6, FLAG_ROW / 2);
     const lines = scheme.rows.map((row) => FLAG_ROW + (row.first / POINTS) * height);
-    scheme.rows.forEach((row, k) => context.fillText(row.name, GUTTER - 6, lines[k] + (row.count / POINTS / 2) * height));
+    scheme.rows.forEach((row, k) => {
+      context.fillText(row.name, GUTTER - 6, lines[k] + (row.count / POINTS / 2) * height);
+    });
     if (!track?.count) return;
 
     const columns = Math.max(1, Math.round(width() * (window.devicePixelRatio || 1)));
@@ -259,8 +261,8 @@ function render({ model, el }) {
     if (mark & STALE) words.push("out of date: a detection or setting has changed");
     if (mark & NEW_SHOT) words.push("a new shot begins");
     hoverBox.textContent = words.join("\n");
-    const left = hover.x + 14 + hoverBox.offsetWidth > stage.clientWidth ? hover.x - 14 - hoverBox.offsetWidth : hover.x + 14;
-    hoverBox.style.left = `${Math.max(left, 0)}px`;
+    const wide = hoverBox.offsetWidth, fits = hover.x + 14 + wide <= stage.clientWidth;
+    hoverBox.style.left = `${fits ? hover.x + 14 : Math.max(hover.x - 14 - wide, 0)}px`;
     hoverBox.style.top = `${FLAG_ROW + 4}px`;
   }
 
@@ -377,7 +379,8 @@ function render({ model, el }) {
   ];
   watched.forEach(([name, callback]) => model.on(name, callback));
   const listeners = {
-    pointerdown: onDown, pointermove: onMove, pointerup: onUp, pointercancel: onUp, pointerleave: onLeave, dblclick: onDouble,
+    pointerdown: onDown, pointermove: onMove, pointerup: onUp, pointercancel: onUp, pointerleave: onLeave,
+    dblclick: onDouble,
   };
   for (const [name, callback] of Object.entries(listeners)) over.addEventListener(name, callback);
   over.addEventListener("wheel", onWheel, { passive: false });
