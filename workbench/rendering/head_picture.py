@@ -276,7 +276,8 @@ def _check_size(size: tuple[int, int]) -> None:
 
 def _ghost_model(model: FaceModel) -> FaceModel:
     colors = np.tile(np.array(GHOST_COLOR, np.uint8), (len(model.neutral), 1))
-    return replace(model, triangles=outer_triangles(model), colors=colors)
+    triangles = outer_triangles(model)
+    return replace(model, triangles=triangles, triangles_uv=triangles, colors=colors)
 
 
 def _paint_marks(picture: UInt8[np.ndarray, "h w 3"], extras: Extras, camera: Camera, rotation, translation) -> None:

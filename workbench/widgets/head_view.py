@@ -6,7 +6,7 @@ import os
 import sys
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import ipywidgets as widgets
@@ -19,6 +19,7 @@ from workbench.geometry import Camera
 from workbench.rendering.extras import NOTHING, Extras
 from workbench.widgets.viewpoint import Viewpoint, camera_viewpoint, front_viewpoint
 
+Number = float | int
 BACKENDS = ("auto", "k3d", "pictures")
 VIEWS = ("free", "front", "camera")
 VSCODE_VARIABLES = ("VSCODE_PID", "VSCODE_CWD", "VSCODE_HANDLES_UNCAUGHT_ERRORS")
@@ -27,6 +28,7 @@ DARKEST = 42
 """First step of viridis that is used, of 256: the darker ones are lost in shadow."""
 
 
+@runtime_checkable
 class HeadView(Protocol):
     """A head that can be looked at from all sides. Every method may be called from any thread and returns at once."""
 
@@ -50,20 +52,20 @@ class HeadView(Protocol):
     def set_view(self, view: str) -> None:
         """Look from "front", from the input "camera", or leave the mouse's view alone ("free")."""
 
-    def set_values(self, values: Float[np.ndarray, "v"] | None, low: float, high: float, label: str) -> None:
+    def set_values(self, values: Float[np.ndarray, "v"] | None, low: Number, high: Number, label: str) -> None:
         """Colour the surface by a number per vertex, viridis from `low` to `high`; None shows the skin again."""
 
     def set_points(
-        self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "n 3"] | None, size_mm: float = 2.0
+        self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None, size_mm: Number = 2.0
     ) -> None:
         """Points as balls of this diameter: head frame, millimetres; None removes them."""
 
     def set_segments(
-        self, segments: Float[np.ndarray, "n 2 3"] | None, colors: UInt8[np.ndarray, "n 3"] | None
+        self, segments: Float[np.ndarray, "n 2 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None
     ) -> None:
         """Segments, such as residual vectors in 3D: head frame, millimetres; None removes them."""
 
-    def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: float = 0.35) -> None:
+    def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: Number = 0.35) -> None:
         """A second, translucent head, such as the fit before a change; None removes it."""
 
     def snapshot(self) -> UInt8[np.ndarray, "h w 3"]:
@@ -173,14 +175,14 @@ def check_marks(marks: np.ndarray | None, colors: np.ndarray | None, shape: tupl
         raise InputError(f"{what} can only be shown at finite places, got NaN; leave the unknown ones out.")
 
 
-def check_opacity(opacity: float) -> None:
+def check_opacity(opacity: Number) -> None:
     """Raise `InputError` for an opacity outside 0..1."""
     if not 0.0 <= opacity <= 1.0:
         raise InputError(f"The opacity of a ghost lies between 0 and 1, got {opacity:g}.")
 
 
 def value_colors(
-    values: Float[np.ndarray, "v"] | None, low: float, high: float, vertex_count: int
+    values: Float[np.ndarray, "v"] | None, low: Number, high: Number, vertex_count: int
 ) -> UInt8[np.ndarray, "v 3"] | None:
     """Viridis colours of numbers from `low` to `high`, grey where they are NaN; None for None.
 
@@ -198,7 +200,7 @@ def value_colors(
     return colors
 
 
-def legend(label: str, low: float, high: float) -> str:
+def legend(label: str, low: Number, high: Number) -> str:
     """The colour scale as one line of HTML."""
     stops = ", ".join("#{:02x}{:02x}{:02x}".format(*color) for color in _scale()[::51].tolist())
     bar = f"flex:1; height:8px; border-radius:4px; background:linear-gradient(to right, {stops})"

@@ -18,6 +18,7 @@ from workbench.rendering.extras import GHOST_COLOR, SEGMENT_MM, outer_triangles
 from workbench.rendering.head_picture import bundled_texture, head_painter
 from workbench.rendering.mesh import neck_opacity, split_seams
 from workbench.widgets.head_view import (
+    Number,
     Shown,
     check_marks,
     check_opacity,
@@ -112,7 +113,7 @@ class K3dHeadView:
         check_vertices(vertices, len(self._model.neutral))
         with self._lock:
             self._shown = replace(self._shown, vertices=vertices.astype(np.float32))
-            self.mesh.vertices = self._vertices_of(self.mesh)
+            _update(self.mesh, {"vertices": self._vertices_of(self.mesh)})
 
     def set_pose(
         self,
@@ -137,7 +138,7 @@ class K3dHeadView:
             if viewpoint is not None:
                 self._look_from(viewpoint)
 
-    def set_values(self, values: Float[np.ndarray, "v"] | None, low: float, high: float, label: str) -> None:
+    def set_values(self, values: Float[np.ndarray, "v"] | None, low: Number, high: Number, label: str) -> None:
         """See `HeadView.set_values`."""
         colors = value_colors(values, low, high, len(self._model.neutral))
         with self._lock:
@@ -156,7 +157,7 @@ class K3dHeadView:
             self._legend.layout.display = "none" if colors is None else None
 
     def set_points(
-        self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "n 3"] | None, size_mm: float = 2.0
+        self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None, size_mm: Number = 2.0
     ) -> None:
         """See `HeadView.set_points`."""
         check_marks(points, colors, (3,), "Points")
@@ -173,7 +174,7 @@ class K3dHeadView:
                 _update(self._points, state)
 
     def set_segments(
-        self, segments: Float[np.ndarray, "n 2 3"] | None, colors: UInt8[np.ndarray, "n 3"] | None
+        self, segments: Float[np.ndarray, "n 2 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None
     ) -> None:
         """See `HeadView.set_segments`."""
         check_marks(segments, colors, (2, 3), "Segments")
@@ -193,7 +194,7 @@ class K3dHeadView:
             else:
                 _update(self._segments, state)
 
-    def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: float = 0.35) -> None:
+    def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: Number = 0.35) -> None:
         """See `HeadView.set_ghost`."""
         check_opacity(opacity)
         if vertices is not None:
@@ -217,7 +218,7 @@ class K3dHeadView:
         """See `HeadView.snapshot`."""
         with self._lock:
             shown, viewpoint = self._shown, self.viewpoint
-        with head_painter(self._model, self._size) as painter:
+        with head_painter(self._model, self._size, fade_neck=True) as painter:
             return painter.render(shown.vertices.astype(float), viewpoint.camera, *viewpoint.pose, extras=shown.extras)
 
     @property
@@ -302,17 +303,18 @@ def _mesh(vertices: np.ndarray, triangles: np.ndarray, **state: object) -> k3d.o
     )
 
 
-def _packed(colors: UInt8[np.ndarray, "n 3"]) -> np.ndarray:
-    """0xRRGGBB of each colour."""
+def _packed(colors: np.ndarray) -> np.ndarray:
+    """0xRRGGBB of each RGB row."""
     red, green, blue = colors.astype(np.uint32).T
     return (red << 16) | (green << 8) | blue
 
 
 def _update(part: k3d.objects.Drawable, state: dict) -> None:
-    """Set everything in one message."""
+    """Show it with this state; what differs goes in one message. Array traits do not notice equal values themselves."""
     with part.hold_sync():
         for name, value in state.items():
-            setattr(part, name, value)
+            if not np.array_equal(getattr(part, name), value):
+                setattr(part, name, value)
         part.visible = True
 
 

@@ -16,6 +16,7 @@ from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.rendering.head_picture import head_painter
 from workbench.widgets.head_view import (
+    Number,
     Shown,
     check_marks,
     check_opacity,
@@ -107,7 +108,7 @@ class PictureHeadView:
             shown = replace(self._scene.shown, view=view)
             self._show(shown, viewpoint_of(shown, self._model, self._size))
 
-    def set_values(self, values: Float[np.ndarray, "v"] | None, low: float, high: float, label: str) -> None:
+    def set_values(self, values: Float[np.ndarray, "v"] | None, low: Number, high: Number, label: str) -> None:
         """See `HeadView.set_values`."""
         colors = value_colors(values, low, high, len(self._model.neutral))
         with self._changed:
@@ -116,7 +117,7 @@ class PictureHeadView:
             self._legend.layout.display = "none" if colors is None else None
 
     def set_points(
-        self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "n 3"] | None, size_mm: float = 2.0
+        self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None, size_mm: Number = 2.0
     ) -> None:
         """See `HeadView.set_points`."""
         check_marks(points, colors, (3,), "Points")
@@ -124,14 +125,14 @@ class PictureHeadView:
             self._show(self._scene.shown.with_extras(points=points, point_colors=colors, point_mm=size_mm))
 
     def set_segments(
-        self, segments: Float[np.ndarray, "n 2 3"] | None, colors: UInt8[np.ndarray, "n 3"] | None
+        self, segments: Float[np.ndarray, "n 2 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None
     ) -> None:
         """See `HeadView.set_segments`."""
         check_marks(segments, colors, (2, 3), "Segments")
         with self._changed:
             self._show(self._scene.shown.with_extras(segments=segments, segment_colors=colors))
 
-    def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: float = 0.35) -> None:
+    def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: Number = 0.35) -> None:
         """See `HeadView.set_ghost`."""
         check_opacity(opacity)
         if vertices is not None:
