@@ -1,5 +1,6 @@
 """The tuning session without a screen: material, configuration with undo, fits, diagnosis, export."""
 
+from workbench.session.fitted_head import FittedHead as FittedHead
 from workbench.session.material import Material as Material
 from workbench.session.material import load_material as load_material
 from workbench.session.material import material_of_photo as material_of_photo

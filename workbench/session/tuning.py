@@ -69,7 +69,9 @@ class TuningSession:
         self._lock = threading.RLock()
         self._fitting = threading.RLock()
         self._calibrating = threading.Lock()
+        self._diagnosing = threading.Lock()
         self._fitter = FrameFitter(model, self.base)
+        self._diagnostic_fitter = FrameFitter(model, self.base)
 
     def __repr__(self) -> str:
         return f"TuningSession({self.material.name!r}, {len(self)} frames, preset {self._config.preset!r})"
@@ -214,39 +216,37 @@ class TuningSession:
 
     # --- frames and fits ---
 
-    def observation(self, frame: int) -> FrameObservation:
+    def observation(self, frame: int, config: Config | None = None) -> FrameObservation:
         """A frame's observation with the detections that were moved. Raises `InputError` outside the material."""
+        config = self._config if config is None else config
         if not 0 <= frame < len(self):
             raise InputError(f"There is no frame {frame}; {self.material.name} has frames 0 to {len(self) - 1}.")
-        return corrected(self.material.observations[frame], self._config)
+        return corrected(self.material.observations[frame], config)
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "h w 3"]:
         """The picture of a frame; blank where the material has none."""
         self.observation(frame)
         return self.material.pictures[frame]
 
-    def fit_frame(self, frame: int, coarse: bool = False) -> FrameFit:
-        """The fit of one frame under the present configuration.
+    def fit_frame(self, frame: int, coarse: bool = False, config: Config | None = None) -> FrameFit:
+        """The fit of one frame under the present configuration, or another one that it is compared with.
 
         `coarse` keeps an identity that an earlier configuration calibrated on the shot, for dragging in a clip.
         """
         with self._fitting:
-            config, observation, context = self._prepared(frame, coarse)
-            self._configure(config)
+            config, observation, context = self._prepared(frame, coarse, config)
             return self._fitter.fit(observation, context)[0]
 
     def explain_frame(self, frame: int) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """`fit_frame` with every iteration kept. Raises `InputError` for a frame without landmarks."""
         with self._fitting:
-            config, observation, context = self._prepared(frame, coarse=True)
-            self._configure(config)
+            _, observation, context = self._prepared(frame, coarse=True)
             return self._fitter.explain(observation, context)
 
     def fit_steps(self, frame: int, steps: int) -> FrameFit:
         """The fit of a frame stopped after `steps` iterations, counted through all stages."""
         with self._fitting:
             config, observation, context = self._prepared(frame, coarse=True)
-            self._configure(config)
             counts = [len(trace.energies) - 1 for trace in self._fitter.explain(observation, context)[1]]
             self._configure(_stopped(config, context.last is None, counts, steps))
             return self._fitter.fit(observation, context)[0]
@@ -396,9 +396,12 @@ class TuningSession:
         if self._fitter.config is not config:
             self._fitter.configure(config)
 
-    def _prepared(self, frame: int, coarse: bool) -> tuple[Config, FrameObservation, FrameContext]:
-        config = self._config
-        observation = self.observation(frame)
+    def _prepared(
+        self, frame: int, coarse: bool, config: Config | None = None
+    ) -> tuple[Config, FrameObservation, FrameContext]:
+        """Configuration, observation and context of a frame; the fitter stands at that configuration."""
+        config = self._config if config is None else config
+        observation = self.observation(frame, config)
         shot = next(number for number, frames in enumerate(self.material.shots) if frame in frames)
         self._configure(config)
         calibrated = self._calibrated(shot, config, self._fitter, coarse)

@@ -1,0 +1,79 @@
+"""A fit as a 3D head: its vertices, its landmarks, what was observed in 3D, and numbers spread over the surface."""
+
+import threading
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench.face import FaceModel
+from workbench.geometry import rotation_matrix
+from workbench.rendering.mesh import to_camera, to_pixels
+from workbench.tracking import FrameFit
+
+SPREAD_MM = 12.0
+"""Distance over which a landmark's number fades on the surface."""
+
+
+class FittedHead:
+    """What viewers show of a fit. The person's model is kept from fit to fit; calls may come from any thread."""
+
+    def __init__(self, model: FaceModel):
+        self.model = model
+        self._lock = threading.Lock()
+        self._identity: np.ndarray | None = None
+        self._personal = model
+        self._spread = _spread(model)
+
+    def personal(self, identity: Float[np.ndarray, "i"]) -> FaceModel:
+        """The model of one person; the newest is kept."""
+        with self._lock:
+            if self._identity is None or not np.array_equal(identity, self._identity):
+                self._personal, self._identity = self.model.personal(identity), np.array(identity)
+            return self._personal
+
+    def vertices(self, fit: FrameFit) -> Float[np.ndarray, "v 3"]:
+        """Head frame, millimetres."""
+        return self.personal(fit.identity).vertices(fit.expression)
+
+    def landmarks(self, fit: FrameFit) -> Float[np.ndarray, "68 3"]:
+        """The model's landmarks on the surface, head frame; the jaw contour at its frontal place."""
+        return self.model.landmarks.of(self.vertices(fit))
+
+    def observed(self, fit: FrameFit, landmarks: Float[np.ndarray, "68 3"]) -> Float[np.ndarray, "68 3"]:
+        """Where the observed pixels would lie in 3D: each residual of the picture at the depth of its landmark.
+
+        The contour's landmarks slide on the surface, so residuals start at the stored ones, not at their pixels.
+        """
+        points_camera = to_camera(landmarks, fit.rotation, fit.translation)
+        millimetres = points_camera[:, 2:] / np.asarray(fit.camera.focal_px, float)
+        moved = np.column_stack([(fit.observed - fit.projected) * millimetres, np.zeros(68)])
+        return landmarks + moved @ np.asarray(rotation_matrix(np.asarray(fit.rotation, float)))
+
+    def surface_values(self, values: Float[np.ndarray, "68"]) -> Float[np.ndarray, "v"]:
+        """A number of each landmark spread over the face, NaN far from all of them."""
+        weights = self._spread
+        total = weights.sum(axis=1)
+        spread = weights @ values / np.maximum(total, 1e-12)
+        return np.where(total > 0.05, spread, np.nan)
+
+    def displacement(self, fit: FrameFit, shape: str) -> Float[np.ndarray, "v"]:
+        """How far a blendshape moves each vertex at weight 1, millimetres."""
+        model = self.personal(fit.identity)
+        return np.linalg.norm(model.expression_deltas[model.expression_names.index(shape)], axis=1)
+
+    def wire(self, fit: FrameFit) -> Float[np.ndarray, "n 2 2"]:
+        """Edges of the triangles that face the camera, pixels."""
+        points_camera = to_camera(self.vertices(fit), fit.rotation, fit.translation)
+        if points_camera[:, 2].min() <= 1.0:
+            return np.zeros((0, 2, 2))
+        corners = to_pixels(fit.camera, points_camera)[self.model.triangles]
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        facing = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] < 0
+        edges = np.sort(self.model.triangles[facing][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
+        return to_pixels(fit.camera, points_camera)[np.unique(edges, axis=0)]
+
+
+def _spread(model: FaceModel) -> Float[np.ndarray, "v 68"]:
+    landmarks = model.landmarks.of(model.neutral)
+    distance = np.linalg.norm(model.neutral[:, None] - landmarks[None], axis=2)
+    return np.exp(-0.5 * (distance / SPREAD_MM) ** 2)

@@ -1,0 +1,131 @@
+"""The numbers of a configuration that a panel has a control for: where each lies, what it may be, what it means."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from workbench.config import Config, WeightsConfig
+from workbench.energies import EnergyWeights
+from workbench.landmarks.scheme import GROUPS
+
+Kind = Literal["log", "linear", "whole", "switch", "choice"]
+Value = float | int | bool | str
+
+
+@dataclass(frozen=True)
+class Knob:
+    """One control. `path` is `section.key`, or a name that `value_of` and `changed_by` know."""
+
+    path: str
+    label: str
+    tip: str
+    """One line with its equation."""
+    kind: Kind
+    low: float = 0.0
+    high: float = 1.0
+    """Of a "log" knob: the least value above zero and the largest; zero stands below the least."""
+    step: float = 0.0
+    choices: tuple[str, ...] = ()
+    level: int = 0
+    """Depth in the hierarchy of ω (Eqs. 5–7)."""
+
+
+OMEGA = (
+    Knob("weights.sparse", "ω_sparse", "all landmark terms: ω_sparse·(ω_pose·E_pose + ω_fit·E_fit), Eqs. 5, 6",
+         "log", 1e-3, 1e3),
+    Knob("weights.pose", "ω_pose", "E_pose = Σ‖π(R·b_0 + t) − p‖², pose free, Eq. 8", "log", 1e-3, 1e3, level=1),
+    Knob("weights.fit", "ω_fit", "E_fit = Σ‖π(R·(b_0 + B·w) + t) − p‖², weights free, Eq. 10",
+         "log", 1e-3, 1e3, level=1),
+    Knob("weights.prior", "ω_prior", "all priors: ω_prior·(ω_τ·E_τ + ω_β·E_β + ω_σ·E_σ), Eqs. 5, 7", "log", 1e-3, 1e3),
+    Knob("weights.tau", "ω_τ", "E_τ = ‖[r|t]_t−2 − 2[r|t]_t−1 + [r|t]_t‖², smooth pose, Eq. 9",
+         "log", 1e-4, 1e3, level=1),
+    Knob("weights.sigma_smooth", "ω_σ L1", "Σ √(w² + δ²) − δ: L1 norm, one residual a weight (after Eq. 11)",
+         "log", 1e-3, 1e3, level=1),
+    Knob("weights.sigma", "ω_σ", "E_σ = (Σ|w|)², the paper's single residual, Eq. 11", "log", 1e-4, 1e3, level=1),
+    Knob("weights.beta", "ω_β", "E_β: arctan steps at 0 and 1, Eq. 12", "log", 1e-4, 1e3, level=1),
+    Knob("weights.range", "ω_range", "Σ (distance of w from [0, 1])²: pulls back from any distance",
+         "log", 1e-3, 1e5, level=1),
+)  # fmt: skip
+SOLVE = (
+    Knob("rho", "ρ", "iterations of the stages that free the pose alone (Eq. 8; the paper: 15)", "whole", 0, 100),
+    Knob("epsilon", "ε", "iterations of the stages that free weights (Eq. 10; the paper: 15)", "whole", 0, 100),
+    Knob("solver.tolerance", "tolerance", "stop when a step lowers E by less than this part", "log", 1e-14, 1e-1),
+    Knob("solver.method", "solver", "lm: ours, with bounds; Optimistix' LM and dogleg know no bounds", "choice",
+         choices=("lm", "optimistix-lm", "optimistix-dogleg")),
+    Knob("solver.bounded", "0 ≤ w ≤ 1", "keep every weight in [0, 1] by an active set in each step", "switch"),
+    Knob("solver.unit", "unit", "landmark residuals in pixels, or in % of the outer-eye distance", "choice",
+         choices=("px", "percent")),
+    Knob("contour.mode", "jaw contour", "sliding: the 17 jaw points follow the silhouette with the yaw", "choice",
+         choices=("sliding", "fixed")),
+)  # fmt: skip
+CAMERA = (
+    Knob("camera.fov_deg", "fov, °", "over the longer side; focal length f = side / (2·tan(fov/2))",
+         "linear", 5.0, 120.0, 0.5),
+)  # fmt: skip
+IDENTITY = (
+    Knob("identity.calibrate", "calibrate", "estimate one face shape a shot (a photo) before fitting", "switch"),
+    Knob("identity.weight", "ω_identity", "ω·‖identity‖²: keeps to the mean face", "log", 1e-2, 1e4),
+    Knob("identity.expression", "ω_expression", "L1 norm of the weights meanwhile: what stays is identity",
+         "log", 1e-2, 1e4),
+    Knob("identity.jaw", "jaw weight", "landmark weight of the jaw contour in its second pass",
+         "linear", 0.0, 3.0, 0.05),
+)  # fmt: skip
+CONSTANTS = (
+    Knob("constants.a", "a", "E_β: upper bound; the paper: 1.002", "linear", 0.5, 2.0, 0.001),
+    Knob("constants.b", "b", "E_β: width of its steps; the paper: 2·10⁻⁵", "log", 1e-6, 1.0),
+    Knob("constants.c", "c", "E_β: offset; the paper: 2.5", "linear", -5.0, 5.0, 0.05),
+    Knob("constants.delta", "δ", "smoothed L1: the weight below which it turns quadratic", "log", 1e-4, 1.0),
+    Knob("constants.rotation_mm", "mm per rad", "E_τ: millimetres that one radian counts as", "log", 1.0, 1e4),
+)
+LANDMARK_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "right_eye", "left_eye", "outer_lips", "inner_lips")
+LANDMARKS = tuple(
+    Knob(f"group.{name}", name.replace("_", " "), f"factor of the {len(GROUPS[name])} points in every stage; 0 mutes",
+         "linear", 0.0, 3.0, 0.05)
+    for name in LANDMARK_GROUPS
+)  # fmt: skip
+KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS)
+
+
+def value_of(config: Config, path: str) -> Value:
+    """What a knob shows for this configuration."""
+    if path in ("rho", "epsilon"):
+        limits = [stage.limit for stage in config.stages if _frees_weights(stage) == (path == "epsilon")]
+        return limits[-1] if limits else 15
+    section, key = path.split(".")
+    if section == "group":
+        return config.landmarks.weights.get(key, 1.0)
+    return getattr(getattr(config, section), key)
+
+
+def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
+    """Sections for `Config.changed` that set a knob; what must change with it changes too."""
+    if path in ("rho", "epsilon"):
+        stages = [
+            stage.model_copy(update={"limit": int(value)}) if _frees_weights(stage) == (path == "epsilon") else stage
+            for stage in config.stages
+        ]
+        return {"stages": [stage.model_dump() for stage in stages]}
+    section, key = path.split(".")
+    if section == "group":
+        weights = {name: factor for name, factor in config.landmarks.weights.items() if name != key}
+        # Groups before single points: later entries win.
+        groups = {name: factor for name, factor in weights.items() if not name.isdigit()}
+        singles = {name: factor for name, factor in weights.items() if name.isdigit()}
+        return {"landmarks": {"weights": groups | ({} if value == 1.0 else {key: float(value)}) | singles}}
+    changes: dict[str, Any] = {section: {key: value}}
+    if path == "solver.method" and value != "lm":
+        changes["solver"]["bounded"] = False
+    if path == "solver.bounded" and value:
+        changes["solver"]["method"] = "lm"
+    if path == "camera.fov_deg":
+        changes["camera"]["matrix"] = None
+    return changes
+
+
+def effective_weights(config: Config) -> dict[str, float]:
+    """The product down the branch of ω for each path of `OMEGA` that is a leaf."""
+    weights = EnergyWeights(**config.weights.model_dump(), identity=config.identity.weight).effective()
+    return {f"weights.{name}": float(weights[name]) for name in WeightsConfig.model_fields if name in weights}
+
+
+def _frees_weights(stage) -> bool:
+    return "expression" in stage.free

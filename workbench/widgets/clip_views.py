@@ -1,0 +1,73 @@
+"""Over the clip: the strip of residuals, the curves of pose and weights, and the run that they show."""
+
+from collections.abc import Callable
+
+import ipywidgets as widgets
+import numpy as np
+
+from workbench.diagnosis.flags import flag_frames
+from workbench.geometry import yaw_pitch_roll_deg
+from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
+from workbench.session import TuningSession
+from workbench.widgets.chart_view import ChartView
+from workbench.widgets.timeline_view import TimelineView
+
+CURVES = 8
+"""Weights that the chart shows: those that move most."""
+
+
+class ClipViews:
+    """Timeline and curves of the last run of a session; `go(frame)` is called when the user picks one."""
+
+    def __init__(self, session: TuningSession, go: Callable[[int], None]) -> None:
+        self._session, self._go = session, go
+        self.timeline = TimelineView(height_px=116, unit="% of eye distance")
+        self.timeline.observe(lambda change: self._go(change["new"]), "frame")
+        self.pose = ChartView(height_px=150, title="head pose")
+        self.weights = ChartView(height_px=150, title="weights that move most")
+        for chart in (self.pose, self.weights):
+            chart.on_pick(lambda x: self._go(round(x)))
+        self.curves = widgets.HBox(
+            [widgets.Box([chart], layout=widgets.Layout(width="50%", min_width="0"))
+             for chart in (self.pose, self.weights)]
+        )  # fmt: skip
+        self.flags: tuple[str, ...] = ()
+
+    def show_frame(self, frame: int) -> None:
+        """Move the cursors."""
+        if self.timeline.frame != frame:
+            self.timeline.frame = frame
+        for chart in (self.pose, self.weights):
+            chart.cursor = float(frame)
+
+    def show_stale(self) -> None:
+        """Mark the frames whose fits belong to another configuration."""
+        run = self._session.run
+        if run is not None:
+            self.timeline.update_frames(0, self._values, stale=self._session.stale)
+
+    def show_run(self) -> None:
+        """Show the last run."""
+        track = self._session.track
+        eyes = np.linalg.norm(
+            track.observed[:, LEFT_EYE_OUTER_CORNER] - track.observed[:, RIGHT_EYE_OUTER_CORNER], axis=1
+        )
+        self._values = 100.0 * np.linalg.norm(track.projected - track.observed, axis=2) / eyes[:, None]
+        flags = flag_frames(track, self._session.run.config)
+        self.flags = flags.text
+        self.timeline.set_track(
+            self._values, flagged=flags.flagged, stale=self._session.stale, found=track.found, shots=track.shot
+        )
+        frames = np.arange(len(track), dtype=float)
+        angles = yaw_pitch_roll_deg(track.rotation)
+        self.pose.set_series(
+            frames, dict(zip(("yaw", "pitch", "roll"), angles.T, strict=True)), y_label="degrees", x_label="frame"
+        )
+        motion = np.nan_to_num(np.nanstd(track.expression, axis=0)) if track.found.any() else np.zeros(1)
+        most = np.argsort(-motion)[:CURVES]
+        names = track.expression_names
+        self.weights.set_series(
+            frames, {names[k]: track.expression[:, k] for k in most}, y_label="weight", x_label="frame"
+        )
+
+    _values = np.zeros((0, 68))

@@ -1,0 +1,165 @@
+"""Controls for the knobs of a configuration: sliders, boxes and menus that call back with a path and a value."""
+
+import math
+from collections.abc import Callable
+
+import ipywidgets as widgets
+
+from workbench.config import Config
+from workbench.session.knobs import CAMERA, CONSTANTS, IDENTITY, LANDMARKS, OMEGA, SOLVE, Knob, Value, value_of
+from workbench.session.knobs import effective_weights as effective_weights_of
+
+Turned = Callable[[str, Value], None]
+"""Called with the path of a knob and its new value."""
+STEPS_PER_DECADE = 20
+LABEL_PX = 72
+
+
+class KnobControl:
+    """One knob as a widget. Setting it from a configuration does not call back."""
+
+    def __init__(self, knob: Knob, turned: Turned) -> None:
+        self.knob, self._turned, self._quiet = knob, turned, False
+        self.input = _input(knob)
+        self.readout = widgets.Text(
+            continuous_update=False,
+            tooltip=f"{knob.label}: type a number",
+            layout=widgets.Layout(width="50px", flex="0 0 auto"),
+        )  # fmt: skip
+        self.effective = widgets.Label(
+            layout=widgets.Layout(width="40px", flex="0 0 auto"), tooltip="product down its branch of ω"
+        )
+        self.input.observe(self._on_input, "value")
+        self.readout.observe(self._on_typed, "value")
+        parts = [self.input, self.readout] if knob.kind in ("log", "linear") else [self.input]
+        if knob.path.startswith("weights.") and knob.level:
+            parts.append(self.effective)
+        self.widget = widgets.HBox(parts, layout=widgets.Layout(margin=f"0 0 0 {8 * knob.level}px", width="auto"))
+
+    @property
+    def value(self) -> Value:
+        """The knob's value, not the slider's place."""
+        return value_at(self.knob, self.input.value)
+
+    def show(self, value: Value) -> None:
+        """Stand at a value without calling back."""
+        self._quiet = True
+        try:
+            self.input.value = place_of(self.knob, value)
+            self._read_out(value)
+        finally:
+            self._quiet = False
+
+    def turn(self, value: Value) -> None:
+        """Set a value as a user would."""
+        self.input.value = place_of(self.knob, value)
+
+    def _read_out(self, value: Value) -> None:
+        if self.knob.kind in ("log", "linear"):
+            quiet, self._quiet = self._quiet, True
+            self.readout.value = f"{value:.4g}"
+            self._quiet = quiet
+
+    def _on_input(self, change) -> None:
+        if not self._quiet:
+            value = value_at(self.knob, change["new"])
+            self._read_out(value)
+            self._turned(self.knob.path, value)
+
+    def _on_typed(self, change) -> None:
+        if self._quiet:
+            return
+        try:
+            value = float(change["new"].replace(",", "."))
+        except ValueError:
+            self._read_out(self.value)
+            return
+        self._quiet = True
+        try:
+            self.input.value = place_of(self.knob, value)
+        finally:
+            self._quiet = False
+        self._turned(self.knob.path, value)
+
+
+class Controls:
+    """All knobs in tabs; `show` brings them to a configuration."""
+
+    def __init__(self, config: Config, turned: Turned, height_px: int) -> None:
+        self.by_path: dict[str, KnobControl] = {}
+        pages = []
+        for title, knobs in PAGES.items():
+            controls = [KnobControl(knob, turned) for knob in knobs]
+            self.by_path |= {control.knob.path: control for control in controls}
+            layout = widgets.Layout(height=f"{height_px - 34}px", overflow="hidden auto")
+            pages.append((title, widgets.VBox([control.widget for control in controls], layout=layout)))
+        self.widget = widgets.Tab(
+            children=[page for _, page in pages], titles=[title for title, _ in pages],
+            layout=widgets.Layout(width="100%"),
+        )  # fmt: skip
+        self.widget.add_class("fw-controls")
+        self.show(config)
+
+    def show(self, config: Config, but: str | None = None) -> None:
+        """Bring the controls to a configuration, except the one at `but`, which the user holds."""
+        for path, control in self.by_path.items():
+            value = value_of(config, path)
+            if path != but and value != control.value:
+                control.show(value)
+            elif path != but:
+                control._read_out(value)
+        for path, product in effective_weights_of(config).items():
+            self.by_path[path].effective.value = f"={product:.3g}"
+
+
+PAGES = {
+    "ω": OMEGA,
+    "ρ ε": SOLVE,
+    "Camera": CAMERA + IDENTITY,
+    "Points": LANDMARKS,
+    "a b c": CONSTANTS,
+}
+
+
+def value_at(knob: Knob, place: Value) -> Value:
+    """The value of a slider's place; the lowest place of a logarithmic one is zero."""
+    if knob.kind != "log":
+        return place
+    if place <= _lowest(knob) + 1e-9:
+        return 0.0
+    return float(f"{10.0**place:.3g}")
+
+
+def place_of(knob: Knob, value: Value) -> Value:
+    """The slider's place for a value, inside its range."""
+    if knob.kind == "log":
+        place = math.log10(value) if value > 0.0 else _lowest(knob)
+        return min(max(place, _lowest(knob)), math.log10(knob.high))
+    if knob.kind in ("linear", "whole"):
+        kind = int if knob.kind == "whole" else float
+        return kind(min(max(value, knob.low), knob.high))
+    return value
+
+
+def _lowest(knob: Knob) -> float:
+    """Place of zero: one step below the least value."""
+    return math.log10(knob.low) - 1.0 / STEPS_PER_DECADE
+
+
+def _input(knob: Knob) -> widgets.Widget:
+    common = {
+        "description": knob.label,
+        "tooltip": knob.tip,
+        "style": {"description_width": f"{LABEL_PX - 8 * knob.level}px"},
+        "layout": widgets.Layout(width="auto", flex="1 1 auto", min_width="0"),
+    }
+    if knob.kind == "log":
+        low, high = _lowest(knob), math.log10(knob.high)
+        return widgets.FloatSlider(low, min=low, max=high, step=1.0 / STEPS_PER_DECADE, readout=False, **common)
+    if knob.kind == "linear":
+        return widgets.FloatSlider(knob.low, min=knob.low, max=knob.high, step=knob.step, readout=False, **common)
+    if knob.kind == "whole":
+        return widgets.IntSlider(int(knob.low), min=int(knob.low), max=int(knob.high), **common)
+    if knob.kind == "switch":
+        return widgets.Checkbox(False, indent=True, **common)
+    return widgets.Dropdown(options=knob.choices, **common)

@@ -1,0 +1,118 @@
+"""Why a frame is bad: ranked reasons, each with a change that one click applies and one click takes back."""
+
+import html
+from collections.abc import Callable
+
+import ipywidgets as widgets
+
+from workbench.diagnosis.records import Change, Diagnosis, Reason
+
+MOST_REASONS = 5
+
+
+class DiagnosisView:
+    """Reasons, the pull of each group of landmarks, and what the landmarks leave uncertain."""
+
+    def __init__(
+        self, ask: Callable[[], None], apply: Callable[[Change], None], take_back: Callable[[], None], height_px: int
+    ) -> None:
+        self._apply, self._take_back = apply, take_back
+        self.ask = widgets.Button(
+            description="Why this frame?", tooltip="look for reasons in the current frame", button_style="primary",
+            layout=widgets.Layout(width="auto"),
+        )  # fmt: skip
+        self.ask.on_click(lambda _button: ask())
+        self.status = widgets.HTML()
+        self.reasons = widgets.VBox()
+        self.tables = widgets.HTML(layout=widgets.Layout(flex="1 1 0", min_width="0"))
+        self.apply_buttons: list[widgets.Button] = []
+        body = widgets.HBox(
+            [widgets.VBox([self.reasons], layout=widgets.Layout(flex="1.4 1 0", min_width="0")), self.tables]
+        )
+        self.widget = widgets.VBox(
+            [widgets.HBox([self.ask, self.status]), body],
+            layout=widgets.Layout(height=f"{height_px}px", overflow="auto"),
+        )
+        self.widget.add_class("fw-diagnosis")
+
+    def say(self, text: str) -> None:
+        """One line beside the button."""
+        self.status.value = html.escape(text)
+
+    def clear(self, text: str = "") -> None:
+        """Forget the last diagnosis."""
+        self.reasons.children, self.tables.value, self.apply_buttons = (), "", []
+        self.say(text)
+
+    def show(self, frame: int, diagnosis: Diagnosis) -> None:
+        """Show what was found about a frame."""
+        reasons = diagnosis.reasons[:MOST_REASONS]
+        found = f"{len(reasons)} found, the likeliest first" if reasons else "no reason found: nothing stands out"
+        self.say(f"Frame {frame}: {found}.")
+        self.apply_buttons = []
+        self.reasons.children = tuple(self._row(k, reason) for k, reason in enumerate(reasons, 1))
+        self.tables.value = pulls_table(diagnosis) + uncertainty_table(diagnosis)
+
+    def _row(self, number: int, reason: Reason) -> widgets.Widget:
+        text = widgets.HTML(
+            f"<b>{number}. {html.escape(reason.title)}</b> <span style='opacity:.7'>({reason.score:.2f})</span><br>"
+            f"{html.escape(reason.evidence)}<br>"
+            f"<span style='opacity:.7'>{html.escape(reason.measure)}: {reason.before_percent:.2f} → "
+            f"{reason.after_percent:.2f} % of the eye distance with the change</span>"
+            if reason.change
+            else f"<b>{number}. {html.escape(reason.title)}</b><br>{html.escape(reason.evidence)}",
+            layout=widgets.Layout(flex="1 1 auto", min_width="0"),
+        )
+        if reason.change is None:
+            return text
+        apply = widgets.Button(
+            description=reason.change.label, tooltip="apply this change; one step of undo", button_style="info",
+            layout=widgets.Layout(width="auto", max_width="210px"),
+        )  # fmt: skip
+        back = widgets.Button(
+            description="take back", tooltip="undo it", disabled=True, layout=widgets.Layout(width="auto")
+        )
+
+        def on_apply(_button) -> None:
+            self._apply(reason.change)
+            apply.disabled, back.disabled = True, False
+
+        def on_back(_button) -> None:
+            self._take_back()
+            apply.disabled, back.disabled = False, True
+
+        apply.on_click(on_apply)
+        back.on_click(on_back)
+        self.apply_buttons.append(apply)
+        row = widgets.VBox([text, widgets.HBox([apply, back])], layout=widgets.Layout(margin="0 0 6px 0"))
+        row.add_class("fw-reason")
+        return row
+
+
+def pulls_table(diagnosis: Diagnosis) -> str:
+    """What changes when each group of landmarks is left out, as HTML."""
+    rows = "".join(
+        f"<tr><td>{html.escape(pull.group.replace('_', ' '))}</td><td>{pull.rotation_deg:.1f}°</td>"
+        f"<td>{pull.translation_mm:.0f} mm</td><td>{pull.distance_percent:.1f} %</td>"
+        f"<td>{html.escape(', '.join(f'{name} {change:+.2f}' for name, change in pull.weights[:2]))}</td></tr>"
+        for pull in diagnosis.leave_group_out
+    )
+    return (
+        "<b>What each group pulls</b> (the fit without it)<table><tr><th>group</th><th>turns</th><th>moves</th>"
+        f"<th>its points are off</th><th>weights</th></tr>{rows}</table>"
+    )
+
+
+def uncertainty_table(diagnosis: Diagnosis) -> str:
+    """Standard deviations of the pose, the least certain weights and what trades off, as HTML."""
+    found = diagnosis.uncertainty
+    order = sorted(range(len(found.weights)), key=lambda k: -found.weights[k])[:5]
+    names = found.names[6:]
+    pitch, yaw, roll = found.rotation_deg
+    pairs = "; ".join(f"{first} – {second} {value:+.2f}" for first, second, value in found.pairs[:4]) or "none"
+    return (
+        f"<b>How certain</b> (noise {found.noise_percent:.2f} % of the eye distance)<br>pose ±: yaw {yaw:.2f}°, pitch "
+        f"{pitch:.2f}°, roll {roll:.2f}°, distance {found.translation_mm[2]:.1f} mm; condition {found.condition:.1e}"
+        f"<br>least certain weights: {', '.join(f'{names[k]} ±{found.weights[k]:.2f}' for k in order)}"
+        f"<br>trade off (|r| > 0.9): {html.escape(pairs)}"
+    )

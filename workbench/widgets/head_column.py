@@ -1,0 +1,140 @@
+"""The 3D head with what it is coloured by, from where it is seen, and what it is compared with."""
+
+from collections.abc import Callable
+
+import ipywidgets as widgets
+import numpy as np
+
+from workbench.rendering.overlay import residual_colors
+from workbench.session import FittedHead, TuningSession
+from workbench.tracking import FrameFit
+from workbench.widgets.head_view import HeadView, make_head_view
+
+COLORINGS = ("skin", "residual", "blendshape", "uncertainty")
+START = "the start"
+OBSERVED = np.array([255, 255, 255], np.uint8)
+
+
+class HeadColumn:
+    """A `HeadView` and its controls. `uncertainty(fit)` gives a standard deviation in mm for every vertex."""
+
+    def __init__(
+        self, session: TuningSession, head: FittedHead, size: tuple[int, int], backend: str,
+        uncertainty: Callable[[FrameFit], np.ndarray], redraw: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._session, self._head, self._size = session, head, size
+        self._uncertainty, self._redraw = uncertainty, redraw
+        self._compared: tuple | None = None
+        self.view: HeadView = make_head_view(head.model, size, backend)
+        self.look = widgets.ToggleButtons(
+            options=["front", "camera", "free"], style={"button_width": "auto"},
+            tooltips=["from the front", "as the camera sees it", "wherever the mouse turned it"],
+        )  # fmt: skip
+        self.look.observe(lambda change: self.view.set_view(change["new"]), "value")
+        self.color = widgets.Dropdown(
+            options=COLORINGS, tooltip="what colours the surface", layout=widgets.Layout(width="104px")
+        )
+        self.shape = widgets.Dropdown(
+            options=list(head.model.expression_names), tooltip="blendshape whose displacement is shown",
+            layout=widgets.Layout(width="150px", display="none"),
+        )  # fmt: skip
+        self.points = widgets.ToggleButton(
+            description="points", tooltip="landmarks and residuals in 3D", layout=widgets.Layout(width="auto")
+        )
+        self.compare = widgets.Dropdown(
+            options=self._comparisons(), value="", tooltip="show another configuration's fit as a ghost",
+            layout=widgets.Layout(width="116px"),
+        )  # fmt: skip
+        for control in (self.color, self.shape, self.points, self.compare):
+            control.observe(self._on_choice, "value")
+        self.note = widgets.Label(self.view.note or "")
+        wrap = widgets.Layout(flex_flow="row wrap")
+        more = widgets.HBox([self.color, self.shape, self.points, self.compare], layout=wrap)
+        self._holder = widgets.VBox([self.view.widget])
+        self.widget = widgets.VBox([self.look, self._holder, more, self.note])
+        if not self.view.note:
+            self.note.layout.display = "none"
+
+    def show(self, fit: FrameFit) -> None:
+        """Show the head of a fit; nothing moves for a frame without a face."""
+        if not fit.found:
+            return
+        self.view.set_vertices(self._head.vertices(fit))
+        self.view.set_pose(fit.rotation, fit.translation, fit.camera, fit.image_size)
+        self._color(fit)
+        self._mark(fit)
+        self._ghost(fit)
+
+    def use_pictures(self, why: str) -> None:
+        """Change to the back end that needs no WebGL in the browser."""
+        old, self.view = self.view, make_head_view(self._head.model, self._size, "pictures")
+        self.view.set_view(self.look.value)
+        self._holder.children = (self.view.widget,)
+        self.note.value, self.note.layout.display = why, None
+        old.close()
+        self._redraw()
+
+    def refresh_comparisons(self) -> None:
+        """List the snapshots."""
+        if list(self.compare.options) != (options := self._comparisons()):
+            chosen = self.compare.value
+            self.compare.options = options
+            if chosen in [value for _, value in options]:
+                self.compare.value = chosen
+
+    def close(self) -> None:
+        """Free the view."""
+        self.view.close()
+
+    def _color(self, fit: FrameFit) -> None:
+        kind = self.color.value
+        if kind == "residual":
+            percent = 100.0 * fit.residuals_px / np.linalg.norm(fit.observed[45] - fit.observed[36])
+            self.view.set_values(self._head.surface_values(percent), 0.0, 10.0, "residual, % of eye distance")
+        elif kind == "blendshape":
+            moved = self._head.displacement(fit, self.shape.value)
+            self.view.set_values(moved, 0.0, max(float(moved.max()), 0.1), f"{self.shape.value} at 1, mm")
+        elif kind == "uncertainty":
+            spread = self._uncertainty(fit)
+            high = max(float(np.nanpercentile(spread, 99)), 0.01)
+            self.view.set_values(spread, 0.0, high, "standard deviation, mm")
+        elif self._colored:
+            self.view.set_values(None, 0.0, 1.0, "")
+        self._colored = kind != "skin"
+
+    _colored = False
+    _marked = False
+
+    def _mark(self, fit: FrameFit) -> None:
+        if self.points.value:
+            landmarks = self._head.landmarks(fit)
+            percent = 100.0 * fit.residuals_px / np.linalg.norm(fit.observed[45] - fit.observed[36])
+            colors = np.array(residual_colors(percent), np.uint8)
+            self.view.set_points(landmarks, colors, 2.5)
+            self.view.set_segments(np.stack([landmarks, self._head.observed(fit, landmarks)], axis=1), colors)
+        elif self._marked:
+            self.view.set_points(None, None)
+            self.view.set_segments(None, None)
+        self._marked = self.points.value
+
+    def _ghost(self, fit: FrameFit) -> None:
+        name = self.compare.value
+        key = (name, fit.index, id(self._session.snapshots.get(name)), fit.identity.tobytes()) if name else None
+        if key == self._compared:
+            return
+        if not name:
+            self.view.set_ghost(None)
+        else:
+            config = self._session.base if name == START else self._session.snapshots[name]
+            other = self._session.fit_frame(fit.index if len(self._session) > 1 else 0, config=config)
+            # A model of its own: the other configuration may see another person.
+            model = self._head.model.personal(other.identity)
+            self.view.set_ghost(model.vertices(other.expression))
+        self._compared = key
+
+    def _comparisons(self) -> list[tuple[str, str]]:
+        return [("compare…", ""), (START, START), *((name, name) for name in self._session.snapshots)]
+
+    def _on_choice(self, _change) -> None:
+        self.shape.layout.display = None if self.color.value == "blendshape" else "none"
+        self._redraw()

@@ -1,0 +1,197 @@
+"""The picture with its landmarks, and the tools to select, mute, weigh, move and name them."""
+
+from collections.abc import Callable
+
+import ipywidgets as widgets
+import numpy as np
+
+from workbench.errors import WorkbenchError
+from workbench.landmarks.scheme import GROUPS, outer_eye_distance
+from workbench.rendering import HeadRenderer, gl_available
+from workbench.session import FittedHead, TuningSession
+from workbench.tracking import FrameFit
+from workbench.tracking.fitter import running_stages
+from workbench.widgets.overlay_view import OverlayEvent, OverlayView
+
+UNITS = {"%": "% of eye distance", "px": "px"}
+WEIGHT_STEP = 2.0
+
+
+class LandmarkTools:
+    """The overlay of the current frame and its tool bar; edits go to the session."""
+
+    def __init__(
+        self, session: TuningSession, head: FittedHead, height_px: int, said: Callable[[str], None],
+        redraw: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._session, self._head, self._said, self._redraw = session, head, said, redraw
+        self._renderer: HeadRenderer | None = None
+        self.frame = 0
+        self.view = OverlayView(height_px=height_px, unit=UNITS["%"])
+        self.view.on_event(self._on_event)
+        self.tool = widgets.ToggleButtons(
+            options=[("select", "select"), ("lasso", "lasso"), ("move", "move")], style={"button_width": "auto"},
+            tooltips=["click landmarks; Ctrl adds", "draw around landmarks", "drag a wrong detection to its place"],
+        )  # fmt: skip
+        widgets.link((self.tool, "value"), (self.view, "tool"))
+        self.mute = _button("mute", "mute or unmute the selected landmarks (m)")
+        self.up, self.down = _button("×2", "double their weight (+)"), _button("÷2", "halve their weight (−)")
+        self.back = _button("⟲", "put back: give the selected detections their old places (r)")
+        for button, kind in (
+            (self.mute, "mute"), (self.up, "weight_up"), (self.down, "weight_down"), (self.back, "reset"),
+        ):  # fmt: skip
+            button.on_click(lambda _button, kind=kind: self._on_event(self._of_selection(kind)))
+        self.group = widgets.Dropdown(
+            options=self._groups(), value="", tooltip="select a group or a saved subset",
+            layout=widgets.Layout(width="84px"),
+        )  # fmt: skip
+        self.group.observe(self._on_group, "value")
+        self.name = widgets.Text(placeholder="name", tooltip="name of a subset", layout=widgets.Layout(width="76px"))
+        self.save = _button("save", "save the selection under this name, for stages and weights")
+        self.save.on_click(lambda _button: self._save())
+        self.layers = {
+            name: widgets.ToggleButton(
+                value=shown, description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto")
+            )
+            for name, shown, text, tip in (
+                ("lines", False, "lines", "connect the model's landmarks"),
+                ("labels", False, "123", "landmark numbers"),
+                ("wire", False, "mesh", "wireframe of the fitted head"),
+                ("layer", False, "face", "the fitted head over the photo"),
+            )
+        }
+        for toggle in self.layers.values():
+            toggle.observe(lambda _change: self._on_layers(), "value")
+        self.opacity = widgets.FloatSlider(
+            0.6, min=0.0, max=1.0, step=0.05, readout=False, tooltip="opacity of the face",
+            layout=widgets.Layout(width="64px"),
+        )  # fmt: skip
+        widgets.link((self.opacity, "value"), (self.view, "layer_opacity"))
+        self.unit = widgets.Dropdown(
+            options=list(UNITS), tooltip="unit of residuals: % of the outer-eye distance, or pixels",
+            layout=widgets.Layout(width="50px"),
+        )  # fmt: skip
+        self.unit.observe(self._on_unit, "value")
+        self.scale = widgets.BoundedFloatText(
+            0.0, min=0.0, max=1000.0, step=1.0, tooltip="end of the colour scale; 0 chooses it",
+            layout=widgets.Layout(width="46px"),
+        )  # fmt: skip
+        widgets.link((self.scale, "value"), (self.view, "scale_max"))
+        wrap = widgets.Layout(flex_flow="row wrap", align_items="center")
+        tools = widgets.HBox(
+            [self.tool, self.mute, self.up, self.down, self.back, self.group, self.name, self.save], layout=wrap
+        )
+        more = widgets.HBox([*self.layers.values(), self.opacity, self.unit, self.scale], layout=wrap)
+        self._on_layers()
+        self.widget = widgets.VBox([tools, self.view, more], layout=widgets.Layout(min_width="0"))
+
+    def show(self, fit: FrameFit) -> None:
+        """Show the fit of a frame on its picture."""
+        self.frame = fit.index if len(self._session) > 1 else 0
+        self.view.set_picture(self._session.picture(self.frame))
+        if not fit.found:
+            self.view.message = f"frame {self.frame}: no face"
+            self.view.set_fit(None)
+            return
+        self.view.message = ""
+        values = self.residuals(fit)
+        self.view.set_fit(fit.observed, fit.projected, values, fit.confidence, self._weights())
+        if self.layers["wire"].value:
+            self.view.set_wire(self._head.wire(fit))
+        if self.layers["layer"].value:
+            self.view.set_layer(self._face(fit))
+
+    def residuals(self, fit: FrameFit) -> np.ndarray:
+        """Residuals in the chosen unit."""
+        if self.unit.value == "px":
+            return fit.residuals_px
+        return 100.0 * fit.residuals_px / outer_eye_distance(fit.observed)
+
+    def refresh_groups(self) -> None:
+        """List the saved subsets behind the groups."""
+        if list(self.group.options) != (options := self._groups()):
+            self.group.options = options
+
+    def close(self) -> None:
+        """End the renderer of the face layer."""
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def _weights(self) -> np.ndarray:
+        """What each landmark counts in the last stage."""
+        config = self._session.config
+        last = running_stages(config, start=False)[-1]
+        return np.multiply(last.landmark_weights(config.subsets), config.point_weights())
+
+    def _face(self, fit: FrameFit) -> np.ndarray | None:
+        if not gl_available():
+            self._said("The face layer needs OpenGL; the mesh works without.")
+            return None
+        if self._renderer is None or self._renderer.size != fit.image_size:
+            self.close()
+            self._renderer = HeadRenderer(self._head.model, fit.image_size, supersampling=1.0)
+        picture, mask = self._renderer.render_with_mask(
+            self._head.vertices(fit), fit.camera, fit.rotation, fit.translation
+        )
+        return np.dstack([picture, mask])
+
+    def _of_selection(self, kind: str) -> OverlayEvent:
+        return OverlayEvent(kind, tuple(self.view.selection), None, None)
+
+    def _on_event(self, event: OverlayEvent) -> None:
+        try:
+            self._act(event)
+        except WorkbenchError as error:
+            self._said(str(error))
+
+    def _act(self, event: OverlayEvent) -> None:
+        session, points = self._session, event.points
+        if event.kind in ("mute", "weight_up", "weight_down", "reset") and not points:
+            self._said("Select landmarks first: click them, or draw around them with the lasso.")
+            return
+        factors = session.config.point_weights()
+        if event.kind == "mute":
+            muted = all(factors[point] == 0.0 for point in points)
+            session.weigh(points, 1.0 if muted else 0.0, "unmute" if muted else "mute")
+        elif event.kind in ("weight_up", "weight_down"):
+            step = WEIGHT_STEP if event.kind == "weight_up" else 1.0 / WEIGHT_STEP
+            session.weigh(points, max(factors[points[0]], 1.0 / 64) * step, "landmark weight")
+        elif event.kind in ("drag", "drop"):
+            session.move(self.frame, points[0], (event.x, event.y), gesture=f"move {self.frame} {points[0]}")
+        elif event.kind == "reset":
+            session.put_back(self.frame, points)
+
+    def _on_group(self, change) -> None:
+        name = change["new"]
+        if name:
+            points = self._session.config.subsets.get(name, GROUPS.get(name, ()))
+            self.view.selection = list(points)
+            self.group.value = ""
+
+    def _save(self) -> None:
+        try:
+            self._session.save_subset(self.name.value.strip(), self.view.selection)
+        except WorkbenchError as error:
+            self._said(str(error))
+            return
+        self._said(f"Saved the subset {self.name.value.strip()!r} of {len(self.view.selection)} points.")
+
+    def _groups(self) -> list[tuple[str, str]]:
+        names = [*GROUPS, *self._session.config.subsets]
+        return [("select…", ""), *((name.replace("_", " "), name) for name in names)]
+
+    def _on_layers(self) -> None:
+        self.view.layers = {**self.view.layers, **{name: toggle.value for name, toggle in self.layers.items()}}
+        self._redraw()
+
+    def _on_unit(self, change) -> None:
+        self.view.unit = UNITS[change["new"]]
+        self._redraw()
+
+
+def _fixed() -> widgets.Layout:
+    return widgets.Layout(width="auto", flex="0 0 auto")
+
+
+def _button(text: str, tip: str) -> widgets.Button:
+    return widgets.Button(description=text, tooltip=tip, layout=_fixed())

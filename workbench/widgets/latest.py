@@ -1,0 +1,70 @@
+"""Latest wins: one worker thread, one waiting request, the newest replaces an older one."""
+
+import threading
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+Request = TypeVar("Request")
+
+
+class LatestWins(Generic[Request]):
+    """Runs `work(request)` in a thread of its own; of requests that come meanwhile only the newest is kept.
+
+    A widget's callback hands over and returns at once, so that a slow fit neither queues up nor holds the kernel.
+    Exceptions of `work` go to `failed` and do not end the thread.
+    """
+
+    def __init__(
+        self, work: Callable[[Request], None], failed: Callable[[Exception], None], name: str = "latest-wins"
+    ) -> None:
+        self._work, self._failed = work, failed
+        self._changed = threading.Condition()
+        self._waiting: list[Request] = []
+        self._busy = self._closed = False
+        self.submitted = self.started = 0
+        self._thread = threading.Thread(target=self._serve, name=name, daemon=True)
+        self._thread.start()
+
+    def submit(self, request: Request) -> None:
+        """Ask for `work(request)`; replaces a request that still waits."""
+        with self._changed:
+            self.submitted += 1
+            self._waiting = [request]
+            self._changed.notify_all()
+
+    @property
+    def waiting(self) -> int:
+        """Requests that wait: 0 or 1."""
+        return len(self._waiting)
+
+    def newer(self) -> bool:
+        """Whether a newer request waits: long work may stop for it."""
+        return bool(self._waiting) or self._closed
+
+    def wait_idle(self, timeout_s: float = 30.0) -> bool:
+        """Wait until nothing waits or runs; False if that takes longer."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._waiting and not self._busy, timeout_s)
+
+    def close(self) -> None:
+        """End the thread after the work in hand; closing twice is fine."""
+        with self._changed:
+            self._closed, self._waiting = True, []
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout=10)
+
+    def _serve(self) -> None:
+        while True:
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._waiting or self._closed)
+                if self._closed:
+                    return
+                request, self._busy = self._waiting.pop(), True
+                self.started += 1
+            try:
+                self._work(request)
+            except Exception as error:
+                self._failed(error)

@@ -1,0 +1,172 @@
+"""The schedule as a table: reorder, switch, free parameters, landmark groups, limits; run, run to here, step."""
+
+from collections.abc import Callable
+
+import ipywidgets as widgets
+
+from workbench.config import Config, Stage
+from workbench.errors import ConfigError
+
+BLOCKS = {"rotation": "R", "translation": "t", "expression": "w"}
+LONGEST = 8
+"""Stages that the table shows."""
+HEADER = "<b style='display:inline-block;width:{}px'>{}</b>"
+
+
+class StageRow:
+    """One line of the table."""
+
+    def __init__(self, number: int, changed: Callable[[int, dict], None], act: Callable[[str, int], None]) -> None:
+        self._number, self._changed, self._quiet = number, changed, False
+        narrow, tiny = widgets.Layout(width="86px"), widgets.Layout(width="30px", padding="0")
+        self.enabled = widgets.Checkbox(indent=False, tooltip="run this stage", layout=widgets.Layout(width="24px"))
+        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=widgets.Layout(width="128px"))
+        self.free = {
+            block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=tiny)
+            for block, letter in BLOCKS.items()
+        }
+        self.landmarks = widgets.Text(
+            continuous_update=False, layout=widgets.Layout(width="190px"),
+            tooltip="groups, subsets or point numbers with their weights, later ones win: all 1, jaw 0.25, 30 2",
+        )  # fmt: skip
+        self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=narrow)
+        self.limit.layout.width = "58px"
+        self.when = widgets.Dropdown(
+            options=["always", "start"], tooltip="start: on the first frame of a shot only", layout=narrow
+        )
+        self.result = widgets.Label(layout=widgets.Layout(width="150px"))
+        buttons = {"up": ("↑", "earlier"), "down": ("↓", "later"), "here": ("▶|", "run to here and stop"),
+                   "drop": ("✕", "remove this stage")}  # fmt: skip
+        self.buttons = {}
+        for action, (text, tip) in buttons.items():
+            button = widgets.Button(description=text, tooltip=tip, layout=tiny)
+            button.on_click(lambda _button, action=action: act(action, number))
+            self.buttons[action] = button
+        for name in ("enabled", "name", "landmarks", "limit", "when"):
+            getattr(self, name).observe(self._on_change, "value")
+        for toggle in self.free.values():
+            toggle.observe(self._on_change, "value")
+        self.widget = widgets.HBox([
+            self.enabled, self.name, *self.free.values(), self.landmarks, self.limit, self.when,
+            *self.buttons.values(), self.result,
+        ])  # fmt: skip
+
+    def show(self, stage: Stage) -> None:
+        """Show a stage without calling back."""
+        self._quiet = True
+        try:
+            self.enabled.value, self.name.value, self.limit.value = stage.enabled, stage.name, stage.limit
+            self.when.value, self.landmarks.value = stage.when, landmarks_text(stage.landmarks)
+            for block, toggle in self.free.items():
+                toggle.value = block in stage.free
+        finally:
+            self._quiet = False
+
+    def _on_change(self, _change) -> None:
+        if self._quiet:
+            return
+        try:
+            landmarks = read_landmarks(self.landmarks.value)
+        except ConfigError as error:
+            self.result.value = str(error)
+            return
+        self._changed(self._number, {
+            "enabled": self.enabled.value,
+            "name": self.name.value,
+            "free": tuple(block for block, toggle in self.free.items() if toggle.value),
+            "landmarks": landmarks,
+            "limit": self.limit.value,
+            "when": self.when.value,
+        })  # fmt: skip
+
+
+class StageEditor:
+    """The stages of a configuration; `changed(stages, label)` hands back a new list, `run(what, stage)` a command.
+
+    Commands are "all", "here" (up to and including a stage), "step" (one iteration more) and "back" (one fewer).
+    """
+
+    def __init__(
+        self, changed: Callable[[list[dict], str], None], run: Callable[[str, int], None], height_px: int
+    ) -> None:
+        self._changed, self._run, self._stages = changed, run, ()
+        self._rows = [StageRow(k, self._on_row, self._on_action) for k in range(LONGEST)]
+        self.add = _button("+ stage", "add a stage that frees the weights")
+        self.all = _button("▶ all", "run all stages")
+        self.back = _button("◀ one back", "one iteration fewer")
+        self.step = _button("step ▶", "one iteration more, through the stages in order")
+        self.place = widgets.Label()
+        self.add.on_click(lambda _button: self._add())
+        for button, what in ((self.all, "all"), (self.back, "back"), (self.step, "step")):
+            button.on_click(lambda _button, what=what: self._run(what, -1))
+        titles = (("", 28), ("stage", 132), ("free", 100), ("landmarks and weights", 194), ("limit", 62),
+                  ("when", 90), ("", 130), ("last fit", 100))  # fmt: skip
+        header = widgets.HTML("".join(HEADER.format(width, title) for title, width in titles))
+        bar = widgets.HBox([self.all, self.back, self.step, self.place, self.add])
+        self.widget = widgets.VBox(
+            [bar, header, *(row.widget for row in self._rows)],
+            layout=widgets.Layout(height=f"{height_px}px", overflow="auto"),
+        )
+        self.widget.add_class("fw-stages")
+
+    def show(self, config: Config) -> None:
+        """Show the stages of a configuration."""
+        self._stages = config.stages
+        for k, row in enumerate(self._rows):
+            row.widget.layout.display = None if k < len(config.stages) else "none"
+            if k < len(config.stages):
+                row.show(config.stages[k])
+
+    def show_results(self, results: dict[str, str], place: str = "") -> None:
+        """What the last fit did in each stage by name, and where stepping stands."""
+        self.place.value = place
+        for k, row in enumerate(self._rows[: len(self._stages)]):
+            row.result.value = results.get(self._stages[k].name, "")
+
+    def _on_row(self, number: int, values: dict) -> None:
+        stages = [stage.model_dump() for stage in self._stages]
+        stages[number] |= values
+        self._changed(stages, f"stage {values['name']}")
+
+    def _on_action(self, action: str, number: int) -> None:
+        if action == "here":
+            self._run("here", number)
+            return
+        stages = [stage.model_dump() for stage in self._stages]
+        name = stages[number]["name"]
+        if action == "drop":
+            del stages[number]
+        else:
+            other = number + (-1 if action == "up" else 1)
+            if not 0 <= other < len(stages):
+                return
+            stages[number], stages[other] = stages[other], stages[number]
+        self._changed(stages, f"{'remove' if action == 'drop' else 'move'} stage {name}")
+
+    def _add(self) -> None:
+        if len(self._stages) < LONGEST:
+            names = {stage.name for stage in self._stages}
+            name = next(f"stage {k}" for k in range(1, 99) if f"stage {k}" not in names)
+            added = Stage(name=name, free=("expression",)).model_dump()
+            self._changed([*(stage.model_dump() for stage in self._stages), added], f"add {name}")
+
+
+def landmarks_text(landmarks: dict[str, float]) -> str:
+    """Groups and weights as a user types them."""
+    return ", ".join(f"{name} {weight:g}" for name, weight in landmarks.items())
+
+
+def read_landmarks(text: str) -> dict[str, float]:
+    """Groups and weights of a text like "all 1, jaw 0.25". Raises `ConfigError` for anything else."""
+    found = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        name, _, weight = part.rpartition(" ")
+        try:
+            found[name.strip() or weight] = float(weight) if name else 1.0
+        except ValueError:
+            raise ConfigError(f"Expected a group and its weight, as 'jaw 0.25', got {part!r}.") from None
+    return found
+
+
+def _button(text: str, tip: str) -> widgets.Button:
+    return widgets.Button(description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto"))

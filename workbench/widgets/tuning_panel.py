@@ -1,0 +1,472 @@
+"""The panel: every knob of a session, the picture, the head, the clip and the diagnosis, all following each other."""
+
+import html
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import ipywidgets as widgets
+import numpy as np
+
+from workbench.config import PRESETS, preset
+from workbench.diagnosis.records import Change
+from workbench.energies import TERMS
+from workbench.errors import WorkbenchError
+from workbench.session import FittedHead, TuningSession
+from workbench.session.knobs import changed_by
+from workbench.tracking import FrameFit, StageTrace
+from workbench.widgets.chart_view import ChartView
+from workbench.widgets.clip_views import ClipViews
+from workbench.widgets.controls import Controls
+from workbench.widgets.diagnosis_view import DiagnosisView
+from workbench.widgets.head_column import HeadColumn
+from workbench.widgets.landmark_tools import LandmarkTools
+from workbench.widgets.latest import LatestWins
+from workbench.widgets.stage_editor import StageEditor
+
+CONTROLS_PX, HEAD_PX = 262, 304
+TABS_PX = 190
+STYLE = """<style>
+.fw-panel { --jp-widgets-inline-height: 24px; --jp-widgets-font-size: 12px; max-width: 1500px; }
+.fw-panel .jupyter-button { padding: 0 7px; line-height: 22px; }
+.fw-panel .jupyter-widget-Tab > .jupyter-widget-TabPanel-tabContents, .fw-panel .widget-tab-contents { padding: 4px; }
+.fw-panel .lm-TabBar-tab { min-width: 0; flex: 0 1 auto; padding: 0 8px; }
+.fw-panel .widget-html-content, .fw-panel .jupyter-widget-html-content { line-height: 18px; font-size: 12px; }
+.fw-panel .fw-status code { white-space: nowrap; font-size: 12px; }
+.fw-panel table { font-size: 12px; }
+.fw-panel td, .fw-panel th { padding: 0 6px; text-align: left; }
+</style>"""
+SETTLED_S = 0.3
+"""Quiet time after the last change before the whole clip, or an exact identity, is fitted."""
+LIVE_CLIP_FRAMES = 1500
+"""Clips up to this length are fitted anew after each change unless the user switches that off."""
+STATUS_NAMES = {-1: "", 1: "converged", 2: "limit", 3: "stalled", 4: "not finite"}
+
+
+@dataclass(frozen=True)
+class Show:
+    """What the worker is asked for: the fit of a frame."""
+
+    frame: int
+    coarse: bool = False
+    """Whether the identity may be that of an earlier configuration."""
+    steps: int | None = None
+    """Stop after that many iterations; None runs all stages."""
+
+
+class TuningPanel(widgets.VBox):
+    """A view on a `TuningSession`: whoever changes the session, the panel follows.
+
+    Callbacks hand over to a worker, of which only the newest request counts; results are shown from its thread.
+    `wait_idle` waits for it, for scripts and tests.
+    """
+
+    def __init__(self, session: TuningSession, backend: str = "auto", height_px: int = 372) -> None:
+        self.session, self.frame = session, 0
+        self._head = FittedHead(session.model)
+        self._held: str | None = None
+        self._steps: int | None = None
+        self._settling: threading.Timer | None = None
+        self._closed = False
+        self.fit: FrameFit | None = None
+        self.status = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 0", overflow="hidden"))
+        self.status.add_class("fw-status")
+        self._worker: LatestWins[Show] = LatestWins(self._refit, self._failed, "panel-fit")
+        self._clip_worker: LatestWins[bool] = LatestWins(self._run_clip, self._failed, "panel-clip")
+        self._slow = ThreadPoolExecutor(max_workers=1, thread_name_prefix="panel-slow")
+        self._build(backend, height_px)
+        self._leave = session.listen(self._on_session)
+        style = widgets.HTML(STYLE, layout=widgets.Layout(display="none"))
+        strip = [self.clip.timeline] if self._is_clip else []
+        super().__init__([style, self._history_bar(), self._file_bar(), self._main, *strip, self.tabs])
+        self.add_class("fw-panel")
+        self._show_session()
+        self._worker.submit(Show(0))
+        self._clip_worker.submit(True)
+        self._later(session.warm_up)
+
+    def __repr__(self) -> str:
+        return f"TuningPanel({self.session!r})"
+
+    # --- for scripts and tests ---
+
+    def go(self, frame: int) -> None:
+        """Show another frame."""
+        frame = int(np.clip(frame, 0, len(self.session) - 1))
+        if frame != self.frame:
+            self.frame, self._steps = frame, None
+            if self._is_clip:
+                self.clip.show_frame(frame)
+            self.diagnosis.clear()
+            self._worker.submit(Show(frame))
+
+    def turn(self, path: str, value: Any) -> None:
+        """Turn a knob as a user would; `session.knobs.KNOBS` lists the paths."""
+        self.controls.by_path[path].turn(value)
+
+    def wait_idle(self, timeout_s: float = 60.0) -> bool:
+        """Wait until everything that was asked for is shown; False if that takes longer."""
+        timer = self._settling
+        if timer is not None:
+            timer.join(timeout_s)
+        try:
+            self._slow.submit(int).result(timeout_s)
+        except TimeoutError:
+            return False
+        return all(worker.wait_idle(timeout_s) for worker in (self._clip_worker, self._worker))
+
+    def close(self) -> None:
+        """Stop following the session, end the threads and free the views."""
+        if self._closed:
+            return
+        self._closed = True
+        self._leave()
+        if self._settling is not None:
+            self._settling.cancel()
+        for worker in (self._worker, self._clip_worker):
+            worker.close()
+        self._slow.shutdown(wait=True, cancel_futures=True)
+        self.overlay.close()
+        self.head.close()
+        super().close()
+
+    # --- parts ---
+
+    @property
+    def _is_clip(self) -> bool:
+        return len(self.session) > 1
+
+    def _build(self, backend: str, height_px: int) -> None:
+        session = self.session
+        self.controls = Controls(session.config, self._on_knob, height_px)
+        self.overlay = LandmarkTools(session, self._head, height_px - 96, self.say, self._redraw)
+        self.overlay.view.observe(self._on_webgl, "webgl")
+        size = (HEAD_PX, height_px - 64)
+        self.head = HeadColumn(session, self._head, size, backend, self._uncertainty, self._redraw)
+        self.clip = ClipViews(session, self.go)
+        self.stages = StageEditor(self._on_stages, self._on_run, TABS_PX)
+        self.diagnosis = DiagnosisView(self._on_why, self._on_apply, self._on_take_back, TABS_PX)
+        self.energy = ChartView(height_px=TABS_PX - 20, y_log=True, title="energy per term against iteration")
+        self.changes = widgets.HTML(layout=widgets.Layout(height=f"{TABS_PX}px", overflow="auto"))
+        columns = f"{CONTROLS_PX}px minmax(240px, 1fr) {HEAD_PX + 6}px"
+        self._main = widgets.GridBox(
+            [self.controls.widget, self.overlay.widget, self.head.widget],
+            layout=widgets.Layout(grid_template_columns=columns, grid_gap="6px", width="100%"),
+        )
+        pages = {"Energy": self.energy, "Stages": self.stages.widget, "Diagnosis": self.diagnosis.widget}
+        if self._is_clip:
+            pages["Curves"] = self.clip.curves
+        pages["Changes"] = self.changes
+        self.tabs = widgets.Tab(children=list(pages.values()), titles=list(pages))
+
+    def _history_bar(self) -> widgets.Widget:
+        self.undo, self.redo = _button("↶ undo", "take back the last change"), _button("↷ redo", "make it again")
+        self.undo.on_click(lambda _button: self.session.undo())
+        self.redo.on_click(lambda _button: self.session.redo())
+        self.reset = widgets.Dropdown(
+            options=self._resets(), value="", tooltip="go to a preset, the start or a snapshot; undo brings you back",
+            layout=widgets.Layout(width="128px"),
+        )  # fmt: skip
+        self.reset.observe(self._on_reset, "value")
+        self.name = widgets.Text(
+            placeholder="snapshot name", tooltip="name of a snapshot", layout=widgets.Layout(width="112px")
+        )
+        self.keep = _button("keep", "keep the present configuration under this name")
+        self.keep.on_click(lambda _button: self._guarded(self._on_keep))
+        return widgets.HBox(
+            [self.undo, self.redo, self.reset, self.name, self.keep, self.status],
+            layout=widgets.Layout(align_items="center"),
+        )
+
+    def _file_bar(self) -> widgets.Widget:
+        self.run_clip = _button("▶ run clip" if self._is_clip else "▶ run", "fit all frames")
+        self.run_clip.on_click(lambda _button: self._clip_worker.submit(True))
+        self.cancel = _button("cancel", "stop the run; the last whole run stays")
+        self.cancel.on_click(lambda _button: self._clip_worker.submit(False))
+        self.follow = widgets.ToggleButton(
+            value=len(self.session) <= LIVE_CLIP_FRAMES, description="live", layout=widgets.Layout(width="auto"),
+            tooltip="fit the whole clip again after each change",
+        )  # fmt: skip
+        self.progress = widgets.IntProgress(
+            0, max=len(self.session), layout=widgets.Layout(width="120px", visibility="hidden")
+        )
+        self.step_buttons = [
+            _button("◀", "frame before"),
+            _button("▶", "next frame"),
+            _button("⚑", "next flagged frame"),
+        ]
+        for button, to in zip(self.step_buttons, (-1, 1, 0), strict=True):
+            button.on_click(lambda _button, to=to: self.go(self.frame + to if to else self._next_flagged()))
+        self.file = widgets.Text(
+            "tuned.toml", tooltip="file of the configuration", continuous_update=False,
+            layout=widgets.Layout(width="150px"),
+        )  # fmt: skip
+        self.export = _button("export", "write the configuration with its provenance")
+        self.export.on_click(lambda _button: self._later(self._on_export))
+        self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
+        clip = [*self.step_buttons, self.run_clip, self.follow, self.cancel, self.progress] if self._is_clip else []
+        return widgets.HBox([*clip, self.file, self.export, self.exported], layout=widgets.Layout(align_items="center"))
+
+    # --- what the user does ---
+
+    def _later(self, job: Callable[[], None]) -> None:
+        """Do a slow job in order, apart from the fits."""
+
+        def guarded() -> None:
+            try:
+                job()
+            except Exception as error:
+                self._failed(error)
+
+        self._slow.submit(guarded)
+
+    def _guarded(self, act, *arguments) -> None:
+        try:
+            act(*arguments)
+        except WorkbenchError as error:
+            self.say(str(error), wrong=True)
+
+    def _on_knob(self, path: str, value: Any) -> None:
+        self._held = path
+        try:
+            self._guarded(lambda: self.session.set(path, gesture=path, **changed_by(self.session.config, path, value)))
+        finally:
+            self._held = None
+
+    def _on_stages(self, stages: list[dict], label: str) -> None:
+        try:
+            self.session.set(label, stages=stages)
+        except WorkbenchError as error:
+            self.say(str(error), wrong=True)
+            self.stages.show(self.session.config)
+
+    def _on_run(self, what: str, number: int) -> None:
+        if self.fit is None or not self.fit.found:
+            return
+        counts = self._counts()
+        total = sum(counts.values())
+        if what == "all":
+            self._steps = None
+        elif what == "here":
+            names = [stage.name for stage in self.session.config.stages[: number + 1]]
+            self._steps = sum(count for name, count in counts.items() if name in names)
+        else:
+            now = total if self._steps is None else self._steps
+            self._steps = int(np.clip(now + (1 if what == "step" else -1), 0, total))
+            if what == "step" and now == total:
+                self._steps = 0  # from the end a step begins again at the start
+        self._worker.submit(Show(self.frame, steps=self._steps))
+
+    def _on_reset(self, change) -> None:
+        if change["new"]:
+            kind, _, name = change["new"].partition(":")
+            self.reset.value = ""
+            if kind == "preset":
+                self.session.use(preset(name), f"preset {name}")
+            elif kind == "start":
+                self.session.use(self.session.base, "the start")
+            else:
+                self._guarded(self.session.restore_snapshot, name)
+
+    def _on_keep(self) -> None:
+        name = self.name.value.strip() or f"snapshot {len(self.session.snapshots) + 1}"
+        self.session.take_snapshot(name)
+        self.name.value = ""
+        self.say(f"Kept {name!r}: the menus go back to it and compare with it.")
+
+    def _on_why(self) -> None:
+        self.diagnosis.clear(f"Looking at frame {self.frame} …")
+        self._later(self._diagnose)
+
+    def _on_apply(self, change: Change) -> None:
+        self._guarded(self.session.apply, change, self.frame)
+
+    def _on_take_back(self) -> None:
+        self.session.undo()
+
+    def _on_export(self) -> None:
+        path = Path(self.file.value.strip() or "tuned.toml")
+        if path.suffix != ".toml":
+            path = path.with_name(path.name + ".toml")
+        self.session.export(path)
+        command = html.escape(self.session.command(path))
+        self.exported.value = f"wrote {html.escape(str(path))}; the same numbers headless: <code>{command}</code>"
+
+    def _on_webgl(self, change) -> None:
+        if change["new"] is False and self.head.view.note is None:
+            self.head.use_pictures("This browser has no WebGL: the head comes as pictures from the kernel.")
+
+    def _next_flagged(self) -> int:
+        flagged = self.clip.timeline.flagged
+        return next((frame for frame in flagged if frame > self.frame), flagged[0] if flagged else self.frame)
+
+    # --- what the session tells ---
+
+    def _on_session(self, what: str) -> None:
+        if self._closed:
+            return
+        if what == "config":
+            self._steps = None
+            self._show_session()
+            self._worker.submit(Show(self.frame, coarse=self._is_clip))
+            self._settle()
+        elif what == "run":
+            self._guarded(self._show_run)
+        elif what == "snapshots":
+            self.reset.options = self._resets()
+            self.head.refresh_comparisons()
+
+    def _show_session(self) -> None:
+        config = self.session.config
+        self.controls.show(config, but=self._held)
+        self.stages.show(config)
+        self.overlay.refresh_groups()
+        self.undo.disabled, self.redo.disabled = not self.session.undo_label, not self.session.redo_label
+        self.undo.tooltip = f"take back: {self.session.undo_label}" if self.session.undo_label else "nothing to undo"
+        self.redo.tooltip = f"make again: {self.session.redo_label}" if self.session.redo_label else "nothing to redo"
+
+    def _settle(self) -> None:
+        if self._settling is not None:
+            self._settling.cancel()
+        self._settling = threading.Timer(SETTLED_S, self._on_settled)
+        self._settling.daemon = True
+        self._settling.start()
+
+    def _on_settled(self) -> None:
+        if self._closed:
+            return
+        if self._is_clip and not self.follow.value:
+            self._worker.submit(Show(self.frame))
+            self.clip.show_stale()
+        else:
+            self._clip_worker.submit(True)
+        self._show_changes()
+
+    # --- work, in the workers' threads ---
+
+    def _refit(self, request: Show) -> None:
+        session = self.session
+        if request.steps is None:
+            fit = session.fit_frame(request.frame, request.coarse)
+        else:
+            fit = session.fit_steps(request.frame, request.steps)
+        self._show(fit)
+        if fit.found and not self._worker.newer():
+            self._traces = session.explain_frame(request.frame)[1]
+            self._show_energy(self._traces, request.steps)
+
+    def _show(self, fit: FrameFit) -> None:
+        self.fit = fit
+        self.overlay.show(fit)
+        self.head.show(fit)
+        self.say(status_of(fit, len(self.session)))
+
+    def _redraw(self) -> None:
+        if self.fit is not None:
+            self._worker.submit(Show(self.frame, steps=self._steps))
+
+    def _run_clip(self, wanted: bool) -> None:
+        if not wanted:
+            return
+        self.progress.value, self.progress.layout.visibility = 0, "visible"
+        shown = max(len(self.session) // 20, 1)
+
+        def progress(_step: str, done: int, _total: int | None) -> None:
+            if done % shown == 0:
+                self.progress.value = done
+
+        self.session.fit_clip(progress, cancelled=self._clip_worker.newer)
+        self.progress.layout.visibility = "hidden"
+
+    def _show_run(self) -> None:
+        if self._is_clip:
+            self.clip.show_run()
+        # The frame before may have another pose now, and the identity is the exact one.
+        self._worker.submit(Show(self.frame, steps=self._steps))
+        self._show_changes()
+
+    def _show_energy(self, traces: tuple[StageTrace, ...], steps: int | None) -> None:
+        series, marks, results, x = {term: [] for term in TERMS}, [], {}, 0
+        status = dict(zip([trace.stage for trace in traces], self.fit.status[-len(traces) :], strict=False))
+        for trace in traces:
+            marks.append((x, trace.stage))
+            for term, column in zip(TERMS, trace.energies.T, strict=True):
+                series[term].append(column)
+            count = len(trace.energies) - 1
+            results[trace.stage] = f"{count} steps {STATUS_NAMES.get(int(status.get(trace.stage, -1)), '')}"
+            x += len(trace.energies)
+        joined = {term: np.concatenate(columns) for term, columns in series.items()}
+        seen = {"total": sum(joined.values())} | {term: values for term, values in joined.items() if values.any()}
+        total = sum(len(trace.energies) - 1 for trace in traces)
+        self.energy.set_series(np.arange(x, dtype=float), seen, marks=marks, x_label="iteration", y_label="energy")
+        place = f"stopped after {steps} of {total} iterations" if steps is not None else f"{total} iterations"
+        self.stages.show_results(results, place)
+
+    _traces: tuple[StageTrace, ...] = ()
+
+    def _counts(self) -> dict[str, int]:
+        return {trace.stage: len(trace.energies) - 1 for trace in self._traces}
+
+    def _diagnose(self) -> None:
+        frame = self.frame
+        try:
+            found = self.session.diagnose(frame)
+        except WorkbenchError as error:
+            self.diagnosis.clear(str(error))
+            return
+        if frame == self.frame:
+            self.diagnosis.show(frame, found)
+
+    def _uncertainty(self, fit: FrameFit) -> np.ndarray:
+        from workbench.diagnosis import vertex_uncertainty
+
+        frame = fit.index if self._is_clip else 0
+        return vertex_uncertainty(self.session.model, self.session.diagnose(frame).uncertainty, fit)
+
+    def _show_changes(self) -> None:
+        self.changes.value = changes_html(self.session)
+
+    def say(self, text: str, wrong: bool = False) -> None:
+        """One line of status."""
+        color = "color:var(--jp-error-color1, #b3261e)" if wrong else ""
+        self.status.value = f"<code style='{color}'>{html.escape(text)}</code>"
+
+    def _failed(self, error: Exception) -> None:
+        self.progress.layout.visibility = "hidden"
+        self.say(str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}", wrong=True)
+
+    def _resets(self) -> list[tuple[str, str]]:
+        presets = [(f"preset {name}", f"preset:{name}") for name in PRESETS]
+        snapshots = [(f"snapshot {name}", f"snapshot:{name}") for name in self.session.snapshots]
+        return [("go to…", ""), ("the start", "start:"), *presets, *snapshots]
+
+
+def status_of(fit: FrameFit, frames: int) -> str:
+    """Error, pose and time of a fit in one line."""
+    where = f"frame {fit.index}/{frames - 1}  " if frames > 1 else ""
+    if not fit.found:
+        return f"{where}no face"
+    pixels, inner, every = fit.errors
+    yaw, pitch, roll = fit.angles_deg
+    return (
+        f"{where}error {pixels:.2f} px = {every:.2f} % (inner {inner:.2f})  yaw {yaw:+.0f}° pitch {pitch:+.0f}° "
+        f"roll {roll:+.0f}°  {fit.milliseconds[2]:.1f} ms"
+    )
+
+
+def changes_html(session: TuningSession) -> str:
+    """What changed since the start, and the metrics then and now."""
+    rows = "".join(f"<li><code>{html.escape(str(item))}</code></li>" for item in session.changes())
+    unexported = len(session.unexported)
+    text = f"<b>Changed since the start</b><ul style='margin:2px 0'>{rows or '<li>nothing</li>'}</ul>"
+    if session.run is not None:
+        numbers = ", ".join(f"{name} {value:g}" for name, value in session.metrics().items())
+        text += f"<b>Last run</b>: {html.escape(numbers)}"
+    return text + f"<br>{unexported} change(s) not exported yet."
+
+
+def _button(text: str, tip: str) -> widgets.Button:
+    return widgets.Button(description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto"))
