@@ -20,10 +20,10 @@ class Knob:
     tip: str
     """One line with its equation."""
     kind: Kind
-    low: float = 0.0
-    high: float = 1.0
+    low: float | int = 0.0
+    high: float | int = 1.0
     """Of a "log" knob: the least value above zero and the largest; zero stands below the least."""
-    step: float = 0.0
+    step: float | int = 0.0
     choices: tuple[str, ...] = ()
     level: int = 0
     """Depth in the hierarchy of ω (Eqs. 5–7)."""

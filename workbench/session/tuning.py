@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from workbench.config import Config, Difference, Stage, differences, parse_config, preset, write_config
+from workbench.diagnosis import Change, Diagnosis, FrameCase, diagnose_frame
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, load_default_head
 from workbench.pipeline import software_versions
@@ -255,6 +256,28 @@ class TuningSession:
         """What the fit of a frame starts from under the present configuration."""
         with self._fitting:
             return self._prepared(frame, coarse=False)[2]
+
+    def diagnose(self, frame: int) -> Diagnosis:
+        """Reasons why the fit of a frame may be bad. Raises `InputError` for a frame without landmarks."""
+        with self._fitting:
+            config, observation, context = self._prepared(frame, coarse=False)
+        shot = [corrected(self.material.observations[k], config) for k in self.material.shots[context.shot]]
+        real = self.material.pictures.real
+        previous = self.picture(frame - 1) if real and frame - 1 in self.material.shots[context.shot] else None
+        case = FrameCase(observation, context, config, shot, self.picture(frame) if real else None, previous)
+        with self._diagnosing:
+            return diagnose_frame(self.model, case, self._diagnostic_fitter)
+
+    def apply(self, change: Change, frame: int) -> Config:
+        """Make a change that a diagnosis of a frame proposes; one step of undo."""
+        config = change.apply_to(self._config)
+        if change.landmarks:
+            stored = config.landmarks.model_dump()
+            moved = dict(stored["moved"].get(str(frame), {}))
+            moved |= {str(point): (float(x), float(y)) for point, (x, y) in change.landmarks.items()}
+            stored["moved"] = {**stored["moved"], str(frame): moved}
+            config = config.changed(landmarks=stored)
+        return self.use(config, change.label)
 
     def fit_clip(self, progress: Progress | None = None, cancelled: Callable[[], bool] = lambda: False) -> Track | None:
         """Fit all frames under the present configuration, as `workbench track` does; None if cancelled.

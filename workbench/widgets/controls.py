@@ -20,6 +20,7 @@ class KnobControl:
 
     def __init__(self, knob: Knob, turned: Turned) -> None:
         self.knob, self._turned, self._quiet = knob, turned, False
+        self.value: Value = value_at(knob, knob.low if knob.kind != "choice" else knob.choices[0])
         self.input = _input(knob)
         self.readout = widgets.Text(
             continuous_update=False,
@@ -36,14 +37,9 @@ class KnobControl:
             parts.append(self.effective)
         self.widget = widgets.HBox(parts, layout=widgets.Layout(margin=f"0 0 0 {8 * knob.level}px", width="auto"))
 
-    @property
-    def value(self) -> Value:
-        """The knob's value, not the slider's place."""
-        return value_at(self.knob, self.input.value)
-
     def show(self, value: Value) -> None:
         """Stand at a value without calling back."""
-        self._quiet = True
+        self.value, self._quiet = value, True
         try:
             self.input.value = place_of(self.knob, value)
             self._read_out(value)
@@ -51,8 +47,9 @@ class KnobControl:
             self._quiet = False
 
     def turn(self, value: Value) -> None:
-        """Set a value as a user would."""
-        self.input.value = place_of(self.knob, value)
+        """Set a value as a user would who types it."""
+        self.show(value)
+        self._turned(self.knob.path, value)
 
     def _read_out(self, value: Value) -> None:
         if self.knob.kind in ("log", "linear"):
@@ -61,10 +58,12 @@ class KnobControl:
             self._quiet = quiet
 
     def _on_input(self, change) -> None:
-        if not self._quiet:
-            value = value_at(self.knob, change["new"])
-            self._read_out(value)
-            self._turned(self.knob.path, value)
+        # A value between two places of the slider stays as it is until the slider leaves its place.
+        if self._quiet or change["new"] == place_of(self.knob, self.value):
+            return
+        self.value = value_at(self.knob, change["new"])
+        self._read_out(self.value)
+        self._turned(self.knob.path, self.value)
 
     def _on_typed(self, change) -> None:
         if self._quiet:
@@ -74,11 +73,7 @@ class KnobControl:
         except ValueError:
             self._read_out(self.value)
             return
-        self._quiet = True
-        try:
-            self.input.value = place_of(self.knob, value)
-        finally:
-            self._quiet = False
+        self.show(value)
         self._turned(self.knob.path, value)
 
 
@@ -115,8 +110,8 @@ class Controls:
 PAGES = {
     "ω": OMEGA,
     "ρ ε": SOLVE,
-    "Camera": CAMERA + IDENTITY,
-    "Points": LANDMARKS,
+    "camera": CAMERA + IDENTITY,
+    "points": LANDMARKS,
     "a b c": CONSTANTS,
 }
 
@@ -131,19 +126,22 @@ def value_at(knob: Knob, place: Value) -> Value:
 
 
 def place_of(knob: Knob, value: Value) -> Value:
-    """The slider's place for a value, inside its range."""
+    """The slider's place for a value: the nearest of its steps, because a browser would go there by itself."""
+    if knob.kind in ("switch", "choice"):
+        return value
+    if knob.kind == "whole":
+        return int(min(max(value, knob.low), knob.high))
+    low, high, step = knob.low, knob.high, knob.step
     if knob.kind == "log":
-        place = math.log10(value) if value > 0.0 else _lowest(knob)
-        return min(max(place, _lowest(knob)), math.log10(knob.high))
-    if knob.kind in ("linear", "whole"):
-        kind = int if knob.kind == "whole" else float
-        return kind(min(max(value, knob.low), knob.high))
-    return value
+        low, high, step = _lowest(knob), math.log10(knob.high), 1.0 / STEPS_PER_DECADE
+        value = math.log10(value) if value > 0.0 else low
+    place = round(low + round((min(max(value, low), high) - low) / step) * step, 9)
+    return float(min(max(place, low), high))
 
 
 def _lowest(knob: Knob) -> float:
     """Place of zero: one step below the least value."""
-    return math.log10(knob.low) - 1.0 / STEPS_PER_DECADE
+    return round(math.log10(knob.low) - 1.0 / STEPS_PER_DECADE, 9)
 
 
 def _input(knob: Knob) -> widgets.Widget:

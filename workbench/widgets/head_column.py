@@ -12,7 +12,9 @@ from workbench.widgets.head_view import HeadView, make_head_view
 
 COLORINGS = ("skin", "residual", "blendshape", "uncertainty")
 START = "the start"
-OBSERVED = np.array([255, 255, 255], np.uint8)
+BEHIND_MM = np.array([0.0, 0.0, 1.5])
+"""A ghost stands a little behind, so that it shows where it differs and equal surfaces do not flicker."""
+BESIDE_MM = np.array([170.0, 0.0, 0.0])
 
 
 class HeadColumn:
@@ -32,7 +34,7 @@ class HeadColumn:
         )  # fmt: skip
         self.look.observe(lambda change: self.view.set_view(change["new"]), "value")
         self.color = widgets.Dropdown(
-            options=COLORINGS, tooltip="what colours the surface", layout=widgets.Layout(width="104px")
+            options=COLORINGS, tooltip="what colours the surface", layout=widgets.Layout(width="88px")
         )
         self.shape = widgets.Dropdown(
             options=list(head.model.expression_names), tooltip="blendshape whose displacement is shown",
@@ -43,13 +45,17 @@ class HeadColumn:
         )
         self.compare = widgets.Dropdown(
             options=self._comparisons(), value="", tooltip="show another configuration's fit as a ghost",
-            layout=widgets.Layout(width="116px"),
+            layout=widgets.Layout(width="92px"),
         )  # fmt: skip
-        for control in (self.color, self.shape, self.points, self.compare):
+        self.beside = widgets.ToggleButton(
+            description="beside", tooltip="the compared head beside this one, not as a ghost behind it",
+            layout=widgets.Layout(width="auto"),
+        )  # fmt: skip
+        for control in (self.color, self.shape, self.points, self.compare, self.beside):
             control.observe(self._on_choice, "value")
         self.note = widgets.Label(self.view.note or "")
         wrap = widgets.Layout(flex_flow="row wrap")
-        more = widgets.HBox([self.color, self.shape, self.points, self.compare], layout=wrap)
+        more = widgets.HBox([self.color, self.shape, self.points, self.compare, self.beside], layout=wrap)
         self._holder = widgets.VBox([self.view.widget])
         self.widget = widgets.VBox([self.look, self._holder, more, self.note])
         if not self.view.note:
@@ -119,7 +125,9 @@ class HeadColumn:
 
     def _ghost(self, fit: FrameFit) -> None:
         name = self.compare.value
-        key = (name, fit.index, id(self._session.snapshots.get(name)), fit.identity.tobytes()) if name else None
+        beside = self.beside.value
+        kept = id(self._session.snapshots.get(name))
+        key = (name, fit.index, kept, beside, fit.identity.tobytes()) if name else None
         if key == self._compared:
             return
         if not name:
@@ -129,7 +137,8 @@ class HeadColumn:
             other = self._session.fit_frame(fit.index if len(self._session) > 1 else 0, config=config)
             # A model of its own: the other configuration may see another person.
             model = self._head.model.personal(other.identity)
-            self.view.set_ghost(model.vertices(other.expression))
+            place = BESIDE_MM if beside else BEHIND_MM
+            self.view.set_ghost(model.vertices(other.expression) + place, 1.0 if beside else 0.4)
         self._compared = key
 
     def _comparisons(self) -> list[tuple[str, str]]:

@@ -214,6 +214,18 @@ def legend(label: str, low: Number, high: Number) -> str:
     )
 
 
+class Legend(widgets.HTML):
+    """The colour scale under a view of this width; hidden while there are no values."""
+
+    def __init__(self, width_px: int) -> None:
+        super().__init__(layout=widgets.Layout(display="none", margin="2px 4px 0 4px", max_width=f"{width_px}px"))
+
+    def show(self, label: str | None, low: Number = 0.0, high: Number = 1.0) -> None:
+        """Show this scale, or none for the label None."""
+        self.value = "" if label is None else legend(label, low, high)
+        self.layout.display = "none" if label is None else None
+
+
 @lru_cache(maxsize=1)
 def _scale() -> UInt8[np.ndarray, "256 3"]:
     steps = np.linspace(DARKEST, 255, 256).astype(np.uint8)[:, None]

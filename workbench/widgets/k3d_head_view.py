@@ -18,13 +18,13 @@ from workbench.rendering.extras import GHOST_COLOR, SEGMENT_MM, outer_triangles
 from workbench.rendering.head_picture import bundled_texture, head_painter
 from workbench.rendering.mesh import neck_opacity, split_seams
 from workbench.widgets.head_view import (
+    Legend,
     Number,
     Shown,
     check_marks,
     check_opacity,
     check_vertices,
     check_view,
-    legend,
     posed,
     value_colors,
     viewpoint_of,
@@ -80,6 +80,7 @@ class K3dHeadView:
             height=size[1], antialias=2, background_color=_packed(np.array([SLATE]))[0].item(), lighting=LIGHTING,
             menu_visibility=False, grid_visible=False, grid_auto_fit=False, camera_auto_fit=False, axes_helper=0,
             grid=(-GRID_MM, -GRID_MM, -GRID_MM, GRID_MM, GRID_MM, GRID_MM), camera_mode="orbit", camera_up_axis="none",
+            camera_rotate_speed=0.5,  # half a turn for the height of the view
             camera_fov=viewpoint.vertical_fov_deg(size[1]), camera=_camera_array(viewpoint),
         )  # fmt: skip
         self.plot.layout = widgets.Layout(width=f"{size[0]}px", max_width="100%", height=f"{size[1]}px")
@@ -91,7 +92,9 @@ class K3dHeadView:
             self._colored = self._colored_mesh(model.colors)
         self.plot += self.mesh
         self._probe = WebGLProbe()
-        self._legend = widgets.HTML(layout=widgets.Layout(display="none", margin="2px 0 0 0", max_width=f"{size[0]}px"))
+        self._legend = widgets.HTML(
+            layout=widgets.Layout(display="none", margin="2px 4px 0 4px", max_width=f"{size[0]}px")
+        )
         self.widget = widgets.VBox([self.plot, self._probe, self._legend], layout=widgets.Layout(overflow="hidden"))
 
     @property
@@ -153,8 +156,7 @@ class K3dHeadView:
             _update(self.mesh, shown)
             if before is not self.mesh:
                 before.visible = False
-            self._legend.value = "" if colors is None else legend(label, low, high)
-            self._legend.layout.display = "none" if colors is None else None
+            self._legend.show(None if colors is None else label, low, high)
 
     def set_points(
         self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None, size_mm: Number = 2.0
@@ -207,9 +209,9 @@ class K3dHeadView:
             state = {"vertices": vertices.astype(np.float32), "opacity": float(opacity)}
             if self._ghost is None:
                 color = _packed(np.array([GHOST_COLOR]))[0].item()
-                triangles = outer_triangles(self._model)
-                triangles = triangles[(self._opacities > 0.5)[triangles].all(1)]
-                self._ghost = _mesh(**state, triangles=triangles, color=color)
+                self._ghost = _mesh(
+                    **state, triangles=outer_triangles(self._model), color=color, **_cut_off(self._opacities)
+                )
                 self.plot += self._ghost
             else:
                 _update(self._ghost, state)

@@ -64,17 +64,17 @@ class LandmarkTools:
             toggle.observe(lambda _change: self._on_layers(), "value")
         self.opacity = widgets.FloatSlider(
             0.6, min=0.0, max=1.0, step=0.05, readout=False, tooltip="opacity of the face",
-            layout=widgets.Layout(width="64px"),
+            layout=widgets.Layout(width="52px"),
         )  # fmt: skip
         widgets.link((self.opacity, "value"), (self.view, "layer_opacity"))
         self.unit = widgets.Dropdown(
             options=list(UNITS), tooltip="unit of residuals: % of the outer-eye distance, or pixels",
-            layout=widgets.Layout(width="50px"),
+            layout=widgets.Layout(width="46px"),
         )  # fmt: skip
         self.unit.observe(self._on_unit, "value")
         self.scale = widgets.BoundedFloatText(
             0.0, min=0.0, max=1000.0, step=1.0, tooltip="end of the colour scale; 0 chooses it",
-            layout=widgets.Layout(width="46px"),
+            layout=widgets.Layout(width="42px"),
         )  # fmt: skip
         widgets.link((self.scale, "value"), (self.view, "scale_max"))
         wrap = widgets.Layout(flex_flow="row wrap", align_items="center")

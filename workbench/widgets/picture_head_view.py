@@ -16,13 +16,13 @@ from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.rendering.head_picture import head_painter
 from workbench.widgets.head_view import (
+    Legend,
     Number,
     Shown,
     check_marks,
     check_opacity,
     check_vertices,
     check_view,
-    legend,
     posed,
     value_colors,
     viewpoint_of,
@@ -66,7 +66,9 @@ class PictureHeadView:
         self.canvas = PictureCanvas(_size=list(size), _jpeg=_jpeg(self._draw(self._scene)))
         self.canvas.layout = widgets.Layout(width=f"{size[0]}px", max_width="100%")
         self.canvas.on_msg(self._on_message)
-        self._legend = widgets.HTML(layout=widgets.Layout(display="none", margin="2px 0 0 0", max_width=f"{size[0]}px"))
+        self._legend = widgets.HTML(
+            layout=widgets.Layout(display="none", margin="2px 4px 0 4px", max_width=f"{size[0]}px")
+        )
         self.widget = widgets.VBox([self.canvas, self._legend], layout=widgets.Layout(overflow="hidden"))
         self._worker = threading.Thread(target=self._work, name="head-pictures", daemon=True)
         self._worker.start()
@@ -113,8 +115,7 @@ class PictureHeadView:
         colors = value_colors(values, low, high, len(self._model.neutral))
         with self._changed:
             self._show(self._scene.shown.with_extras(colors=colors))
-            self._legend.value = "" if colors is None else legend(label, low, high)
-            self._legend.layout.display = "none" if colors is None else None
+            self._legend.show(None if colors is None else label, low, high)
 
     def set_points(
         self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None, size_mm: Number = 2.0

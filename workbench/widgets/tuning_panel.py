@@ -12,7 +12,7 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.config import PRESETS, preset
-from workbench.diagnosis.records import Change
+from workbench.diagnosis import Change, vertex_uncertainty
 from workbench.energies import TERMS
 from workbench.errors import WorkbenchError
 from workbench.session import FittedHead, TuningSession
@@ -33,7 +33,7 @@ STYLE = """<style>
 .fw-panel { --jp-widgets-inline-height: 24px; --jp-widgets-font-size: 12px; max-width: 1500px; }
 .fw-panel .jupyter-button { padding: 0 7px; line-height: 22px; }
 .fw-panel .jupyter-widget-Tab > .jupyter-widget-TabPanel-tabContents, .fw-panel .widget-tab-contents { padding: 4px; }
-.fw-panel .lm-TabBar-tab { min-width: 0; flex: 0 1 auto; padding: 0 8px; }
+.fw-panel .lm-TabBar-tab { min-width: 0; flex: 0 1 auto; padding: 0 6px; font-size: 12px; }
 .fw-panel .widget-html-content, .fw-panel .jupyter-widget-html-content { line-height: 18px; font-size: 12px; }
 .fw-panel .fw-status code { white-space: nowrap; font-size: 12px; }
 .fw-panel table { font-size: 12px; }
@@ -168,11 +168,11 @@ class TuningPanel(widgets.VBox):
         self.redo.on_click(lambda _button: self.session.redo())
         self.reset = widgets.Dropdown(
             options=self._resets(), value="", tooltip="go to a preset, the start or a snapshot; undo brings you back",
-            layout=widgets.Layout(width="128px"),
+            layout=widgets.Layout(width="88px"),
         )  # fmt: skip
         self.reset.observe(self._on_reset, "value")
         self.name = widgets.Text(
-            placeholder="snapshot name", tooltip="name of a snapshot", layout=widgets.Layout(width="112px")
+            placeholder="snapshot name", tooltip="name of a snapshot", layout=widgets.Layout(width="92px")
         )
         self.keep = _button("keep", "keep the present configuration under this name")
         self.keep.on_click(lambda _button: self._guarded(self._on_keep))
@@ -421,8 +421,6 @@ class TuningPanel(widgets.VBox):
             self.diagnosis.show(frame, found)
 
     def _uncertainty(self, fit: FrameFit) -> np.ndarray:
-        from workbench.diagnosis import vertex_uncertainty
-
         frame = fit.index if self._is_clip else 0
         return vertex_uncertainty(self.session.model, self.session.diagnose(frame).uncertainty, fit)
 
@@ -452,8 +450,8 @@ def status_of(fit: FrameFit, frames: int) -> str:
     pixels, inner, every = fit.errors
     yaw, pitch, roll = fit.angles_deg
     return (
-        f"{where}error {pixels:.2f} px = {every:.2f} % (inner {inner:.2f})  yaw {yaw:+.0f}° pitch {pitch:+.0f}° "
-        f"roll {roll:+.0f}°  {fit.milliseconds[2]:.1f} ms"
+        f"{where}{pixels:.2f} px = {every:.2f} % (inner {inner:.2f} %)  yaw {yaw:+.0f}° pitch {pitch:+.0f}° "
+        f"roll {roll:+.0f}°  {fit.milliseconds[2]:.0f} ms"
     )
 
 

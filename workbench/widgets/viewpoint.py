@@ -12,6 +12,8 @@ from workbench.rendering.head_picture import portrait_view
 
 NEAREST_MM, FURTHEST_MM = 150.0, 6000.0
 """Distances from the target that a mouse wheel can reach."""
+PIVOT_MM = 60.0
+"""Depth of the middle of a head behind its eyes: there a drag turns it."""
 STEEPEST = 0.995
 """Cosine between the line of sight and the up direction at which a drag stops tilting."""
 
@@ -44,7 +46,7 @@ class Viewpoint:
 def front_viewpoint(model: FaceModel, size: tuple[int, int]) -> Viewpoint:
     """A portrait from straight ahead, in a picture (width, height)."""
     camera, translation = portrait_view(model, size)
-    return viewpoint_of_pose(np.zeros(3), translation, camera, float(np.mean(model.neutral[:, 2])))
+    return viewpoint_of_pose(np.zeros(3), translation, camera)
 
 
 def camera_viewpoint(
@@ -59,16 +61,16 @@ def camera_viewpoint(
     The optical axis goes through the middle of the viewer: WebGL viewers know no other camera. So the viewer's pixel is
     centre + scale · (input pixel − principal point), and a centred input camera gives its picture resized.
     """
-    return viewpoint_of_pose(rotation, translation, _contained(camera, image_size, size), 0.0)
+    return viewpoint_of_pose(rotation, translation, _contained(camera, image_size, size))
 
 
 def viewpoint_of_pose(
-    rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray, "3"], camera: Camera, depth_mm: float
+    rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray, "3"], camera: Camera
 ) -> Viewpoint:
-    """The viewpoint of a head posed before this camera; `depth_mm` puts the target behind the head's origin."""
+    """The viewpoint of a head posed before this camera; its target lies on the optical axis, as deep as the head."""
     matrix = cv2.Rodrigues(np.asarray(rotation, float))[0]
     position = -matrix.T @ translation
-    distance = max(float(translation[2]) + depth_mm, 1.0)
+    distance = max(float(translation[2]) + PIVOT_MM, 1.0)
     return Viewpoint(position, position + distance * matrix[2], -matrix[1], camera)
 
 
