@@ -1,15 +1,20 @@
 """Why one frame fails: every cause is tried on it, and the reasons are ranked by what their changes mend."""
 
-from workbench.diagnosis.causes import CAUSES
+from dataclasses import replace
+
+from workbench.diagnosis.causes import INPUT_CAUSES, SCHEDULE_CAUSES
+from workbench.diagnosis.causes.configuration import jointly
 from workbench.diagnosis.group_pull import leave_one_group_out as pulls_of
-from workbench.diagnosis.ranking import ranked
+from workbench.diagnosis.ranking import LEAST_GAIN, LEAST_SCORE, ranked, score
 from workbench.diagnosis.records import Diagnosis, FrameCase, GroupPull
 from workbench.diagnosis.reference import ShotReference
-from workbench.diagnosis.trial import Trial
+from workbench.diagnosis.trial import Finding, Trial
 from workbench.diagnosis.uncertainty import estimate_uncertainty
 from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.tracking import FrameFitter
+
+STUCK = "pose_expression_tradeoff"
 
 
 def diagnose_frame(
@@ -25,9 +30,16 @@ def diagnose_frame(
     Raises `InputError` for a frame without landmarks.
     """
     trial = start_trial(model, case, fitter, reference)
-    findings = [finding for cause in CAUSES for finding in cause(trial)]
+    scored = [(score(trial, finding), finding) for cause in SCHEDULE_CAUSES for finding in cause(trial)]
+    # Where solving in turn is at fault, that fault would hide all others: they are looked for in the joint solve.
+    stuck = any(finding.code == STUCK and finding.gain > LEAST_GAIN for _, finding in scored)
+    patient = trial.with_config(jointly(case.config)) if stuck else trial
+    for cause in INPUT_CAUSES:
+        for finding in cause(patient):
+            value = score(patient, finding)
+            scored.append((value, retried(trial, finding) if stuck and value >= LEAST_SCORE else finding))
     return Diagnosis(
-        reasons=ranked(trial, findings),
+        reasons=ranked(scored),
         leave_group_out=pulls_of(trial),
         uncertainty=estimate_uncertainty(model, case.config, case.context, trial.fit),
         fit=trial.fit,
@@ -56,3 +68,15 @@ def start_trial(
         others = [other for other in case.shot if other.index != observation.index]
         reference = ShotReference(model, case.config, others, fitter)
     return Trial(case, fitter, reference)
+
+
+def retried(trial: Trial, finding: Finding) -> Finding:
+    """A finding of the joint solve with its change tried under the configuration of the case."""
+    if finding.change is None or finding.measure != "landmark error":
+        return finding
+    fit = trial.refit(finding.change)
+    return replace(
+        finding,
+        before_percent=trial.error_percent(trial.fit, finding.doubted),
+        after_percent=trial.error_percent(fit, finding.doubted),
+    )

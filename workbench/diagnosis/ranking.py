@@ -22,9 +22,9 @@ CLOSE = 0.7
 MOST_REASONS = 6
 
 
-def ranked(trial: Trial, findings: Iterable[Finding]) -> tuple[Reason, ...]:
-    """The reasons that are worth listing, best first, one for each code."""
-    scored = sorted(((score(trial, finding), finding) for finding in findings), key=lambda pair: -pair[0])
+def ranked(scored: Iterable[tuple[float, Finding]]) -> tuple[Reason, ...]:
+    """The reasons that are worth listing, best first, one for each code, of hypotheses with their scores."""
+    scored = sorted(scored, key=lambda pair: -pair[0])
     best: dict[str, tuple[float, Finding]] = {}
     for value, finding in scored:
         best.setdefault(finding.code, (value, finding))

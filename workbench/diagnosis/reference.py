@@ -2,21 +2,24 @@
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
-from workbench.config import Config
+from workbench.config import PRESET_STAGES, Config
 from workbench.diagnosis.flags import face_size
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, landmark_model
 from workbench.geometry import Camera
 from workbench.landmarks.alignment import fit_similarity
+from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS
 from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation
 from workbench.tracking.identity import CalibrationSettings, calibrate_identity
 
+MOST_STEPS = 80
 MOST_FRAMES = 24
 """Frames of the shot that are looked at."""
 ENOUGH_FRAMES = 4
@@ -25,8 +28,9 @@ USUAL_PERCENT = (0.7, 1.6)
 """Range that the usual residual of a landmark is clipped to, % of the face's size: a shot that is bad throughout shall
 not pass for usual."""
 USUAL_MOTION_PERCENT = (0.6, 2.0)
-LEAST_LIMIT = 30
-FOCAL_FACTORS = (0.5, 1.0 / np.sqrt(2.0), 1.0, np.sqrt(2.0), 2.0)
+REFINED_BELOW = 1.06
+"""Cost of half or twice the focal length, relative to that of the configured one, below which steps between count."""
+ROOT = float(np.sqrt(2.0))
 
 
 class ShotReference:
@@ -42,12 +46,12 @@ class ShotReference:
         self.frames = [usable[k] for k in places]
         self.config = config
         self._shot = usable
-        # Enough iterations and no muted terms of time: what is usual must not depend on what is under suspicion.
-        stages = [{**stage.model_dump(), "limit": max(stage.limit, LEAST_LIMIT)} for stage in config.stages]
-        self._config = config.changed(stages=stages)
+        # Pose and expression together, with enough iterations: what is usual must not hang on what is under suspicion.
+        self._config = config.changed(stages=[stage.model_dump() for stage in PRESET_STAGES["joint"]])
         self._fitter = copy.copy(fitter)
         self._fitter.configure(self._config)
         self._model = model
+        self._offsets: dict[str, np.ndarray] = {}
 
     @property
     def knows_person(self) -> bool:
@@ -66,6 +70,12 @@ class ShotReference:
         fitter = copy.copy(self._fitter)
         fitter.configure(config)
         return fitter.calibrate(self._sound_frames, config.identity.frames).identity
+
+    def identity_of(self, frames: Sequence[FrameObservation]) -> Float[np.ndarray, "i"]:
+        """The identity calibrated on other landmarks than those of the shot."""
+        count = min(MOST_FRAMES, len(frames))
+        chosen = [frames[k] for k in np.unique(np.round(np.linspace(0, len(frames) - 1, count)).astype(int))]
+        return self._fitter.calibrate(chosen, self.config.identity.frames).identity
 
     @cached_property
     def _sound_frames(self) -> list[FrameObservation]:
@@ -95,6 +105,33 @@ class ShotReference:
         each = [100.0 * fit.residuals_px / face_size(fit.observed) for fit in self.usual_fits]
         return np.clip(1.2 * np.median(each, axis=0), *USUAL_PERCENT)
 
+    def offsets_without(self, group: str) -> Float[np.ndarray, "n 2"]:
+        """Mean offset of a group from a fit without it in some of the frames, % of the face's size."""
+        if group not in self._offsets:
+            indices, offsets = list(GROUPS[group]), []
+            fits = {fit.index: fit for fit in self.usual_fits}
+            for frame in [frame for frame in self._sound_frames if frame.index in fits][::2]:
+                points = frame.landmarks.points
+                confidence = frame.landmarks.confidence.copy()
+                confidence[indices] = 0.0
+                doubtful = replace(frame, landmarks=Landmarks2D(points, confidence, frame.image_size))
+                fit, _ = self._fitter.fit(doubtful, FrameContext(0, self.identity, None, None))
+                offsets.append(100.0 * (points - fit.projected)[indices].mean(axis=0) / face_size(points))
+            self._offsets[group] = np.array(offsets).reshape(-1, 2)
+        return self._offsets[group]
+
+    def steps_of(self, group: str) -> Float[np.ndarray, "n"]:
+        """Motion of a group against the rest of the face from frame to frame, % of the face's size."""
+        return self._steps[:, list(GROUPS[group])].mean(axis=1)
+
+    @cached_property
+    def _steps(self) -> Float[np.ndarray, "n 68"]:
+        points = {observation.index: observation.landmarks.points for observation in self._shot}
+        ends = [index for index in points if index - 1 in points]
+        ends = ends[:: max(1, len(ends) // MOST_STEPS)]
+        steps = [_steps_between(points[k - 1], points[k]) for k in ends]
+        return np.array(steps).reshape(-1, 68)
+
     @cached_property
     def motion_percent(self) -> Float[np.ndarray, "68"]:
         """Usual distance of each landmark from the middle between the frames around it, the head's motion taken out."""
@@ -111,14 +148,18 @@ class ShotReference:
         return np.clip(1.5 * np.median(away, axis=0), *USUAL_MOTION_PERCENT)
 
     @cached_property
-    def focal_costs(self) -> Float[np.ndarray, "5"] | None:
-        """Cost of the best faces and poses for the focal length times `FOCAL_FACTORS`; None with too few frames.
+    def focal_costs(self) -> dict[float, float] | None:
+        """Cost of the best faces and poses by factor on the focal length, ascending; None with too few frames.
 
-        In squared percent of the outer-eye distance, so that differences of ten and more speak.
+        In squared percent of the outer-eye distance, so that differences of ten and more speak. Half and twice the
+        focal length are tried, and steps between where one of them is not clearly worse.
         """
         if not self.knows_person:
             return None
-        return np.array([self._focal_cost(factor) for factor in FOCAL_FACTORS])
+        costs = {factor: self._focal_cost(factor) for factor in (0.5, 1.0, 2.0)}
+        if min(costs[0.5], costs[2.0]) < REFINED_BELOW * costs[1.0]:
+            costs |= {factor: self._focal_cost(factor) for factor in (ROOT / 2.0, ROOT)}
+        return dict(sorted(costs.items()))
 
     def _focal_cost(self, factor: float) -> float:
         count = self.config.identity.frames
@@ -158,6 +199,11 @@ def between(
     """The middle between the points before and after, carried to `now` by the similarity that most points follow."""
     middle = 0.5 * (before + after)
     return robust_similarity(middle, now).to_image(middle)
+
+
+def _steps_between(before: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68"]:
+    away = np.linalg.norm(now - robust_similarity(before, now).to_image(before), axis=1)
+    return 100.0 * away / face_size(now)
 
 
 def robust_similarity(source: Float[np.ndarray, "68 2"], target: Float[np.ndarray, "68 2"]):

@@ -8,7 +8,7 @@ So hypotheses of all kinds compare: what they explain, less what they cost.
 
 import copy
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 
 from workbench.config import Config
 from workbench.diagnosis.flags import face_size
+from workbench.diagnosis.innovation import UsualOffset, jump_of, usual_offsets
 from workbench.diagnosis.picture_evidence import Blur, carried_by_flow, directional_blur, gradient_energy
 from workbench.diagnosis.records import Change, FrameCase
 from workbench.diagnosis.reference import ShotReference, between
@@ -71,6 +72,10 @@ class Trial:
         self.face_px = float(face_size(self.points))
         self.fit, _ = self._fitter.fit(case.observation, case.context)
         self._others: dict[bytes, FrameFitter] = {}
+
+    def with_config(self, config: Config) -> "Trial":
+        """The same frame on trial under another configuration."""
+        return Trial(replace(self.case, config=config), self._fitter, self.reference)
 
     # --- fits ---
 
@@ -150,6 +155,16 @@ class Trial:
         return float(100.0 * fit.residuals_px[believed].mean() / outer_eye_distance(fit.observed))
 
     # --- evidence beside the fit ---
+
+    @cached_property
+    def usual_offsets(self) -> dict[str, UsualOffset]:
+        """What innovation of each group is usual in the shot."""
+        return usual_offsets(self._fitter.model, self.reference)
+
+    def jump(self, group: str) -> tuple[Float[np.ndarray, "2"], float] | None:
+        """The jump of a group within the last frames, if there is one (`jump_of`)."""
+        shot = {index: found for index, found in self.case._by_index.items() if found.landmarks is not None}
+        return jump_of(group, self.case.observation, shot, self.reference.steps_of(group))
 
     @cached_property
     def carried(self) -> Float[np.ndarray, "68 2"] | None:

@@ -11,7 +11,7 @@ from workbench.diagnosis.causes.motion import frozen_detector, low_flow_consiste
 from workbench.diagnosis.causes.order import mirrored_order, points_swapped
 from workbench.diagnosis.causes.person import wrong_focal, wrong_identity
 
-CAUSES = (
+INPUT_CAUSES = (
     mirrored_order,
     points_swapped,
     face_outside,
@@ -21,11 +21,9 @@ CAUSES = (
     occluded,
     group_biased,
     jaw_disagrees,
-    not_converged,
-    tau_fights_data,
-    weights_at_bounds,
-    pose_expression_tradeoff,
     wrong_focal,
     wrong_identity,
 )
-"""In no particular order: each is tried on every frame."""
+"""In the landmarks, the pictures, the face and the lens; in no particular order: each is tried on every frame."""
+SCHEDULE_CAUSES = (not_converged, tau_fights_data, weights_at_bounds, pose_expression_tradeoff)
+"""In how the energy is weighted and minimised."""

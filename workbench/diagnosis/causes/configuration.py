@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from workbench.config import PRESET_STAGES
+from workbench.config import PRESET_STAGES, Config
 from workbench.diagnosis.group_pull import between_poses
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial
@@ -122,7 +122,7 @@ def pose_expression_tradeoff(trial: Trial) -> Iterator[Finding]:
         if stage.limit < JOINT_LIMIT
     }
     alternated = trial.refit(Change("", limits=patient))
-    stages = [stage.model_dump() for stage in PRESET_STAGES["joint"]]
+    stages = [stage.model_dump() for stage in jointly(config).stages]
     change = Change("Solve pose and expression together", config={"stages": stages})
     joint = trial.refit(change)
     # Only what alternation with enough iterations does not reach speaks for the joint solve.
@@ -136,8 +136,8 @@ def pose_expression_tradeoff(trial: Trial) -> Iterator[Finding]:
         code="pose_expression_tradeoff",
         title="Pose and expression trade against each other",
         evidence=f"Solved together, the pose moves by {degrees:.1f}° and {millimetres:.0f} mm, "
-        f"{trial.names[strongest]} from {trial.fit.expression[strongest]:.2f} to {joint.expression[strongest]:.2f}, and the error falls from "
-        f"{before:.1f} to {after:.1f} % of the eye distance.",
+        f"{trial.names[strongest]} from {trial.fit.expression[strongest]:.2f} to {joint.expression[strongest]:.2f}, and "
+        f"the error falls from {before:.1f} to {after:.1f} % of the eye distance.",
         change=change,
         gain=gain,
         before_percent=before,
@@ -145,3 +145,8 @@ def pose_expression_tradeoff(trial: Trial) -> Iterator[Finding]:
         specificity=0.75,
         numbers={"pose_deg": degrees, "pose_mm": millimetres},
     )
+
+
+def jointly(config: Config) -> Config:
+    """The configuration with pose and expression solved together on all landmarks."""
+    return config.changed(stages=[stage.model_dump() for stage in PRESET_STAGES["joint"]])

@@ -1,12 +1,14 @@
 """Groups of landmarks that do not fit the others: the jaw, a shifted group, an occluded one, points off the picture."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from workbench.diagnosis.flags import outside_picture
 from workbench.diagnosis.group_pull import between_poses
+from workbench.diagnosis.innovation import offset_nats
 from workbench.diagnosis.picture_evidence import change_of_patch
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial, points_change
@@ -40,11 +42,9 @@ def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
     mask = group_mask("jaw")
     change = Change("Give the jaw points a tenth of their weight", config={"landmarks": {"weights": {"jaw": 0.1}}})
     fit = trial.refit(change)
-    offset, scatter = _offset(trial, fit, mask)
-    believed_alone = trial.gain(fit, doubted=mask)
-    _, moved_fit = _shifted_back(trial, mask, offset, "jaw")
-    gain = max(believed_alone, trial.gain(moved_fit, 2.0))
-    distance = float(trial.percent(fit.residuals_px[mask].mean()))
+    shift = _best_shift(trial, "jaw")
+    gain = max(trial.gain(fit, doubted=mask) + shift.nats, shift.gain)
+    distance = float(trial.percent(np.linalg.norm(trial.points - fit.projected, axis=1)[mask].mean()))
     if gain <= 0.0 or distance < LEAST_OFFSET_PERCENT:
         return
     jaw_only = trial.refit(
@@ -56,7 +56,7 @@ def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
         code="jaw_disagrees",
         title="The jaw points disagree with the rest of the face",
         evidence=f"The jaw points lie {distance:.1f} % of the eye distance from where the others predict them (mean "
-        f"offset {_vector(trial, offset)}); the jaw alone asks for a pose {degrees:.0f}° and {millimetres:.0f} mm "
+        f"offset {_vector(trial, shift.vector)}); the jaw alone asks for a pose {degrees:.0f}° and {millimetres:.0f} mm "
         "away.",
         change=change,
         gain=gain,
@@ -66,9 +66,9 @@ def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
         specificity=0.95,
         numbers={
             "distance_percent": distance,
-            "offset_right_percent": float(trial.percent(offset[0])),
-            "offset_down_percent": float(trial.percent(offset[1])),
-            "scatter_percent": float(trial.percent(scatter)),
+            "offset_right_percent": float(trial.percent(shift.vector[0])),
+            "offset_down_percent": float(trial.percent(shift.vector[1])),
+            "scatter_percent": float(trial.percent(shift.scatter)),
             "pose_deg": degrees,
             "pose_mm": millimetres,
         },
@@ -81,37 +81,65 @@ def group_biased(trial: Trial) -> Iterator[Finding]:
     for group, title in TITLES.items():
         if group == "jaw":
             continue
-        mask = group_mask(group)
-        without = trial.refit(muted(group))
-        offset, scatter = _offset(trial, without, mask)
-        candidates = [offset, *_motion_offset(trial, mask)]
-        tried = [(vector, *_shifted_back(trial, mask, vector, title)) for vector in candidates if _long(trial, vector)]
-        if not tried:
+        shift = _best_shift(trial, group)
+        if shift.gain <= 0.0 or not _long(trial, shift.vector):
             continue
-        vector, change, fit = max(tried, key=lambda entry: trial.gain(entry[2], 2.0))
-        gain = trial.gain(fit, 2.0)
-        if gain <= 0.0:
-            continue
-        before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
-        length = float(trial.percent(np.linalg.norm(vector)))
+        before, after = trial.error_percent(trial.fit), trial.error_percent(shift.fit)
         yield Finding(
             code="group_biased",
             title=f"The points of the {title} are shifted",
-            evidence=f"All points of the {title} lie {_vector(trial, vector)} from where the other points and the "
-            f"motion of the picture put them, with a scatter of only {trial.percent(scatter):.1f} %.",
-            change=change,
-            gain=gain,
+            evidence=f"All points of the {title} lie {_vector(trial, shift.vector)} from where the other points and "
+            f"their own motion put them, with a scatter of only {trial.percent(shift.scatter):.1f} %.",
+            change=shift.change,
+            gain=shift.gain,
             before_percent=before,
             after_percent=after,
             specificity=0.9,
             numbers={
-                "offset_right_percent": float(trial.percent(vector[0])),
-                "offset_down_percent": float(trial.percent(vector[1])),
-                "offset_percent": length,
-                "scatter_percent": float(trial.percent(scatter)),
+                "offset_right_percent": float(trial.percent(shift.vector[0])),
+                "offset_down_percent": float(trial.percent(shift.vector[1])),
+                "offset_percent": float(trial.percent(np.linalg.norm(shift.vector))),
+                "scatter_percent": float(trial.percent(shift.scatter)),
                 "first_point": float(GROUPS[group][0]),
             },
         )
+
+
+class _Shift(NamedTuple):
+    """A group moved back by one vector."""
+
+    vector: Float[np.ndarray, "2"]
+    scatter: float
+    """Root mean square distance of the group's points from the predicted shape moved by their own offset, pixels."""
+    change: Change
+    fit: FrameFit
+    gain: float
+    nats: float
+    """Part of the gain that is not in the fit: an unusual offset from the others, a jump."""
+
+
+def _best_shift(trial: Trial, group: str) -> _Shift:
+    """The best of several guesses of how far a group is shifted: by a fit without it, by motion, by a jump."""
+    mask = group_mask(group)
+    without = trial.refit(muted(group))
+    offset, scatter = _offset(trial, without, mask)
+    mean = (trial.points - without.projected)[mask].mean(axis=0)
+    usual = trial.usual_offsets[group]
+    vectors = [offset, *_motion_offset(trial, mask)]
+    jump = trial.jump(group)
+    if jump is not None:
+        vectors.append(jump[0])
+    # An offset of scattered points is none of the group.
+    coherent = float(np.clip(np.linalg.norm(mean) / max(scatter, 1e-9) - 1.0, 0.0, 1.0))
+    tried = []
+    for vector in vectors:
+        change, fit = _shifted_back(trial, mask, vector, TITLES[group])
+        nats = offset_nats(trial.percent(mean), usual) - offset_nats(trial.percent(mean - vector), usual)
+        if jump is not None and np.linalg.norm(vector - jump[0]) < 0.5 * np.linalg.norm(jump[0]):
+            nats += jump[1]
+        nats = coherent * max(nats, 0.0)
+        tried.append(_Shift(vector, scatter, change, fit, trial.gain(fit, 2.0) + nats, nats))
+    return max(tried, key=lambda shift: shift.gain)
 
 
 def occluded(trial: Trial) -> Iterator[Finding]:

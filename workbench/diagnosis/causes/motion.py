@@ -52,8 +52,8 @@ def frozen_detector(trial: Trial) -> Iterator[Finding]:
         f"{moved} since the frame before.",
         change=change if places is not None else None,
         gain=trial.gain(fit),
-        before_percent=_flow_disagreement(trial, trial.points),
-        after_percent=_flow_disagreement(trial, change.moved(trial.case.observation).landmarks.points),
+        before_percent=jump if flow is None else flow,
+        after_percent=_step_disagreement(trial, places, last + 1 - first) if flow is not None else 0.0,
         direct=0.97 if flow is not None else 0.8,
         numbers={"frames": float(last - first + 1), "picture_motion_percent": flow or 0.0, "jump_percent": jump},
         measure="distance from the motion of the picture",
@@ -166,6 +166,16 @@ def _thawed(trial: Trial, first: int, last: int) -> Float[np.ndarray, "68 2"] | 
     if trial.carried is None:
         return None
     return np.where(np.isfinite(trial.carried), trial.carried, trial.points)
+
+
+def _step_disagreement(trial: Trial, places: Float[np.ndarray, "68 2"] | None, frames: int) -> float:
+    """Median distance of the motion per frame over the gap from that of the picture, %."""
+    after = None if places is None else trial.observation_at(trial.case.observation.index)
+    if after is None:
+        return 0.0
+    part = np.linalg.norm((places - trial.points) / max(frames, 1), axis=1)
+    moved = np.linalg.norm(trial.carried - trial.case.before.landmarks.points, axis=1)
+    return float(trial.percent(np.nanmedian(np.abs(moved - part))))
 
 
 def _flow_disagreement(trial: Trial, points: Float[np.ndarray, "68 2"]) -> float:

@@ -1,14 +1,15 @@
 """Points in the wrong places of the list: all sides exchanged, or a few pairs of points."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
-from workbench.diagnosis.records import Change
+from workbench.diagnosis.records import Change, moved_to
 from workbench.diagnosis.reference import robust_similarity
 from workbench.diagnosis.trial import Finding, Trial, points_change
-from workbench.landmarks.scheme import MIRROR, POINT_NAMES
+from workbench.landmarks.scheme import GROUPS, MIRROR, POINT_NAMES
 from workbench.tracking import FrameFit
 
 SUSPECT_PERCENT = 4.0
@@ -19,28 +20,49 @@ MOST_PAIRS = 6
 
 
 def mirrored_order(trial: Trial) -> Iterator[Finding]:
-    """The landmarks are those of the mirror image: each point carries the number of its counterpart."""
-    points = trial.points[list(MIRROR)]
-    change = points_change("Exchange the points of left and right", points, range(68))
-    mean = np.zeros_like(trial.case.context.identity)
-    contexts = [trial.case.context._replace(last=None, start=None, identity=who) for who in (trial.fit.identity, mean)]
-    fits = [trial.refit(change, context) for context in contexts]
-    fit = min(fits, key=trial.misfit)
-    gain = trial.gain(fit)
+    """The landmarks are those of the mirror image: each point carries the number of its counterpart.
+
+    Seen from the front, the way from the right eye to the left one and that from the eyes to the mouth turn clockwise,
+    however the head is turned; mirrored points turn the other way, as those of a head seen from behind.
+    """
+    if turning(trial.points) >= 0.0:
+        return
+    places = list(MIRROR)
+    others = [frame for frame in trial.case.shot if frame.landmarks is not None]
+    whole_shot = len(others) > 1 and float(np.mean([turning(frame.landmarks.points) < 0.0 for frame in others])) > 0.5
+    where = "in the whole shot" if whole_shot else "in this frame"
+    change = points_change(f"Exchange the points of left and right {where}", trial.points[places], range(68))
+    if whole_shot:
+        # The identity was calibrated on mirrored faces.
+        mended = [moved_to(frame, frame.landmarks.points[places]) for frame in others]
+        change = replace(change, calibrate=True, identity=trial.reference.identity_of(mended))
+    context = trial.case.context._replace(last=None, start=None)
+    fit = trial.refit(change, context)
     before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
-    if gain > 0.0 and after < 0.6 * before:
-        yield Finding(
-            code="mirrored_order",
-            title="Left and right are exchanged in the order of the points",
-            evidence=f"With every point renamed to its mirror partner the error falls from {before:.1f} to {after:.1f} "
-            "% of the eye distance; the landmarks look like those of a flipped picture.",
-            change=change,
-            gain=gain,
-            before_percent=before,
-            after_percent=after,
-            numbers={"points": 68.0},
-            outranks=("points_swapped", "occluded", "group_biased", "jaw_disagrees", "wrong_identity"),
-        )
+    yield Finding(
+        code="mirrored_order",
+        title="Left and right are exchanged in the order of the points",
+        evidence=f"The points {where} turn the wrong way round, as if the face were seen from behind; with every point "
+        f"renamed to its mirror partner the error goes from {before:.1f} to {after:.1f} % of the eye distance.",
+        change=change,
+        gain=trial.gain(fit),
+        before_percent=before,
+        after_percent=after,
+        direct=0.97,
+        numbers={"turning": turning(trial.points), "whole_shot": float(whole_shot)},
+        outranks=(
+            *("points_swapped", "occluded", "group_biased", "jaw_disagrees", "wrong_identity", "wrong_focal"),
+            *("motion_blur", "low_flow_consistency"),
+        ),
+    )
+
+
+def turning(points: Float[np.ndarray, "68 2"]) -> float:
+    """Sine of the angle from the eye line (right to left) to the way from the eyes to the mouth; about 1, −1 mirrored."""
+    right, left, mouth = (points[list(GROUPS[group])].mean(axis=0) for group in ("right_eye", "left_eye", "mouth"))
+    line, down = left - right, mouth - 0.5 * (left + right)
+    cross = line[0] * down[1] - line[1] * down[0]
+    return float(cross / max(np.linalg.norm(line) * np.linalg.norm(down), 1e-9))
 
 
 def points_swapped(trial: Trial) -> Iterator[Finding]:

@@ -6,7 +6,6 @@ import numpy as np
 
 from workbench.diagnosis.flags import face_size
 from workbench.diagnosis.records import Change
-from workbench.diagnosis.reference import FOCAL_FACTORS
 from workbench.diagnosis.trial import Finding, Trial
 from workbench.tracking import FrameFit
 from workbench.tracking.fitter import camera_of
@@ -62,11 +61,11 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
     config = trial.case.config
     if config.camera.matrix is not None or trial.reference.focal_costs is None:
         return
-    costs = trial.reference.focal_costs
-    here = FOCAL_FACTORS.index(1.0)
-    factor, lowest = best_factor(costs)
-    ratio = costs[here] / lowest
-    if ratio < LEAST_FOCAL_RATIO or costs[here] - lowest < LEAST_FOCAL_COST:
+    factors, costs = (np.array(part) for part in zip(*trial.reference.focal_costs.items(), strict=True))
+    here = trial.reference.focal_costs[1.0]
+    factor, lowest = best_factor(factors, costs)
+    ratio = here / lowest
+    if ratio < LEAST_FOCAL_RATIO or here - lowest < LEAST_FOCAL_COST:
         return
     fov = fov_with(config.camera.fov_deg, factor)
     changed = config.changed(camera={"fov_deg": fov})
@@ -85,7 +84,7 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
         f"(a field of view of {fov:.0f}° instead of {config.camera.fov_deg:.0f}°).",
         change=change,
         gain=trial.gain(fit),
-        before_percent=float(np.sqrt(costs[here] / (136 * 12))),
+        before_percent=float(np.sqrt(here / (136 * 12))),
         after_percent=float(np.sqrt(lowest / (136 * 12))),
         direct=float(np.interp(ratio, [LEAST_FOCAL_RATIO, SURE_FOCAL_RATIO], [0.5, 0.95])),
         measure="shot-wide error with the face shape fitted to each lens",
@@ -94,16 +93,14 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
     )
 
 
-def best_factor(costs: np.ndarray) -> tuple[float, float]:
-    """The focal factor of least cost, by a parabola in its logarithm through the lowest of `FOCAL_FACTORS`."""
-    steps = np.log(FOCAL_FACTORS)
-    low = int(np.argmin(costs))
+def best_factor(factors: np.ndarray, costs: np.ndarray) -> tuple[float, float]:
+    """The focal factor of least cost and that cost, by a parabola in its logarithm around the lowest one."""
+    steps, low = np.log(factors), int(np.argmin(costs))
     if not 0 < low < len(costs) - 1:
-        return float(FOCAL_FACTORS[low]), float(costs[low])
-    a, b, c = np.polyfit(steps[low - 1 : low + 2] - steps[low], costs[low - 1 : low + 2], 2)
-    if a <= 0.0:
-        return float(FOCAL_FACTORS[low]), float(costs[low])
-    move = float(np.clip(-b / (2.0 * a), -0.35, 0.35))
+        return float(factors[low]), float(costs[low])
+    near = slice(low - 1, low + 2)
+    a, b, c = np.polyfit(steps[near] - steps[low], costs[near], 2)
+    move = float(np.clip(-b / (2.0 * a), -0.35, 0.35)) if a > 0.0 else 0.0
     return float(np.exp(steps[low] + move)), float(a * move * move + b * move + c)
 
 
