@@ -34,8 +34,9 @@ from workbench.widgets.viewpoint import Viewpoint, front_viewpoint
 WORLD = np.array([1.0, -1.0, -1.0])
 """WebGL's world has y up and z towards the viewer, the head frame y down and z away: half a turn about x."""
 MATRIX = np.diag([*WORLD, 1.0]).astype(np.float32)
-GRID_MM = 400.0
-"""Half width of the box from which k3d takes its clipping planes."""
+GRID_MM = 20_000.0
+"""Half width of the box from which k3d takes its clipping planes: the near one lies 7 mm before the camera. So a plain
+depth buffer resolves a hundredth of a millimetre; the logarithmic one is slower and leaks with anti-aliasing."""
 LIGHTING, ROUGHNESS = 1.5, 0.6
 COLLAR_TILT, COLLAR_MM = 0.25, 600.0
 """The neck is cut by a plane that falls towards the front, just above the ragged rim of the mesh. The opacity that
@@ -77,7 +78,8 @@ class K3dHeadView:
         self._shown = Shown(model.neutral.astype(np.float32))
         viewpoint = front_viewpoint(model, size)
         self.plot = k3d.plot(
-            height=size[1], antialias=2, background_color=_packed(np.array([SLATE]))[0].item(), lighting=LIGHTING,
+            height=size[1], antialias=2, logarithmic_depth_buffer=False, lighting=LIGHTING,
+            background_color=_packed(np.array([SLATE]))[0].item(),
             menu_visibility=False, grid_visible=False, grid_auto_fit=False, camera_auto_fit=False, axes_helper=0,
             grid=(-GRID_MM, -GRID_MM, -GRID_MM, GRID_MM, GRID_MM, GRID_MM), camera_mode="orbit", camera_up_axis="none",
             camera_rotate_speed=0.5,  # half a turn for the height of the view
@@ -92,9 +94,7 @@ class K3dHeadView:
             self._colored = self._colored_mesh(model.colors)
         self.plot += self.mesh
         self._probe = WebGLProbe()
-        self._legend = widgets.HTML(
-            layout=widgets.Layout(display="none", margin="2px 4px 0 4px", max_width=f"{size[0]}px")
-        )
+        self._legend = Legend(size[0])
         self.widget = widgets.VBox([self.plot, self._probe, self._legend], layout=widgets.Layout(overflow="hidden"))
 
     @property

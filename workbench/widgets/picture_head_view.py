@@ -66,9 +66,7 @@ class PictureHeadView:
         self.canvas = PictureCanvas(_size=list(size), _jpeg=_jpeg(self._draw(self._scene)))
         self.canvas.layout = widgets.Layout(width=f"{size[0]}px", max_width="100%")
         self.canvas.on_msg(self._on_message)
-        self._legend = widgets.HTML(
-            layout=widgets.Layout(display="none", margin="2px 4px 0 4px", max_width=f"{size[0]}px")
-        )
+        self._legend = Legend(size[0])
         self.widget = widgets.VBox([self.canvas, self._legend], layout=widgets.Layout(overflow="hidden"))
         self._worker = threading.Thread(target=self._work, name="head-pictures", daemon=True)
         self._worker.start()

@@ -1,0 +1,299 @@
+"""Both back ends of the live 3D head in a real browser: updates from any thread, the mouse, and no foreign request."""
+
+import base64
+import os
+import statistics
+from pathlib import Path
+
+import cv2
+import nbformat
+import numpy as np
+import pytest
+
+from tests import browser
+
+lacking = browser.missing()
+
+if lacking and os.environ.get("CI") != "true":
+    pytest.skip(f"browser tests: {lacking}", allow_module_level=True)
+
+CANVAS = {"k3d": ".fw-head3d .k3d-target canvas", "pictures": ".fw-head3d > canvas"}
+SLOWEST_MS = 600.0
+"""Generous: software WebGL on a shared machine. Printed, so that a run shows what it was."""
+CELLS = (
+    """
+    import threading, time
+    import ipywidgets as widgets
+    import numpy as np
+    from workbench.face import load_default_head
+    from workbench.widgets.head_view import make_head_view
+
+    head = load_default_head()
+    jaw, smile = (head.expression_names.index(name) for name in ("jawOpen", "mouthSmileLeft"))
+    views = {name: make_head_view(head, (400, 400), name) for name in ("k3d", "pictures")}
+    widgets.HBox([view.widget for view in views.values()])
+    """,
+    """
+    def follow(name):
+        slider = widgets.FloatSlider(description=name, min=0, max=1, step=0.05)
+        threads = widgets.HTML()
+
+        def show(change):
+            views[name].set_vertices(head.neutral + change["new"] * head.expression_deltas[jaw])
+            threads.value = threading.current_thread().name
+
+        slider.observe(show, "value")
+        return widgets.HBox([slider, threads])
+
+    widgets.VBox([follow(name) for name in views])
+    """,
+    """
+    def later():
+        for view in views.values():
+            view.set_vertices(head.neutral + 1.2 * head.expression_deltas[jaw] + head.expression_deltas[smile])
+
+    thread = threading.Thread(target=later)
+    thread.start()
+    thread.join()
+    """,
+    """
+    time.sleep(10)
+    """,
+    """
+    values = np.linalg.norm(head.expression_deltas[jaw], axis=1)
+    for view in views.values():
+        view.set_vertices(head.neutral)
+        view.set_values(values, 0.0, 30.0, "jawOpen, mm")
+        view.set_points(head.landmarks.of(head.neutral), np.full((68, 3), 255, np.uint8), 2.5)
+        view.set_ghost(head.neutral - [14.0, 0.0, 0.0])
+    """,
+)
+# WebGL forgets its picture after showing it; this keeps it for reading.
+KEEP_PIXELS = """(() => {
+  const original = HTMLCanvasElement.prototype.getContext;
+  HTMLCanvasElement.prototype.getContext = function (kind, options) {
+    const kept = /webgl/.test(kind) ? Object.assign({}, options, { preserveDrawingBuffer: true }) : options;
+    return original.call(this, kind, kept);
+  };
+  const small = document.createElement("canvas");
+  small.width = small.height = 100;
+  const context = original.call(small, "2d", { willReadFrequently: true });
+  window.readCanvas = (selector, side) => {
+    const canvas = document.querySelector(selector);
+    if (!canvas) return null;
+    small.width = small.height = side;
+    context.fillStyle = getComputedStyle(canvas.parentElement).backgroundColor; // k3d's ground is its parent's
+    context.fillRect(0, 0, side, side);
+    context.drawImage(canvas, 0, 0, side, side);
+    return context.getImageData(0, 0, side, side).data;
+  };
+  window.pngOfCanvas = (selector) => {
+    window.readCanvas(selector, 200);
+    return small.toDataURL("image/png");
+  };
+  window.sumCanvas = (selector) => {
+    const data = window.readCanvas(selector, 100);
+    let sum = 0;
+    for (const value of data) sum = (sum * 31 + value) | 0;
+    return sum;
+  };
+  window.timeToPixels = (handle, key, selector) => new Promise((resolve) => {
+    const before = window.sumCanvas(selector), start = performance.now();
+    const look = () => {
+      if (window.sumCanvas(selector) !== before) resolve(performance.now() - start);
+      else if (performance.now() - start > 5000) resolve(null);
+      else requestAnimationFrame(look);
+    };
+    handle.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
+    requestAnimationFrame(look);
+  });
+})();"""
+
+
+@pytest.fixture(scope="module")
+def screenshots(tmp_path_factory) -> Path:
+    kept = os.environ.get("WORKBENCH_SCREENSHOTS")
+    return Path(kept) if kept else tmp_path_factory.mktemp("screenshots")
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """A notebook with both views side by side, run up to its sliders."""
+    assert not lacking, lacking
+    folder, settings = tmp_path_factory.mktemp("notebooks"), tmp_path_factory.mktemp("jupyter")
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
+    cells = [nbformat.v4.new_code_cell("\n".join(line[4:] for line in cell.strip("\n").split("\n"))) for cell in CELLS]
+    nbformat.write(nbformat.v4.new_notebook(cells=cells, metadata=kernel), folder / "views.ipynb")
+    profile = tmp_path_factory.mktemp("profile")
+    with browser.lab_server(folder, settings) as server, browser.lab_page(server, profile) as page:
+        page.page.add_init_script(KEEP_PIXELS)
+        page.open("views.ipynb")
+        run_cell(page, 0)
+        run_cell(page, 1)
+        for selector in CANVAS.values():
+            page.page.wait_for_selector(selector)
+        page.page.wait_for_function(
+            "(all) => all.every((s) => new Set(window.readCanvas(s, 100)).size > 60)", arg=list(CANVAS.values())
+        )
+        yield page
+
+
+def run_cell(lab, index, wait=True):
+    """Run one cell; without `wait` the answer comes while it still runs."""
+    lab.page.evaluate(
+        """(index) => {
+          window.jupyterapp.shell.currentWidget.content.activeCellIndex = index;
+          window.ran = false;
+          window.jupyterapp.commands.execute('notebook:run-cell').then(() => { window.ran = true; });
+        }""",
+        index,
+    )
+    if wait:
+        lab.page.wait_for_function("() => window.ran")
+
+
+def pixels(lab, backend):
+    """What the canvas shows, reduced to 200 × 200."""
+    encoded = lab.page.evaluate("(s) => window.pngOfCanvas(s)", CANVAS[backend]).split(",")[1]
+    return cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)[..., ::-1].astype(int)
+
+
+def settled(lab, backend, before=None):
+    """The canvas once it shows twice the same, and something else than `before`."""
+    last = None
+    for _ in range(100):
+        now = pixels(lab, backend)
+        if last is not None and np.array_equal(now, last) and (before is None or not np.array_equal(now, before)):
+            return now
+        last = now
+        lab.page.wait_for_timeout(80)
+    raise AssertionError(f"The canvas of {backend} did not settle, or did not change.")
+
+
+def changed_pixels(lab, backend, before):
+    """The next picture and the share of pixels that changed."""
+    now = settled(lab, backend, before)
+    return now, float((np.abs(now - before).max(2) > 8).mean())
+
+
+def check_plausible(picture, share):
+    """A picture from a wrong thread would be constant or striped, and nearly all of it would change."""
+    assert 0.02 < share < 0.60
+    assert picture.mean((0, 2)).std() > 5
+    assert picture.mean((1, 2)).std() > 5
+    assert np.abs(np.diff(picture, axis=0)).mean() < 12
+    assert np.abs(np.diff(picture, axis=1)).mean() < 12
+
+
+def press(lab, backend, *keys):
+    handle = lab.slider(backend)
+    for key in keys:
+        handle.press(key)
+
+
+def callback_thread(lab, backend):
+    row = lab.page.locator(".widget-hbox").filter(has=lab.slider(backend)).last
+    return row.locator(".widget-html-content").first.inner_text()
+
+
+def test_both_views_show_a_head(lab, screenshots):
+    lab.page.screenshot(path=screenshots / "views-both.png")
+    shown = [settled(lab, backend) for backend in CANVAS]
+    for picture in shown:
+        check_plausible(picture, 0.3)
+    # The same face from the same place; collar, light and anti-aliasing differ.
+    assert np.abs(shown[0] - shown[1]).mean() < 16
+
+
+def test_an_update_from_a_thread_reaches_both(lab):
+    before = {backend: settled(lab, backend) for backend in CANVAS}
+    run_cell(lab, 2)
+    for backend in CANVAS:
+        check_plausible(*changed_pixels(lab, backend, before[backend]))
+
+
+@pytest.mark.parametrize("backend", CANVAS)
+def test_a_slider_moves_the_face(lab, backend):
+    before = settled(lab, backend)
+    press(lab, backend, "PageUp")
+    check_plausible(*changed_pixels(lab, backend, before))
+
+
+def test_a_slider_moves_the_face_while_a_cell_is_busy(lab):
+    starts = {backend: settled(lab, backend) for backend in CANVAS}
+    run_cell(lab, 3, wait=False)
+    for backend, before in starts.items():
+        press(lab, backend, "End")
+        check_plausible(*changed_pixels(lab, backend, before))
+        assert "subshell" in callback_thread(lab, backend)  # neither of the main thread nor of its GL context
+    assert not lab.page.evaluate("() => window.ran")
+    lab.page.wait_for_function("() => window.ran")
+
+
+@pytest.mark.parametrize("backend", CANVAS)
+def test_a_drag_turns_the_head_and_a_slider_keeps_it_turned(lab, screenshots, backend):
+    press(lab, backend, "Home")
+    front = settled(lab, backend)
+    canvas = lab.page.locator(CANVAS[backend]).first
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    lab.page.mouse.move(x, y)
+    lab.page.mouse.down()
+    lab.page.mouse.move(x + 90, y, steps=6)
+    lab.page.mouse.up()
+    turned, share = changed_pixels(lab, backend, front)
+    check_plausible(turned, share)
+    press(lab, backend, "End")
+    opened, share = changed_pixels(lab, backend, turned)
+    check_plausible(opened, share)
+    # The open mouth of the turned head is nearer to the turned head than to the one from the front.
+    assert np.abs(opened - turned).mean() < np.abs(opened - front).mean()
+    canvas.screenshot(path=screenshots / f"views-turned-{backend}.png")
+
+
+@pytest.mark.parametrize("backend", CANVAS)
+def test_the_slider_is_followed_at_once(lab, backend, capsys):
+    handle, milliseconds = lab.slider(backend).element_handle(), []
+    press(lab, backend, "Home")
+    settled(lab, backend)
+    for k in range(20):
+        key = "ArrowRight" if k < 12 else "ArrowLeft"
+        milliseconds.append(
+            lab.page.evaluate("([h, k, s]) => window.timeToPixels(h, k, s)", [handle, key, CANVAS[backend]])
+        )
+        lab.page.wait_for_timeout(100)
+    assert None not in milliseconds
+    median = statistics.median(milliseconds)
+    with capsys.disabled():
+        print(f"\n{backend}: slider to pixels {median:.0f} ms (median of 20, load {os.getloadavg()[0]:.1f})")
+    assert median < SLOWEST_MS
+
+
+def test_values_points_and_a_ghost_show_in_both(lab, screenshots):
+    before = {backend: settled(lab, backend) for backend in CANVAS}
+    run_cell(lab, 4)
+    for backend in CANVAS:
+        picture, share = changed_pixels(lab, backend, before[backend])
+        check_plausible(picture, share)
+        violet = (picture[..., 2] > picture[..., 1] + 20).mean()
+        assert violet > 0.1
+    lab.page.locator(CANVAS["k3d"]).first.scroll_into_view_if_needed()
+    lab.page.screenshot(path=screenshots / "views-values.png")
+    assert lab.page.locator(".fw-head3d-legend").count() == 2
+
+
+def test_nothing_came_from_another_host_and_the_page_had_no_errors(lab):
+    assert lab.foreign_requests == []
+    assert lab.page_errors == []
+    assert [text for text in lab.console_errors if "404" not in text] == []
+    assert [output for output in lab.outputs() if output["type"] == "error" or output["name"] == "stderr"] == []
+
+
+def test_the_pictures_are_screenshots_too(lab, screenshots):
+    """What the canvases report is what a person sees."""
+    for backend, selector in CANVAS.items():
+        path = screenshots / f"views-{backend}.png"
+        lab.page.locator(selector).first.screenshot(path=path)
+        seen = cv2.resize(cv2.imread(str(path))[..., ::-1], (200, 200), interpolation=cv2.INTER_AREA)
+        assert np.abs(seen.astype(int) - pixels(lab, backend)).mean() < 6
