@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+from workbench.config import Config
 from workbench.diagnosis.causes import INPUT_CAUSES, SCHEDULE_CAUSES
-from workbench.diagnosis.causes.configuration import jointly
+from workbench.diagnosis.causes.configuration import RELAXED_TAU, jointly
 from workbench.diagnosis.group_pull import leave_one_group_out as pulls_of
-from workbench.diagnosis.ranking import LEAST_GAIN, LEAST_SCORE, ranked, score
+from workbench.diagnosis.ranking import LEAST_SCORE, ranked, score
 from workbench.diagnosis.records import Diagnosis, FrameCase, GroupPull
 from workbench.diagnosis.reference import ShotReference
 from workbench.diagnosis.trial import Finding, Trial
@@ -13,8 +14,6 @@ from workbench.diagnosis.uncertainty import estimate_uncertainty
 from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.tracking import FrameFitter
-
-STUCK = "pose_expression_tradeoff"
 
 
 def diagnose_frame(
@@ -31,13 +30,12 @@ def diagnose_frame(
     """
     trial = start_trial(model, case, fitter, reference)
     scored = [(score(trial, finding), finding) for cause in SCHEDULE_CAUSES for finding in cause(trial)]
-    # Where solving in turn is at fault, that fault would hide all others: they are looked for in the joint solve.
-    stuck = any(finding.code == STUCK and finding.gain > LEAST_GAIN for _, finding in scored)
-    patient = trial.with_config(jointly(case.config)) if stuck else trial
+    # A schedule that sticks, or a pose held by a bad past, would hide what is wrong with the input.
+    patient = trial.with_config(patient_config(case.config))
     for cause in INPUT_CAUSES:
         for finding in cause(patient):
             value = score(patient, finding)
-            scored.append((value, retried(trial, finding) if stuck and value >= LEAST_SCORE else finding))
+            scored.append((value, retried(trial, finding) if value >= LEAST_SCORE else finding))
     return Diagnosis(
         reasons=ranked(scored),
         leave_group_out=pulls_of(trial),
@@ -70,8 +68,13 @@ def start_trial(
     return Trial(case, fitter, reference)
 
 
+def patient_config(config: Config) -> Config:
+    """The configuration with everything solved together, long enough, and the past hardly counting."""
+    return jointly(config).changed(weights={"tau": config.weights.tau * RELAXED_TAU})
+
+
 def retried(trial: Trial, finding: Finding) -> Finding:
-    """A finding of the joint solve with its change tried under the configuration of the case."""
+    """A finding of the patient solve with its change tried under the configuration of the case."""
     if finding.change is None or finding.measure != "landmark error":
         return finding
     fit = trial.refit(finding.change)

@@ -1,8 +1,8 @@
 """How far a group of landmarks lies from where all others predict it, and whether that is usual in the shot.
 
-A fit that includes a shifted group bends pose and expression towards it and shows little residual. The *innovation* of
-a group, its mean offset from a fit without it, does not bend. What is usual comes from the other frames of the shot, and
-from the motions that the model's own blendshapes give a group which no other point predicts (a raised brow).
+A fit that includes a shifted group bends pose and expression towards it and shows little residual. The *innovation*
+of a group, its mean offset from a fit without it, does not bend. What is usual comes from the other frames of the shot,
+and from the motions that the model's own blendshapes give a group which no other point predicts (a raised brow).
 """
 
 from typing import NamedTuple

@@ -62,20 +62,22 @@ Cause = Callable[["Trial"], Iterable[Finding]]
 class Trial:
     """One frame, its fit, and whatever is tried on it."""
 
-    def __init__(self, case: FrameCase, fitter: FrameFitter, reference: ShotReference):
+    def __init__(self, case: FrameCase, fitter: FrameFitter, reference: ShotReference, afresh: bool = False):
+        """`afresh`: every fit is also tried without what came before, which may be wrong itself; the better counts."""
         self.case = case
+        self._afresh = afresh and case.context.last is not None
         self.reference = reference
         self.names = fitter.model.expression_names
         self._fitter = copy.copy(fitter)
         self._fitter.configure(case.config)
         self.points = case.observation.landmarks.points
         self.face_px = float(face_size(self.points))
-        self.fit, _ = self._fitter.fit(case.observation, case.context)
         self._others: dict[bytes, FrameFitter] = {}
+        self.fit = self._best_fit(self._fitter, case.observation, case.context)
 
     def with_config(self, config: Config) -> "Trial":
         """The same frame on trial under another configuration."""
-        return Trial(replace(self.case, config=config), self._fitter, self.reference)
+        return Trial(replace(self.case, config=config), self._fitter, self.reference, afresh=True)
 
     # --- fits ---
 
@@ -83,7 +85,14 @@ class Trial:
         """The fit with a change, exactly as a session would apply it."""
         context = change.applied(self.case.context if context is None else context)
         observation = change.moved(self.case.observation)
-        return self.fitter(change.apply_to(self.case.config), context).fit(observation, context)[0]
+        return self._best_fit(self.fitter(change.apply_to(self.case.config), context), observation, context)
+
+    def _best_fit(self, fitter: FrameFitter, observation: FrameObservation, context: FrameContext) -> FrameFit:
+        fit, _ = fitter.fit(observation, context)
+        if not self._afresh or context.last is None:
+            return fit
+        again, _ = fitter.fit(observation, context._replace(last=None))
+        return min(fit, again, key=lambda tried: self.residual_costs(tried).sum())
 
     def fitter(self, config: Config, context: FrameContext) -> FrameFitter:
         """A fitter for this configuration; one is kept for each identity."""
@@ -97,9 +106,15 @@ class Trial:
 
     # --- the measure ---
 
-    def misfit(self, fit: FrameFit, doubted: Bool[np.ndarray, "68"] | None = None) -> float:
-        """Nats left unexplained by a fit; `doubted` landmarks cost their price at most."""
-        each = self.residual_costs(fit) + MOTION_SHARE * self.motion_costs(fit.observed)
+    def misfit(self, fit: FrameFit, doubted: Bool[np.ndarray, "68"] | None = None, past_doubted: bool = False) -> float:
+        """Nats left unexplained by a fit; `doubted` landmarks cost their price at most.
+
+        `past_doubted`: the frames around may have the same fault, so leaving their motion costs nothing.
+        """
+        motion = self.motion_costs(fit.observed)
+        if past_doubted:
+            motion = np.minimum(motion, self.motion_costs(self.points))
+        each = self.residual_costs(fit) + MOTION_SHARE * motion
         each = each * np.minimum(self.case.observation.landmarks.confidence * 2.0, 1.0)
         if doubted is not None:
             each = np.where(doubted, np.minimum(each, DOUBTED), each)
@@ -141,9 +156,15 @@ class Trial:
         each = [np.log1p((100.0 * fit.residuals_px / face_size(fit.observed) / usual) ** 2).sum() for fit in fits]
         return float(min(np.median(each), 0.6 * 68))
 
-    def gain(self, fit: FrameFit, parameters: float = 0.0, doubted: Bool[np.ndarray, "68"] | None = None) -> float:
+    def gain(
+        self,
+        fit: FrameFit,
+        parameters: float = 0.0,
+        doubted: Bool[np.ndarray, "68"] | None = None,
+        past_doubted: bool = False,
+    ) -> float:
         """Nats that a changed fit explains beyond the one under diagnosis, less the price of its free numbers."""
-        return self.unexplained - self.misfit(fit, doubted) - PARAMETER * parameters
+        return self.unexplained - self.misfit(fit, doubted, past_doubted) - PARAMETER * parameters
 
     def percent(self, px):
         """Pixels in percent of the face's size."""

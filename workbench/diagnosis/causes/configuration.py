@@ -132,12 +132,12 @@ def pose_expression_tradeoff(trial: Trial) -> Iterator[Finding]:
         return
     before, after = trial.error_percent(trial.fit), trial.error_percent(joint)
     strongest = int(np.argmax(np.abs(joint.expression - trial.fit.expression)))
+    then, now = trial.fit.expression[strongest], joint.expression[strongest]
     yield Finding(
         code="pose_expression_tradeoff",
         title="Pose and expression trade against each other",
         evidence=f"Solved together, the pose moves by {degrees:.1f}° and {millimetres:.0f} mm, "
-        f"{trial.names[strongest]} from {trial.fit.expression[strongest]:.2f} to {joint.expression[strongest]:.2f}, and "
-        f"the error falls from {before:.1f} to {after:.1f} % of the eye distance.",
+        f"{trial.names[strongest]} from {then:.2f} to {now:.2f}, and the error falls from {before:.1f} to {after:.1f} % of the eye distance.",
         change=change,
         gain=gain,
         before_percent=before,

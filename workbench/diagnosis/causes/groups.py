@@ -56,8 +56,8 @@ def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
         code="jaw_disagrees",
         title="The jaw points disagree with the rest of the face",
         evidence=f"The jaw points lie {distance:.1f} % of the eye distance from where the others predict them (mean "
-        f"offset {_vector(trial, shift.vector)}); the jaw alone asks for a pose {degrees:.0f}° and {millimetres:.0f} mm "
-        "away.",
+        f"offset {_vector(trial, shift.vector)}); the jaw alone asks for a pose {degrees:.0f}° and "
+        f"{millimetres:.0f} mm away.",
         change=change,
         gain=gain,
         before_percent=before,
@@ -138,7 +138,7 @@ def _best_shift(trial: Trial, group: str) -> _Shift:
         if jump is not None and np.linalg.norm(vector - jump[0]) < 0.5 * np.linalg.norm(jump[0]):
             nats += jump[1]
         nats = coherent * max(nats, 0.0)
-        tried.append(_Shift(vector, scatter, change, fit, trial.gain(fit, 2.0) + nats, nats))
+        tried.append(_Shift(vector, scatter, change, fit, trial.gain(fit, 2.0, past_doubted=True) + nats, nats))
     return max(tried, key=lambda shift: shift.gain)
 
 

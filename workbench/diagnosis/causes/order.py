@@ -58,7 +58,7 @@ def mirrored_order(trial: Trial) -> Iterator[Finding]:
 
 
 def turning(points: Float[np.ndarray, "68 2"]) -> float:
-    """Sine of the angle from the eye line (right to left) to the way from the eyes to the mouth; about 1, −1 mirrored."""
+    """Sine of the angle from the eye line (right to left) to the way to the mouth: about 1, mirrored −1."""
     right, left, mouth = (points[list(GROUPS[group])].mean(axis=0) for group in ("right_eye", "left_eye", "mouth"))
     line, down = left - right, mouth - 0.5 * (left + right)
     cross = line[0] * down[1] - line[1] * down[0]
@@ -78,7 +78,7 @@ def points_swapped(trial: Trial) -> Iterator[Finding]:
         chosen = [index for pair in pairs for index in pair]
         change = points_change(f"Exchange {_named(pairs)}", points, chosen)
         fit = trial.refit(change)
-        gain = trial.gain(fit, 0.5 * len(pairs))
+        gain = trial.gain(fit, 0.5 * len(pairs), past_doubted=True)
         if best is None or gain > best[0]:
             best = gain, pairs, change, fit
     if best is None or best[0] <= 0.0:
