@@ -33,7 +33,7 @@ function render({ model, el }) {
 
   let waiting = { ...NOTHING };
   let pending = false;
-  let sent = 0;
+  let sent = Date.now(); // ascends over reloads of the page, and differs between two displays
   let timer = null;
   function send() {
     if (!pending || timer !== null) return;
