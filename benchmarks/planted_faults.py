@@ -78,12 +78,12 @@ def clip() -> Clip:
     )
 
 
-def good_config() -> Config:
+def good_config(name: str = "joint") -> Config:
     """The configuration that fits the clip well, with its true field of view: then a planted fault is the only one.
 
     The preset `calibrated` solves pose and expression in turn and is off by two degrees in the median on this clip.
     """
-    return preset("joint").changed(camera={"fov_deg": clip().fov_deg})
+    return preset(name).changed(camera={"fov_deg": clip().fov_deg})
 
 
 def observations_of(points: Float[np.ndarray, "n 68 2"]) -> list[FrameObservation]:
@@ -113,12 +113,11 @@ def follow(
 def case_at(
     index: int,
     points: Float[np.ndarray, "n 68 2"],
-    config: Config | None = None,
+    config: Config,
     identity: np.ndarray | None = None,
     pictures: Sequence[np.ndarray] | None = None,
 ) -> FrameCase:
     """Frame `index` of the clip with these landmarks, as a session would hand it over."""
-    config = config or good_config()
     observations = observations_of(points)
     _, context = follow(observations, config, identity)[index]
     pictures = clip().pictures if pictures is None else pictures
@@ -128,7 +127,7 @@ def case_at(
     )
 
 
-def swapped(rng, frame) -> FrameCase:
+def swapped(rng, frame, config) -> FrameCase:
     """Two points farther apart than a tenth of the eye distance carry each other's number."""
     index, points = frame(), clip().noisy(rng)
     while True:
@@ -136,24 +135,24 @@ def swapped(rng, frame) -> FrameCase:
         if np.linalg.norm(points[index, first] - points[index, second]) > 0.1 * outer_eye_distance(points[index]):
             break
     points[index, [first, second]] = points[index, [second, first]]
-    return case_at(index, points)
+    return case_at(index, points, config)
 
 
-def shifted_jaw(rng, frame) -> FrameCase:
+def shifted_jaw(rng, frame, config) -> FrameCase:
     """The detector takes a shadow for the jaw line, from some frames before on."""
     index, points = frame(), clip().noisy(rng)
     points[index - rng.integers(0, 4) : index + 2, :17] += _direction(rng) * rng.uniform(10.0, 16.0)
-    return case_at(index, points)
+    return case_at(index, points, config)
 
 
-def focal_twice_or_half(rng, frame) -> FrameCase:
+def focal_twice_or_half(rng, frame, config) -> FrameCase:
     """The field of view is set for a focal length that is wrong by a factor of two."""
     index, factor = frame(), float(rng.choice([0.5, 2.0]))
     fov = float(np.degrees(2 * np.arctan(np.tan(np.radians(clip().fov_deg) / 2) / factor)))
-    return case_at(index, clip().noisy(rng), good_config().changed(camera={"fov_deg": fov}))
+    return case_at(index, clip().noisy(rng), config.changed(camera={"fov_deg": fov}))
 
 
-def occluded_mouth(rng, frame) -> FrameCase:
+def occluded_mouth(rng, frame, config) -> FrameCase:
     """Something is before the mouth for a while, and a confused detector scatters its points."""
     index, points = frame(), clip().noisy(rng)
     start, mouth = index - int(rng.integers(0, 3)), list(GROUPS["mouth"])
@@ -165,53 +164,51 @@ def occluded_mouth(rng, frame) -> FrameCase:
         cv2.ellipse(picture, tuple(map(int, centre)), tuple(map(int, half)), 0, 0, 360, tuple(map(int, colour)), -1)
         pictures[k] = picture
         points[k, mouth] += rng.normal(0.0, rng.uniform(7.0, 12.0), (len(mouth), 2))
-    return case_at(index, points, pictures=pictures)
+    return case_at(index, points, config, pictures=pictures)
 
 
-def frozen(rng, frame) -> FrameCase:
+def frozen(rng, frame, config) -> FrameCase:
     """The detector repeats the landmarks of five frames ago while the picture moves on."""
     landmarks = clip().landmarks
     index = frame(lambda k: np.linalg.norm(landmarks[k] - landmarks[k - 5], axis=1).mean() > 6.0)
     points = clip().noisy(rng)
     points[index - 5 : index + int(rng.integers(1, 4))] = points[index - 5]
-    return case_at(index, points)
+    return case_at(index, points, config)
 
 
-def biased_brow(rng, frame) -> FrameCase:
+def biased_brow(rng, frame, config) -> FrameCase:
     """All points of one brow lie 10 px off, from this frame or one or two before on."""
     index, points = frame(), clip().noisy(rng)
     brow = list(GROUPS[str(rng.choice(["right_brow", "left_brow"]))])
     points[index - int(rng.integers(0, 3)) : index + 5, brow] += 10.0 * _direction(rng)
-    return case_at(index, points)
+    return case_at(index, points, config)
 
 
-def one_expression_iteration(rng, frame) -> FrameCase:
+def one_expression_iteration(rng, frame, config) -> FrameCase:
     """ε = 1 on a slow camera: every sixth frame of the clip, so that the expression of the last frame is no help.
 
     At 25 frames/s a single iteration from the frame before is nearly enough.
     """
-    config = good_config()
     stages = [
         {**stage.model_dump(), "limit": 1 if "expression" in stage.free else stage.limit} for stage in config.stages
     ]
-    return _where_it_hurts(rng, frame, config.changed(stages=stages), stride=6)
+    return _where_it_hurts(rng, frame, config, config.changed(stages=stages), stride=6)
 
 
-def heavy_tau(rng, frame) -> FrameCase:
+def heavy_tau(rng, frame, config) -> FrameCase:
     """ω_τ × 1000."""
-    config = good_config()
-    return _where_it_hurts(rng, frame, config.changed(weights={"tau": 1000.0 * config.weights.tau}))
+    return _where_it_hurts(rng, frame, config, config.changed(weights={"tau": 1000.0 * config.weights.tau}))
 
 
-def mirrored(rng, frame) -> FrameCase:
+def mirrored(rng, frame, config) -> FrameCase:
     """The order of the points is that of the flipped picture: in this frame, or in the whole shot."""
     index, points = frame(), clip().noisy(rng)
     which = slice(index, index + 1) if rng.random() < 0.7 else slice(None)
     points[which] = points[which][:, list(MIRROR)]
-    return case_at(index, points)
+    return case_at(index, points, config)
 
 
-def leaving_the_picture(rng, frame) -> FrameCase:
+def leaving_the_picture(rng, frame, config) -> FrameCase:
     """The head moves out of the picture; a detector puts the points that it cannot see on the edge or beyond it."""
     index, truth = frame(), clip()
     axis = int(rng.integers(0, 2))
@@ -232,23 +229,23 @@ def leaving_the_picture(rng, frame) -> FrameCase:
         hidden = ((points[k] < 0.0) | (points[k] > size - 1.0)).any(axis=1)
         guess = points[k] + rng.normal(0.0, 5.0, (68, 2))
         points[k] = np.where(hidden[:, None], np.clip(guess, -3.0, size + 2.0), points[k])
-    return case_at(index, points, pictures=())
+    return case_at(index, points, config, pictures=())
 
 
-def other_person(rng, frame) -> FrameCase:
+def other_person(rng, frame, config) -> FrameCase:
     """The identity of someone else is fitted."""
     identity = 0.8 * rng.standard_normal(len(clip().head.identity_deltas))
-    return case_at(frame(), clip().noisy(rng), identity=identity)
+    return case_at(frame(), clip().noisy(rng), config, identity=identity)
 
 
-def blurred(rng, frame) -> FrameCase:
+def blurred(rng, frame, config) -> FrameCase:
     """The picture is smeared along a direction, and the landmarks are uncertain along it."""
     index, points, direction = frame(), clip().noisy(rng), _direction(rng)
     length = rng.uniform(16.0, 26.0)
     pictures = list(clip().pictures)
     pictures[index] = smeared(pictures[index], direction, length)
     points[index] += rng.normal(0.0, 0.25 * length, (68, 1)) * direction
-    return case_at(index, points, pictures=pictures)
+    return case_at(index, points, config, pictures=pictures)
 
 
 FAULTS: dict[str, tuple[str, Callable]] = {
@@ -268,8 +265,8 @@ FAULTS: dict[str, tuple[str, Callable]] = {
 """Fault → the code of the right reason, and what plants it."""
 
 
-def planted(fault: str, variant: int, stream: str = "test") -> Planted:
-    """One variant of a fault."""
+def planted(fault: str, variant: int, stream: str = "test", config: Config | None = None) -> Planted:
+    """One variant of a fault, in a run with this configuration (`good_config` if not given)."""
     code, plant = FAULTS[fault]
     rng = np.random.default_rng([list(FAULTS).index(fault), variant, STREAMS[stream]])
 
@@ -277,7 +274,7 @@ def planted(fault: str, variant: int, stream: str = "test") -> Planted:
         allowed = range(20 + STREAMS[stream], len(clip().landmarks) - 10, 2)
         return int(rng.choice([index for index in allowed if suits(index)]))
 
-    return Planted(fault, code, plant(rng, frame))
+    return Planted(fault, code, plant(rng, frame, config or good_config()))
 
 
 def projected(parameters: FaceParameters) -> Float[np.ndarray, "68 2"]:
@@ -298,11 +295,11 @@ def smeared(picture: UInt8[np.ndarray, "h w 3"], direction: np.ndarray, length: 
     return cv2.filter2D(picture, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
 
 
-def _where_it_hurts(rng, frame, config: Config, stride: int = 1) -> FrameCase:
+def _where_it_hurts(rng, frame, good: Config, config: Config, stride: int = 1) -> FrameCase:
     points = clip().noisy(rng)
     first = frame() % stride
     observations = observations_of(points[first::stride])
-    errors = [np.array([fit.errors[2] for fit, _ in follow(observations, each)]) for each in (config, good_config())]
+    errors = [np.array([fit.errors[2] for fit, _ in follow(observations, each)]) for each in (config, good)]
     added = errors[0] - errors[1]
     enough = np.quantile(added, 1.0 - WORST_PART)
     index = frame(lambda k: k % stride == first and added[k // stride] >= enough)

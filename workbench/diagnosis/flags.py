@@ -20,8 +20,8 @@ JUMP_DEG, JUMP_MM = 8.0, 30.0
 """Second difference of the pose between frames that no head at 25 frames/s makes."""
 MOST_AT_BOUND = 0.25
 """Part of the blendshapes at their upper bound that is too many."""
-FEWEST_OUTSIDE = 3
-"""Landmarks outside the picture that make a face cut off."""
+FEWEST_OUTSIDE = 6
+"""Landmarks outside the picture that make a face cut off; fewer are a chin that touches the edge."""
 STILL_PX = 1e-3
 EYE_PER_SPREAD = 1.48
 """Outer-eye distance of a frontal face in units of the root mean square distance of its 68 points from their centre."""

@@ -35,7 +35,7 @@ def ranked(scored: Iterable[tuple[float, Finding]]) -> tuple[Reason, ...]:
 
 def score(trial: Trial, finding: Finding) -> float:
     """Score of one hypothesis by itself, 0 to 1."""
-    unexplained = max(trial.unexplained - trial.usual, finding.gain, 1e-9)
+    unexplained = max(trial.excess, finding.gain, 1e-9)
     share = float(np.clip(finding.gain / unexplained, 0.0, 1.0))
     by_fit = 0.0
     if finding.gain >= LEAST_GAIN and share >= LEAST_SHARE:

@@ -28,9 +28,6 @@ USUAL_PERCENT = (0.7, 1.6)
 """Range that the usual residual of a landmark is clipped to, % of the face's size: a shot that is bad throughout shall
 not pass for usual."""
 USUAL_MOTION_PERCENT = (0.6, 2.0)
-REFINED_BELOW = 1.06
-"""Cost of half or twice the focal length, relative to that of the configured one, below which steps between count."""
-ROOT = float(np.sqrt(2.0))
 
 
 class ShotReference:
@@ -152,13 +149,14 @@ class ShotReference:
         """Cost of the best faces and poses by factor on the focal length, ascending; None with too few frames.
 
         In squared percent of the outer-eye distance, so that differences of ten and more speak. Half and twice the
-        focal length are tried, and steps between where one of them is not clearly worse.
+        focal length are tried; if one of these is best, also what is on both sides of it, to see whether it is a least.
         """
         if not self.knows_person:
             return None
         costs = {factor: self._focal_cost(factor) for factor in (0.5, 1.0, 2.0)}
-        if min(costs[0.5], costs[2.0]) < REFINED_BELOW * costs[1.0]:
-            costs |= {factor: self._focal_cost(factor) for factor in (ROOT / 2.0, ROOT)}
+        best = min(costs, key=costs.get)
+        if best != 1.0:
+            costs |= {factor: self._focal_cost(factor) for factor in (best**0.5, best**2)}
         return dict(sorted(costs.items()))
 
     def _focal_cost(self, factor: float) -> float:

@@ -146,6 +146,11 @@ class Trial:
         """Nats that the fit under diagnosis leaves."""
         return self.misfit(self.fit)
 
+    @property
+    def excess(self) -> float:
+        """Nats beyond those of an unremarkable frame."""
+        return self.unexplained - self.usual
+
     @cached_property
     def usual(self) -> float:
         """Nats that an unremarkable frame of this shot leaves: the least that is asked of an explanation."""

@@ -8,6 +8,7 @@ from workbench.config import PRESET_STAGES, Config
 from workbench.diagnosis.group_pull import between_poses
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial
+from workbench.energies import TERMS
 from workbench.solvers import Status
 from workbench.tracking.fitter import running_stages
 
@@ -15,9 +16,13 @@ MORE_ITERATIONS = 20
 LARGEST_LIMIT = 500
 RELAXED_TAU = 1e-3
 """Factor on ω_τ that shows what it holds back."""
+PULLING_TAU = 0.2
+"""E_τ relative to the data term from which it bends the pose."""
 FEWEST_AT_BOUND = 3
 JOINT_LIMIT = 60
 LEAST_POSE_DEG, LEAST_POSE_MM = 1.0, 3.0
+LEAST_STUCK_PERCENT = 2.0
+"""Error below which nobody would look at the frame: alternation leaves a little everywhere."""
 
 
 def not_converged(trial: Trial) -> Iterator[Finding]:
@@ -64,6 +69,9 @@ def tau_fights_data(trial: Trial) -> Iterator[Finding]:
     relaxed = weights.tau * RELAXED_TAU
     change = Change(f"Lower ω_τ from {weights.tau:g} to {relaxed:g}", config={"weights": {"tau": relaxed}})
     fit = trial.refit(change)
+    if _tau_share(trial) > PULLING_TAU:
+        # The frames before were held back too: this one may not find its way from where they ended.
+        fit = min(fit, trial.refit(change, trial.case.context._replace(last=None)), key=trial.misfit)
     gain = trial.gain(fit)
     if gain <= 0.0:
         return
@@ -81,6 +89,12 @@ def tau_fights_data(trial: Trial) -> Iterator[Finding]:
         numbers={"tau": weights.tau, "pose_deg": degrees, "pose_mm": millimetres},
         outranks=("pose_expression_tradeoff", "jaw_disagrees", "group_biased", "occluded"),
     )
+
+
+def _tau_share(trial: Trial) -> float:
+    """E_τ relative to the data term, in the stage where it is largest."""
+    energies = np.nan_to_num(trial.fit.energies)
+    return float((energies[:, TERMS.index("tau")] / np.maximum(energies[:, TERMS.index("data")], 1e-9)).max())
 
 
 def weights_at_bounds(trial: Trial) -> Iterator[Finding]:
@@ -131,13 +145,16 @@ def pose_expression_tradeoff(trial: Trial) -> Iterator[Finding]:
     if gain <= 0.0 or (degrees < LEAST_POSE_DEG and millimetres < LEAST_POSE_MM):
         return
     before, after = trial.error_percent(trial.fit), trial.error_percent(joint)
+    if before < LEAST_STUCK_PERCENT:
+        return
     strongest = int(np.argmax(np.abs(joint.expression - trial.fit.expression)))
     then, now = trial.fit.expression[strongest], joint.expression[strongest]
     yield Finding(
         code="pose_expression_tradeoff",
         title="Pose and expression trade against each other",
         evidence=f"Solved together, the pose moves by {degrees:.1f}° and {millimetres:.0f} mm, "
-        f"{trial.names[strongest]} from {then:.2f} to {now:.2f}, and the error falls from {before:.1f} to {after:.1f} % of the eye distance.",
+        f"{trial.names[strongest]} from {then:.2f} to {now:.2f}, and the error falls from {before:.1f} to {after:.1f} "
+        "% of the eye distance.",
         change=change,
         gain=gain,
         before_percent=before,

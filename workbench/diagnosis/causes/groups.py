@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from workbench.diagnosis.flags import outside_picture
+from workbench.diagnosis.flags import FEWEST_OUTSIDE, outside_picture
 from workbench.diagnosis.group_pull import between_poses
 from workbench.diagnosis.innovation import offset_nats
 from workbench.diagnosis.picture_evidence import change_of_patch
@@ -32,9 +32,10 @@ SIDES = {
 }
 """Larger parts that something in front of the face may hide."""
 LEAST_OFFSET_PERCENT = 2.0
+LEAST_EXCESS = 6.0
+"""Nats beyond the usual without which no part of the face is tried."""
 COHERENT = 1.0
 """Length of the mean offset in units of the scatter about it from which an offset is one of the whole group."""
-FEWEST_OUTSIDE = 3
 
 
 def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
@@ -43,6 +44,8 @@ def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
     change = Change("Give the jaw points a tenth of their weight", config={"landmarks": {"weights": {"jaw": 0.1}}})
     fit = trial.refit(change)
     shift = _best_shift(trial, "jaw")
+    if shift is None:
+        return
     gain = max(trial.gain(fit, doubted=mask) + shift.nats, shift.gain)
     distance = float(trial.percent(np.linalg.norm(trial.points - fit.projected, axis=1)[mask].mean()))
     if gain <= 0.0 or distance < LEAST_OFFSET_PERCENT:
@@ -82,7 +85,7 @@ def group_biased(trial: Trial) -> Iterator[Finding]:
         if group == "jaw":
             continue
         shift = _best_shift(trial, group)
-        if shift.gain <= 0.0 or not _long(trial, shift.vector):
+        if shift is None or shift.gain <= 0.0 or not _long(trial, shift.vector):
             continue
         before, after = trial.error_percent(trial.fit), trial.error_percent(shift.fit)
         yield Finding(
@@ -118,8 +121,11 @@ class _Shift(NamedTuple):
     """Part of the gain that is not in the fit: an unusual offset from the others, a jump."""
 
 
-def _best_shift(trial: Trial, group: str) -> _Shift:
-    """The best of several guesses of how far a group is shifted: by a fit without it, by motion, by a jump."""
+def _best_shift(trial: Trial, group: str) -> _Shift | None:
+    """The best of several guesses of how far a group is shifted: by a fit without it, by motion, by a jump.
+
+    None where even the best guess could not explain enough.
+    """
     mask = group_mask(group)
     without = trial.refit(muted(group))
     offset, scatter = _offset(trial, without, mask)
@@ -129,6 +135,9 @@ def _best_shift(trial: Trial, group: str) -> _Shift:
     jump = trial.jump(group)
     if jump is not None:
         vectors.append(jump[0])
+    most = trial.excess + offset_nats(trial.percent(mean), usual) + (0.0 if jump is None else jump[1])
+    if most < LEAST_EXCESS:
+        return None
     # An offset of scattered points is none of the group.
     coherent = float(np.clip(np.linalg.norm(mean) / max(scatter, 1e-9) - 1.0, 0.0, 1.0))
     tried = []
@@ -145,6 +154,8 @@ def _best_shift(trial: Trial, group: str) -> _Shift:
 def occluded(trial: Trial) -> Iterator[Finding]:
     """A part of the face whose points scatter without order, or that the detector itself doubts."""
     confidence = trial.case.observation.landmarks.confidence
+    if trial.excess < LEAST_EXCESS and confidence.min() > 0.5 * confidence.max():
+        return
     for name, indices in {**{group: GROUPS[group] for group in TITLES}, **SIDES}.items():
         mask = np.isin(np.arange(68), indices)
         change = muted(name)
@@ -172,7 +183,9 @@ def occluded(trial: Trial) -> Iterator[Finding]:
             before_percent=before,
             after_percent=after,
             doubted=mask,
-            specificity=min(1.0, incoherent * (0.8 + 0.1 * unsure + 0.1 * (picture > 1.5)) * _purity(trial, fit, mask)),
+            specificity=min(
+                1.0, incoherent * (0.9 + 0.05 * unsure + 0.05 * (picture > 1.5)) * _purity(trial, fit, mask)
+            ),
             numbers={
                 "scatter_percent": float(trial.percent(scatter)),
                 "confidence": sure,

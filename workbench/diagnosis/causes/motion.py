@@ -12,6 +12,8 @@ STILL_PX = 1e-3
 """Largest motion of any landmark from frame to frame that counts as none: no detector repeats itself so exactly."""
 MOVING_PERCENT = 0.6
 """Median motion of the picture, % of the face's size, from which standing landmarks are wrong."""
+DUPLICATE_PERCENT = 0.1
+"""Motion of the picture below which it is the same picture, stored twice."""
 FARTHEST_STEPS = 60
 FLOW_SURPRISE = 3.0
 """Usual motion deviations from which a landmark contradicts the picture."""
@@ -36,11 +38,11 @@ def frozen_detector(trial: Trial) -> Iterator[Finding]:
     while _same(trial, last + 1) and last < index + FARTHEST_STEPS:
         last += 1
     flow = _picture_motion(trial)
-    if flow is not None and flow < MOVING_PERCENT:
+    if flow is not None and flow < DUPLICATE_PERCENT:
         return
     places = _thawed(trial, first, last)
     jump = 0.0 if places is None else float(trial.percent(np.linalg.norm(places - trial.points, axis=1).mean()))
-    if flow is None and jump < MOVING_PERCENT:
+    if max(flow or 0.0, 0.5 * jump) < MOVING_PERCENT:
         return
     change = Change("") if places is None else points_change("Carry the points over the gap", places, range(68))
     fit = trial.refit(change)

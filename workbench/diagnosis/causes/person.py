@@ -15,6 +15,11 @@ LEAST_IDENTITY_GAIN = 0.2
 LEAST_FOCAL_RATIO = 1.06
 """Cost of the faces under the configured lens, relative to the best lens, from which the lens is doubted."""
 SURE_FOCAL_RATIO = 1.2
+BRACKET = 1.015
+UNBRACKETED_FOCAL_RATIO = 1.18
+"""The same where the cost only falls towards long lenses: a detector's own habits look like no perspective at all."""
+LEAST_FOCAL_FACTOR = 1.7
+"""A guessed lens is rarely nearer than this to the true one, and does little harm within it."""
 LEAST_FOCAL_COST = 10.0
 
 
@@ -65,7 +70,10 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
     here = trial.reference.focal_costs[1.0]
     factor, lowest = best_factor(factors, costs)
     ratio = here / lowest
-    if ratio < LEAST_FOCAL_RATIO or here - lowest < LEAST_FOCAL_COST:
+    low = int(np.argmin(costs))
+    bracketed = 0 < low < len(costs) - 1 and min(costs[low - 1], costs[low + 1]) > BRACKET * costs[low]
+    least = LEAST_FOCAL_RATIO if bracketed else UNBRACKETED_FOCAL_RATIO
+    if max(factor, 1.0 / factor) < LEAST_FOCAL_FACTOR or ratio < least or here - lowest < LEAST_FOCAL_COST:
         return
     fov = fov_with(config.camera.fov_deg, factor)
     changed = config.changed(camera={"fov_deg": fov})
