@@ -1,7 +1,6 @@
 """The command line: what a user types and reads."""
 
 import json
-import subprocess
 import sys
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 
 from tests.scenes import make_scene
 from workbench import cli
+from workbench.cli import screen, servers
 from workbench.config import preset, read_config
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
@@ -21,8 +21,8 @@ from workbench.tracking import FaceTracker, FrameObservation, Track
 def run(monkeypatch, capsys, tmp_path):
     """Run a command line in an empty folder: (exit code, standard output, standard error)."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "console", cli.Console(width=200, highlight=False))
-    monkeypatch.setattr(cli, "errors", cli.Console(width=200, stderr=True, highlight=False))
+    monkeypatch.setattr(screen, "console", screen.Console(width=200, highlight=False))
+    monkeypatch.setattr(screen, "errors", screen.Console(width=200, stderr=True, highlight=False))
 
     def call(*arguments: str):
         monkeypatch.setattr(sys, "argv", ["workbench", *arguments])
@@ -97,13 +97,28 @@ def test_mistakes_are_one_sentence_and_exit_code_2(arguments, message, run, poin
     assert "Traceback" not in out + err
 
 
-@pytest.mark.parametrize("command", [[], ["track"], ["demo"], ["lab"], ["info"]])
+COMMANDS = [["track"], ["demo"], ["diagnose"], ["config"], ["lab"], ["app"], ["info"]]
+CONFIG_COMMANDS = [["config", name] for name in ("show", "check", "diff", "schema")]
+
+
+@pytest.mark.parametrize("command", [[], *COMMANDS, *CONFIG_COMMANDS], ids=" ".join)
 def test_help_explains_every_command(command, run):
     code, out, _ = run(*command, "--help")
     assert code == 0
     assert "Usage" in out
     if command == ["track"]:
         assert "workbench track talk.mp4 --preset face-it" in out
+        assert "One of: face-it, calibrated, joint." in out
+
+
+def test_the_help_lists_every_command(run):
+    out = run("--help")[1]
+    for (command,) in COMMANDS:
+        assert f" {command} " in out
+
+
+def test_brackets_in_a_message_are_printed_as_they_are(run):
+    assert "no[bold]where.mp4" in run("track", "no[bold]where.mp4")[2]
 
 
 def test_info_names_versions_and_places(run):
@@ -141,11 +156,11 @@ def test_the_demo_clip_is_tracked_close_to_its_truth(head):
 def test_lab_serves_the_notebooks_and_keeps_its_token(monkeypatch):
     commands = []
 
-    def remember(command, check):
+    def remember(command):
         commands.append(command)
-        return subprocess.CompletedProcess(command, 0)
+        return 0
 
-    monkeypatch.setattr(subprocess, "run", remember)
+    monkeypatch.setattr(servers, "serve", remember)
     monkeypatch.setattr(sys, "argv", ["workbench", "lab", "--no-browser", "--port", "8899"])
     with pytest.raises(SystemExit):
         cli.main()

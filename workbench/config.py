@@ -1,6 +1,7 @@
 """What a run does, as data: camera, schedule of stages, ω weights, identity, landmarks. Stored as commented TOML."""
 
 import difflib
+import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic.json_schema import GenerateJsonSchema
 
 from workbench.errors import ConfigError
 from workbench.files import atomic_path
@@ -117,12 +119,14 @@ class LandmarksConfig(_Section):
 class Stage(_Section):
     """One solve: what is free, what each landmark counts, how many iterations."""
 
-    name: str = Field(min_length=1)
-    free: tuple[Literal["rotation", "translation", "expression"], ...] = Field(min_length=1)
+    name: str = Field(min_length=1, description="What tables and plots call it.")
+    free: tuple[Literal["rotation", "translation", "expression"], ...] = Field(
+        min_length=1, description="What the stage solves for; the rest stays."
+    )
     landmarks: dict[str, NonNegative] = Field({"all": 1.0}, description="Weight by group; later entries win.")
-    limit: Iterations = 15
+    limit: Iterations = Field(15, description="Most iterations.")
     when: Literal["always", "start"] = Field("always", description="start: only on the first frame of a shot.")
-    enabled: bool = True
+    enabled: bool = Field(True, description="Off: the stage is left out.")
 
     @field_validator("free")
     @classmethod
@@ -173,7 +177,7 @@ ROBUST_START = Stage(name="initial pose", free=POSE, landmarks={"robust": 1.0}, 
 class Config(_Section):
     """A whole configuration."""
 
-    version: Literal[2] = VERSION
+    version: Literal[2] = Field(VERSION, description="Of this file's format.")
     preset: str = Field("calibrated", description="The preset this configuration started from.")
     camera: CameraConfig = CameraConfig()
     weights: WeightsConfig = WeightsConfig()
@@ -185,8 +189,8 @@ class Config(_Section):
     subsets: dict[str, tuple[Annotated[int, Field(ge=0, lt=68)], ...]] = Field(
         {}, description="Named sets of landmark numbers, used like the built-in groups."
     )
-    stages: tuple[Stage, ...] = Field(min_length=1, default=())
-    provenance: Provenance | None = None
+    stages: tuple[Stage, ...] = Field(min_length=1, default=(), description="Solved in this order.")
+    provenance: Provenance | None = Field(None, description="Where an exported configuration comes from.")
 
     def point_weights(self) -> list[float]:
         """Factor of each of the 68 landmarks in every stage: one, then each entry of `landmarks.weights` in turn."""
@@ -399,6 +403,41 @@ def config_toml(config: Config) -> str:
         elif value is not None:
             document.add(name, _commented(value, field.description))
     return tomlkit.dumps(document)
+
+
+class _SchemaOfFiles(GenerateJsonSchema):
+    """As pydantic makes it, without titles made of keys and without defaults: those come from a file's preset."""
+
+    def field_title_should_be_set(self, schema) -> bool:
+        return False
+
+    def default_schema(self, schema) -> dict[str, Any]:
+        return self.generate_inner(schema["schema"])
+
+    def dict_schema(self, schema) -> dict[str, Any]:
+        made = super().dict_schema(schema)
+        return {**made, "additionalProperties": False} if "patternProperties" in made else made
+
+
+def config_schema() -> str:
+    """JSON Schema (draft 2020-12) of configuration files of the present version, as text.
+
+    It knows keys, types, ranges and choices. Rules that join several values are left to `read_config`.
+    """
+    schema = Config.model_json_schema(schema_generator=_SchemaOfFiles)
+    for name, field in Config.model_fields.items():
+        section = field.annotation
+        if isinstance(section, type) and issubclass(section, BaseModel):
+            schema["properties"][name]["description"] = section.__doc__
+    schema["properties"]["preset"]["enum"] = list(PRESETS)
+    head = {
+        "$schema": GenerateJsonSchema.schema_dialect,
+        "$id": f"urn:face-energy-workbench:configuration:{VERSION}",
+        "title": "Face Energy Workbench configuration",
+        "description": "What a run does. What a file leaves out comes from its preset.",
+    }
+    rest = {key: value for key, value in schema.items() if key not in head}
+    return json.dumps({**head, **rest}, indent=2, ensure_ascii=False) + "\n"
 
 
 def _table(section: BaseModel):

@@ -1,36 +1,16 @@
-"""The command line: `workbench track|demo|lab|info`."""
+"""`workbench track` and `workbench demo`."""
 
-import importlib.metadata
-import importlib.util
-import os
-import platform
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.markup import escape
 from rich.table import Table
 
-from workbench import __version__
+from workbench.cli import screen
 from workbench.config import PRESETS, Config, preset, read_config
-from workbench.errors import ConfigError, WorkbenchError
-from workbench.runtime import cache_folder
-from workbench.samples import sample, samples_folder
-
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    help="Face Energy Workbench: facial performance capture by optimisation.",
-)
-console = Console(highlight=False)
-PACKAGE = Path(__file__).resolve().parent
-errors = Console(stderr=True, highlight=False)
+from workbench.errors import ConfigError
+from workbench.samples import sample
 
 DEMO = {"astronaut": {}, "performance": {"camera": {"fov_deg": 33.0}}}
 """The bundled pictures; the clip's camera is known, the portrait's is guessed."""
@@ -55,7 +35,6 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 """
 
 
-@app.command(help=TRACK_HELP)
 def track(
     inputs: Annotated[list[Path], typer.Argument(help="Photos, a folder, a video, or .csv/.json/.pts landmarks.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the results (default: out/NAME).")] = None,
@@ -78,87 +57,15 @@ def track(
     _run(inputs, folder, settings, stills=stills, pictures=pictures, resume=resume, landmarks=landmarks)
 
 
-@app.command()
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo_out"),
     pictures: Annotated[bool, typer.Option(help="Write the overlay video and picture.")] = True,
 ) -> None:
     """Track the bundled portrait and performance clip from their stored landmarks; needs no detector."""
     for name, changes in DEMO.items():
-        console.print(f"[bold]{name}[/bold]")
+        screen.console.print(f"[bold]{name}[/bold]")
         config = preset("calibrated").changed(**changes)
         _run([sample(name)], out / name, config, pictures=pictures, landmarks=sample(f"{name}-landmarks"))
-
-
-@app.command()
-def lab(
-    port: Annotated[int, typer.Option(help="Port of the server.")] = 8888,
-    browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
-) -> None:
-    """Open JupyterLab on the first notebook; prints its address where there is no browser."""
-    folder = working_copies(notebooks_folder())
-    command = [sys.executable, "-m", "jupyterlab", f"--notebook-dir={folder}", f"--port={port}"]
-    command += [f"--LabApp.default_url=/lab/tree/{sorted(folder.glob('*.ipynb'))[0].name}"]
-    command += [] if browser and _has_browser() else ["--no-browser"]
-    # Jupyter refuses to start as root, which is who one is in a container.
-    command += ["--allow-root"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-    raise typer.Exit(subprocess.run(command, check=False).returncode)
-
-
-@app.command()
-def info() -> None:
-    """Versions, what is installed, and where things are."""
-    from workbench.face import load_default_head
-    from workbench.rendering.gl_probe import gl_available
-
-    head = load_default_head()
-    table = Table(show_header=False, box=None)
-    packages = ("jax", "equinox", "optimistix", "opencv-contrib-python-headless", "pyvista", "vtk", "dlib-bin")
-    rows = {
-        "workbench": __version__,
-        "Python": platform.python_version(),
-        **{name: _version(name) for name in packages},
-        "dlib detector": "installed" if _has_dlib() else 'missing: pip install "face-energy-workbench[dlib]"',
-        "3D pictures": "VTK off screen" if gl_available() else "plain (VTK found no usable OpenGL library)",
-        "default head": f"{len(head.neutral)} vertices, {len(head.expression_names)} blendshapes",
-        "presets": ", ".join(PRESETS),
-        "samples": str(samples_folder()),
-        "cache": str(cache_folder()),
-    }
-    for name, value in rows.items():
-        table.add_row(f"[bold]{name}[/bold]", value)
-    console.print(table)
-
-
-def notebooks_folder() -> Path:
-    """Folder of the notebooks: beside the package in a checkout, inside it in an installed wheel."""
-    folders = (PACKAGE / "notebooks", PACKAGE.parent / "notebooks")
-    return next((folder for folder in folders if any(folder.glob("*.ipynb"))), Path.cwd())
-
-
-def working_copies(folder: Path, package: Path = PACKAGE) -> Path:
-    """The notebooks of a checkout as they are; those of an installed package copied to ./workbench_notebooks.
-
-    JupyterLab saves what it runs, and an installed package is no place for that. Notebooks that are already there
-    stay as the user left them.
-    """
-    if not folder.is_relative_to(package):
-        return folder
-    copies = Path.cwd() / "workbench_notebooks"
-    copies.mkdir(exist_ok=True)
-    for notebook in folder.glob("*.ipynb"):
-        if not (copies / notebook.name).exists():
-            shutil.copyfile(notebook, copies / notebook.name)
-    return copies
-
-
-def main() -> None:
-    """Entry point: errors that a user can mend are one sentence and exit code 2."""
-    try:
-        app()
-    except WorkbenchError as error:
-        errors.print(f"[red]error:[/red] {error}")
-        sys.exit(2)
 
 
 def _configuration(config, preset_name, detector, fov, face, identity) -> Config:
@@ -194,30 +101,11 @@ def _run(inputs, folder, config, **options) -> None:
 
     if options.get("landmarks") is None and not all(is_landmark_file(path) for path in inputs):
         _print_licence_notice()
-    bar = Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description:8}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-    )
-    with bar:
-        tasks = {"warm-up": bar.add_task("warm-up", total=None, rate="")}
-
-        def progress(step: str, done: int, total: int | None) -> None:
-            if step not in tasks:
-                bar.update(tasks.popitem()[1], visible=False)
-                tasks[step] = bar.add_task(step, total=total, rate="")
-            speed = bar.tasks[tasks[step]].speed
-            bar.update(tasks[step], completed=done, total=total, rate=f"{speed:.0f} frames/s" if speed else "")
-
+    with screen.progress_bar() as progress:
         try:
             result = track(inputs, folder, load_default_head(), config, progress=progress, **options)
         except KeyboardInterrupt:
-            errors.print("[yellow]interrupted[/yellow]: finished parts are kept, --resume goes on from there")
+            screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept, --resume goes on from there")
             raise typer.Exit(130) from None
     _print_summary(result)
 
@@ -248,10 +136,10 @@ def _print_summary(result) -> None:
     )
     for path in result.files[:8]:
         key = "overlay.mp4" if "overlay" in path.name or path.parent.name == "overlay" else path.name
-        table.add_row("", f"{path}  [dim]{OUTPUTS.get(key, '')}[/dim]")
-    console.print(table)
+        table.add_row("", f"{escape(str(path))}  [dim]{OUTPUTS.get(key, '')}[/dim]")
+    screen.console.print(table)
     for note in result.notes:
-        console.print(f"[yellow]note:[/yellow] {note}")
+        screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")
 
 
 def _print_licence_notice() -> None:
@@ -259,20 +147,4 @@ def _print_licence_notice() -> None:
 
     notice = licence_notice_once()
     if notice:
-        console.print(f"[dim]{notice}[/dim]")
-
-
-def _has_browser() -> bool:
-    names = ("chromium", "google-chrome", "firefox", "xdg-open", "open", "explorer.exe")
-    return any(shutil.which(name) for name in names)
-
-
-def _has_dlib() -> bool:
-    return all(importlib.util.find_spec(name) for name in ("dlib", "face_recognition_models"))
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"
+        screen.console.print(f"[dim]{notice}[/dim]")

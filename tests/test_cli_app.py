@@ -1,0 +1,199 @@
+"""`workbench app`: a notebook as a page without code, for this machine only, and nothing from other hosts."""
+
+import json
+import os
+import re
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+
+import nbformat
+import psutil
+import pytest
+
+from tests import browser
+from tests.test_cli import run as run
+from workbench.cli import servers
+
+SLIDER = """
+import ipywidgets
+slider = ipywidgets.IntSlider(description="x")
+shown = ipywidgets.Label("0")
+slider.observe(lambda change: setattr(shown, "value", f"x is {change.new}"), "value")
+ipywidgets.VBox([slider, shown, ipywidgets.Button(icon="undo", description="back")])
+"""
+
+
+@pytest.fixture(scope="module")
+def notebook(tmp_path_factory):
+    """The app's notebook with one slider."""
+    path = tmp_path_factory.mktemp("app") / servers.APP_NOTEBOOK
+    cells = [nbformat.v4.new_markdown_cell("# Tuning $E_\\tau$"), nbformat.v4.new_code_cell(SLIDER)]
+    kernel = {"name": "python3", "display_name": "Python 3"}
+    nbformat.write(nbformat.v4.new_notebook(cells=cells, metadata={"kernelspec": kernel}), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def server(notebook):
+    """The running app: its address with the token, and its process."""
+    pytest.importorskip("voila")
+    port, token = free_port(), secrets.token_hex(8)
+    process = subprocess.Popen(
+        servers.app_command(notebook, port), env=servers.app_environment(token), stderr=subprocess.DEVNULL
+    )
+    try:
+        wait_until(lambda: servers.answers(port) or process.poll() is not None)
+        yield f"http://127.0.0.1:{port}/?token={token}", psutil.Process(process.pid)
+    finally:
+        process.terminate()
+        process.wait(20)
+
+
+@pytest.fixture
+def address(server):
+    """Address of the running app, with its token."""
+    return server[0]
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60.0
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_the_page_has_the_results_without_code_and_names_no_other_host(address):
+    with urllib.request.urlopen(address) as answer:
+        page, policy = answer.read().decode(), answer.headers["Content-Security-Policy"]
+    assert "Tuning" in page
+    assert "slider.observe" not in page
+    assert "vnd.jupyter.widget-view" in page
+    assert not re.search("(href|src)=[\"']https?:", page)
+    assert "default-src 'self'" in policy
+
+
+def test_without_the_token_there_is_a_login_page_only(address):
+    plain = address.split("?")[0]
+    with urllib.request.urlopen(plain) as answer:
+        assert "/login" in answer.url
+        assert "Tuning" not in answer.read().decode()
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(f"{plain}voila/files/picture.png")
+
+
+@pytest.mark.skipif(bool(browser.missing()) and os.environ.get("CI") != "true", reason=str(browser.missing()))
+def test_widgets_work_and_a_page_that_is_left_ends_its_process(server):
+    from playwright.sync_api import sync_playwright
+
+    (address, process), foreign, failed = server, [], []
+    others = set(process.children())
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=browser.CHROMIUM, headless=True, args=browser.FLAGS)
+        page = chromium.new_page()
+        local = ("http://127.0.0.1", "ws://127.0.0.1", "data:", "blob:")
+        page.on("request", lambda request: None if request.url.startswith(local) else foreign.append(request.url))
+        page.on("response", lambda answer: failed.append(answer.url) if answer.status >= 400 else None)
+        page.goto(address)
+        page.locator(".noUi-handle").wait_for(timeout=60_000)
+        page.locator(".noUi-handle").focus()
+        page.keyboard.press("ArrowRight")
+        page.get_by_text("x is 1").wait_for(timeout=30_000)
+        assert page.evaluate(ICON) == "Font Awesome 5 Free"
+        (kernel,) = set(process.children()) - others
+        page.goto("about:blank")
+        wait_until(lambda: not kernel.is_running())
+        chromium.close()
+    assert foreign == []
+    assert failed == []
+
+
+ICON = """() => getComputedStyle(document.querySelector("button i"), "::before").fontFamily.replaceAll('"', "")"""
+
+
+@pytest.mark.parametrize("ended_by", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_tells_its_address_and_ends_with_its_server(ended_by, notebook):
+    pytest.importorskip("voila")
+    port = free_port()
+    code = (
+        "from pathlib import Path; from workbench import cli; from workbench.cli import servers; "
+        f"servers.notebooks_folder = lambda: Path({str(notebook.parent)!r}); cli.main()"
+    )
+    command = [sys.executable, "-u", "-c", code, "app", "--no-browser", "--port", str(port)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        told = process.stdout.readline()
+        assert re.fullmatch(rf"The workbench app runs at http://127\.0\.0\.1:{port}/\?token=\w{{48}}\n", told)
+        assert servers.answers(port)
+        process.send_signal(ended_by)
+        assert process.wait(30) == 0
+        assert not servers.answers(port)
+    finally:
+        process.kill()
+        process.stdout.close()
+        process.wait()
+
+
+def test_the_app_is_for_this_machine_and_its_token_is_on_no_command_line(notebook, monkeypatch):
+    settings = json.loads((servers.APP_PAGE / "voila.json").read_text())
+    assert settings["Voila"]["ip"] == "127.0.0.1"
+    assert settings["Voila"]["auto_token"] is True
+    monkeypatch.setenv("JUPYTER_PATH", "/elsewhere")
+    environment = servers.app_environment("secret")
+    assert environment["JUPYTER_TOKEN"] == "secret"
+    assert environment["JUPYTER_PATH"].split(os.pathsep) == [str(servers.APP_PAGE), "/elsewhere"]
+    assert not any("secret" in word for word in servers.app_command(notebook, 8866))
+
+
+def test_a_browser_is_opened_with_the_token_where_there_is_one(notebook, run, monkeypatch):
+    pytest.importorskip("voila")
+    opened = []
+    monkeypatch.setattr(servers, "notebooks_folder", lambda: notebook.parent)
+    monkeypatch.setattr(servers, "serve", lambda command, environment, is_up, ready: ready() or 0)
+    monkeypatch.setattr(servers, "_has_browser", lambda: True)
+    monkeypatch.setattr(servers.webbrowser, "open", opened.append)
+    out = run("app", "--port", str(free_port()))[1]
+    assert len(opened) == 1
+    assert f"runs at {opened[0]}\n" in out
+    assert "token=" in opened[0]
+    run("app", "--no-browser", "--port", str(free_port()))
+    assert len(opened) == 1
+
+
+def test_without_voila_the_install_command_is_told(run, monkeypatch):
+    monkeypatch.setattr(servers.importlib.util, "find_spec", lambda name: None)
+    code, _, err = run("app")
+    assert code == 2
+    assert 'pip install "face-energy-workbench[app]"' in err
+
+
+def test_a_missing_notebook_is_named(run, monkeypatch, tmp_path):
+    pytest.importorskip("voila")
+    monkeypatch.setattr(servers, "notebooks_folder", lambda: tmp_path)
+    code, _, err = run("app")
+    assert code == 2
+    assert "10_workbench_app.ipynb does not exist" in err
+
+
+def test_a_port_in_use_is_named(notebook, run, monkeypatch):
+    pytest.importorskip("voila")
+    monkeypatch.setattr(servers, "notebooks_folder", lambda: notebook.parent)
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        code, _, err = run("app", "--port", str(port))
+    assert code == 2
+    assert f"Port {port} is taken by another program" in err

@@ -1,0 +1,136 @@
+"""`workbench diagnose`: which frames stand out, and why one does."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from tests.scenes import IMAGE_SIZE, make_scene
+from tests.test_cli import run as run
+from workbench.cli import diagnosis_files, screen
+from workbench.config import preset
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
+from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import MIRROR
+from workbench.pipeline import track
+
+COUNT, BROKEN, EMPTY = 24, 13, 20
+
+
+def landmarks(head, index: int, broken: bool) -> Landmarks2D | None:
+    """A talking head; one frame of a broken clip has its points in mirrored order, another one has none."""
+    if broken and index == EMPTY:
+        return None
+    weights = {"jawOpen": 0.3 + 0.2 * np.sin(index / 3), "mouthSmileLeft": 0.3}
+    points = make_scene(head, (1.0 * index - 10.0, 3.0, 0.0), weights, sliding=True).points
+    points = points + np.random.default_rng(index).normal(0.0, 0.3, (68, 2))
+    return Landmarks2D(points[list(MIRROR)] if broken and index == BROKEN else points, np.ones(68), IMAGE_SIZE)
+
+
+@pytest.fixture(scope="module")
+def runs(head, tmp_path_factory):
+    """Folder of two runs: `clean` and `broken`."""
+    folder = tmp_path_factory.mktemp("runs")
+    for name in ("clean", "broken"):
+        with LandmarkCsvWriter(folder / f"{name}.csv", confidence=False) as writer:
+            for index in range(COUNT):
+                found = landmarks(head, index, name == "broken")
+                writer.write(LandmarkRecord(index, "", found, IMAGE_SIZE))
+        track(folder / f"{name}.csv", folder / name, head, preset("calibrated"), pictures=False)
+    return folder
+
+
+def test_a_clean_track_has_no_frame_that_stands_out(run, runs):
+    code, out, err = run("diagnose", str(runs / "clean"))
+    assert (code, err) == (0, "")
+    assert out == "no frame stands out (24 frames, 24 with a face)\n"
+
+
+def test_a_broken_frame_heads_the_list_and_the_files(run, runs, tmp_path):
+    code, out, err = run("diagnose", str(runs / "broken" / "track.npz"), "--json", "flags.json", "--csv", "flags.csv")
+    assert (code, err) == (0, "")
+    header, first = out.splitlines()[:2]
+    assert header.split() == ["frame", "severity", "why"]
+    assert first.split()[0] == str(BROKEN)
+    assert len(first.split()) > 3
+    assert f"--frame {BROKEN}" in out
+    record = json.loads((tmp_path / "flags.json").read_text())
+    assert (record["frames"], record["frames_with_face"]) == (COUNT, COUNT - 1)
+    assert record["flagged"][0]["frame"] == BROKEN
+    with (tmp_path / "flags.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(row["frame"]) for row in rows] == [item["frame"] for item in record["flagged"]]
+    assert rows[0]["why"] == record["flagged"][0]["why"]
+
+
+def test_the_list_is_cut_unless_all_frames_are_wanted(run, runs, monkeypatch):
+    flagged = [{"frame": k, "severity": 0.9, "why": "text"} for k in range(30)]
+    record = {"frames": 50, "frames_with_face": 50, "flagged": flagged}
+    monkeypatch.setattr(diagnosis_files, "flags_record", lambda track, flags: record)
+    short, whole = (run("diagnose", str(runs / "clean"), *more)[1] for more in ([], ["--all"]))
+    assert short.count(" 0.90 ") == 20
+    assert "30 of 50 frames stand out; these are the worst 20, --all lists the others" in short
+    assert whole.count(" 0.90 ") == 30
+    assert "--all" not in whole
+
+
+def test_one_frame_is_explained_with_what_mends_it(run, runs, tmp_path):
+    arguments = ["--frame", str(BROKEN), "--json", "why.json", "--csv", "why.csv"]
+    code, out, err = run("diagnose", str(runs / "broken"), *arguments)
+    assert (code, err) == (0, "")
+    assert out.startswith(f"frame {BROKEN} of {COUNT}, error inner 51: ")
+    assert "from the landmarks alone" in out
+    for title in ("left out", "What is least certain", "pitch ±", "depth ±"):
+        assert title in out
+    record = json.loads((tmp_path / "why.json").read_text())
+    first = record["reasons"][0]
+    assert first["code"] == "mirrored_order"
+    assert first["after_percent"] < 0.3 * first["before_percent"]
+    assert len(first["change"]["landmarks"]) == 68
+    assert f"1. {first['title']}  (score {first['score']:.2f})" in out
+    numbers = f"{first['before_percent']:.2f} → {first['after_percent']:.2f} %"
+    assert f"→ {first['change']['label']}: {first['measure']} {numbers}" in out
+    assert {pull["group"] for pull in record["leave_group_out"]} >= {"jaw", "mouth", "eyes"}
+    assert set(record["uncertainty"]["weights"]) >= {"jawOpen", "mouthSmileLeft"}
+    with (tmp_path / "why.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert rows[0]["code"] == "mirrored_order"
+    assert rows[0]["change"] == first["change"]["label"]
+    assert [int(row["rank"]) for row in rows] == list(range(1, len(record["reasons"]) + 1))
+
+
+def test_numbers_that_are_not_finite_become_null(tmp_path):
+    record = {"condition": np.inf, "offset": np.array([1.0, np.nan]), "points": {3: np.int64(2)}, "pair": ("a", True)}
+    diagnosis_files.write_json(record, tmp_path / "record.json")
+    stored = json.loads((tmp_path / "record.json").read_text())
+    assert stored == {"condition": None, "offset": [1.0, None], "points": {"3": 2}, "pair": ["a", True]}
+
+
+def test_an_unremarkable_frame_says_so(run, runs):
+    out = run("diagnose", str(runs / "clean"), "--frame", "5")[1]
+    assert "No reason found: the frame is unremarkable" in out
+    assert "1. " not in out.split("The fit without")[0]
+
+
+def test_the_report_fits_a_narrow_terminal(run, runs, monkeypatch):
+    monkeypatch.setattr(screen, "console", screen.Console(width=80, highlight=False))
+    for line in run("diagnose", str(runs / "broken"), "--frame", str(BROKEN))[1].splitlines():
+        assert len(line) <= 80
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "nowhere"),
+        (["{runs}/clean", "--frame", "99"], "There is no frame 99"),
+        (["{runs}/broken", "--frame", str(EMPTY)], "choose a frame with a face"),
+        (["{runs}/clean", "--frame", "1", "--all"], "not both"),
+    ],
+)
+def test_mistakes_are_one_sentence_and_exit_code_2(arguments, message, run, runs):
+    code, out, err = run("diagnose", *(argument.replace("{runs}", str(runs)) for argument in arguments))
+    assert code == 2
+    assert err.startswith("error: ")
+    assert message in err
+    assert "Traceback" not in out + err

@@ -1,0 +1,39 @@
+"""The command line: `workbench track|demo|diagnose|config|lab|app|info`."""
+
+import sys
+
+import typer
+
+from workbench.cli import screen
+from workbench.cli.configuration import config_app
+from workbench.cli.diagnosing import DIAGNOSE_HELP, diagnose
+from workbench.cli.installation import info
+from workbench.cli.servers import APP_HELP, lab, serve_app
+from workbench.cli.servers import notebooks_folder as notebooks_folder
+from workbench.cli.servers import working_copies as working_copies
+from workbench.cli.tracking import TRACK_HELP, demo, track
+from workbench.errors import WorkbenchError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    help="Face Energy Workbench: facial performance capture by optimisation.",
+)
+app.command(help=TRACK_HELP)(track)
+app.command()(demo)
+app.command(help=DIAGNOSE_HELP)(diagnose)
+app.add_typer(config_app, name="config")
+app.command()(lab)
+app.command("app", help=APP_HELP)(serve_app)
+app.command()(info)
+
+
+def main() -> None:
+    """Entry point: errors that a user can mend are one sentence and exit code 2."""
+    try:
+        app()
+    except WorkbenchError as error:
+        screen.print_error(error)
+        sys.exit(2)

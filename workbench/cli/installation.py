@@ -1,0 +1,55 @@
+"""`workbench info`."""
+
+import importlib.metadata
+import importlib.util
+import platform
+
+from rich.markup import escape
+from rich.table import Table
+
+from workbench import __version__
+from workbench.cli import screen
+from workbench.config import PRESETS
+from workbench.runtime import cache_folder
+from workbench.samples import samples_folder
+
+PACKAGES = ("jax", "equinox", "optimistix", "opencv-contrib-python-headless", "pyvista", "vtk", "dlib-bin", "voila")
+
+
+def info() -> None:
+    """Versions, what is installed, and where things are."""
+    from workbench.face import load_default_head
+    from workbench.rendering.gl_probe import gl_available
+
+    head = load_default_head()
+    table = Table(show_header=False, box=None)
+    rows = {
+        "workbench": __version__,
+        "Python": platform.python_version(),
+        **{name: _version(name) for name in PACKAGES},
+        "dlib detector": "installed" if _has_dlib() else 'missing: pip install "face-energy-workbench[dlib]"',
+        "app": "installed" if _has("voila") else 'missing: pip install "face-energy-workbench[app]"',
+        "3D pictures": "VTK off screen" if gl_available() else "plain (VTK found no usable OpenGL library)",
+        "default head": f"{len(head.neutral)} vertices, {len(head.expression_names)} blendshapes",
+        "presets": ", ".join(PRESETS),
+        "samples": str(samples_folder()),
+        "cache": str(cache_folder()),
+    }
+    for name, value in rows.items():
+        table.add_row(f"[bold]{name}[/bold]", escape(value))
+    screen.console.print(table)
+
+
+def _has_dlib() -> bool:
+    return _has("dlib") and _has("face_recognition_models")
+
+
+def _has(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"

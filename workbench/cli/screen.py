@@ -1,0 +1,56 @@
+"""What the commands print with: the two consoles, errors, tables, the progress bar."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+console = Console(highlight=False)
+errors = Console(stderr=True, highlight=False)
+
+
+def print_error(error: Exception) -> None:
+    """An error as one line on standard error."""
+    errors.print(f"[red]error:[/red] {escape(str(error))}", soft_wrap=True)
+
+
+def table(*columns: str, right: tuple[str, ...] = (), whole: tuple[str, ...] = ()) -> Table:
+    """An empty table with these columns: numbers in those of `right`, no line breaks in those of `whole`.
+
+    Nothing is cut off: the text of other columns folds.
+    """
+    made = Table(box=None, pad_edge=False, header_style="bold")
+    for name in columns:
+        justify = "right" if name in right else "left"
+        made.add_column(name, justify=justify, no_wrap=name in (*right, *whole), overflow="fold")
+    return made
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, int, int | None], None]]:
+    """A bar for one step after the other; yields what tells it `(step, done, total)`. It vanishes at the end."""
+    bar = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description:8}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    with bar:
+        tasks = {"warm-up": bar.add_task("warm-up", total=None, rate="")}
+
+        def progress(step: str, done: int, total: int | None) -> None:
+            if step not in tasks:
+                bar.update(tasks.popitem()[1], visible=False)
+                tasks[step] = bar.add_task(step, total=total, rate="")
+            speed = bar.tasks[tasks[step]].speed
+            bar.update(tasks[step], completed=done, total=total, rate=f"{speed:.0f} frames/s" if speed else "")
+
+        yield progress

@@ -1,0 +1,152 @@
+"""`workbench lab` and `workbench app`: the notebooks in a browser, with and without their code."""
+
+import importlib.util
+import os
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import webbrowser
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import workbench
+from workbench.cli import screen
+from workbench.errors import InputError, MissingDependencyError
+
+PACKAGE = Path(workbench.__file__).resolve().parent
+APP_NOTEBOOK = "10_workbench_app.ipynb"
+APP_PAGE = Path(__file__).resolve().parent / "app_page"
+"""Voilà's settings (voila.json) and the page's template.
+
+This machine only, a token, and neither files of the folder nor anything from other hosts (the Content-Security-Policy,
+whatever a later Voilà links to). Without `disable_check_xsrf` a page that is left could not end its Python process:
+Voilà sends no token with that request. Its origin is checked all the same. Processes whose page vanished end after ten
+minutes.
+"""
+LOCALHOST = "127.0.0.1"
+
+APP_HELP = """Tune in the browser without seeing code: the workbench as an app, served by Voilà on this machine only.
+
+Each page has a Python process of its own; reloading the page starts it afresh. Ctrl-C ends the server. \
+Voilà is an extra: pip install "face-energy-workbench\\[app]".
+
+[bold]Examples[/bold]
+
+  workbench app                            open the app in a browser
+
+  workbench app --port 9000 --no-browser   print the address only
+"""
+
+
+def lab(
+    port: Annotated[int, typer.Option(help="Port of the server.")] = 8888,
+    browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
+) -> None:
+    """Open JupyterLab on the first notebook; prints its address where there is no browser."""
+    folder = working_copies(notebooks_folder())
+    command = [sys.executable, "-m", "jupyterlab", f"--notebook-dir={folder}", f"--port={port}"]
+    command += [f"--LabApp.default_url=/lab/tree/{sorted(folder.glob('*.ipynb'))[0].name}"]
+    command += [] if browser and _has_browser() else ["--no-browser"]
+    # Jupyter refuses to start as root, which is who one is in a container.
+    command += ["--allow-root"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
+    raise typer.Exit(serve(command))
+
+
+def serve_app(
+    port: Annotated[int, typer.Option(help="Port of the server.")] = 8866,
+    browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
+) -> None:
+    """Serve the app's notebook through Voilà; prints its address."""
+    if importlib.util.find_spec("voila") is None:
+        raise MissingDependencyError(
+            'The app needs Voilà, which is not installed: pip install "face-energy-workbench[app]".'
+        )
+    notebook = working_copies(notebooks_folder()) / APP_NOTEBOOK
+    if not notebook.is_file():
+        raise InputError(f"The app's notebook {notebook} does not exist; install the workbench again.")
+    if answers(port):
+        raise InputError(f"Port {port} is taken by another program; choose another one with --port.")
+    token = secrets.token_hex(24)
+    address = f"http://{LOCALHOST}:{port}/?token={token}"
+
+    def ready() -> None:
+        screen.console.print(f"The workbench app runs at [bold]{address}[/bold]\nCtrl-C ends it.", soft_wrap=True)
+        if browser and _has_browser():
+            webbrowser.open(address)
+
+    raise typer.Exit(serve(app_command(notebook, port), app_environment(token), lambda: answers(port), ready))
+
+
+def app_command(notebook: Path, port: int) -> list[str]:
+    """The command that serves a notebook as the app; its other settings are in `APP_PAGE`."""
+    return [sys.executable, "-m", "voila", str(notebook), f"--port={port}", f"--Voila.config_file_paths={APP_PAGE}"]
+
+
+def app_environment(token: str) -> dict[str, str]:
+    """Environment of `app_command`. The token goes here because command lines can be read by every user."""
+    paths = [str(APP_PAGE), *filter(None, [os.environ.get("JUPYTER_PATH")])]
+    return {**os.environ, "JUPYTER_TOKEN": token, "JUPYTER_PATH": os.pathsep.join(paths)}
+
+
+def serve(
+    command: list[str],
+    environment: Mapping[str, str] | None = None,
+    is_up: Callable[[], bool] | None = None,
+    ready: Callable[[], None] | None = None,
+) -> int:
+    """Run a server until it ends or is ended; its exit code. Calls `ready` as soon as it `is_up`."""
+    server = subprocess.Popen(command, env=environment)
+    before = signal.signal(signal.SIGTERM, lambda *_: server.terminate())
+    try:
+        if is_up is not None and ready is not None:
+            while server.poll() is None and not is_up():
+                time.sleep(0.1)
+            if server.poll() is None:
+                ready()
+        return server.wait()
+    except KeyboardInterrupt:
+        server.terminate()  # servers end their kernels then
+        server.wait()
+        return 0
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def notebooks_folder() -> Path:
+    """Folder of the notebooks: beside the package in a checkout, inside it in an installed wheel."""
+    folders = (PACKAGE / "notebooks", PACKAGE.parent / "notebooks")
+    return next((folder for folder in folders if any(folder.glob("*.ipynb"))), Path.cwd())
+
+
+def working_copies(folder: Path, package: Path = PACKAGE) -> Path:
+    """The notebooks of a checkout as they are; those of an installed package copied to ./workbench_notebooks.
+
+    JupyterLab saves what it runs, and an installed package is no place for that. Notebooks that are already there
+    stay as the user left them.
+    """
+    if not folder.is_relative_to(package):
+        return folder
+    copies = Path.cwd() / "workbench_notebooks"
+    copies.mkdir(exist_ok=True)
+    for notebook in folder.glob("*.ipynb"):
+        if not (copies / notebook.name).exists():
+            shutil.copyfile(notebook, copies / notebook.name)
+    return copies
+
+
+def answers(port: int) -> bool:
+    """Whether something on this machine listens at a port."""
+    with socket.socket() as probe:
+        return probe.connect_ex((LOCALHOST, port)) == 0
+
+
+def _has_browser() -> bool:
+    names = ("chromium", "google-chrome", "firefox", "xdg-open", "open", "explorer.exe")
+    return any(shutil.which(name) for name in names)
