@@ -121,6 +121,23 @@ class LabPage:
         self.page.evaluate("() => window.ran", None)
         self.page.wait_for_function(_KERNEL_IDLE, timeout=1000 * RUN_S)
 
+    def run_cell(self, index: int, wait: bool = True) -> None:
+        """Run one cell; without `wait` the answer comes while it still runs."""
+        self.page.evaluate(
+            """(index) => {
+              window.jupyterapp.shell.currentWidget.content.activeCellIndex = index;
+              window.ran = false;
+              window.jupyterapp.commands.execute('notebook:run-cell').then(() => { window.ran = true; });
+            }""",
+            index,
+        )
+        if wait:
+            self.page.wait_for_function("() => window.ran")
+
+    def ask_kernel(self, code: str) -> float:
+        """Milliseconds until the kernel has run some code that no cell shows."""
+        return self.page.evaluate(_ASK, code)
+
     def outputs(self) -> list[dict]:
         """Output type, MIME types and text of every output of every code cell."""
         return self.page.evaluate(_OUTPUTS)
@@ -196,6 +213,11 @@ _OUTPUTS = """() => {
   }
   return found;
 }"""
+_ASK = """async (code) => {
+  const kernel = window.jupyterapp.shell.currentWidget.sessionContext.session.kernel, start = performance.now();
+  await kernel.requestExecute({code, store_history: false}).done;
+  return performance.now() - start;
+}"""
 _COUNTS = """() => {
   const found = [], cells = window.jupyterapp.shell.currentWidget.content.model.cells;
   for (let k = 0; k < cells.length; k++) {
@@ -214,3 +236,44 @@ _SCROLL_ON = f"""() => {{ {_SCROLLER}
   box.scrollTop = before + box.clientHeight - 60;
   return box.scrollTop <= before + 1;
 }}"""
+# WebGL forgets its picture after showing it; this keeps it for reading. Add it as an init script before `open`.
+KEEP_PIXELS = """(() => {
+  const original = HTMLCanvasElement.prototype.getContext;
+  HTMLCanvasElement.prototype.getContext = function (kind, options) {
+    const kept = /webgl/.test(kind) ? Object.assign({}, options, { preserveDrawingBuffer: true }) : options;
+    return original.call(this, kind, kept);
+  };
+  const small = document.createElement("canvas");
+  small.width = small.height = 100;
+  const context = original.call(small, "2d", { willReadFrequently: true });
+  window.readCanvas = (selector, side) => {
+    const canvas = document.querySelector(selector);
+    if (!canvas) return null;
+    small.width = small.height = side;
+    context.fillStyle = getComputedStyle(canvas.parentElement).backgroundColor; // k3d's ground is its parent's
+    context.fillRect(0, 0, side, side);
+    context.drawImage(canvas, 0, 0, side, side);
+    return context.getImageData(0, 0, side, side).data;
+  };
+  window.pngOfCanvas = (selector) => {
+    window.readCanvas(selector, 200);
+    return small.toDataURL("image/png");
+  };
+  window.sumCanvas = (selector) => {
+    const data = window.readCanvas(selector, 240);
+    let sum = 0;
+    for (const value of data) sum = (sum * 31 + value) | 0;
+    return sum;
+  };
+  window.timeToPixels = (handle, key, selectors) => new Promise((resolve) => {
+    const before = selectors.map(window.sumCanvas), start = performance.now();
+    const look = () => {
+      const differs = (selector, k) => window.sumCanvas(selector) !== before[k];
+      if (selectors.every(differs)) resolve(performance.now() - start);
+      else if (performance.now() - start > 5000) resolve(null);
+      else requestAnimationFrame(look);
+    };
+    handle.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
+    requestAnimationFrame(look);
+  });
+})();"""

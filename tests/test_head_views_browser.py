@@ -68,46 +68,6 @@ CELLS = (
         view.set_ghost(head.neutral - [14.0, 0.0, 0.0])
     """,
 )
-# WebGL forgets its picture after showing it; this keeps it for reading.
-KEEP_PIXELS = """(() => {
-  const original = HTMLCanvasElement.prototype.getContext;
-  HTMLCanvasElement.prototype.getContext = function (kind, options) {
-    const kept = /webgl/.test(kind) ? Object.assign({}, options, { preserveDrawingBuffer: true }) : options;
-    return original.call(this, kind, kept);
-  };
-  const small = document.createElement("canvas");
-  small.width = small.height = 100;
-  const context = original.call(small, "2d", { willReadFrequently: true });
-  window.readCanvas = (selector, side) => {
-    const canvas = document.querySelector(selector);
-    if (!canvas) return null;
-    small.width = small.height = side;
-    context.fillStyle = getComputedStyle(canvas.parentElement).backgroundColor; // k3d's ground is its parent's
-    context.fillRect(0, 0, side, side);
-    context.drawImage(canvas, 0, 0, side, side);
-    return context.getImageData(0, 0, side, side).data;
-  };
-  window.pngOfCanvas = (selector) => {
-    window.readCanvas(selector, 200);
-    return small.toDataURL("image/png");
-  };
-  window.sumCanvas = (selector) => {
-    const data = window.readCanvas(selector, 100);
-    let sum = 0;
-    for (const value of data) sum = (sum * 31 + value) | 0;
-    return sum;
-  };
-  window.timeToPixels = (handle, key, selector) => new Promise((resolve) => {
-    const before = window.sumCanvas(selector), start = performance.now();
-    const look = () => {
-      if (window.sumCanvas(selector) !== before) resolve(performance.now() - start);
-      else if (performance.now() - start > 5000) resolve(null);
-      else requestAnimationFrame(look);
-    };
-    handle.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
-    requestAnimationFrame(look);
-  });
-})();"""
 
 
 @pytest.fixture(scope="module")
@@ -126,30 +86,16 @@ def lab(tmp_path_factory):
     nbformat.write(nbformat.v4.new_notebook(cells=cells, metadata=kernel), folder / "views.ipynb")
     profile = tmp_path_factory.mktemp("profile")
     with browser.lab_server(folder, settings) as server, browser.lab_page(server, profile) as page:
-        page.page.add_init_script(KEEP_PIXELS)
+        page.page.add_init_script(browser.KEEP_PIXELS)
         page.open("views.ipynb")
-        run_cell(page, 0)
-        run_cell(page, 1)
+        page.run_cell(0)
+        page.run_cell(1)
         for selector in CANVAS.values():
             page.page.wait_for_selector(selector)
         page.page.wait_for_function(
             "(all) => all.every((s) => new Set(window.readCanvas(s, 100)).size > 60)", arg=list(CANVAS.values())
         )
         yield page
-
-
-def run_cell(lab, index, wait=True):
-    """Run one cell; without `wait` the answer comes while it still runs."""
-    lab.page.evaluate(
-        """(index) => {
-          window.jupyterapp.shell.currentWidget.content.activeCellIndex = index;
-          window.ran = false;
-          window.jupyterapp.commands.execute('notebook:run-cell').then(() => { window.ran = true; });
-        }""",
-        index,
-    )
-    if wait:
-        lab.page.wait_for_function("() => window.ran")
 
 
 def pixels(lab, backend):
@@ -207,7 +153,7 @@ def test_both_views_show_a_head(lab, screenshots):
 
 def test_an_update_from_a_thread_reaches_both(lab):
     before = {backend: settled(lab, backend) for backend in CANVAS}
-    run_cell(lab, 2)
+    lab.run_cell(2)
     for backend in CANVAS:
         check_plausible(*changed_pixels(lab, backend, before[backend]))
 
@@ -221,7 +167,7 @@ def test_a_slider_moves_the_face(lab, backend):
 
 def test_a_slider_moves_the_face_while_a_cell_is_busy(lab):
     starts = {backend: settled(lab, backend) for backend in CANVAS}
-    run_cell(lab, 3, wait=False)
+    lab.run_cell(3, wait=False)
     for backend, before in starts.items():
         press(lab, backend, "End")
         check_plausible(*changed_pixels(lab, backend, before))
@@ -260,7 +206,7 @@ def test_the_slider_is_followed_at_once(lab, backend, capsys):
     for k in range(20):
         key = "ArrowRight" if k < 12 else "ArrowLeft"
         milliseconds.append(
-            lab.page.evaluate("([h, k, s]) => window.timeToPixels(h, k, s)", [handle, key, CANVAS[backend]])
+            lab.page.evaluate("([h, k, s]) => window.timeToPixels(h, k, [s])", [handle, key, CANVAS[backend]])
         )
         lab.page.wait_for_timeout(100)
     assert None not in milliseconds
@@ -272,7 +218,7 @@ def test_the_slider_is_followed_at_once(lab, backend, capsys):
 
 def test_values_points_and_a_ghost_show_in_both(lab, screenshots):
     before = {backend: settled(lab, backend) for backend in CANVAS}
-    run_cell(lab, 4)
+    lab.run_cell(4)
     for backend in CANVAS:
         picture, share = changed_pixels(lab, backend, before[backend])
         check_plausible(picture, share)

@@ -22,6 +22,7 @@ class FittedHead:
         self._lock = threading.Lock()
         self._identity: np.ndarray | None = None
         self._personal = model
+        self._basis = _basis(model)
         self._spread = _spread(model)
 
     def personal(self, identity: Float[np.ndarray, "i"]) -> FaceModel:
@@ -29,11 +30,15 @@ class FittedHead:
         with self._lock:
             if self._identity is None or not np.array_equal(identity, self._identity):
                 self._personal, self._identity = self.model.personal(identity), np.array(identity)
+                self._basis = _basis(self._personal)
             return self._personal
 
     def vertices(self, fit: FrameFit) -> Float[np.ndarray, "v 3"]:
-        """Head frame, millimetres."""
-        return self.personal(fit.identity).vertices(fit.expression)
+        """Head frame, millimetres, in single precision: half the memory to read for every picture."""
+        personal = self.personal(fit.identity)
+        with self._lock:
+            moved = fit.expression.astype(np.float32) @ self._basis
+        return personal.neutral + moved.reshape(-1, 3)
 
     def landmarks(self, fit: FrameFit) -> Float[np.ndarray, "68 3"]:
         """The model's landmarks on the surface, head frame; the jaw contour at its frontal place."""
@@ -71,6 +76,10 @@ class FittedHead:
         facing = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] < 0
         edges = np.sort(self.model.triangles[facing][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
         return to_pixels(fit.camera, points_camera)[np.unique(edges, axis=0)]
+
+
+def _basis(model: FaceModel) -> Float[np.ndarray, "k c"]:
+    return np.ascontiguousarray(model.expression_deltas.reshape(len(model.expression_names), -1), np.float32)
 
 
 def _spread(model: FaceModel) -> Float[np.ndarray, "v 68"]:

@@ -173,7 +173,7 @@ class TuningSession:
 
     # --- landmarks and stages ---
 
-    def weigh(self, points: Iterable[int], factor: float, label: str = "") -> Config:
+    def weigh(self, points: Iterable[int], factor: float | int, label: str = "") -> Config:
         """Set the factor of single landmarks in every stage; 0 mutes, 1 is as configured."""
         stored = dict(self._config.landmarks.weights)
         for point in points:

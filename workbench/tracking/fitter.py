@@ -215,11 +215,14 @@ class FrameFitter:
     def warm_up(self, image_size: tuple[int, int], trace: bool = False) -> None:
         """Compile (or load from the cache) the program of a fit, and that of `explain` if asked for."""
         observation = self.neutral_observation(image_size)
-        context = FrameContext(0, self.mean_identity(), None, None)
-        _, last = self.fit(observation, context)
-        self.fit(observation, context._replace(last=last))
+        afresh = FrameContext(0, self.mean_identity(), None, None)
+        _, last = self.fit(observation, afresh)
+        for context in (afresh._replace(start=last.parameters), afresh._replace(last=last)):
+            self.fit(observation, context)
+            if trace:
+                self.explain(observation, context)
         if trace:
-            self.explain(observation, context)
+            self.explain(observation, afresh)
 
     def neutral_observation(self, image_size: tuple[int, int]) -> FrameObservation:
         """What a perfect detector would see of the neutral face in front of this camera."""

@@ -41,7 +41,12 @@ class LatestWins(Generic[Request]):
         """Whether a newer request waits: long work may stop for it."""
         return bool(self._waiting) or self._closed
 
-    def wait_idle(self, timeout_s: float = 30.0) -> bool:
+    def wait_newer(self, timeout_s: float | int) -> bool:
+        """Called by the work itself: wait for a newer request; False if none comes in that time."""
+        with self._changed:
+            return self._changed.wait_for(self.newer, timeout_s)
+
+    def wait_idle(self, timeout_s: float | int = 30.0) -> bool:
         """Wait until nothing waits or runs; False if that takes longer."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._waiting and not self._busy, timeout_s)

@@ -1,7 +1,6 @@
 """The panel: every knob of a session, the picture, the head, the clip and the diagnosis, all following each other."""
 
 import html
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -69,13 +68,12 @@ class TuningPanel(widgets.VBox):
         self._head = FittedHead(session.model)
         self._held: str | None = None
         self._steps: int | None = None
-        self._settling: threading.Timer | None = None
         self._closed = False
         self.fit: FrameFit | None = None
         self.status = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 0", overflow="hidden"))
         self.status.add_class("fw-status")
         self._worker: LatestWins[Show] = LatestWins(self._refit, self._failed, "panel-fit")
-        self._clip_worker: LatestWins[bool] = LatestWins(self._run_clip, self._failed, "panel-clip")
+        self._clip_worker: LatestWins[str] = LatestWins(self._run_clip, self._failed, "panel-clip")
         self._slow = ThreadPoolExecutor(max_workers=1, thread_name_prefix="panel-slow")
         self._build(backend, height_px)
         self._leave = session.listen(self._on_session)
@@ -85,7 +83,7 @@ class TuningPanel(widgets.VBox):
         self.add_class("fw-panel")
         self._show_session()
         self._worker.submit(Show(0))
-        self._clip_worker.submit(True)
+        self._clip_worker.submit("run")
         self._later(session.warm_up)
 
     def __repr__(self) -> str:
@@ -107,11 +105,8 @@ class TuningPanel(widgets.VBox):
         """Turn a knob as a user would; `session.knobs.KNOBS` lists the paths."""
         self.controls.by_path[path].turn(value)
 
-    def wait_idle(self, timeout_s: float = 60.0) -> bool:
+    def wait_idle(self, timeout_s: float | int = 60.0) -> bool:
         """Wait until everything that was asked for is shown; False if that takes longer."""
-        timer = self._settling
-        if timer is not None:
-            timer.join(timeout_s)
         try:
             self._slow.submit(int).result(timeout_s)
         except TimeoutError:
@@ -124,8 +119,6 @@ class TuningPanel(widgets.VBox):
             return
         self._closed = True
         self._leave()
-        if self._settling is not None:
-            self._settling.cancel()
         for worker in (self._worker, self._clip_worker):
             worker.close()
         self._slow.shutdown(wait=True, cancel_futures=True)
@@ -183,9 +176,9 @@ class TuningPanel(widgets.VBox):
 
     def _file_bar(self) -> widgets.Widget:
         self.run_clip = _button("▶ run clip" if self._is_clip else "▶ run", "fit all frames")
-        self.run_clip.on_click(lambda _button: self._clip_worker.submit(True))
+        self.run_clip.on_click(lambda _button: self._clip_worker.submit("run"))
         self.cancel = _button("cancel", "stop the run; the last whole run stays")
-        self.cancel.on_click(lambda _button: self._clip_worker.submit(False))
+        self.cancel.on_click(lambda _button: self._clip_worker.submit("cancel"))
         self.follow = widgets.ToggleButton(
             value=len(self.session) <= LIVE_CLIP_FRAMES, description="live", layout=widgets.Layout(width="auto"),
             tooltip="fit the whole clip again after each change",
@@ -312,7 +305,7 @@ class TuningPanel(widgets.VBox):
             self._steps = None
             self._show_session()
             self._worker.submit(Show(self.frame, coarse=self._is_clip))
-            self._settle()
+            self._clip_worker.submit("settle")
         elif what == "run":
             self._guarded(self._show_run)
         elif what == "snapshots":
@@ -327,23 +320,6 @@ class TuningPanel(widgets.VBox):
         self.undo.disabled, self.redo.disabled = not self.session.undo_label, not self.session.redo_label
         self.undo.tooltip = f"take back: {self.session.undo_label}" if self.session.undo_label else "nothing to undo"
         self.redo.tooltip = f"make again: {self.session.redo_label}" if self.session.redo_label else "nothing to redo"
-
-    def _settle(self) -> None:
-        if self._settling is not None:
-            self._settling.cancel()
-        self._settling = threading.Timer(SETTLED_S, self._on_settled)
-        self._settling.daemon = True
-        self._settling.start()
-
-    def _on_settled(self) -> None:
-        if self._closed:
-            return
-        if self._is_clip and not self.follow.value:
-            self._worker.submit(Show(self.frame))
-            self.clip.show_stale()
-        else:
-            self._clip_worker.submit(True)
-        self._show_changes()
 
     # --- work, in the workers' threads ---
 
@@ -368,9 +344,17 @@ class TuningPanel(widgets.VBox):
         if self.fit is not None:
             self._worker.submit(Show(self.frame, steps=self._steps))
 
-    def _run_clip(self, wanted: bool) -> None:
-        if not wanted:
+    def _run_clip(self, wanted: str) -> None:
+        if wanted == "cancel":
             return
+        if wanted == "settle":
+            if self._clip_worker.wait_newer(SETTLED_S):
+                return
+            if self._is_clip and not self.follow.value:
+                self._worker.submit(Show(self.frame))
+                self.clip.show_stale()
+                self._show_changes()
+                return
         self.progress.value, self.progress.layout.visibility = 0, "visible"
         shown = max(len(self.session) // 20, 1)
 

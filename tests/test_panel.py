@@ -1,0 +1,444 @@
+"""The tuning panel without a browser: every control reaches the session, every change reaches the views."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from tests.scenes import IMAGE_SIZE, make_scene
+from workbench.config import PRESETS, preset, read_config
+from workbench.diagnosis import Change
+from workbench.frames import read_picture
+from workbench.landmarks.files import read_landmark_file
+from workbench.samples import sample
+from workbench.session import FittedHead, Material, TuningSession, material_of_photo
+from workbench.session.knobs import KNOBS, changed_by, effective_weights, value_of
+from workbench.session.material import PictureStore
+from workbench.tracking.frame_solver import solve_frame
+from workbench.tracking.identity import calibrate_identity
+from workbench.widgets import TuningPanel
+from workbench.widgets.controls import KnobControl, place_of, value_at
+from workbench.widgets.latest import LatestWins
+from workbench.widgets.overlay_view import OverlayEvent
+from workbench.widgets.stage_editor import landmarks_text, read_landmarks
+
+BY_PATH = {knob.path: knob for knob in KNOBS}
+
+
+@pytest.fixture(scope="module")
+def photo():
+    landmarks = next(iter(read_landmark_file(sample("astronaut-landmarks")))).landmarks
+    return material_of_photo(read_picture(sample("astronaut")), landmarks, "astronaut")
+
+
+@pytest.fixture(scope="module")
+def clip(head):
+    scenes = [make_scene(head, (2.0 * k - 8.0, 0, 0), {"jawOpen": 0.05 * k}) for k in range(9)]
+    observations = tuple(scene.observation(k, noise_px=0.4) for k, scene in enumerate(scenes))
+    return Material("clip", observations, PictureStore(None, [IMAGE_SIZE] * 9), stills=False)
+
+
+@pytest.fixture(scope="module")
+def shared_panel(head, photo):
+    made = TuningPanel(TuningSession(head, photo), backend="k3d")
+    assert made.wait_idle(300)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def panel(shared_panel):
+    """One panel for most tests, brought back to the start."""
+    yield shared_panel
+    shared_panel.session.use(shared_panel.session.base)
+    shared_panel.overlay.view.selection = []
+    assert shared_panel.wait_idle(60)
+
+
+@pytest.fixture
+def fresh_panel(head, photo):
+    """A panel without history, to be spoiled."""
+    made = TuningPanel(TuningSession(head, photo), backend="k3d")
+    assert made.wait_idle(300)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def clip_panel(head, clip):
+    made = TuningPanel(TuningSession(head, clip), backend="k3d")
+    assert made.wait_idle(300)
+    yield made
+    made.close()
+
+
+# --- knobs ---
+
+
+@pytest.mark.parametrize("path", BY_PATH)
+def test_every_knob_shows_and_sets_its_number_in_every_preset(path):
+    knob = BY_PATH[path]
+    other = {"switch": False, "choice": knob.choices[-1:] and knob.choices[-1], "whole": 7}.get(knob.kind, 0.5)
+    for config in PRESETS.values():
+        changed = config.changed(**changed_by(config, path, other))
+        assert value_of(changed, path) == other
+    assert len(knob.tip) > 10
+
+
+def test_a_solver_that_knows_no_bounds_switches_them_off_and_back():
+    config = preset("calibrated")
+    dogleg = config.changed(**changed_by(config, "solver.method", "optimistix-dogleg"))
+    assert not dogleg.solver.bounded
+    bounded = dogleg.changed(**changed_by(dogleg, "solver.bounded", True))
+    assert bounded.solver.method == "lm"
+
+
+def test_the_effective_weight_is_the_product_down_its_branch():
+    config = preset("calibrated").changed(weights={"prior": 3.0, "tau": 0.5, "sparse": 2.0, "fit": 0.25})
+    effective = effective_weights(config)
+    assert effective["weights.tau"] == 1.5
+    assert effective["weights.fit"] == 0.5
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-3, 0.1, 5.0, 20.0, 999.0])
+def test_a_logarithmic_slider_has_a_place_for_every_value_and_zero_at_its_end(value):
+    knob = BY_PATH["weights.prior"]
+    assert value_at(knob, place_of(knob, value)) == pytest.approx(value, rel=0.06)
+
+
+def test_a_value_between_two_places_stays_until_the_slider_leaves_its_place():
+    turned = []
+    control = KnobControl(BY_PATH["identity.weight"], lambda path, value: turned.append(value))
+    control.show(5.0)
+    place = control.input.value
+    control.input.value = place  # a browser reports the place it stands at
+    assert turned == []
+    assert control.readout.value == "5"
+    control.input.value = place + 0.05
+    assert turned == [pytest.approx(5.62, abs=0.01)]
+
+
+def test_a_typed_number_is_taken_as_it_is_and_nonsense_is_put_back():
+    turned = []
+    control = KnobControl(BY_PATH["weights.tau"], lambda path, value: turned.append(value))
+    control.show(0.1)
+    control.readout.value = "0,1234"
+    assert turned == [0.1234]
+    control.readout.value = "much"
+    assert control.readout.value == "0.1234"
+    assert turned == [0.1234]
+
+
+def test_landmark_weights_are_read_as_they_are_written():
+    table = {"all": 1.0, "upper lip": 0.25, "30": 2.0}
+    assert read_landmarks(landmarks_text(table)) == table
+    assert read_landmarks("jaw") == {"jaw": 1.0}
+
+
+# --- the panel ---
+
+
+def test_every_change_of_the_session_reaches_controls_overlay_and_head(panel):
+    fits, vertices = panel.overlay.view._fit, panel.head.view.mesh.vertices.copy()
+    panel.session.set("from another cell", weights={"sigma_smooth": 2.0})
+    assert panel.wait_idle()
+    assert panel.controls.by_path["weights.sigma_smooth"].readout.value == "2"
+    assert panel.overlay.view._fit != fits
+    assert np.abs(panel.head.view.mesh.vertices - vertices).max() > 0.05
+    np.testing.assert_array_equal(panel.fit.expression, panel.session.fit_frame(0).expression)
+
+
+@pytest.mark.parametrize("path", BY_PATH)
+def test_turning_a_knob_changes_the_configuration_and_compiles_nothing(path, panel):
+    knob = BY_PATH[path]
+    before = solve_frame._cache_size(), calibrate_identity._cache_size()
+    values = knob.choices if knob.kind == "choice" else [True, False] if knob.kind == "switch" else [knob.high, 1]
+    for value in values:
+        panel.turn(path, value if knob.kind in ("choice", "switch", "whole") else float(value))
+        assert panel.wait_idle()
+        assert value_of(panel.session.config, path) == value
+    assert (solve_frame._cache_size(), calibrate_identity._cache_size()) == before
+    assert panel.fit.found
+
+
+def test_stages_are_reordered_switched_and_freed_without_compiling(panel):
+    before = solve_frame._cache_size()
+    editor = panel.stages
+    editor._rows[4].buttons["up"].click()
+    assert [stage.name for stage in panel.session.config.stages][-2:] == ["expression", "pose"]
+    editor._rows[0].enabled.value = False
+    editor._rows[4].free["expression"].value = True
+    editor._rows[4].landmarks.value = "all 1, jaw 0.25"
+    editor._rows[4].limit.value = 7
+    editor.add.click()
+    assert panel.wait_idle()
+    stages = panel.session.config.stages
+    assert not stages[0].enabled
+    assert stages[4].free == ("rotation", "translation", "expression")
+    assert stages[4].landmarks == {"all": 1.0, "jaw": 0.25}
+    assert stages[4].limit == 7
+    assert len(stages) == 6
+    editor._rows[5].buttons["drop"].click()
+    assert len(panel.session.config.stages) == 5
+    assert panel.wait_idle()
+    assert solve_frame._cache_size() == before
+
+
+def test_a_stage_that_cannot_be_is_explained_and_put_back(panel):
+    for row in panel.stages._rows[1:5]:
+        if row.when.value == "always":
+            row.enabled.value = False
+    assert "no enabled stage runs on every frame" in panel.status.value
+    assert any(row.enabled.value and row.when.value == "always" for row in panel.stages._rows[:5])
+    panel.stages._rows[1].landmarks.value = "noose 1"
+    assert "did you mean" in panel.status.value
+
+
+def test_stepping_shows_one_iteration_after_the_other(panel):
+    total = sum(panel._counts().values())
+    panel.stages.step.click()
+    panel.wait_idle()
+    assert f"stopped after 0 of {total}" in panel.stages.place.value
+    first = panel.fit.errors[1]
+    for _ in range(6):
+        panel.stages.step.click()
+        panel.wait_idle()
+    assert "stopped after 6" in panel.stages.place.value
+    assert panel.fit.errors[1] != first
+    panel.stages._rows[1].buttons["here"].click()
+    panel.wait_idle()
+    assert "stopped after" in panel.stages.place.value
+    panel.stages.all.click()
+    panel.wait_idle()
+    np.testing.assert_array_equal(panel.fit.expression, panel.session.fit_frame(0).expression)
+
+
+def test_undo_redo_presets_and_snapshots(fresh_panel):
+    start = fresh_panel.session.config
+    fresh_panel.turn("weights.tau", 3.0)
+    fresh_panel.name.value = "mine"
+    fresh_panel.keep.click()
+    fresh_panel.reset.value = "preset:face-it"
+    assert fresh_panel.session.config == PRESETS["face-it"]
+    assert fresh_panel.reset.value == ""
+    fresh_panel.reset.value = "snapshot:mine"
+    assert fresh_panel.session.config.weights.tau == 3.0
+    for _ in range(3):
+        fresh_panel.undo.click()
+    assert fresh_panel.session.config == start
+    assert fresh_panel.undo.disabled
+    assert not fresh_panel.redo.disabled
+    fresh_panel.head.compare.value = "mine"
+    assert fresh_panel.wait_idle()
+    assert fresh_panel.head.view._ghost is not None
+
+
+def test_landmarks_are_muted_weighed_moved_put_back_and_named_in_the_picture(panel):
+    tools = panel.overlay
+    tools._on_event(OverlayEvent("mute", (8, 9), None, None))
+    panel.wait_idle()
+    assert tools.view.muted == (8, 9)
+    tools._on_event(OverlayEvent("mute", (8, 9), None, None))
+    tools._on_event(OverlayEvent("weight_up", (30,), None, None))
+    assert panel.session.config.point_weights()[30] == 2.0
+    tools._on_event(OverlayEvent("drag", (30,), 260.0, 140.0))
+    tools._on_event(OverlayEvent("drop", (30,), 262.0, 141.0))
+    panel.wait_idle()
+    np.testing.assert_array_equal(panel.fit.observed[30], (262.0, 141.0))
+    tools._on_event(OverlayEvent("reset", (30,), None, None))
+    assert panel.session.config.landmarks.moved == {}
+    tools.view.selection = [50, 51, 52]
+    tools.name.value = "upper lip"
+    tools.save.click()
+    assert panel.session.config.subsets == {"upper lip": (50, 51, 52)}
+    tools.view.selection = []
+    tools.group.value = "upper lip"
+    assert tools.view.selection == [50, 51, 52]
+    tools.view.selection = []
+    tools.mute.click()
+    assert "Select landmarks first" in panel.status.value
+
+
+def test_layers_colours_and_points_are_drawn(panel):
+    for name in ("wire", "layer"):
+        panel.overlay.layers[name].value = True
+    panel.head.color.value = "residual"
+    panel.head.points.value = True
+    assert panel.wait_idle()
+    assert len(panel.overlay.view._wire) > 10_000
+    assert len(panel.overlay.view._layer) > 10_000
+    colors = np.array(panel.head.view.mesh.colors)
+    panel.head.color.value = "blendshape"
+    panel.head.shape.value = "jawOpen"
+    assert panel.wait_idle()
+    assert not np.array_equal(panel.head.view.mesh.colors, colors)
+    assert "color:var(--jp-error" not in panel.status.value
+
+
+def test_a_clip_is_run_again_after_a_change_and_the_frame_follows_the_timeline(clip_panel):
+    panel = clip_panel
+    assert not panel.session.stale.any()
+    panel.turn("weights.sigma_smooth", 1.0)
+    assert panel.wait_idle()
+    assert not panel.session.stale.any()
+    panel.clip.timeline.frame = 6
+    assert panel.wait_idle()
+    assert panel.frame == panel.fit.index == 6
+    np.testing.assert_array_equal(panel.fit.expression, panel.session.run.fits[6].expression)
+    panel.step_buttons[0].click()
+    assert panel.frame == 5
+    panel.follow.value = False
+    panel.turn("weights.sigma_smooth", 9.0)
+    assert panel.wait_idle()
+    assert panel.session.stale.all()
+    panel.run_clip.click()
+    assert panel.wait_idle()
+    assert not panel.session.stale.any()
+
+
+def test_the_export_of_the_panel_is_the_configuration_of_the_session(clip_panel, tmp_path):
+    clip_panel.turn("weights.tau", 2.0)
+    clip_panel.file.value = str(tmp_path / "mine")
+    clip_panel.export.click()
+    assert clip_panel.wait_idle()
+    stored = read_config(tmp_path / "mine.toml")
+    assert stored.changed(provenance=None) == clip_panel.session.config
+    assert "workbench track" in clip_panel.exported.value
+
+
+def test_a_diagnosis_is_shown_and_its_change_applied_and_taken_back(panel):
+    panel.diagnosis.ask.click()
+    assert panel.wait_idle(300)
+    assert "Frame 0" in panel.diagnosis.status.value
+    assert "What each group pulls" in panel.diagnosis.tables.value
+    before = panel.session.config
+    panel._on_apply(Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}}))
+    assert panel.session.config.point_weights()[0] == 0.0
+    assert panel.session.undo_label == "Mute the jaw"
+    panel._on_take_back()
+    assert panel.session.config == before
+
+
+def test_callbacks_from_other_threads_end_with_the_last_value(panel):
+    values = np.linspace(0.5, 30.0, 24).round(3)
+    lock = threading.Lock()
+
+    def drag(part):
+        for value in part:
+            with lock:
+                panel.turn("weights.sigma_smooth", float(value))
+
+    threads = [threading.Thread(target=drag, args=(part,)) for part in (values[:12], values[12:])]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    panel.turn("weights.sigma_smooth", 4.0)
+    assert panel.wait_idle()
+    np.testing.assert_array_equal(panel.fit.expression, panel.session.fit_frame(0).expression)
+    assert panel.session.config.weights.sigma_smooth == 4.0
+
+
+def test_a_failing_fit_is_said_and_the_panel_goes_on(panel, monkeypatch):
+    def broken(*_arguments, **_options):
+        raise ValueError("broken on purpose")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(panel.session, "fit_frame", broken)
+        panel.turn("weights.tau", 1.0)
+        assert panel.wait_idle()
+        assert "broken on purpose" in panel.status.value
+    panel.turn("weights.tau", 2.0)
+    assert panel.wait_idle()
+    assert "broken" not in panel.status.value
+
+
+def test_a_browser_without_webgl_gets_pictures(fresh_panel):
+    fresh_panel.overlay.view.webgl = False
+    assert fresh_panel.wait_idle()
+    assert type(fresh_panel.head.view).__name__ == "PictureHeadView"
+    assert "no WebGL" in fresh_panel.head.note.value
+
+
+def test_a_closed_panel_no_longer_follows(head, photo):
+    session = TuningSession(head, photo)
+    panel = TuningPanel(session, backend="k3d")
+    panel.wait_idle(300)
+    panel.close()
+    panel.close()
+    session.set(weights={"tau": 5.0})
+    assert panel.controls.by_path["weights.tau"].readout.value == "0.1"
+
+
+# --- latest wins ---
+
+
+def test_of_many_requests_the_last_one_is_done_and_at_most_one_waits():
+    done, waiting, go = [], [], threading.Event()
+
+    def work(value):
+        go.wait(5)
+        done.append(value)
+
+    worker = LatestWins(work, lambda error: None)
+    for value in range(100):
+        worker.submit(value)
+        waiting.append(worker.waiting)
+    go.set()
+    assert worker.wait_idle(5)
+    assert done[-1] == 99
+    assert len(done) <= 3
+    assert max(waiting) <= 1
+    worker.close()
+    worker.close()
+
+
+def test_an_exception_does_not_end_the_worker():
+    done, failed = [], []
+
+    def work(value):
+        if value < 0:
+            raise ValueError("negative")
+        done.append(value)
+
+    worker = LatestWins(work, failed.append)
+    worker.submit(-1)
+    assert worker.wait_idle(5)
+    worker.submit(1)
+    assert worker.wait_idle(5)
+    assert done == [1]
+    assert str(failed[0]) == "negative"
+    worker.close()
+
+
+def test_submitting_never_waits_for_the_work():
+    worker = LatestWins(lambda _value: time.sleep(0.3), lambda error: None)
+    began = time.perf_counter()
+    for value in range(50):
+        worker.submit(value)
+    assert time.perf_counter() - began < 0.2
+    assert not worker.wait_idle(0.01)
+    worker.close()
+
+
+# --- the fitted head ---
+
+
+def test_residuals_in_3d_project_to_the_observed_pixels(head, photo):
+    from workbench.rendering.mesh import to_camera, to_pixels
+
+    session = TuningSession(head, photo, preset("calibrated").changed(contour={"mode": "fixed"}))
+    fit, fitted = session.fit_frame(0), FittedHead(head)
+    landmarks = fitted.landmarks(fit)
+    ends = [to_pixels(fit.camera, to_camera(part, fit.rotation, fit.translation))
+            for part in (landmarks, fitted.observed(fit, landmarks))]  # fmt: skip
+    np.testing.assert_allclose(ends[0], fit.projected, atol=0.01)
+    np.testing.assert_allclose(ends[1], fit.observed, atol=0.05)
+
+
+def test_a_number_of_the_landmarks_spreads_over_the_face_and_not_to_the_back(head):
+    spread = FittedHead(head).surface_values(np.arange(68.0))
+    nose, back = head.landmarks.vertices[30][0], int(np.argmax(head.neutral[:, 2]))
+    assert spread[nose] == pytest.approx(30.0, abs=4.0)
+    assert np.isnan(spread[back])
