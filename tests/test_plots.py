@@ -1,5 +1,7 @@
 """Figures of the notebooks: what they show, and that pictures keep their pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib import pyplot
@@ -84,6 +86,75 @@ def test_the_beta_figure_shows_the_step_and_the_needle():
     assert right.lines[0].get_ydata().max() > 30_000
 
 
+def test_the_steps_of_beta_fail_where_those_of_a_quadratic_term_do_not():
+    slope, steps = plots.beta_step_figure(EnergyConstants(), stiffness=100.0, weight=100.0).axes
+    lines = {line.get_label(): line for line in steps.lines}
+    distance = lines["E_β"].get_xdata()
+    far = np.argmin(np.abs(distance - 0.1))
+    assert lines["range term"].get_ydata()[far] == pytest.approx(0.05, rel=0.1)
+    assert lines["E_β"].get_ydata()[far] < 0.01
+    assert slope.lines[0].get_ydata()[far] < 0.01
+
+
+def test_lines_of_one_figure_differ_in_more_than_colour():
+    x = np.array([1.0, 10.0, 100.0])
+    axis = plots.curves(x, {"one": x, "two": 2 * x, "truth": 3 * x}, "x", "y", log="xy").axes[0]
+    assert {line.get_linestyle() for line in axis.lines[:2]} == {"-", "--"}
+    assert axis.lines[2].get_linewidth() > axis.lines[0].get_linewidth()
+    assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
+
+
+def test_a_sweep_rings_the_least_value_and_shows_zero_on_a_logarithmic_axis():
+    x = np.array([0.0, 1.0, 10.0, 100.0])
+    figure = plots.sweep_figure(x, {"error": np.array([3.0, 2.0, 1.0, 4.0]), "lag": x}, "ω", {"error": 0.5})
+    first, second = figure.axes
+    assert first.get_title() == "error"
+    assert first.lines[1].get_xdata() == 10.0
+    assert first.lines[2].get_ydata()[0] == 0.5
+    assert len(second.lines) == 2
+    assert first.get_xticklabels()[0].get_text() == "0"
+    assert first.lines[0].get_xdata()[0] == pytest.approx(0.1)
+
+
+def test_a_heat_map_has_a_readable_number_in_every_cell():
+    figure = plots.heat_map(np.array([[1.0, 2.0], [3.0, 400.0]]), ["a", "b"], [5, 6], "rows", "columns", "error", True)
+    texts = figure.axes[0].texts
+    assert [text.get_text() for text in texts] == ["1", "2", "3", "400"]
+    assert texts[0].get_color() == "white"
+    assert texts[3].get_color() == "0.05"
+
+
+def test_the_residual_strip_has_a_row_a_landmark_and_marks_flags(portrait):
+    _, fit = portrait
+    missing = replace(fit, found=False)
+    axis = plots.residual_strip([fit, missing, fit], [False, False, True], frame=0).axes[0]
+    values = np.ma.filled(axis.images[0].get_array(), np.nan)
+    assert values.shape == (68, 3)
+    assert np.isnan(values[:, 1]).all()
+    eyes = np.linalg.norm(fit.observed[45] - fit.observed[36])
+    np.testing.assert_allclose(values[:17, 0], 100 * fit.residuals_px[:17] / eyes)
+    flags = next(line for line in axis.lines if line.get_marker() == "v")
+    assert flags.get_xdata().tolist() == [2]
+
+
+def test_compared_fits_stand_side_by_side_over_their_heads(head, portrait):
+    picture, fit = portrait
+    neutral = replace(fit, expression=np.zeros(44))
+    figure = plots.compared_fits(head, picture, {"before": neutral, "after": fit}, side=120)
+    assert [axis.get_title() for axis in figure.axes] == ["before", "after", "", ""]
+    pictures = [axis.images[0].get_array() for axis in figure.axes]
+    assert {shown.shape for shown in pictures} == {(120, 120, 3)}
+    assert np.abs(pictures[2].astype(int) - pictures[3]).max() > 30
+
+
+def test_one_fit_alone_has_its_head_beside_it_and_heads_need_no_picture(head, portrait):
+    picture, fit = portrait
+    alone = plots.compared_fits(head, picture, {"fit": fit}, side=100, view="front")
+    assert alone.get_figwidth() > alone.get_figheight()
+    heads = plots.compared_fits(head, None, {"a": fit, "b": fit, "c": fit}, side=100, columns=2)
+    assert [axis.get_title() for axis in heads.axes] == ["a", "b", "c"]
+
+
 def test_with_points_draws_on_a_copy():
     picture = np.zeros((20, 30, 3), np.uint8)
     marked = plots.with_points(picture, np.array([[10.0, 5.0]]), "#ff0000")
@@ -93,6 +164,10 @@ def test_with_points_draws_on_a_copy():
 
 def test_a_table_is_markdown():
     assert plots.markdown_table(("a", "b"), [("x", 0.12345)]) == "| a | b |\n| --- | --- |\n| x | 0.123 |"
+
+
+def test_a_bar_in_a_cell_does_not_end_it():
+    assert plots.markdown_table(("a",), [("Σ|w|",)]).splitlines()[-1] == r"| Σ\|w\| |"
 
 
 def test_figures_do_not_pile_up_in_pyplot():

@@ -11,21 +11,31 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from matplotlib import pyplot
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
+from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from workbench.energies import EnergyConstants, beta_curve, beta_slope
+from workbench.face import FaceModel
 from workbench.geometry import Camera
+from workbench.landmarks.scheme import GROUPS, outer_eye_distance
+from workbench.rendering import HeadPanel, OverlayParts, draw_overlay
 from workbench.tracking import FrameFit
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
-BLUE, RED, GREY, GREEN = "#2a6f97", "#c0392b", "#8d99a6", "#2d936c"
+BLUE, RED, GREY, GREEN, AMBER = "#2a6f97", "#c0392b", "#8d99a6", "#2d936c", "#e09f3e"
+LINES = ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (AMBER, "-"), ("#5e548e", ":"))
+"""Colour and dash of the lines of one figure in turn: the dash tells them apart without colour."""
+STRIP_ROWS = ("jaw", "brows", "nose", "eyes", "mouth")
+WORST_PERCENT = 10.0
+"""Bright end of the residual colours, % of the outer-eye distance, as in the overlays."""
 DPI = 100
 PAGE_WIDTH, GAP, TITLE_HEIGHT = 8.4, 0.04, 0.26
 """Width of a notebook's outputs, space between pictures, and height of a title, inches."""
 CLOSE_UP_MARGIN = 1.5
 """Side of a close-up in sides of the box around the landmarks."""
+HEAD_CUT = 1.35
+"""Side of a rendered head in sides of the part of it that is shown."""
 
 
 def close_up(picture: Picture, fit: FrameFit, side: int) -> tuple[Picture, FrameFit]:
@@ -115,7 +125,7 @@ def strongest_weights(
 def energy_over_iterations(curves: dict[str, np.ndarray], y_label: str = "energy") -> Figure:
     """A number after each iteration, one curve a label, on a logarithmic scale."""
     figure, axis = _axes(6.4, 3.0)
-    for (label, energies), color in zip(curves.items(), (BLUE, RED, GREEN, GREY, "#e09f3e"), strict=False):
+    for (label, energies), color in zip(curves.items(), (BLUE, RED, GREEN, GREY, AMBER), strict=False):
         axis.plot(np.asarray(energies), "o-", markersize=3, color=color, label=label)
     axis.set_yscale("log")
     axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -133,20 +143,156 @@ def curves(
     x_label: str,
     y_label: str,
     size: tuple[float, float] = (7.2, 2.8),
+    log: str = "",
 ) -> Figure:
-    """Lines over one axis; a series named "truth" is drawn thick and grey behind the others."""
+    """Lines over one axis; a series named "truth" is drawn thick and grey behind the others.
+
+    `log` names the logarithmic axes: "x", "y" or "xy".
+    """
     figure, axis = _axes(*size)
-    colors = iter((BLUE, RED, GREEN, "#e09f3e"))
+    styles = iter(LINES)
     for label, values in series.items():
         behind = label == "truth"
+        color, dash = (GREY, "-") if behind else next(styles)
         axis.plot(
-            x, values, color=GREY if behind else next(colors), linewidth=3.0 if behind else 1.2,
-            label=label, zorder=1 if behind else 2,
-        )  # fmt: skip
+            x, values, dash, color=color, linewidth=3.0 if behind else 1.4, label=label, zorder=1 if behind else 2
+        )
+    for name in log:
+        getattr(axis, f"set_{name}scale")("log")
     axis.set_xlabel(x_label)
     axis.set_ylabel(y_label)
     axis.legend(frameon=False, fontsize=9)
     return figure
+
+
+def sweep_figure(
+    x: Float[np.ndarray, "n"],
+    series: dict[str, Float[np.ndarray, "n"]],
+    x_label: str,
+    levels: dict[str, float] | None = None,
+) -> Figure:
+    """What a setting does: one small plot a quantity, side by side over one logarithmic axis.
+
+    A first `x` of zero stands one step left of the others. The least value of each quantity has a ring; `levels` are
+    dashed lines of the same name, such as what the truth has.
+    """
+    figure, axes = _subplots(1, len(series), (min(2.85 * len(series), 8.6), 2.7))
+    places = np.asarray(x, float).copy()
+    zero = places[0] == 0.0
+    if zero:
+        places[0] = places[1] ** 2 / places[2]
+    for axis, (label, values), (color, _) in zip(axes, series.items(), LINES, strict=False):
+        values = np.asarray(values)
+        axis.plot(places, values, "o-", color=color, markersize=3.5, linewidth=1.2)
+        least = int(np.nanargmin(values))
+        axis.plot(places[least], values[least], "o", color="0.1", markersize=9, fillstyle="none")
+        if levels and label in levels:
+            axis.axhline(levels[label], color=GREY, linestyle="--", linewidth=1.2)
+        axis.set_xscale("log")
+        axis.xaxis.set_major_locator(LogLocator(numticks=5))
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        if zero:
+            ticks = [place for place in axis.get_xticks() if places[1] <= place <= places[-1]]
+            axis.set_xticks([places[0], *ticks], ["0", *(f"{tick:g}" for tick in ticks)])
+        axis.set_ylim(bottom=min(0.0, 1.1 * float(np.nanmin(values))))
+        axis.set_xlabel(x_label)
+        axis.set_title(label, fontsize=9)
+        _plain(axis)
+    figure.tight_layout()
+    return figure
+
+
+def heat_map(
+    values: Float[np.ndarray, "r c"],
+    rows: Sequence[object],
+    columns: Sequence[object],
+    row_label: str,
+    column_label: str,
+    value_label: str,
+    log: bool = False,
+) -> Figure:
+    """A table of positive numbers in colour, each number written into its cell."""
+    values = np.asarray(values)
+    height = 1.1 + 0.36 * len(rows)
+    figure, axis = _axes(min(2.4 + 0.72 * len(columns), PAGE_WIDTH), height)
+    norm = LogNorm(values.min(), max(values.max(), 1.0001 * values.min())) if log else None
+    shown = axis.imshow(values, cmap="viridis", norm=norm, aspect="auto", interpolation="nearest")
+    for row, column in np.ndindex(values.shape):
+        light = shown.norm(values[row, column]) > 0.6
+        axis.text(
+            column, row, f"{values[row, column]:.3g}", ha="center", va="center", fontsize=8,
+            color="0.05" if light else "white",
+        )  # fmt: skip
+    axis.set_xticks(range(len(columns)), [str(name) for name in columns])
+    axis.set_yticks(range(len(rows)), [str(name) for name in rows])
+    axis.set_xlabel(column_label)
+    axis.set_ylabel(row_label)
+    bar = figure.colorbar(shown, pad=0.02)
+    bar.set_label(value_label, fontsize=9)
+    return figure
+
+
+def residual_strip(fits: Sequence[FrameFit], flagged: Sequence[bool] | None = None, frame: int | None = None) -> Figure:
+    """Error of every landmark in every frame of a clip, in % of the outer-eye distance, as the panel's timeline.
+
+    Rows are sorted by the parts of the face; grey frames have no face. Triangles mark `flagged` frames, a line `frame`.
+    """
+    order = [point for group in STRIP_ROWS for point in GROUPS[group]]
+    values = np.full((68, len(fits)), np.nan)
+    for column, fit in enumerate(fits):
+        if fit.found:
+            values[:, column] = (100.0 * fit.residuals_px / outer_eye_distance(fit.observed))[order]
+    figure, axis = _axes(8.4, 2.5)
+    axis.set_facecolor("0.8")
+    shown = axis.imshow(
+        values, cmap="viridis", vmin=0.0, vmax=WORST_PERCENT, aspect="auto", interpolation="nearest",
+        extent=(-0.5, len(fits) - 0.5, 67.5, -0.5),
+    )  # fmt: skip
+    ends = np.cumsum([0, *(len(GROUPS[group]) for group in STRIP_ROWS)])
+    axis.set_yticks((ends[:-1] + ends[1:] - 1) / 2, STRIP_ROWS)
+    axis.tick_params(axis="y", length=0)
+    for end in ends[1:-1]:
+        axis.axhline(end - 0.5, color="white", linewidth=0.8)
+    if flagged is not None and any(flagged):
+        places = np.flatnonzero(np.asarray(flagged))
+        axis.plot(places, np.full(len(places), -3.5), "v", color=RED, markersize=5, clip_on=False)
+    if frame is not None:
+        axis.axvline(frame, color="white", linewidth=1.6)
+        axis.axvline(frame, color="0.1", linewidth=0.8, linestyle="--")
+    axis.set_xlim(-0.5, len(fits) - 0.5)
+    axis.set_ylim(67.5, -0.5)
+    axis.set_xlabel("frame")
+    bar = figure.colorbar(shown, pad=0.015, extend="max")
+    bar.set_label("error, % of eye distance", fontsize=8)
+    return figure
+
+
+def compared_fits(
+    model: FaceModel,
+    picture: Picture | None,
+    fits: dict[str, FrameFit],
+    side: int = 300,
+    view: str = "pose",
+    columns: int | None = None,
+) -> Figure:
+    """Fits of one frame side by side under their labels: drawn into the picture, and below as heads in 3D.
+
+    One fit alone has its head beside it; without a picture there are heads only, in rows of `columns`. `view` "pose"
+    turns the heads with the face, "front" leaves them frontal. All close-ups show the same square.
+    """
+    wide = round(HEAD_CUT * side)
+    with HeadPanel(model, (wide, wide), view) as panel:
+        whole = [panel.submit(fit).result()[0] for fit in fits.values()]
+    edge = round(len(whole[0]) * (1.0 - 1.0 / HEAD_CUT) / 2)
+    heads = [_resized(head[edge : len(head) - edge, edge : len(head) - edge], side) for head in whole]
+    if picture is None:
+        return pictures_in_a_row(heads, list(fits), columns)
+    parts = OverlayParts(text=False, legend=False)
+    overlays = [draw_overlay(*close_up(picture, fit, side), parts=parts) for fit in fits.values()]
+    overlays = [_resized(overlay, side) for overlay in overlays]  # small ones come enlarged
+    if len(fits) == 1:
+        return pictures_in_a_row([*overlays, *heads], [*fits, ""])
+    return pictures_in_a_row([*overlays, *heads], [*fits, *([""] * len(fits))], columns=len(fits))
 
 
 def beta_figure(constants: EnergyConstants) -> Figure:
@@ -160,6 +306,32 @@ def beta_figure(constants: EnergyConstants) -> Figure:
         axis.axvspan(0, 1, color="0.95", zorder=0)
         axis.set_xlabel("weight w")
         axis.set_title(label, fontsize=10)
+        _plain(axis)
+    figure.tight_layout()
+    return figure
+
+
+def beta_step_figure(constants: EnergyConstants, stiffness: float, weight: float = 1.0) -> Figure:
+    """How a weight that has left [0, 1] is driven back: slope of E_β and Gauss–Newton steps over its distance.
+
+    Left |dE_β/dw| below zero by `distance`. Right the step of one Gauss–Newton iteration towards zero, where landmarks
+    hold the weight with `stiffness` (the weight's diagonal entry of JᵀJ): by `weight`·E_β² and by `weight` times the
+    squared distance itself.
+    """
+    distance = np.logspace(-6, 0, 400)
+    value = np.asarray(beta_curve(-distance, constants))
+    slope = np.abs(np.asarray(beta_slope(-distance, constants)))
+    figure, (left, right) = _subplots(1, 2, (8.4, 3.0))
+    left.loglog(distance, slope, color=RED)
+    left.set_title("|dE_β/dw|", fontsize=10)
+    by_beta = weight * value * slope / (weight * slope**2 + stiffness)
+    right.loglog(distance, distance, color=GREY, linewidth=3.0, label="all the way back")
+    right.loglog(distance, weight * distance / (weight + stiffness), "-.", color=GREEN, label="range term")
+    right.loglog(distance, by_beta, color=RED, label="E_β")
+    right.set_title("first Gauss–Newton step towards 0", fontsize=10)
+    right.legend(frameon=False, fontsize=8)
+    for axis in (left, right):
+        axis.set_xlabel("distance of w below 0")
         _plain(axis)
     figure.tight_layout()
     return figure
@@ -202,8 +374,18 @@ def profiles(shapes: dict[str, Float[np.ndarray, "v 3"]], marked: Int[np.ndarray
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Rows as a Markdown table; floats are shown with three digits."""
     lines = [header, ["---"] * len(header), *rows]
-    cells = [[f"{cell:.3g}" if isinstance(cell, float) else str(cell) for cell in line] for line in lines]
+    cells = [[_cell(cell) for cell in line] for line in lines]
     return "\n".join("| " + " | ".join(line) + " |" for line in cells)
+
+
+def _resized(picture: Picture, side: int) -> Picture:
+    method = cv2.INTER_AREA if len(picture) > side else cv2.INTER_LINEAR
+    return cv2.resize(picture, (side, side), interpolation=method)
+
+
+def _cell(value: object) -> str:
+    text = f"{value:.3g}" if isinstance(value, float) else str(value)
+    return text.replace("|", "\\|")  # a bar would end the cell
 
 
 def _rgb(color: str) -> tuple[int, int, int]:

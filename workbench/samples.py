@@ -10,6 +10,7 @@ SAMPLES = {
     "performance": "performance.mp4",
     "performance-landmarks": "performance_landmarks.csv",
     "performance-truth": "performance_truth.npz",
+    "speech-landmarks": "speech_landmarks.csv",
     "head": "head/head.npz",
     "head-texture": "head/albedo.png",
 }
