@@ -77,6 +77,10 @@ class ShotReference:
     @cached_property
     def _sound_frames(self) -> list[FrameObservation]:
         """The frames whose shapes resemble each other: one with exchanged sides would spoil the calibration."""
+        if not self.frames:
+            return []
+        if not self.frames:
+            return []
         shapes = np.stack([observation.landmarks.points for observation in self.frames])[:, 17:]
         usual = shapes[0]
         for _ in range(2):

@@ -84,7 +84,7 @@ class TuningPanel(widgets.VBox):
         self._show_session()
         self._worker.submit(Show(0))
         self._clip_worker.submit("run")
-        self._later(session.warm_up)
+        self._later(self._warm_up)
 
     def __repr__(self) -> str:
         return f"TuningPanel({self.session!r})"
@@ -393,6 +393,11 @@ class TuningPanel(widgets.VBox):
 
     def _counts(self) -> dict[str, int]:
         return {trace.stage: len(trace.energies) - 1 for trace in self._traces}
+
+    def _warm_up(self) -> None:
+        self.exported.value = "getting ready in the background: the first moves may be slower …"
+        self.session.warm_up()
+        self.exported.value = ""
 
     def _diagnose(self) -> None:
         frame = self.frame
