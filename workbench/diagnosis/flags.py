@@ -40,7 +40,7 @@ def face_size(points: Float[np.ndarray, "*n 68 2"]) -> Float[np.ndarray, "*n"]:
     Turning the head, exchanging points or losing one eye hardly changes it, unlike the distance itself.
     """
     centred = points - points.mean(axis=-2, keepdims=True)
-    return EYE_PER_SPREAD * np.sqrt((centred**2).sum(-1).mean(-1))
+    return np.asarray(EYE_PER_SPREAD * np.sqrt((centred**2).sum(-1).mean(-1)))
 
 
 def flag_frames(track: Track, config: Config | None = None) -> FrameFlags:
@@ -79,7 +79,7 @@ def _jump(track: Track) -> _Screen:
         near = slice(k - 1, k + 2)
         if track.found[near].all() and len(set(track.shot[near])) == 1 and (np.diff(track.index[near]) == 1).all():
             first, second = rotations[k] * rotations[k - 1].inv(), rotations[k + 1] * rotations[k].inv()
-            degrees[k] = np.degrees(np.linalg.norm(second.as_rotvec() - first.as_rotvec()))
+            degrees[k] = min(np.degrees(np.linalg.norm(second.as_rotvec() - first.as_rotvec())), 180.0)
             step = np.diff(track.translation[near], axis=0)
             millimetres[k] = np.linalg.norm((step[1] - step[0])[:2])
     above = np.maximum(degrees / JUMP_DEG, millimetres / JUMP_MM)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from workbench.landmarks.alignment import fit_similarity
 
@@ -95,12 +95,11 @@ def change_of_patch(
     previous: UInt8[np.ndarray, "h w 3"],
     picture: UInt8[np.ndarray, "h w 3"],
     points_before: Float[np.ndarray, "68 2"],
-    points_now: Float[np.ndarray, "68 2"],
-    hull: tuple[int, ...],
+    chosen: Bool[np.ndarray, "68"],
     others: Float[np.ndarray, "n 2"],
     others_before: Float[np.ndarray, "n 2"],
 ) -> float:
-    """Mean absolute change of grey under a group's hull since the previous picture, in grey levels.
+    """Mean absolute change of grey under the chosen points' hull since the previous picture, in grey levels.
 
     The face is carried by the similarity of the other points, so that a head which moves changes nothing.
     """
@@ -109,7 +108,7 @@ def change_of_patch(
     matrix = np.column_stack([to_now.matrix, to_now.origin])
     warped = cv2.warpAffine(previous, matrix, (picture.shape[1], picture.shape[0]))
     inside = np.zeros(picture.shape[:2], np.uint8)
-    region = to_now.to_image(points_before[list(hull)])
+    region = to_now.to_image(points_before[chosen])
     cv2.fillConvexPoly(inside, cv2.convexHull(np.float32(region)).astype(np.int32), 1)
     if not inside.any() or not np.isfinite(inverse).all():
         return 0.0

@@ -234,6 +234,7 @@ class Trial:
         return found if found is not None and found.landmarks is not None else None
 
 
-def points_change(label: str, points: Float[np.ndarray, "68 2"], chosen: Iterable[int]) -> Change:
+def points_change(label: str, points: Float[np.ndarray, "68 2"], chosen: Bool[np.ndarray, "68"]) -> Change:
     """The change that moves the chosen points to their rows of `points`."""
-    return Change(label, landmarks={int(k): (float(points[k, 0]), float(points[k, 1])) for k in chosen})
+    places = {int(k): (float(points[k, 0]), float(points[k, 1])) for k in np.flatnonzero(chosen)}
+    return Change(label, landmarks=places)

@@ -167,7 +167,7 @@ def occluded(trial: Trial) -> Iterator[Finding]:
         if (gain <= 0.0 and not unsure) or trial.percent(scatter) < LEAST_OFFSET_PERCENT:
             continue
         title = TITLES.get(name, name.replace("_", " "))
-        picture = _picture_changed(trial, mask, indices)
+        picture = _picture_changed(trial, mask)
         before, after = trial.error_percent(trial.fit, mask), trial.error_percent(fit, mask)
         evidence = f"The {mask.sum()} points of the {title} scatter by {trial.percent(scatter):.1f} % of the eye "
         evidence += "distance about where the others predict them, without a common direction"
@@ -260,7 +260,7 @@ def _long(trial: Trial, vector: Float[np.ndarray, "2"]) -> bool:
 
 def _shifted_back(trial: Trial, mask: Bool[np.ndarray, "68"], offset: Float[np.ndarray, "2"], title: str):
     points = trial.points - np.where(mask[:, None], offset, 0.0)
-    change = points_change(f"Move the points of the {title} back", points, np.flatnonzero(mask))
+    change = points_change(f"Move the points of the {title} back", points, mask)
     return change, trial.refit(change)
 
 
@@ -270,7 +270,7 @@ def _purity(trial: Trial, fit: FrameFit, mask: Bool[np.ndarray, "68"]) -> float:
     return 0.3 + 0.7 * float(far[mask].mean())
 
 
-def _picture_changed(trial: Trial, mask: Bool[np.ndarray, "68"], indices: tuple[int, ...]) -> float:
+def _picture_changed(trial: Trial, mask: Bool[np.ndarray, "68"]) -> float:
     """Grey change under the group since the previous picture, in units of that under the other groups; 0 unknown."""
     case = trial.case
     if case.picture is None or case.previous_picture is None or case.before is None:
@@ -278,8 +278,8 @@ def _picture_changed(trial: Trial, mask: Bool[np.ndarray, "68"], indices: tuple[
     before = case.before.landmarks.points
     others, others_before = trial.points[~mask], before[~mask]
     here, elsewhere = (
-        change_of_patch(case.previous_picture, case.picture, before, trial.points, hull, others, others_before)
-        for hull in (indices, tuple(np.flatnonzero(~mask)))
+        change_of_patch(case.previous_picture, case.picture, before, chosen, others, others_before)
+        for chosen in (mask, ~mask)
     )
     return here / max(elsewhere, 1.0)
 

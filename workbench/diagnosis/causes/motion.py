@@ -7,7 +7,9 @@ from jaxtyping import Float
 
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial, points_change
+from workbench.landmarks.scheme import group_mask
 
+EVERY_POINT = group_mask("all")
 STILL_PX = 1e-3
 """Largest motion of any landmark from frame to frame that counts as none: no detector repeats itself so exactly."""
 MOVING_PERCENT = 0.6
@@ -44,7 +46,7 @@ def frozen_detector(trial: Trial) -> Iterator[Finding]:
     jump = 0.0 if places is None else float(trial.percent(np.linalg.norm(places - trial.points, axis=1).mean()))
     if max(flow or 0.0, 0.5 * jump) < MOVING_PERCENT:
         return
-    change = Change("") if places is None else points_change("Carry the points over the gap", places, range(68))
+    change = Change("") if places is None else points_change("Carry the points over the gap", places, EVERY_POINT)
     fit = trial.refit(change)
     moved = f"the picture moved by {flow:.1f} % of the eye distance" if flow is not None else "the face moved on"
     yield Finding(
@@ -73,7 +75,7 @@ def low_flow_consistency(trial: Trial) -> Iterator[Finding]:
     count = int(surprised.sum())
     if count < FEWEST_SURPRISED:
         return
-    change = points_change("Carry these points with the picture", trial.carried, np.flatnonzero(surprised))
+    change = points_change("Carry these points with the picture", trial.carried, surprised)
     fit = trial.refit(change)
     mean = float(deviation[surprised].mean())
     yield Finding(
@@ -142,7 +144,7 @@ def _interpolated(trial: Trial, places: Float[np.ndarray, "68 2"] | None) -> Cha
         return Change("Trust the landmarks of this frame less", config={"landmarks": {"weights": {"all": 0.2}}})
     both = trial.case.before is not None and trial.case.after is not None
     label = "Take the points from the frames around" if both else "Take the points from the frame beside"
-    return points_change(label, places, range(68))
+    return points_change(label, places, EVERY_POINT)
 
 
 def _same(trial: Trial, index: int) -> bool:

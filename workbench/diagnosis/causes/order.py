@@ -9,7 +9,7 @@ from jaxtyping import Float
 from workbench.diagnosis.records import Change, moved_to
 from workbench.diagnosis.reference import robust_similarity
 from workbench.diagnosis.trial import Finding, Trial, points_change
-from workbench.landmarks.scheme import GROUPS, MIRROR, POINT_NAMES
+from workbench.landmarks.scheme import GROUPS, MIRROR, POINT_NAMES, group_mask
 from workbench.tracking import FrameFit
 
 SUSPECT_PERCENT = 4.0
@@ -31,7 +31,7 @@ def mirrored_order(trial: Trial) -> Iterator[Finding]:
     others = [frame for frame in trial.case.shot if frame.landmarks is not None]
     whole_shot = len(others) > 1 and float(np.mean([turning(frame.landmarks.points) < 0.0 for frame in others])) > 0.5
     where = "in the whole shot" if whole_shot else "in this frame"
-    change = points_change(f"Exchange the points of left and right {where}", trial.points[places], range(68))
+    change = points_change(f"Exchange the points of left and right {where}", trial.points[places], group_mask("all"))
     if whole_shot:
         # The identity was calibrated on mirrored faces.
         mended = [moved_to(frame, frame.landmarks.points[places]) for frame in others]
@@ -75,7 +75,7 @@ def points_swapped(trial: Trial) -> Iterator[Finding]:
         points = trial.points.copy()
         for first, second in pairs:
             points[[first, second]] = points[[second, first]]
-        chosen = [index for pair in pairs for index in pair]
+        chosen = np.isin(np.arange(68), pairs)
         change = points_change(f"Exchange {_named(pairs)}", points, chosen)
         fit = trial.refit(change)
         gain = trial.gain(fit, 0.5 * len(pairs), past_doubted=True)

@@ -16,6 +16,8 @@ LEAST_FOCAL_RATIO = 1.06
 """Cost of the faces under the configured lens, relative to the best lens, from which the lens is doubted."""
 SURE_FOCAL_RATIO = 1.2
 BRACKET = 1.015
+NARROWEST_FOV_DEG = 10.0
+"""A longer lens makes no difference any more."""
 UNBRACKETED_FOCAL_RATIO = 1.18
 """The same where the cost only falls towards long lenses: a detector's own habits look like no perspective at all."""
 LEAST_FOCAL_FACTOR = 1.7
@@ -75,7 +77,9 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
     least = LEAST_FOCAL_RATIO if bracketed else UNBRACKETED_FOCAL_RATIO
     if max(factor, 1.0 / factor) < LEAST_FOCAL_FACTOR or ratio < least or here - lowest < LEAST_FOCAL_COST:
         return
-    fov = fov_with(config.camera.fov_deg, factor)
+    if not bracketed:
+        factor = float(np.clip(factor, 0.5, 2.0))
+    fov = max(fov_with(config.camera.fov_deg, factor), NARROWEST_FOV_DEG)
     changed = config.changed(camera={"fov_deg": fov})
     identity = trial.reference.identity_under(changed)
     change = Change(
