@@ -128,6 +128,23 @@ def test_the_alternation_of_the_calibrated_preset_is_accused_where_the_truth_say
     assert after < 0.5 * before
 
 
+def test_a_face_that_the_detector_hardly_sees_is_taken_from_the_nearest_frame_where_it_was_sure(
+    head, config, clean, fitter
+):
+    observations = list(clean[0])
+    for k in range(58, 63):
+        landmarks = observations[k].landmarks
+        observations[k] = replace(observations[k], landmarks=replace(landmarks, confidence=np.full(68, 0.01)))
+    fits = faults.follow(observations, config)
+    found = diagnose_frame(head, FrameCase(observations[61], fits[61][1], config, observations), fitter)
+    reason = found.reasons[0]
+    assert (reason.code, reason.title) == ("occluded", "The face can hardly be seen")
+    assert "mean confidence is 0.01" in reason.evidence
+    moved = reason.change.moved(observations[61]).landmarks
+    np.testing.assert_array_equal(moved.points, observations[63].landmarks.points)
+    assert (moved.confidence == 1.0).all()
+
+
 def test_a_frame_without_landmarks_cannot_be_diagnosed(head, config, clean):
     observations, fits = clean
     case = FrameCase(replace(observations[7], landmarks=None), fits[7][1], config)

@@ -55,7 +55,7 @@ class Change:
     config: Mapping[str, Any] = field(default_factory=dict)
     """Sections for `Config.changed`; {} leaves the configuration."""
     landmarks: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    """New places of points of this frame, pixels; {} leaves the landmarks."""
+    """New places of points of this frame, pixels, believed from now on; {} leaves the landmarks."""
     limits: Mapping[str, int] = field(default_factory=dict)
     """New iteration limits of stages by name."""
     calibrate: bool = False
@@ -77,13 +77,13 @@ class Change:
         return config.changed(**sections) if sections else config
 
     def moved(self, observation: FrameObservation) -> FrameObservation:
-        """The observation with this change's points at their new places."""
+        """The observation with this change's points at their new places, with confidence 1."""
         if not self.landmarks:
             return observation
-        points = observation.landmarks.points.copy()
+        points, confidence = observation.landmarks.points.copy(), observation.landmarks.confidence.copy()
         for index, place in self.landmarks.items():
-            points[index] = place
-        return moved_to(observation, points)
+            points[index], confidence[index] = place, 1.0
+        return replace(observation, landmarks=Landmarks2D(points, confidence, observation.landmarks.image_size))
 
     def applied(self, context: FrameContext) -> FrameContext:
         """The context with this change's identity; a new identity or camera starts the pose afresh."""

@@ -32,6 +32,8 @@ SIDES = {
 }
 """Larger parts that something in front of the face may hide."""
 LEAST_OFFSET_PERCENT = 2.0
+HARDLY_SEEN, SURELY_SEEN = 0.3, 0.6
+"""Mean confidence below which the whole face is in doubt, and from which another frame may stand in."""
 LEAST_EXCESS = 6.0
 """Nats beyond the usual without which no part of the face is tried."""
 COHERENT = 1.0
@@ -154,6 +156,9 @@ def _best_shift(trial: Trial, group: str) -> _Shift | None:
 def occluded(trial: Trial) -> Iterator[Finding]:
     """A part of the face whose points scatter without order, or that the detector itself doubts."""
     confidence = trial.case.observation.landmarks.confidence
+    if confidence.mean() < HARDLY_SEEN:
+        yield from _hardly_seen(trial)
+        return
     if trial.excess < LEAST_EXCESS and confidence.min() > 0.5 * confidence.max():
         return
     for name, indices in {**{group: GROUPS[group] for group in TITLES}, **SIDES}.items():
@@ -195,6 +200,36 @@ def occluded(trial: Trial) -> Iterator[Finding]:
             },
             outranks=("group_biased",) if incoherent == 1.0 else (),
         )
+
+
+def _hardly_seen(trial: Trial) -> Iterator[Finding]:
+    """The detector doubts all points, so none of them counts: the pose coasts along on E_τ."""
+    sure = float(trial.case.observation.landmarks.confidence.mean())
+    index = trial.case.observation.index
+    others = [
+        frame
+        for frame in trial.case.shot
+        if frame.landmarks is not None and frame.landmarks.confidence.mean() >= SURELY_SEEN
+    ]
+    nearest = min(others, key=lambda frame: abs(frame.index - index), default=None)
+    change, fit = None, trial.fit
+    if nearest is not None:
+        label = f"Take the points of frame {nearest.index}, where the detector was sure"
+        change = points_change(label, nearest.landmarks.points, group_mask("all"))
+        fit = trial.refit(change, trial.case.context._replace(last=None))
+    yield Finding(
+        code="occluded",
+        title="The face can hardly be seen",
+        evidence=f"The detector's mean confidence is {sure:.2f}: its points hardly count, and nothing but the past "
+        "holds the fit" + (f"; it was last sure in frame {nearest.index}." if nearest is not None else "."),
+        change=change,
+        gain=0.0,
+        before_percent=trial.error_percent(trial.fit),
+        after_percent=trial.error_percent(fit),
+        direct=0.98,
+        numbers={"confidence": sure, "nearest_sure": -1.0 if nearest is None else float(nearest.index)},
+        outranks=("wrong_focal", "wrong_identity", "tau_fights_data", "low_flow_consistency", "motion_blur"),
+    )
 
 
 def face_outside(trial: Trial) -> Iterator[Finding]:

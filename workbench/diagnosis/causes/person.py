@@ -16,6 +16,8 @@ LEAST_FOCAL_RATIO = 1.06
 """Cost of the faces under the configured lens, relative to the best lens, from which the lens is doubted."""
 SURE_FOCAL_RATIO = 1.2
 BRACKET = 1.015
+OWN_TROUBLE = 30.0
+"""Nats beyond the usual from which a frame has more wrong with it than the shot."""
 NARROWEST_FOV_DEG = 10.0
 """A longer lens makes no difference any more."""
 UNBRACKETED_FOCAL_RATIO = 1.18
@@ -98,11 +100,18 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
         gain=trial.gain(fit),
         before_percent=float(np.sqrt(here / (136 * 12))),
         after_percent=float(np.sqrt(lowest / (136 * 12))),
-        direct=float(np.interp(ratio, [LEAST_FOCAL_RATIO, SURE_FOCAL_RATIO], [0.5, 0.95])),
+        direct=_own_part(trial, fit) * float(np.interp(ratio, [LEAST_FOCAL_RATIO, SURE_FOCAL_RATIO], [0.5, 0.95])),
         measure="shot-wide error with the face shape fitted to each lens",
         numbers={"factor": factor, "fov_deg": fov, "cost_ratio": float(ratio)},
         outranks=("jaw_disagrees", "group_biased", "weights_at_bounds", "pose_expression_tradeoff"),
     )
+
+
+def _own_part(trial: Trial, fit: FrameFit) -> float:
+    """What the lens may claim of a frame: all of one like the others, less of one that has a trouble of its own."""
+    if trial.excess < OWN_TROUBLE:
+        return 1.0
+    return float(np.clip(0.4 + trial.gain(fit) / trial.excess, 0.4, 1.0))
 
 
 def best_factor(factors: np.ndarray, costs: np.ndarray) -> tuple[float, float]:
