@@ -123,14 +123,16 @@ def strongest_weights(
 
 
 def energy_over_iterations(curves: dict[str, np.ndarray], y_label: str = "energy") -> Figure:
-    """A number after each iteration, one curve a label, on a logarithmic scale."""
+    """A number after each iteration, one curve a label; on a logarithmic scale where it falls by more than ten."""
     figure, axis = _axes(6.4, 3.0)
-    for (label, energies), color in zip(curves.items(), (BLUE, RED, GREEN, GREY, AMBER), strict=False):
-        axis.plot(np.asarray(energies), "o-", markersize=3, color=color, label=label)
-    axis.set_yscale("log")
-    axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.yaxis.set_major_formatter("{x:g}")
-    axis.yaxis.set_minor_formatter(NullFormatter())
+    for (label, energies), (color, dash) in zip(curves.items(), LINES, strict=False):
+        axis.plot(np.asarray(energies), dash, marker="o", markersize=3, color=color, label=label)
+    positive = np.concatenate([np.asarray(energies, float) for energies in curves.values()])
+    if positive.max() > 10.0 * positive.min() > 0.0:
+        axis.set_yscale("log")
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(NullFormatter())
     axis.set_xlabel("iteration")
     axis.set_ylabel(y_label)
     axis.legend(frameon=False, fontsize=9)
@@ -161,7 +163,10 @@ def curves(
         getattr(axis, f"set_{name}scale")("log")
     axis.set_xlabel(x_label)
     axis.set_ylabel(y_label)
-    axis.legend(frameon=False, fontsize=9)
+    if len(series) > 3:  # too many to find a free corner for
+        axis.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    else:
+        axis.legend(frameon=False, fontsize=9)
     return figure
 
 
@@ -228,6 +233,8 @@ def heat_map(
     axis.set_xlabel(column_label)
     axis.set_ylabel(row_label)
     bar = figure.colorbar(shown, pad=0.02)
+    bar.formatter = bar.minorformatter = "{x:g}"
+    bar.ax.tick_params(which="both", labelsize=8)
     bar.set_label(value_label, fontsize=9)
     return figure
 
@@ -318,7 +325,7 @@ def beta_step_figure(constants: EnergyConstants, stiffness: float, weight: float
     hold the weight with `stiffness` (the weight's diagonal entry of JᵀJ): by `weight`·E_β² and by `weight` times the
     squared distance itself.
     """
-    distance = np.logspace(-6, 0, 400)
+    distance = np.logspace(-4, 0, 400)
     value = np.asarray(beta_curve(-distance, constants))
     slope = np.abs(np.asarray(beta_slope(-distance, constants)))
     figure, (left, right) = _subplots(1, 2, (8.4, 3.0))

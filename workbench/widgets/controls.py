@@ -20,7 +20,7 @@ class KnobControl:
 
     def __init__(self, knob: Knob, turned: Turned) -> None:
         self.knob, self._turned, self._quiet = knob, turned, False
-        self.value: Value = value_at(knob, knob.low if knob.kind != "choice" else knob.choices[0])
+        self.value: Value | None = None
         self.input = _input(knob)
         self.readout = widgets.Text(
             continuous_update=False,
@@ -59,7 +59,7 @@ class KnobControl:
 
     def _on_input(self, change) -> None:
         # A value between two places of the slider stays as it is until the slider leaves its place.
-        if self._quiet or change["new"] == place_of(self.knob, self.value):
+        if self._quiet or (self.value is not None and change["new"] == place_of(self.knob, self.value)):
             return
         self.value = value_at(self.knob, change["new"])
         self._read_out(self.value)
@@ -71,7 +71,8 @@ class KnobControl:
         try:
             value = float(change["new"].replace(",", "."))
         except ValueError:
-            self._read_out(self.value)
+            if self.value is not None:
+                self._read_out(self.value)
             return
         self.show(value)
         self._turned(self.knob.path, value)
@@ -101,8 +102,6 @@ class Controls:
             value = value_of(config, path)
             if path != but and value != control.value:
                 control.show(value)
-            elif path != but:
-                control._read_out(value)
         for path, product in effective_weights_of(config).items():
             self.by_path[path].effective.value = f"={product:.3g}"
 

@@ -37,6 +37,8 @@ MATRIX = np.diag([*WORLD, 1.0]).astype(np.float32)
 GRID_MM = 20_000.0
 """Half width of the box from which k3d takes its clipping planes: the near one lies 7 mm before the camera. So a plain
 depth buffer resolves a hundredth of a millimetre; the logarithmic one is slower and leaks with anti-aliasing."""
+ANTIALIAS = 1
+"""Level of k3d: two samples a pixel. Four cost a browser without a GPU a third more time a frame."""
 LIGHTING, ROUGHNESS = 1.5, 0.6
 COLLAR_TILT, COLLAR_MM = 0.25, 600.0
 """The neck is cut by a plane that falls towards the front, just above the ragged rim of the mesh. The opacity that
@@ -78,7 +80,7 @@ class K3dHeadView:
         self._shown = Shown(model.neutral.astype(np.float32))
         viewpoint = front_viewpoint(model, size)
         self.plot = k3d.plot(
-            height=size[1], antialias=2, logarithmic_depth_buffer=False, lighting=LIGHTING,
+            height=size[1], antialias=ANTIALIAS, logarithmic_depth_buffer=False, lighting=LIGHTING,
             background_color=_packed(np.array([SLATE]))[0].item(),
             menu_visibility=False, grid_visible=False, grid_auto_fit=False, camera_auto_fit=False, axes_helper=0,
             grid=(-GRID_MM, -GRID_MM, -GRID_MM, GRID_MM, GRID_MM, GRID_MM), camera_mode="orbit", camera_up_axis="none",

@@ -153,9 +153,9 @@ class OverlayView(anywidget.AnyWidget):
   system-ui, sans-serif); }
 .fw-overlay .fw-hover { padding: 4px 8px; max-width: 280px; white-space: pre-line; z-index: 2; }
 .fw-overlay .fw-hover b { font-weight: 600; }
-.fw-overlay .fw-message { top: 8px; left: 50%; transform: translateX(-50%); padding: 3px 10px; max-width: 90%;
+.fw-overlay .fw-message { bottom: 8px; left: 50%; transform: translateX(-50%); padding: 3px 10px; max-width: 90%;
   box-sizing: border-box; width: max-content; }
-.fw-overlay .fw-legend { left: 8px; bottom: 8px; min-width: 130px; padding: 3px 8px 2px; font-size: 11px;
+.fw-overlay .fw-legend { left: 6px; top: 6px; min-width: 112px; padding: 2px 6px 1px; font-size: 11px;
   white-space: nowrap; }
 .fw-overlay .fw-bar { height: 6px; margin: 2px 0 0; border-radius: 1px; }
 .fw-overlay .fw-numbers { display: flex; justify-content: space-between; font-variant-numeric: tabular-nums; }
