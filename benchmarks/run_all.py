@@ -9,7 +9,7 @@ from result import meets
 from rich.console import Console
 from rich.table import Table
 
-BENCHMARKS = ("solve_time", "video_rate", "memory", "compile_time", "head_pose")
+BENCHMARKS = ("solve_time", "video_rate", "memory", "compile_time", "head_pose", "panel_latency", "diagnosis")
 
 
 def main() -> int:

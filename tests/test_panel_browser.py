@@ -6,11 +6,11 @@ import statistics
 from pathlib import Path
 
 import cv2
-import nbformat
 import numpy as np
 import pytest
 
 from tests import browser
+from tests.panel_page import HEAD, MARKS, PANEL, READY, latencies, opened, press, tab, to_top, write_notebook
 from workbench.config import read_config
 
 lacking = browser.missing()
@@ -18,23 +18,13 @@ lacking = browser.missing()
 if lacking and os.environ.get("CI") != "true":
     pytest.skip(f"browser tests: {lacking}", allow_module_level=True)
 
-MARKS, HEAD = ".fw-overlay .fw-marks", ".fw-head3d .k3d-target canvas"
 STRIP = ".fw-timeline canvas"
 SAMPLES = 50
 SLOWEST_MS = 600.0
 """Generous: software WebGL on a shared machine; `benchmarks/panel_latency.py` has the goals."""
 PHOTO = (
-    """
-    import time
-    import workbench
-    from workbench.session import open_session
-    from workbench.widgets import TuningPanel
-
-    session = open_session(workbench.sample("astronaut"), landmarks=workbench.sample("astronaut-landmarks"))
-    panel = TuningPanel(session, backend="k3d")
-    panel
-    """,
-    "ready = panel.wait_idle(300)",
+    PANEL.format(name="astronaut"),
+    READY,
     "time.sleep(10)",
     """
     quick, begun = session.fit_frame, []
@@ -54,18 +44,7 @@ PHOTO = (
     print("sigma", session.config.weights.sigma_smooth)
     """,
 )
-CLIP = (
-    """
-    import workbench
-    from workbench.session import open_session
-    from workbench.widgets import TuningPanel
-
-    session = open_session(workbench.sample("performance"), landmarks=workbench.sample("performance-landmarks"))
-    panel = TuningPanel(session, backend="k3d")
-    panel
-    """,
-    "ready = panel.wait_idle(300)",
-)
+CLIP = (PANEL.format(name="performance"), READY)
 
 
 @pytest.fixture(scope="module")
@@ -82,13 +61,6 @@ def server(tmp_path_factory):
         write_notebook(folder / f"{name}.ipynb", cells)
     with browser.lab_server(folder, settings) as running:
         yield running
-
-
-def write_notebook(path: Path, cells) -> None:
-    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
-    texts = ["\n".join(line.removeprefix("    ") for line in cell.strip("\n").split("\n")) for cell in cells]
-    made = [nbformat.v4.new_code_cell(text.strip()) for text in texts]
-    nbformat.write(nbformat.v4.new_notebook(cells=made, metadata=kernel), path)
 
 
 @pytest.fixture(scope="module")
@@ -109,22 +81,6 @@ def clip(photo):
 
 def wrong_outputs(page):
     return [output for output in page.outputs() if output["type"] == "error" or output["name"] == "stderr"]
-
-
-def opened(page, notebook):
-    page.open(notebook)
-    page.run_cell(0)
-    page.run_cell(1)
-    for selector in (MARKS, HEAD):
-        page.page.wait_for_selector(selector)
-    page.page.wait_for_function("(s) => new Set(window.readCanvas(s, 100)).size > 60", arg=HEAD)
-    to_top(page)
-    return page
-
-
-def to_top(page):
-    page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'start'})")
-    page.page.wait_for_timeout(300)
 
 
 def pixels(page, selector):
@@ -156,16 +112,6 @@ def check_plausible(picture):
     assert picture.mean((1, 2)).std() > 5
     assert np.abs(np.diff(picture, axis=0)).mean() < 12
     assert np.abs(np.diff(picture, axis=1)).mean() < 12
-
-
-def tab(page, title):
-    page.page.locator(".fw-panel .lm-TabBar-tab").filter(has_text=title).first.click()
-
-
-def press(page, label, *keys):
-    handle = page.slider(label)
-    for key in keys:
-        handle.press(key)
 
 
 @pytest.mark.parametrize(("title", "label", "keys"), [("ω", "ω_σ L1", ["Home"]), ("ρ ε", "ε", ["Home"])])
@@ -227,19 +173,6 @@ def test_from_the_slider_to_the_pixels(photo, capsys):
     with capsys.disabled():
         print(f"\npanel: slider to pixels median {median:.0f} ms, p95 {p95:.0f} ms (load {os.getloadavg()[0]:.1f})")
     assert median < SLOWEST_MS
-
-
-def latencies(page, label, count):
-    press(page, label, "Home")
-    for _ in range(6):
-        press(page, label, "PageUp")
-    page.page.wait_for_timeout(1500)
-    handle, found = page.slider(label).element_handle(), []
-    for k in range(count):
-        key = "ArrowRight" if (k // 10) % 2 == 0 else "ArrowLeft"
-        found.append(page.page.evaluate("([h, k, s]) => window.timeToPixels(h, k, s)", [handle, key, [MARKS, HEAD]]))
-        page.page.wait_for_timeout(350)
-    return found
 
 
 def test_the_views_follow_while_another_cell_is_busy(photo):

@@ -26,6 +26,8 @@ from workbench.landmarks.observations import Landmarks2D as Landmarks2D  # noqa:
 from workbench.landmarks.tracking import LandmarkTracker as LandmarkTracker  # noqa: E402
 from workbench.pipeline import track as track  # noqa: E402
 from workbench.samples import sample as sample  # noqa: E402
+from workbench.session import TuningSession as TuningSession  # noqa: E402
+from workbench.session import open_session as open_session  # noqa: E402
 from workbench.tracking import FaceTracker as FaceTracker  # noqa: E402
 from workbench.tracking import FrameFit as FrameFit  # noqa: E402
 from workbench.tracking import FrameObservation as FrameObservation  # noqa: E402

@@ -1,0 +1,69 @@
+"""A tuning panel in a notebook in a real browser: what the tests and the benchmark of its latency share."""
+
+from pathlib import Path
+
+import nbformat
+
+MARKS, HEAD = ".fw-overlay .fw-marks", ".fw-head3d .k3d-target canvas"
+PANEL = """
+    import time
+    import workbench
+    from workbench.session import open_session
+    from workbench.widgets import TuningPanel
+
+    session = open_session(workbench.sample("{name}"), landmarks=workbench.sample("{name}-landmarks"))
+    panel = TuningPanel(session, backend="k3d")
+    panel
+    """
+READY = "ready = panel.wait_idle(300)"
+
+
+def write_notebook(path: Path, cells) -> None:
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
+    texts = ["\n".join(line.removeprefix("    ") for line in cell.strip("\n").split("\n")) for cell in cells]
+    made = [nbformat.v4.new_code_cell(text.strip()) for text in texts]
+    nbformat.write(nbformat.v4.new_notebook(cells=made, metadata=kernel), path)
+
+
+def opened(page, notebook):
+    """Open a notebook and run its first two cells: the panel, shown and ready."""
+    page.open(notebook)
+    page.run_cell(0)
+    page.run_cell(1)
+    for selector in (MARKS, HEAD):
+        page.page.wait_for_selector(selector)
+    page.page.wait_for_function("(s) => new Set(window.readCanvas(s, 100)).size > 60", arg=HEAD)
+    to_top(page)
+    return page
+
+
+def to_top(page):
+    """Scroll to the panel."""
+    page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'start'})")
+    page.page.wait_for_timeout(300)
+
+
+def tab(page, title):
+    """Bring a page of a tab to the front."""
+    page.page.locator(".fw-panel .lm-TabBar-tab").filter(has_text=title).first.click()
+
+
+def press(page, label, *keys):
+    """Press keys on a slider."""
+    handle = page.slider(label)
+    for key in keys:
+        handle.press(key)
+
+
+def latencies(page, label, count):
+    """Milliseconds from a key on a slider until the pixels of overlay and head have both changed."""
+    press(page, label, "Home")
+    for _ in range(6):
+        press(page, label, "PageUp")
+    page.page.wait_for_timeout(1500)
+    handle, found = page.slider(label).element_handle(), []
+    for k in range(count):
+        key = "ArrowRight" if (k // 10) % 2 == 0 else "ArrowLeft"
+        found.append(page.page.evaluate("([h, k, s]) => window.timeToPixels(h, k, s)", [handle, key, [MARKS, HEAD]]))
+        page.page.wait_for_timeout(350)
+    return found
