@@ -12,6 +12,9 @@ LEAST_PICTURES = {
     "00_quickstart": 4,
     "01_face_it_step_by_step": 20,
     "02_the_workbench": 5,
+    "03_the_beta_trap": 5,
+    "04_rho_and_epsilon": 6,
+    "05_tau_and_jitter": 5,
     "06_why_a_frame_fails": 8,
 }
 TIMEOUT_S = 300

@@ -106,12 +106,15 @@ def test_lines_of_one_figure_differ_in_more_than_colour():
 
 def test_a_sweep_rings_the_least_value_and_shows_zero_on_a_logarithmic_axis():
     x = np.array([0.0, 1.0, 10.0, 100.0])
-    figure = plots.sweep_figure(x, {"error": np.array([3.0, 2.0, 1.0, 4.0]), "lag": x}, "ω", {"error": 0.5})
+    error = {"quiet": np.array([3.0, 2.0, 1.0, 4.0]), "noisy": np.array([9.0, 8.0, 7.0, 6.0])}
+    figure = plots.sweep_figure(x, {"error": error, "lag": {"quiet": x}}, "ω", {"error": 0.5})
     first, second = figure.axes
     assert first.get_title() == "error"
-    assert first.lines[1].get_xdata() == 10.0
-    assert first.lines[2].get_ydata()[0] == 0.5
-    assert len(second.lines) == 2
+    rings = [line for line in first.lines if line.get_fillstyle() == "none"]
+    assert [float(ring.get_xdata()[0]) for ring in rings] == [10.0, 100.0]
+    assert first.lines[-1].get_ydata()[0] == 0.5
+    assert [text.get_text() for text in first.get_legend().get_texts()] == ["quiet", "noisy"]
+    assert second.get_legend() is None
     assert first.get_xticklabels()[0].get_text() == "0"
     assert first.lines[0].get_xdata()[0] == pytest.approx(0.1)
 

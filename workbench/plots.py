@@ -172,37 +172,45 @@ def curves(
 
 def sweep_figure(
     x: Float[np.ndarray, "n"],
-    series: dict[str, Float[np.ndarray, "n"]],
+    series: dict[str, dict[str, Float[np.ndarray, "n"]]],
     x_label: str,
     levels: dict[str, float] | None = None,
 ) -> Figure:
     """What a setting does: one small plot a quantity, side by side over one logarithmic axis.
 
-    A first `x` of zero stands one step left of the others. The least value of each quantity has a ring; `levels` are
-    dashed lines of the same name, such as what the truth has.
+    `series` holds for each quantity a line a label. A first `x` of zero stands one step left of the others. The least
+    value of each line has a ring. A quantity that spans more than a factor of ten is logarithmic, too. `levels` are
+    dotted lines by quantity, such as what the truth has.
     """
-    figure, axes = _subplots(1, len(series), (min(2.85 * len(series), 8.6), 2.7))
+    figure, axes = _subplots(1, len(series), (min(2.85 * len(series), 8.6), 3.0))
     places = np.asarray(x, float).copy()
-    zero = places[0] == 0.0
-    if zero:
+    if places[0] == 0.0:
         places[0] = places[1] ** 2 / places[2]
-    for axis, (label, values), (color, _) in zip(axes, series.items(), LINES, strict=False):
-        values = np.asarray(values)
-        axis.plot(places, values, "o-", color=color, markersize=3.5, linewidth=1.2)
-        least = int(np.nanargmin(values))
-        axis.plot(places[least], values[least], "o", color="0.1", markersize=9, fillstyle="none")
-        if levels and label in levels:
-            axis.axhline(levels[label], color=GREY, linestyle="--", linewidth=1.2)
+    for axis, (title, lines) in zip(axes, series.items(), strict=True):
+        for (label, values), (color, dash) in zip(lines.items(), LINES, strict=False):
+            least = int(np.nanargmin(values))
+            axis.plot(places, values, dash, marker="o", color=color, markersize=3.5, linewidth=1.2, label=label)
+            axis.plot(places[least], values[least], "o", color=color, markersize=9, fillstyle="none")
+        if levels and title in levels:
+            axis.axhline(levels[title], color="0.4", linestyle=":", linewidth=1.4)
         axis.set_xscale("log")
-        axis.xaxis.set_major_locator(LogLocator(numticks=5))
         axis.xaxis.set_minor_formatter(NullFormatter())
-        if zero:
-            ticks = [place for place in axis.get_xticks() if places[1] <= place <= places[-1]]
-            axis.set_xticks([places[0], *ticks], ["0", *(f"{tick:g}" for tick in ticks)])
-        axis.set_ylim(bottom=min(0.0, 1.1 * float(np.nanmin(values))))
+        decades = [10.0**power for power in range(-12, 13, 2) if places[1] <= 10.0**power <= places[-1]]
+        ticks = {places[0]: f"{x[0]:g}"} | {place: f"{place:g}" for place in decades}
+        axis.set_xticks(list(ticks), list(ticks.values()))
+        least, most = np.nanmin([*lines.values()]), np.nanmax([*lines.values()])
+        if most > 10.0 * least > 0.0:
+            axis.set_yscale("log")
+            axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.yaxis.set_major_formatter("{x:g}")
+            axis.yaxis.set_minor_formatter(NullFormatter())
+        else:
+            axis.set_ylim(bottom=min(0.0, 1.1 * least))
         axis.set_xlabel(x_label)
-        axis.set_title(label, fontsize=9)
+        axis.set_title(title, fontsize=9)
         _plain(axis)
+    if len(next(iter(series.values()))) > 1:
+        axes[0].legend(frameon=False, fontsize=8, loc="upper right")
     figure.tight_layout()
     return figure
 
