@@ -70,7 +70,7 @@ def test_an_exported_configuration_gives_the_same_numbers_and_an_edited_one_does
     run("track", "points.csv", "--no-pictures", "--out", "first")
     run("track", "points.csv", "--no-pictures", "--out", "second", "--config", "first/config.toml")
     text = (tmp_path / "first" / "config.toml").read_text()
-    (tmp_path / "edited.toml").write_text(text.replace("sigma_smooth = 20.0", "sigma_smooth = 90.0"))
+    (tmp_path / "edited.toml").write_text(text.replace("sigma_smooth = 20.0", "sigma_smooth = 0.1"))
     run("track", "points.csv", "--no-pictures", "--out", "third", "--config", "edited.toml")
     first, second, third = (Track.load(tmp_path / name / "track.npz") for name in ("first", "second", "third"))
     np.testing.assert_array_equal(first.expression, second.expression)

@@ -28,7 +28,7 @@ def test_show_fills_in_what_a_file_leaves_out(run, tmp_path):
 def test_show_highlights_on_a_terminal_without_changing_the_text(run, monkeypatch):
     terminal = screen.Console(width=40, force_terminal=True, color_system=None)
     monkeypatch.setattr(screen, "console", terminal)
-    assert run("config", "show")[1] == config_toml(preset("calibrated"))
+    assert run("config", "show")[1] == config_toml(preset("joint"))
     monkeypatch.setattr(screen, "console", screen.Console(width=40, force_terminal=True, color_system="standard"))
     assert "\x1b[" in run("config", "show")[1]
 
@@ -78,7 +78,7 @@ def test_diff_lists_each_value_as_a_file_has_it(run, tmp_path):
         ["weights.tau", "0.1", "0.5"],
         ["contour.mode", '"sliding"', '"fixed"'],
         ["landmarks.face", "–", "[320.0, 180.0]"],
-        ["stages.pose and expression.landmarks", "{all = 1.0}", "{all = 1.0, jaw = 0.25}"],
+        ["stages.pose and expression.landmarks", "{all = 1.0, jaw = 0.1}", "{all = 1.0, jaw = 0.25}"],
     ]
 
 

@@ -46,7 +46,7 @@ def test_the_picture_shows_overlay_and_head_side_by_side(playground):
 
 def test_the_first_fit_is_the_one_of_the_preset(playground, head, portrait):
     observation = FrameObservation(0, portrait[1], portrait[1].image_size)
-    alone = FaceTracker(head, preset("calibrated"), stills=True).push(observation)[0]
+    alone = FaceTracker(head, preset("joint"), stills=True).push(observation)[0]
     np.testing.assert_array_equal(playground.fit.expression, alone.expression)
     assert f"{alone.errors[0]:.2f} px" in playground.status.value
 
@@ -99,7 +99,7 @@ def test_moving_numeric_sliders_compiles_nothing(playground):
     for name, value in MOVES.items():
         playground.sliders[name].value = value
     solves, calibrations = solve_frame._cache_size(), calibrate_identity._cache_size()
-    for name, value in start_values(preset("calibrated")).items():
+    for name, value in start_values(preset("joint")).items():
         playground.sliders[name].value = value
     assert (solve_frame._cache_size(), calibrate_identity._cache_size()) == (solves, calibrations)
 
@@ -118,7 +118,7 @@ def test_a_preset_brings_its_bounds_and_stages(playground):
     assert playground.fit.expression.min() < 0.0
     playground.preset.value = "joint"
     assert len(playground.config.stages) == 2
-    playground.preset.value = "calibrated"
+    playground.preset.value = "joint"
     assert playground.fit.expression.min() >= 0.0
 
 
@@ -141,7 +141,7 @@ def test_a_move_is_quick_once_compiled(playground):
 
 
 def test_the_representation_is_short(playground):
-    assert repr(playground) == "FitPlayground('calibrated', 'default-head')"
+    assert repr(playground) == "FitPlayground('joint', 'default-head')"
 
 
 @pytest.mark.parametrize("name", PRESETS)

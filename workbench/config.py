@@ -18,6 +18,7 @@ from workbench.files import atomic_path
 from workbench.landmarks.scheme import GROUPS
 
 VERSION = 2
+DEFAULT_PRESET = "joint"
 PARAMETER_BLOCKS = ("rotation", "translation", "expression")
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
@@ -178,7 +179,7 @@ class Config(_Section):
     """A whole configuration."""
 
     version: Literal[2] = Field(VERSION, description="Of this file's format.")
-    preset: str = Field("calibrated", description="The preset this configuration started from.")
+    preset: str = Field(DEFAULT_PRESET, description="The preset this configuration started from.")
     camera: CameraConfig = CameraConfig()
     weights: WeightsConfig = WeightsConfig()
     constants: ConstantsConfig = ConstantsConfig()
@@ -228,7 +229,7 @@ class Config(_Section):
     @model_validator(mode="before")
     @classmethod
     def _default_stages(cls, data: Any):
-        return {"stages": PRESET_STAGES["calibrated"], **data} if isinstance(data, dict) else data
+        return {"stages": PRESET_STAGES[DEFAULT_PRESET], **data} if isinstance(data, dict) else data
 
 
 PRESET_STAGES: dict[str, tuple[Stage, ...]] = {
@@ -246,7 +247,8 @@ PRESET_STAGES: dict[str, tuple[Stage, ...]] = {
     ),
     "joint": (
         ROBUST_START,
-        Stage(name="pose and expression", free=(*POSE, "expression"), limit=30),
+        # The contour of a detector is a silhouette, not a set of points: in full it would turn the head.
+        Stage(name="pose and expression", free=(*POSE, "expression"), landmarks={"all": 1.0, "jaw": 0.1}, limit=30),
     ),
 }
 
@@ -261,9 +263,11 @@ PRESETS: dict[str, Config] = {
         identity=IdentityConfig(calibrate=False),
         stages=PRESET_STAGES["face-it"],
     ),
-    # Ours: the same alternation on a calibrated identity, weights truly in [0, 1], contour sliding with the yaw.
-    "calibrated": Config(preset="calibrated", weights=WeightsConfig(sigma_smooth=20.0)),
-    # Pose and expression as one problem of 50 unknowns.
+    # The same alternation on a calibrated identity, weights truly in [0, 1], contour sliding with the yaw.
+    "calibrated": Config(
+        preset="calibrated", weights=WeightsConfig(sigma_smooth=20.0), stages=PRESET_STAGES["calibrated"]
+    ),
+    # Ours: pose and expression as one problem of 50 unknowns, where the alternation sticks.
     "joint": Config(preset="joint", weights=WeightsConfig(sigma_smooth=20.0), stages=PRESET_STAGES["joint"]),
 }
 
@@ -345,7 +349,7 @@ def parse_config(stored: Mapping[str, Any], origin: str) -> Config:
     `origin` names it in messages. Raises `ConfigError` as `read_config`.
     """
     stored = _migrated(dict(stored), origin)
-    base = preset(str(stored.get("preset", "calibrated"))).model_dump()
+    base = preset(str(stored.get("preset", DEFAULT_PRESET))).model_dump()
     for key, value in stored.items():
         base[key] = {**base[key], **value} if isinstance(value, dict) and isinstance(base.get(key), dict) else value
     return _validated(base, origin)
@@ -360,15 +364,16 @@ def _migrated(stored: dict[str, Any], origin: str) -> dict[str, Any]:
     return {**stored, "version": VERSION}
 
 
-def _contour_by_mode(stored: dict[str, Any]) -> dict[str, Any]:
-    """1 → 2: `contour.sliding` became `contour.mode`."""
+def _from_1(stored: dict[str, Any]) -> dict[str, Any]:
+    """1 → 2: `contour.sliding` became `contour.mode`; what names no preset stands on the default of that time."""
     contour = dict(stored.get("contour", {}))
+    stored = {"preset": "calibrated", **stored}
     if "sliding" in contour:
         contour["mode"] = "sliding" if contour.pop("sliding") else "fixed"
     return {**stored, "contour": contour}
 
 
-MIGRATIONS = {1: _contour_by_mode}
+MIGRATIONS = {1: _from_1}
 """By version: what turns a stored configuration into one of the next version."""
 
 

@@ -12,6 +12,7 @@ from rich.syntax import Syntax
 
 from workbench.cli import screen
 from workbench.config import (
+    DEFAULT_PRESET,
     PRESETS,
     VERSION,
     Config,
@@ -91,7 +92,7 @@ def show(
     """Print a whole configuration."""
     if file is not None and preset_name is not None:
         raise ConfigError("Give a file or --preset, not both; a configuration file names its preset itself.")
-    _print_text(config_toml(read_config(file) if file is not None else preset(preset_name or "calibrated")), "toml")
+    _print_text(config_toml(read_config(file) if file is not None else preset(preset_name or DEFAULT_PRESET)), "toml")
 
 
 @config_app.command(help=CHECK_HELP)

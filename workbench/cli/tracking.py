@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from workbench.cli import screen
-from workbench.config import PRESETS, Config, preset, read_config
+from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset, read_config
 from workbench.errors import ConfigError
 from workbench.samples import sample
 
@@ -64,14 +64,14 @@ def demo(
     """Track the bundled portrait and performance clip from their stored landmarks; needs no detector."""
     for name, changes in DEMO.items():
         screen.console.print(f"[bold]{name}[/bold]")
-        config = preset("calibrated").changed(**changes)
+        config = preset(DEFAULT_PRESET).changed(**changes)
         _run([sample(name)], out / name, config, pictures=pictures, landmarks=sample(f"{name}-landmarks"))
 
 
 def _configuration(config, preset_name, detector, fov, face, identity) -> Config:
     if config is not None and preset_name is not None:
         raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
-    base = read_config(config) if config is not None else preset(preset_name or "calibrated")
+    base = read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
     landmarks, camera = {}, {}
     if detector is not None:
         landmarks["detector"] = detector

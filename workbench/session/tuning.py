@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from workbench.config import Config, Difference, Stage, differences, parse_config, preset, write_config
+from workbench.config import DEFAULT_PRESET, Config, Difference, Stage, differences, parse_config, preset, write_config
 from workbench.diagnosis import Change, Diagnosis, FrameCase, diagnose_frame
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, load_default_head
@@ -56,7 +56,7 @@ class TuningSession:
 
     def __init__(self, model: FaceModel, material: Material, config: Config | None = None):
         self.model, self.material = model, material
-        self.base = preset("calibrated") if config is None else config
+        self.base = preset(DEFAULT_PRESET) if config is None else config
         self._config = self.base
         self._undo: list[Step] = []
         self._redo: list[Step] = []
@@ -482,7 +482,7 @@ def open_session(
         stored = inputs.meta.get("config")
         config = config or (parse_config(stored, "the track's configuration") if stored else None)
         return TuningSession(model, material_of_track(inputs), config)
-    config = config or preset("calibrated")
+    config = config or preset(DEFAULT_PRESET)
     return TuningSession(model, load_material(inputs, config, landmarks, stills, progress), config)
 
 

@@ -8,7 +8,7 @@ import ipywidgets as widgets
 import numpy as np
 from jaxtyping import UInt8
 
-from workbench.config import PRESETS, Config, preset
+from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset
 from workbench.errors import WorkbenchError
 from workbench.face import FaceModel
 from workbench.landmarks.observations import Landmarks2D
@@ -78,7 +78,7 @@ class FitPlayground(widgets.VBox):
         model: FaceModel,
         config: Config | None = None,
     ) -> None:
-        config = preset("calibrated") if config is None else config
+        config = preset(DEFAULT_PRESET) if config is None else config
         self._picture, self._model, self._base = picture, model, config
         self._observation = FrameObservation(0, landmarks, landmarks.image_size)
         self._lock = threading.RLock()
