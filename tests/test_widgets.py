@@ -118,7 +118,8 @@ def test_a_preset_brings_its_bounds_and_stages(playground):
     assert playground.fit.expression.min() < 0.0
     playground.preset.value = "joint"
     assert len(playground.config.stages) == 2
-    playground.preset.value = "joint"
+    playground.preset.value = "calibrated"
+    assert len(playground.config.stages) == 5
     assert playground.fit.expression.min() >= 0.0
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from workbench.config import DEFAULT_PRESET, Config, Difference, Stage, differences, parse_config, preset, write_config
-from workbench.diagnosis import Change, Diagnosis, FrameCase, diagnose_frame
+from workbench.diagnosis import Change, Diagnosis, FrameCase, ShotReference, diagnose_frame, reference_of
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, load_default_head
 from workbench.pipeline import software_versions
@@ -73,6 +73,7 @@ class TuningSession:
         self._diagnosing = threading.Lock()
         self._fitter = FrameFitter(model, self.base)
         self._diagnostic_fitter = FrameFitter(model, self.base)
+        self._reference: tuple[tuple[int, Config], ShotReference] | None = None
 
     def __repr__(self) -> str:
         return f"TuningSession({self.material.name!r}, {len(self)} frames, preset {self._config.preset!r})"
@@ -266,7 +267,10 @@ class TuningSession:
         previous = self.picture(frame - 1) if real and frame - 1 in self.material.shots[context.shot] else None
         case = FrameCase(observation, context, config, shot, self.picture(frame) if real else None, previous)
         with self._diagnosing:
-            return diagnose_frame(self.model, case, self._diagnostic_fitter)
+            key = (context.shot, config)
+            if self._reference is None or self._reference[0] != key:
+                self._reference = (key, reference_of(self.model, config, shot, self._diagnostic_fitter))
+            return diagnose_frame(self.model, case, self._diagnostic_fitter, self._reference[1])
 
     def apply(self, change: Change, frame: int) -> Config:
         """Make a change that a diagnosis of a frame proposes; one step of undo."""
@@ -354,13 +358,16 @@ class TuningSession:
         return self._run.fits
 
     def warm_up(self) -> None:
-        """Compile all that the controls of a panel can ask for: every solver, with and without its trace."""
+        """Compile all that a panel can ask for: every solver, with and without its trace, and a diagnosis."""
         size = self.material.observations[0].image_size
         for changes in ({}, {"method": "optimistix-lm"}, {"method": "optimistix-dogleg"}):
             fitter = FrameFitter(self.model, self.base.changed(solver={"method": "lm", "bounded": False, **changes}))
             fitter.warm_up(size, trace=True)
         for frames in {1, self.base.identity.frames}:
             fitter.calibrate([fitter.neutral_observation(size)], frames)
+        seen = [k for k, observation in enumerate(self.material.observations) if observation.landmarks is not None]
+        if seen:
+            self.diagnose(seen[0])
 
     # --- export ---
 
