@@ -118,7 +118,7 @@ def strongest_weights(
         axis.axvspan(*in_range, color="0.95", zorder=0)
     axis.axvline(0, color="0.3", linewidth=0.8)
     if len(series) > 1:
-        axis.legend(frameon=False, fontsize=9)
+        axis.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return figure
 
 

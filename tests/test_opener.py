@@ -1,0 +1,159 @@
+"""The chooser of material: samples, paths, errors in one sentence, one panel at a time."""
+
+import threading
+
+import ipywidgets as widgets
+import numpy as np
+import pytest
+
+from workbench.config import preset
+from workbench.landmarks.files import LandmarkRecord, read_landmark_file, write_landmark_file
+from workbench.samples import sample
+from workbench.session import TuningSession, open_session
+from workbench.widgets import opener as opener_module
+from workbench.widgets.opener import SessionOpener
+
+
+class Panel(widgets.VBox):
+    """Stands in for the tuning panel, which takes seconds to warm up."""
+
+    def __init__(self, session: TuningSession) -> None:
+        super().__init__()
+        self.session, self.closed = session, False
+
+    def close(self) -> None:
+        self.closed = True
+        super().close()
+
+
+@pytest.fixture
+def opener():
+    made = SessionOpener(Panel)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def landmark_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("opener") / "three frames.csv"
+    landmarks = next(read_landmark_file(sample("astronaut-landmarks"))).landmarks
+    write_landmark_file(path, [LandmarkRecord(k, f"{k}", landmarks, (512, 512)) for k in range(3)])
+    return path
+
+
+def test_a_sample_opens_with_one_click_and_the_panel_stands_under_the_chooser(opener):
+    opener.samples["sample portrait"].click()
+    assert opener.wait_idle()
+    assert opener.place.children == (opener.panel,)
+    assert opener.panel.session is opener.session
+    assert opener.session.material.landmark_file == sample("astronaut-landmarks")
+    assert opener.progress.layout.display == "none"
+
+
+def test_every_sample_opens(opener):
+    for text, frames in {"sample portrait": 1, "sample clip": 240, "sample speech": 55}.items():
+        opener.open_sample(text)
+        assert opener.wait_idle()
+        assert len(opener.session) == frames
+    assert opener_module.sample_choices()["sample clip"].config.camera.fov_deg == 33.0
+
+
+def test_another_choice_closes_the_panel_before(opener, landmark_file):
+    opener.open_sample("sample portrait")
+    opener.wait_idle()
+    first = opener.panel
+    opener.open_path(landmark_file)
+    opener.wait_idle()
+    assert first.closed
+    assert opener.panel is not first
+    assert len(opener.session) == 3
+
+
+def test_a_path_may_be_pasted_with_quotes_and_blanks(opener, landmark_file):
+    opener.path.value = f' "{landmark_file}" '
+    opener.open_button.click()
+    opener.wait_idle()
+    assert opener.session.material.inputs == (landmark_file,)
+
+
+def test_a_picture_opens_with_its_landmark_file(opener):
+    opener.path.value, opener.landmarks.value = str(sample("astronaut")), str(sample("astronaut-landmarks"))
+    opener.open_button.click()
+    opener.wait_idle()
+    assert opener.session.material.pictures.real
+
+
+def test_a_stored_track_opens_with_its_configuration(opener, landmark_file, tmp_path):
+    tuned = preset("calibrated").changed(weights={"tau": 7.0})
+    session = open_session(landmark_file, tuned)
+    session.fit_clip().save(tmp_path / "track.npz")
+    opener.open_path(tmp_path / "track.npz")
+    opener.wait_idle()
+    assert opener.session.config.weights.tau == 7.0
+    np.testing.assert_array_equal(
+        opener.session.material.observations[2].landmarks.points, session.material.observations[2].landmarks.points
+    )
+
+
+@pytest.mark.parametrize("name", ["missing.mp4", "missing.csv", "missing.npz"])
+def test_an_error_is_one_red_sentence_and_leaves_what_is_open(opener, tmp_path, name):
+    opener.open_sample("sample portrait")
+    opener.wait_idle()
+    panel = opener.panel
+    opener.open_path(tmp_path / name)
+    opener.wait_idle()
+    assert name in opener.message.value
+    assert "role='alert'" in opener.message.value
+    assert "Traceback" not in opener.message.value
+    assert opener.place.children == (panel,)
+    assert not panel.closed
+
+
+def test_an_empty_path_says_what_to_do(opener):
+    opener.open_button.click()
+    assert "Type the path" in opener.message.value
+
+
+def test_markup_in_a_name_is_shown_as_text(opener):
+    opener.open_path("<b>no.csv")
+    opener.wait_idle()
+    assert "&lt;b&gt;no.csv" in opener.message.value
+
+
+def test_landmarks_are_counted_while_they_are_found(opener, landmark_file):
+    seen = []
+    opener.message.observe(lambda change: seen.append(change["new"]), "value")
+    opener.open_path(landmark_file)
+    opener.wait_idle()
+    assert any("Finding landmarks: frame 2" in text for text in seen)
+    assert "3 frames" in seen[-1]
+
+
+def test_a_newer_choice_ends_an_older_one(opener, landmark_file, monkeypatch):
+    started, go_on = threading.Event(), threading.Event()
+
+    def slow(path, config, landmarks, progress):
+        if path == landmark_file:
+            started.set()
+            go_on.wait(10)
+        progress("landmarks", 1, None)
+        return open_session(path, config, landmarks=landmarks)
+
+    monkeypatch.setattr(opener_module, "open_session", slow)
+    opener.open_path(landmark_file)
+    assert started.wait(10)
+    opener.open_sample("sample portrait")
+    go_on.set()
+    opener.wait_idle()
+    assert opener.session.material.inputs == (sample("astronaut"),)
+    assert len(opener.place.children) == 1
+
+
+def test_closing_closes_the_panel():
+    opener = SessionOpener(Panel)
+    opener.open_sample("sample portrait")
+    opener.wait_idle()
+    panel = opener.panel
+    opener.close()
+    assert panel.closed
+    assert "SessionOpener" in repr(opener)

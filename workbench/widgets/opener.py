@@ -1,0 +1,150 @@
+"""A chooser for what to tune on: samples, or a path typed in; the panel appears under it."""
+
+import html
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import ipywidgets as widgets
+
+from workbench.config import DEFAULT_PRESET, Config, preset
+from workbench.errors import WorkbenchError
+from workbench.samples import sample
+from workbench.session import TuningSession, open_session
+from workbench.tracking import Track
+from workbench.widgets.latest import LatestWins
+from workbench.widgets.tuning_panel import TuningPanel
+
+PATH_HINT = "photo, clip, folder, track.npz or landmark file (.csv .json .pts)"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the chooser is asked to open."""
+
+    path: Path
+    landmarks: Path | None = None
+    config: Config | None = None
+
+
+class _SupersededError(Exception):
+    """Something else was chosen meanwhile."""
+
+
+def sample_choices() -> dict[str, Wanted]:
+    """The bundled material by the text of its button."""
+    known_lens = preset(DEFAULT_PRESET).changed(camera={"fov_deg": 33.0})
+    return {
+        "sample portrait": Wanted(sample("astronaut"), sample("astronaut-landmarks")),
+        "sample clip": Wanted(sample("performance"), sample("performance-landmarks"), known_lens),
+        "sample speech": Wanted(sample("speech-landmarks")),
+    }
+
+
+class SessionOpener(widgets.VBox):
+    """Opens a session from a sample or a path and shows `make_panel(session)` under the chooser.
+
+    Opening runs in a thread of its own; a newer choice ends an older one, and the panel before is closed. Errors are
+    one sentence under the chooser and leave what is open. `session` and `panel` are None until something is open.
+    """
+
+    def __init__(self, make_panel: Callable[[TuningSession], widgets.Widget] = TuningPanel) -> None:
+        self.session: TuningSession | None = None
+        self.panel: widgets.Widget | None = None
+        self._make_panel = make_panel
+        self._worker: LatestWins[Wanted] = LatestWins(self._open, self._failed, "session-opener")
+        self.samples = {text: _button(text, "opens at once") for text in sample_choices()}
+        for text, button in self.samples.items():
+            button.on_click(lambda _button, text=text: self.open_sample(text))
+        self.path = _text(PATH_HINT, "a file or folder on the computer where Python runs", "300px")
+        self.landmarks = _text("landmark file (optional)", "landmarks of the pictures: no detector runs", "170px")
+        self.open_button = _button("Open", "open this path", "primary")
+        self.open_button.on_click(lambda _button: self._on_open())
+        self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="140px", display="none"))
+        self.message = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
+        self.place = widgets.VBox()
+        row = widgets.Layout(flex_flow="row wrap", align_items="center")
+        choices = [*self.samples.values(), self.path, self.landmarks, self.open_button]
+        super().__init__(
+            [widgets.HBox(choices, layout=row), widgets.HBox([self.progress, self.message], layout=row), self.place]
+        )
+
+    def __repr__(self) -> str:
+        return f"SessionOpener({self.session!r})"
+
+    def open_sample(self, text: str) -> None:
+        """Open bundled material by the text of its button."""
+        self._worker.submit(sample_choices()[text])
+
+    def open_path(self, path: str | Path, landmarks: str | Path | None = None) -> None:
+        """Open a photo, a clip, a folder, a track or a landmark file."""
+        self._worker.submit(Wanted(_path(path), None if landmarks is None else _path(landmarks)))
+
+    def wait_idle(self, timeout_s: float = 120.0) -> bool:
+        """Wait until what was asked for is open, or failed; False if that takes longer."""
+        return self._worker.wait_idle(timeout_s)
+
+    def close(self) -> None:
+        """Close the panel and end the thread."""
+        self._worker.close()
+        if self.panel is not None:
+            self.panel.close()
+        super().close()
+
+    def _on_open(self) -> None:
+        if not self.path.value.strip():
+            self._say("Type the path of a photo, a clip or a file first.", wrong=True)
+            return
+        self.open_path(self.path.value, self.landmarks.value if self.landmarks.value.strip() else None)
+
+    # --- in the worker's thread ---
+
+    def _open(self, wanted: Wanted) -> None:
+        self._say(f"Opening {wanted.path.name} …")
+        try:
+            session = self._session_of(wanted)
+        except _SupersededError:
+            return
+        before, self.panel, self.session = self.panel, self._make_panel(session), session
+        self.place.children = (self.panel,)
+        if before is not None:
+            before.close()
+        self.progress.layout.display = "none"
+        self._say(f"{session.material.name}: {len(session)} frame{'s' if len(session) > 1 else ''}.")
+
+    def _session_of(self, wanted: Wanted) -> TuningSession:
+        if wanted.path.suffix == ".npz":
+            return open_session(Track.load(wanted.path))
+        return open_session(wanted.path, wanted.config, landmarks=wanted.landmarks, progress=self._on_progress)
+
+    def _on_progress(self, _step: str, done: int, total: int | None) -> None:
+        if self._worker.newer():
+            raise _SupersededError
+        shown = max((total or 0) // 50, 1)
+        if done % shown:
+            return
+        self.progress.max, self.progress.value = total or done, done
+        self.progress.layout.display = None
+        self._say(f"Finding landmarks: frame {done}{f' of {total}' if total else ''}")
+
+    def _failed(self, error: Exception) -> None:
+        self.progress.layout.display = "none"
+        self._say(str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}", wrong=True)
+
+    def _say(self, text: str, wrong: bool = False) -> None:
+        style = " role='alert' style='color:var(--jp-error-color1, #b3261e)'" if wrong else ""
+        self.message.value = f"<span{style}>{html.escape(text)}</span>"
+
+
+def _path(text: str | Path) -> Path:
+    """A path as users paste it: with quotes, blanks around it, or ~."""
+    return Path(str(text).strip().strip("'\"")).expanduser()
+
+
+def _text(placeholder: str, tip: str, width: str) -> widgets.Text:
+    return widgets.Text(placeholder=placeholder, tooltip=tip, layout=widgets.Layout(width=width, flex="1 1 auto"))
+
+
+def _button(text: str, tip: str, style: str = "") -> widgets.Button:
+    layout = widgets.Layout(width="auto", flex="0 0 auto")
+    return widgets.Button(description=text, tooltip=tip, button_style=style, layout=layout)
