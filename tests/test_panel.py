@@ -163,6 +163,7 @@ def test_turning_a_knob_changes_the_configuration_and_compiles_nothing(path, pan
 
 
 def test_stages_are_reordered_switched_and_freed_without_compiling(panel):
+    panel.session.use(preset("calibrated"))
     before = solve_frame._cache_size()
     editor = panel.stages
     editor._rows[4].buttons["up"].click()

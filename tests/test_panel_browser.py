@@ -114,8 +114,16 @@ def check_plausible(picture):
     assert np.abs(np.diff(picture, axis=1)).mean() < 12
 
 
-@pytest.mark.parametrize(("title", "label", "keys"), [("ω", "ω_σ L1", ["Home"]), ("ρ ε", "ε", ["Home"])])
-def test_dragging_a_slider_changes_the_overlay_and_the_head(photo, screenshots, title, label, keys):
+@pytest.mark.parametrize(
+    ("preset", "title", "label", "keys"),
+    [
+        ("preset joint", "ω", "ω_σ L1", ["Home"]),
+        ("preset face-it", "ρ ε", "ρ", ["Home"]),
+        ("preset face-it", "ρ ε", "ε", ["Home"]),
+    ],
+)
+def test_moving_a_slider_changes_the_overlay_and_the_head(photo, screenshots, preset, title, label, keys):
+    photo.page.locator(".fw-panel select").first.select_option(preset)
     tab(photo, title)
     before = rested(photo, MARKS), rested(photo, HEAD)
     press(photo, label, *keys)
@@ -126,6 +134,7 @@ def test_dragging_a_slider_changes_the_overlay_and_the_head(photo, screenshots, 
     after = rested(photo, HEAD)
     photo.page.get_by_role("button", name="↶ undo").click()
     rested(photo, HEAD, after)
+    photo.page.locator(".fw-panel select").first.select_option("the start")
 
 
 def test_the_mouse_drags_a_slider(photo):
@@ -141,17 +150,19 @@ def test_the_mouse_drags_a_slider(photo):
 
 def test_a_landmark_is_clicked_and_muted(photo, screenshots):
     before = rested(photo, MARKS)
-    place = photo.page.evaluate(
-        """(s) => { const box = document.querySelector(s).getBoundingClientRect();
-        return [box.x, box.y, box.width, box.height]; }""",
+    state, left, top = photo.page.evaluate(
+        """(s) => { const canvas = document.querySelector(s), box = canvas.getBoundingClientRect();
+        return [JSON.parse(canvas.closest('.fw-overlay').dataset.state), box.x, box.y]; }""",
         MARKS,
     )
-    # The nose tip of the portrait, 512 pixels wide and high, shown whole.
-    scale = min(place[2], place[3]) / 512
-    x = place[0] + place[2] / 2 + (NOSE_TIP[0] - 256) * scale
-    y = place[1] + place[3] / 2 + (NOSE_TIP[1] - 256) * scale
+    x, y = (
+        edge + offset + state["scale"] * pixel
+        for edge, offset, pixel in zip((left, top), (state["x"], state["y"]), NOSE_TIP, strict=True)
+    )
     photo.page.mouse.click(x, y)
     assert changed(photo, MARKS, before) > 0.0
+    photo.page.mouse.move(x, y - 2)
+    assert "30 · nose tip" in photo.page.locator(".fw-overlay .fw-hover").inner_text()
     head = rested(photo, HEAD)
     photo.page.get_by_role("button", name="mute", exact=True).click()
     changed(photo, MARKS, before)
@@ -161,7 +172,8 @@ def test_a_landmark_is_clicked_and_muted(photo, screenshots):
     photo.page.keyboard.press("Escape")
 
 
-NOSE_TIP = (228.6, 133.2)
+NOSE_TIP = (224.99, 127.23)
+"""Of the portrait, pixels."""
 
 
 def test_from_the_slider_to_the_pixels(photo, capsys):
@@ -181,7 +193,7 @@ def test_the_views_follow_while_another_cell_is_busy(photo):
     photo.run_cell(2, wait=False)
     photo.page.wait_for_timeout(300)
     to_top(photo)
-    press(photo, "ω_σ L1", "Home")
+    press(photo, "ω_σ L1", "End")
     assert changed(photo, MARKS, before[0]) > 0.0
     assert changed(photo, HEAD, before[1]) > 0.005
     check_plausible(pixels(photo, HEAD))
@@ -190,6 +202,8 @@ def test_the_views_follow_while_another_cell_is_busy(photo):
 
 
 def test_a_long_drag_over_slow_fits_never_gets_stuck(photo, capsys):
+    photo.page.locator(".fw-panel select").first.select_option("the start")
+    rested(photo, HEAD)
     photo.run_cell(3)
     to_top(photo)
     tab(photo, "ω")
@@ -240,7 +254,9 @@ def test_every_tab_of_the_clip_can_be_looked_at(clip, screenshots):
             clip.page.wait_for_function(
                 "() => document.querySelector('.fw-diagnosis').innerText.includes('What each group pulls')"
             )
-        clip.page.locator(".fw-panel").screenshot(path=screenshots / f"panel-tab-{title}.png")
+        clip.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
+        clip.page.wait_for_timeout(300)
+        clip.page.screenshot(path=screenshots / f"panel-tab-{title}.png")
 
 
 def test_the_configuration_is_exported(clip, server):

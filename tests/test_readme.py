@@ -14,16 +14,20 @@ from workbench.samples import sample
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 COMMANDS = sorted(set(re.findall(r"^(?:\.venv/bin/)?(workbench [^#\n]*)", README, re.M)))
+SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.S)
 TARGETS = sorted(set(re.findall(r"^make (\w+)", README, re.M)))
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_line_is_understood(command):
-    _, name, *arguments = shlex.split(command)
-    text = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "200", "TERM": "dumb"}).output
+    names = shlex.split(command)[1:]
+    depth = 2 if names[0] == "config" else 1
+    names, arguments = names[:depth], names[depth:]
+    done = CliRunner().invoke(app, [*names, "--help"], env={"COLUMNS": "200", "TERM": "dumb"})
+    assert done.exit_code == 0
     for argument in arguments:
         if argument.startswith("--"):
-            assert argument in text
+            assert argument in done.output
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -36,8 +40,17 @@ def test_the_readme_has_commands_to_check():
     assert {"lab", "test", "demo"} <= set(TARGETS)
 
 
-def test_the_python_snippet_runs(tmp_path):
-    snippet = re.search(r"```python\n(.*?)```", README, re.S).group(1)
+def test_the_panel_snippet_runs():
+    snippet = SNIPPETS[0].replace('"talk.mp4"', f'r"{sample("astronaut-landmarks")}"')
+    names = {}
+    exec(compile(snippet, "README.md", "exec"), names)
+    assert names["panel"].wait_idle(300)
+    assert names["panel"].fit.found
+    names["panel"].close()
+
+
+def test_the_tracking_snippet_runs(tmp_path):
+    snippet = SNIPPETS[1]
     snippet = snippet.replace('"talk.mp4", "out/talk"', f'r"{sample("astronaut-landmarks")}", r"{tmp_path}"')
     names = {}
     exec(compile(snippet, "README.md", "exec"), names)

@@ -3,7 +3,7 @@
 The names below are the front door; everything else is imported from its folder, as `workbench.energies`.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 from workbench.runtime import configure_jax
 

@@ -28,7 +28,7 @@ class ClipViews:
         for chart in (self.pose, self.weights):
             chart.on_pick(lambda x: self._go(round(x)))
         self.curves = widgets.HBox(
-            [widgets.Box([chart], layout=widgets.Layout(width="50%", min_width="0"))
+            [widgets.VBox([chart], layout=widgets.Layout(width="50%", min_width="0"))
              for chart in (self.pose, self.weights)]
         )  # fmt: skip
         self.flags: tuple[str, ...] = ()

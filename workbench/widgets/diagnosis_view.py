@@ -26,11 +26,10 @@ class DiagnosisView:
         self.reasons = widgets.VBox()
         self.tables = widgets.HTML(layout=widgets.Layout(flex="1 1 0", min_width="0"))
         self.apply_buttons: list[widgets.Button] = []
-        body = widgets.HBox(
-            [widgets.VBox([self.reasons], layout=widgets.Layout(flex="1.4 1 0", min_width="0")), self.tables]
-        )
+        self.reasons.layout = widgets.Layout(flex="1.2 1 0", min_width="0")
+        body = widgets.HBox([self.reasons, self.tables], layout=widgets.Layout(flex="0 0 auto"))
         self.widget = widgets.VBox(
-            [widgets.HBox([self.ask, self.status]), body],
+            [widgets.HBox([self.ask, self.status], layout=widgets.Layout(flex="0 0 auto")), body],
             layout=widgets.Layout(height=f"{height_px}px", overflow="auto"),
         )
         self.widget.add_class("fw-diagnosis")
@@ -50,6 +49,7 @@ class DiagnosisView:
         found = f"{len(reasons)} found, the likeliest first" if reasons else "no reason found: nothing stands out"
         self.say(f"Frame {frame}: {found}.")
         self.apply_buttons = []
+        self.reasons.layout.display = None if reasons else "none"
         self.reasons.children = tuple(self._row(k, reason) for k, reason in enumerate(reasons, 1))
         self.tables.value = pulls_table(diagnosis) + uncertainty_table(diagnosis)
 
@@ -99,7 +99,7 @@ def pulls_table(diagnosis: Diagnosis) -> str:
     )
     return (
         "<b>What each group pulls</b> (the fit without it)<table><tr><th>group</th><th>turns</th><th>moves</th>"
-        f"<th>its points are off</th><th>weights</th></tr>{rows}</table>"
+        f"<th>is off</th><th>weights</th></tr>{rows}</table>"
     )
 
 

@@ -27,7 +27,7 @@ class LandmarkTools:
         self._session, self._head, self._said, self._redraw = session, head, said, redraw
         self._renderer: HeadRenderer | None = None
         self.frame = 0
-        self.view = OverlayView(height_px=height_px, unit=UNITS["%"])
+        self.view = OverlayView(height_px=height_px, unit=UNITS["%"], at_face=True)
         self.view.on_event(self._on_event)
         self.tool = widgets.ToggleButtons(
             options=[("select", "select"), ("lasso", "lasso"), ("move", "move")], style={"button_width": "auto"},

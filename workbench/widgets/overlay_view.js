@@ -101,7 +101,7 @@ function render({ model, el }) {
   const colors = Array.from({ length: 256 }, (_, k) => `rgb(${table.slice(3 * k, 3 * k + 3).join()})`);
   bar.style.background = `linear-gradient(90deg, ${colors.filter((_, k) => k % 17 === 0).join(", ")})`;
 
-  const view = { scale: 1, x: 0, y: 0, mode: "whole" };
+  const view = { scale: 1, x: 0, y: 0, mode: model.get("at_face") ? "face" : "whole" };
   const moved = new Map(); // landmark -> {x, y, until}: where the user put it, until the kernel sends it back
   let fit = null, wire = null, bitmap = null, layerBitmap = null, size = [0, 0];
   let hovered = -1, pointer = null, gesture = null, draws = 0, asked = 0, stalePicture = true, placedFor = "";
@@ -126,9 +126,11 @@ function render({ model, el }) {
   function place() {
     if (!size[0]) return;
     if (view.mode === "face" && fit) {
-      const places = Array.from({ length: count() }, (_, i) => observed(i)).filter(([x]) => Number.isFinite(x));
+      // The places in the kernel: a landmark under the mouse must not move the view.
+      const places = Array.from({ length: count() }, (_, i) => [fit[COLUMNS * i], fit[COLUMNS * i + 1]])
+        .filter(([x]) => Number.isFinite(x));
       const xs = places.map(([x]) => x), ys = places.map(([, y]) => y);
-      const margin = 0.18 * (Math.max(...xs) - Math.min(...xs));
+      const margin = 0.3 * (Math.max(...xs) - Math.min(...xs));
       show(Math.min(...xs) - margin, Math.min(...ys) - margin, Math.max(...xs) + margin, Math.max(...ys) + margin);
     } else if (view.mode !== "free") {
       show(-0.5, -0.5, size[0] - 0.5, size[1] - 0.5);

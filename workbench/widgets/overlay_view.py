@@ -174,6 +174,7 @@ class OverlayView(anywidget.AnyWidget):
     message = traitlets.Unicode("", help="shown over the picture").tag(sync=True)
     webgl = traitlets.Bool(None, allow_none=True, help="WebGL2 in the browser; None until shown").tag(sync=True)
     height_px = traitlets.Int(420, min=80).tag(sync=True)
+    at_face = traitlets.Bool(False, help="show the face at first, not the whole picture").tag(sync=True)
     _picture = traitlets.Bytes(b"").tag(sync=True)
     _size = traitlets.List(traitlets.Int(), [0, 0]).tag(sync=True)
     _layer = traitlets.Bytes(b"").tag(sync=True)

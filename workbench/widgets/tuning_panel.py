@@ -33,7 +33,7 @@ STYLE = """<style>
 .fw-panel .jupyter-button { padding: 0 7px; line-height: 22px; }
 .fw-panel .jupyter-widget-Tab > .jupyter-widget-TabPanel-tabContents, .fw-panel .widget-tab-contents { padding: 4px; }
 .fw-panel .lm-TabBar-tab { min-width: 0; flex: 0 1 auto; padding: 0 6px; font-size: 12px; }
-.fw-panel .fw-controls .lm-TabBar-tab { flex: 1 1 auto; padding: 0 4px; justify-content: center; }
+.fw-panel .fw-controls .lm-TabBar-tab { flex: 1 1 auto !important; padding: 0 3px !important; }
 .fw-panel .widget-html-content, .fw-panel .jupyter-widget-html-content { line-height: 18px; font-size: 12px; }
 .fw-panel .fw-status code { white-space: nowrap; font-size: 12px; }
 .fw-panel table { font-size: 12px; }
