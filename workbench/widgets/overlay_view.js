@@ -517,7 +517,8 @@ function render({ model, el }) {
       const confirmed = fit && Math.hypot(fit[COLUMNS * i] - spot.x, fit[COLUMNS * i + 1] - spot.y) < 0.05;
       if (confirmed && spot.until < Infinity) moved.delete(i);
     }
-    draw();
+    if (view.mode === "face" && !gesture) place();
+    draw(view.mode === "face");
   }
 
   function onPicture() {
@@ -526,7 +527,7 @@ function render({ model, el }) {
     moved.clear(); // another frame
     if (placedFor !== size.join()) {
       placedFor = size.join();
-      view.mode = "whole";
+      view.mode = model.get("at_face") ? "face" : "whole";
       place();
     }
     draw(true);
