@@ -19,11 +19,14 @@ class Panel(widgets.VBox):
 
     def __init__(self, session: TuningSession) -> None:
         super().__init__()
-        self.session, self.closed = session, False
+        self.session = session
+        self.closed, self.may_close = threading.Event(), threading.Event()
+        self.may_close.set()
 
     def close(self) -> None:
-        self.closed = True
+        self.may_close.wait(10)
         super().close()
+        self.closed.set()
 
 
 @pytest.fixture
@@ -64,9 +67,22 @@ def test_another_choice_closes_the_panel_before(opener, landmark_file):
     first = opener.panel
     opener.open_path(landmark_file)
     opener.wait_idle()
-    assert first.closed
+    assert first.closed.wait(10)
     assert opener.panel is not first
     assert len(opener.session) == 3
+
+
+def test_a_panel_that_takes_its_time_to_close_holds_nothing_up(opener, landmark_file):
+    opener.open_sample("sample portrait")
+    opener.wait_idle()
+    slow = opener.panel
+    slow.may_close.clear()
+    opener.open_path(landmark_file)
+    assert opener.wait_idle(10.0)
+    assert "3 frames" in opener.message.value
+    assert not slow.closed.is_set()
+    slow.may_close.set()
+    assert slow.closed.wait(10)
 
 
 def test_a_path_may_be_pasted_with_quotes_and_blanks(opener, landmark_file):
@@ -106,7 +122,7 @@ def test_an_error_is_one_red_sentence_and_leaves_what_is_open(opener, tmp_path, 
     assert "role='alert'" in opener.message.value
     assert "Traceback" not in opener.message.value
     assert opener.place.children == (panel,)
-    assert not panel.closed
+    assert not panel.closed.is_set()
 
 
 def test_an_empty_path_says_what_to_do(opener):
@@ -155,5 +171,5 @@ def test_closing_closes_the_panel():
     opener.wait_idle()
     panel = opener.panel
     opener.close()
-    assert panel.closed
+    assert panel.closed.is_set()
     assert "SessionOpener" in repr(opener)

@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,6 +54,8 @@ class SessionOpener(widgets.VBox):
         self.panel: widgets.Widget | None = None
         self._make_panel = make_panel
         self._worker: LatestWins[Wanted] = LatestWins(self._open, self._failed, "session-opener")
+        # A panel that still gets ready takes seconds to close; nobody shall wait for that.
+        self._closer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="opener-close")
         self.samples = {text: _button(text, "opens at once") for text in sample_choices()}
         for text, button in self.samples.items():
             button.on_click(lambda _button, text=text: self.open_sample(text))
@@ -85,8 +88,9 @@ class SessionOpener(widgets.VBox):
         return self._worker.wait_idle(timeout_s)
 
     def close(self) -> None:
-        """Close the panel and end the thread."""
+        """Close the panel and end the threads."""
         self._worker.close()
+        self._closer.shutdown(wait=True)
         if self.panel is not None:
             self.panel.close()
         super().close()
@@ -108,7 +112,7 @@ class SessionOpener(widgets.VBox):
         before, self.panel, self.session = self.panel, self._make_panel(session), session
         self.place.children = (self.panel,)
         if before is not None:
-            before.close()
+            self._closer.submit(before.close)
         self.progress.layout.display = "none"
         self._say(f"{session.material.name}: {len(session)} frame{'s' if len(session) > 1 else ''}.")
 
