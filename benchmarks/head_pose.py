@@ -9,7 +9,7 @@ import argparse
 import numpy as np
 from result import print_result
 
-from workbench.config import preset
+from workbench.config import DEFAULT_PRESET, preset
 from workbench.errors import MissingDependencyError
 from workbench.face import load_default_head
 from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov
@@ -57,7 +57,7 @@ def main() -> None:
 def _errors(detector, count: int, seed: int) -> tuple[np.ndarray, int]:
     head, rng = load_default_head(), np.random.default_rng(seed)
     camera = camera_from_fov(SIZE, FOV_DEG)
-    config = preset("calibrated").changed(camera={"fov_deg": FOV_DEG})
+    config = preset(DEFAULT_PRESET).changed(camera={"fov_deg": FOV_DEG})
     tracker = FaceTracker(head, config, stills=True)
     finder = LandmarkTracker(detector)
     errors, missed = [], 0
