@@ -8,6 +8,7 @@ import pytest
 from tests.scenes import FOV_DEG, make_scene
 from workbench.config import preset
 from workbench.diagnosis import estimate_uncertainty, vertex_uncertainty
+from workbench.diagnosis.reference import JOINT_STAGES
 from workbench.diagnosis.uncertainty import correlated_pairs, inverse_on, linearise
 from workbench.errors import InputError
 from workbench.tracking import FrameContext, FrameFitter
@@ -20,6 +21,7 @@ CONFIG = preset("joint").changed(
     weights={"sigma_smooth": 0.0},
     solver={"tolerance": 1e-12, "bounded": False},
     contour={"mode": "fixed"},
+    stages=[stage.model_dump() for stage in JOINT_STAGES],
 )
 """No prior and no bound: least squares, whose scatter theory knows."""
 
@@ -46,6 +48,17 @@ def refits(small, scene):
         fit, _ = fitter.fit(scene.observation(noise_px=NOISE_PX, seed=seed), context(small))
         rows.append(np.concatenate([fit.rotation, fit.translation, fit.expression]))
     return np.array(rows)
+
+
+def test_the_scatter_of_weighted_landmarks_is_that_of_noisy_refits(small, scene):
+    """Weights that do not mirror the noise: the fit is no longer the best one, and theory must say by how much."""
+    weighted = CONFIG.changed(landmarks={"weights": {"jaw": 0.1, "mouth": 3.0}})
+    fitter, rows = FrameFitter(small, weighted), []
+    for seed in range(300):
+        fit, _ = fitter.fit(scene.observation(noise_px=NOISE_PX, seed=seed), context(small, weighted))
+        rows.append(np.concatenate([fit.rotation, fit.translation, fit.expression]))
+    found = estimate_uncertainty(small, weighted, context(small, weighted), fit)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(found.scatter)), np.std(rows, axis=0), rtol=0.25)
 
 
 def test_the_covariance_is_the_scatter_of_noisy_refits(small, scene, refits):

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 from workbench.config import Config
 from workbench.diagnosis.causes import INPUT_CAUSES, SCHEDULE_CAUSES
-from workbench.diagnosis.causes.configuration import RELAXED_TAU, jointly
+from workbench.diagnosis.causes.configuration import RELAXED_TAU
 from workbench.diagnosis.group_pull import leave_one_group_out as pulls_of
 from workbench.diagnosis.ranking import LEAST_SCORE, ranked, score
 from workbench.diagnosis.records import Diagnosis, FrameCase, GroupPull
-from workbench.diagnosis.reference import ShotReference
+from workbench.diagnosis.reference import ShotReference, jointly
 from workbench.diagnosis.trial import Finding, Trial
 from workbench.diagnosis.uncertainty import estimate_uncertainty
 from workbench.errors import InputError

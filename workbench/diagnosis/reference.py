@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from workbench.config import PRESET_STAGES, Config
+from workbench.config import POSE, ROBUST_START, Config, Stage
 from workbench.diagnosis.flags import face_size
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, landmark_model
@@ -30,6 +30,15 @@ not pass for usual."""
 USUAL_MOTION_PERCENT = (0.6, 2.0)
 
 
+JOINT_STAGES = (ROBUST_START, Stage(name="pose and expression", free=(*POSE, "expression"), limit=30))
+"""The joint solve with every landmark in full, because a misfit counts every landmark in full."""
+
+
+def jointly(config: Config) -> Config:
+    """The configuration with pose and expression solved as one problem."""
+    return config.changed(stages=[stage.model_dump() for stage in JOINT_STAGES])
+
+
 class ShotReference:
     """The usual of one shot under one configuration. Make it once a shot; its parts are computed when asked for.
 
@@ -44,7 +53,7 @@ class ShotReference:
         self.config = config
         self._shot = usable
         # Pose and expression together, with enough iterations: what is usual must not hang on what is under suspicion.
-        self._config = config.changed(stages=[stage.model_dump() for stage in PRESET_STAGES["joint"]])
+        self._config = jointly(config)
         self._fitter = copy.copy(fitter)
         self._fitter.configure(self._config)
         self._model = model

@@ -46,8 +46,8 @@ class Linearised(NamedTuple):
     """ω_sparse · ω_fit."""
     unit: float
     """What one unit of the residual is, % of the outer-eye distance."""
-    count: int
-    """Coordinates that count."""
+    row_weights: Float[np.ndarray, "136"]
+    """What each coordinate counts: landmark weight times confidence."""
 
 
 def linearise(model: FaceModel, config: Config, context: FrameContext, fit: FrameFit) -> Linearised:
@@ -77,7 +77,7 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
         *(np.asarray(part) for part in (residual, jacobian, matrix, gradient)),
         data_factor=float(factor),
         unit=percent,
-        count=2 * int(np.count_nonzero(weights * fit.confidence)),
+        row_weights=np.repeat(weights * fit.confidence, 2),
     )
 
 
@@ -108,14 +108,19 @@ def estimate_uncertainty(model: FaceModel, config: Config, context: FrameContext
     problem = linearise(model, config, context, fit)
     held = _held(config, fit, problem.gradient)
     free = np.concatenate([np.ones(6, bool), ~held])
-    degrees_of_freedom = max(problem.count - int(free.sum()), problem.count // 4, 1)
+    # A residual that counts less also says less about the noise: rows are counted by their weight.
+    rows = problem.row_weights
+    count = float(rows.sum())
+    spent = free.sum() * count / max(np.count_nonzero(rows), 1)
+    degrees_of_freedom = max(count - spent, count / 4.0, 1e-3)
     variance = max(problem.data_factor * float(problem.residual @ problem.residual) / degrees_of_freedom, 1e-12)
     prior = np.zeros(len(free))
     if config.solver.bounded:
         prior[6:] = 1.0 / WEIGHT_WIDTH**2
     precision = problem.matrix / variance + np.diag(prior)
     covariance, condition = inverse_on(precision, free)
-    scatter = covariance @ (problem.data_factor / variance * problem.jacobian.T @ problem.jacobian) @ covariance
+    weighted = problem.jacobian.T @ (rows[:, None] * problem.jacobian)
+    scatter = covariance @ (problem.data_factor / variance * weighted) @ covariance
     to_axes = np.eye(len(free))
     to_axes[:3, :3] = _left_jacobian(np.asarray(fit.rotation))
     about_axes = to_axes @ covariance @ to_axes.T

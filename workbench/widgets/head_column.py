@@ -41,7 +41,9 @@ class HeadColumn:
             layout=widgets.Layout(width="150px", display="none"),
         )  # fmt: skip
         self.points = widgets.ToggleButton(
-            description="points", tooltip="landmarks and residuals in 3D", layout=widgets.Layout(width="auto")
+            description="points",
+            tooltip="landmarks and residuals in 3D",
+            layout=widgets.Layout(width="auto", flex="0 0 auto"),
         )
         self.compare = widgets.Dropdown(
             options=self._comparisons(), value="", tooltip="show another configuration's fit as a ghost",
@@ -49,7 +51,7 @@ class HeadColumn:
         )  # fmt: skip
         self.beside = widgets.ToggleButton(
             description="beside", tooltip="the compared head beside this one, not as a ghost behind it",
-            layout=widgets.Layout(width="auto"),
+            layout=widgets.Layout(width="auto", flex="0 0 auto"),
         )  # fmt: skip
         for control in (self.color, self.shape, self.points, self.compare, self.beside):
             control.observe(self._on_choice, "value")

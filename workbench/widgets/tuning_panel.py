@@ -122,7 +122,7 @@ class TuningPanel(widgets.VBox):
         self._leave()
         for worker in (self._worker, self._clip_worker):
             worker.close()
-        self._slow.shutdown(wait=True, cancel_futures=True)
+        self._slow.shutdown(wait=False, cancel_futures=True)
         self.overlay.close()
         self.head.close()
         super().close()
@@ -181,7 +181,8 @@ class TuningPanel(widgets.VBox):
         self.cancel = _button("cancel", "stop the run; the last whole run stays")
         self.cancel.on_click(lambda _button: self._clip_worker.submit("cancel"))
         self.follow = widgets.ToggleButton(
-            value=len(self.session) <= LIVE_CLIP_FRAMES, description="live", layout=widgets.Layout(width="auto"),
+            value=len(self.session) <= LIVE_CLIP_FRAMES, description="live",
+            layout=widgets.Layout(width="auto", flex="0 0 auto"),
             tooltip="fit the whole clip again after each change",
         )  # fmt: skip
         self.progress = widgets.IntProgress(

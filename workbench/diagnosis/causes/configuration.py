@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from workbench.config import PRESET_STAGES, Config
 from workbench.diagnosis.group_pull import between_poses
 from workbench.diagnosis.records import Change
+from workbench.diagnosis.reference import jointly
 from workbench.diagnosis.trial import Finding, Trial
 from workbench.energies import TERMS
 from workbench.solvers import Status
@@ -162,8 +162,3 @@ def pose_expression_tradeoff(trial: Trial) -> Iterator[Finding]:
         specificity=0.75,
         numbers={"pose_deg": degrees, "pose_mm": millimetres},
     )
-
-
-def jointly(config: Config) -> Config:
-    """The configuration with pose and expression solved together on all landmarks."""
-    return config.changed(stages=[stage.model_dump() for stage in PRESET_STAGES["joint"]])
