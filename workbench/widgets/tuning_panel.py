@@ -39,6 +39,7 @@ STYLE = """<style>
 .fw-panel table { font-size: 12px; }
 .fw-panel td, .fw-panel th { padding: 0 6px; text-align: left; }
 </style>"""
+PAUSE_S = 0.1
 SETTLED_S = 0.3
 """Quiet time after the last change before the whole clip, or an exact identity, is fitted."""
 LIVE_CLIP_FRAMES = 1500
@@ -332,7 +333,11 @@ class TuningPanel(widgets.VBox):
         else:
             fit = session.fit_steps(request.frame, request.steps)
         self._show(fit)
-        if fit.found and not self._worker.newer():
+        # Numbers and curves wait for a pause: painting them would hold up the pictures of a drag.
+        if self._worker.wait_newer(PAUSE_S):
+            return
+        self.say(status_of(fit, len(self.session)))
+        if fit.found:
             self._traces = session.explain_frame(request.frame)[1]
             self._show_energy(self._traces, request.steps)
 
@@ -340,7 +345,6 @@ class TuningPanel(widgets.VBox):
         self.fit = fit
         self.overlay.show(fit)
         self.head.show(fit)
-        self.say(status_of(fit, len(self.session)))
 
     def _redraw(self) -> None:
         if self.fit is not None:
@@ -352,7 +356,10 @@ class TuningPanel(widgets.VBox):
         if wanted == "settle":
             if self._clip_worker.wait_newer(SETTLED_S):
                 return
-            if self._is_clip and not self.follow.value:
+            if not self._is_clip:  # the fit that is shown is the whole run
+                self._show_changes()
+                return
+            if not self.follow.value:
                 self._worker.submit(Show(self.frame))
                 self.clip.show_stale()
                 self._show_changes()
@@ -451,7 +458,7 @@ def changes_html(session: TuningSession) -> str:
     rows = "".join(f"<li><code>{html.escape(str(item))}</code></li>" for item in session.changes())
     unexported = len(session.unexported)
     text = f"<b>Changed since the start</b><ul style='margin:2px 0'>{rows or '<li>nothing</li>'}</ul>"
-    if session.run is not None:
+    if session.run is not None and not session.stale.any():
         numbers = ", ".join(f"{name} {value:g}" for name, value in session.metrics().items())
         text += f"<b>Last run</b>: {html.escape(numbers)}"
     return text + f"<br>{unexported} change(s) not exported yet."
