@@ -21,6 +21,7 @@ class ClipViews:
 
     def __init__(self, session: TuningSession, go: Callable[[int], None]) -> None:
         self._session, self._go = session, go
+        self._values = np.zeros((0, 68))
         self.timeline = TimelineView(height_px=116, unit="% of eye distance")
         self.timeline.observe(lambda change: self._go(change["new"]), "frame")
         self.pose = ChartView(height_px=150, title="head pose")
@@ -69,5 +70,3 @@ class ClipViews:
         self.weights.set_series(
             frames, {names[k]: track.expression[:, k] for k in most}, y_label="weight", x_label="frame"
         )
-
-    _values = np.zeros((0, 68))

@@ -27,6 +27,7 @@ class HeadColumn:
         self._session, self._head, self._size = session, head, size
         self._uncertainty, self._redraw = uncertainty, redraw
         self._compared: tuple | None = None
+        self._colored = self._marked = False
         self.view: HeadView = make_head_view(head.model, size, backend)
         self.look = widgets.ToggleButtons(
             options=["front", "camera", "free"], style={"button_width": "auto"},
@@ -109,9 +110,6 @@ class HeadColumn:
         elif self._colored:
             self.view.set_values(None, 0.0, 1.0, "")
         self._colored = kind != "skin"
-
-    _colored = False
-    _marked = False
 
     def _mark(self, fit: FrameFit) -> None:
         if self.points.value:

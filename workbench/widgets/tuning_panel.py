@@ -72,6 +72,7 @@ class TuningPanel(widgets.VBox):
         self._steps: int | None = None
         self._closed = False
         self.fit: FrameFit | None = None
+        self._traces: tuple[StageTrace, ...] = ()
         self.status = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 0", overflow="hidden"))
         self.status.add_class("fw-status")
         self._worker: LatestWins[Show] = LatestWins(self._refit, self._failed, "panel-fit")
@@ -397,8 +398,6 @@ class TuningPanel(widgets.VBox):
         self.energy.set_series(np.arange(x, dtype=float), seen, marks=marks, x_label="iteration", y_label="energy")
         place = f"stopped after {steps} of {total} iterations" if steps is not None else f"{total} iterations"
         self.stages.show_results(results, place)
-
-    _traces: tuple[StageTrace, ...] = ()
 
     def _counts(self) -> dict[str, int]:
         return {trace.stage: len(trace.energies) - 1 for trace in self._traces}
