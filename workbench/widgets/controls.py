@@ -160,3 +160,8 @@ def _input(knob: Knob) -> widgets.Widget:
     if knob.kind == "switch":
         return widgets.Checkbox(False, indent=True, **common)
     return widgets.Dropdown(options=knob.choices, **common)
+
+
+def small_button(text: str, tip: str) -> widgets.Button:
+    """A button as wide as its text."""
+    return widgets.Button(description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto"))

@@ -11,6 +11,7 @@ from workbench.rendering import HeadRenderer, gl_available
 from workbench.session import FittedHead, TuningSession
 from workbench.tracking import FrameFit
 from workbench.tracking.fitter import running_stages
+from workbench.widgets.controls import small_button
 from workbench.widgets.overlay_view import OverlayEvent, OverlayView
 
 UNITS = {"%": "% of eye distance", "px": "px"}
@@ -34,9 +35,9 @@ class LandmarkTools:
             tooltips=["click landmarks; Ctrl adds", "draw around landmarks", "drag a wrong detection to its place"],
         )  # fmt: skip
         widgets.link((self.tool, "value"), (self.view, "tool"))
-        self.mute = _button("mute", "mute or unmute the selected landmarks (m)")
-        self.up, self.down = _button("×2", "double their weight (+)"), _button("÷2", "halve their weight (−)")
-        self.back = _button("⟲", "put back: give the selected detections their old places (r)")
+        self.mute = small_button("mute", "mute or unmute the selected landmarks (m)")
+        self.up, self.down = small_button("×2", "double their weight (+)"), small_button("÷2", "halve their weight (−)")
+        self.back = small_button("⟲", "put back: give the selected detections their old places (r)")
         for button, kind in (
             (self.mute, "mute"), (self.up, "weight_up"), (self.down, "weight_down"), (self.back, "reset"),
         ):  # fmt: skip
@@ -47,7 +48,7 @@ class LandmarkTools:
         )  # fmt: skip
         self.group.observe(self._on_group, "value")
         self.name = widgets.Text(placeholder="name", tooltip="name of a subset", layout=widgets.Layout(width="76px"))
-        self.save = _button("save", "save the selection under this name, for stages and weights")
+        self.save = small_button("save", "save the selection under this name, for stages and weights")
         self.save.on_click(lambda _button: self._save())
         self.layers = {
             name: widgets.ToggleButton(
@@ -191,7 +192,3 @@ class LandmarkTools:
 
 def _fixed() -> widgets.Layout:
     return widgets.Layout(width="auto", flex="0 0 auto")
-
-
-def _button(text: str, tip: str) -> widgets.Button:
-    return widgets.Button(description=text, tooltip=tip, layout=_fixed())

@@ -6,6 +6,7 @@ import ipywidgets as widgets
 
 from workbench.config import Config, Stage
 from workbench.errors import ConfigError
+from workbench.widgets.controls import small_button
 
 BLOCKS = {"rotation": "R", "translation": "t", "expression": "w"}
 LONGEST = 8
@@ -91,10 +92,10 @@ class StageEditor:
     ) -> None:
         self._changed, self._run, self._stages = changed, run, ()
         self._rows = [StageRow(k, self._on_row, self._on_action) for k in range(LONGEST)]
-        self.add = _button("+ stage", "add a stage that frees the weights")
-        self.all = _button("▶ all", "run all stages")
-        self.back = _button("◀ one back", "one iteration fewer")
-        self.step = _button("step ▶", "one iteration more, through the stages in order")
+        self.add = small_button("+ stage", "add a stage that frees the weights")
+        self.all = small_button("▶ all", "run all stages")
+        self.back = small_button("◀ one back", "one iteration fewer")
+        self.step = small_button("step ▶", "one iteration more, through the stages in order")
         self.place = widgets.Label()
         self.add.on_click(lambda _button: self._add())
         for button, what in ((self.all, "all"), (self.back, "back"), (self.step, "step")):
@@ -166,7 +167,3 @@ def read_landmarks(text: str) -> dict[str, float]:
         except ValueError:
             raise ConfigError(f"Expected a group and its weight, as 'jaw 0.25', got {part!r}.") from None
     return found
-
-
-def _button(text: str, tip: str) -> widgets.Button:
-    return widgets.Button(description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto"))

@@ -19,7 +19,7 @@ from workbench.session.knobs import changed_by
 from workbench.tracking import FrameFit, StageTrace
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.clip_views import ClipViews
-from workbench.widgets.controls import Controls
+from workbench.widgets.controls import Controls, small_button
 from workbench.widgets.diagnosis_view import DiagnosisView
 from workbench.widgets.head_column import HeadColumn
 from workbench.widgets.landmark_tools import LandmarkTools
@@ -159,7 +159,10 @@ class TuningPanel(widgets.VBox):
         self.tabs = widgets.Tab(children=list(pages.values()), titles=list(pages))
 
     def _history_bar(self) -> widgets.Widget:
-        self.undo, self.redo = _button("↶ undo", "take back the last change"), _button("↷ redo", "make it again")
+        self.undo, self.redo = (
+            small_button("↶ undo", "take back the last change"),
+            small_button("↷ redo", "make it again"),
+        )
         self.undo.on_click(lambda _button: self.session.undo())
         self.redo.on_click(lambda _button: self.session.redo())
         self.reset = widgets.Dropdown(
@@ -170,7 +173,7 @@ class TuningPanel(widgets.VBox):
         self.name = widgets.Text(
             placeholder="snapshot name", tooltip="name of a snapshot", layout=widgets.Layout(width="92px")
         )
-        self.keep = _button("keep", "keep the present configuration under this name")
+        self.keep = small_button("keep", "keep the present configuration under this name")
         self.keep.on_click(lambda _button: self._guarded(self._on_keep))
         return widgets.HBox(
             [self.undo, self.redo, self.reset, self.name, self.keep, self.status],
@@ -178,9 +181,9 @@ class TuningPanel(widgets.VBox):
         )
 
     def _file_bar(self) -> widgets.Widget:
-        self.run_clip = _button("▶ run clip" if self._is_clip else "▶ run", "fit all frames")
+        self.run_clip = small_button("▶ run clip" if self._is_clip else "▶ run", "fit all frames")
         self.run_clip.on_click(lambda _button: self._clip_worker.submit("run"))
-        self.cancel = _button("cancel", "stop the run; the last whole run stays")
+        self.cancel = small_button("cancel", "stop the run; the last whole run stays")
         self.cancel.on_click(lambda _button: self._clip_worker.submit("cancel"))
         self.follow = widgets.ToggleButton(
             value=len(self.session) <= LIVE_CLIP_FRAMES, description="live",
@@ -191,9 +194,9 @@ class TuningPanel(widgets.VBox):
             0, max=len(self.session), layout=widgets.Layout(width="120px", visibility="hidden")
         )
         self.step_buttons = [
-            _button("◀", "frame before"),
-            _button("▶", "next frame"),
-            _button("⚑", "next flagged frame"),
+            small_button("◀", "frame before"),
+            small_button("▶", "next frame"),
+            small_button("⚑", "next flagged frame"),
         ]
         for button, to in zip(self.step_buttons, (-1, 1, 0), strict=True):
             button.on_click(lambda _button, to=to: self.go(self.frame + to if to else self._next_flagged()))
@@ -201,7 +204,7 @@ class TuningPanel(widgets.VBox):
             "tuned.toml", tooltip="file of the configuration", continuous_update=False,
             layout=widgets.Layout(width="150px"),
         )  # fmt: skip
-        self.export = _button("export", "write the configuration with its provenance")
+        self.export = small_button("export", "write the configuration with its provenance")
         self.export.on_click(lambda _button: self._later(self._on_export))
         self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
         clip = [*self.step_buttons, self.run_clip, self.follow, self.cancel, self.progress] if self._is_clip else []
@@ -461,7 +464,3 @@ def changes_html(session: TuningSession) -> str:
         numbers = ", ".join(f"{name} {value:g}" for name, value in session.metrics().items())
         text += f"<b>Last run</b>: {html.escape(numbers)}"
     return text + f"<br>{unexported} change(s) not exported yet."
-
-
-def _button(text: str, tip: str) -> widgets.Button:
-    return widgets.Button(description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto"))
