@@ -19,6 +19,9 @@ def configure_jax() -> None:
     small programs (JAX skips those under a second by default), so a second start of a notebook compiles nothing.
     """
     jax.config.update("jax_enable_x64", True)
+    # In the calling thread, not in XLA's pool: several threads that each fill a place of a small pool and wait there
+    # for others would wait for ever.
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
     if jax.config.jax_compilation_cache_dir is None:
         jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
