@@ -23,3 +23,10 @@ def head():
     from workbench.face import load_default_head
 
     return load_default_head()
+
+
+@pytest.fixture(scope="session")
+def screenshots(tmp_path_factory) -> Path:
+    """Folder for pictures of the browser tests; WORKBENCH_SCREENSHOTS keeps them."""
+    kept = os.environ.get("WORKBENCH_SCREENSHOTS")
+    return Path(kept) if kept else tmp_path_factory.mktemp("screenshots")

@@ -18,12 +18,6 @@ if lacking and os.environ.get("CI") != "true":
 
 
 @pytest.fixture(scope="module")
-def screenshots(tmp_path_factory) -> Path:
-    kept = os.environ.get("WORKBENCH_SCREENSHOTS")
-    return Path(kept) if kept else tmp_path_factory.mktemp("screenshots")
-
-
-@pytest.fixture(scope="module")
 def lab(tmp_path_factory):
     """The quickstart, run from top to bottom."""
     assert not lacking, lacking

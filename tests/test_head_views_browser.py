@@ -3,7 +3,6 @@
 import base64
 import os
 import statistics
-from pathlib import Path
 
 import cv2
 import nbformat
@@ -68,12 +67,6 @@ CELLS = (
         view.set_ghost(head.neutral - [14.0, 0.0, 0.0])
     """,
 )
-
-
-@pytest.fixture(scope="module")
-def screenshots(tmp_path_factory) -> Path:
-    kept = os.environ.get("WORKBENCH_SCREENSHOTS")
-    return Path(kept) if kept else tmp_path_factory.mktemp("screenshots")
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import base64
 import os
 import statistics
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -45,12 +44,6 @@ PHOTO = (
     """,
 )
 CLIP = (PANEL.format(name="performance"), READY)
-
-
-@pytest.fixture(scope="module")
-def screenshots(tmp_path_factory) -> Path:
-    kept = os.environ.get("WORKBENCH_SCREENSHOTS")
-    return Path(kept) if kept else tmp_path_factory.mktemp("screenshots")
 
 
 @pytest.fixture(scope="module")

@@ -176,12 +176,6 @@ class Views:
 
 
 @pytest.fixture(scope="module")
-def screenshots(tmp_path_factory) -> Path:
-    kept = os.environ.get("WORKBENCH_SCREENSHOTS")
-    return Path(kept) if kept else tmp_path_factory.mktemp("screenshots")
-
-
-@pytest.fixture(scope="module")
 def points() -> np.ndarray:
     return next(read_landmark_file(sample("astronaut-landmarks"))).landmarks.points
 

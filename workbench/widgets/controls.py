@@ -162,6 +162,7 @@ def _input(knob: Knob) -> widgets.Widget:
     return widgets.Dropdown(options=knob.choices, **common)
 
 
-def small_button(text: str, tip: str) -> widgets.Button:
-    """A button as wide as its text."""
-    return widgets.Button(description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto"))
+def small_button(text: str, tip: str, style: str = "") -> widgets.Button:
+    """A button as wide as its text; `style` is one of ipywidgets' `button_style`."""
+    layout = widgets.Layout(width="auto", flex="0 0 auto")
+    return widgets.Button(description=text, tooltip=tip, button_style=style, layout=layout)

@@ -13,6 +13,7 @@ from workbench.errors import WorkbenchError
 from workbench.samples import sample
 from workbench.session import TuningSession, open_session
 from workbench.tracking import Track
+from workbench.widgets.controls import small_button
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.tuning_panel import TuningPanel
 
@@ -56,12 +57,12 @@ class SessionOpener(widgets.VBox):
         self._worker: LatestWins[Wanted] = LatestWins(self._open, self._failed, "session-opener")
         # A panel that still gets ready takes seconds to close; nobody shall wait for that.
         self._closer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="opener-close")
-        self.samples = {text: _button(text, "opens at once") for text in sample_choices()}
+        self.samples = {text: small_button(text, "opens at once") for text in sample_choices()}
         for text, button in self.samples.items():
             button.on_click(lambda _button, text=text: self.open_sample(text))
         self.path = _text(PATH_HINT, "a file or folder on the computer where Python runs", "300px")
         self.landmarks = _text("landmark file (optional)", "landmarks of the pictures: no detector runs", "170px")
-        self.open_button = _button("Open", "open this path", "primary")
+        self.open_button = small_button("Open", "open this path", "primary")
         self.open_button.on_click(lambda _button: self._on_open())
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="140px", display="none"))
         self.message = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
@@ -147,8 +148,3 @@ def _path(text: str | Path) -> Path:
 
 def _text(placeholder: str, tip: str, width: str) -> widgets.Text:
     return widgets.Text(placeholder=placeholder, tooltip=tip, layout=widgets.Layout(width=width, flex="1 1 auto"))
-
-
-def _button(text: str, tip: str, style: str = "") -> widgets.Button:
-    layout = widgets.Layout(width="auto", flex="0 0 auto")
-    return widgets.Button(description=text, tooltip=tip, button_style=style, layout=layout)
