@@ -15,8 +15,8 @@ from workbench.face import load_default_head
 from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.tracking import LandmarkTracker
-from workbench.rendering import HeadRenderer
-from workbench.rendering.gl_probe import gl_available
+from workbench.pictures import HeadRenderer
+from workbench.pictures.gl_probe import gl_available
 from workbench.tracking import FaceTracker, FrameObservation
 
 SIZE = (512, 512)

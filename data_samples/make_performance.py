@@ -25,7 +25,7 @@ from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_fr
 from workbench.landmarks.dlib_detector import DlibDetector
 from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.landmarks.tracking import LandmarkTracker
-from workbench.rendering import HeadRenderer
+from workbench.pictures import HeadRenderer
 from workbench.tracking.frame_solver import head_yaw
 
 FOLDER = Path(__file__).resolve().parent

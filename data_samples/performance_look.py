@@ -6,8 +6,8 @@ import numpy as np
 from workbench.face.model import FaceModel
 from workbench.frames import read_picture
 from workbench.geometry import Camera
-from workbench.rendering import Light, Lighting
-from workbench.rendering.mesh import to_pixels
+from workbench.pictures import Light, Lighting
+from workbench.pictures.mesh import to_pixels
 from workbench.samples import sample
 
 SEED = 7

@@ -11,9 +11,9 @@ import pytest
 
 from workbench.errors import InputError, WorkbenchError
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov, project
-from workbench.rendering import HeadRenderer, gl_available, gl_probe
-from workbench.rendering.extras import Extras, marks_mesh, outer_triangles
-from workbench.rendering.mesh import face_normals, to_camera
+from workbench.pictures import HeadRenderer, gl_available, gl_probe
+from workbench.pictures.extras import Extras, marks_mesh, outer_triangles
+from workbench.pictures.mesh import face_normals, to_camera
 from workbench.widgets.head_view import VSCODE_VARIABLES, chosen_backend, make_head_view, value_colors
 from workbench.widgets.viewpoint import (
     FURTHEST_MM,

@@ -428,7 +428,7 @@ def test_submitting_never_waits_for_the_work():
 
 
 def test_residuals_in_3d_project_to_the_observed_pixels(head, photo):
-    from workbench.rendering.mesh import to_camera, to_pixels
+    from workbench.pictures.mesh import to_camera, to_pixels
 
     session = TuningSession(head, photo, preset("calibrated").changed(contour={"mode": "fixed"}))
     fit, fitted = session.fit_frame(0), FittedHead(head)

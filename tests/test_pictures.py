@@ -14,7 +14,7 @@ from workbench.face.model import Embedding
 from workbench.frames import VideoWriter, open_frames, read_picture
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov, project
 from workbench.landmarks.files import read_landmark_file
-from workbench.rendering import (
+from workbench.pictures import (
     HeadPanel,
     HeadRenderer,
     Lighting,
@@ -30,7 +30,7 @@ from workbench.rendering import (
     write_overlay_picture,
     write_overlay_video,
 )
-from workbench.rendering.mesh import scaled_camera, split_seams, to_camera, to_pixels
+from workbench.pictures.mesh import scaled_camera, split_seams, to_camera, to_pixels
 from workbench.samples import sample
 from workbench.tracking.records import ARRAYS, FrameFit, Track, stack_fits
 

@@ -273,7 +273,7 @@ def landmark_record(fit: FrameFit) -> LandmarkRecord:
 
 
 def _write_pictures(source, writer, model, stills, folder, progress, notes) -> tuple[Path, ...]:
-    from workbench.rendering.overlay_files import write_overlay_picture, write_overlay_video  # VTK: a second to import
+    from workbench.pictures.overlay_files import write_overlay_picture, write_overlay_video  # VTK: a second to import
 
     total = len(writer)
     if not stills:

@@ -19,7 +19,7 @@ from workbench.energies import EnergyConstants, beta_curve, beta_slope
 from workbench.face import FaceModel
 from workbench.geometry import Camera
 from workbench.landmarks.scheme import GROUPS, outer_eye_distance
-from workbench.rendering import HeadPanel, OverlayParts, draw_overlay
+from workbench.pictures import HeadPanel, OverlayParts, draw_overlay
 from workbench.tracking import FrameFit
 
 Picture = UInt8[np.ndarray, "_ _ 3"]

@@ -19,7 +19,7 @@ PACKAGES = ("jax", "equinox", "optimistix", "opencv-contrib-python-headless", "p
 def info() -> None:
     """Versions, what is installed, and where things are."""
     from workbench.face import load_default_head
-    from workbench.rendering.gl_probe import gl_available
+    from workbench.pictures.gl_probe import gl_available
 
     head = load_default_head()
     table = Table(show_header=False, box=None)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from workbench.face import FaceModel
 from workbench.geometry import rotation_matrix
-from workbench.rendering.mesh import to_camera, to_pixels
+from workbench.pictures.mesh import to_camera, to_pixels
 from workbench.tracking import FrameFit
 
 SPREAD_MM = 12.0

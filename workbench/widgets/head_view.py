@@ -16,7 +16,7 @@ from jaxtyping import Float, UInt8
 from workbench.errors import InputError, MissingDependencyError
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
-from workbench.rendering.extras import NOTHING, Extras
+from workbench.pictures.extras import NOTHING, Extras
 from workbench.widgets.viewpoint import Viewpoint, camera_viewpoint, front_viewpoint
 
 Number = float | int

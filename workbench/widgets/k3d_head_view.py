@@ -13,10 +13,10 @@ from jaxtyping import Float, Integer, UInt8
 
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
-from workbench.rendering.background import SLATE
-from workbench.rendering.extras import GHOST_COLOR, SEGMENT_MM, outer_triangles
-from workbench.rendering.head_picture import bundled_texture, head_painter
-from workbench.rendering.mesh import neck_opacity, split_seams
+from workbench.pictures.background import SLATE
+from workbench.pictures.extras import GHOST_COLOR, SEGMENT_MM, outer_triangles
+from workbench.pictures.head_picture import bundled_texture, head_painter
+from workbench.pictures.mesh import neck_opacity, split_seams
 from workbench.widgets.head_view import (
     Legend,
     Number,

@@ -7,7 +7,7 @@ import numpy as np
 
 from workbench.errors import WorkbenchError
 from workbench.landmarks.scheme import GROUPS, outer_eye_distance
-from workbench.rendering import HeadRenderer, gl_available
+from workbench.pictures import HeadRenderer, gl_available
 from workbench.session import FittedHead, TuningSession
 from workbench.tracking import FrameFit
 from workbench.tracking.fitter import running_stages

@@ -15,7 +15,7 @@ from jaxtyping import Float, Num, Shaped, UInt8
 
 from workbench.errors import InputError, WorkbenchError
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT, POINT_NAMES, POLYLINES, check_68
-from workbench.rendering.overlay import WORST_PERCENT, residual_colors
+from workbench.pictures.overlay import WORST_PERCENT, residual_colors
 
 JPEG_QUALITY = 88
 LARGEST_SIDE = 2560

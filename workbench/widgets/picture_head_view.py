@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 from workbench.errors import WorkbenchError
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
-from workbench.rendering.head_picture import head_painter
+from workbench.pictures.head_picture import head_painter
 from workbench.widgets.head_view import (
     Legend,
     Number,

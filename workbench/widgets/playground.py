@@ -12,9 +12,9 @@ from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset
 from workbench.errors import WorkbenchError
 from workbench.face import FaceModel
 from workbench.landmarks.observations import Landmarks2D
+from workbench.pictures import HeadPanel, draw_overlay, side_by_side
+from workbench.pictures.overlay import OverlayParts
 from workbench.plots import close_up
-from workbench.rendering import HeadPanel, draw_overlay, side_by_side
-from workbench.rendering.overlay import OverlayParts
 from workbench.tracking import FaceTracker, FrameFit, FrameObservation
 
 PARTS = OverlayParts(text=False)

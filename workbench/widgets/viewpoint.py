@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
-from workbench.rendering.head_picture import portrait_view
+from workbench.pictures.head_picture import portrait_view
 
 NEAREST_MM, FURTHEST_MM = 150.0, 6000.0
 """Distances from the target that a mouse wheel can reach."""

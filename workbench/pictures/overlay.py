@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, UInt8
 
 from workbench.face.model import FaceModel
 from workbench.landmarks.scheme import POLYLINES, outer_eye_distance
-from workbench.rendering.mesh import scaled_camera, to_camera, to_pixels
+from workbench.pictures.mesh import scaled_camera, to_camera, to_pixels
 from workbench.tracking.records import FrameFit
 
 SMALLEST_SIDE, LARGEST_SIDE = 320, 1920

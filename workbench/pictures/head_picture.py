@@ -14,13 +14,13 @@ from workbench.errors import InputError, MissingDependencyError, WorkbenchError
 from workbench.face.model import FaceModel
 from workbench.frames import read_picture
 from workbench.geometry import Camera
-from workbench.rendering.background import background_picture, composite
-from workbench.rendering.extras import GHOST_COLOR, NOTHING, SEGMENT_MM, Extras, outer_triangles
-from workbench.rendering.gl_probe import gl_available
-from workbench.rendering.lighting import STUDIO, Lighting
-from workbench.rendering.mesh import check_scene, to_camera, to_pixels
-from workbench.rendering.render_thread import RenderThread
-from workbench.rendering.wireframe import draw_wireframe
+from workbench.pictures.background import background_picture, composite
+from workbench.pictures.extras import GHOST_COLOR, NOTHING, SEGMENT_MM, Extras, outer_triangles
+from workbench.pictures.gl_probe import gl_available
+from workbench.pictures.lighting import STUDIO, Lighting
+from workbench.pictures.mesh import check_scene, to_camera, to_pixels
+from workbench.pictures.render_thread import RenderThread
+from workbench.pictures.wireframe import draw_wireframe
 from workbench.samples import sample
 
 LARGEST_PX = 8192
@@ -259,7 +259,7 @@ def _make_scene(
     model: FaceModel, size: tuple[int, int], albedo: np.ndarray | None, supersampling: float, fade_neck: bool
 ):
     # VTK is imported in the thread that uses it, and only where GL has been found to work.
-    from workbench.rendering.head_scene import HeadScene
+    from workbench.pictures.head_scene import HeadScene
 
     return HeadScene(model, size, albedo, supersampling, fade_neck)
 

@@ -6,9 +6,9 @@ from jaxtyping import Float, UInt8
 
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
-from workbench.rendering.background import background_picture
-from workbench.rendering.lighting import STUDIO, Lighting
-from workbench.rendering.mesh import check_scene, face_normals, to_camera, to_pixels
+from workbench.pictures.background import background_picture
+from workbench.pictures.lighting import STUDIO, Lighting
+from workbench.pictures.mesh import check_scene, face_normals, to_camera, to_pixels
 
 SHIFT = 4
 """OpenCV draws with coordinates in sixteenths of a pixel."""

@@ -11,9 +11,9 @@ from jaxtyping import UInt8
 from workbench.errors import InputError
 from workbench.face.model import FaceModel
 from workbench.frames import Frame, Frames, VideoWriter, write_picture
-from workbench.rendering.background import background_picture
-from workbench.rendering.head_picture import HeadRenderer, PlainPainter, head_painter, portrait_view
-from workbench.rendering.overlay import ALL_BUT_MESH, OverlayParts, displayed_size, draw_overlay, side_by_side
+from workbench.pictures.background import background_picture
+from workbench.pictures.head_picture import HeadRenderer, PlainPainter, head_painter, portrait_view
+from workbench.pictures.overlay import ALL_BUT_MESH, OverlayParts, displayed_size, draw_overlay, side_by_side
 from workbench.tracking.records import FrameFit
 
 HEAD_VIEWS = ("pose", "front")

@@ -15,9 +15,9 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkPolyDataMapper, v
 
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
-from workbench.rendering.extras import GHOST_COLOR, NOTHING, Extras, marks_mesh, outer_triangles
-from workbench.rendering.lighting import Light, Lighting
-from workbench.rendering.mesh import corner_sum, neck_opacity, split_seams, to_camera, to_pixels, vertex_normals
+from workbench.pictures.extras import GHOST_COLOR, NOTHING, Extras, marks_mesh, outer_triangles
+from workbench.pictures.lighting import Light, Lighting
+from workbench.pictures.mesh import corner_sum, neck_opacity, split_seams, to_camera, to_pixels, vertex_normals
 
 WET_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
 """Parts that shine."""

@@ -1,0 +1,20 @@
+"""Pictures: the 3D head off screen, and overlays on the input frames."""
+
+from workbench.pictures.gl_probe import gl_available as gl_available
+from workbench.pictures.head_picture import HeadPainter as HeadPainter
+from workbench.pictures.head_picture import HeadRenderer as HeadRenderer
+from workbench.pictures.head_picture import PlainPainter as PlainPainter
+from workbench.pictures.head_picture import head_painter as head_painter
+from workbench.pictures.head_picture import picture_of_head as picture_of_head
+from workbench.pictures.head_picture import portrait_view as portrait_view
+from workbench.pictures.lighting import STUDIO as STUDIO
+from workbench.pictures.lighting import Light as Light
+from workbench.pictures.lighting import Lighting as Lighting
+from workbench.pictures.overlay import ALL_BUT_MESH as ALL_BUT_MESH
+from workbench.pictures.overlay import OverlayParts as OverlayParts
+from workbench.pictures.overlay import draw_overlay as draw_overlay
+from workbench.pictures.overlay import side_by_side as side_by_side
+from workbench.pictures.overlay_files import HeadPanel as HeadPanel
+from workbench.pictures.overlay_files import write_overlay_picture as write_overlay_picture
+from workbench.pictures.overlay_files import write_overlay_video as write_overlay_video
+from workbench.pictures.wireframe import draw_wireframe as draw_wireframe
