@@ -1,0 +1,69 @@
+"""From heat maps to points: the soft-argmax of Deep Energies (Eq. 3), and how sure a heat map is of its point."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from workbench.arrays import AnyArray, Scalar
+
+BETA = 50.0
+"""β of Eq. 3, "set experimentally"."""
+
+_ROWS, _COLUMNS = (offset.ravel() for offset in np.mgrid[-1:2, -1:2])
+
+
+def soft_argmax(heat_maps: Float[AnyArray, "n h w"], beta: Scalar = BETA) -> Float[Array, "n 2"]:
+    """m̂ = Σ m·exp(β·H(m)) / Σ exp(β·H(m)) over the pixels m of the 3×3 patch around each map's maximum (Eq. 3).
+
+    In heat-map pixels, x right and y down, (0, 0) the centre of the top-left pixel. At the border the patch is what
+    lies inside of the map; of equal maxima the first in reading order counts. The maximum's place is constant in the
+    derivative, as in the paper: m̂ is smooth in H until another pixel becomes the largest. `beta` may be traced.
+    """
+    patch = _patch_around_maximum(heat_maps)
+    weights = _exponentials(patch, beta)
+    share = weights / weights.sum(axis=1, keepdims=True)
+    dtype = share.dtype
+    x = patch.column.astype(dtype) + share @ jnp.asarray(_COLUMNS, dtype)
+    y = patch.row.astype(dtype) + share @ jnp.asarray(_ROWS, dtype)
+    return jnp.stack([x, y], axis=-1)
+
+
+def patch_mass(heat_maps: Float[AnyArray, "n h w"], beta: Scalar = BETA) -> Float[Array, "n"]:
+    """Share of the whole map's exp(β·H) that lies in the 3×3 patch around its maximum, 0..1.
+
+    Where softmax(β·H) is the probability of the landmark's place, this is the probability that it lies in the patch.
+    """
+    patch = _patch_around_maximum(heat_maps)
+    inside = _exponentials(patch, beta).sum(axis=1)
+    outside = jnp.exp(beta * (heat_maps - patch.largest[:, None, None])).sum(axis=(1, 2))
+    return inside / outside
+
+
+class _Patch(NamedTuple):
+    values: Float[Array, "n 9"]
+    inside: Array
+    """(n, 9): which of the nine pixels belong to the map."""
+    largest: Float[Array, "n"]
+    """Constant in the derivative: it only keeps the exponentials in range and cancels in every ratio."""
+    row: Int[Array, "n"]
+    column: Int[Array, "n"]
+
+
+def _patch_around_maximum(heat_maps: Float[AnyArray, "n h w"]) -> _Patch:
+    count, height, width = heat_maps.shape
+    flat = jnp.reshape(heat_maps, (count, height * width))
+    place = jnp.argmax(jax.lax.stop_gradient(flat), axis=1)
+    row, column = place // width, place % width
+    rows, columns = row[:, None] + _ROWS, column[:, None] + _COLUMNS
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    # Pixels beyond the border read their neighbour inside; their weight is zero.
+    read = jnp.clip(rows, 0, height - 1) * width + jnp.clip(columns, 0, width - 1)
+    values = jnp.take_along_axis(flat, read, axis=1)
+    return _Patch(values, inside, jax.lax.stop_gradient(values[:, 4]), row, column)
+
+
+def _exponentials(patch: _Patch, beta: Scalar) -> Float[Array, "n 9"]:
+    return jnp.where(patch.inside, jnp.exp(beta * (patch.values - patch.largest[:, None])), 0)
