@@ -1,9 +1,14 @@
 """How JAX runs here: double precision for the solves, and compiled programs kept between sessions."""
 
 import os
+import threading
 from pathlib import Path
 
 import jax
+
+COMPUTING = threading.RLock()
+"""Held while a large compiled program runs. XLA splits such a program over a pool of one thread a core; two programs
+at once, called from two threads, can fill the pool with parts that wait for each other, and then wait for ever."""
 
 
 def cache_folder() -> Path:
@@ -19,8 +24,7 @@ def configure_jax() -> None:
     small programs (JAX skips those under a second by default), so a second start of a notebook compiles nothing.
     """
     jax.config.update("jax_enable_x64", True)
-    # In the calling thread, not in XLA's pool: several threads that each fill a place of a small pool and wait there
-    # for others would wait for ever.
+    # A call returns when its result is there, so that `COMPUTING` covers the whole run.
     jax.config.update("jax_cpu_enable_async_dispatch", False)
     if jax.config.jax_compilation_cache_dir is None:
         jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))

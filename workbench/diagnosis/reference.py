@@ -16,6 +16,7 @@ from workbench.geometry import Camera
 from workbench.landmarks.alignment import fit_similarity
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS
+from workbench.runtime import COMPUTING
 from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation
 from workbench.tracking.identity import CalibrationSettings, calibrate_identity
 
@@ -193,14 +194,15 @@ class ShotReference:
         settings = CalibrationSettings(
             identity=1.0, expression=8.0, limits=(40, 15), landmark_weights=np.stack([used, used]), sliding=1.0
         )
-        solved = calibrate_identity(
-            _stacked(cameras),
-            landmark_model(self._model),
-            settings,
-            _stacked(starts),
-            np.stack([frame.landmarks.points for frame in chosen]),
-            weights,
-        )
+        with COMPUTING:
+            solved = calibrate_identity(
+                _stacked(cameras),
+                landmark_model(self._model),
+                settings,
+                _stacked(starts),
+                np.stack([frame.landmarks.points for frame in chosen]),
+                weights,
+            )
         return float(solved.cost)
 
 

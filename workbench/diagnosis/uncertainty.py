@@ -14,6 +14,7 @@ from workbench.energies.total import data_weight
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, rotation_matrix
+from workbench.runtime import COMPUTING
 from workbench.tracking import FrameContext, FrameFit
 from workbench.tracking.fitter import running_stages, solve_settings
 from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem
@@ -71,7 +72,10 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
         parameters,
     )
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (fit.camera, personal, solve_settings(config)))
-    residual, jacobian, matrix, gradient, factor, unit = _linearised(*arrays, jnp.asarray(weights), frame, parameters)
+    with COMPUTING:
+        residual, jacobian, matrix, gradient, factor, unit = _linearised(
+            *arrays, jnp.asarray(weights), frame, parameters
+        )
     percent = 1.0 if config.solver.unit == "percent" else float(unit)
     return Linearised(
         *(np.asarray(part) for part in (residual, jacobian, matrix, gradient)),

@@ -16,6 +16,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, camera_from_fov, camera_from_matrix, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
+from workbench.runtime import COMPUTING
 from workbench.tracking.frame_solver import (
     FREE_SETS,
     STAGE_SLOTS,
@@ -251,15 +252,16 @@ class FrameFitter:
         began = time.perf_counter()
         camera, camera_on_device = self._camera_pair(observation.image_size)
         personal = self._personal_of(context.identity)
-        solution = solve_frame(
-            camera_on_device,
-            personal,
-            self._settings,
-            self._programs[context.last is None],
-            self._frame_input(observation, context),
-            method=self.config.solver.method,
-            trace_length=trace_length,
-        )
+        with COMPUTING:
+            solution = solve_frame(
+                camera_on_device,
+                personal,
+                self._settings,
+                self._programs[context.last is None],
+                self._frame_input(observation, context),
+                method=self.config.solver.method,
+                trace_length=trace_length,
+            )
         fetched = read_report(solution)
         milliseconds = 1e3 * (time.perf_counter() - began)
         return self._record(observation, context, camera, fetched, milliseconds), solution
@@ -304,14 +306,15 @@ class FrameFitter:
             expression=np.zeros((count, len(self.model.expression_names))),
             identity=np.zeros((count, len(self.model.identity_deltas))),
         )
-        return calibrate_identity(
-            Camera(*(np.stack(part) for part in zip(*cameras, strict=True))),
-            self._landmarks,
-            settings,
-            starts,
-            np.stack([observation.landmarks.points for observation in observations]),
-            weights,
-        )
+        with COMPUTING:
+            return calibrate_identity(
+                Camera(*(np.stack(part) for part in zip(*cameras, strict=True))),
+                self._landmarks,
+                settings,
+                starts,
+                np.stack([observation.landmarks.points for observation in observations]),
+                weights,
+            )
 
     def _record(self, observation, context: FrameContext, camera, solution: FrameSolution, milliseconds: float):
         # Rows are laid out for the stages of a first frame, so that first and later frames stack.
