@@ -19,6 +19,7 @@ from workbench.samples import sample
 from workbench.session import Material, TuningSession, material_of_photo, material_of_track, open_session
 from workbench.session.material import PictureStore
 from workbench.tracking import FaceTracker, FrameObservation, Track
+from workbench.tracking.fitter import FrameFitter
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
 
@@ -391,3 +392,21 @@ def test_a_photo_of_another_shape_is_fitted(head):
     landmarks = Landmarks2D(scene.points, np.ones(68), IMAGE_SIZE)
     session = TuningSession(head, material_of_photo(np.zeros((480, 640, 3), np.uint8), landmarks))
     assert session.fit_frame(0).errors[1] < 1.0
+
+
+def test_threads_that_calibrate_at_the_same_time_all_come_to_an_end(head, clip):
+    config = preset("calibrated").changed(identity={"window": 12, "frames": 12})
+    observations = [observation for observation in clip.observations if observation.landmarks is not None][:12]
+    identities = []
+
+    def calibrate() -> None:
+        for _ in range(3):
+            identities.append(FrameFitter(head, config).calibrate(observations, 12).identity)
+
+    threads = [threading.Thread(target=calibrate, daemon=True) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=120)
+    assert not any(thread.is_alive() for thread in threads)
+    assert all(np.array_equal(identity, identities[0]) for identity in identities)
