@@ -9,6 +9,9 @@ from workbench.networks.crop import fan_box_from_landmarks as fan_box_from_landm
 from workbench.networks.crop import reduction_for as reduction_for
 from workbench.networks.crop import to_crop as to_crop
 from workbench.networks.crop import to_picture as to_picture
+from workbench.networks.fan import Fan as Fan
+from workbench.networks.fan import convert_fan as convert_fan
+from workbench.networks.fan import read_fan as read_fan
 from workbench.networks.landmark_chain import HeatMapNetwork as HeatMapNetwork
 from workbench.networks.landmark_chain import NetworkLandmarks as NetworkLandmarks
 from workbench.networks.landmark_chain import landmarks_of as landmarks_of
@@ -19,6 +22,7 @@ from workbench.networks.landmark_network import save_landmark_network as save_la
 from workbench.networks.soft_argmax import BETA as BETA
 from workbench.networks.soft_argmax import patch_mass as patch_mass
 from workbench.networks.soft_argmax import soft_argmax as soft_argmax
+from workbench.networks.torch_checkpoints import read_checkpoint as read_checkpoint
 from workbench.networks.weights import Weights as Weights
 from workbench.networks.weights import named_arrays as named_arrays
 from workbench.networks.weights import read_weights as read_weights

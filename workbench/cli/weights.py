@@ -1,0 +1,69 @@
+"""`workbench weights`: weights of networks converted and described."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from workbench.cli import screen
+
+GROUP_HELP = """Convert published network weights to safetensors, and tell what a weights file holds.
+
+[bold]Examples[/bold]
+
+  workbench weights convert 3DFAN4-7835d9f11d.pth.tar
+
+  workbench weights show fan.safetensors
+"""
+
+CONVERT_HELP = """Convert a published checkpoint of the Face Alignment Network (3D-FAN) to safetensors, once.
+
+FILE is a state dict (.pth, .pth.tar) or a TorchScript archive (.zip, .pt) as published for the package \
+face-alignment. It is read as data: nothing in it is run, and PyTorch is not needed. 3D-FAN and 2D-FAN have the same \
+layers: only the name tells which you have.
+
+[bold]Example[/bold]
+
+  workbench weights convert 3DFAN4-7835d9f11d.pth.tar --out models/fan.safetensors
+"""
+
+SHOW_HELP = """Tell which network a weights file is of, and where it comes from.
+
+[bold]Example[/bold]
+
+  workbench weights show fan.safetensors
+"""
+
+weights_app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich", help=GROUP_HELP)
+
+
+@weights_app.command(help=CONVERT_HELP)
+def convert(
+    file: Annotated[Path, typer.Argument(help="Checkpoint as published.")],
+    out: Annotated[Path, typer.Option(help="File to write.")] = Path("fan.safetensors"),
+) -> None:
+    """Convert a published checkpoint to safetensors."""
+    from workbench.networks import convert_fan  # with JAX's start-up: only when it is asked for
+
+    written = convert_fan(file, out)
+    _tell(str(out), written.metadata, written.arrays)
+
+
+@weights_app.command(help=SHOW_HELP)
+def show(file: Annotated[Path, typer.Argument(help="Weights file, converted or as published.")]) -> None:
+    """Tell what a weights file holds."""
+    from workbench.networks import read_checkpoint
+
+    weights = read_checkpoint(file)
+    _tell(weights.origin, weights.metadata, weights.arrays)
+
+
+def _tell(name: str, metadata: dict, arrays: dict) -> None:
+    table = screen.table("", "")
+    table.show_header = False
+    numbers = sum(array.size for array in arrays.values())
+    rows = {"file": name, "arrays": f"{len(arrays)} with {numbers:,} numbers"}
+    for key, value in (*rows.items(), *sorted(metadata.items())):
+        table.add_row(f"[bold]{escape(key)}[/bold]", escape(value))
+    screen.console.print(table)
