@@ -1,0 +1,13 @@
+"""Differentiable rendering in JAX: triangle meshes under spherical-harmonic light, contours with gradients."""
+
+from workbench.rendering.camera import OrthographicCamera as OrthographicCamera
+from workbench.rendering.camera import orthographic_camera as orthographic_camera
+from workbench.rendering.lighting import ambient_light as ambient_light
+from workbench.rendering.lighting import directional_light as directional_light
+from workbench.rendering.lighting import shading as shading
+from workbench.rendering.lighting import spherical_harmonics as spherical_harmonics
+from workbench.rendering.renderer import Rendering as Rendering
+from workbench.rendering.renderer import Texture as Texture
+from workbench.rendering.renderer import render as render
+from workbench.rendering.topology import MeshTopology as MeshTopology
+from workbench.rendering.topology import mesh_topology as mesh_topology

@@ -1,0 +1,72 @@
+"""Points on triangles and the attributes there, differentiable in all vertices and in the camera."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from workbench.rendering.camera import ScreenPoints
+
+Vector = tuple[Float[Array, "n"], ...]
+"""One array per component: a last axis of two or three would keep a processor's vector units idle."""
+
+
+class SurfacePoints(NamedTuple):
+    """Points of the surface that are seen in the picture."""
+
+    barycentric: Vector
+    """On the surface (perspective-correct)."""
+    depth: Float[Array, "n"]
+    """z in the camera frame, millimetres."""
+    normal: Vector
+    """Unit, camera frame."""
+    albedo: Vector
+    """Colour, or texture coordinates."""
+
+
+def corner_table(
+    triangles: Int[Array, "t 3"], screen: ScreenPoints, depth: Float[Array, "v"], normals: Float[Array, "v 3"],
+    albedo: Float[Array, "t 3 c"],
+) -> Float[Array, "t k"]:  # fmt: skip
+    """What each triangle's corners have, in one row that one gather fetches: x, y, weight, depth, normal, albedo."""
+    per_vertex = jnp.concatenate([screen.pixels, screen.weight[:, None], depth[:, None], normals], axis=1)
+    per_corner = jnp.concatenate([per_vertex[triangles], albedo], axis=2)
+    return jnp.swapaxes(per_corner, 1, 2).reshape(len(triangles), -1)
+
+
+class Corners:
+    """The corners of the triangles at n points."""
+
+    def __init__(self, table: Float[Array, "t k"], triangle: Int[Array, "n"]) -> None:
+        # Fetched once: fused into the arithmetic, every component would be fetched by itself.
+        rows = lax.optimization_barrier(table[triangle])
+        self._columns = [rows[:, k] for k in range(rows.shape[1])]
+
+    def barycentric_at(self, x: Float[Array, "n"], y: Float[Array, "n"]) -> Vector:
+        """Perspective-correct barycentric coordinates of the surface points that appear at pixels (x, y).
+
+        They extend beyond the triangle. With the triangle held fixed they slide as the vertices move.
+        """
+        # Relative to the point: products of large coordinates would cost digits.
+        dx, dy = [value - x for value in self._corner(0)], [value - y for value in self._corner(1)]
+        areas = [
+            (dx[k - 2] * dy[k - 1] - dy[k - 2] * dx[k - 1]) * weight for k, weight in enumerate(self._corner(2))
+        ]  # fmt: skip
+        total = areas[0] + areas[1] + areas[2]
+        inverse = 1.0 / jnp.where(jnp.abs(total) < 1e-20, 1e-20, total)
+        return tuple(area * inverse for area in areas)
+
+    def interpolate(self, barycentric: Vector) -> SurfacePoints:
+        """Attributes at barycentric coordinates."""
+        first, second, third = barycentric
+        values = []
+        for k in range(3, len(self._columns) // 3):
+            corner = self._corner(k)
+            values.append(first * corner[0] + second * corner[1] + third * corner[2])
+        depth, x, y, z, *albedo = values
+        inverse = 1.0 / jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-20))
+        return SurfacePoints(barycentric, depth, (x * inverse, y * inverse, z * inverse), tuple(albedo))
+
+    def _corner(self, attribute: int) -> list[Float[Array, "n"]]:
+        return self._columns[3 * attribute : 3 * attribute + 3]

@@ -1,0 +1,215 @@
+"""The renderer: a triangle mesh under spherical-harmonic light, as a picture that can be differentiated.
+
+Derivatives with respect to vertices, camera, albedo, light and background, forward and reverse. Which triangle is seen
+where is found once, outside of the derivative; shading differentiates through interpolation, and contours through the
+edge integral of `antialias`. Surfaces that pass through each other have no contour there: that line is not smoothed,
+and its motion has no derivative.
+"""
+
+import functools
+import operator
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from workbench.arrays import AnyArray
+from workbench.rendering.antialias import blend_shares, contour_change
+from workbench.rendering.camera import AnyCamera, ScreenPoints, to_screen
+from workbench.rendering.contours import (
+    VisibleContours,
+    before_something,
+    contour_edges,
+    cut_into_pieces,
+    edge_ends,
+    visible_contours,
+)
+from workbench.rendering.interpolation import Corners, SurfacePoints, Vector, corner_table
+from workbench.rendering.lighting import shading
+from workbench.rendering.rasteriser import screen_triangles, visible_triangles
+from workbench.rendering.topology import MeshTopology, vertex_normals
+
+ROOM_PER_PX = 24
+"""Room for pieces of visible contours, as a multiple of the picture's longer side; a head has about 6."""
+HIDDEN_SHARE = 4
+"""Room for all contours, as a multiple of that for visible ones."""
+
+
+class Texture(NamedTuple):
+    """Albedo as a picture on the surface."""
+
+    picture: Float[AnyArray, "th tw 3"]
+    """First row on top, values as the albedo of vertices."""
+    uv: Float[AnyArray, "u 2"]
+    """OBJ convention: 0 to 1, v up."""
+    triangles_uv: Int[AnyArray, "t 3"]
+
+
+class Rendering(NamedTuple):
+    """A picture and what is seen in it."""
+
+    color: Float[Array, "h w 3"]
+    coverage: Float[Array, "h w"]
+    """Share of each pixel that the mesh covers, differentiable like the colour."""
+    depth: Float[Array, "h w"]
+    """z at the pixel's centre, millimetres; infinite where nothing is."""
+    normals: Float[Array, "h w 3"]
+    """Unit, camera frame; zero where nothing is."""
+    triangle: Int[Array, "h w"]
+    """−1 where nothing is."""
+    barycentric: Float[Array, "h w 3"]
+    """On the surface (perspective-correct); zero where nothing is."""
+    lost_contours: Int[Array, ""]
+    """Contour pieces left out for want of room: 0 but in pictures with extremely many edges."""
+
+
+@partial(jax.jit, static_argnames=("size", "samples", "antialias", "cull_backfaces"))
+def render(
+    vertices_camera: Float[AnyArray, "v 3"],
+    topology: MeshTopology,
+    camera: AnyCamera,
+    albedo: Float[AnyArray, "v 3"] | Texture,
+    light: Float[AnyArray, "9 3"],
+    background: Float[AnyArray, "3"] | Float[AnyArray, "h w 3"],
+    *,
+    size: tuple[int, int],
+    samples: int = 1,
+    antialias: bool = True,
+    cull_backfaces: bool = True,
+) -> Rendering:
+    """Render camera-frame vertices (millimetres) into a picture of `size` (width, height), in float32.
+
+    `albedo` is one colour per vertex or a `Texture`, `light` nine coefficients per channel (`lighting`). `samples`
+    squared points are shaded per pixel. Without `antialias` each sample is its centre's colour, and contours have no
+    derivative. Everything but sizes and switches is traced: new values compile nothing. `jax.vmap` batches.
+    """
+    width, height = size[0] * samples, size[1] * samples
+    vertices = jnp.asarray(vertices_camera, jnp.float32)
+    topology = MeshTopology(*(jnp.asarray(array) for array in topology))
+    screen = _finer(to_screen(camera, vertices), samples)
+    table, texture = _surface(vertices, topology, screen, albedo)
+    seen, contours = _visibility(*lax.stop_gradient((screen, topology)), (width, height), antialias, cull_backfaces)
+    triangle = seen.ravel()
+    covered = triangle >= 0
+    place = jnp.arange(width * height, dtype=jnp.int32)
+    corners = Corners(table, jnp.maximum(triangle, 0))
+    points = corners.interpolate(corners.barycentric_at(*_coordinates(place, width)))
+    behind = _background(background, size, samples)
+    layers = _over_background(_color(points, texture, light), covered, behind)
+    if contours is not None:
+        change = _contour_change(contours, topology, screen, table, texture, light, behind, width)
+        place = jnp.where(contours.pieces.length > 0.0, contours.pieces.pixel, width * height)
+        layers = layers.at[place].add(change, mode="drop")
+    layers = _mean_of_samples(layers.reshape(height, width, 4), samples)
+
+    # The other outputs show the sample nearest to the pixel's centre.
+    def pick(values, empty):
+        values = jnp.where(covered, values, empty).reshape(height, width)
+        return values[samples // 2 :: samples, samples // 2 :: samples]
+
+    return Rendering(
+        color=layers[..., :3],
+        coverage=layers[..., 3],
+        depth=pick(points.depth, jnp.inf),
+        normals=jnp.stack([pick(component, 0.0) for component in points.normal], axis=-1),
+        triangle=pick(triangle, -1),
+        barycentric=jnp.stack([pick(share, 0.0) for share in points.barycentric], axis=-1),
+        lost_contours=jnp.int32(0) if contours is None else contours.lost,
+    )
+
+
+def sample_texture(texture: Float[Array, "th tw 3"], u: Float[Array, "n"], v: Float[Array, "n"]) -> Vector:
+    """Bilinear look-up, texel centres at (k + 0.5)/size, held at the borders; differentiable in all arguments."""
+    rows, columns = texture.shape[:2]
+    x, y = jnp.clip(u * columns - 0.5, 0.0, columns - 1.0), jnp.clip((1.0 - v) * rows - 0.5, 0.0, rows - 1.0)
+    x0, y0 = (lax.stop_gradient(jnp.floor(value)).astype(jnp.int32) for value in (x, y))
+    right, down = x - x0, y - y0
+    flat = texture.reshape(-1, 3)
+    x1, y1 = jnp.minimum(x0 + 1, columns - 1), jnp.minimum(y0 + 1, rows - 1)
+    texels = [lax.optimization_barrier(flat[row * columns + column]) for row in (y0, y1) for column in (x0, x1)]
+    shares = [(1.0 - right) * (1.0 - down), right * (1.0 - down), (1.0 - right) * down, right * down]
+    return tuple(
+        functools.reduce(operator.add, [share * texel[:, k] for share, texel in zip(shares, texels, strict=True)])
+        for k in range(3)
+    )
+
+
+def _finer(screen: ScreenPoints, samples: int) -> ScreenPoints:
+    return screen._replace(pixels=(screen.pixels + 0.5) * samples - 0.5) if samples > 1 else screen
+
+
+def _mean_of_samples(layers: Float[Array, "n m 4"], samples: int) -> Float[Array, "h w 4"]:
+    parts = [layers[row::samples, column::samples] for row in range(samples) for column in range(samples)]
+    return sum(parts[1:], start=parts[0]) * (1.0 / samples**2)
+
+
+def _surface(vertices, topology, screen, albedo) -> tuple[Float[Array, "t k"], Float[Array, "th tw 3"] | None]:
+    normals = vertex_normals(vertices, topology)
+    if isinstance(albedo, Texture):
+        texture = jnp.asarray(albedo.picture, jnp.float32)
+        attribute = jnp.asarray(albedo.uv, jnp.float32)[jnp.asarray(albedo.triangles_uv)]
+    else:
+        texture, attribute = None, jnp.asarray(albedo, jnp.float32)[topology.triangles]
+    return corner_table(topology.triangles, screen, vertices[:, 2], normals, attribute), texture
+
+
+def _visibility(
+    screen: ScreenPoints, topology: MeshTopology, size: tuple[int, int], antialias: bool, cull_backfaces: bool
+) -> tuple[Int[Array, "h w"], VisibleContours | None]:
+    drawable = screen.drawable[topology.triangles].min(axis=1) > 0.0
+    triangles = screen_triangles(topology.triangles, screen, size, cull_backfaces)
+    seen, nearest = visible_triangles(triangles, size)
+    if not antialias:
+        return seen, None
+    half_edges = contour_edges(topology, triangles, drawable)
+    room = ROOM_PER_PX * max(size)
+    pieces, lost = cut_into_pieces(half_edges, topology, screen, triangles, size, HIDDEN_SHARE * room)
+    pieces, lost = before_something(pieces, lost, nearest, room)
+    return seen, visible_contours(pieces, lost, topology, triangles, size)
+
+
+def _coordinates(pixel: Int[Array, "n"], width: int) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+    return (pixel % width).astype(jnp.float32), (pixel // width).astype(jnp.float32)
+
+
+def _color(points: SurfacePoints, texture: Float[Array, "th tw 3"] | None, light) -> Vector:
+    albedo = points.albedo if texture is None else sample_texture(texture, *points.albedo)
+    return tuple(own * lit for own, lit in zip(albedo, shading(light, points.normal), strict=True))
+
+
+def _background(background, size: tuple[int, int], samples: int) -> Float[Array, "n 3"]:
+    """The background at every sample."""
+    picture = jnp.broadcast_to(jnp.asarray(background, jnp.float32), (size[1], size[0], 3))
+    return jnp.repeat(jnp.repeat(picture, samples, axis=0), samples, axis=1).reshape(-1, 3)
+
+
+def _over_background(color: Vector, covered, behind) -> Float[Array, "n 4"]:
+    """Colour and coverage."""
+    channels = [jnp.where(covered, color[k], behind[:, k]) for k in range(3)]
+    return jnp.stack([*channels, covered.astype(jnp.float32)], axis=1)
+
+
+def _contour_change(contours, topology, screen, table, texture, light, background, width) -> Float[Array, "n 4"]:
+    """What each contour piece changes in its sample."""
+    pieces, behind = contours.pieces, contours.behind
+    ends = edge_ends(pieces.half_edge, topology)
+    a, b = (screen.pixels[end] for end in ends)
+    # The surface in front, on the edge: the third corner has no share.
+    first, second = (lax.stop_gradient(screen.weight[end]) for end in ends)
+    first, second = first * (1.0 - pieces.place), second * pieces.place
+    second = second / jnp.maximum(first + second, 1e-20)
+    triangle, corner = pieces.half_edge // 3, pieces.half_edge % 3
+    shares = [jnp.where(corner == k, 1.0 - second, jnp.where((corner + 1) % 3 == k, second, 0.0)) for k in range(3)]
+    inside = _color(Corners(table, triangle).interpolate(tuple(shares)), texture, light)
+    corners = Corners(table, jnp.maximum(behind, 0))
+    column, row = _coordinates(pieces.pixel, width)
+    point = corners.barycentric_at(column + pieces.middle[:, 0], row + pieces.middle[:, 1])
+    outside = _color(corners.interpolate(point), texture, light)
+    behind_all = background[pieces.pixel]
+    inside = _over_background(inside, jnp.ones_like(behind, bool), behind_all)
+    outside = _over_background(outside, behind >= 0, behind_all)
+    change = contour_change(pieces, blend_shares(pieces, len(background)), a, b, inside, outside)
+    return jnp.where((pieces.length > 0.0)[:, None], change, 0.0)

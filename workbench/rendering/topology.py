@@ -1,0 +1,74 @@
+"""What a renderer needs to know of a triangle mesh besides its vertices; made once for a mesh."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int, Integer
+
+from workbench.arrays import AnyArray
+from workbench.errors import InputError
+
+
+class MeshTopology(NamedTuple):
+    """Triangles, edges and neighbourhoods as arrays of fixed size."""
+
+    triangles: Int[AnyArray, "t 3"]
+    """Counter-clockwise seen from outside."""
+    edges: Int[AnyArray, "e 2"]
+    """The two half-edges 3·triangle + corner of each edge, running from that corner to the next; the second is −1 at
+    the border of an open mesh."""
+    faces_of_vertex: Int[AnyArray, "v n"]
+    """The triangles around each vertex, padded with the number of triangles."""
+
+
+def mesh_topology(triangles: Integer[np.ndarray, "t 3"], vertex_count: int) -> MeshTopology:
+    """The topology of a mesh. Edges of more than two triangles count as borders of each.
+
+    Raises `InputError` if a triangle names a vertex that does not exist, or there is no triangle.
+    """
+    triangles = np.asarray(triangles).astype(np.int32)
+    if len(triangles) == 0 or triangles.min() < 0 or triangles.max() >= vertex_count:
+        raise InputError(
+            f"A mesh to render needs triangles between its {vertex_count} vertices; "
+            "its triangle list is empty or names another vertex."
+        )
+    return MeshTopology(triangles, _edges(triangles), _faces_of_vertex(triangles, vertex_count))
+
+
+def face_normals(vertices: Float[AnyArray, "v 3"], triangles: Int[AnyArray, "t 3"]) -> Float[AnyArray, "t 3"]:
+    """Outward normals, twice as long as the triangles' areas."""
+    corners = vertices[triangles]
+    return jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def vertex_normals(vertices: Float[AnyArray, "v 3"], topology: MeshTopology) -> Float[AnyArray, "v 3"]:
+    """Unit outward normals, averaged over the triangles around each vertex by area."""
+    normals = face_normals(vertices, topology.triangles)
+    padded = jnp.concatenate([normals, jnp.zeros((1, 3), normals.dtype)])
+    return unit(padded[topology.faces_of_vertex].sum(axis=1))
+
+
+def unit(vectors: Float[AnyArray, "*n 3"]) -> Float[AnyArray, "*n 3"]:
+    """Vectors of length 1; zero stays zero, with a finite derivative."""
+    return vectors / jnp.sqrt(jnp.maximum(jnp.sum(vectors * vectors, axis=-1, keepdims=True), 1e-20))
+
+
+def _edges(triangles: Int[np.ndarray, "t 3"]) -> Int[np.ndarray, "e 2"]:
+    ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    order = np.lexsort(ends.T)
+    _, first, uses = np.unique(ends[order], axis=0, return_index=True, return_counts=True)
+    pairs = np.stack([order[first[uses == 2]], order[first[uses == 2] + 1]], axis=1)
+    lone = np.isin(np.arange(len(order)), pairs.ravel(), invert=True).nonzero()[0]
+    borders = np.stack([lone, np.full_like(lone, -1)], axis=1)
+    return np.concatenate([pairs, borders]).astype(np.int32)
+
+
+def _faces_of_vertex(triangles: Int[np.ndarray, "t 3"], vertex_count: int) -> Int[np.ndarray, "v n"]:
+    corners = triangles.ravel()
+    order = np.argsort(corners, kind="stable")
+    uses = np.bincount(corners, minlength=vertex_count)
+    place = np.arange(len(order)) - np.repeat(np.cumsum(uses) - uses, uses)
+    table = np.full((vertex_count, max(1, uses.max())), len(triangles), np.int32)
+    table[corners[order], place] = order // 3
+    return table
