@@ -74,6 +74,25 @@ def test_a_log_probability_map_gives_its_mean_place_between_pixels(x, y):
     np.testing.assert_allclose(soft_argmax(np.log(probability + 1e-30)[None] / 50)[0], [x, y], atol=1e-9)
 
 
+@pytest.mark.parametrize(("deviation", "largest"), [(0.35, 0.14), (0.5, 0.03), (0.8, 0.145), (1.0, 0.235)])
+def test_how_well_places_between_pixels_are_told_depends_on_the_width(deviation, largest):
+    places = 30 + np.linspace(0, 0.49, 15)
+    rows, columns = np.mgrid[:64, :64]
+    log_density = np.stack([-((columns - x) ** 2 + (rows - 30) ** 2) / (2 * deviation**2) for x in places])
+    error = np.abs(np.asarray(soft_argmax(log_density / 50))[:, 0] - places).max()
+    assert 0.8 * largest < error <= largest
+
+
+def test_of_bumps_of_height_1_a_beta_near_4_deviations_squared_tells_the_most():
+    places = 30 + np.linspace(-0.49, 0.49, 15)
+    maps = np.stack([bump(x, 30, width=1.75) for x in places])
+    betas = (3.0, 4 * 1.75**2, 50.0)
+    worst = {beta: np.abs(np.asarray(soft_argmax(maps, beta))[:, 0] - places).max() for beta in betas}
+    assert min(worst, key=worst.get) == 4 * 1.75**2
+    assert worst[4 * 1.75**2] < 0.06
+    assert worst[50.0] > 0.2  # the paper's, on a map like this
+
+
 def test_of_equal_maxima_the_first_in_reading_order_counts():
     heat_map = np.zeros((8, 8))
     heat_map[2, 6] = heat_map[5, 1] = 1.0

@@ -45,8 +45,8 @@ class Calibration(eqx.Module):
 class LandmarkNetwork(eqx.Module):
     """Stem, three encoder levels (d, e), three decoder levels (u, f), head; see `__call__`.
 
-    softmax(50·H) over a heat map H is the probability of the landmark's place, so that the soft-argmax with β = 50
-    (Deep Energies Eq. 3) is exact between pixels.
+    softmax(50·H) over a heat map H is the probability of the landmark's place, which the soft-argmax with β = 50
+    (Deep Energies Eq. 3) reads between pixels.
     """
 
     stem: Conv

