@@ -115,22 +115,27 @@ def grey_face_crop(
     size = box_side + 2 * margin
     matrix = face.matrix / box_side
     to_image = FaceFrame(matrix, face.origin - matrix @ np.full(2, (size - 1) / 2))
-    window, (left, top) = _window(picture, to_image, size)
+    window, corner = _window(picture, to_image, size)
     grey = cv2.cvtColor(window, cv2.COLOR_RGB2GRAY) if window.ndim == 3 else window
-    offset = to_image.origin - (left, top)
+    return sampled(grey, FaceFrame(matrix, to_image.origin - corner), size), to_image
+
+
+def sampled(
+    picture: UInt8[np.ndarray, "..."], to_image: FaceFrame, size: int, border: int = cv2.BORDER_REPLICATE
+) -> UInt8[np.ndarray, "..."]:
+    """A square of `size` pixels of a grey or colour picture; `to_image` takes its pixels to the picture's.
+
+    Sampling is bilinear after area averaging where the square is much smaller than what it shows.
+    """
+    window, (left, top) = _window(picture, to_image, size)
+    matrix, offset = to_image.matrix, to_image.origin - (left, top)
     factor = max(1, round(to_image.side))
-    if factor > 1 and min(grey.shape) >= factor:
-        height, width = (length // factor for length in grey.shape)
-        grey = cv2.resize(grey[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
+    if factor > 1 and min(window.shape[:2]) >= factor:
+        height, width = (length // factor for length in window.shape[:2])
+        window = cv2.resize(window[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
         matrix, offset = matrix / factor, (offset + 0.5) / factor - 0.5  # pixel centres of the averaged picture
-    crop = cv2.warpAffine(
-        grey,
-        np.column_stack([matrix, offset]),
-        (size, size),
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    return crop, to_image
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(window, np.column_stack([matrix, offset]), (size, size), flags=flags, borderMode=border)
 
 
 def _window(picture: np.ndarray, to_image: FaceFrame, size: int) -> tuple[np.ndarray, tuple[int, int]]:

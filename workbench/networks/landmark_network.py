@@ -89,7 +89,9 @@ class LandmarkNetwork(eqx.Module):
         return tuple(conv.weight.shape[0] for conv in (self.stem, self.d1, self.d2, self.d3))
 
 
-def empty_landmark_network(widths: tuple[int, int, int, int], blocks: int, knots: int = 0) -> LandmarkNetwork:
+def empty_landmark_network(
+    widths: tuple[int, int, int, int], blocks: int, knots: int = 0, outputs: int = LANDMARKS
+) -> LandmarkNetwork:
     """The network with zero weights: channels per level, residual blocks on the lowest, knots of the calibration."""
     c0, c1, c2, c3 = widths
     return LandmarkNetwork(
@@ -107,7 +109,7 @@ def empty_landmark_network(widths: tuple[int, int, int, int], blocks: int, knots
         f1=empty_conv(c1, c1, 3),
         u0=empty_conv(c1, c0, 1),
         f0=empty_conv(c0, c0, 3),
-        head=empty_conv(c0, LANDMARKS, 1),
+        head=empty_conv(c0, outputs, 1),
         calibration=Calibration(jnp.zeros(knots, jnp.float32), jnp.zeros(knots, jnp.float32)) if knots else None,
     )
 
@@ -127,7 +129,7 @@ def landmark_network_from(weights: Weights) -> LandmarkNetwork:
         raise ModelError(
             f"{weights.origin} should hold the weights of {NAME}, but its metadata names {weights.architecture}"
         )
-    widths, blocks = _size(weights)
+    widths, blocks = network_size(weights)
     mass = weights.arrays.get("calibration.mass")
     network = fill(lambda: empty_landmark_network(widths, blocks, 0 if mass is None else mass.size), weights)
     if network.calibration is not None:
@@ -151,7 +153,7 @@ def _residual(x: Float[Array, "h w c"], *convs: Conv) -> Float[Array, "h w c"]:
     return x
 
 
-def _size(weights: Weights) -> tuple[tuple[int, int, int, int], int]:
+def network_size(weights: Weights) -> tuple[tuple[int, int, int, int], int]:
     try:
         widths, blocks = json.loads(weights.metadata[WIDTHS]), json.loads(weights.metadata[BLOCKS])
         c0, c1, c2, c3 = (_positive(width) for width in widths)

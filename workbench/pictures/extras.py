@@ -16,6 +16,16 @@ INNER_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue", "mouth_cavity", "
 ROD_SIDES = 6
 
 
+@dataclass(frozen=True, eq=False)
+class ColoredMesh:
+    """A surface of its own: hair, glasses, a hand; head frame, millimetres."""
+
+    vertices: Float[np.ndarray, "n 3"]
+    triangles: Int[np.ndarray, "t 3"]
+    colors: UInt8[np.ndarray, "n 3"]
+    """RGB of each vertex."""
+
+
 @dataclass(frozen=True)
 class Extras:
     """Additions to one picture of a head; everything in the head frame, millimetres."""
@@ -28,6 +38,7 @@ class Extras:
     """Diameter of the points."""
     segments: Float[np.ndarray, "s 2 3"] | None = None
     segment_colors: UInt8[np.ndarray, "s 3"] | None = None
+    meshes: tuple[ColoredMesh, ...] = ()
     ghost: Float[np.ndarray, "v 3"] | None = None
     """Vertices of a second head."""
     ghost_opacity: float = 0.35
@@ -39,8 +50,8 @@ NOTHING = Extras()
 def marks_mesh(
     extras: Extras,
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "t 3"], UInt8[np.ndarray, "n 3"]]:
-    """Points as balls and segments as rods: (vertices, outward triangles, RGB of each vertex)."""
-    shapes = []
+    """Points as balls, segments as rods, and the meshes: (vertices, triangles, RGB of each vertex)."""
+    shapes = [(mesh.vertices, mesh.triangles, mesh.colors) for mesh in extras.meshes]
     if extras.points is not None and len(extras.points):
         shapes.append(_balls(extras.points, extras.point_mm / 2, extras.point_colors))
     if extras.segments is not None and len(extras.segments):

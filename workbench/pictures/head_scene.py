@@ -122,6 +122,17 @@ class HeadScene:
             rgba.copy() if self.drawn_size == self.size else cv2.resize(rgba, self.size, interpolation=cv2.INTER_AREA)
         )
 
+    def set_texture(self, texture: UInt8[np.ndarray, "th tw 3"]) -> None:
+        """Another albedo for a head that was made with one."""
+        self.texture = _texture(texture)
+        for actor in self.actors:
+            actor.SetTexture(self.texture)
+
+    def set_shine(self, strength: float, exponent: float) -> None:
+        """Highlights of the skin: their strength (0 to 1), and how small they are."""
+        self.actors[0].GetProperty().SetSpecular(strength)
+        self.actors[0].GetProperty().SetSpecularPower(exponent)
+
     def close(self) -> None:
         """Give the GL context back."""
         self.window.Finalize()

@@ -1,0 +1,151 @@
+"""Faces and landmarks by the workbench's own networks: no other package, no licence strings, closed eyes are seen.
+
+Trained on renders of the default head alone (`workbench/networks/bundled/MODEL_CARD.md` has data, recipe and limits).
+"""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from workbench.landmarks.alignment import FaceFrame, frame_from_box, frame_from_points, sampled
+from workbench.landmarks.detectors import Box, Effort, FaceDetection
+from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import MIRROR
+from workbench.networks import CropBox, LandmarkNetwork, read_landmark_network, soft_argmax
+from workbench.networks.face_finder import FaceFinder, read_face_finder
+from workbench.runtime import COMPUTING
+
+CROP_SIDE = 256
+"""Pixels of the network's input."""
+CROP_BOXES = 1.6
+"""Face boxes (see `landmarks.alignment`) across the network's input."""
+CROP_DROP = 0.1
+"""Box sides by which the crop's middle lies below the box's."""
+STILL_MOVES = ((0.0, 0.0, 1.0), (0.03, -0.02, 0.94), (-0.03, 0.02, 1.06))
+"""Moved frames (x, y in box sides, scale) whose answers are averaged on a still, each also mirrored."""
+ROLLED_STARTS = (0.0, -0.9, 0.9)
+"""Rolls in radians to start from, as long as the network is in doubt: it was trained up to 40 degrees."""
+DOUBTFUL = 0.5
+"""Median confidence of the inner points below which the next start is tried."""
+LEAST_FACE = 0.25
+"""Median confidence of the inner points below which there is no face."""
+SMALLEST_SIDE = 16
+"""Pictures with a shorter side in pixels hold no face with 68 landmarks."""
+
+BUNDLED = Path(__file__).resolve().parent.parent / "networks" / "bundled"
+
+
+class NetworkDetector:
+    """The network detector, with the bundled weights or others of the same kind."""
+
+    name = "network"
+
+    def __init__(self, landmarks: LandmarkNetwork | None = None, finder: FaceFinder | None = None) -> None:
+        self._network = landmarks or bundled_landmark_network()
+        self._finder = finder or bundled_face_finder()
+        self._answers = _compiled(self._network)
+
+    def detect_faces(self, picture: UInt8[np.ndarray, "h w 3"], effort: Effort = "full") -> list[FaceDetection]:
+        """Faces, the largest first: what the finder finds and the landmark network agrees to.
+
+        "quick" looks once at the whole picture; the others look at its parts too if there is no face at first sight.
+        """
+        if min(picture.shape[:2]) < SMALLEST_SIDE:
+            return []
+        with COMPUTING:
+            found = self._finder.find(picture)
+            if not found and effort != "quick":
+                found = self._finder.find_small(picture)
+        faces = [FaceDetection(box, score) for box, score in found if self._agrees(picture, box)]
+        return sorted(faces, key=lambda face: -face.area)
+
+    def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
+        """The landmarks of the face in `box`: a first look, then the mean of six upright ones."""
+        best: Landmarks2D | None = None
+        for roll in ROLLED_STARTS:
+            landmarks = self._looked_twice(picture, _rolled(frame_from_box(box), roll))
+            if best is None or _doubt(landmarks) < _doubt(best):
+                best = landmarks
+            if np.median(best.confidence[17:]) > DOUBTFUL:
+                break
+        return best
+
+    def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> Landmarks2D:
+        """The landmarks of the face near `points`, by one look: about 10 ms."""
+        return self._look(picture, frame_from_points(points))
+
+    def _agrees(self, picture: np.ndarray, box: Box) -> bool:
+        return float(np.median(self._look(picture, frame_from_box(box)).confidence[17:])) > LEAST_FACE
+
+    def _looked_twice(self, picture: np.ndarray, start: FaceFrame) -> Landmarks2D:
+        face = frame_from_points(self._look(picture, start).points)
+        looks = [
+            self._look(picture, face.moved(x, y, scale), mirrored)
+            for x, y, scale in STILL_MOVES
+            for mirrored in (False, True)
+        ]
+        points = np.mean([look.points for look in looks], axis=0)
+        return replace(looks[0], points=points, confidence=np.mean([look.confidence for look in looks], axis=0))
+
+    def _look(self, picture: np.ndarray, face: FaceFrame, mirrored: bool = False) -> Landmarks2D:
+        to_image = crop_frame(face)
+        crop = sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT)
+        with COMPUTING:
+            answers = self._answers(np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop)
+            points, confidence = (np.asarray(answer, np.float64) for answer in answers)
+        if mirrored:
+            points, confidence = points[list(MIRROR)], confidence[list(MIRROR)]
+            points[:, 0] = CROP_SIDE - 1 - points[:, 0]
+        return Landmarks2D(to_image.to_image(points), np.clip(confidence, 0, 1), (picture.shape[1], picture.shape[0]))
+
+
+def crop_frame(face: FaceFrame, side: int = CROP_SIDE) -> FaceFrame:
+    """The similarity from the pixels of the network's input to the picture's, for this face."""
+    middle = face.to_image(np.array([[0.0, CROP_DROP]]))[0]
+    matrix = face.matrix * CROP_BOXES / side
+    return FaceFrame(matrix, middle - matrix @ np.full(2, (side - 1) / 2))
+
+
+def network_box(face: FaceFrame) -> CropBox:
+    """The same view of a face for the differentiable chain (`networks.landmarks_of`)."""
+    middle = face.to_image(np.array([[0.0, CROP_DROP]]))[0]
+    roll = np.arctan2(face.matrix[1, 0], face.matrix[0, 0])
+    return CropBox(middle, np.float64(CROP_BOXES * face.side), np.float64(roll))
+
+
+@cache
+def bundled_landmark_network() -> LandmarkNetwork:
+    """The landmark network that comes with the package."""
+    return read_landmark_network(BUNDLED / "landmarks.safetensors")
+
+
+@cache
+def bundled_face_finder() -> FaceFinder:
+    """The face finder that comes with the package."""
+    return read_face_finder(BUNDLED / "finder.safetensors")
+
+
+def _compiled(network: LandmarkNetwork):
+    @jax.jit
+    def answers(crop: UInt8[jax.Array, "s s 3"]):
+        heat_maps = network(jnp.moveaxis(crop, -1, 0).astype(jnp.float32) / 255)
+        stride = crop.shape[0] / heat_maps.shape[-1]
+        points = (soft_argmax(heat_maps) + 0.5) * stride - 0.5
+        return points, network.confidence_of(heat_maps)
+
+    return answers
+
+
+def _rolled(face: FaceFrame, roll: float) -> FaceFrame:
+    turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
+    return FaceFrame(face.matrix @ turn, face.origin)
+
+
+def _doubt(landmarks: Landmarks2D) -> float:
+    return -float(np.median(landmarks.confidence[17:]))

@@ -1,0 +1,122 @@
+"""The workbench's own face finder: one look at the whole picture, and the boxes of the faces in it."""
+
+from pathlib import Path
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from workbench.errors import ModelError
+from workbench.networks.landmark_network import LandmarkNetwork, empty_landmark_network, network_size
+from workbench.networks.weights import Weights, fill, read_weights
+
+NAME = "face-energy-finder-1"
+"""Value of the metadata key `architecture`."""
+INPUT_SIDE = 256
+"""A picture's longer side is brought to this; the rest of the square is filled up with grey."""
+STRIDE = 4
+OUTPUTS = 4
+UNIT_SIDE = 64.0
+"""Box side in input pixels whose logarithm is 0."""
+PADDING_GREY = 114
+MAX_ENLARGEMENT = 4.0
+LEAST_SCORE = 0.35
+SAME_FACE = 0.35
+"""Boxes that share more of their union than this are one face."""
+
+FoundFace = tuple[tuple[float, float, float, float], float]
+"""(left, top, right, bottom) in pixels, and the score 0..1."""
+
+
+class FaceFinder:
+    """Finds faces with boxes as `landmarks.alignment` draws them: brows to chin, cheek to cheek, square, upright."""
+
+    def __init__(self, network: LandmarkNetwork) -> None:
+        self._maps = jax.jit(lambda picture: network(jnp.moveaxis(picture, -1, 0).astype(jnp.float32) / 255))
+
+    def find(self, picture: UInt8[np.ndarray, "h w 3"], least_score: float = LEAST_SCORE) -> list[FoundFace]:
+        """The faces in a picture, surest first; a face of less than a twelfth of the picture may be missed."""
+        square, scale = padded_square(picture)
+        maps = np.asarray(self._maps(square))
+        faces = [(_unscaled(box, scale), score) for box, score in boxes_of(maps, least_score)]
+        return _without_doubles(faces)
+
+    def find_small(self, picture: UInt8[np.ndarray, "h w 3"], least_score: float = LEAST_SCORE) -> list[FoundFace]:
+        """As `find`, looking at overlapping parts of the picture too: five looks, faces of half the size."""
+        faces = self.find(picture, least_score)
+        height, width = picture.shape[:2]
+        part = (max(1, round(0.6 * height)), max(1, round(0.6 * width)))
+        for top in (0, height - part[0]):
+            for left in (0, width - part[1]):
+                view = np.ascontiguousarray(picture[top : top + part[0], left : left + part[1]])
+                for (x0, y0, x1, y1), score in self.find(view, least_score):
+                    faces.append(((x0 + left, y0 + top, x1 + left, y1 + top), score))
+        return _without_doubles(faces)
+
+
+def read_face_finder(path: str | Path) -> FaceFinder:
+    """The finder of a safetensors file.
+
+    Raises `InputError` for a file that cannot be read and `ModelError` for weights of another network.
+    """
+    return face_finder_from(read_weights(path))
+
+
+def face_finder_from(weights: Weights) -> FaceFinder:
+    """As `read_face_finder`, of weights in memory."""
+    if weights.architecture != NAME:
+        raise ModelError(
+            f"{weights.origin} should hold the weights of {NAME}, but its metadata names {weights.architecture}"
+        )
+    widths, blocks = network_size(weights)
+    return FaceFinder(fill(lambda: empty_landmark_network(widths, blocks, outputs=OUTPUTS), weights))
+
+
+def padded_square(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[UInt8[np.ndarray, "s s 3"], float]:
+    """The picture in the upper left of the finder's input, and how many input pixels one of its pixels became."""
+    height, width = picture.shape[:2]
+    scale = min(INPUT_SIDE / max(height, width), MAX_ENLARGEMENT)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    way = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    square = np.full((INPUT_SIDE, INPUT_SIDE, 3), PADDING_GREY, np.uint8)
+    square[: size[1], : size[0]] = cv2.resize(picture, size, interpolation=way)
+    return square, scale
+
+
+def boxes_of(maps: Float[np.ndarray, "4 m m"], least_score: float) -> list[FoundFace]:
+    """The maxima of the score map as boxes in input pixels, surest first."""
+    score = 1 / (1 + np.exp(-maps[0].astype(np.float64)))
+    highest = cv2.dilate(score, np.ones((3, 3)))
+    rows, columns = np.nonzero((score >= highest) & (score > least_score))
+    faces = []
+    for row, column in zip(rows, columns, strict=True):
+        _, log_side, across, down = (float(value) for value in maps[:, row, column])
+        half = UNIT_SIDE * np.exp(np.clip(log_side, -3, 3)) / 2
+        x, y = ((cell + 0.5) * STRIDE - 0.5 + UNIT_SIDE * shift for cell, shift in ((column, across), (row, down)))
+        faces.append(((float(x - half), float(y - half), float(x + half), float(y + half)), float(score[row, column])))
+    return sorted(faces, key=lambda face: -face[1])
+
+
+def _unscaled(box, scale: float):
+    # Edges, not centres, are what scales.
+    left, top, right, bottom = ((edge + 0.5) / scale - 0.5 for edge in box)
+    return left, top, right, bottom
+
+
+def _without_doubles(faces: list[FoundFace]) -> list[FoundFace]:
+    kept: list[FoundFace] = []
+    for face in sorted(faces, key=lambda face: -face[1]):
+        if all(_shared(face[0], other[0]) < SAME_FACE for other in kept):
+            kept.append(face)
+    return kept
+
+
+def _shared(a, b) -> float:
+    """Intersection over union."""
+    width, height = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
+    if width <= 0 or height <= 0:
+        return 0.0
+    both = width * height
+    return both / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - both)

@@ -1,0 +1,261 @@
+"""Training: the plan, the loop with its checkpoints and curves, and the export to safetensors."""
+
+import csv
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from safetensors.numpy import save_file
+from torch import Tensor
+
+from workbench.errors import InputError
+from workbench.files import atomic_path
+from workbench.networks.landmark_network import BLOCKS, WIDTHS
+from workbench.networks.weights import ARCHITECTURE
+from workbench.training.pool import Pool, open_pool
+from workbench.training.torch_network import TorchLandmarkNetwork
+
+AVERAGING = 0.998
+"""Decay per step of the moving average of the weights, which is what is kept."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Some steps at one input size; the network is convolutional, so most is learned on small, quick pictures."""
+
+    input_side: int
+    steps: int
+    batch: int
+    peak_rate: float
+
+
+@dataclass(frozen=True)
+class TrainingPlan:
+    """All that decides the weights."""
+
+    phases: tuple[Phase, ...]
+    widths: tuple[int, int, int, int] = (32, 64, 128, 192)
+    blocks: int = 2
+    seed: int = 1
+    weight_decay: float = 1e-4
+
+    @property
+    def steps(self) -> int:
+        """Steps of all phases together."""
+        return sum(phase.steps for phase in self.phases)
+
+    def at(self, step: int) -> tuple[Phase, int]:
+        """The phase of a step, and the step's place in it."""
+        for phase in self.phases:
+            if step < phase.steps:
+                return phase, step
+            step -= phase.steps
+        raise InputError(f"the plan has {self.steps} steps, so there is no step {step + self.steps}")
+
+    def rate(self, step: int) -> float:
+        """Learning rate: a short rise, then half a cosine down to a fiftieth, in each phase."""
+        phase, place = self.at(step)
+        rise = min(1.0, (place + 1) / max(1, min(300, phase.steps // 10)))
+        fall = 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * place / phase.steps))
+        return phase.peak_rate * rise * fall
+
+
+Batch = tuple[UInt8[np.ndarray, "n s s 3"], tuple[np.ndarray, ...]]
+"""Pictures, and what is known of them."""
+
+
+class Task(Protocol):
+    """What is learned."""
+
+    architecture: str
+    outputs: int
+    output_scale: float
+
+    def batch(self, pool: Pool, phase: Phase, rngs: list[np.random.Generator]) -> Batch: ...
+
+    def loss(self, maps: Tensor, targets: tuple[Tensor, ...]) -> tuple[Tensor, dict[str, float]]: ...
+
+
+@dataclass(frozen=True)
+class _Batches(torch.utils.data.Dataset):
+    """Batches by step: the same whoever makes them, in whatever order."""
+
+    task: Task
+    pool_folder: Path
+    plan: TrainingPlan
+    first_step: int
+
+    def __len__(self) -> int:
+        return self.plan.steps - self.first_step
+
+    def __getitem__(self, offset: int) -> Batch:
+        step = self.first_step + offset
+        phase, _ = self.plan.at(step)
+        rngs = [np.random.default_rng([self.plan.seed, step, place]) for place in range(phase.batch)]
+        return self.task.batch(_pool_of_process(self.pool_folder), phase, rngs)
+
+
+_POOLS: dict[Path, Pool] = {}
+
+
+def _pool_of_process(folder: Path) -> Pool:
+    if folder not in _POOLS:
+        cv2.setNumThreads(1)
+        _POOLS[folder] = open_pool(folder)
+    return _POOLS[folder]
+
+
+def train(
+    task: Task,
+    pool_folder: Path,
+    folder: Path,
+    plan: TrainingPlan,
+    workers: int = 2,
+    device: str = "cpu",
+    every: int = 250,
+    report: Callable[[str], None] = print,
+) -> Path:
+    """Run the plan from wherever `folder` stands, and write `weights.safetensors` there.
+
+    The folder keeps the plan, a checkpoint every `every` steps and the curves; an interrupted training goes on from
+    its last checkpoint when it is called again. The training pictures depend on the plan's seed and the step alone, so
+    an interruption changes them not. Raises `InputError` where the folder belongs to another plan.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    _claim(folder / "plan.json", plan)
+    torch.manual_seed(plan.seed)
+    network = (
+        TorchLandmarkNetwork(plan.widths, plan.blocks, task.outputs).to(device).to(memory_format=torch.channels_last)
+    )
+    average = {name: value.detach().clone().float() for name, value in network.state_dict().items()}
+    optimiser = torch.optim.AdamW(network.parameters(), lr=1e-3, weight_decay=plan.weight_decay)
+    step = _resumed(folder / "checkpoint.pt", network, optimiser, average)
+    running: dict[str, float] = {}
+    began, first = time.monotonic(), step
+    for pictures, targets in _batches(task, pool_folder, plan, step, workers):
+        for group in optimiser.param_groups:
+            group["lr"] = plan.rate(step)
+        x = pictures.to(device).permute(0, 3, 1, 2).float().div_(255).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(device, torch.bfloat16):
+            maps = network(x)
+        loss, numbers = task.loss(maps.float(), tuple(target.to(device) for target in targets))
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+        optimiser.step()
+        decay = min(AVERAGING, (step + 1) / (step + 10))
+        with torch.no_grad():
+            for name, value in network.state_dict().items():
+                average[name].lerp_(value.float(), 1 - decay)
+        for name, value in numbers.items():
+            running[name] = 0.98 * running.get(name, value) + 0.02 * value
+        step += 1
+        if step % 50 == 0 or step == plan.steps:
+            speed = (step - first) / (time.monotonic() - began)
+            _log(folder / "curves.csv", step, plan.rate(step - 1), running)
+            numbers_text = ", ".join(f"{name} {value:.3f}" for name, value in running.items())
+            report(f"step {step} of {plan.steps}: {numbers_text}; {speed:.2f} steps/s")
+        if step % every == 0 or step == plan.steps:
+            _save(folder / "checkpoint.pt", network, optimiser, average, step)
+    return export_weights(task, folder)
+
+
+def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = None) -> Path:
+    """Fold the averaged weights of a training folder's checkpoint and write `weights.safetensors` beside it."""
+    plan = read_plan(folder / "plan.json")
+    network = TorchLandmarkNetwork(plan.widths, plan.blocks, task.outputs)
+    state = torch.load(folder / "checkpoint.pt", map_location="cpu", weights_only=True)
+    network.load_state_dict(state["average"])
+    arrays = folded_arrays(network, task.output_scale)
+    size = {WIDTHS: json.dumps(list(plan.widths)), BLOCKS: json.dumps(plan.blocks)}
+    path = folder / "weights.safetensors"
+    with atomic_path(path) as temporary:
+        save_file(
+            arrays,
+            temporary,
+            {**(metadata or {}), ARCHITECTURE: task.architecture, **size, "steps": str(state["step"])},
+        )
+    return path
+
+
+def folded_arrays(network: TorchLandmarkNetwork, output_scale: float = 1.0) -> dict[str, np.ndarray]:
+    """The inference network's arrays by name: normalisation folded, outputs scaled."""
+    arrays: dict[str, Tensor] = {}
+    for name in ("stem", "d1", "d2", "d3", "u2", "u1", "u0"):
+        arrays[f"{name}.weight"], arrays[f"{name}.bias"] = getattr(network, name).folded()
+    for name in ("e0", "f2", "f1", "f0"):
+        arrays[f"{name}.weight"], arrays[f"{name}.bias"] = getattr(network, name).conv.folded()
+    for name in ("e1", "e2", "e3"):
+        for place, block in enumerate(getattr(network, name)):
+            arrays[f"{name}.{place}.weight"], arrays[f"{name}.{place}.bias"] = block.conv.folded()
+    arrays["head.weight"], arrays["head.bias"] = network.head.weight * output_scale, network.head.bias * output_scale
+    return {name: value.detach().float().contiguous().numpy() for name, value in arrays.items()}
+
+
+def read_plan(path: Path) -> TrainingPlan:
+    """The plan of a training folder."""
+    record = json.loads(path.read_text(encoding="utf-8"))
+    phases = tuple(Phase(**phase) for phase in record.pop("phases"))
+    return TrainingPlan(phases=phases, widths=tuple(record.pop("widths")), **record)
+
+
+def _claim(path: Path, plan: TrainingPlan) -> None:
+    if path.is_file():
+        if read_plan(path) != plan:
+            raise InputError(f"{path.parent} holds a training by another plan: choose an empty folder, or its plan")
+        return
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(asdict(plan), indent=1), encoding="utf-8")
+
+
+def _batches(task: Task, pool_folder: Path, plan: TrainingPlan, step: int, workers: int) -> Iterator[tuple]:
+    if step >= plan.steps:
+        return iter(())
+    loader = torch.utils.data.DataLoader(
+        _Batches(task, pool_folder, plan, step),
+        batch_size=None,
+        shuffle=False,
+        num_workers=workers,
+        prefetch_factor=4 if workers else None,
+        multiprocessing_context="spawn" if workers else None,
+        worker_init_fn=_single_threaded if workers else None,
+    )
+    return iter(loader)
+
+
+def _single_threaded(_worker: int) -> None:
+    torch.set_num_threads(1)
+
+
+def _resumed(path: Path, network, optimiser, average) -> int:
+    if not path.is_file():
+        return 0
+    state = torch.load(path, map_location=next(network.parameters()).device, weights_only=True)
+    network.load_state_dict(state["network"])
+    optimiser.load_state_dict(state["optimiser"])
+    for name, value in state["average"].items():
+        average[name].copy_(value)
+    return int(state["step"])
+
+
+def _save(path: Path, network, optimiser, average, step: int) -> None:
+    state = {"network": network.state_dict(), "optimiser": optimiser.state_dict(), "average": average, "step": step}
+    with atomic_path(path) as temporary:
+        torch.save(state, temporary)
+
+
+def _log(path: Path, step: int, rate: float, numbers: dict[str, float]) -> None:
+    fresh = not path.is_file()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        if fresh:
+            writer.writerow(["step", "rate", *numbers])
+        writer.writerow([step, f"{rate:.3e}", *(f"{value:.4f}" for value in numbers.values())])

@@ -1,0 +1,120 @@
+"""The pool: many renders on disk, made once; every training picture is an augmentation of one of them."""
+
+import multiprocessing
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from workbench.errors import InputError
+from workbench.face import load_default_head
+from workbench.files import atomic_path
+from workbench.training.scenes import FaceStudio
+from workbench.training.skin import skin_painter
+
+SHARD = 240
+"""Pictures in one file pair."""
+PICTURES_OF_A_PERSON = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """Rendered heads, memory-mapped."""
+
+    pictures: list[UInt8[np.ndarray, "n s s 4"]]
+    landmarks: list[Float[np.ndarray, "n 68 2"]]
+    angles_deg: list[Float[np.ndarray, "n 3"]]
+    expressions: list[Float[np.ndarray, "n k"]]
+
+    def __len__(self) -> int:
+        return SHARD * len(self.pictures)
+
+    def picture(self, index: int) -> tuple[UInt8[np.ndarray, "s s 4"], Float[np.ndarray, "68 2"]]:
+        """RGBA (colours multiplied by coverage) and the 68 points."""
+        shard, place = divmod(index, SHARD)
+        return self.pictures[shard][place], self.landmarks[shard][place]
+
+    def angles(self, index: int) -> Float[np.ndarray, "3"]:
+        """Yaw, pitch, roll in degrees."""
+        shard, place = divmod(index, SHARD)
+        return self.angles_deg[shard][place]
+
+    def expression(self, index: int) -> Float[np.ndarray, "k"]:
+        """Blendshape weights in the default head's order."""
+        shard, place = divmod(index, SHARD)
+        return self.expressions[shard][place]
+
+
+def make_shard(folder: Path, seed: int, shard: int) -> None:
+    """Render one shard unless it is there: the same seed gives the same people, poses and lights."""
+    pictures_path, numbers_path = shard_paths(folder, shard)
+    if pictures_path.is_file() and numbers_path.is_file():
+        return
+    model = load_default_head()
+    studio = FaceStudio(model, skin_painter(model))
+    faces = []
+    try:
+        for person in range(SHARD // PICTURES_OF_A_PERSON):
+            rng = np.random.default_rng([seed, shard, person])
+            who = studio.cast(rng)
+            faces += [studio.shoot(who, rng) for _ in range(PICTURES_OF_A_PERSON)]
+    finally:
+        studio.close()
+    with atomic_path(numbers_path) as path:
+        np.savez(
+            path,
+            landmarks=np.stack([face.landmarks for face in faces]).astype(np.float32),
+            angles=np.stack([face.yaw_pitch_roll_deg for face in faces]).astype(np.float32),
+            expressions=np.stack([face.expression for face in faces]).astype(np.float32),
+        )
+    with atomic_path(pictures_path) as path:
+        np.save(path, np.stack([face.rgba for face in faces]))
+
+
+def make_pool(
+    folder: Path, pictures: int, seed: int, workers: int = 1, progress: Callable[[int, int], None] | None = None
+) -> None:
+    """Render what is missing of a pool of (at least) this many pictures; may be interrupted and called again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    shards = range(-(-pictures // SHARD))
+    # A fresh process a shard: a GL context does not survive a fork, and nothing piles up in memory.
+    with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=4) as processes:
+        for done, _ in enumerate(processes.imap(_Shard(folder, seed), shards), 1):
+            if progress is not None:
+                progress(done * SHARD, len(shards) * SHARD)
+
+
+def open_pool(folder: Path) -> Pool:
+    """The finished shards of a pool. Raises `InputError` if there are none."""
+    shards = [
+        (folder / f"numbers_{path.stem.split('_')[1]}.npz", path) for path in sorted(folder.glob("pictures_*.npy"))
+    ]
+    shards = [(numbers, pictures) for numbers, pictures in shards if numbers.is_file()]
+    if not shards:
+        raise InputError(f"there is no pool of rendered heads in {folder}: make one with `workbench train pool`")
+    numbers = [np.load(path, allow_pickle=False) for path, _ in shards]
+    return Pool(
+        pictures=[np.load(path, mmap_mode="r", allow_pickle=False) for _, path in shards],
+        landmarks=[shard["landmarks"] for shard in numbers],
+        angles_deg=[shard["angles"] for shard in numbers],
+        expressions=[shard["expressions"] for shard in numbers],
+    )
+
+
+def shard_paths(folder: Path, shard: int) -> tuple[Path, Path]:
+    """The files of one shard: pictures and numbers."""
+    return folder / f"pictures_{shard:04d}.npy", folder / f"numbers_{shard:04d}.npz"
+
+
+@dataclass(frozen=True)
+class _Shard:
+    """One shard's work, in a form that another process can be given."""
+
+    folder: Path
+    seed: int
+
+    def __call__(self, shard: int) -> int:
+        make_shard(self.folder, self.seed, shard)
+        return shard

@@ -1,0 +1,64 @@
+"""The landmark network in PyTorch, for training: the twin of `networks.landmark_network`, with batch normalisation."""
+
+import torch
+from torch import Tensor, nn
+
+
+class ConvNorm(nn.Module):
+    """Convolution, batch normalisation, ReLU."""
+
+    def __init__(self, channels_in: int, channels_out: int, kernel: int = 3, stride: int = 1) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(channels_in, channels_out, kernel, stride, kernel // 2, bias=False)
+        self.norm = nn.BatchNorm2d(channels_out, momentum=0.05)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return torch.relu(self.norm(self.conv(x)))
+
+    def folded(self) -> tuple[Tensor, Tensor]:
+        """Weight and bias of the one convolution that does the same as convolution and normalisation."""
+        factor = self.norm.weight / torch.sqrt(self.norm.running_var + self.norm.eps)
+        return self.conv.weight * factor[:, None, None, None], self.norm.bias - self.norm.running_mean * factor
+
+
+class Residual(nn.Module):
+    """x + ReLU(conv(x))."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.conv = ConvNorm(channels, channels)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.conv(x)
+
+
+class TorchLandmarkNetwork(nn.Module):
+    """RGB in 0..1 to maps of a quarter of its size."""
+
+    def __init__(self, widths: tuple[int, int, int, int], blocks: int, outputs: int) -> None:
+        super().__init__()
+        c0, c1, c2, c3 = widths
+        self.stem = ConvNorm(3, c0, 7, 4)
+        self.e0 = Residual(c0)
+        self.d1, self.e1 = ConvNorm(c0, c1, 3, 2), nn.Sequential(Residual(c1), Residual(c1))
+        self.d2, self.e2 = ConvNorm(c1, c2, 3, 2), nn.Sequential(Residual(c2), Residual(c2))
+        self.d3, self.e3 = ConvNorm(c2, c3, 3, 2), nn.Sequential(*[Residual(c3) for _ in range(blocks)])
+        self.u2, self.f2 = ConvNorm(c3, c2, 1), Residual(c2)
+        self.u1, self.f1 = ConvNorm(c2, c1, 1), Residual(c1)
+        self.u0, self.f0 = ConvNorm(c1, c0, 1), Residual(c0)
+        self.head = nn.Conv2d(c0, outputs, 1)
+
+    def forward(self, picture: Tensor) -> Tensor:
+        """Maps of a quarter of the picture's size."""
+        x0 = self.e0(self.stem((picture - 0.5) / 0.25))
+        x1 = self.e1(self.d1(x0))
+        x2 = self.e2(self.d2(x1))
+        x3 = self.e3(self.d3(x2))
+        x2 = self.f2(x2 + _twice(self.u2(x3)))
+        x1 = self.f1(x1 + _twice(self.u1(x2)))
+        x0 = self.f0(x0 + _twice(self.u0(x1)))
+        return self.head(x0)
+
+
+def _twice(x: Tensor) -> Tensor:
+    return nn.functional.interpolate(x, scale_factor=2, mode="nearest")
