@@ -2,6 +2,10 @@
 
 from workbench.rendering.camera import OrthographicCamera as OrthographicCamera
 from workbench.rendering.camera import orthographic_camera as orthographic_camera
+from workbench.rendering.head import RenderModel as RenderModel
+from workbench.rendering.head import face_vertices as face_vertices
+from workbench.rendering.head import render_face as render_face
+from workbench.rendering.head import render_model as render_model
 from workbench.rendering.lighting import ambient_light as ambient_light
 from workbench.rendering.lighting import directional_light as directional_light
 from workbench.rendering.lighting import shading as shading

@@ -12,16 +12,19 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from workbench.rendering.camera import ScreenPoints
+from workbench.rendering.compaction import indices_of
 from workbench.rendering.rasteriser import (
     ScreenTriangles,
     for_each_block,
+    index_of_key,
     order_key,
     pixel_boxes,
     scatter_max,
-    triangle_of_key,
 )
 from workbench.rendering.topology import MeshTopology
 
+TESTED_PER_PIXEL = 3
+"""Pieces in one pixel that are tested for being hidden, the longest first; shorter ones share the longest's fate."""
 CHUNK = 512
 """Blocks of pixels in which pieces are tested at a time."""
 CELL = 4
@@ -160,11 +163,9 @@ def before_something(
         steps = [jnp.take(padded, jnp.arange(k, k + nearest.shape[axis]), axis=axis) for k in range(3)]
         padded = jnp.minimum(jnp.minimum(steps[0], steps[1]), steps[2])
     kept = (pieces.length > 0.0) & (padded.ravel()[pieces.pixel] < pieces.nearness - pieces.bias)
-    place = jnp.cumsum(kept, dtype=jnp.int32) - 1
-    place = jnp.where(kept, place, capacity)
-    source = jnp.full(capacity, len(kept), jnp.int32).at[place].set(jnp.arange(len(kept), dtype=jnp.int32), mode="drop")
-    compact = ContourPieces(*(array.at[source].get(mode="fill", fill_value=0) for array in pieces))
-    return compact, lost + jnp.maximum(kept.sum(dtype=jnp.int32) - capacity, 0)
+    index, used, unplaced = indices_of(kept, capacity)
+    compact = ContourPieces(*(array[index] for array in pieces))
+    return compact._replace(length=jnp.where(used, compact.length, 0.0)), lost + unplaced
 
 
 def visible_contours(
@@ -174,15 +175,13 @@ def visible_contours(
     """Drop the pieces that something hides, and find what is seen behind the others, exactly at their middles."""
     width, height = size
     count = len(pieces.length)
-    index = jnp.arange(count, dtype=jnp.int32)
     boxes = pixel_boxes(triangles, size, 0.5)
     places = jnp.stack([*pieces.middle.T, pieces.nearness, pieces.bias], axis=1)
     owner = pieces.half_edge // 3
 
-    def test_one_per_pixel(loop):
+    def examine_longest(_, loop):
         left, hidden, behind = loop
-        layer = jnp.full(width * height, -1, jnp.int32)
-        layer = layer.at[jnp.where(left, pieces.pixel, width * height)].max(index, mode="drop")
+        layer = _longest(pieces, left, width * height)
         wanted = triangles.drawn & _near(jnp.where(left, pieces.pixel, -1), *boxes, size)
 
         def step(state, blocks):
@@ -201,13 +200,22 @@ def visible_contours(
             return hidden, scatter_max(behind, follows, order_key(nearness, blocks.triangle[:, None]))
 
         hidden, behind = for_each_block(triangles, boxes, wanted, step, (hidden, behind), CHUNK)
-        return left & (layer[pieces.pixel] != index), hidden, behind
+        return left & (layer[pieces.pixel] != jnp.arange(count)), hidden, behind
 
     present = pieces.length > 0.0
     start = present, jnp.zeros(count, jnp.int32), jnp.zeros(count, jnp.uint64)
-    _, hidden, behind = lax.while_loop(lambda loop: loop[0].any(), test_one_per_pixel, start)
+    left, hidden, behind = lax.fori_loop(0, TESTED_PER_PIXEL, examine_longest, start)
+    longest = jnp.maximum(_longest(pieces, present, width * height)[pieces.pixel], 0)
+    hidden, behind = (jnp.where(left, array[longest], array) for array in (hidden, behind))
     pieces = pieces._replace(length=jnp.where(hidden > 0, 0.0, pieces.length))
-    return VisibleContours(pieces, triangle_of_key(behind), lost)
+    return VisibleContours(pieces, index_of_key(behind), lost)
+
+
+def _longest(pieces: ContourPieces, chosen: Bool[Array, "n"], pixel_count: int) -> Int[Array, "p"]:
+    """The index of the longest of the chosen pieces in each pixel, −1 where there is none."""
+    key = order_key(pieces.length, jnp.arange(len(chosen), dtype=jnp.int32))
+    keys = jnp.zeros(pixel_count, jnp.uint64)
+    return index_of_key(keys.at[jnp.where(chosen, pieces.pixel, pixel_count)].max(key, mode="drop"))
 
 
 def _near(pixels: Int[Array, "n"], low: Int[Array, "t 2"], high: Int[Array, "t 2"], size) -> Bool[Array, "t"]:

@@ -142,7 +142,7 @@ def visible_triangles(
 
     boxes = pixel_boxes(triangles, size, TOLERANCE_PX)
     keys = for_each_block(triangles, boxes, triangles.drawn, step, jnp.zeros(width * height, jnp.uint64))
-    return triangle_of_key(keys).reshape(height, width), nearness_of_key(keys).reshape(height, width)
+    return index_of_key(keys).reshape(height, width), value_of_key(keys).reshape(height, width)
 
 
 def scatter_max(
@@ -161,21 +161,21 @@ def scatter_max(
     return lax.fori_loop(0, 2, scatter, target)
 
 
-def order_key(nearness: Float[Array, "n p"], index: Int[Array, "n 1"]) -> UInt[Array, "n p"]:
-    """An integer that is larger for nearer triangles and, equally near, for lower indices; never 0."""
-    bits = lax.bitcast_convert_type(nearness, jnp.uint32)
+def order_key(value: Float[Array, "*#n"], index: Int[Array, "*#n"]) -> UInt[Array, "*#n"]:
+    """An integer that is larger for larger values and, among equal ones, for lower indices; never 0."""
+    bits = lax.bitcast_convert_type(value, jnp.uint32)
     # IEEE floats ascend like integers if the sign is flipped, and all bits of negative ones are.
     ascending = jnp.where(bits >> 31 == 1, ~bits, bits | jnp.uint32(1 << 31))
     return ascending.astype(jnp.uint64) << 32 | (~index.astype(jnp.uint32)).astype(jnp.uint64)
 
 
-def triangle_of_key(keys: UInt[Array, "*n"]) -> Int[Array, "*n"]:
+def index_of_key(keys: UInt[Array, "*n"]) -> Int[Array, "*n"]:
     """The index in a key, −1 for key 0."""
     return jnp.where(keys == 0, -1, (~keys.astype(jnp.uint32)).astype(jnp.int32))
 
 
-def nearness_of_key(keys: UInt[Array, "*n"]) -> Float[Array, "*n"]:
-    """The nearness in a key, −∞ for key 0."""
+def value_of_key(keys: UInt[Array, "*n"]) -> Float[Array, "*n"]:
+    """The value in a key, −∞ for key 0."""
     ascending = (keys >> 32).astype(jnp.uint32)
     bits = jnp.where(ascending >> 31 == 1, ascending ^ jnp.uint32(1 << 31), ~ascending)
     return jnp.where(keys == 0, -jnp.inf, lax.bitcast_convert_type(bits, jnp.float32))

@@ -4,7 +4,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int, Integer
+from jaxtyping import Bool, Float, Int, Integer
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from workbench.arrays import AnyArray
 from workbench.errors import InputError
@@ -20,12 +22,18 @@ class MeshTopology(NamedTuple):
     the border of an open mesh."""
     faces_of_vertex: Int[AnyArray, "v n"]
     """The triangles around each vertex, padded with the number of triangles."""
+    part: Int[AnyArray, "t"]
+    """3 · the connected part of the mesh + the side of a slit (0: neither, 1 and 2) of each triangle."""
 
 
-def mesh_topology(triangles: Integer[np.ndarray, "t 3"], vertex_count: int) -> MeshTopology:
+def mesh_topology(
+    triangles: Integer[np.ndarray, "t 3"], vertex_count: int, sides: Integer[np.ndarray, "t"] | None = None
+) -> MeshTopology:
     """The topology of a mesh. Edges of more than two triangles count as borders of each.
 
-    Raises `InputError` if a triangle names a vertex that does not exist, or there is no triangle.
+    `sides` marks the two sides of slits, as upper and lower lip, by 1 and 2 and all else by 0: like separate parts,
+    they may press into each other. Raises `InputError` if a triangle names a vertex that does not exist, there is no
+    triangle, or the sides are not one of 0, 1, 2 for each.
     """
     triangles = np.asarray(triangles).astype(np.int32)
     if len(triangles) == 0 or triangles.min() < 0 or triangles.max() >= vertex_count:
@@ -33,7 +41,16 @@ def mesh_topology(triangles: Integer[np.ndarray, "t 3"], vertex_count: int) -> M
             f"A mesh to render needs triangles between its {vertex_count} vertices; "
             "its triangle list is empty or names another vertex."
         )
-    return MeshTopology(triangles, _edges(triangles), _faces_of_vertex(triangles, vertex_count))
+    sides = np.zeros(len(triangles), np.int32) if sides is None else np.asarray(sides).astype(np.int32)
+    if sides.shape != (len(triangles),) or not np.isin(sides, (0, 1, 2)).all():
+        raise InputError(f"The sides of slits are 0, 1 or 2 for each of {len(triangles)} triangles; check the array.")
+    part = 3 * _parts(triangles, vertex_count) + sides
+    return MeshTopology(triangles, _edges(triangles), _faces_of_vertex(triangles, vertex_count), part)
+
+
+def may_cross(part: Int[AnyArray, "*n"], other: Int[AnyArray, "*n"]) -> Bool[AnyArray, "*n"]:
+    """Whether triangles of these parts are apart, so that a line between them is where they pass through each other."""
+    return (part // 3 != other // 3) | ((part % 3) * (other % 3) == 2)
 
 
 def face_normals(vertices: Float[AnyArray, "v 3"], triangles: Int[AnyArray, "t 3"]) -> Float[AnyArray, "t 3"]:
@@ -72,3 +89,9 @@ def _faces_of_vertex(triangles: Int[np.ndarray, "t 3"], vertex_count: int) -> In
     table = np.full((vertex_count, max(1, uses.max())), len(triangles), np.int32)
     table[corners[order], place] = order // 3
     return table
+
+
+def _parts(triangles: Int[np.ndarray, "t 3"], vertex_count: int) -> Int[np.ndarray, "t"]:
+    ends = triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
+    links = coo_matrix((np.ones(len(ends), bool), ends.T), shape=(vertex_count, vertex_count))
+    return connected_components(links, directed=False)[1][triangles[:, 0]].astype(np.int32)

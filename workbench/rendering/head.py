@@ -1,0 +1,107 @@
+"""The parametric face as arrays for the renderer: parameters in, vertices and pictures out."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from workbench.arrays import AnyArray
+from workbench.face import FaceModel, FaceParameters
+from workbench.face.model import BLINK_SCALE_RANGE, BLINKS
+from workbench.geometry import rotation_matrix
+from workbench.rendering.camera import AnyCamera
+from workbench.rendering.renderer import Rendering, Texture, render
+from workbench.rendering.topology import MeshTopology, mesh_topology
+
+BESIDE_MM = 2.0
+"""Lip vertices this close from side to side are compared: of these, the lower lip's move farther under `jawOpen`."""
+
+
+class RenderModel(NamedTuple):
+    """A face model as float32 arrays: vertices are linear in expression and identity, blinks scaled to the person."""
+
+    neutral: Float[AnyArray, "v 3"]
+    expression: Float[AnyArray, "k v 3"]
+    identity: Float[AnyArray, "i v 3"]
+    expression_scale: Float[AnyArray, "k"]
+    """Travel of each blendshape for the mean identity (1 but for blinks)."""
+    expression_scale_identity: Float[AnyArray, "i k"]
+    topology: MeshTopology
+    colors: Float[AnyArray, "v 3"]
+    """The model's own albedo, 0 to 1."""
+    uv: Float[AnyArray, "u 2"]
+    triangles_uv: Int[AnyArray, "t 3"]
+
+
+def render_model(model: FaceModel) -> RenderModel:
+    """What rendering needs of a face model, on JAX's default device; made once."""
+    scale = np.ones(len(model.expression_names))
+    scale_identity = np.zeros((len(model.identity_deltas), len(model.expression_names)))
+    for side, name in enumerate(BLINKS):
+        if name in model.expression_names:
+            column = model.expression_names.index(name)
+            scale[column] = model.blink_scale[side]
+            scale_identity[:, column] = model.blink_scale_identity[:, side]
+    made = RenderModel(
+        neutral=model.neutral.astype(np.float32),
+        expression=model.expression_deltas.astype(np.float32),
+        identity=model.identity_deltas.astype(np.float32),
+        expression_scale=scale.astype(np.float32),
+        expression_scale_identity=scale_identity.astype(np.float32),
+        topology=mesh_topology(model.triangles, len(model.neutral), lip_sides(model)),
+        colors=model.colors.astype(np.float32) / 255.0,
+        uv=model.uv.astype(np.float32),
+        triangles_uv=model.triangles_uv.astype(np.int32),
+    )
+    return jax.tree.map(jnp.asarray, made)
+
+
+def lip_sides(model: FaceModel) -> Int[np.ndarray, "t"]:
+    """1 for triangles of the upper lip, 2 for those of the lower lip, 0 for others and where both meet."""
+    sides = np.zeros(len(model.triangles), np.int64)
+    if "lips" not in model.regions or "jawOpen" not in model.expression_names:
+        return sides
+    way = np.linalg.norm(model.expression_deltas[model.expression_names.index("jawOpen")], axis=1)
+    lips = model.regions["lips"]
+    beside = np.abs(model.neutral[lips, None, 0] - model.neutral[None, lips, 0]) < BESIDE_MM
+    least, most = (
+        pick(np.where(beside, way[None, lips], empty), axis=1) for pick, empty in ((np.min, np.inf), (np.max, -np.inf))
+    )
+    side_of_vertex = np.zeros(len(model.neutral), np.int64)
+    side_of_vertex[lips] = np.where(way[lips] < 0.5 * (least + most), 1, 2)
+    corners = side_of_vertex[model.triangles]
+    for side in (1, 2):
+        sides[(corners == side).any(axis=1) & (corners != 3 - side).all(axis=1)] = side
+    return sides
+
+
+def face_vertices(model: RenderModel, parameters: FaceParameters) -> Float[Array, "v 3"]:
+    """Camera-frame vertices, millimetres, float32. An empty identity means the mean one."""
+    rotation, translation, expression, identity = (jnp.asarray(part, jnp.float32) for part in parameters)
+    scale, vertices = model.expression_scale, model.neutral
+    if len(identity):
+        scale = jnp.clip(scale + identity @ model.expression_scale_identity, *BLINK_SCALE_RANGE)
+        vertices = vertices + jnp.tensordot(identity, model.identity, axes=1)
+    vertices = vertices + jnp.tensordot(expression * scale, model.expression, axes=1)
+    return vertices @ rotation_matrix(rotation).T + translation
+
+
+def render_face(
+    model: RenderModel,
+    parameters: FaceParameters,
+    camera: AnyCamera,
+    albedo: Float[AnyArray, "v 3"] | Texture,
+    light: Float[AnyArray, "9 3"],
+    background: Float[AnyArray, "3"] | Float[AnyArray, "h w 3"],
+    *,
+    size: tuple[int, int],
+    samples: int = 1,
+    antialias: bool = True,
+) -> Rendering:
+    """Render the face with these parameters; the rest as in `render`."""
+    vertices = face_vertices(model, parameters)
+    return render(
+        vertices, model.topology, camera, albedo, light, background, size=size, samples=samples, antialias=antialias
+    )
