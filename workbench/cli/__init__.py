@@ -1,4 +1,4 @@
-"""The command line: `workbench track|demo|diagnose|config|weights|lab|app|info`."""
+"""The command line: `workbench track|demo|diagnose|config|weights|train|lab|app|info`."""
 
 import sys
 
@@ -12,6 +12,7 @@ from workbench.cli.servers import APP_HELP, lab, serve_app
 from workbench.cli.servers import notebooks_folder as notebooks_folder
 from workbench.cli.servers import working_copies as working_copies
 from workbench.cli.tracking import TRACK_HELP, demo, track
+from workbench.cli.training import train_app
 from workbench.cli.weights import weights_app
 from workbench.errors import WorkbenchError
 
@@ -27,6 +28,7 @@ app.command()(demo)
 app.command(help=DIAGNOSE_HELP)(diagnose)
 app.add_typer(config_app, name="config")
 app.add_typer(weights_app, name="weights")
+app.add_typer(train_app, name="train")
 app.command()(lab)
 app.command("app", help=APP_HELP)(serve_app)
 app.command()(info)

@@ -1,0 +1,170 @@
+"""The recipes of the bundled networks, each one call: renders, training, evaluation, calibration, weights, report."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from workbench.files import atomic_path
+from workbench.networks import (
+    LandmarkNetwork,
+    patch_mass,
+    read_landmark_network,
+    read_weights,
+    soft_argmax,
+    write_weights,
+)
+from workbench.training.augment import TRAINING
+from workbench.training.evaluation import (
+    CONFIDENT_PERCENT,
+    Answers,
+    answers_of,
+    calibration_of,
+    error_table,
+    eye_aspect,
+    mouth_opening,
+    rank_correlation,
+    reliability,
+)
+from workbench.training.finder_task import FinderTask
+from workbench.training.landmark_task import LandmarkTask
+from workbench.training.loop import Phase, TrainingPlan, train
+from workbench.training.pool import Pool, make_pool, open_pool
+from workbench.training.report import write_report
+
+LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
+FINDER_PLAN = TrainingPlan(
+    phases=(Phase(128, 2500, 32, 3e-3), Phase(256, 2500, 24, 2e-3)), widths=(16, 32, 64, 96), blocks=2
+)
+POOL_SEED, TEST_SEED = 1, 1002
+TEST_PICTURES, EVALUATED, CALIBRATED = 1920, 800, 1500
+LICENCE = "Apache-2.0"
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Sizes of one training; the defaults made the bundled weights."""
+
+    pictures: int = 21600
+    test_pictures: int = TEST_PICTURES
+    plan: TrainingPlan = LANDMARK_PLAN
+    evaluated: int = EVALUATED
+    calibrated: int = CALIBRATED
+
+
+QUICK = Recipe(
+    pictures=240,
+    test_pictures=240,
+    plan=TrainingPlan(phases=(Phase(128, 30, 8, 2e-3), Phase(256, 5, 4, 1e-3)), widths=(8, 16, 16, 16), blocks=1),
+    evaluated=20,
+    calibrated=40,
+)
+"""Everything once, in a minute or two: to see that it works."""
+
+
+def train_landmark_network(
+    folder: Path, recipe: Recipe = Recipe(), workers: int = 1, device: str = "cpu", report: Report = print
+) -> Path:
+    """Make the landmark network from nothing: `folder/landmarks.safetensors`, and a report beside it.
+
+    Called again after an interruption it goes on where it stopped. Raises `InputError` where the folder belongs to
+    another plan.
+    """
+    pool, test = _pools(folder, recipe, workers, report)
+    raw = train(LandmarkTask(), pool, folder / "landmarks", recipe.plan, workers, device, report=report)
+    side = recipe.plan.phases[-1].input_side
+    look = looker(read_landmark_network(raw))
+    held_out = open_pool(test)
+    report("calibrating the confidence")
+    mass, confidence = calibration_of(answers_of(look, held_out, recipe.calibrated, side, TRAINING, seed=1))
+    weights = read_weights(raw)
+    arrays = {name: array.astype(np.float16) for name, array in weights.arrays.items()}
+    arrays |= {"calibration.mass": mass.astype(np.float32), "calibration.confidence": confidence.astype(np.float32)}
+    path = folder / "landmarks.safetensors"
+    notes = {"licence": LICENCE, "data": "renders of the default head only", "seed": str(recipe.plan.seed)}
+    write_weights(path, arrays, {**weights.metadata, **notes})
+    report("measuring on renders that it has not seen")
+    numbers = measured(path, held_out, recipe.evaluated, side)
+    with atomic_path(folder / "numbers.json") as temporary:
+        temporary.write_text(json.dumps(numbers, indent=1), encoding="utf-8")
+    write_report(folder, numbers, folder / "landmarks" / "curves.csv")
+    return path
+
+
+def train_face_finder(
+    folder: Path,
+    recipe: Recipe = Recipe(plan=FINDER_PLAN),
+    workers: int = 1,
+    device: str = "cpu",
+    report: Report = print,
+) -> Path:
+    """Make the face finder from the same pool: `folder/finder.safetensors`; resumes like the landmark network."""
+    pool, _ = _pools(folder, recipe, workers, report)
+    raw = read_weights(train(FinderTask(), pool, folder / "finder", recipe.plan, workers, device, report=report))
+    path = folder / "finder.safetensors"
+    arrays = {name: array.astype(np.float16) for name, array in raw.arrays.items()}
+    write_weights(path, arrays, {**raw.metadata, "licence": LICENCE, "data": "renders of the default head only"})
+    return path
+
+
+def measured(path: Path, pool: Pool, count: int, side: int) -> dict:
+    """The figures of the model card for a weights file, on clean and on damaged pictures of a pool."""
+    network = read_landmark_network(path)
+    look = looker(network)
+    numbers: dict = {"side": side, "pictures": count, "confident_percent": CONFIDENT_PERCENT}
+    numbers["clean"] = error_table(answers := answers_of(look, pool, count, side))
+    numbers |= _openings(answers)
+    damaged = answers_of(look, pool, count, side, TRAINING)
+    numbers["damaged"] = error_table(damaged)
+    numbers["rank_correlation"] = rank_correlation(damaged)
+    confidence = np.asarray(network.calibration(jnp.asarray(damaged.mass[:, 17:].ravel(), jnp.float32)))
+    found = (damaged.errors_percent[:, 17:] < CONFIDENT_PERCENT).ravel()
+    numbers["reliability"] = reliability(confidence, found).tolist()
+    return numbers
+
+
+def looker(network: LandmarkNetwork):
+    """A network as a function of a crop: points in its pixels, and the probability mass around each."""
+
+    @jax.jit
+    def answer(crop):
+        maps = network(jnp.moveaxis(crop, -1, 0).astype(jnp.float32) / 255)
+        stride = crop.shape[0] / maps.shape[-1]
+        return (soft_argmax(maps) + 0.5) * stride - 0.5, patch_mass(maps)
+
+    return lambda crop: tuple(np.asarray(part) for part in answer(crop))
+
+
+def _openings(answers: Answers) -> dict[str, float]:
+    """Closed eyes and open mouths, on heads that are turned less than 45°."""
+    front = np.abs(answers.angles_deg[:, 0]) < 45
+    eyes_true, eyes = eye_aspect(answers.truth)[front], eye_aspect(answers.points)[front]
+    mouth_true, mouth = mouth_opening(answers.truth)[front], mouth_opening(answers.points)[front]
+    closed, opened, wide = eyes_true < 0.1, eyes_true > 0.25, mouth_true > 0.2
+    return {
+        "eye_aspect_closed": _mean(eyes[closed]),
+        "eye_aspect_closed_true": _mean(eyes_true[closed]),
+        "eye_aspect_open": _mean(eyes[opened]),
+        "eye_aspect_open_true": _mean(eyes_true[opened]),
+        "mouth_opening_error": _mean(np.abs(mouth - mouth_true)[wide]) / _mean(mouth_true[wide]),
+        "mouth_opening_bias": _mean((mouth - mouth_true)[wide]) / _mean(mouth_true[wide]),
+    }
+
+
+def _mean(values) -> float:
+    return float(values.mean()) if values.size else float("nan")
+
+
+def _pools(folder: Path, recipe: Recipe, workers: int, report: Report) -> tuple[Path, Path]:
+    pools = folder / "pool", folder / "pool_test"
+    for path, pictures, seed in zip(
+        pools, (recipe.pictures, recipe.test_pictures), (POOL_SEED, TEST_SEED), strict=True
+    ):
+        make_pool(path, pictures, seed, workers, lambda done, total: report(f"rendered {done} of {total}"))
+    return pools

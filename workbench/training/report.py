@@ -1,0 +1,70 @@
+"""What a training leaves to look at: its curves, the confidence against the truth, and the tables of the model card."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from workbench.files import atomic_path
+
+
+def write_report(folder: Path, numbers: dict, curves: Path) -> None:
+    """Write `curves.png`, `reliability.png` and `tables.md` into the folder."""
+    for name, figure in (("curves", curves_figure(curves)), ("reliability", reliability_figure(numbers))):
+        with atomic_path(folder / f"{name}.png") as temporary:
+            figure.savefig(temporary, dpi=100)
+    with atomic_path(folder / "tables.md") as temporary:
+        temporary.write_text(tables(numbers), encoding="utf-8")
+
+
+def curves_figure(path: Path) -> Figure:
+    """Loss and error of the training pictures over the steps."""
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    steps = [int(row["step"]) for row in rows]
+    figure = Figure(figsize=(8, 3), layout="constrained")
+    for axis, name in zip(figure.subplots(1, 2), ("loss", "inner_percent"), strict=True):
+        axis.plot(steps, [float(row[name]) for row in rows], color="#2a6f97")
+        axis.set_yscale("log")
+        axis.set_xlabel("step")
+        axis.set_title("loss" if name == "loss" else "inner 51, % of the outer-eye distance")
+        axis.grid(alpha=0.3, which="both")
+    return figure
+
+
+def reliability_figure(numbers: dict) -> Figure:
+    """Share of landmarks that were found against the confidence that was told."""
+    told, found, count = np.asarray(numbers["reliability"]).T
+    figure = Figure(figsize=(4, 4), layout="constrained")
+    axis = figure.subplots()
+    axis.plot([0, 1], [0, 1], color="#8d99a6", linestyle="--")
+    axis.plot(told, found, color="#2a6f97", marker="o")
+    axis.bar(told, count / count.sum(), width=0.06, color="#8d99a6", alpha=0.4, label="share of the landmarks")
+    axis.set_xlabel("confidence")
+    axis.set_ylabel(f"found within {numbers['confident_percent']:g} %")
+    axis.set_xlim(0, 1)
+    axis.set_ylim(0, 1)
+    axis.legend(loc="upper left", frameon=False)
+    return figure
+
+
+def tables(numbers: dict) -> str:
+    """The errors as Markdown."""
+    lines = [
+        "| % of the outer-eye distance | clean: mean | median | p90 | damaged: mean | median | p90 |",
+        "|" + "---|" * 7,
+    ]
+    for row, clean in numbers["clean"].items():
+        damaged = numbers["damaged"][row]
+        cells = [f"{part[key]:.2f}" for part in (clean, damaged) for key in ("mean", "median", "p90")]
+        lines.append(f"| {row} | " + " | ".join(cells) + " |")
+    value = {name: number for name, number in numbers.items() if isinstance(number, float)}
+    lines += [
+        "",
+        "- eye aspect ratio: {eye_aspect_open:.3f} on open eyes (truth {eye_aspect_open_true:.3f}), "
+        "{eye_aspect_closed:.3f} on closed ones (truth {eye_aspect_closed_true:.3f})".format(**value),
+        "- mouth opening: error {mouth_opening_error:.1%}, bias {mouth_opening_bias:+.1%}".format(**value),
+        "- rank correlation of confidence and accuracy: {rank_correlation:.2f}".format(**value),
+    ]
+    return "\n".join(lines) + "\n"
