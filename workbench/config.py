@@ -107,7 +107,9 @@ class IdentityConfig(_Section):
 class LandmarksConfig(_Section):
     """Detection and tracking of the 68 points."""
 
-    detector: Literal["dlib", "dlib-hog", "dlib-cnn"] = Field("dlib", description="Face detector and predictor.")
+    detector: Literal["auto", "network", "dlib", "dlib-hog", "dlib-cnn"] = Field(
+        "auto", description="Face detector and predictor; auto: dlib where it is installed, else our network."
+    )
     face: tuple[float, float] | None = Field(None, description="A point in the wanted face, pixels; else the largest.")
     weights: dict[str, NonNegative] = Field(
         {}, description="Factor by group, subset or point number, in every stage and in the identity; 0 mutes."

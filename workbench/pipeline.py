@@ -17,7 +17,7 @@ from workbench.errors import InputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.face import FaceModel
 from workbench.frames import Frame, Frames, ImageFrames, open_frames
-from workbench.landmarks.detectors import LandmarkDetector, make_detector
+from workbench.landmarks.detectors import LandmarkDetector, fallback_note, make_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
@@ -127,16 +127,18 @@ class PictureSource:
         self.single_picture = frames.kind == "images" and frames.announced_count == 1
         self.image_size = frames.image_size
         self.count = frames.announced_count
+        self.detector = detector.name
+        self._fallback = fallback_note(config.landmarks.detector, detector.name)
         face = config.landmarks.face
         self._tracker = LandmarkTracker(detector, TrackerOptions(face=face))
         self._finder = LandmarkTracker(detector, TrackerOptions(face=face, accept_confidence=STILL_CONFIDENCE))
 
     def notes(self) -> list[str]:
-        return list(self.frames.notes)
+        return [*self.frames.notes, *([self._fallback] if self._fallback else [])]
 
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
         if stills:
-            yield from (self._still(frame) for frame in self.frames.iterate(start))
+            yield from (observation for _, observation in self.stills(start))
             return
         frames = self.frames.iterate(max(start - 1, 0))
         if start:
@@ -146,6 +148,10 @@ class PictureSource:
             found = self._tracker.step(frame.picture)
             times = (found.milliseconds["detect"], found.milliseconds["landmarks"])
             yield FrameObservation(frame.index, found.landmarks, (width, height), found.source, found.cut, times)
+
+    def stills(self, start: int = 0) -> Iterator[tuple[Frame, FrameObservation]]:
+        """Each frame as a picture of its own, with what is found in it."""
+        yield from ((frame, self._still(frame)) for frame in self.frames.iterate(start))
 
     def state(self) -> dict[str, np.ndarray]:
         return self._tracker.state()
@@ -160,6 +166,8 @@ class PictureSource:
 
 class FileSource:
     """Landmarks that were stored before, with or without their pictures."""
+
+    detector = None
 
     def __init__(self, paths: list[Path], frames: Frames | None):
         self._paths = paths
@@ -301,6 +309,7 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
         "config": json.loads(config.model_dump_json()),
         "inputs": [{"path": str(path), "sha256": content_hash(path)} for path in paths],
         "landmarks": None if landmarks is None else {"path": str(landmarks), "sha256": content_hash(landmarks)},
+        "detector": source.detector,
         "names": _names(source.frames) if stills else [],
         "stills": stills,
         "rate": source.frames.rate,
@@ -322,8 +331,13 @@ def _names(frames: Frames) -> list[str]:
 
 
 def _fingerprint(meta: dict[str, Any]) -> str:
-    """The metadata holds all that a run depends on: inputs, configuration, model, versions."""
-    return hashlib.sha256(json.dumps(meta, sort_keys=True).encode()).hexdigest()
+    """The metadata holds all that a run depends on: inputs, configuration, model, versions.
+
+    Of the detector only which one ran counts, not whether it was asked for by name or by "auto".
+    """
+    landmarks = {**meta["config"]["landmarks"], "detector": meta["detector"]}
+    run = {**meta, "config": {**meta["config"], "landmarks": landmarks}}
+    return hashlib.sha256(json.dumps(run, sort_keys=True).encode()).hexdigest()
 
 
 def content_hash(path: Path) -> str:

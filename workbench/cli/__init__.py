@@ -1,4 +1,4 @@
-"""The command line: `workbench track|demo|diagnose|config|weights|train|lab|app|info`."""
+"""The command line: `workbench track|landmarks|demo|diagnose|config|weights|train|lab|app|info`."""
 
 import sys
 
@@ -8,6 +8,7 @@ from workbench.cli import screen
 from workbench.cli.configuration import config_app
 from workbench.cli.diagnosing import DIAGNOSE_HELP, diagnose
 from workbench.cli.installation import info
+from workbench.cli.landmarking import LANDMARKS_HELP, landmarks
 from workbench.cli.servers import APP_HELP, lab, serve_app
 from workbench.cli.servers import notebooks_folder as notebooks_folder
 from workbench.cli.servers import working_copies as working_copies
@@ -24,6 +25,7 @@ app = typer.Typer(
     help="Face Energy Workbench: facial performance capture by optimisation.",
 )
 app.command(help=TRACK_HELP)(track)
+app.command(help=LANDMARKS_HELP)(landmarks)
 app.command()(demo)
 app.command(help=DIAGNOSE_HELP)(diagnose)
 app.add_typer(config_app, name="config")

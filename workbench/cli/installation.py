@@ -1,8 +1,10 @@
 """`workbench info`."""
 
+import hashlib
 import importlib.metadata
 import importlib.util
 import platform
+from pathlib import Path
 
 from rich.markup import escape
 from rich.table import Table
@@ -19,15 +21,19 @@ PACKAGES = ("jax", "equinox", "optimistix", "opencv-contrib-python-headless", "p
 def info() -> None:
     """Versions, what is installed, and where things are."""
     from workbench.face import load_default_head
+    from workbench.landmarks.detectors import chosen_detector
+    from workbench.landmarks.network_detector import BUNDLED
     from workbench.pictures.gl_probe import gl_available
 
-    head = load_default_head()
+    head, automatic = load_default_head(), chosen_detector()
     table = Table(show_header=False, box=None)
     rows = {
         "workbench": __version__,
         "Python": platform.python_version(),
         **{name: _version(name) for name in PACKAGES},
-        "dlib detector": "installed" if _has_dlib() else 'missing: pip install "face-energy-workbench[dlib]"',
+        "dlib detector": "installed" if automatic == "dlib" else 'missing: pip install "face-energy-workbench[dlib]"',
+        "auto detector": automatic if automatic == "dlib" else f"{automatic}, as the dlib detector is missing",
+        **{f"network {path.stem}": _network(path) for path in sorted(BUNDLED.glob("*.safetensors"))},
         "app": "installed" if _has("voila") else 'missing: pip install "face-energy-workbench[app]"',
         "3D pictures": "VTK off screen" if gl_available() else "plain (VTK found no usable OpenGL library)",
         "default head": f"{len(head.neutral)} vertices, {len(head.expression_names)} blendshapes",
@@ -40,8 +46,15 @@ def info() -> None:
     screen.console.print(table)
 
 
-def _has_dlib() -> bool:
-    return _has("dlib") and _has("face_recognition_models")
+def _network(path: Path) -> str:
+    """Architecture, size and identity of a weights file."""
+    from workbench.networks import read_weights
+
+    weights = read_weights(path)
+    numbers = sum(array.size for array in weights.arrays.values())
+    content = path.read_bytes()
+    digest = hashlib.sha256(content).hexdigest()[:12]
+    return f"{weights.architecture}, {numbers:,} parameters, {len(content) / 2**20:.1f} MiB, SHA-256 {digest}…"
 
 
 def _has(module: str) -> bool:

@@ -27,12 +27,17 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
   workbench track points.csv                        landmarks from a file, no detector
 
+  workbench track talk.mp4 --detector network       our own network, whatever is installed
+
   workbench track talk.mp4 --preset face-it         as the paper has it
 
   workbench track talk.mp4 --config tuned.toml      your own configuration
 
   workbench track talk.mp4 --resume                 go on with an interrupted run
 """
+
+DETECTOR_HELP = "auto (dlib where it is installed, else network), network, dlib, dlib-hog or dlib-cnn."
+FACE_HELP = "A point X,Y in the wanted face, pixels."
 
 
 def track(
@@ -41,9 +46,9 @@ def track(
     config: Annotated[Path | None, typer.Option(help="Configuration file (TOML).")] = None,
     preset_name: Annotated[str | None, typer.Option("--preset", help=f"One of: {', '.join(PRESETS)}.")] = None,
     stills: Annotated[bool, typer.Option("--stills", help="Unrelated photos: nothing links one to the next.")] = False,
-    detector: Annotated[str | None, typer.Option(help="dlib, dlib-hog or dlib-cnn.")] = None,
+    detector: Annotated[str | None, typer.Option(help=DETECTOR_HELP)] = None,
     fov: Annotated[float | None, typer.Option(help="Field of view over the longer side, degrees.")] = None,
-    face: Annotated[str | None, typer.Option(help="A point X,Y in the wanted face, pixels.")] = None,
+    face: Annotated[str | None, typer.Option(help=FACE_HELP)] = None,
     identity: Annotated[
         bool | None, typer.Option("--identity/--no-identity", help="Calibrate the subject's face shape first.")
     ] = None,
@@ -76,7 +81,7 @@ def _configuration(config, preset_name, detector, fov, face, identity) -> Config
     if detector is not None:
         landmarks["detector"] = detector
     if face is not None:
-        landmarks["face"] = _point(face)
+        landmarks["face"] = wanted_face(face)
     if fov is not None:
         camera = {"fov_deg": fov, "matrix": None}
     changes = {
@@ -87,7 +92,10 @@ def _configuration(config, preset_name, detector, fov, face, identity) -> Config
     return base.changed(**changes)
 
 
-def _point(text: str) -> tuple[float, float]:
+def wanted_face(text: str | None) -> tuple[float, float] | None:
+    """The point that `--face` names, None where it is left out; raises `ConfigError` for anything but X,Y."""
+    if text is None:
+        return None
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
@@ -97,10 +105,8 @@ def _point(text: str) -> tuple[float, float]:
 
 def _run(inputs, folder, config, **options) -> None:
     from workbench.face import load_default_head
-    from workbench.pipeline import is_landmark_file, track
+    from workbench.pipeline import track
 
-    if options.get("landmarks") is None and not all(is_landmark_file(path) for path in inputs):
-        _print_licence_notice()
     with screen.progress_bar() as progress:
         try:
             result = track(inputs, folder, load_default_head(), config, progress=progress, **options)
@@ -120,6 +126,7 @@ def _print_summary(result) -> None:
     table = Table(show_header=False, box=None)
     faces = f"{summary['frames_with_face']} of {summary['frames']} with a face, {summary['shots']} shot(s)"
     table.add_row("[bold]frames[/bold]", faces)
+    table.add_row("[bold]landmarks[/bold]", f"by {summary['detector']}" if summary["detector"] else "from a file")
     if summary["frames_with_face"]:
         table.add_row(
             "[bold]error[/bold]",
@@ -140,11 +147,13 @@ def _print_summary(result) -> None:
     screen.console.print(table)
     for note in result.notes:
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")
+    print_licence_notice(summary["detector"])
 
 
-def _print_licence_notice() -> None:
+def print_licence_notice(detector: str | None) -> None:
+    """Tell, once, what users of dlib's landmarks must know; nothing where another detector ran, or none."""
     from workbench.landmarks.dlib_detector import licence_notice_once
 
-    notice = licence_notice_once()
+    notice = licence_notice_once() if detector is not None and detector.startswith("dlib") else None
     if notice:
         screen.console.print(f"[dim]{notice}[/dim]")

@@ -16,12 +16,12 @@ TIMES = ("detect", "landmarks", "solve")
 
 
 def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[str, Any]:
-    """Frames, reprojection errors, times and the assumed camera of a run; `seconds` is its wall time.
+    """Frames, the detector, reprojection errors, times and the assumed camera of a run; `seconds` is its wall time.
 
-    `tracks` are consecutive pieces of one run. Errors are means over the landmarks of a frame, then mean, median and
-    95th percentile over the frames with a face.
+    `tracks` are consecutive pieces of one run. The detector is None where the landmarks came from a file. Errors
+    are means over the landmarks of a frame, then mean, median and 95th percentile over the frames with a face.
     """
-    errors, milliseconds, found, iterations, shots, camera = [], [], [], [], 0, {}
+    errors, milliseconds, found, iterations, shots, camera, detector = [], [], [], [], 0, {}, None
     for track in tracks:
         errors.append(frame_errors(track))
         milliseconds.append(track.milliseconds)
@@ -29,6 +29,7 @@ def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[st
         iterations.append(track.iterations)
         shots = int(track.shot.max()) + 1
         camera = camera or _camera(track)
+        detector = track.meta.get("detector")
     found = np.concatenate(found)
     errors, milliseconds = np.concatenate(errors)[found], np.concatenate(milliseconds)[found]
     names = (
@@ -41,6 +42,7 @@ def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[st
         "frames": len(found),
         "frames_with_face": int(found.sum()),
         "shots": shots,
+        "detector": detector,
         "reprojection_error": {name: _spread(errors[:, k]) for k, name in enumerate(names)},
         "milliseconds_per_frame": {name: _times(milliseconds[:, k]) for k, name in enumerate(TIMES)},
         "solver_iterations_mean": np.concatenate(iterations)[found].mean(0).round(2).tolist() if found.any() else [],

@@ -9,7 +9,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from workbench.errors import ConfigError
+from workbench.errors import ConfigError, MissingDependencyError
 from workbench.landmarks.observations import Landmarks2D
 
 Effort = Literal["quick", "thorough", "full"]
@@ -53,14 +53,30 @@ class LandmarkDetector(Protocol):
         ...
 
 
+AUTO = "auto"
+"""Not a detector but a choice: see `chosen_detector`."""
+
+
 def _dlib(faces: str) -> LandmarkDetector:
     from workbench.landmarks.dlib_detector import DlibDetector  # dlib is optional: imported when it is asked for
 
     return DlibDetector(faces)
 
 
+def _network() -> LandmarkDetector:
+    from workbench.landmarks.network_detector import NetworkDetector  # reads the weights: when it is asked for
+
+    return NetworkDetector()
+
+
+def _auto() -> LandmarkDetector:
+    return DETECTORS[chosen_detector(AUTO)]()
+
+
 DETECTORS: Mapping[str, Callable[[], LandmarkDetector]] = MappingProxyType(
     {
+        AUTO: _auto,
+        "network": _network,
         "dlib": partial(_dlib, "hog-then-cnn"),
         "dlib-hog": partial(_dlib, "hog"),
         "dlib-cnn": partial(_dlib, "cnn"),
@@ -70,10 +86,40 @@ DETECTORS: Mapping[str, Callable[[], LandmarkDetector]] = MappingProxyType(
 
 
 def make_detector(name: str) -> LandmarkDetector:
-    """Build a detector by name.
+    """Build a detector by name; its own `name` says which one "auto" became.
 
     Raises `ConfigError` for an unknown name and `MissingDependencyError` without the package that it needs.
     """
+    _check(name)
+    return DETECTORS[name]()
+
+
+def chosen_detector(name: str = AUTO) -> str:
+    """The detector that runs under a name: "auto" is dlib where it is installed with its models, else "network".
+
+    Raises `ConfigError` for an unknown name.
+    """
+    _check(name)
+    return _automatic() if name == AUTO else name
+
+
+def _automatic() -> str:
+    from workbench.landmarks.dlib_detector import check_installed
+
+    try:
+        check_installed()
+    except MissingDependencyError:
+        return "network"
+    return "dlib"
+
+
+def fallback_note(asked: str, runs: str) -> str | None:
+    """What users should know where "auto" had to do without dlib; None otherwise."""
+    if asked != AUTO or runs != "network":
+        return None
+    return "dlib is not installed, so the workbench's own network found the landmarks."
+
+
+def _check(name: str) -> None:
     if name not in DETECTORS:
         raise ConfigError(f"there is no landmark detector {name!r}: choose one of {', '.join(DETECTORS)}")
-    return DETECTORS[name]()

@@ -25,6 +25,8 @@ from workbench.landmarks.detectors import Box, Effort, FaceDetection
 from workbench.landmarks.observations import Landmarks2D
 
 FACE_DETECTORS = ("hog", "cnn", "hog-then-cnn")
+PREDICTOR_FILE, CNN_FILE = "shape_predictor_68_face_landmarks.dat", "mmod_human_face_detector.dat"
+"""Model files in the package face_recognition_models."""
 
 QUICK_SIDE = 640
 """Longest side in pixels that the quick search and the CNN see; HOG takes about 20 ms there, the CNN a second."""
@@ -249,15 +251,22 @@ def model_path(file_name: str) -> Path:
     raise MissingDependencyError(_install_line(f"the model file {file_name} (package face_recognition_models)"))
 
 
+def check_installed() -> None:
+    """Raises `MissingDependencyError` unless dlib and all its model files can be used."""
+    import_dlib()
+    for name in (PREDICTOR_FILE, CNN_FILE):
+        model_path(name)
+
+
 def _install_line(what: str) -> str:
     return f'the dlib detector needs {what}: pip install "face-energy-workbench[dlib]"'
 
 
 @cache
 def _load_predictor() -> object:
-    return import_dlib().shape_predictor(str(model_path("shape_predictor_68_face_landmarks.dat")))
+    return import_dlib().shape_predictor(str(model_path(PREDICTOR_FILE)))
 
 
 @cache
 def _load_cnn() -> object:
-    return import_dlib().cnn_face_detection_model_v1(str(model_path("mmod_human_face_detector.dat")))
+    return import_dlib().cnn_face_detection_model_v1(str(model_path(CNN_FILE)))

@@ -29,10 +29,10 @@ CROP_DROP = 0.1
 """Box sides by which the crop's middle lies below the box's."""
 STILL_MOVES = ((0.0, 0.0, 1.0), (0.03, -0.02, 0.94), (-0.03, 0.02, 1.06))
 """Moved frames (x, y in box sides, scale) whose answers are averaged on a still, each also mirrored."""
-ROLLED_STARTS = (0.0, -0.9, 0.9)
-"""Rolls in radians to start from, as long as the network is in doubt: it was trained up to 40 degrees."""
-DOUBTFUL = 0.5
-"""Median confidence of the inner points below which the next start is tried."""
+OTHER_ROLLS = (-0.9, 0.9)
+"""Rolls in radians that are looked at too where the upright look leaves doubt: training went up to 40 degrees."""
+DOUBTFUL = 0.8
+"""Median confidence of the inner points up to which a look leaves doubt; wrong answers reach 0.7."""
 LEAST_FACE = 0.25
 """Median confidence of the inner points below which there is no face."""
 SMALLEST_SIDE = 16
@@ -66,25 +66,8 @@ class NetworkDetector:
         return sorted(faces, key=lambda face: -face.area)
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
-        """The landmarks of the face in `box`: a first look, then the mean of six upright ones."""
-        best: Landmarks2D | None = None
-        for roll in ROLLED_STARTS:
-            landmarks = self._looked_twice(picture, _rolled(frame_from_box(box), roll))
-            if best is None or _doubt(landmarks) < _doubt(best):
-                best = landmarks
-            if np.median(best.confidence[17:]) > DOUBTFUL:
-                break
-        return best
-
-    def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> Landmarks2D:
-        """The landmarks of the face near `points`, by one look: about 10 ms."""
-        return self._look(picture, frame_from_points(points))
-
-    def _agrees(self, picture: np.ndarray, box: Box) -> bool:
-        return float(np.median(self._look(picture, frame_from_box(box)).confidence[17:])) > LEAST_FACE
-
-    def _looked_twice(self, picture: np.ndarray, start: FaceFrame) -> Landmarks2D:
-        face = frame_from_points(self._look(picture, start).points)
+        """The landmarks of the face in `box`: a look that finds its frame, then the mean of six in that frame."""
+        face = frame_from_points(self._first_look(picture, box).points)
         looks = [
             self._look(picture, face.moved(x, y, scale), mirrored)
             for x, y, scale in STILL_MOVES
@@ -92,6 +75,23 @@ class NetworkDetector:
         ]
         points = np.mean([look.points for look in looks], axis=0)
         return replace(looks[0], points=points, confidence=np.mean([look.confidence for look in looks], axis=0))
+
+    def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> Landmarks2D:
+        """The landmarks of the face near `points`, by one look: about 10 ms."""
+        return self._look(picture, frame_from_points(points))
+
+    def _agrees(self, picture: np.ndarray, box: Box) -> bool:
+        return _sureness(self._first_look(picture, box)) > LEAST_FACE
+
+    def _first_look(self, picture: np.ndarray, box: Box) -> Landmarks2D:
+        """The upright look at a box, or the surest of several rolled ones where that leaves doubt."""
+        upright = frame_from_box(box)
+        best = self._look(picture, upright)
+        for roll in OTHER_ROLLS:
+            if _sureness(best) > DOUBTFUL:
+                break
+            best = max(best, self._look(picture, _rolled(upright, roll)), key=_sureness)
+        return best
 
     def _look(self, picture: np.ndarray, face: FaceFrame, mirrored: bool = False) -> Landmarks2D:
         to_image = crop_frame(face)
@@ -147,5 +147,6 @@ def _rolled(face: FaceFrame, roll: float) -> FaceFrame:
     return FaceFrame(face.matrix @ turn, face.origin)
 
 
-def _doubt(landmarks: Landmarks2D) -> float:
-    return -float(np.median(landmarks.confidence[17:]))
+def _sureness(landmarks: Landmarks2D) -> float:
+    """Median confidence of the inner points: the contour is a guess on many good faces."""
+    return float(np.median(landmarks.confidence[17:]))

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from workbench.face.model import FaceModel
+from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import POLYLINES, outer_eye_distance
 from workbench.pictures.mesh import scaled_camera, to_camera, to_pixels
 from workbench.tracking.records import FrameFit
@@ -82,9 +83,32 @@ def draw_overlay(
     if parts.axes:
         _draw_axes(canvas, fit, projected[NOSE_TIP], scale, fine)
     if parts.legend and min(canvas.shape[:2]) >= 200:
-        _draw_legend(canvas, unit)
+        _draw_legend(canvas, _legend(unit, "residual, % of eye distance", ("0", "5", "10+")), unit)
     if parts.text:
         _label(canvas, _numbers(fit), unit)
+    return canvas
+
+
+def draw_landmarks(
+    picture: UInt8[np.ndarray, "h w 3"], landmarks: Landmarks2D | None, name: str = ""
+) -> UInt8[np.ndarray, "oh ow 3"]:
+    """A copy of the RGB picture with landmarks coloured by confidence (viridis: violet guessed, yellow sure).
+
+    Without landmarks it says that there is no face. Pictures are resized as by `draw_overlay`.
+    """
+    scale, canvas = _for_display(picture)
+    unit = _unit(canvas)
+    title = f"{name}   " if name else ""
+    if landmarks is None:
+        _label(canvas, f"{title}no face", unit)
+        return canvas
+    points = _resized(landmarks.points, scale)
+    fine = float(np.clip(outer_eye_distance(points) / 90.0, 0.35, unit))
+    _draw_polylines(canvas, points, fine)
+    _draw_dots(canvas, points, confidence_colors(landmarks.confidence), fine)
+    if min(canvas.shape[:2]) >= 200:
+        _draw_legend(canvas, _legend(unit, "confidence", ("0", "0.5", "1")), unit)
+    _label(canvas, f"{title}confidence {np.median(landmarks.confidence):.2f}", unit)
     return canvas
 
 
@@ -109,6 +133,11 @@ def residual_colors(percent: Float[np.ndarray, "n"]) -> list[tuple[int, int, int
     """RGB colours of residuals in % of the outer-eye distance: from violet (0) to yellow (10 and more)."""
     places = np.clip(np.nan_to_num(percent, nan=WORST_PERCENT) / WORST_PERCENT, 0.0, 1.0)
     return [tuple(color) for color in _scale_colors()[np.rint(places * 255).astype(int)].tolist()]
+
+
+def confidence_colors(confidence: Float[np.ndarray, "n"]) -> list[tuple[int, int, int]]:
+    """RGB colours of confidences: from violet (0) to yellow (1)."""
+    return residual_colors(WORST_PERCENT * confidence)
 
 
 @lru_cache(maxsize=1)
@@ -225,9 +254,8 @@ def _label(canvas, text: str, unit: float) -> None:
     cv2.putText(canvas, text, (round(0.7 * size), round(1.3 * size)), PAPER, FONT, size)
 
 
-def _draw_legend(canvas, unit: float) -> None:
+def _draw_legend(canvas, bar: UInt8[np.ndarray, "bh bw 3"], unit: float) -> None:
     """The colour scale in the lower left corner."""
-    bar = _legend(unit)
     height, width = bar.shape[:2]
     margin = round(8 * unit)
     if height + 2 * margin > canvas.shape[0] or width + 2 * margin > canvas.shape[1]:
@@ -237,16 +265,16 @@ def _draw_legend(canvas, unit: float) -> None:
 
 
 @lru_cache(maxsize=8)
-def _legend(unit: float) -> UInt8[np.ndarray, "h w 3"]:
+def _legend(unit: float, title: str, marks: tuple[str, str, str]) -> UInt8[np.ndarray, "h w 3"]:
+    """The colour scale with its marks at the dark end, the middle and the bright end."""
     size, pad = max(7, round(10 * unit)), round(6 * unit)
     length, thick = round(150 * unit), max(3, round(7 * unit))
     bar = np.full((3 * pad + thick + 3 * size, length + 2 * pad, 3), INK, np.uint8)
     top = pad + round(1.4 * size)
     bar[top : top + thick, pad : pad + length] = _scale_colors()[np.linspace(0, 255, length).astype(int)]
-    cv2.putText(bar, "residual, % of eye distance", (pad, pad + size), PAPER, FONT, size)
-    for percent in (0, 5, 10):
-        text = "10+" if percent == WORST_PERCENT else str(percent)
+    cv2.putText(bar, title, (pad, pad + size), PAPER, FONT, size)
+    for place, text in zip((0.0, 0.5, 1.0), marks, strict=True):
         wide = cv2.getTextSize((500, 500), text, (0, 0), FONT, size)[2]
-        x = pad + round(length * percent / WORST_PERCENT - wide * percent / WORST_PERCENT)
+        x = pad + round((length - wide) * place)
         cv2.putText(bar, text, (x, top + thick + round(1.3 * size)), PAPER, FONT, size)
     return bar

@@ -1,0 +1,172 @@
+"""`workbench landmarks`: faces and their 68 points in photos or in the frames of a video, each on its own."""
+
+import shlex
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from rich.markup import escape
+
+from workbench.cli import screen
+from workbench.cli.tracking import DETECTOR_HELP, FACE_HELP, print_licence_notice, wanted_face
+from workbench.config import DEFAULT_PRESET, preset
+from workbench.errors import InputError
+from workbench.frames import Frame, Frames, VideoWriter, write_picture
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
+from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import outer_eye_distance
+
+if TYPE_CHECKING:
+    from workbench.pipeline import PictureSource
+
+LANDMARKS_HELP = """Find faces and their 68 landmarks, with a confidence for every point; no face model is fitted.
+
+Every picture stands alone, also those of a video. The CSV file is one that [bold]workbench track[/bold] reads.
+
+[bold]Examples[/bold]
+
+  workbench landmarks portrait.jpg                  landmarks.csv and landmarks/0000-portrait.jpg
+
+  workbench landmarks photos/ --out found.csv       a folder; found.csv and a picture each in found/
+
+  workbench landmarks talk.mp4 --no-pictures        a video, without landmarks.mp4
+
+  workbench landmarks group.jpg --face 320,180      the face at this point instead of the largest
+
+  workbench track photos/ --stills --landmarks found.csv
+"""
+
+UNSURE = 0.5
+"""Confidence below which a point is counted as unsure."""
+LISTED = 20
+"""So many pictures, and so many without a face, are named one by one."""
+NAMED_IN_HINT = 3
+"""The next command is told for so many inputs at most."""
+RATE_WITHOUT_CLOCK = 25.0
+"""Frames per second of the drawn video where the input's header names none."""
+
+Progress = Callable[[str, int, int | None], None]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one picture gave."""
+
+    index: int
+    name: str
+    landmarks: Landmarks2D | None
+    milliseconds: float
+
+    @property
+    def confidence(self) -> float:
+        """The median over the points of a face."""
+        return float(np.median(self.landmarks.confidence))
+
+
+def landmarks(
+    inputs: Annotated[list[Path], typer.Argument(help="Photos, a folder or a video.")],
+    out: Annotated[Path, typer.Option(help="CSV file for the landmarks.")] = Path("landmarks.csv"),
+    detector: Annotated[str, typer.Option(help=DETECTOR_HELP)] = "auto",
+    face: Annotated[str | None, typer.Option(help=FACE_HELP)] = None,
+    pictures: Annotated[bool, typer.Option(help="Draw the points, coloured by confidence.")] = True,
+) -> None:
+    """Find faces and landmarks in pictures."""
+    from workbench.pipeline import is_landmark_file, open_source
+
+    if out.suffix.lower() != ".csv":
+        raise InputError(f"Landmarks are written as .csv, got {out}; name another file.")
+    for path in inputs:
+        if is_landmark_file(path):
+            raise InputError(f"{path} holds landmarks, not a picture to find them in; `workbench track` reads it.")
+    settings = preset(DEFAULT_PRESET).changed(landmarks={"detector": detector, "face": wanted_face(face)})
+    source = open_source(inputs, settings, None)
+    drawn = _drawings(source.frames, out) if pictures else None
+    with screen.progress_bar() as progress:
+        try:
+            found = _find(source, out, drawn, progress)
+        except KeyboardInterrupt:
+            screen.errors.print(f"[yellow]interrupted[/yellow]: {escape(str(out))} was not written")
+            raise typer.Exit(130) from None
+    _tell(found, source, inputs, out, drawn)
+
+
+def _drawings(frames: Frames, out: Path) -> Path:
+    """Where the drawn pictures go: a video for a video, else a folder."""
+    return out.with_suffix(".mp4") if frames.kind == "video" else out.with_suffix("")
+
+
+def _find(source: "PictureSource", out: Path, drawn: Path | None, progress: Progress) -> list[Found]:
+    from workbench.pictures.overlay import draw_landmarks
+
+    found = []
+    with ExitStack() as files:
+        table = files.enter_context(LandmarkCsvWriter(out))
+        film = None
+        if drawn is not None and source.frames.kind == "video":
+            film = files.enter_context(VideoWriter(drawn, rate=source.frames.rate or RATE_WITHOUT_CLOCK))
+        for frame, observation in source.stills():
+            table.write(LandmarkRecord(frame.index, frame.name, observation.landmarks, observation.image_size))
+            if film is not None:
+                film.write(draw_landmarks(frame.picture, observation.landmarks, frame.name))
+            elif drawn is not None:
+                path = drawn / _picture_name(frame)
+                write_picture(path, draw_landmarks(frame.picture, observation.landmarks, frame.name))
+            found.append(Found(frame.index, frame.name, observation.landmarks, sum(observation.milliseconds)))
+            progress("landmarks", len(found), source.count)
+    return found
+
+
+def _picture_name(frame: Frame) -> str:
+    return f"{frame.index:04d}-{Path(frame.name).stem}.jpg"
+
+
+def _tell(found: list[Found], source: "PictureSource", inputs: list[Path], out: Path, drawn: Path | None) -> None:
+    if source.frames.kind == "images" and len(found) <= LISTED:
+        _print_each(found)
+    faces = [item for item in found if item.landmarks is not None]
+    table = screen.table("", "", whole=("",))
+    table.show_header = False
+    table.add_row("[bold]pictures[/bold]", f"{len(faces)} of {len(found)} with a face")
+    without = [item.name for item in found if item.landmarks is None]
+    if without:
+        more = f" and {len(without) - LISTED} more" if len(without) > LISTED else ""
+        table.add_row("[bold]no face[/bold]", escape(", ".join(without[:LISTED])) + more)
+    if faces:
+        least = min(faces, key=lambda item: item.confidence)
+        middle = np.median([item.confidence for item in faces])
+        lowest = f"; lowest {least.confidence:.2f} in {escape(least.name)}" if len(faces) > 1 else ""
+        table.add_row("[bold]confidence[/bold]", f"median {middle:.2f}{lowest}")
+    time = np.median([item.milliseconds for item in found])
+    table.add_row("[bold]detector[/bold]", f"{source.detector}, median {time:.0f} ms a picture")
+    table.add_row("[bold]files[/bold]", f"{escape(str(out))}  [dim]a row a picture: 68 points, then confidences[/dim]")
+    if drawn is not None:
+        table.add_row("", f"{escape(str(drawn))}  [dim]the points, yellow where sure, violet where guessed[/dim]")
+    if faces and len(inputs) <= NAMED_IN_HINT:
+        table.add_row("[bold]next[/bold]", escape(_next_command(source.frames, inputs, out)))
+    screen.console.print(table)
+    for note in source.notes():
+        screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")
+    print_licence_notice(source.detector)
+
+
+def _print_each(found: list[Found]) -> None:
+    numbers = ("frame", "confidence", "unsure points", "eye distance")
+    table = screen.table("frame", "picture", *numbers[1:], right=numbers)
+    for item in found:
+        if item.landmarks is None:
+            table.add_row(str(item.index), escape(item.name), "[yellow]no face[/yellow]", "", "")
+            continue
+        unsure = int((item.landmarks.confidence < UNSURE).sum())
+        distance = f"{outer_eye_distance(item.landmarks.points):.0f} px"
+        table.add_row(str(item.index), escape(item.name), f"{item.confidence:.2f}", str(unsure), distance)
+    screen.console.print(table)
+    screen.console.print()
+
+
+def _next_command(frames: Frames, inputs: list[Path], out: Path) -> str:
+    stills = ["--stills"] if frames.kind == "images" and frames.announced_count != 1 else []
+    return shlex.join(["workbench", "track", *map(str, inputs), *stills, "--landmarks", str(out)])
