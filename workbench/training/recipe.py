@@ -5,35 +5,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from workbench.files import atomic_path
-from workbench.networks import (
-    LandmarkNetwork,
-    patch_mass,
-    read_landmark_network,
-    read_weights,
-    soft_argmax,
-    write_weights,
-)
+from workbench.networks import read_landmark_network, read_weights, write_weights
 from workbench.training.augment import TRAINING
-from workbench.training.evaluation import (
-    CONFIDENT_PERCENT,
-    Answers,
-    answers_of,
-    calibration_of,
-    error_table,
-    eye_aspect,
-    mouth_opening,
-    rank_correlation,
-    reliability,
-)
+from workbench.training.evaluation import answers_of, calibration_of
 from workbench.training.finder_task import FinderTask
 from workbench.training.landmark_task import LandmarkTask
 from workbench.training.loop import Phase, TrainingPlan, train
-from workbench.training.pool import Pool, make_pool, open_pool
+from workbench.training.measuring import looker, measured
+from workbench.training.pool import make_pool, open_pool
 from workbench.training.report import write_report
 
 LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
@@ -111,54 +93,6 @@ def train_face_finder(
     arrays = {name: array.astype(np.float16) for name, array in raw.arrays.items()}
     write_weights(path, arrays, {**raw.metadata, "licence": LICENCE, "data": "renders of the default head only"})
     return path
-
-
-def measured(path: Path, pool: Pool, count: int, side: int) -> dict:
-    """The figures of the model card for a weights file, on clean and on damaged pictures of a pool."""
-    network = read_landmark_network(path)
-    look = looker(network)
-    numbers: dict = {"side": side, "pictures": count, "confident_percent": CONFIDENT_PERCENT}
-    numbers["clean"] = error_table(answers := answers_of(look, pool, count, side))
-    numbers |= _openings(answers)
-    damaged = answers_of(look, pool, count, side, TRAINING)
-    numbers["damaged"] = error_table(damaged)
-    numbers["rank_correlation"] = rank_correlation(damaged)
-    confidence = np.asarray(network.calibration(jnp.asarray(damaged.mass[:, 17:].ravel(), jnp.float32)))
-    found = (damaged.errors_percent[:, 17:] < CONFIDENT_PERCENT).ravel()
-    numbers["reliability"] = reliability(confidence, found).tolist()
-    return numbers
-
-
-def looker(network: LandmarkNetwork):
-    """A network as a function of a crop: points in its pixels, and the probability mass around each."""
-
-    @jax.jit
-    def answer(crop):
-        maps = network(jnp.moveaxis(crop, -1, 0).astype(jnp.float32) / 255)
-        stride = crop.shape[0] / maps.shape[-1]
-        return (soft_argmax(maps) + 0.5) * stride - 0.5, patch_mass(maps)
-
-    return lambda crop: tuple(np.asarray(part) for part in answer(crop))
-
-
-def _openings(answers: Answers) -> dict[str, float]:
-    """Closed eyes and open mouths, on heads that are turned less than 45°."""
-    front = np.abs(answers.angles_deg[:, 0]) < 45
-    eyes_true, eyes = eye_aspect(answers.truth)[front], eye_aspect(answers.points)[front]
-    mouth_true, mouth = mouth_opening(answers.truth)[front], mouth_opening(answers.points)[front]
-    closed, opened, wide = eyes_true < 0.1, eyes_true > 0.25, mouth_true > 0.2
-    return {
-        "eye_aspect_closed": _mean(eyes[closed]),
-        "eye_aspect_closed_true": _mean(eyes_true[closed]),
-        "eye_aspect_open": _mean(eyes[opened]),
-        "eye_aspect_open_true": _mean(eyes_true[opened]),
-        "mouth_opening_error": _mean(np.abs(mouth - mouth_true)[wide]) / _mean(mouth_true[wide]),
-        "mouth_opening_bias": _mean((mouth - mouth_true)[wide]) / _mean(mouth_true[wide]),
-    }
-
-
-def _mean(values) -> float:
-    return float(values.mean()) if values.size else float("nan")
 
 
 def _pools(folder: Path, recipe: Recipe, workers: int, report: Report) -> tuple[Path, Path]:
