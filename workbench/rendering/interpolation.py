@@ -12,6 +12,10 @@ Vector = tuple[Float[Array, "n"], ...]
 """One array per component: a last axis of two or three would keep a processor's vector units idle."""
 
 
+THIN_PX = 0.1
+"""Width below which a triangle's derivative is damped."""
+
+
 class SurfacePoints(NamedTuple):
     """Points of the surface that are seen in the picture."""
 
@@ -46,16 +50,20 @@ class Corners:
     def barycentric_at(self, x: Float[Array, "n"], y: Float[Array, "n"]) -> Vector:
         """Perspective-correct barycentric coordinates of the surface points that appear at pixels (x, y).
 
-        They extend beyond the triangle. With the triangle held fixed they slide as the vertices move.
+        They extend beyond the triangle. With the triangle held fixed they slide as the vertices move; on a triangle
+        thinner than `THIN_PX` more slowly than they would, because one point is no measure of what happens across it.
         """
         # Relative to the point: products of large coordinates would cost digits.
         dx, dy = [value - x for value in self._corner(0)], [value - y for value in self._corner(1)]
-        areas = [
-            (dx[k - 2] * dy[k - 1] - dy[k - 2] * dx[k - 1]) * weight for k, weight in enumerate(self._corner(2))
-        ]  # fmt: skip
-        total = areas[0] + areas[1] + areas[2]
+        areas = [dx[k - 2] * dy[k - 1] - dy[k - 2] * dx[k - 1] for k in range(3)]
+        weighted = [area * weight for area, weight in zip(areas, self._corner(2), strict=True)]
+        total = weighted[0] + weighted[1] + weighted[2]
         inverse = 1.0 / jnp.where(jnp.abs(total) < 1e-20, 1e-20, total)
-        return tuple(area * inverse for area in areas)
+        squares = [(dx[k - 1] - dx[k]) ** 2 + (dy[k - 1] - dy[k]) ** 2 for k in range(3)]
+        longest = jnp.sqrt(jnp.maximum(jnp.maximum(squares[0], squares[1]), jnp.maximum(squares[2], 1e-12)))
+        thin = lax.stop_gradient(jnp.minimum(jnp.abs(areas[0] + areas[1] + areas[2]) / (THIN_PX * longest), 1.0))
+        moving = [share * inverse for share in weighted]
+        return tuple(lax.stop_gradient(share) * (1.0 - thin) + share * thin for share in moving)
 
     def interpolate(self, barycentric: Vector) -> SurfacePoints:
         """Attributes at barycentric coordinates."""
@@ -70,3 +78,10 @@ class Corners:
 
     def _corner(self, attribute: int) -> list[Float[Array, "n"]]:
         return self._columns[3 * attribute : 3 * attribute + 3]
+
+
+def within(barycentric: Vector) -> Vector:
+    """Barycentric coordinates held inside their triangle."""
+    first, second, third = (jnp.maximum(share, 0.0) for share in barycentric)
+    inverse = 1.0 / jnp.maximum(first + second + third, 1e-12)
+    return first * inverse, second * inverse, third * inverse

@@ -22,7 +22,7 @@ NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 """(rows, columns) to the pixels beside one."""
 GENTLEST_SLOPE = 0.1
 """Millimetres per pixel: where two surfaces part more slowly, the speed of their line is damped instead of infinite."""
-SLACK_PX = 0.5
+SLACK_PX = 1.0
 """How far outside of a triangle, whose neighbour goes on, a line may lie."""
 
 

@@ -27,7 +27,7 @@ from workbench.rendering.contours import (
     edge_ends,
     visible_contours,
 )
-from workbench.rendering.interpolation import Corners, SurfacePoints, Vector, corner_table
+from workbench.rendering.interpolation import Corners, SurfacePoints, Vector, corner_table, within
 from workbench.rendering.intersections import GENTLEST_SLOPE, IntersectionPieces, intersection_pieces
 from workbench.rendering.lighting import shading
 from workbench.rendering.rasteriser import screen_triangles, visible_triangles
@@ -246,7 +246,7 @@ def _contour_change(contours, topology, screen, table, texture, light, backgroun
     corners = Corners(table, jnp.maximum(behind, 0))
     column, row = _coordinates(pieces.pixel, width)
     point = corners.barycentric_at(column + pieces.middle[:, 0], row + pieces.middle[:, 1])
-    outside = _color(corners.interpolate(point), texture, light)
+    outside = _color(corners.interpolate(within(point)), texture, light)
     behind_all = background[pieces.pixel // width // samples, pieces.pixel % width // samples]
     inside = _over_background(inside, jnp.ones_like(behind, bool), behind_all)
     outside = _over_background(outside, behind >= 0, behind_all)
@@ -258,16 +258,17 @@ def _intersection_change(crossings, topology, screen, table, texture, light, wid
     """What each piece of an intersection line changes in its sample."""
     column, row = _coordinates(crossings.pixel, width)
     x, y = column + crossings.middle[:, 0], row + crossings.middle[:, 1]
-    sides = []
+    depths, colors = [], []
     for triangle in (crossings.shown, crossings.other):
         corners = Corners(table, triangle)
-        sides.append(corners.interpolate(corners.barycentric_at(x, y)))
-    here, there = (jnp.stack(_color(side, texture, light), axis=1) for side in sides)
+        place = corners.barycentric_at(x, y)
+        depths.append(corners.interpolate(place).depth)
+        colors.append(jnp.stack(_color(corners.interpolate(within(place)), texture, light), axis=1))
     # A slope of nearness as one of depth; the weight hardly differs within a triangle.
     weight = lax.stop_gradient(screen.weight[topology.triangles[crossings.shown, 0]])
     slope = crossings.slope / jnp.maximum(weight * weight, 1e-20)
-    gap = sides[1].depth - sides[0].depth
+    gap = depths[1] - depths[0]
     displacement = (gap - lax.stop_gradient(gap)) * slope / (slope * slope + GENTLEST_SLOPE**2)
-    jump = jnp.pad(here - there, ((0, 0), (0, 1)))
+    jump = jnp.pad(colors[0] - colors[1], ((0, 0), (0, 1)))
     change = (crossings.length * displacement)[:, None] * lax.stop_gradient(jump) - crossings.beyond[:, None] * jump
     return jnp.where((crossings.length > 0.0)[:, None], change, 0.0)
