@@ -49,7 +49,6 @@ class NetworkDetector:
     def __init__(self, landmarks: LandmarkNetwork | None = None, finder: FaceFinder | None = None) -> None:
         self._network = landmarks or bundled_landmark_network()
         self._finder = finder or bundled_face_finder()
-        self._answers = _compiled(self._network)
 
     def detect_faces(self, picture: UInt8[np.ndarray, "h w 3"], effort: Effort = "full") -> list[FaceDetection]:
         """Faces, the largest first: what the finder finds and the landmark network agrees to.
@@ -97,7 +96,7 @@ class NetworkDetector:
         to_image = crop_frame(face)
         crop = sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT)
         with COMPUTING:
-            answers = self._answers(np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop)
+            answers = _answers(self._network, np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop)
             points, confidence = (np.asarray(answer, np.float64) for answer in answers)
         if mirrored:
             points, confidence = points[list(MIRROR)], confidence[list(MIRROR)]
@@ -131,15 +130,14 @@ def bundled_face_finder() -> FaceFinder:
     return read_face_finder(BUNDLED / "finder.safetensors")
 
 
-def _compiled(network: LandmarkNetwork):
-    @jax.jit
-    def answers(crop: UInt8[jax.Array, "s s 3"]):
-        heat_maps = network(jnp.moveaxis(crop, -1, 0).astype(jnp.float32) / 255)
-        stride = crop.shape[0] / heat_maps.shape[-1]
-        points = (soft_argmax(heat_maps) + 0.5) * stride - 0.5
-        return points, network.confidence_of(heat_maps)
-
-    return answers
+@jax.jit
+def _answers(
+    network: LandmarkNetwork, crop: UInt8[jax.Array, "s s 3"]
+) -> tuple[Float[jax.Array, "68 2"], Float[jax.Array, "68"]]:
+    """Points in the crop's pixels, and confidences. One program for all weights of one architecture."""
+    heat_maps = network(jnp.moveaxis(crop, -1, 0).astype(jnp.float32) / 255)
+    stride = crop.shape[0] / heat_maps.shape[-1]
+    return (soft_argmax(heat_maps) + 0.5) * stride - 0.5, network.confidence_of(heat_maps)
 
 
 def _rolled(face: FaceFrame, roll: float) -> FaceFrame:

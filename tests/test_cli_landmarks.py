@@ -1,0 +1,332 @@
+"""`workbench landmarks`: what it writes, what it tells, and that `workbench track` goes on from there."""
+
+import hashlib
+import importlib.util
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.test_cli import run as run
+from workbench.frames import VideoWriter, open_frames, read_picture
+from workbench.landmarks import dlib_detector
+from workbench.landmarks.alignment import MEAN_SHAPE, frame_from_box, frame_from_points
+from workbench.landmarks.detectors import FaceDetection
+from workbench.landmarks.files import read_landmark_file
+from workbench.landmarks.network_detector import BUNDLED
+from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import outer_eye_distance
+from workbench.samples import sample
+from workbench.tracking import Track
+
+CONFIDENCE = np.linspace(0.4, 1.0, 68)
+"""Of the detector below: point 0 is unsure, point 67 certain."""
+
+needs_dlib = pytest.mark.skipif(
+    importlib.util.find_spec("dlib") is None or importlib.util.find_spec("face_recognition_models") is None,
+    reason='dlib is not installed: pip install "face-energy-workbench[dlib]"',
+)
+
+
+class BrightSquares:
+    """A detector to which every bright square is a face (the real ones have tests of their own)."""
+
+    def __init__(self, name: str):
+        self.name = name
+
+    def detect_faces(self, picture, effort="full"):
+        bright = (picture.min(axis=2) > 128).astype(np.uint8)
+        parts = cv2.connectedComponentsWithStats(bright)[2][1:]
+        boxes = [(x - 0.5, y - 0.5, x + w - 0.5, y + h - 0.5) for x, y, w, h in parts[:, :4].astype(float)]
+        return sorted((FaceDetection(box, 1.0) for box in boxes), key=lambda face: -face.area)
+
+    def align(self, picture, box):
+        return Landmarks2D(frame_from_box(box).to_image(MEAN_SHAPE), CONFIDENCE, picture.shape[1::-1])
+
+    def refine(self, picture, points):
+        return self.align(picture, frame_from_points(points).box())
+
+
+@pytest.fixture
+def detector(monkeypatch):
+    """The bright squares stand in for every detector, under the name that "auto" would give."""
+    asked = []
+
+    def make(name):
+        asked.append(name)
+        return BrightSquares("network" if name == "auto" else name)
+
+    monkeypatch.setattr("workbench.pipeline.make_detector", make)
+    return asked
+
+
+def face_picture(*squares: tuple[int, int, int], size: tuple[int, int] = (320, 240)) -> np.ndarray:
+    """A dark picture with bright squares (left, top, side)."""
+    picture = np.full((size[1], size[0], 3), 20, np.uint8)
+    for left, top, side in squares:
+        picture[top : top + side, left : left + side] = 200
+    return picture
+
+
+def expected_points(left: int, top: int, side: int) -> np.ndarray:
+    box = (left - 0.5, top - 0.5, left + side - 0.5, top + side - 0.5)
+    return frame_from_box(box).to_image(MEAN_SHAPE)
+
+
+@pytest.fixture
+def photos(tmp_path):
+    """Three photos: a face, none, two of which the right one is larger."""
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    squares = {"anna": [(100, 60, 90)], "wall": [], "couple": [(20, 60, 60), (180, 60, 100)]}
+    for place, (name, faces) in enumerate(squares.items()):
+        cv2.imwrite(str(folder / f"{place}-{name}.png"), face_picture(*faces))
+    return folder
+
+
+@pytest.fixture
+def film(tmp_path):
+    """Six frames: a face that moves to the right, hidden in frame 2."""
+    with VideoWriter(tmp_path / "film.mp4", rate=25) as writer:
+        for index in range(6):
+            writer.write(face_picture(*([] if index == 2 else [(80 + 4 * index, 60, 96)])))
+    return tmp_path / "film.mp4"
+
+
+# --- what it writes ---
+
+
+@pytest.mark.usefixtures("detector", "photos")
+def test_the_table_has_a_row_a_picture_with_a_confidence_for_every_point(run, tmp_path):
+    code, _, err = run("landmarks", "photos")
+    assert (code, err) == (0, "")
+    anna, wall, couple = read_landmark_file(tmp_path / "landmarks.csv")
+    np.testing.assert_allclose(anna.landmarks.points, expected_points(100, 60, 90), atol=6e-4)
+    np.testing.assert_allclose(anna.landmarks.confidence, CONFIDENCE, atol=6e-5)
+    assert anna.landmarks.image_size == (320, 240)
+    assert wall.landmarks is None
+    assert wall.image_size == (320, 240)
+    np.testing.assert_allclose(couple.landmarks.points, expected_points(180, 60, 100), atol=6e-4)
+
+
+@pytest.mark.usefixtures("detector", "photos")
+def test_every_photo_gets_a_drawn_copy_beside_the_table_and_stays_as_it_is(run, tmp_path):
+    before = (tmp_path / "photos" / "0-anna.png").read_bytes()
+    run("landmarks", "photos", "--out", "results/found.csv")
+    drawn = sorted(path.name for path in (tmp_path / "results" / "found").iterdir())
+    assert drawn == ["0000-0-anna.jpg", "0001-1-wall.jpg", "0002-2-couple.jpg"]
+    assert (tmp_path / "photos" / "0-anna.png").read_bytes() == before
+
+
+@pytest.mark.usefixtures("detector", "photos")
+def test_sure_points_are_drawn_yellow_and_guessed_ones_violet(run, tmp_path):
+    run("landmarks", "photos/0-anna.png")
+    drawn = read_picture(tmp_path / "landmarks" / "0000-0-anna.jpg").astype(int)
+    points = np.rint(expected_points(100, 60, 90)).astype(int)
+    red, green, blue = drawn[points[67, 1], points[67, 0]]
+    assert min(red, green) > blue + 50
+    red, green, blue = drawn[points[0, 1], points[0, 0]]
+    assert blue > red
+
+
+@pytest.mark.usefixtures("detector", "photos")
+def test_without_pictures_there_is_the_table_alone(run, tmp_path):
+    run("landmarks", "photos", "--no-pictures")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["landmarks.csv", "photos"]
+
+
+@pytest.mark.usefixtures("detector", "film")
+def test_of_a_video_every_frame_stands_alone_and_the_drawing_is_a_video(run, tmp_path):
+    code, out, _ = run("landmarks", "film.mp4")
+    assert code == 0
+    records = list(read_landmark_file(tmp_path / "landmarks.csv"))
+    assert [record.landmarks is not None for record in records] == [True, True, False, True, True, True]
+    for index in (0, 1, 3, 4, 5):
+        distance = np.abs(records[index].landmarks.points - expected_points(80 + 4 * index, 60, 96)).max()
+        assert distance < 1.5  # the film's compression moves edges
+    assert len(list(open_frames(tmp_path / "landmarks.mp4").iterate())) == 6
+    assert "5 of 6 with a face" in out
+    assert "film#2" in out
+
+
+@pytest.mark.usefixtures("detector", "photos")
+def test_face_chooses_the_face_at_a_point_instead_of_the_largest(run, tmp_path):
+    run("landmarks", "photos/2-couple.png", "--face", "50,90", "--no-pictures")
+    (record,) = read_landmark_file(tmp_path / "landmarks.csv")
+    np.testing.assert_allclose(record.landmarks.points, expected_points(20, 60, 60), atol=6e-4)
+
+
+# --- what it tells ---
+
+
+@pytest.mark.usefixtures("detector", "photos")
+def test_it_tells_each_photos_confidence_and_which_had_no_face(run):
+    out = run("landmarks", "photos", "--detector", "network")[1]
+    assert "2 of 3 with a face" in out
+    line = next(line for line in out.splitlines() if "0-anna.png" in line)
+    unsure = int((CONFIDENCE < 0.5).sum())
+    assert line.split()[2:] == [f"{np.median(CONFIDENCE):.2f}", str(unsure), "50", "px"]
+    assert "no face" in next(line for line in out.splitlines() if line.split()[:2] == ["1", "1-wall.png"])
+    assert "no face     1-wall.png" in out
+    assert "network, median" in out
+
+
+@pytest.mark.usefixtures("detector")
+def test_many_photos_are_counted_and_not_listed_one_by_one(run, tmp_path):
+    folder = tmp_path / "many"
+    folder.mkdir()
+    for index in range(45):
+        squares = [(40, 40, 64)] if index % 2 else []
+        cv2.imwrite(str(folder / f"p{index}.png"), face_picture(*squares, size=(160, 160)))
+    out = run("landmarks", "many", "--no-pictures")[1]
+    assert "22 of 45 with a face" in out
+    assert "p0.png, p2.png" in out
+    assert "p38.png and 3 more" in out
+    assert "unsure points" not in out
+
+
+@pytest.mark.usefixtures("photos")
+def test_the_detector_is_auto_unless_one_is_named(run, detector):
+    run("landmarks", "photos", "--no-pictures")
+    run("landmarks", "photos", "--no-pictures", "--detector", "dlib-hog")
+    assert detector == ["auto", "dlib-hog"]
+
+
+@pytest.mark.usefixtures("detector", "photos")
+@pytest.mark.parametrize("command", ["landmarks", "track"])
+def test_who_gets_the_network_for_lack_of_dlib_reads_it_once_and_who_asked_for_it_does_not(run, command):
+    note = "dlib is not installed"
+    options = ["--no-pictures", *(["--stills"] if command == "track" else [])]
+    assert run(command, "photos", *options)[1].count(note) == 1
+    assert note not in run(command, "photos", *options, "--detector", "network")[1]
+
+
+@pytest.mark.usefixtures("detector", "photos")
+@pytest.mark.parametrize("command", ["landmarks", "track"])
+def test_dlibs_licence_is_told_where_dlib_ran_and_only_there(run, command, monkeypatch):
+    monkeypatch.setattr(dlib_detector, "_notice_given", False)
+    options = ["--no-pictures", *(["--stills"] if command == "track" else [])]
+    assert "300-W" not in run(command, "photos", *options, "--detector", "network")[1]
+    assert run(command, "photos", *options, "--detector", "dlib")[1].count("300-W") == 1
+
+
+@pytest.mark.usefixtures("detector", "photos")
+def test_the_command_that_it_names_next_tracks_from_the_table(run, tmp_path):
+    out = run("landmarks", "photos")[1]
+    command = next(line for line in out.splitlines() if line.strip().startswith("next")).split()[1:]
+    assert command == ["workbench", "track", "photos", "--stills", "--landmarks", "landmarks.csv"]
+    code, out, err = run(*command[1:], "--no-pictures", "--no-identity")
+    assert (code, err) == (0, "")
+    assert "from a file" in out
+    stored, track = list(read_landmark_file("landmarks.csv")), Track.load(tmp_path / "out" / "photos" / "track.npz")
+    assert list(track.found) == [True, False, True]
+    for index in (0, 2):
+        np.testing.assert_array_equal(track[index].observed, stored[index].landmarks.points)
+        np.testing.assert_array_equal(track[index].confidence, stored[index].landmarks.confidence)
+
+
+@pytest.mark.usefixtures("detector", "film")
+def test_the_next_command_of_a_video_or_a_single_photo_is_no_row_of_stills(run):
+    assert "workbench track film.mp4 --landmarks landmarks.csv" in run("landmarks", "film.mp4", "--no-pictures")[1]
+
+
+# --- what cannot be done ---
+
+
+@pytest.mark.usefixtures("detector", "photos")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.jpg"], "nowhere.jpg does not exist"),
+        (["empty"], "expected pictures"),
+        (["photos", "photos/0-anna.png"], "several inputs must all be images"),
+        (["photos", "--out", "landmarks.txt"], "written as .csv, got landmarks.txt"),
+        (["points.csv"], "points.csv holds landmarks"),
+        (["photos", "--detector", "magic"], "landmarks.detector"),
+        (["photos", "--face", "left"], "X,Y"),
+    ],
+)
+def test_mistakes_are_one_sentence_and_leave_nothing(arguments, message, run, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "points.csv").write_text("frame,width,height\n")
+    before = sorted(tmp_path.iterdir())
+    code, out, err = run("landmarks", *arguments)
+    assert code == 2
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert message in err
+    assert "Traceback" not in out + err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.usefixtures("detector", "photos")
+def test_a_damaged_photo_stops_the_run_and_is_named(run, tmp_path):
+    (tmp_path / "photos" / "1-wall.png").write_bytes(b"no picture")
+    code, _, err = run("landmarks", "photos", "--no-pictures")
+    assert code == 2
+    assert "1-wall.png does not contain a readable picture" in err
+    assert not (tmp_path / "landmarks.csv").exists()
+
+
+@pytest.mark.usefixtures("detector", "film")
+def test_an_interruption_leaves_no_half_table(run, tmp_path, monkeypatch):
+    def interrupt(self, picture, box):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(BrightSquares, "align", interrupt)
+    code, _, err = run("landmarks", "film.mp4")
+    assert code == 130
+    assert "landmarks.csv was not written" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+
+
+# --- with the real detectors ---
+
+PORTRAIT_TOLERANCE = 0.08
+"""Mean distance of the network's inner points from dlib's on the portrait, in distances of the outer eye corners."""
+
+
+def only_row(path) -> np.ndarray:
+    (record,) = read_landmark_file(path)
+    return record.landmarks.points
+
+
+@needs_dlib
+def test_the_portraits_points_by_dlib_are_those_that_are_bundled(run, tmp_path):
+    assert run("landmarks", str(sample("astronaut")), "--detector", "dlib")[0] == 0
+    found, bundled = only_row(tmp_path / "landmarks.csv"), only_row(sample("astronaut-landmarks"))
+    np.testing.assert_allclose(found, bundled, atol=0.5)
+
+
+def test_without_dlib_the_portraits_points_are_by_the_network(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "dlib", None)
+    code, out, err = run("landmarks", str(sample("astronaut")))
+    assert (code, err) == (0, "")
+    assert "1 of 1 with a face" in out
+    assert "network, median" in out
+    assert "300-W" not in out
+    found, bundled = only_row(tmp_path / "landmarks.csv"), only_row(sample("astronaut-landmarks"))
+    distances = np.linalg.norm(found - bundled, axis=1)[17:]
+    assert distances.mean() < PORTRAIT_TOLERANCE * outer_eye_distance(bundled)
+
+
+# --- `workbench info` ---
+
+
+def test_info_tells_the_bundled_networks_and_the_detector_that_auto_means(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "dlib", None)
+    out = run("info")[1]
+    weights = sorted(BUNDLED.glob("*.safetensors"))
+    assert weights
+    for path in weights:
+        line = next(line for line in out.splitlines() if f"network {path.stem}" in line)
+        assert "parameters" in line
+        assert f"SHA-256 {hashlib.sha256(path.read_bytes()).hexdigest()[:12]}" in line
+    assert "network, as the dlib detector is missing" in next(line for line in out.splitlines() if "auto" in line)
+
+
+@needs_dlib
+def test_where_dlib_is_installed_auto_is_dlib(run):
+    line = next(line for line in run("info")[1].splitlines() if "auto detector" in line)
+    assert line.split()[-1] == "dlib"
