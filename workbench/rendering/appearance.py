@@ -1,0 +1,241 @@
+"""Albedo and light of one person from one picture (Deep Energies, Sec. 3): linear least squares, alternated.
+
+With the albedo known the nine coefficients per channel are a linear least-squares problem, and with the light known so
+is the albedo. Albedo and light share one factor per channel that no picture tells: here the mean albedo of the skin
+that is seen is held at that of the model's own colours, so a darker skin shows as a dimmer light.
+"""
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.sparse import coo_matrix, csr_matrix, diags_array
+from scipy.sparse.linalg import spsolve
+
+from workbench.errors import InputError
+from workbench.face import FaceModel
+from workbench.files import atomic_path
+from workbench.rendering.camera import AnyCamera
+from workbench.rendering.lighting import LAMBERT, spherical_harmonics
+from workbench.rendering.renderer import render
+from workbench.rendering.topology import mesh_topology
+
+FACE_REGIONS = ("skin", "lips", "brow")
+"""What is estimated; eyes, teeth, the mouth's inside and the scalp keep the model's colours."""
+LEAST_PIXELS = 1000
+STEPS = 4
+"""Alternations of light and albedo."""
+ROBUST_STEPS = 6
+"""Reweighted solves within each light step."""
+LEAST_FACING = 0.25
+"""Cosine to the camera below which a surface is too foreshortened to be measured."""
+LARGEST_RATIO = 1.0
+"""Logarithm of the ratio to the expected colour from which a pixel counts as something else: hair, a microphone."""
+SMOOTH, MIRROR, PRIOR = 1.0, 0.5, 0.02
+"""Weights of neighbours, mirror image and the model's colours against one pixel."""
+RIDGE = 1e-3
+"""Weight of small light coefficients, as a share of the pixels."""
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """What a renderer needs besides geometry: colours per vertex and light, in the picture's own encoding, 0 to 1."""
+
+    albedo: Float[np.ndarray, "v 3"]
+    light: Float[np.ndarray, "9 3"]
+    """Spherical-harmonic coefficients in the camera frame; see `lighting`."""
+    seen: Float[np.ndarray, "v"]
+    """Pixels that measured each vertex; 0 where the albedo was filled in."""
+    residual: float
+    """Root mean square difference to the picture over the pixels that were used."""
+
+    def save(self, path: str | Path) -> None:
+        """Write an .npz file, whole or not at all. Raises `InputError` for another suffix."""
+        if Path(path).suffix != ".npz":
+            raise InputError(f"An appearance is stored as .npz, got {Path(path).name}; change the name.")
+        with atomic_path(path) as temporary, temporary.open("wb") as stream:
+            np.savez_compressed(
+                stream, albedo=self.albedo, light=self.light, seen=self.seen, residual=np.float64(self.residual)
+            )
+
+
+def load_appearance(path: str | Path, model: FaceModel) -> Appearance:
+    """An appearance that `Appearance.save` wrote.
+
+    Raises `InputError` for a missing or damaged file and for another model's.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"There is no appearance {path}; estimate one with estimate_appearance and save it.")
+    try:
+        # Opened here, because NumPy leaves a damaged archive open.
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            albedo, light, seen = (np.asarray(stored[name], np.float32) for name in ("albedo", "light", "seen"))
+            residual = float(stored["residual"])
+    except (zipfile.BadZipFile, OSError, ValueError, KeyError, EOFError, AttributeError) as error:
+        raise InputError(f"{path} is damaged or no stored appearance; estimate it again.") from error
+    if albedo.shape != model.neutral.shape or light.shape != (9, 3) or seen.shape != albedo.shape[:1]:
+        raise InputError(
+            f"{path} holds the colours of {len(albedo)} vertices, the model has {len(model.neutral)}; "
+            "estimate the appearance with this model."
+        )
+    return Appearance(albedo, light, seen, residual)
+
+
+def estimate_appearance(
+    picture: UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w 3"],
+    model: FaceModel,
+    vertices_camera: Float[np.ndarray, "v 3"],
+    camera: AnyCamera,
+) -> Appearance:
+    """Albedo per vertex and light of the face in a picture (RGB, 8 bits or 0 to 1), given its camera-frame vertices.
+
+    Best on a frame near neutral, fitted well. Raises `InputError` for a picture of another shape, and when fewer than
+    1000 pixels show the face.
+    """
+    colors = _unit_picture(picture)
+    pixels = _measurements(colors, model, np.asarray(vertices_camera), camera)
+    own = model.colors / 255.0
+    smoothing = _smoothing(model)
+    face = _in_regions(model, FACE_REGIONS)
+    albedo = own.copy()
+    for _ in range(STEPS):
+        light, shade = _solve_light(pixels, albedo)
+        weights = _inliers(pixels, own, shade)
+        albedo = _solve_albedo(pixels, weights, shade, own, smoothing)
+        seen = pixels.corners.T @ weights
+        measured = face & (seen > 0.5)
+        # The one factor per channel that no picture tells.
+        albedo *= own[measured].mean(axis=0) / np.maximum(albedo[measured].mean(axis=0), 1e-6)
+        albedo[~face] = own[~face]
+        albedo = np.clip(albedo, 0.01, 1.0)
+    light, shade = _solve_light(pixels, albedo)
+    difference = (pixels.corners @ albedo) * shade - pixels.colors
+    residual = float(np.sqrt(np.average((difference**2).mean(axis=1), weights=np.maximum(weights, 1e-9))))
+    return Appearance(albedo.astype(np.float32), light.astype(np.float32), seen.astype(np.float32), residual)
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """Pixels that show the face."""
+
+    colors: Float[np.ndarray, "p 3"]
+    functions: Float[np.ndarray, "p 9"]
+    """(A_l/π) Y_lm of each normal."""
+    corners: csr_matrix
+    """Barycentric coordinates: pixels × vertices."""
+
+
+def _unit_picture(picture: np.ndarray) -> Float[np.ndarray, "h w 3"]:
+    if picture.ndim != 3 or picture.shape[2] != 3:
+        raise InputError(f"Appearance is estimated from an RGB picture, got an array of shape {picture.shape}.")
+    return picture / 255.0 if picture.dtype == np.uint8 else np.asarray(picture, float)
+
+
+def _measurements(colors: np.ndarray, model: FaceModel, vertices: np.ndarray, camera: AnyCamera) -> _Pixels:
+    """What of the picture shows the face, away from contours and not too foreshortened."""
+    height, width = colors.shape[:2]
+    count = len(model.neutral)
+    if vertices.shape != (count, 3) or not np.isfinite(vertices).all():
+        raise InputError(f"The pose needs {count} finite camera-frame vertices, got shape {vertices.shape}; fit first.")
+    topology = mesh_topology(model.triangles, count)
+    rendering = render(
+        vertices, topology, camera, model.colors / 255.0, np.zeros((9, 3)), np.zeros(3),
+        size=(width, height), antialias=False,
+    )  # fmt: skip
+    triangle, normals = np.asarray(rendering.triangle), np.asarray(rendering.normals, float)
+    view = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
+    facing = _facing(normals, np.asarray(rendering.depth), view, camera)
+    belongs = np.append(_in_regions(model, FACE_REGIONS)[model.triangles].all(axis=1), False)
+    mask = belongs[triangle]
+    for axis in (0, 1):
+        for shift in (1, -1):
+            mask = mask & np.roll(belongs[triangle], shift, axis)
+    mask &= facing > LEAST_FACING
+    if mask.sum() < LEAST_PIXELS:
+        raise InputError(
+            f"The face covers {int(mask.sum())} usable pixels, {LEAST_PIXELS} are needed; "
+            "choose a frame with a larger face that looks at the camera."
+        )
+    rows = np.repeat(np.arange(mask.sum()), 3)
+    shares = np.asarray(rendering.barycentric, float)[mask]
+    corners = csr_matrix((shares.ravel(), (rows, model.triangles[triangle[mask]].ravel())), shape=(mask.sum(), count))
+    functions = np.stack(spherical_harmonics(*normals[mask].T), axis=1) * LAMBERT
+    return _Pixels(colors[mask], functions, corners)
+
+
+def _facing(normals, depth, pixels, camera) -> Float[np.ndarray, "h w"]:
+    """Cosine between normal and the direction to the camera."""
+    if not hasattr(camera, "focal_px"):
+        return -normals[..., 2]
+    rays = (pixels - np.asarray(camera.principal_point_px)) / np.asarray(camera.focal_px)
+    rays = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
+    return -(normals * rays).sum(axis=-1) / np.linalg.norm(rays, axis=-1)
+
+
+def _in_regions(model: FaceModel, names: tuple[str, ...]) -> Bool[np.ndarray, "v"]:
+    """Vertices of these regions; all of them for a model that names none."""
+    chosen = np.zeros(len(model.neutral), bool)
+    for name in names:
+        chosen[model.regions.get(name, np.zeros(0, np.int64))] = True
+    return chosen if chosen.any() else ~chosen
+
+
+def _solve_light(pixels: _Pixels, albedo: np.ndarray) -> tuple[Float[np.ndarray, "9 3"], Float[np.ndarray, "p 3"]]:
+    """The light under which this albedo looks most like the picture, and what it shows on white; robust (Tukey)."""
+    base = pixels.corners @ albedo
+    weights = np.ones(len(base))
+    for _ in range(ROBUST_STEPS):
+        light = np.empty((9, 3))
+        for channel in range(3):
+            system = pixels.functions * base[:, channel : channel + 1]
+            normal = system.T @ (weights[:, None] * system)
+            damping = RIDGE * np.trace(normal) / 9.0 * np.diag([0.0] + [1.0] * 8)
+            light[:, channel] = np.linalg.solve(normal + damping, system.T @ (weights * pixels.colors[:, channel]))
+        residual = np.linalg.norm(base * (pixels.functions @ light) - pixels.colors, axis=1)
+        width = 4.685 * max(1.4826 * float(np.median(residual)), 1e-3)
+        weights = np.clip(1.0 - (residual / width) ** 2, 0.0, None) ** 2
+    return light, pixels.functions @ light
+
+
+def _inliers(pixels: _Pixels, own: np.ndarray, shade: np.ndarray) -> Float[np.ndarray, "p"]:
+    """Weights 0 to 1: whether a pixel can be skin of some tone in this light, and not hair or a microphone."""
+    expected = np.maximum((pixels.corners @ own) * shade, 0.02)
+    ratio = np.log(np.maximum(pixels.colors, 0.02) / expected)
+    farthest = np.abs(ratio - np.median(ratio, axis=0)).max(axis=1)
+    lit = np.clip(shade.min(axis=1) / 0.1, 0.0, 1.0)
+    return lit * np.clip(1.0 - (farthest / LARGEST_RATIO) ** 2, 0.0, None) ** 2
+
+
+def _solve_albedo(pixels: _Pixels, weights, shade, own, smoothing: csr_matrix) -> Float[np.ndarray, "v 3"]:
+    """The albedo that this light makes look like the picture, smooth in its difference to the model's colours."""
+    albedo = np.empty_like(own)
+    for channel in range(3):
+        system = diags_array(shade[:, channel]) @ pixels.corners
+        weighted = diags_array(weights) @ system
+        misfit = pixels.colors[:, channel] - system @ own[:, channel]
+        normal = (system.T @ weighted + smoothing).tocsc()
+        albedo[:, channel] = own[:, channel] + spsolve(normal, weighted.T @ misfit)
+    return albedo
+
+
+def _smoothing(model: FaceModel) -> csr_matrix:
+    """Quadratic form of a correction to the albedo: differences between neighbours and mirror images, and its size."""
+    count = len(model.neutral)
+    edges = np.unique(np.sort(model.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    face = _in_regions(model, FACE_REGIONS)
+    edges = edges[face[edges].all(axis=1)]
+    mirrored = np.stack([np.arange(count), model.mirror], axis=1)
+    mirrored = mirrored[mirrored[:, 0] < mirrored[:, 1]]
+    laplacian = SMOOTH * _differences(edges, count) + MIRROR * _differences(mirrored, count)
+    return (laplacian + PRIOR * diags_array(np.ones(count))).tocsr()
+
+
+def _differences(pairs: Int[np.ndarray, "n 2"], count: int) -> csr_matrix:
+    rows = np.arange(len(pairs))
+    ones = np.ones(len(pairs))
+    matrix = coo_matrix(
+        (np.concatenate([ones, -ones]), (np.concatenate([rows, rows]), pairs.T.ravel())), shape=(len(pairs), count)
+    ).tocsr()
+    return (matrix.T @ matrix).tocsr()
