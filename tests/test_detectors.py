@@ -1,20 +1,37 @@
-"""Detectors: by name, without their packages, and what dlib's finds on a real portrait at any size and roll."""
+"""Detectors: by name, without their packages, and what each finds on a real portrait at any size and roll."""
 
 import importlib.util
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from workbench.errors import ConfigError, MissingDependencyError
+from workbench.config import LandmarksConfig
+from workbench.errors import ConfigError, InputError, MissingDependencyError
 from workbench.frames import read_picture
 from workbench.landmarks import dlib_detector
 from workbench.landmarks.alignment import frame_from_points, grey_face_crop
-from workbench.landmarks.detectors import DETECTORS, FaceDetection, LandmarkDetector, make_detector
-from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.detectors import (
+    DETECTORS,
+    FaceDetection,
+    LandmarkDetector,
+    chosen_detector,
+    fallback_note,
+    make_detector,
+)
+from workbench.landmarks.files import read_landmark_file
+from workbench.landmarks.network_detector import CROP_SIDE, NetworkDetector, crop_frame, network_box
+from workbench.landmarks.scheme import MIRROR, outer_eye_distance
+from workbench.networks import to_picture
+from workbench.networks.face_finder import FaceFinder
+from workbench.networks.landmark_network import empty_landmark_network
+from workbench.runtime import COMPUTING
+from workbench.samples import sample
 
 ASTRONAUT = Path(__file__).resolve().parents[1] / "data_samples" / "astronaut.png"
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -39,19 +56,21 @@ def detector():
 
 
 def test_unknown_names_list_the_detectors():
-    with pytest.raises(ConfigError, match=r"'dlb'.*dlib, dlib-hog, dlib-cnn"):
-        make_detector("dlb")
+    for function in (make_detector, chosen_detector):
+        with pytest.raises(ConfigError, match=r"'dlb'.*auto, network, dlib, dlib-hog, dlib-cnn"):
+            function("dlb")
 
 
-def test_importing_the_landmarks_does_not_import_dlib():
-    code = "import sys, workbench.landmarks.detectors, workbench.landmarks.tracking; print('dlib' in sys.modules)"
+def test_importing_the_landmarks_imports_no_detector():
+    wanted = "('dlib', 'workbench.landmarks.network_detector')"
+    code = f"import sys, workbench.landmarks.tracking; print([name in sys.modules for name in {wanted}])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
+    assert done.stdout.strip() == "[False, False]"
 
 
 def test_without_dlib_the_error_gives_the_line_that_installs_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "dlib", None)
-    for name in DETECTORS:
+    for name in ("dlib", "dlib-hog", "dlib-cnn"):
         with pytest.raises(MissingDependencyError, match=r'needs dlib: pip install "face-energy-workbench\[dlib\]"'):
             make_detector(name)
 
@@ -60,6 +79,38 @@ def test_without_the_model_files_the_error_gives_the_line_that_installs_them(mon
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"face_recognition_models\): pip install"):
         dlib_detector.model_path("shape_predictor_68_face_landmarks.dat")
+
+
+@needs_dlib
+def test_auto_is_dlib_where_it_is_installed_with_its_models():
+    assert chosen_detector() == "dlib"
+    assert make_detector("auto").name == "dlib"
+
+
+@pytest.mark.parametrize("missing", ["dlib", "its model files"])
+def test_auto_is_the_network_where_dlib_or_a_model_file_is_missing(missing, monkeypatch):
+    if missing == "dlib":
+        monkeypatch.setitem(sys.modules, "dlib", None)
+    else:
+        monkeypatch.setattr(dlib_detector, "CNN_FILE", "of_another_version.dat")
+    assert chosen_detector() == "network"
+    assert chosen_detector("dlib-hog") == "dlib-hog"
+
+
+def test_without_dlib_auto_makes_the_network_detector(monkeypatch):
+    monkeypatch.setitem(sys.modules, "dlib", None)
+    assert make_detector("auto").name == "network"
+
+
+def test_only_who_asked_for_auto_and_got_the_network_is_told_why():
+    assert "dlib is not installed" in fallback_note("auto", "network")
+    for asked, runs in (("auto", "dlib"), ("network", "network"), ("dlib", "dlib")):
+        assert fallback_note(asked, runs) is None
+
+
+def test_every_name_of_a_configuration_is_a_detector_and_the_other_way_round():
+    assert set(LandmarksConfig.model_fields["detector"].annotation.__args__) == set(DETECTORS)
+    assert LandmarksConfig().detector == "auto"
 
 
 def test_licence_notice_names_the_restriction_and_is_given_once(monkeypatch):
@@ -188,3 +239,207 @@ def test_real_photos_up_to_a_medium_yaw_agree_with_their_annotations():
         size = np.sqrt(np.ptp(truth[:, 0]) * np.ptp(truth[:, 1]))
         assert np.linalg.norm(landmarks.points - truth, axis=1)[17:].mean() < 0.03 * size
         assert frame_from_points(landmarks.points).side == pytest.approx(size, rel=0.35)
+
+
+# --- the network, from a given box ---
+
+PORTRAIT_TOLERANCE = 0.08
+"""Mean distance of the inner points from dlib's on the portrait; this and what follows in outer-eye distances."""
+MIRROR_TOLERANCE = 0.02
+ROLL_TOLERANCE = 0.03
+SIZE_TOLERANCE = 0.04
+REFINE_TOLERANCE = 0.04
+SURE = 0.7
+"""Median confidence on the portrait, which is a good picture."""
+UNSURE = 0.4
+"""Median confidence at most where there is no face."""
+
+
+class KnownFaces(FaceFinder):
+    """A finder that gives the same boxes at every look, whatever the picture."""
+
+    def __init__(self, *boxes, in_parts=()):
+        super().__init__(empty_landmark_network((4, 4, 4, 4), 1, outputs=4))
+        self.boxes, self.in_parts = boxes, in_parts
+
+    def find(self, picture, least_score=0.0):
+        return [(box, 0.9) for box in self.boxes]
+
+    def find_small(self, picture, least_score=0.0):
+        return [(box, 0.9) for box in (*self.boxes, *self.in_parts)]
+
+
+@pytest.fixture(scope="module")
+def network():
+    """The bundled landmark network behind a finder that finds nothing: boxes are given."""
+    return NetworkDetector(finder=KnownFaces())
+
+
+@pytest.fixture(scope="module")
+def portrait_points():
+    """dlib's points of the portrait, as they are bundled."""
+    (record,) = read_landmark_file(sample("astronaut-landmarks"))
+    return record.landmarks.points
+
+
+@pytest.fixture(scope="module")
+def portrait_box(portrait_points):
+    return frame_from_points(portrait_points).box()
+
+
+@pytest.fixture(scope="module")
+def aligned(network, astronaut, portrait_box):
+    return network.align(astronaut, portrait_box)
+
+
+def distance(points, expected, only=slice(None)) -> float:
+    """Mean distance in distances of the outer eye corners."""
+    return np.linalg.norm(points - expected, axis=1)[only].mean() / outer_eye_distance(expected)
+
+
+def test_the_network_detector_says_its_name_and_offers_the_protocol(network):
+    assert network.name == "network"
+    assert isinstance(network, LandmarkDetector)
+
+
+def test_the_network_agrees_with_dlib_on_the_portrait_and_is_sure(aligned, portrait_points):
+    assert aligned.image_size == (512, 512)
+    assert distance(aligned.points, portrait_points, slice(17, None)) < PORTRAIT_TOLERANCE
+    assert np.median(aligned.confidence) > SURE
+
+
+def test_the_networks_confidences_lie_between_0_and_1(network, astronaut, portrait_box, aligned):
+    noise = np.random.default_rng(0).integers(0, 256, (200, 300, 3), np.uint8)
+    looks = [aligned, network.refine(astronaut, aligned.points), network.align(noise, (50.0, 20.0, 210.0, 180.0))]
+    beside = tuple(edge + 400.0 for edge in portrait_box)
+    for landmarks in (*looks, network.align(astronaut, beside)):
+        assert landmarks.confidence.min() >= 0
+        assert landmarks.confidence.max() <= 1
+
+
+def test_a_mirrored_picture_gives_mirrored_points(network, astronaut, portrait_box, aligned):
+    left, top, right, bottom = portrait_box
+    mirrored = network.align(np.ascontiguousarray(astronaut[:, ::-1]), (511 - right, top, 511 - left, bottom))
+    expected = aligned.points[list(MIRROR)] * [-1, 1] + [511, 0]
+    assert distance(mirrored.points, expected) < MIRROR_TOLERANCE
+
+
+@pytest.mark.parametrize("degrees", [-60, -35, 25, 60])
+def test_the_network_finds_the_roll_of_a_head_by_itself(network, astronaut, portrait_box, aligned, degrees):
+    turn = cv2.getRotationMatrix2D(aligned.points.mean(axis=0), degrees, 1.0)
+    turned = network.align(cv2.warpAffine(astronaut, turn, (512, 512)), portrait_box)
+    assert distance(turned.points, aligned.points @ turn[:, :2].T + turn[:, 2]) < ROLL_TOLERANCE
+
+
+@pytest.mark.parametrize("size", [160, 1500, 4000])
+def test_the_networks_points_are_in_the_pixels_of_the_picture(network, astronaut, portrait_box, aligned, size):
+    picture = cv2.resize(astronaut, (size, size), interpolation=cv2.INTER_AREA if size < 512 else cv2.INTER_LINEAR)
+    resized = network.align(picture, tuple((edge + 0.5) * size / 512 - 0.5 for edge in portrait_box))
+    assert distance(resized.points, (aligned.points + 0.5) * size / 512 - 0.5) < SIZE_TOLERANCE
+
+
+def test_refining_follows_a_face_that_moved_a_little(network, astronaut, aligned):
+    move = np.array([[1.0, 0.0, 9.0], [0.0, 1.0, -6.0]])
+    moved = cv2.warpAffine(astronaut, move, (512, 512), borderMode=cv2.BORDER_REPLICATE)
+    refined = network.refine(moved, aligned.points)
+    assert distance(refined.points, aligned.points + move[:, 2]) < REFINE_TOLERANCE
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_where_there_is_no_face_the_network_is_unsure(network, seed):
+    noise = np.random.default_rng(seed).integers(0, 256, (300, 400, 3), np.uint8)
+    for picture in (np.zeros((300, 400, 3), np.uint8), noise, cv2.GaussianBlur(noise, (0, 0), 9)):
+        assert np.median(network.align(picture, (100.0, 80.0, 220.0, 200.0)).confidence) < UNSURE
+
+
+def test_an_empty_box_is_refused(network, astronaut):
+    with pytest.raises(InputError, match="right > left"):
+        network.align(astronaut, (10.0, 10.0, 10.0, 40.0))
+
+
+# --- the network, with a finder that is right or wrong ---
+
+
+def test_what_the_finder_proposes_is_a_face_only_if_the_landmark_network_agrees(astronaut, portrait_box):
+    wall = (20.0, 380.0, 120.0, 480.0)
+    (face,) = NetworkDetector(finder=KnownFaces(wall, portrait_box)).detect_faces(astronaut)
+    assert face.box == portrait_box
+
+
+def test_the_networks_faces_come_largest_first(astronaut, portrait_box):
+    picture = np.zeros((512, 780, 3), np.uint8)
+    picture[:256, :256] = cv2.resize(astronaut, (256, 256), interpolation=cv2.INTER_AREA)
+    picture[:, 268:] = astronaut
+    small = tuple((edge + 0.5) / 2 - 0.5 for edge in portrait_box)
+    left, top, right, bottom = portrait_box
+    large = (left + 268, top, right + 268, bottom)
+    faces = NetworkDetector(finder=KnownFaces(small, large)).detect_faces(picture)
+    assert [face.box for face in faces] == [large, small]
+
+
+def test_parts_of_the_picture_are_searched_only_where_there_is_time_for_it(astronaut, portrait_box):
+    detector = NetworkDetector(finder=KnownFaces(in_parts=[portrait_box]))
+    assert detector.detect_faces(astronaut, "quick") == []
+    for effort in ("thorough", "full"):
+        assert len(detector.detect_faces(astronaut, effort)) == 1
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (8, 600, 3), (40, 15, 3)])
+def test_in_a_tiny_picture_the_network_looks_for_no_face(shape):
+    detector = NetworkDetector(finder=KnownFaces((0.0, 0.0, 8.0, 8.0)))
+    assert detector.detect_faces(np.zeros(shape, np.uint8)) == []
+
+
+def test_looks_from_several_threads_wait_for_each_other_and_agree(network, astronaut, aligned):
+    alone = network.refine(astronaut, aligned.points)
+    with ThreadPoolExecutor(4) as threads:
+        for landmarks in threads.map(lambda _: network.refine(astronaut, aligned.points), range(8)):
+            np.testing.assert_array_equal(landmarks.points, alone.points)
+
+
+def test_the_network_does_not_run_beside_another_large_program(network, astronaut, aligned):
+    done = threading.Event()
+    with COMPUTING:
+        thread = threading.Thread(target=lambda: (network.refine(astronaut, aligned.points), done.set()))
+        thread.start()
+        assert not done.wait(0.3)
+    thread.join(60)
+    assert done.is_set()
+
+
+def test_the_view_of_the_differentiable_chain_is_that_of_the_detector(aligned):
+    face = frame_from_points(aligned.points)
+    pixels = np.array([[0.0, 0.0], [CROP_SIDE - 1.0, 0.0], [100.0, 200.0]])
+    expected = crop_frame(face).to_image(pixels)
+    np.testing.assert_allclose(to_picture(pixels, network_box(face), CROP_SIDE), expected, atol=1e-3)
+
+
+# --- the network with its own finder ---
+
+
+@pytest.fixture(scope="module")
+def whole_network():
+    return make_detector("network")
+
+
+def test_the_network_finds_the_one_face_of_the_portrait(whole_network, astronaut, portrait_points):
+    for effort in ("quick", "thorough", "full"):
+        (face,) = whole_network.detect_faces(astronaut, effort)
+        landmarks = whole_network.align(astronaut, face.box)
+        assert distance(landmarks.points, portrait_points, slice(17, None)) < PORTRAIT_TOLERANCE
+
+
+@pytest.mark.parametrize("size", [100, 200, 1500])
+def test_the_network_finds_the_portraits_face_at_any_size(whole_network, astronaut, portrait_points, size):
+    picture = cv2.resize(astronaut, (size, size), interpolation=cv2.INTER_AREA if size < 512 else cv2.INTER_LINEAR)
+    (face,) = whole_network.detect_faces(picture)
+    landmarks = whole_network.align(picture, face.box)
+    expected = (portrait_points + 0.5) * size / 512 - 0.5
+    assert distance(landmarks.points, expected, slice(17, None)) < PORTRAIT_TOLERANCE
+
+
+@pytest.mark.parametrize("effort", ["quick", "full"])
+def test_the_network_finds_no_face_where_there_is_none(whole_network, effort):
+    noise = np.random.default_rng(0).integers(0, 256, (300, 400, 3), np.uint8)
+    for picture in (np.zeros((300, 400, 3), np.uint8), noise, cv2.GaussianBlur(noise, (0, 0), 9)):
+        assert whole_network.detect_faces(picture, effort) == []
