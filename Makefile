@@ -18,6 +18,9 @@ $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable ".[dlib,test]"
+	# The published PyTorch model that tests/test_networks_fan.py compares with. Without its dependencies, so not in an
+	# extra: opencv-python among them would overwrite the headless OpenCV.
+	$(BIN)/python -m pip install --quiet --no-deps face-alignment==1.5.0
 	@touch $(STAMP)
 
 lab: $(STAMP)

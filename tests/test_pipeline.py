@@ -206,7 +206,7 @@ def test_stills_get_a_picture_each_and_their_names(head, tmp_path):
 class NoFaces:
     """A detector that finds nothing (the real ones have tests of their own)."""
 
-    name = "no-faces"
+    name = "network"
 
     def detect_faces(self, picture, effort="full"):
         return []
@@ -233,6 +233,43 @@ def test_a_video_without_a_face_is_a_track_that_says_so(head, tmp_path):
     assert result.summary["reprojection_error"]["all_68_px"]["mean"] is None
     assert np.isnan(result.track.rotation).all()
     assert open_frames(tmp_path / "out" / "overlay.mp4").announced_count == 5
+
+
+@pytest.mark.usefixtures("no_faces")
+def test_summary_and_track_name_the_detector_that_ran_and_not_the_one_that_was_asked_for(head, tmp_path):
+    cv2.imwrite(str(tmp_path / "grey.png"), np.full((64, 96, 3), 120, np.uint8))
+    result = track(tmp_path / "grey.png", tmp_path / "out", head, preset("joint"), pictures=False)
+    assert result.track.meta["config"]["landmarks"]["detector"] == "auto"
+    assert result.track.meta["detector"] == "network"
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["detector"] == "network"
+    assert read_config(tmp_path / "out" / "config.toml").landmarks.detector == "auto"
+
+
+def test_where_the_landmarks_were_given_no_detector_is_named(run):
+    assert run.summary["detector"] is None
+    assert run.track.meta["detector"] is None
+
+
+@pytest.mark.usefixtures("no_faces")
+@pytest.mark.parametrize(("again", "goes_on"), [("network", True), ("dlib", False)])
+def test_a_run_resumes_with_the_detector_that_ran_before_under_whatever_name(
+    again, goes_on, head, tmp_path, monkeypatch
+):
+    with VideoWriter(tmp_path / "grey.mp4", rate=25) as writer:
+        for _ in range(8):
+            writer.write(np.full((64, 96, 3), 120, np.uint8))
+
+    def interrupt(step, done, total):
+        if done == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        track(tmp_path / "grey.mp4", tmp_path / "out", head, preset("joint"), pictures=False, progress=interrupt)
+    monkeypatch.setattr(NoFaces, "name", again)
+    seen, config = [], preset("joint").changed(landmarks={"detector": again})
+    options = {"pictures": False, "resume": True, "progress": lambda *a: seen.append(a[1])}
+    track(tmp_path / "grey.mp4", tmp_path / "out", head, config, **options)
+    assert seen[0] == (6 if goes_on else 1)
 
 
 @pytest.mark.usefixtures("no_faces")

@@ -66,8 +66,8 @@ class LandmarkNetwork(eqx.Module):
     head: Conv
     calibration: Calibration | None = None
 
-    def __call__(self, picture: Float[AnyArray, "3 h w"]) -> Float[Array, "68 h4 w4"]:
-        """Heat maps of a quarter of the picture's size (256×256 in training), RGB in 0..1."""
+    def __call__(self, picture: Float[AnyArray, "3 h w"]) -> Float[Array, "n h4 w4"]:
+        """Heat maps (68; another network's `outputs`) of a quarter of the picture's size, RGB in 0..1."""
         x = (jnp.moveaxis(picture, 0, -1) - MIDDLE) / SPREAD
         x0 = _residual(_step(x, self.stem), self.e0)
         x1 = _residual(_step(x0, self.d1), *self.e1)
