@@ -113,13 +113,13 @@ def eye_aspect(points: Float[np.ndarray, "*n 68 2"]) -> Float[np.ndarray, "*n"]:
         width = np.linalg.norm(eye[..., 0, :] - eye[..., 3, :], axis=-1)
         opened = sum(np.linalg.norm(eye[..., a, :] - eye[..., b, :], axis=-1) for a, b in ((1, 5), (2, 4)))
         ratios.append(opened / (2 * width))
-    return np.mean(ratios, axis=0)
+    return np.asarray(np.mean(ratios, axis=0))
 
 
 def mouth_opening(points: Float[np.ndarray, "*n 68 2"]) -> Float[np.ndarray, "*n"]:
     """Opening of the inner lips at their middle over the outer-eye distance."""
     opened = np.linalg.norm(points[..., 66, :] - points[..., 62, :], axis=-1)
-    return opened / np.linalg.norm(points[..., 45, :] - points[..., 36, :], axis=-1)
+    return np.asarray(opened / np.linalg.norm(points[..., 45, :] - points[..., 36, :], axis=-1))
 
 
 def _spread(errors) -> dict[str, float]:

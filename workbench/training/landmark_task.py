@@ -47,7 +47,7 @@ class LandmarkTask:
         return loss_of(maps, (landmarks + 0.5) / STRIDE - 0.5, is_face)
 
 
-def target_distribution(points: Float[Tensor, "n 68 2"], side: int) -> Float[Tensor, "n 68 cells"]:
+def target_distribution(points: Float[Tensor, "n k 2"], side: int) -> Float[Tensor, "n k cells"]:
     """Where each landmark is, as probabilities over the heat map's pixels; zero rows for points outside of it.
 
     A landmark is shared out over the four pixels around it, so that their mean place is the landmark: a soft-argmax

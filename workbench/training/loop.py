@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -72,6 +72,7 @@ Batch = tuple[UInt8[np.ndarray, "n s s 3"], tuple[np.ndarray, ...]]
 """Pictures, and what is known of them."""
 
 
+@runtime_checkable
 class Task(Protocol):
     """What is learned."""
 
