@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 from rich.markup import escape
+from rich.table import Table
 
 from workbench.cli import screen
 from workbench.cli.tracking import DETECTOR_HELP, FACE_HELP, print_licence_notice, wanted_face
@@ -29,13 +30,13 @@ Every picture stands alone, also those of a video. The CSV file is one that [bol
 
 [bold]Examples[/bold]
 
-  workbench landmarks portrait.jpg                  landmarks.csv and landmarks/0000-portrait.jpg
+  workbench landmarks portrait.jpg              landmarks.csv, and a picture
 
-  workbench landmarks photos/ --out found.csv       a folder; found.csv and a picture each in found/
+  workbench landmarks photos/ --out found.csv   a folder; pictures in found/
 
-  workbench landmarks talk.mp4 --no-pictures        a video, without landmarks.mp4
+  workbench landmarks talk.mp4 --no-pictures    a video, without landmarks.mp4
 
-  workbench landmarks group.jpg --face 320,180      the face at this point instead of the largest
+  workbench landmarks us.jpg --face 320,180     not the largest face but this
 
   workbench track photos/ --stills --landmarks found.csv
 """
@@ -128,8 +129,7 @@ def _tell(found: list[Found], source: "PictureSource", inputs: list[Path], out: 
     if source.frames.kind == "images" and len(found) <= LISTED:
         _print_each(found)
     faces = [item for item in found if item.landmarks is not None]
-    table = screen.table("", "", whole=("",))
-    table.show_header = False
+    table = Table(show_header=False, box=None)
     table.add_row("[bold]pictures[/bold]", f"{len(faces)} of {len(found)} with a face")
     without = [item.name for item in found if item.landmarks is None]
     if without:
@@ -145,9 +145,10 @@ def _tell(found: list[Found], source: "PictureSource", inputs: list[Path], out: 
     table.add_row("[bold]files[/bold]", f"{escape(str(out))}  [dim]a row a picture: 68 points, then confidences[/dim]")
     if drawn is not None:
         table.add_row("", f"{escape(str(drawn))}  [dim]the points, yellow where sure, violet where guessed[/dim]")
-    if faces and len(inputs) <= NAMED_IN_HINT:
-        table.add_row("[bold]next[/bold]", escape(_next_command(source.frames, inputs, out)))
     screen.console.print(table)
+    if faces and len(inputs) <= NAMED_IN_HINT:
+        command = escape(_next_command(source.frames, inputs, out))
+        screen.console.print(f" [bold]next[/bold]        {command}", soft_wrap=True)  # one line, to be copied
     for note in source.notes():
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")
     print_licence_notice(source.detector)
