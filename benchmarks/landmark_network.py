@@ -45,8 +45,8 @@ def main() -> None:
     closed, opened = numbers["eye_aspect_closed"], numbers["eye_aspect_open"]
     print_result(
         **common,
-        value=numbers["clean"]["inner 51, |yaw| < 45"]["mean"],
-        against="exact landmarks of clean renders, |yaw| < 45",
+        value=numbers["clean"]["inner 51, yaw below 45°"]["mean"],
+        against="exact landmarks of clean renders, yaw below 45°",
         details={
             "clean": numbers["clean"],
             "damaged": numbers["damaged"],

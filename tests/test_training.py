@@ -288,8 +288,8 @@ class TestEvaluation:
         made = answers(np.full((3, 68), 4.0), np.ones((3, 68)))
         made = replace(made, angles_deg=np.array([[0.0, 0, 0], [20.0, 0, 0], [50.0, 0, 0]]))
         table = error_table(made)
-        assert table["inner 51, |yaw| < 45"]["mean"] == pytest.approx(4.0)
-        assert np.isnan(table["inner 51, |yaw| 30-45"]["mean"])
+        assert table["inner 51, yaw below 45°"]["mean"] == pytest.approx(4.0)
+        assert np.isnan(table["inner 51, yaw 30–45°"]["mean"])
 
     def test_calibration_never_falls_and_tells_how_often_landmarks_are_found(self):
         rng = np.random.default_rng(0)

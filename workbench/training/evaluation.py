@@ -59,15 +59,15 @@ def answers_of(
 
 
 def error_table(answers: Answers) -> dict[str, dict[str, float]]:
-    """Mean, median and 90th percentile of the error in percent by range of yaw, and by group of landmarks below 45°."""
+    """Mean, median and 90th percentile of the error in percent by range of yaw (either way), and by group of landmarks."""
     errors, yaw = answers.errors_percent, np.abs(answers.angles_deg[:, 0])
     inner = errors[:, 17:]
     rows = {}
     for low, high in ((0, 15), (15, 30), (30, 45), (45, 90)):
-        rows[f"inner 51, |yaw| {low}-{high}"] = _spread(inner[(yaw >= low) & (yaw < high)])
-    rows["inner 51, |yaw| < 45"] = _spread(inner[yaw < 45])
+        rows[f"inner 51, yaw {low}–{high}°"] = _spread(inner[(yaw >= low) & (yaw < high)])
+    rows["inner 51, yaw below 45°"] = _spread(inner[yaw < 45])
     for group in ("jaw", "brows", "nose", "eyes", "mouth"):
-        rows[f"{group}, |yaw| < 45"] = _spread(errors[yaw < 45][:, list(GROUPS[group])])
+        rows[f"{group}, yaw below 45°"] = _spread(errors[yaw < 45][:, list(GROUPS[group])])
     return rows
 
 
