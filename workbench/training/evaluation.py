@@ -59,7 +59,7 @@ def answers_of(
 
 
 def error_table(answers: Answers) -> dict[str, dict[str, float]]:
-    """Mean, median and 90th percentile of the error in percent by range of yaw (either way), and by group of landmarks."""
+    """Mean, median and 90th percentile of the error in percent, by range of yaw (either way) and by group."""
     errors, yaw = answers.errors_percent, np.abs(answers.angles_deg[:, 0])
     inner = errors[:, 17:]
     rows = {}
