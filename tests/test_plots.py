@@ -179,3 +179,55 @@ def test_figures_do_not_pile_up_in_pyplot():
     plots.matrix_figure(["a", "b"], np.eye(2), "cosine")
     plots.profiles({"head": np.zeros((4, 3))}, np.array([0, 1]))
     assert pyplot.get_fignums() == []
+
+
+def test_colours_become_a_picture_and_are_clipped():
+    values = np.array([[[0.0, 0.5, 1.0], [-0.2, 1.3, 0.2]]])
+    np.testing.assert_array_equal(plots.as_picture(values), [[[0, 128, 255], [0, 255, 51]]])
+
+
+def test_signed_numbers_are_white_at_zero_red_above_and_blue_below():
+    below, zero, above = plots.signed_picture(np.array([[-2.0, 0.0, 2.0]]))[0].astype(int)
+    assert zero.min() > 240
+    assert above[0] > above[2] + 50
+    assert below[2] > below[0] + 50
+
+
+def test_signed_numbers_beyond_the_limit_look_like_the_limit():
+    shown = plots.signed_picture(np.array([[1.0, 5.0, -5.0, -1.0]]), limit=1.0)[0]
+    np.testing.assert_array_equal(shown[0], shown[1])
+    np.testing.assert_array_equal(shown[2], shown[3])
+
+
+def test_signed_numbers_that_are_all_zero_are_white():
+    assert plots.signed_picture(np.zeros((2, 2))).min() > 240
+
+
+def test_heat_covers_the_picture_where_it_is_high():
+    picture = np.full((40, 60, 3), (200, 40, 40), np.uint8)
+    heat = np.zeros((4, 6))
+    heat[1, 2] = 1.0
+    shown = plots.heat_over(picture, heat, "#0000ff")
+    assert (shown[15, 25] == (0, 0, 255)).all()
+    assert len(np.unique(shown[5, 5])) == 1
+    hot = np.argwhere(shown[..., 0] == 0)
+    np.testing.assert_array_equal([hot.min(axis=0), hot.max(axis=0)], [(10, 20), (19, 29)])
+
+
+def test_arrows_run_from_their_points_along_their_vectors():
+    picture = np.zeros((40, 60, 3), np.uint8)
+    shown = plots.with_arrows(picture, np.array([[10.0, 20.0]]), np.array([[30.0, 0.0]]), "#ffffff")
+    assert picture.max() == 0
+    assert shown[20, 11:39].min() > 100
+    assert shown[:, 45:].max() == 0
+    assert shown[:10].max() == 0
+
+
+def test_the_normals_of_a_ball_are_unit_vectors_towards_the_camera():
+    normals = plots.ball_normals(41)
+    inside = np.isfinite(normals).all(axis=-1)
+    assert 0.75 < inside.mean() < 0.80
+    np.testing.assert_allclose(np.linalg.norm(normals[inside], axis=-1), 1.0)
+    np.testing.assert_allclose(normals[20, 20], [0, 0, -1], atol=1e-12)
+    assert normals[20, 35, 0] > 0.6
+    assert normals[35, 20, 1] > 0.6

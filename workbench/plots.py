@@ -9,12 +9,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from matplotlib import pyplot
+from matplotlib import colormaps, pyplot
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from workbench.arrays import AnyArray
 from workbench.energies import EnergyConstants, beta_curve, beta_slope
 from workbench.face import FaceModel
 from workbench.geometry import Camera
@@ -364,12 +365,59 @@ def matrix_figure(names: Sequence[str], matrix: Float[np.ndarray, "k k"], title:
     return figure
 
 
-def with_points(picture: Picture, points: Float[np.ndarray, "n 2"], color: str) -> Picture:
-    """A copy of the picture with dots at these pixels."""
+def with_points(picture: Picture, points: Float[np.ndarray, "n 2"], color: str, radius: int = 2) -> Picture:
+    """A copy of the picture with dots of `radius` pixels at these pixels."""
     drawn = picture.copy()
     for x, y in np.nan_to_num(points):
-        cv2.circle(drawn, (round(float(x)), round(float(y))), 2, _rgb(color), -1, cv2.LINE_AA)
+        cv2.circle(drawn, (round(float(x)), round(float(y))), radius, _rgb(color), -1, cv2.LINE_AA)
     return drawn
+
+
+def with_arrows(
+    picture: Picture, points: Float[np.ndarray, "n 2"], vectors: Float[np.ndarray, "n 2"], color: str
+) -> Picture:
+    """A copy of the picture with an arrow of `vectors` pixels at each of these pixels."""
+    drawn = picture.copy()
+    fraction_bits = 4
+    ends = np.stack([points, points + vectors], axis=1)
+    for tail, tip in np.rint(np.nan_to_num(ends) * 2**fraction_bits).astype(int):
+        length = float(np.hypot(*(tip - tail))) / 2**fraction_bits
+        head = min(0.4, 4.0 / max(length, 1e-6))
+        cv2.arrowedLine(drawn, tuple(tail), tuple(tip), _rgb(color), 1, cv2.LINE_AA, fraction_bits, head)
+    return drawn
+
+
+def as_picture(values: Float[AnyArray, "h w 3"]) -> Picture:
+    """Colours of 0 to 1, as the renderer has them, as a picture; beyond the range they are clipped."""
+    return np.rint(255.0 * np.clip(np.asarray(values), 0.0, 1.0)).astype(np.uint8)
+
+
+def signed_picture(values: Float[AnyArray, "h w"], limit: float | None = None) -> Picture:
+    """Signed numbers as colours: white is zero, red is `limit` and more, blue is −`limit` and less.
+
+    `limit` is the largest size of all values if it is not given.
+    """
+    values = np.asarray(values)
+    limit = float(np.abs(values).max()) if limit is None else limit
+    return as_picture(colormaps["RdBu_r"](0.5 + 0.5 * values / max(limit, 1e-30))[..., :3])
+
+
+def heat_over(picture: Picture, heat: Float[AnyArray, "m n"], color: str = AMBER) -> Picture:
+    """The picture in grey, and over it in colour where `heat` is high: 0 shows none of it, 1 and more all of it.
+
+    A map that is smaller than the picture is enlarged, pixel edges to pixel edges.
+    """
+    size = picture.shape[1], picture.shape[0]
+    share = np.clip(cv2.resize(np.asarray(heat, np.float32), size, interpolation=cv2.INTER_NEAREST), 0.0, 1.0)
+    grey = np.repeat(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2) / 255.0
+    return as_picture(grey + share[..., None] * (np.array(to_rgb(color)) - grey))
+
+
+def ball_normals(side: int) -> Float[np.ndarray, "s s 3"]:
+    """Camera-frame normals of a ball that fills a square picture of `side` pixels, seen in parallel; NaN around it."""
+    y, x = (np.mgrid[:side, :side] - (side - 1) / 2) / (side / 2)
+    square = 1.0 - x * x - y * y
+    return np.where(square[..., None] > 0.0, np.stack([x, y, -np.sqrt(np.maximum(square, 0.0))], axis=-1), np.nan)
 
 
 def profiles(shapes: dict[str, Float[np.ndarray, "v 3"]], marked: Int[np.ndarray, "m"]) -> Figure:

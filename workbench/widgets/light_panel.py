@@ -1,0 +1,146 @@
+"""A lamp to move around a rendered head, and the nine numbers per colour that the lamp is."""
+
+import html
+import threading
+import time
+from collections.abc import Callable
+
+import cv2
+import ipywidgets as widgets
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from workbench.arrays import AnyArray
+from workbench.errors import WorkbenchError
+from workbench.pictures import side_by_side
+from workbench.plots import as_picture, ball_normals
+from workbench.rendering import ambient_light, directional_light, spherical_harmonics
+from workbench.rendering.lighting import LAMBERT
+from workbench.runtime import COMPUTING
+from workbench.widgets.playground import Number, jpeg
+
+Light = Float[np.ndarray, "9 3"]
+SIDE_PX = 360
+FUNCTIONS = ("1", "y", "z", "x", "xy", "yz", "3z²−1", "xz", "x²−y²")
+"""What the nine functions are, up to a factor."""
+LARGEST = 6.0
+"""Range of a coefficient's slider: the brightest lamp with the brightest ambient light has 5.3 on the first."""
+START = {"azimuth": -35, "elevation": 35, "lamp": 0.6, "ambient": 0.45}
+
+
+def lamp_light(azimuth: Number, elevation: Number, lamp: Number, ambient: Number) -> Light:
+    """Light of a distant lamp and from everywhere alike.
+
+    Angles in degrees as seen from the head: `azimuth` 0 is the camera's side, positive the image's right, ±180 behind
+    the head; `elevation` is positive above. A surface that faces the lamp shows its albedo times `lamp` + `ambient`.
+    """
+    side, rise = np.radians([azimuth, elevation])
+    direction = np.cos(rise) * np.sin(side), -np.sin(rise), -np.cos(rise) * np.cos(side)
+    return directional_light(tuple(map(float, direction)), float(lamp)) + ambient_light(float(ambient))
+
+
+def lit_ball(light: Light, side: int) -> UInt8[np.ndarray, "s s 3"]:
+    """A white matte ball under the light, on dark grey: what the light does to each direction."""
+    normals = ball_normals(side)
+    functions = np.stack(spherical_harmonics(*np.moveaxis(normals, -1, 0)), axis=-1)
+    return as_picture(np.where(np.isfinite(normals), (LAMBERT * functions) @ light, 0.2))
+
+
+class LightPanel(widgets.VBox):
+    """Sliders for a lamp and for its nine coefficients: every move calls `draw` with the light and shows the picture.
+
+    The lamp sets the coefficients; a coefficient that is moved by itself leaves the lamp. `draw` takes the light and
+    returns colours of 0 to 1; it is called with `COMPUTING` held, from whatever thread a slider moves in. `light`
+    holds what is shown.
+    """
+
+    def __init__(self, draw: Callable[[Light], Float[AnyArray, "h w 3"]]) -> None:
+        self._draw = draw
+        self._lock = threading.RLock()
+        self._quiet = False
+        self.lamp = _lamp_sliders()
+        self.coefficients = [_coefficient_slider(k) for k in range(9)]
+        self.status = widgets.HTML()
+        self.image = widgets.Image(format="jpeg", layout=widgets.Layout(max_width="100%", object_fit="contain"))
+        for slider in self.lamp.values():
+            slider.observe(self._on_lamp, "value")
+        for slider in self.coefficients:
+            slider.observe(self._on_coefficient, "value")
+        layout = widgets.Layout(grid_template_columns="repeat(2, minmax(260px, 1fr))", max_width=f"{2 * SIDE_PX}px")
+        nine = widgets.Layout(grid_template_columns="repeat(3, minmax(200px, 1fr))", max_width=f"{2 * SIDE_PX}px")
+        super().__init__(
+            [
+                widgets.GridBox(list(self.lamp.values()), layout=layout),
+                self.image,
+                widgets.HTML("The nine coefficients"),
+                widgets.GridBox(self.coefficients, layout=nine),
+                self.status,
+            ]
+        )
+        self.light = np.zeros((9, 3))
+        self._on_lamp(None)
+
+    def __repr__(self) -> str:
+        return f"LightPanel({[round(slider.value, 2) for slider in self.coefficients]})"
+
+    def use(self, light: Light) -> None:
+        """Show this light; the coefficients' sliders stand at its mean over the colours."""
+        with self._lock:
+            self._place(light.mean(axis=1))
+            self._show(light)
+
+    def _on_lamp(self, _change) -> None:
+        with self._lock:
+            if not self._quiet:
+                self.use(lamp_light(**{name: slider.value for name, slider in self.lamp.items()}))
+
+    def _on_coefficient(self, _change) -> None:
+        with self._lock:
+            if not self._quiet:
+                values = np.array([slider.value for slider in self.coefficients])
+                self._show(np.repeat(values[:, None], 3, axis=1))
+
+    def _place(self, values: Float[np.ndarray, "9"]) -> None:
+        self._quiet = True  # one picture for the light, not one for each slider that it moves
+        try:
+            for slider, value in zip(self.coefficients, values, strict=True):
+                slider.value = float(value)
+        finally:
+            self._quiet = False
+
+    def _show(self, light: Light) -> None:
+        began = time.perf_counter()
+        try:
+            with COMPUTING:
+                picture = as_picture(self._draw(light))
+        except WorkbenchError as error:
+            self.status.value = f"<b style='color:#b3261e'>{html.escape(str(error))}</b>"
+            return
+        self.light = light
+        self.status.value = f"<code>drawn in {1e3 * (time.perf_counter() - began):.0f} ms</code>"
+        height, width = picture.shape[:2]
+        shown = cv2.resize(picture, (round(width * SIDE_PX / height), SIDE_PX), interpolation=cv2.INTER_CUBIC)
+        self.image.value = jpeg(side_by_side(shown, lit_ball(light, SIDE_PX)))
+
+
+def _lamp_sliders() -> dict[str, widgets.Widget]:
+    def slider(kind, name, label, low, high, step, tip):
+        return kind(
+            value=START[name], min=low, max=high, step=step, description=label, tooltip=tip,
+            style={"description_width": "100px"}, layout=widgets.Layout(width="auto"),
+        )  # fmt: skip
+
+    real, whole = widgets.FloatSlider, widgets.IntSlider
+    return {
+        "azimuth": slider(whole, "azimuth", "from the side, °", -180, 180, 5, "0: from the camera; 90: image right"),
+        "elevation": slider(whole, "elevation", "from above, °", -90, 90, 5, "90: from the ceiling; −90: from below"),
+        "lamp": slider(real, "lamp", "lamp", 0, 2, 0.05, "what a white surface that faces the lamp gets from it"),
+        "ambient": slider(real, "ambient", "ambient", 0, 1, 0.05, "what comes from everywhere alike"),
+    }
+
+
+def _coefficient_slider(k: int) -> widgets.FloatSlider:
+    return widgets.FloatSlider(
+        value=0.0, min=-LARGEST, max=LARGEST, step=0.05, description=FUNCTIONS[k], readout_format=".2f",
+        style={"description_width": "60px"}, layout=widgets.Layout(width="auto"),
+    )  # fmt: skip
