@@ -18,7 +18,7 @@ from workbench.landmarks.detectors import Box, Effort, FaceDetection
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import MIRROR
 from workbench.networks import CropBox, LandmarkNetwork, read_landmark_network, soft_argmax
-from workbench.networks.face_finder import FaceFinder, read_face_finder
+from workbench.networks.face_finder import FaceFinder, FoundFace, read_face_finder, without_doubles
 from workbench.runtime import COMPUTING
 
 CROP_SIDE = 256
@@ -33,8 +33,10 @@ OTHER_ROLLS = (-0.9, 0.9)
 """Rolls in radians that are looked at too where the upright look leaves doubt: training went up to 40 degrees."""
 DOUBTFUL = 0.8
 """Median confidence of the inner points up to which a look leaves doubt; wrong answers reach 0.7."""
-LEAST_FACE = 0.25
-"""Median confidence of the inner points below which there is no face."""
+LEAST_FACE = 0.35
+"""Median confidence of the inner points below which there is no face; boxes of walls and hands have about 0.2."""
+CANDIDATES, MORE_CANDIDATES = 5, 12
+"""The finder's surest proposals that the landmark network looks at: of the whole picture, and of its parts."""
 SMALLEST_SIDE = 16
 """Pictures with a shorter side in pixels hold no face with 68 landmarks."""
 
@@ -53,15 +55,18 @@ class NetworkDetector:
     def detect_faces(self, picture: UInt8[np.ndarray, "h w 3"], effort: Effort = "full") -> list[FaceDetection]:
         """Faces, the largest first: what the finder finds and the landmark network agrees to.
 
-        "quick" looks once at the whole picture; the others look at its parts too if there is no face at first sight.
+        "quick" looks at the whole picture for upright faces; the others for rolled ones too, and at its parts if
+        there is no face at first sight.
         """
         if min(picture.shape[:2]) < SMALLEST_SIDE:
             return []
         with COMPUTING:
-            found = self._finder.find(picture)
-            if not found and effort != "quick":
-                found = self._finder.find_small(picture)
-        faces = [FaceDetection(box, score) for box, score in found if self._agrees(picture, box)]
+            found = self._finder.find(picture)[:CANDIDATES]
+        faces = self._faces(picture, found, effort)
+        if not faces and effort != "quick":
+            with COMPUTING:
+                found = self._finder.find_small(picture)[:MORE_CANDIDATES]
+            faces = self._faces(picture, found, effort)
         return sorted(faces, key=lambda face: -face.area)
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
@@ -79,8 +84,15 @@ class NetworkDetector:
         """The landmarks of the face near `points`, by one look: about 10 ms."""
         return self._look(picture, frame_from_points(points))
 
-    def _agrees(self, picture: np.ndarray, box: Box) -> bool:
-        return _sureness(self._first_look(picture, box)) > LEAST_FACE
+    def _faces(self, picture: np.ndarray, found: list[FoundFace], effort: Effort) -> list[FaceDetection]:
+        """What of the finder's proposals the landmark network takes for a face, with the boxes of its landmarks."""
+        faces = []
+        for box, score in found:
+            upright = effort == "quick"
+            look = self._look(picture, frame_from_box(box)) if upright else self._first_look(picture, box)
+            if _sureness(look) > LEAST_FACE:
+                faces.append((frame_from_points(look.points).box(), score))
+        return [FaceDetection(box, score) for box, score in without_doubles(faces)]
 
     def _first_look(self, picture: np.ndarray, box: Box) -> Landmarks2D:
         """The upright look at a box, or the surest of several rolled ones where that leaves doubt."""

@@ -22,7 +22,8 @@ UNIT_SIDE = 64.0
 """Box side in input pixels whose logarithm is 0."""
 PADDING_GREY = 114
 MAX_ENLARGEMENT = 4.0
-LEAST_SCORE = 0.35
+LEAST_SCORE = 0.2
+"""Low, because the landmark network turns down what is no face, and a face that is not proposed is lost."""
 SAME_FACE = 0.35
 """Boxes that share more of their union than this are one face."""
 
@@ -41,7 +42,7 @@ class FaceFinder:
         square, scale = padded_square(picture)
         maps = np.asarray(self._maps(square))
         faces = [(_unscaled(box, scale), score) for box, score in boxes_of(maps, least_score)]
-        return _without_doubles(faces)
+        return without_doubles(faces)
 
     def find_small(self, picture: UInt8[np.ndarray, "h w 3"], least_score: float = LEAST_SCORE) -> list[FoundFace]:
         """As `find`, looking at overlapping parts of the picture too: five looks, faces of half the size."""
@@ -53,7 +54,7 @@ class FaceFinder:
                 view = np.ascontiguousarray(picture[top : top + part[0], left : left + part[1]])
                 for (x0, y0, x1, y1), score in self.find(view, least_score):
                     faces.append(((x0 + left, y0 + top, x1 + left, y1 + top), score))
-        return _without_doubles(faces)
+        return without_doubles(faces)
 
 
 def read_face_finder(path: str | Path) -> FaceFinder:
@@ -105,7 +106,8 @@ def _unscaled(box, scale: float):
     return left, top, right, bottom
 
 
-def _without_doubles(faces: list[FoundFace]) -> list[FoundFace]:
+def without_doubles(faces: list[FoundFace]) -> list[FoundFace]:
+    """The surest of each group of boxes that overlap."""
     kept: list[FoundFace] = []
     for face in sorted(faces, key=lambda face: -face[1]):
         if all(_shared(face[0], other[0]) < SAME_FACE for other in kept):
