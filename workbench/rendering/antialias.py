@@ -8,31 +8,29 @@ through Edge Sampling", where the same integral is sampled at random; here each 
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from workbench.rendering.contours import ContourPieces
 
 
-def blend_shares(pieces: ContourPieces, pixel_count: int) -> Float[Array, "n"]:
+def blend_shares(pieces: ContourPieces, inside: Bool[Array, "n"], pixel_count: int) -> Float[Array, "n"]:
     """How far the colour of a pixel's centre has to move by each of its pieces' (c_in − c_out) to be the pixel's mean.
 
     The pieces in a pixel together stand for a straight line with their mean normal through their mean middle; the
     share of the pixel's square inside this line is exact. A contour that ends within the pixel counts in part.
+    `inside` says whether the centre shows the surface in front; at a corner the line cannot tell.
     """
     length = pieces.length[:, None]
-    sums = jnp.zeros((pixel_count, 5), jnp.float32)
-    sums = sums.at[pieces.pixel].add(
-        length * jnp.concatenate([pieces.outward, pieces.middle, jnp.ones_like(length)], 1)
-    )
-    normal, middle, total = sums[:, :2], sums[:, 2:4], sums[:, 4]
-    normal, middle, total = normal[pieces.pixel], middle[pieces.pixel], total[pieces.pixel]
-    span = jnp.linalg.norm(normal, axis=1)
-    safe_total = jnp.maximum(total, 1e-6)
-    distance = (normal * middle).sum(axis=1) / (jnp.maximum(span, 1e-6) * safe_total)
-    share, chord = half_plane_in_square(normal / jnp.maximum(span, 1e-6)[:, None], distance)
-    step = share - (distance >= 0.0)
-    part = jnp.minimum(span / jnp.maximum(chord, 1e-6), 1.0)
-    return jnp.where(pieces.length > 0.0, step * part * pieces.length / safe_total, 0.0)
+    columns = [pieces.outward, pieces.middle, jnp.ones_like(length), inside[:, None].astype(jnp.float32)]
+    sums = jnp.zeros((pixel_count, 6), jnp.float32).at[pieces.pixel].add(length * jnp.concatenate(columns, axis=1))
+    sums = sums[pieces.pixel]
+    normal, middle, total = sums[:, :2], sums[:, 2:4], jnp.maximum(sums[:, 4], 1e-6)
+    span = jnp.maximum(jnp.linalg.norm(normal, axis=1), 1e-6)
+    distance = (normal * middle).sum(axis=1) / (span * total)
+    share, chord = half_plane_in_square(normal / span[:, None], distance)
+    step = share - (sums[:, 5] > 0.5 * total)
+    part = jnp.minimum(total / jnp.maximum(chord, 1e-6), 1.0)
+    return jnp.where(pieces.length > 0.0, step * part * pieces.length / total, 0.0)
 
 
 def half_plane_in_square(

@@ -84,12 +84,12 @@ def load_appearance(path: str | Path, model: FaceModel) -> Appearance:
 
 
 def estimate_appearance(
-    picture: UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w 3"],
+    picture: UInt8[np.ndarray, "..."] | Float[np.ndarray, "..."],
     model: FaceModel,
     vertices_camera: Float[np.ndarray, "v 3"],
     camera: AnyCamera,
 ) -> Appearance:
-    """Albedo per vertex and light of the face in a picture (RGB, 8 bits or 0 to 1), given its camera-frame vertices.
+    """Albedo per vertex and light of the face in a picture (h × w × RGB, 8 bits or 0 to 1), given its camera-frame vertices.
 
     Best on a frame near neutral, fitted well. Raises `InputError` for a picture of another shape, and when fewer than
     1000 pixels show the face.

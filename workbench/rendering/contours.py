@@ -20,6 +20,7 @@ from workbench.rendering.rasteriser import (
     order_key,
     pixel_boxes,
     scatter_max,
+    value_of_key,
 )
 from workbench.rendering.topology import MeshTopology
 
@@ -59,6 +60,8 @@ class VisibleContours(NamedTuple):
     pieces: ContourPieces
     behind: Int[Array, "n"]
     """The triangle seen just outside of each piece, −1 for the background."""
+    inside: Bool[Array, "n"]
+    """Whether the centre of the piece's pixel shows the surface in front rather than the one behind."""
     lost: Int[Array, ""]
     """Pieces beyond the capacity: their pixels are not smoothed, and their derivative is missing."""
 
@@ -169,11 +172,11 @@ def before_something(
 
 
 def visible_contours(
-    pieces: ContourPieces, lost: Int[Array, ""], topology: MeshTopology, triangles: ScreenTriangles,
-    size: tuple[int, int],
-) -> VisibleContours:  # fmt: skip
+    pieces: ContourPieces, lost: Int[Array, ""], triangles: ScreenTriangles, nearest: Float[Array, "h w"]
+) -> VisibleContours:
     """Drop the pieces that something hides, and find what is seen behind the others, exactly at their middles."""
-    width, height = size
+    height, width = nearest.shape
+    size = width, height
     count = len(pieces.length)
     boxes = pixel_boxes(triangles, size, 0.5)
     places = jnp.stack([*pieces.middle.T, pieces.nearness, pieces.bias], axis=1)
@@ -208,7 +211,8 @@ def visible_contours(
     longest = jnp.maximum(_longest(pieces, present, width * height)[pieces.pixel], 0)
     hidden, behind = (jnp.where(left, array[longest], array) for array in (hidden, behind))
     pieces = pieces._replace(length=jnp.where(hidden > 0, 0.0, pieces.length))
-    return VisibleContours(pieces, index_of_key(behind), lost)
+    inside = nearest.ravel()[pieces.pixel] > 0.5 * (pieces.nearness + value_of_key(behind))
+    return VisibleContours(pieces, index_of_key(behind), inside, lost)
 
 
 def _longest(pieces: ContourPieces, chosen: Bool[Array, "n"], pixel_count: int) -> Int[Array, "p"]:

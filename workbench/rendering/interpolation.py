@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from workbench.rendering.camera import ScreenPoints
 
@@ -58,7 +58,9 @@ class Corners:
         areas = [dx[k - 2] * dy[k - 1] - dy[k - 2] * dx[k - 1] for k in range(3)]
         weighted = [area * weight for area, weight in zip(areas, self._corner(2), strict=True)]
         total = weighted[0] + weighted[1] + weighted[2]
-        inverse = 1.0 / jnp.where(jnp.abs(total) < 1e-20, 1e-20, total)
+        # Where a triangle is seen edge-on nothing is drawn; zero there keeps infinity out of derivatives.
+        flat = jnp.abs(total) < 1e-12
+        inverse = jnp.where(flat, 0.0, 1.0 / jnp.where(flat, 1.0, total))
         squares = [(dx[k - 1] - dx[k]) ** 2 + (dy[k - 1] - dy[k]) ** 2 for k in range(3)]
         longest = jnp.sqrt(jnp.maximum(jnp.maximum(squares[0], squares[1]), jnp.maximum(squares[2], 1e-12)))
         thin = lax.stop_gradient(jnp.minimum(jnp.abs(areas[0] + areas[1] + areas[2]) / (THIN_PX * longest), 1.0))
@@ -78,6 +80,14 @@ class Corners:
 
     def _corner(self, attribute: int) -> list[Float[Array, "n"]]:
         return self._columns[3 * attribute : 3 * attribute + 3]
+
+
+def only_where(used: Bool[Array, "n"], barycentric: Vector) -> Vector:
+    """Barycentric coordinates of the first corner where a point is not used.
+
+    Far beyond a triangle attributes may overflow, and zero times infinity would spoil reverse derivatives.
+    """
+    return tuple(jnp.where(used, share, 1.0 if k == 0 else 0.0) for k, share in enumerate(barycentric))
 
 
 def within(barycentric: Vector) -> Vector:

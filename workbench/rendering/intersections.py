@@ -61,19 +61,40 @@ def intersection_pieces(
     wanted = (wanted & (own >= 0)).ravel() & ~crossed
     pixel, used, lost = indices_of(wanted, capacity)
     shown = jnp.maximum(seen.ravel()[pixel], 0)
-    best = None
     column, row = pixel % width, pixel // width
-    for down, right in NEIGHBOURS:
-        place = jnp.clip(row + down, 0, height - 1) * width + jnp.clip(column + right, 0, width - 1)
-        other = seen.ravel()[place]
-        differs = used & (other >= 0) & may_cross(part[shown], part[jnp.maximum(other, 0)])
-        line = _line(triangles, shown, jnp.maximum(other, 0), column, row)
-        piece = line._replace(valid=line.valid & differs), jnp.maximum(other, 0)
-        best = piece if best is None else _shorter(best, piece)
-    line, other = best
-    length = jnp.where(line.valid, line.length, 0.0)
-    pieces = IntersectionPieces(pixel, shown, other, line.middle, length, line.beyond, line.slope)
-    return pieces, lost
+    beside = [
+        jnp.clip(row + down, 0, height - 1) * width + jnp.clip(column + right, 0, width - 1)
+        for down, right in NEIGHBOURS
+    ]
+    other = seen.ravel()[jnp.stack(beside)]
+    apart = used & (other >= 0) & may_cross(part[shown], part[jnp.maximum(other, 0)])
+    other = jnp.maximum(other, 0)
+    line = _line(triangles, *(jnp.tile(array, len(NEIGHBOURS)) for array in (shown, column, row)), other.ravel())
+    line = _Line(*(array.reshape(len(NEIGHBOURS), capacity, *array.shape[1:]) for array in line))
+    # Of the lines towards the four neighbours the one nearest to the centre; most pixels have one at most.
+    rank = jnp.where(line.valid & apart, 1.0 + line.beyond, 0.0)
+    best = rank.argmax(axis=0), jnp.arange(capacity)
+    found = rank[best] > 0.0
+    line = _Line(*(array[best] for array in line))
+    # Finite numbers also where there is no line: zero times infinity would spoil reverse derivatives.
+    length, beyond = (jnp.where(found, values, 0.0) for values in (line.length, line.beyond))
+    slope = jnp.where(found, line.slope, 1.0)
+    middle = jnp.where(found[:, None], line.middle, 0.0)
+    return IntersectionPieces(pixel, shown, other[best], middle, length, beyond, slope), lost
+
+
+def crossing_change(
+    pieces: IntersectionPieces, weight: Float[Array, "n"], depths: list[Float[Array, "n"]], jump: Float[Array, "n c"]
+) -> Float[Array, "n c"]:
+    """What each piece adds to its pixel, from the depths of both triangles at its middle, which alone move.
+
+    `jump` is the colour here less that beyond, `weight` as in `ScreenPoints`.
+    """
+    # Where the one comes nearer than the other by d, the line moves by d/slope.
+    slope = pieces.slope / jnp.maximum(weight * weight, 1e-20)
+    gap = depths[1] - depths[0]
+    displacement = (gap - lax.stop_gradient(gap)) * slope / (slope * slope + GENTLEST_SLOPE**2)
+    return (pieces.length * displacement)[:, None] * lax.stop_gradient(jump) - pieces.beyond[:, None] * jump
 
 
 class _Line(NamedTuple):
@@ -84,7 +105,7 @@ class _Line(NamedTuple):
     valid: Bool[Array, "n"]
 
 
-def _line(triangles: ScreenTriangles, shown, other, column, row) -> _Line:
+def _line(triangles: ScreenTriangles, shown, column, row, other) -> _Line:
     """Where the planes of two triangles are equally near, in one pixel each."""
     place = jnp.stack([column, row], axis=1)
     (first, first_inside), (second, second_inside) = (_planes_at(triangles, index, place) for index in (shown, other))
@@ -115,14 +136,3 @@ def _planes_at(triangles: ScreenTriangles, index, place) -> tuple[Float[Array, "
 
 def _at(planes, point):
     return (planes[..., :2] * point[:, None, :]).sum(axis=2) + planes[..., 2]
-
-
-def _shorter(one, another):
-    """Of two candidates for each pixel, the valid one whose line is nearer to the centre."""
-    (line, other), (rival, rival_other) = one, another
-    take = rival.valid & (~line.valid | (rival.beyond > line.beyond))
-
-    def pick(mine, theirs):
-        return jnp.where(take[:, None] if mine.ndim == 2 else take, theirs, mine)
-
-    return _Line(*(pick(a, b) for a, b in zip(line, rival, strict=True))), pick(other, rival_other)

@@ -51,7 +51,7 @@ def directional_light(
 ) -> Float[np.ndarray, "9 3"]:
     """Distant light from a direction of the camera frame: (-1, -1, -1) is from the upper left, on the camera's side.
 
-    A surface that faces it would show its albedo times `color`; nine functions reproduce max(0, n·d) within 0.07.
+    A surface that faces it would show its albedo times `color`; nine functions reproduce max(0, n·d) within 0.1.
     Raises `InputError` for the zero vector.
     """
     towards = np.asarray(direction, float)

@@ -20,6 +20,7 @@ from workbench.arrays import AnyArray
 from workbench.rendering.antialias import blend_shares, contour_change
 from workbench.rendering.camera import AnyCamera, ScreenPoints, to_screen
 from workbench.rendering.contours import (
+    ContourPieces,
     VisibleContours,
     before_something,
     contour_edges,
@@ -27,8 +28,8 @@ from workbench.rendering.contours import (
     edge_ends,
     visible_contours,
 )
-from workbench.rendering.interpolation import Corners, SurfacePoints, Vector, corner_table, within
-from workbench.rendering.intersections import GENTLEST_SLOPE, IntersectionPieces, intersection_pieces
+from workbench.rendering.interpolation import Corners, SurfacePoints, Vector, corner_table, only_where, within
+from workbench.rendering.intersections import IntersectionPieces, crossing_change, intersection_pieces
 from workbench.rendering.lighting import shading
 from workbench.rendering.rasteriser import screen_triangles, visible_triangles
 from workbench.rendering.topology import MeshTopology, vertex_normals
@@ -102,13 +103,8 @@ def render(
     behind = jnp.broadcast_to(jnp.asarray(background, jnp.float32), (size[1], size[0], 3))
     layers, depth, normal, barycentric = _shade(seen, table, texture, light, behind, samples)
     if contours is not None:
-        layers = layers.reshape(-1, 4)
-        change = _contour_change(contours, topology, screen, table, texture, light, behind, samples)
-        place = jnp.where(contours.pieces.length > 0.0, contours.pieces.pixel, width * height)
-        layers = layers.at[place].add(change, mode="drop")
-        change = _intersection_change(crossings, topology, screen, table, texture, light, width)
-        place = jnp.where(crossings.length > 0.0, crossings.pixel, width * height)
-        layers = layers.at[place].add(change, mode="drop").reshape(height, width, 4)
+        place, change = _edge_change(contours, crossings, topology, screen, table, texture, light, behind, samples)
+        layers = layers.reshape(-1, 4).at[place].add(change, mode="drop").reshape(height, width, 4)
     layers = _mean_of_samples(layers, samples)
     # The other outputs show the sample nearest to the pixel's centre.
     one = (slice(samples // 2, None, samples),) * 2
@@ -145,7 +141,7 @@ def _shade(seen, table, texture, light, background, samples):
         covered = triangle >= 0
         corners = Corners(table, jnp.maximum(triangle, 0))
         place = first + jnp.arange(rows * width, dtype=jnp.int32)
-        points = corners.interpolate(corners.barycentric_at(*_coordinates(place, width)))
+        points = corners.interpolate(only_where(covered, corners.barycentric_at(*_coordinates(place, width))))
         others = [jnp.where(covered, values, 0.0) for values in (*points.normal, *points.barycentric)]
         layers = _over_background(_color(points, texture, light), covered, behind)
         depth = jnp.where(covered, points.depth, jnp.inf)
@@ -209,7 +205,7 @@ def _visibility(
     room = ROOM_PER_PX * max(size)
     pieces, lost = cut_into_pieces(half_edges, topology, screen, triangles, size, HIDDEN_SHARE * room)
     pieces, lost = before_something(pieces, lost, nearest, room)
-    contours = visible_contours(pieces, lost, topology, triangles, size)
+    contours = visible_contours(pieces, lost, triangles, nearest)
     room = CROSSINGS_PER_PX * max(size)
     crossings, unused = intersection_pieces(seen, topology.part, triangles, contours.pieces, room)
     return seen, contours._replace(lost=contours.lost + unused), crossings
@@ -230,45 +226,53 @@ def _over_background(color: Vector, covered, behind) -> Float[Array, "n 4"]:
     return jnp.stack([*channels, covered.astype(jnp.float32)], axis=1)
 
 
-def _contour_change(contours, topology, screen, table, texture, light, background, samples) -> Float[Array, "n 4"]:
-    """What each contour piece changes in its sample."""
+def _edge_change(
+    contours: VisibleContours,
+    crossings: IntersectionPieces,
+    topology,
+    screen,
+    table,
+    texture,
+    light,
+    background,
+    samples,
+) -> tuple[Int[Array, "n"], Float[Array, "n 4"]]:
+    """Samples that contours or intersection lines cross (beyond the picture for unused entries), and their change."""
     pieces, behind = contours.pieces, contours.behind
     height, width = background.shape[0] * samples, background.shape[1] * samples
-    ends = edge_ends(pieces.half_edge, topology)
-    a, b = (screen.pixels[end] for end in ends)
-    # The surface in front, on the edge: the third corner has no share.
-    first, second = (lax.stop_gradient(screen.weight[end]) for end in ends)
+    triangle = jnp.concatenate([pieces.half_edge // 3, jnp.maximum(behind, 0), crossings.shown, crossings.other])
+    pixel = jnp.concatenate([pieces.pixel, pieces.pixel, crossings.pixel, crossings.pixel])
+    middle = jnp.concatenate([pieces.middle, pieces.middle, crossings.middle, crossings.middle])
+    column, row = _coordinates(pixel, width)
+    # All at once: shading compiles long, so it stands in the program only once for edges of every kind.
+    corners = Corners(table, triangle)
+    used = jnp.concatenate([pieces.length > 0.0, (pieces.length > 0.0) & (behind >= 0), *[crossings.length > 0.0] * 2])
+    place = only_where(used, corners.barycentric_at(column + middle[:, 0], row + middle[:, 1]))
+    depth = corners.interpolate(place).depth
+    on_edge = _shares_on_edge(pieces, topology, screen)
+    count = len(behind)
+    place = tuple(jnp.concatenate([own, rest[count:]]) for own, rest in zip(on_edge, within(place), strict=True))
+    color = jnp.stack(_color(corners.interpolate(place), texture, light), axis=1)
+    bounds = [count, 2 * count, 2 * count + len(crossings.pixel)]
+    (inside, outside, here, there), depths = jnp.split(color, bounds), jnp.split(depth, bounds)[2:]
+    ends = (screen.pixels[end] for end in edge_ends(pieces.half_edge, topology))
+    beyond = background[pieces.pixel // width // samples, pieces.pixel % width // samples]
+    outside = jnp.where((behind >= 0)[:, None], outside, beyond)
+    inside, outside = jnp.pad(inside, ((0, 0), (0, 1)), constant_values=1.0), jnp.pad(outside, ((0, 0), (0, 1)))
+    outside = outside.at[:, 3].set((behind >= 0).astype(jnp.float32))
+    change = [contour_change(pieces, blend_shares(pieces, contours.inside, height * width), *ends, inside, outside)]
+    # The weight hardly differs within a triangle.
+    weight = lax.stop_gradient(screen.weight[topology.triangles[crossings.shown, 0]])
+    change.append(crossing_change(crossings, weight, depths, jnp.pad(here - there, ((0, 0), (0, 1)))))
+    used = jnp.concatenate([pieces.length, crossings.length]) > 0.0
+    place = jnp.where(used, jnp.concatenate([pieces.pixel, crossings.pixel]), height * width)
+    return place, jnp.where(used[:, None], jnp.concatenate(change), 0.0)
+
+
+def _shares_on_edge(pieces: ContourPieces, topology: MeshTopology, screen: ScreenPoints) -> Vector:
+    """Barycentric coordinates of the pieces' middles on the triangles in front: the third corner has no share."""
+    first, second = (lax.stop_gradient(screen.weight[end]) for end in edge_ends(pieces.half_edge, topology))
     first, second = first * (1.0 - pieces.place), second * pieces.place
     second = second / jnp.maximum(first + second, 1e-20)
-    triangle, corner = pieces.half_edge // 3, pieces.half_edge % 3
-    shares = [jnp.where(corner == k, 1.0 - second, jnp.where((corner + 1) % 3 == k, second, 0.0)) for k in range(3)]
-    inside = _color(Corners(table, triangle).interpolate(tuple(shares)), texture, light)
-    corners = Corners(table, jnp.maximum(behind, 0))
-    column, row = _coordinates(pieces.pixel, width)
-    point = corners.barycentric_at(column + pieces.middle[:, 0], row + pieces.middle[:, 1])
-    outside = _color(corners.interpolate(within(point)), texture, light)
-    behind_all = background[pieces.pixel // width // samples, pieces.pixel % width // samples]
-    inside = _over_background(inside, jnp.ones_like(behind, bool), behind_all)
-    outside = _over_background(outside, behind >= 0, behind_all)
-    change = contour_change(pieces, blend_shares(pieces, height * width), a, b, inside, outside)
-    return jnp.where((pieces.length > 0.0)[:, None], change, 0.0)
-
-
-def _intersection_change(crossings, topology, screen, table, texture, light, width) -> Float[Array, "n 4"]:
-    """What each piece of an intersection line changes in its sample."""
-    column, row = _coordinates(crossings.pixel, width)
-    x, y = column + crossings.middle[:, 0], row + crossings.middle[:, 1]
-    depths, colors = [], []
-    for triangle in (crossings.shown, crossings.other):
-        corners = Corners(table, triangle)
-        place = corners.barycentric_at(x, y)
-        depths.append(corners.interpolate(place).depth)
-        colors.append(jnp.stack(_color(corners.interpolate(within(place)), texture, light), axis=1))
-    # A slope of nearness as one of depth; the weight hardly differs within a triangle.
-    weight = lax.stop_gradient(screen.weight[topology.triangles[crossings.shown, 0]])
-    slope = crossings.slope / jnp.maximum(weight * weight, 1e-20)
-    gap = depths[1] - depths[0]
-    displacement = (gap - lax.stop_gradient(gap)) * slope / (slope * slope + GENTLEST_SLOPE**2)
-    jump = jnp.pad(colors[0] - colors[1], ((0, 0), (0, 1)))
-    change = (crossings.length * displacement)[:, None] * lax.stop_gradient(jump) - crossings.beyond[:, None] * jump
-    return jnp.where((crossings.length > 0.0)[:, None], change, 0.0)
+    corner = pieces.half_edge % 3
+    return tuple(jnp.where(corner == k, 1.0 - second, jnp.where((corner + 1) % 3 == k, second, 0.0)) for k in range(3))

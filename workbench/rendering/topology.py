@@ -48,7 +48,7 @@ def mesh_topology(
     return MeshTopology(triangles, _edges(triangles), _faces_of_vertex(triangles, vertex_count), part)
 
 
-def may_cross(part: Int[AnyArray, "*n"], other: Int[AnyArray, "*n"]) -> Bool[AnyArray, "*n"]:
+def may_cross(part: Int[AnyArray, "*#n"], other: Int[AnyArray, "*#n"]) -> Bool[AnyArray, "*#n"]:
     """Whether triangles of these parts are apart, so that a line between them is where they pass through each other."""
     return (part // 3 != other // 3) | ((part % 3) * (other % 3) == 2)
 
