@@ -22,6 +22,8 @@ LEAST_PICTURES = {
     "04_rho_and_epsilon": 6,
     "05_tau_and_jitter": 5,
     "06_why_a_frame_fails": 8,
+    "07_rendering_and_light": 13,
+    "08_what_the_network_sees": 13,
     "10_workbench_app": 0,  # the panel alone
 }
 TIMEOUT_S = 300
