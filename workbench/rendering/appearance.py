@@ -89,10 +89,10 @@ def estimate_appearance(
     vertices_camera: Float[np.ndarray, "v 3"],
     camera: AnyCamera,
 ) -> Appearance:
-    """Albedo per vertex and light of the face in a picture (h × w × RGB, 8 bits or 0 to 1), given its camera-frame vertices.
+    """Albedo per vertex and light of the face in a picture, given its camera-frame vertices.
 
-    Best on a frame near neutral, fitted well. Raises `InputError` for a picture of another shape, and when fewer than
-    1000 pixels show the face.
+    The picture is h × w × RGB, 8 bits or 0 to 1. Best on a frame near neutral, fitted well. Raises `InputError` for a
+    picture of another shape, for vertices that are not the model's, and when fewer than 1000 pixels show the face.
     """
     colors = _unit_picture(picture)
     pixels = _measurements(colors, model, np.asarray(vertices_camera), camera)
