@@ -250,9 +250,9 @@ ROLL_TOLERANCE = 0.03
 SIZE_TOLERANCE = 0.04
 REFINE_TOLERANCE = 0.04
 SURE = 0.7
+"""Median confidence on the portrait, which is a good picture."""
 SAME_BOX_PX = 8.0
 """Between a given box and that of the landmarks found in it; the portrait's box has 99 pixels."""
-"""Median confidence on the portrait, which is a good picture."""
 UNSURE = 0.4
 """Median confidence at most where there is no face."""
 
