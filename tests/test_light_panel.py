@@ -63,7 +63,9 @@ def test_the_lamp_lights_the_side_it_stands_on(azimuth, elevation, bright, dark)
 
 
 def test_a_lamp_at_the_camera_and_one_behind_the_head_are_opposites():
-    np.testing.assert_allclose(lamp_light(0, 0, 0.7, 0.2), directional_light((0.0, 0.0, -1.0), 0.7) + ambient_light(0.2))
+    np.testing.assert_allclose(
+        lamp_light(0, 0, 0.7, 0.2), directional_light((0.0, 0.0, -1.0), 0.7) + ambient_light(0.2)
+    )
     np.testing.assert_allclose(lamp_light(180, 0, 0.7, 0), directional_light((0.0, 0.0, 1.0), 0.7), atol=1e-12)
 
 
