@@ -432,6 +432,20 @@ def test_meshes_that_cannot_be_drawn_are_refused():
         orthographic_camera((10, 10), 0.0)
 
 
+def test_arrays_that_do_not_belong_together_are_refused():
+    vertices = np.concatenate([quad((-4, -4), (4, 4), 10.0), ASIDE])
+    with pytest.raises(InputError, match="8 vertices"):
+        render(vertices[:5], mesh_topology(QUADS, 8), FLAT, RED_GREEN, AMBIENT, BLACK, size=(16, 12))
+    with pytest.raises(InputError, match="Albedo"):
+        flat(vertices, albedo=RED_GREEN[:3])
+    with pytest.raises(InputError, match="texture"):
+        flat(vertices, albedo=Texture(np.ones((2, 2, 3)), np.zeros((4, 2)), QUADS[:1]))
+    with pytest.raises(InputError, match="background"):
+        flat(vertices, background=np.zeros((16, 12, 3)))
+    with pytest.raises(InputError, match="pixel"):
+        flat(vertices, samples=0)
+
+
 def test_the_lips_have_two_sides(head):
     sides = lip_sides(head)
     heights = head.neutral[head.triangles].mean(axis=1)[:, 1]

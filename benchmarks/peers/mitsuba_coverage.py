@@ -13,10 +13,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+# Mitsuba has no classes before a variant is chosen.
+mi.set_variant("llvm_ad_rgb")
+
 
 def main() -> None:
     """Read the scene, write the mean derivative over several places of the mesh and the best time of one of them."""
-    mi.set_variant("llvm_ad_rgb")
     with np.load(sys.argv[1], allow_pickle=False) as stored:
         scene_arrays = {name: stored[name] for name in stored.files}
     with tempfile.TemporaryDirectory() as folder:

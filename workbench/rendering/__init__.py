@@ -14,7 +14,7 @@ from workbench.rendering.lighting import directional_light as directional_light
 from workbench.rendering.lighting import shading as shading
 from workbench.rendering.lighting import spherical_harmonics as spherical_harmonics
 from workbench.rendering.renderer import Rendering as Rendering
-from workbench.rendering.renderer import Texture as Texture
 from workbench.rendering.renderer import render as render
+from workbench.rendering.texture import Texture as Texture
 from workbench.rendering.topology import MeshTopology as MeshTopology
 from workbench.rendering.topology import mesh_topology as mesh_topology

@@ -12,7 +12,8 @@ from workbench.face import FaceModel, FaceParameters
 from workbench.face.model import BLINK_SCALE_RANGE, BLINKS
 from workbench.geometry import rotation_matrix
 from workbench.rendering.camera import AnyCamera
-from workbench.rendering.renderer import Rendering, Texture, render
+from workbench.rendering.renderer import Rendering, render
+from workbench.rendering.texture import Texture
 from workbench.rendering.topology import MeshTopology, mesh_topology
 
 BESIDE_MM = 2.0
@@ -94,7 +95,7 @@ def render_face(
     camera: AnyCamera,
     albedo: Float[AnyArray, "v 3"] | Texture,
     light: Float[AnyArray, "9 3"],
-    background: Float[AnyArray, "3"] | Float[AnyArray, "h w 3"],
+    background: Float[AnyArray, "*hw 3"],
     *,
     size: tuple[int, int],
     samples: int = 1,

@@ -1,13 +1,14 @@
 """The renderer: a triangle mesh under spherical-harmonic light, as a picture that can be differentiated.
 
 Derivatives with respect to vertices, camera, albedo, light and background, forward and reverse. Which triangle is seen
-where is found once, outside of the derivative; shading differentiates through interpolation, and contours through the
-edge integral of `antialias`. Surfaces that pass through each other have no contour there: that line is not smoothed,
-and its motion has no derivative.
+where is found once, outside of the derivative; shading differentiates through interpolation, and contours and the lines
+where parts pass through each other through the edge integral of `antialias`. A mesh may use each vertex once only where
+it is closed: copies of a vertex along a seam make a border, which is drawn right but costs time.
+
+With one sample per pixel colour and derivative are those of the pixel's centre inside of surfaces: quick, and noisy
+where triangles are smaller than pixels. Two per side (`samples=2`) come close to the mean over the pixel.
 """
 
-import functools
-import operator
 from functools import partial
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from workbench.arrays import AnyArray
+from workbench.errors import InputError
 from workbench.rendering.antialias import blend_shares, contour_change
 from workbench.rendering.camera import AnyCamera, ScreenPoints, to_screen
 from workbench.rendering.contours import (
@@ -32,6 +34,7 @@ from workbench.rendering.interpolation import Corners, SurfacePoints, Vector, co
 from workbench.rendering.intersections import IntersectionPieces, crossing_change, intersection_pieces
 from workbench.rendering.lighting import shading
 from workbench.rendering.rasteriser import screen_triangles, visible_triangles
+from workbench.rendering.texture import Texture, sample_texture
 from workbench.rendering.topology import MeshTopology, vertex_normals
 
 ROOM_PER_PX = 24
@@ -44,24 +47,14 @@ HIDDEN_SHARE = 4
 """Room for all contours, as a multiple of that for visible ones."""
 
 
-class Texture(NamedTuple):
-    """Albedo as a picture on the surface."""
-
-    picture: Float[AnyArray, "th tw 3"]
-    """First row on top, values as the albedo of vertices."""
-    uv: Float[AnyArray, "u 2"]
-    """OBJ convention: 0 to 1, v up."""
-    triangles_uv: Int[AnyArray, "t 3"]
-
-
 class Rendering(NamedTuple):
-    """A picture and what is seen in it."""
+    """A picture and what is seen in it; from `depth` on at the pixel's centre, or the sample right below it."""
 
     color: Float[Array, "h w 3"]
     coverage: Float[Array, "h w"]
     """Share of each pixel that the mesh covers, differentiable like the colour."""
     depth: Float[Array, "h w"]
-    """z at the pixel's centre, millimetres; infinite where nothing is."""
+    """z in the camera frame, millimetres; infinite where nothing is."""
     normals: Float[Array, "h w 3"]
     """Unit, camera frame; zero where nothing is."""
     triangle: Int[Array, "h w"]
@@ -77,9 +70,9 @@ def render(
     vertices_camera: Float[AnyArray, "v 3"],
     topology: MeshTopology,
     camera: AnyCamera,
-    albedo: Float[AnyArray, "v 3"] | Texture,
+    albedo: Float[AnyArray, "n 3"] | Texture,
     light: Float[AnyArray, "9 3"],
-    background: Float[AnyArray, "3"] | Float[AnyArray, "h w 3"],
+    background: Float[AnyArray, "*hw 3"],
     *,
     size: tuple[int, int],
     samples: int = 1,
@@ -90,8 +83,10 @@ def render(
 
     `albedo` is one colour per vertex or a `Texture`, `light` nine coefficients per channel (`lighting`). `samples`
     squared points are shaded per pixel. Without `antialias` each sample is its centre's colour, and contours have no
-    derivative. Everything but sizes and switches is traced: new values compile nothing. `jax.vmap` batches.
+    derivative. Everything but sizes and switches is traced: new values compile nothing. `jax.vmap` batches. Raises
+    `InputError` for arrays whose shapes do not belong together.
     """
+    _check(vertices_camera, topology, albedo, background, size, samples)
     width, height = size[0] * samples, size[1] * samples
     vertices = jnp.asarray(vertices_camera, jnp.float32)
     topology = MeshTopology(*(jnp.asarray(array) for array in topology))
@@ -117,6 +112,28 @@ def render(
         barycentric=barycentric[one],
         lost_contours=jnp.int32(0) if contours is None else contours.lost,
     )
+
+
+def _check(vertices, topology, albedo, background, size, samples) -> None:
+    """Shapes are known while tracing; a wrong one would broadcast or fail far from its cause."""
+    count, height, width = len(topology.faces_of_vertex), size[1], size[0]
+    if min(*size, samples) < 1:
+        raise InputError(f"A picture has at least one pixel and one sample, got {width} × {height} and {samples}.")
+    if vertices.shape != (count, 3):
+        raise InputError(f"This mesh has {count} vertices (x, y, z), got an array of shape {vertices.shape}.")
+    if isinstance(albedo, Texture):
+        if albedo.triangles_uv.shape != topology.triangles.shape:
+            raise InputError(
+                f"A texture needs coordinates for each of {len(topology.triangles)} triangles, got shape "
+                f"{albedo.triangles_uv.shape}; use the UVs of this mesh."
+            )
+    elif albedo.shape != (count, 3):
+        raise InputError(f"Albedo is one RGB colour for each of {count} vertices, got shape {albedo.shape}.")
+    if background.shape not in ((3,), (height, width, 3)):
+        raise InputError(
+            f"The background is one RGB colour or a picture of {width} × {height} pixels, got shape "
+            f"{background.shape}; resize it first."
+        )
 
 
 def _shade(seen, table, texture, light, background, samples):
@@ -156,22 +173,6 @@ def _shade(seen, table, texture, light, background, samples):
     xs = first, strips(seen + 1, rows) - 1, strips(background, rows // samples)
     shaded = lax.map(lambda strip: lax.cond((strip[1] >= 0).any(), shade, empty, strip), xs)
     return tuple(array.reshape(count * rows, width, *array.shape[2:])[:height] for array in shaded)
-
-
-def sample_texture(texture: Float[Array, "th tw 3"], u: Float[Array, "n"], v: Float[Array, "n"]) -> Vector:
-    """Bilinear look-up, texel centres at (k + 0.5)/size, held at the borders; differentiable in all arguments."""
-    rows, columns = texture.shape[:2]
-    x, y = jnp.clip(u * columns - 0.5, 0.0, columns - 1.0), jnp.clip((1.0 - v) * rows - 0.5, 0.0, rows - 1.0)
-    x0, y0 = (lax.stop_gradient(jnp.floor(value)).astype(jnp.int32) for value in (x, y))
-    right, down = x - x0, y - y0
-    flat = texture.reshape(-1, 3)
-    x1, y1 = jnp.minimum(x0 + 1, columns - 1), jnp.minimum(y0 + 1, rows - 1)
-    texels = [lax.optimization_barrier(flat[row * columns + column]) for row in (y0, y1) for column in (x0, x1)]
-    shares = [(1.0 - right) * (1.0 - down), right * (1.0 - down), (1.0 - right) * down, right * down]
-    return tuple(
-        functools.reduce(operator.add, [share * texel[:, k] for share, texel in zip(shares, texels, strict=True)])
-        for k in range(3)
-    )
 
 
 def _finer(screen: ScreenPoints, samples: int) -> ScreenPoints:
