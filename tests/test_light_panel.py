@@ -12,14 +12,28 @@ from workbench.rendering import ambient_light, directional_light, spherical_harm
 from workbench.rendering.lighting import LAMBERT
 from workbench.runtime import COMPUTING
 from workbench.widgets import LightPanel
-from workbench.widgets.light_panel import FUNCTIONS, SIDE_PX, START, lamp_light, lit_ball
+from workbench.widgets.light_panel import (
+    BALL_ALBEDO,
+    BALL_PX,
+    FUNCTIONS,
+    MARGIN_PX,
+    SIDE_PX,
+    START,
+    lamp_light,
+    lit_ball,
+)
 
+MIDDLE = SIDE_PX // 2
+OWN = (BALL_PX / 2, SIDE_PX + MARGIN_PX + BALL_PX // 2)
+"""Radius and middle of the panel's own ball."""
 NORMALS = np.nan_to_num(ball_normals(40))
 
 
 def ball_in_light(light: np.ndarray) -> np.ndarray:
-    """What the panel is given to draw: here a ball, without a renderer."""
-    return np.stack(spherical_harmonics(*np.moveaxis(NORMALS, -1, 0)), axis=-1) @ (LAMBERT[:, None] * light)
+    """What the panel is given to draw: here a ball like its own, without a renderer."""
+    return (
+        BALL_ALBEDO * np.stack(spherical_harmonics(*np.moveaxis(NORMALS, -1, 0)), axis=-1) @ (LAMBERT[:, None] * light)
+    )
 
 
 @pytest.fixture
@@ -50,8 +64,10 @@ def halves(picture: np.ndarray) -> tuple[float, float, float, float]:
 
 def test_the_panel_shows_what_was_drawn_beside_a_ball_in_the_same_light(panel):
     picture = shown(panel)
-    assert picture.shape == (SIDE_PX, 2 * SIDE_PX, 3)
-    assert abs(picture[SIDE_PX // 2, SIDE_PX // 2].mean() - picture[SIDE_PX // 2, 3 * SIDE_PX // 2].mean()) < 4
+    assert picture.shape == (SIDE_PX, SIDE_PX + BALL_PX + 2 * MARGIN_PX, 3)
+    for x, y in ((0.0, 0.0), (-0.4, 0.3), (0.5, -0.2)):  # from the middle, in ball sizes
+        places = [(MIDDLE + round(side * y), centre + round(side * x)) for side, centre in ((SIDE_PX / 2, MIDDLE), OWN)]
+        assert abs(picture[places[0]].mean() - picture[places[1]].mean()) < 6
 
 
 @pytest.mark.parametrize(
@@ -99,7 +115,7 @@ def test_a_light_of_any_colour_can_be_shown(panel, drawn):
     light = ambient_light((1.0, 0.5, 0.2))
     panel.use(light)
     np.testing.assert_array_equal(drawn[-1], light)
-    blue, green, red = shown(panel)[SIDE_PX // 2, 3 * SIDE_PX // 2]
+    blue, green, red = shown(panel)[MIDDLE, OWN[1]]
     assert red > green > blue
 
 

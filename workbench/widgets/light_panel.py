@@ -20,11 +20,15 @@ from workbench.runtime import COMPUTING
 from workbench.widgets.playground import Number, jpeg
 
 Light = Float[np.ndarray, "9 3"]
-SIDE_PX = 360
+SIDE_PX, BALL_PX, MARGIN_PX = 320, 180, 20
+"""Height of the picture, the ball beside it and the space around the ball."""
+BALL_ALBEDO, GROUND = 0.7, 0.2
+"""A white ball would be overexposed by a light that suits a face."""
 FUNCTIONS = ("1", "y", "z", "x", "xy", "yz", "3z²−1", "xz", "x²−y²")
 """What the nine functions are, up to a factor."""
 LARGEST = 6.0
 """Range of a coefficient's slider: the brightest lamp with the brightest ambient light has 5.3 on the first."""
+WIDTH = "700px"
 START = {"azimuth": -35, "elevation": 35, "lamp": 0.6, "ambient": 0.45}
 
 
@@ -40,10 +44,10 @@ def lamp_light(azimuth: Number, elevation: Number, lamp: Number, ambient: Number
 
 
 def lit_ball(light: Light, side: int) -> UInt8[np.ndarray, "s s 3"]:
-    """A white matte ball under the light, on dark grey: what the light does to each direction."""
+    """A light grey matte ball under the light, on dark grey: what the light does to each direction."""
     normals = ball_normals(side)
     functions = np.stack(spherical_harmonics(*np.moveaxis(normals, -1, 0)), axis=-1)
-    return as_picture(np.where(np.isfinite(normals), (LAMBERT * functions) @ light, 0.2))
+    return as_picture(np.where(np.isfinite(normals), BALL_ALBEDO * (LAMBERT * functions) @ light, GROUND))
 
 
 class LightPanel(widgets.VBox):
@@ -61,13 +65,14 @@ class LightPanel(widgets.VBox):
         self.lamp = _lamp_sliders()
         self.coefficients = [_coefficient_slider(k) for k in range(9)]
         self.status = widgets.HTML()
-        self.image = widgets.Image(format="jpeg", layout=widgets.Layout(max_width="100%", object_fit="contain"))
+        fixed = widgets.Layout(max_width="100%", object_fit="contain", align_self="flex-start")
+        self.image = widgets.Image(format="jpeg", layout=fixed)
         for slider in self.lamp.values():
             slider.observe(self._on_lamp, "value")
         for slider in self.coefficients:
             slider.observe(self._on_coefficient, "value")
-        layout = widgets.Layout(grid_template_columns="repeat(2, minmax(260px, 1fr))", max_width=f"{2 * SIDE_PX}px")
-        nine = widgets.Layout(grid_template_columns="repeat(3, minmax(200px, 1fr))", max_width=f"{2 * SIDE_PX}px")
+        layout = widgets.Layout(grid_template_columns="repeat(2, minmax(260px, 1fr))", max_width=WIDTH)
+        nine = widgets.Layout(grid_template_columns="repeat(3, minmax(200px, 1fr))", max_width=WIDTH)
         super().__init__(
             [
                 widgets.GridBox(list(self.lamp.values()), layout=layout),
@@ -120,14 +125,22 @@ class LightPanel(widgets.VBox):
         self.status.value = f"<code>drawn in {1e3 * (time.perf_counter() - began):.0f} ms</code>"
         height, width = picture.shape[:2]
         shown = cv2.resize(picture, (round(width * SIDE_PX / height), SIDE_PX), interpolation=cv2.INTER_CUBIC)
-        self.image.value = jpeg(side_by_side(shown, lit_ball(light, SIDE_PX)))
+        self.image.value = jpeg(side_by_side(shown, _beside(lit_ball(light, BALL_PX))))
+
+
+def _beside(ball: UInt8[np.ndarray, "s s 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """The ball in the middle of a column as high as the picture."""
+    column = np.full((SIDE_PX, BALL_PX + 2 * MARGIN_PX, 3), round(255 * GROUND), np.uint8)
+    top = (SIDE_PX - BALL_PX) // 2
+    column[top : top + BALL_PX, MARGIN_PX : MARGIN_PX + BALL_PX] = ball
+    return column
 
 
 def _lamp_sliders() -> dict[str, widgets.Widget]:
     def slider(kind, name, label, low, high, step, tip):
         return kind(
             value=START[name], min=low, max=high, step=step, description=label, tooltip=tip,
-            style={"description_width": "100px"}, layout=widgets.Layout(width="auto"),
+            style={"description_width": "115px"}, layout=widgets.Layout(width="auto"),
         )  # fmt: skip
 
     real, whole = widgets.FloatSlider, widgets.IntSlider
@@ -141,6 +154,6 @@ def _lamp_sliders() -> dict[str, widgets.Widget]:
 
 def _coefficient_slider(k: int) -> widgets.FloatSlider:
     return widgets.FloatSlider(
-        value=0.0, min=-LARGEST, max=LARGEST, step=0.05, description=FUNCTIONS[k], readout_format=".2f",
+        value=0.0, min=-LARGEST, max=LARGEST, step=0.01, description=FUNCTIONS[k], readout_format=".2f",
         style={"description_width": "60px"}, layout=widgets.Layout(width="auto"),
     )  # fmt: skip
