@@ -211,6 +211,15 @@ def test_smooth_pictures_come_close_to_supersampled_ones(model, parameters, came
     assert smoother < 0.75 * smooth
 
 
+def test_two_borders_in_one_pixel_keep_to_themselves():
+    """Red ends at x = 0.3 before green, which ends at x = 0.8: pixel 8 spans 0 to 1."""
+    vertices = np.concatenate([quad((-4, -4), (0.3, 4), 10.0), quad((-4, -4), (0.8, 4), 20.0)])
+    rendering = flat(vertices, background=WHITE)
+    assert np.asarray(rendering.coverage)[6, 8] == pytest.approx(0.8, abs=1e-3)
+    assert np.asarray(rendering.coverage).max() <= 1.0 + 1e-5
+    assert np.asarray(rendering.color)[6, 8] == pytest.approx([0.5, 0.7, 0.2], abs=1e-3)
+
+
 def test_a_moving_border_changes_coverage_by_its_length():
     """Widening a 6 mm high rectangle to the right covers 6 pixels per pixel of motion, wherever the border lies."""
     way = np.zeros((8, 3))

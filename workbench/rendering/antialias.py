@@ -16,21 +16,24 @@ from workbench.rendering.contours import ContourPieces
 def blend_shares(pieces: ContourPieces, inside: Bool[Array, "n"], pixel_count: int) -> Float[Array, "n"]:
     """How far the colour of a pixel's centre has to move by each of its pieces' (c_in − c_out) to be the pixel's mean.
 
-    The pieces in a pixel together stand for a straight line with their mean normal through their mean middle; the
-    share of the pixel's square inside this line is exact. A contour that ends within the pixel counts in part.
-    `inside` says whether the centre shows the surface in front; at a corner the line cannot tell.
+    `inside` says whether the centre shows the surface in front. The pieces in a pixel that agree in this are taken for
+    one contour, and together stand for a straight line with their mean normal through their mean middle; the share of
+    the pixel's square inside this line is exact. A contour that ends within the pixel counts in part.
     """
+    index = jnp.arange(len(inside), dtype=jnp.int32)
+    used = pieces.length > 0.0
+    place = 2 * pieces.pixel + inside
+    first = jnp.zeros(2 * pixel_count, jnp.int32).at[jnp.where(used, place, 2 * pixel_count)].max(index, mode="drop")
+    contour = first[place]
     length = pieces.length[:, None]
-    columns = [pieces.outward, pieces.middle, jnp.ones_like(length), inside[:, None].astype(jnp.float32)]
-    sums = jnp.zeros((pixel_count, 6), jnp.float32).at[pieces.pixel].add(length * jnp.concatenate(columns, axis=1))
-    sums = sums[pieces.pixel]
+    columns = jnp.concatenate([pieces.outward, pieces.middle, jnp.ones_like(length)], axis=1)
+    sums = jnp.zeros((len(index), 5), jnp.float32).at[contour].add(length * columns)[contour]
     normal, middle, total = sums[:, :2], sums[:, 2:4], jnp.maximum(sums[:, 4], 1e-6)
     span = jnp.maximum(jnp.linalg.norm(normal, axis=1), 1e-6)
     distance = (normal * middle).sum(axis=1) / (span * total)
     share, chord = half_plane_in_square(normal / span[:, None], distance)
-    step = share - (sums[:, 5] > 0.5 * total)
     part = jnp.minimum(total / jnp.maximum(chord, 1e-6), 1.0)
-    return jnp.where(pieces.length > 0.0, step * part * pieces.length / total, 0.0)
+    return jnp.where(used, (share - inside) * part * pieces.length / total, 0.0)
 
 
 def half_plane_in_square(
