@@ -1,6 +1,7 @@
 """Shared set-up: one compilation cache for the whole run and its subprocesses, shared models."""
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,8 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).resolve().
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 os.environ.setdefault("MPLBACKEND", "agg")
+# PyTorch's builds for CUDA load triton, whose LLVM crashes in a process that has drawn with a software GL's.
+sys.modules.setdefault("triton", None)
 
 # Hypothesis draws the same examples on every machine; compiled functions make the first call slow.
 settings.register_profile("workbench", derandomize=True, deadline=None, max_examples=40)

@@ -91,7 +91,7 @@ class SkinPainter:
             for _ in range(3):
                 start = at[outer] + [side * rng.uniform(4, 9), rng.uniform(-8, 10)]
                 end = start + np.array([side * rng.uniform(12, 26), rng.uniform(-12, 12)])
-                _curve(shade, np.array([start, (start + end) / 2 + rng.normal(0, 2, 2), end]), 1, age * 0.3)
+                _curve(shade, np.array([start, (start + end) / 2 + rng.normal(0, 2, 2), end]), 1.0, age * 0.3)
         middle = at[27]
         for height in np.sort(rng.uniform(-75, -38, 3)):
             width = rng.uniform(40, 110)
