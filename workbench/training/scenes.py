@@ -104,7 +104,7 @@ class FaceStudio:
 def landmarks_head(person: FaceModel, vertices: Float[np.ndarray, "v 3"], yaw_deg: float) -> Float[np.ndarray, "68 3"]:
     """The 68 points of these head-frame vertices, the jaw's contour where a camera sees it at this yaw."""
     yaws = np.radians(np.concatenate([[0.0], person.contour_yaw_deg]))
-    blend = np.asarray(contour_blend(yaws, np.float32(np.radians(yaw_deg)), np.float32(1.0)))[1:]
+    blend = np.asarray(contour_blend(yaws, float(np.radians(yaw_deg)), 1.0))[1:]
     contour = np.tensordot(blend, np.stack([
         np.einsum("lkc,lk->lc", vertices[v], b)
         for v, b in zip(person.contour.vertices, person.contour.barycentric, strict=True)
