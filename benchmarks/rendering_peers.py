@@ -24,7 +24,7 @@ from workbench.rendering import face_vertices, render
 SIZE_PX = 256
 STEP_PX = 0.5
 NODES = 8
-SCENES = 1
+SCENES = 3
 PEER_SAMPLES = (16, 64, 256)
 ROUNDS = 8
 PEER = Path(__file__).parent / "peers" / "mitsuba_coverage.py"
