@@ -15,6 +15,7 @@ ORDER = [
     "errors",
     "arrays",
     "files",
+    "inert_pickle",
     "runtime",
     "samples",
     "geometry",

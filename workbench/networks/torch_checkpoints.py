@@ -1,10 +1,9 @@
 """PyTorch checkpoints read as data: nothing in them is imported, called or run, and PyTorch is not needed.
 
-A checkpoint describes its tensors by a pickle, a program for a stack machine that may call anything. Here that program
-is followed by the small machine below, which knows lists, dicts, numbers, texts and tensors. A name of a class or
-function is only a name: whatever would be called on it becomes an inert record, and tensors hidden in such a record are
-found but nothing happens. (`torch.load` and `torch.jit.load` of a file from elsewhere run code of that file, except
-`torch.load(weights_only=True)`, which refuses TorchScript.)
+A checkpoint describes its tensors by a pickle, a program that may call anything. `workbench.inert_pickle` follows it
+without calling: whatever would be called on a class or function becomes an inert record, and tensors hidden in such a
+record are found but nothing happens. (`torch.load` and `torch.jit.load` of a file from elsewhere run code of that file,
+except `torch.load(weights_only=True)`, which refuses TorchScript.)
 
 Three formats are known: the zip files of `torch.save`, the older stream of `torch.save` (published in 2018 as
 `.pth.tar`, though it is no tar), and the zip files of `torch.jit.save` (TorchScript).
@@ -12,17 +11,15 @@ Three formats are known: the zip files of `torch.save`, the older stream of `tor
 
 import hashlib
 import io
-import struct
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
-from pickletools import genops
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from workbench.errors import InputError
+from workbench.inert_pickle import UNREADABLE, Name, Record, UnreadableError, named, unpickled
 from workbench.networks.weights import Weights, read_weights
 
 STORAGE_TYPES = {
@@ -57,39 +54,12 @@ def read_checkpoint(path: str | Path) -> Weights:
     try:
         loaded, storages = _read_zip(content) if content.startswith(b"PK") else _read_stream(content)
         arrays = {name: _array(tensor, storages) for name, tensor in _tensors(loaded).items()}
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         raise InputError(
             f"{path} cannot be read as a PyTorch checkpoint ({error}): supply a state dict (.pth, .pth.tar) or "
             "TorchScript archive (.zip, .pt) as it was published, whole, or a converted .safetensors file"
         ) from error
     return Weights(arrays, {"source": path.name, "source_sha256": hashlib.sha256(content).hexdigest()}, str(path))
-
-
-class _UnreadableError(Exception):
-    """Why a file is no checkpoint; `read_checkpoint` says so to the user."""
-
-
-_UNREADABLE = (
-    _UnreadableError,
-    *(ValueError, IndexError, KeyError, TypeError, AttributeError, OverflowError, EOFError, struct.error),
-    *(zipfile.BadZipFile, NotImplementedError, RuntimeError),
-)
-"""What goes wrong where a broken file is followed; `zipfile` and `pickletools` name no common base."""
-
-
-class _Name(NamedTuple):
-    """A class or function that the file names; never looked up."""
-
-    module: str
-    name: str
-
-
-@dataclass
-class _Record:
-    """What calling a name would have made."""
-
-    name: Any
-    state: Any = field(default=None)
 
 
 class _Storage(NamedTuple):
@@ -113,30 +83,30 @@ def _read_zip(content: bytes) -> tuple[Any, Mapping[str, bytes]]:
         entries = {info.filename: archive.read(info) for info in listed}
     roots = [name.removesuffix("data.pkl") for name in entries if name.endswith("/data.pkl") and name.count("/") == 1]
     if len(roots) != 1:
-        raise _UnreadableError("it is a zip file without the data.pkl of PyTorch 1.4 or later")
+        raise UnreadableError("it is a zip file without the data.pkl of PyTorch 1.4 or later")
     if entries.get(f"{roots[0]}byteorder", b"little") != b"little":
-        raise _UnreadableError("it was written on a big-endian machine")
+        raise UnreadableError("it was written on a big-endian machine")
     folder = f"{roots[0]}data/"
     storages = {name.removeprefix(folder): data for name, data in entries.items() if name.startswith(folder)}
-    return _unpickled(io.BytesIO(entries[f"{roots[0]}data.pkl"])), storages
+    return unpickled(io.BytesIO(entries[f"{roots[0]}data.pkl"]), _made, _storage), storages
 
 
 def _read_stream(content: bytes) -> tuple[Any, Mapping[str, bytes]]:
     """The structure and storages of the older format: five pickles (magic, version, system, structure, keys), data."""
     stream = io.BytesIO(content)
     try:
-        magic = _unpickled(stream)
-    except _UNREADABLE:
+        magic = unpickled(stream, _made, _storage)
+    except UNREADABLE:
         magic = None
     if magic != LEGACY_MAGIC:
-        raise _UnreadableError(f"it begins with {content[:12]!r}")
-    _version, _system, loaded, keys = (_unpickled(stream) for _ in range(4))
+        raise UnreadableError(f"it begins with {content[:12]!r}")
+    _version, _system, loaded, keys = (unpickled(stream, _made, _storage) for _ in range(4))
     sizes = {tensor.storage.key: tensor.storage.dtype.itemsize for tensor in _tensors(loaded).values()}
     storages = {}
     for key in keys if isinstance(keys, list) else []:
         count = int.from_bytes(stream.read(8), "little")
         if key not in sizes:
-            raise _UnreadableError("it holds numbers that belong to no tensor of a state dict")
+            raise UnreadableError("it holds numbers that belong to no tensor of a state dict")
         storages[key] = stream.read(count * sizes[key])
     return loaded, storages
 
@@ -152,8 +122,8 @@ def _tensors(loaded: Any) -> dict[str, _Tensor]:
         nonlocal steps
         steps += 1
         if len(names) > DEEPEST or steps > MOST:
-            raise _UnreadableError("it is nested without end")
-        if isinstance(value, _Record):
+            raise UnreadableError("it is nested without end")
+        if isinstance(value, Record):
             value = value.state
         if isinstance(value, _Tensor):
             found[".".join(names)] = value
@@ -163,7 +133,7 @@ def _tensors(loaded: Any) -> dict[str, _Tensor]:
 
     visit(loaded, ())
     if not found:
-        raise _UnreadableError("it holds no tensors by name")
+        raise UnreadableError("it holds no tensors by name")
     prefix = "module."  # of torch.nn.DataParallel
     strip = all(name.startswith(prefix) for name in found)
     return {name.removeprefix(prefix) if strip else name: tensor for name, tensor in found.items()}
@@ -175,153 +145,40 @@ def _array(tensor: _Tensor, storages: Mapping[str, bytes]) -> np.ndarray:
     data = storages.get(storage.key)
     if data is None or len(data) != storage.size * storage.dtype.itemsize:
         held = "is missing" if data is None else f"has {len(data)} bytes"
-        raise _UnreadableError(f"storage {storage.key} of {storage.size} numbers {held}: it is cut off")
+        raise UnreadableError(f"storage {storage.key} of {storage.size} numbers {held}: it is cut off")
     counts = (tensor.offset, *shape, *stride)
     if len(shape) != len(stride) or not all(isinstance(count, int) and count >= 0 for count in counts):
-        raise _UnreadableError("a tensor has a shape that is none")
+        raise UnreadableError("a tensor has a shape that is none")
     last = tensor.offset + sum((length - 1) * step for length, step in zip(shape, stride, strict=True))
     numbers = int(np.prod(shape, dtype=object))
     if numbers > storage.size or (numbers and last >= storage.size):
-        raise _UnreadableError(f"a tensor of shape {shape} reaches beyond its storage of {storage.size} numbers")
+        raise UnreadableError(f"a tensor of shape {shape} reaches beyond its storage of {storage.size} numbers")
     flat = np.frombuffer(data, storage.dtype)[tensor.offset :] if numbers else np.empty(0, storage.dtype)
     strides = [step * storage.dtype.itemsize for step in stride]
     return np.array(np.lib.stride_tricks.as_strided(flat, shape, strides))
 
 
-# --- the stack machine --------------------------------------------------------------------------------------------
-
-_MARK = object()
-_LITERALS = frozenset(
-    [
-        *("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT"),
-        *("STRING", "BINSTRING", "SHORT_BINSTRING", "UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8"),
-        *("BINBYTES", "SHORT_BINBYTES", "BINBYTES8"),
-    ]
-)
-_CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
-_EMPTY: dict[str, Callable[[], Any]] = {"EMPTY_DICT": dict, "EMPTY_LIST": list, "EMPTY_TUPLE": tuple}
-_TUPLES = {"TUPLE1": 1, "TUPLE2": 2, "TUPLE3": 3}
-_IGNORED = frozenset(["PROTO", "FRAME"])
-
-
-def _unpickled(stream: io.BytesIO) -> Any:
-    """The value that the next pickle of a stream describes, with names and calls inert."""
-    machine = _Machine()
-    for code, argument, _ in genops(stream):
-        if code.name == "STOP":
-            return machine.stack.pop()
-        machine.step(code.name, argument)
-    raise _UnreadableError("its pickle has no end")
-
-
-class _Machine:
-    """Follows a pickle's opcodes as the pickle protocol defines them, up to names and calls."""
-
-    def __init__(self) -> None:
-        self.stack: list[Any] = []
-        self.memo: dict[int, Any] = {}
-
-    def step(self, code: str, argument: Any) -> None:
-        """One opcode."""
-        stack = self.stack
-        if code in _LITERALS:
-            stack.append(argument)
-        elif code in _CONSTANTS:
-            stack.append(_CONSTANTS[code])
-        elif code in _EMPTY:
-            stack.append(_EMPTY[code]())
-        elif code == "MARK":
-            stack.append(_MARK)
-        elif code in ("PUT", "BINPUT", "LONG_BINPUT"):
-            self.memo[argument] = stack[-1]
-        elif code == "MEMOIZE":
-            self.memo[len(self.memo)] = stack[-1]
-        elif code in ("GET", "BINGET", "LONG_BINGET"):
-            stack.append(self.memo[argument])
-        elif code not in _IGNORED:
-            self._compose(code, argument)
-
-    def _compose(self, code: str, argument: Any) -> None:
-        """The opcodes that make one value of several."""
-        stack = self.stack
-        if code in _TUPLES:
-            stack.append(tuple(self._popped(_TUPLES[code])))
-        elif code == "TUPLE":
-            stack.append(tuple(self._since_mark()))
-        elif code == "LIST":
-            stack.append(self._since_mark())
-        elif code == "APPEND":
-            self._extend([stack.pop()])
-        elif code == "APPENDS":
-            self._extend(self._since_mark())
-        elif code == "SETITEM":
-            self._update(self._popped(2))
-        elif code == "SETITEMS":
-            self._update(self._since_mark())
-        elif code == "GLOBAL":
-            stack.append(_Name(*argument.split(" ", 1)))
-        elif code == "STACK_GLOBAL":
-            stack.append(_Name(*self._popped(2)))
-        elif code == "BINPERSID":
-            stack.append(_storage(stack.pop()))
-        elif code in ("REDUCE", "NEWOBJ"):
-            name, arguments = self._popped(2)
-            stack.append(_made(name, arguments))
-        elif code == "BUILD":
-            state = stack.pop()
-            if isinstance(stack[-1], _Record):
-                stack[-1].state = state
-        else:
-            raise _UnreadableError(f"its pickle holds the opcode {code}, which no checkpoint of weights needs")
-
-    def _popped(self, count: int) -> list[Any]:
-        if len(self.stack) < count:
-            raise _UnreadableError("its pickle is broken: nothing on the stack")
-        values = self.stack[-count:]
-        del self.stack[-count:]
-        return values
-
-    def _since_mark(self) -> list[Any]:
-        values = []
-        while (value := self.stack.pop()) is not _MARK:
-            values.append(value)
-        return values[::-1]
-
-    def _extend(self, values: list[Any]) -> None:
-        if isinstance(self.stack[-1], list):
-            self.stack[-1].extend(values)
-
-    def _update(self, values: list[Any]) -> None:
-        if isinstance(self.stack[-1], dict):
-            self.stack[-1].update(_named(zip(values[::2], values[1::2], strict=True)))
-
-
-def _named(pairs: Iterable[tuple[Any, Any]]) -> dict[str | int, Any]:
-    """The entries that have a name or number: a state dict has no others, and other keys may be endless to hash."""
-    return {name: value for name, value in pairs if isinstance(name, str | int)}
-
-
 def _storage(identifier: Any) -> _Storage:
     """The storage of a persistent id ("storage", type, key, device, count[, view])."""
     match identifier:
-        case ("storage", _Name("torch" | "torch.cuda", str(kind)), str(key), _, int(count), *view) if view in (
+        case ("storage", Name("torch" | "torch.cuda", str(kind)), str(key), _, int(count), *view) if view in (
             [],
             [None],
         ):
             if kind not in STORAGE_TYPES:
-                raise _UnreadableError(f"it holds numbers of the kind {kind}")
+                raise UnreadableError(f"it holds numbers of the kind {kind}")
             return _Storage(key, STORAGE_TYPES[kind], count)
-    raise _UnreadableError("its pickle refers to something that is no storage of a tensor")
+    raise UnreadableError("its pickle refers to something that is no storage of a tensor")
 
 
 def _made(name: Any, arguments: Any) -> Any:
     """The few things that are understood without calling anything; a record of the rest."""
     match name, arguments:
-        case _Name("collections", "OrderedDict"), ():
+        case Name("collections", "OrderedDict"), ():
             return {}
-        case _Name("collections", "OrderedDict"), (list(pairs),):  # as Python 2 wrote it
-            return _named(pairs)
-        case _Name("torch._utils", "_rebuild_tensor_v2" | "_rebuild_tensor"), (
+        case Name("collections", "OrderedDict"), (list(pairs),):  # as Python 2 wrote it
+            return named(pairs)
+        case Name("torch._utils", "_rebuild_tensor_v2" | "_rebuild_tensor"), (
             _Storage() as storage,
             int(offset),
             tuple(shape),
@@ -329,6 +186,6 @@ def _made(name: Any, arguments: Any) -> Any:
             *_,
         ):
             return _Tensor(storage, offset, shape, stride)
-        case _Name("torch._utils", "_rebuild_parameter"), (_Tensor() as tensor, *_):
+        case Name("torch._utils", "_rebuild_parameter"), (_Tensor() as tensor, *_):
             return tensor
-    return _Record(name)
+    return Record(name, arguments)
