@@ -3,6 +3,11 @@
 With the albedo known the nine coefficients per channel are a linear least-squares problem, and with the light known so
 is the albedo. Albedo and light share one factor per channel that no picture tells: here the mean albedo of the skin
 that is seen is held at that of the model's own colours, so a darker skin shows as a dimmer light.
+
+Skin is measured vertex by vertex where landmarks hold the model to the picture: in front of the ends of the jaw's
+contour, above the chin, away from the outline. Ears, neck and all that is hidden continue what is measured beside them
+and on the other side of the face. Eyes, teeth, the mouth's inside and the hair are the model's, tinted as a whole: gaze
+and hair are not fitted, so that single vertices would take on the colours of something else.
 """
 
 import zipfile
@@ -11,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from scipy.ndimage import binary_erosion, distance_transform_edt
 from scipy.sparse import coo_matrix, csr_matrix, diags_array
 from scipy.sparse.linalg import spsolve
 
@@ -23,7 +29,9 @@ from workbench.rendering.renderer import render
 from workbench.rendering.topology import mesh_topology
 
 FACE_REGIONS = ("skin", "lips", "brow")
-"""What is estimated; eyes, teeth, the mouth's inside and the scalp keep the model's colours."""
+"""What is estimated vertex by vertex."""
+TINTED_REGIONS = (("eyeL", "eyeR"), ("teethU", "teethL"), ("tongue",), ("mouth_cavity",), ("scalp",))
+"""What gets one factor per channel for all of its vertices."""
 LEAST_PIXELS = 1000
 STEPS = 4
 """Alternations of light and albedo."""
@@ -31,10 +39,14 @@ ROBUST_STEPS = 6
 """Reweighted solves within each light step."""
 LEAST_FACING = 0.25
 """Cosine to the camera below which a surface is too foreshortened to be measured."""
+OUTLINE_SHARE = 0.03
+"""Distance from the outline, in sides of a square as large as the face, within which background may show through."""
 LARGEST_RATIO = 1.0
 """Logarithm of the ratio to the expected colour from which a pixel counts as something else: hair, a microphone."""
-SMOOTH, MIRROR, PRIOR = 1.0, 0.5, 0.02
+SMOOTH, MIRROR, PRIOR = 1.0, 0.5, 0.002
 """Weights of neighbours, mirror image and the model's colours against one pixel."""
+TINT_PRIOR, TINT_RANGE = 20.0, (0.1, 1.5)
+"""Pixels of the model's own colours that count in a tint, and its bounds."""
 RIDGE = 1e-3
 """Weight of small light coefficients, as a share of the pixels."""
 
@@ -94,8 +106,8 @@ def estimate_appearance(
     The picture is h × w × RGB, 8 bits or 0 to 1. Best on a frame near neutral, fitted well. Raises `InputError` for a
     picture of another shape, for vertices that are not the model's, and when fewer than 1000 pixels show the face.
     """
-    colors = _unit_picture(picture)
-    pixels = _measurements(colors, model, np.asarray(vertices_camera), camera)
+    view = _view(_unit_picture(picture), model, np.asarray(vertices_camera), camera)
+    pixels = _face_pixels(view, model)
     own = model.colors / 255.0
     smoothing = _smoothing(model)
     face = _in_regions(model, FACE_REGIONS)
@@ -113,6 +125,9 @@ def estimate_appearance(
     light, shade = _solve_light(pixels, albedo)
     difference = (pixels.corners @ albedo) * shade - pixels.colors
     residual = float(np.sqrt(np.average((difference**2).mean(axis=1), weights=np.maximum(weights, 1e-9))))
+    for names in TINTED_REGIONS:
+        part = _in_regions(model, names)
+        albedo[part] = np.clip(own[part] * _tint(_part_pixels(view, model, part), own, light), 0.01, 1.0)
     return Appearance(albedo.astype(np.float32), light.astype(np.float32), seen.astype(np.float32), residual)
 
 
@@ -133,8 +148,18 @@ def _unit_picture(picture: np.ndarray) -> Float[np.ndarray, "h w 3"]:
     return picture / 255.0 if picture.dtype == np.uint8 else np.asarray(picture, float)
 
 
-def _measurements(colors: np.ndarray, model: FaceModel, vertices: np.ndarray, camera: AnyCamera) -> _Pixels:
-    """What of the picture shows the face, away from contours and not too foreshortened."""
+@dataclass(frozen=True)
+class _View:
+    """The picture, and what the model shows at its pixels."""
+
+    colors: Float[np.ndarray, "h w 3"]
+    triangle: Int[np.ndarray, "h w"]
+    normals: Float[np.ndarray, "h w 3"]
+    barycentric: Float[np.ndarray, "h w 3"]
+    facing: Float[np.ndarray, "h w"]
+
+
+def _view(colors: np.ndarray, model: FaceModel, vertices: np.ndarray, camera: AnyCamera) -> _View:
     height, width = colors.shape[:2]
     count = len(model.neutral)
     if vertices.shape != (count, 3) or not np.isfinite(vertices).all():
@@ -144,25 +169,46 @@ def _measurements(colors: np.ndarray, model: FaceModel, vertices: np.ndarray, ca
         vertices, topology, camera, model.colors / 255.0, np.zeros((9, 3)), np.zeros(3),
         size=(width, height), antialias=False,
     )  # fmt: skip
-    triangle, normals = np.asarray(rendering.triangle), np.asarray(rendering.normals, float)
-    view = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
-    facing = _facing(normals, np.asarray(rendering.depth), view, camera)
-    belongs = np.append(_in_regions(model, FACE_REGIONS)[model.triangles].all(axis=1), False)
-    mask = belongs[triangle]
-    for axis in (0, 1):
-        for shift in (1, -1):
-            mask = mask & np.roll(belongs[triangle], shift, axis)
-    mask &= facing > LEAST_FACING
+    normals = np.asarray(rendering.normals, float)
+    places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
+    facing = _facing(normals, np.asarray(rendering.depth), places, camera)
+    return _View(colors, np.asarray(rendering.triangle), normals, np.asarray(rendering.barycentric, float), facing)
+
+
+def _face_pixels(view: _View, model: FaceModel) -> _Pixels:
+    """Pixels that landmarks hold to the face, away from its outline and not too foreshortened."""
+    ends, chin = model.landmarks.of(model.neutral)[[0, 16], 2].mean(), model.landmarks.of(model.neutral)[8, 1]
+    held = (model.neutral[:, 2] < ends) & (model.neutral[:, 1] < chin)
+    # Hair may hang over the scalp's border as the background does over the outline.
+    inner = (view.triangle >= 0) & ~_shows(view, model, _in_regions(model, ("scalp",)))
+    mask = _shows(view, model, _in_regions(model, FACE_REGIONS) & held)
+    mask &= distance_transform_edt(np.pad(inner, 1))[1:-1, 1:-1] > OUTLINE_SHARE * np.sqrt(mask.sum())
+    mask = binary_erosion(mask) & (view.facing > LEAST_FACING)
     if mask.sum() < LEAST_PIXELS:
         raise InputError(
             f"The face covers {int(mask.sum())} usable pixels, {LEAST_PIXELS} are needed; "
             "choose a frame with a larger face that looks at the camera."
         )
+    return _pixels(view, model, mask)
+
+
+def _part_pixels(view: _View, model: FaceModel, part: Bool[np.ndarray, "v"]) -> _Pixels:
+    """Pixels that show these vertices, without the outermost."""
+    return _pixels(view, model, binary_erosion(_shows(view, model, part)) & (view.facing > LEAST_FACING))
+
+
+def _shows(view: _View, model: FaceModel, part: Bool[np.ndarray, "v"]) -> Bool[np.ndarray, "h w"]:
+    return np.append(part[model.triangles].all(axis=1), False)[view.triangle]
+
+
+def _pixels(view: _View, model: FaceModel, mask: Bool[np.ndarray, "h w"]) -> _Pixels:
     rows = np.repeat(np.arange(mask.sum()), 3)
-    shares = np.asarray(rendering.barycentric, float)[mask]
-    corners = csr_matrix((shares.ravel(), (rows, model.triangles[triangle[mask]].ravel())), shape=(mask.sum(), count))
-    functions = np.stack(spherical_harmonics(*normals[mask].T), axis=1) * LAMBERT
-    return _Pixels(colors[mask], functions, corners)
+    triangles = model.triangles[view.triangle[mask]].astype(np.int64)
+    corners = csr_matrix(
+        (view.barycentric[mask].ravel(), (rows, triangles.ravel())), shape=(mask.sum(), len(model.neutral))
+    )
+    functions = np.stack(spherical_harmonics(*view.normals[mask].T), axis=1) * LAMBERT
+    return _Pixels(view.colors[mask], functions, corners)
 
 
 def _facing(normals, depth, pixels, camera) -> Float[np.ndarray, "h w"]:
@@ -218,6 +264,15 @@ def _solve_albedo(pixels: _Pixels, weights, shade, own, smoothing: csr_matrix) -
         normal = (system.T @ weighted + smoothing).tocsc()
         albedo[:, channel] = own[:, channel] + spsolve(normal, weighted.T @ misfit)
     return albedo
+
+
+def _tint(pixels: _Pixels, own: np.ndarray, light: np.ndarray) -> Float[np.ndarray, "3"]:
+    """The factor that brings the model's colours in this light closest to the picture's; one where nothing is seen."""
+    if not len(pixels.colors):
+        return np.ones(3)
+    shown = (pixels.corners @ own) * np.maximum(pixels.functions @ light, 0.0)
+    one = TINT_PRIOR * np.maximum((shown**2).mean(axis=0), 1e-6)
+    return np.clip((one + (shown * pixels.colors).sum(axis=0)) / (one + (shown**2).sum(axis=0)), *TINT_RANGE)
 
 
 def _smoothing(model: FaceModel) -> csr_matrix:
