@@ -25,6 +25,7 @@ ORDER = [
     "landmarks",
     "face",
     "rendering",
+    "flow",
     "energies",
     "config",
     "tracking",
