@@ -33,6 +33,16 @@ def rotation_matrix(axis_angle: Float[AnyArray, "3"]) -> Float[AnyArray, "3 3"]:
     return (1.0 - versine * theta_squared) * jnp.eye(3, dtype=axis_angle.dtype) + sine * cross + versine * outer
 
 
+def head_yaw(rotation: Float[AnyArray, "3"]) -> Float[AnyArray, ""]:
+    """Yaw in radians of an axis-angle rotation, traceable."""
+    return yaw_of(rotation_matrix(rotation))
+
+
+def yaw_of(matrix: Float[AnyArray, "3 3"]) -> Float[AnyArray, ""]:
+    """Yaw in radians of a rotation matrix, traceable."""
+    return jnp.arcsin(jnp.clip(matrix[0, 2], -1.0, 1.0))
+
+
 def yaw_pitch_roll_deg(axis_angle: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
     """Yaw, pitch, roll in degrees (see the module's convention) of head rotations given as axis-angle, radians."""
     axis_angle = np.asarray(axis_angle, float)

@@ -1,0 +1,438 @@
+"""Calibrated rigs: laws of their poses, their files, and what is refused."""
+
+from pathlib import Path
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.scenes import make_scene
+from tests.stereo_scenes import make_rig, make_stereo_scene
+from workbench.errors import InputError
+from workbench.geometry import (
+    Camera,
+    Rig,
+    View,
+    camera_from_fov,
+    pose_in_view,
+    project,
+    project_to_view,
+    read_rig,
+    relative_pose,
+    resized_view,
+    rig_toml,
+    rotation_matrix,
+    to_reference,
+    to_view,
+    write_rig,
+    yaw_pitch_roll_deg,
+)
+
+SIZE = (640, 480)
+CAMERA = camera_from_fov(SIZE, 45.0)
+MATRIX = np.array([[772.5, 0.0, 319.5], [0.0, 772.5, 239.5], [0.0, 0.0, 1.0]])
+DISTORTION = np.array([[0.11, -0.2, 0.003, -0.004, 0.05]])
+
+components = st.floats(-3.0, 3.0)
+rotations = st.tuples(components, components, components).map(lambda v: Rotation.from_rotvec(v).as_matrix())
+places = st.tuples(*[st.floats(-500.0, 500.0)] * 3).map(np.array)
+poses = st.tuples(rotations, places)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def random_rig(seed: int, count: int = 3) -> Rig:
+    """Cameras of all kinds around a point of an arbitrary world, looking about there."""
+    rng = np.random.default_rng(seed)
+    world = Rotation.random(rng=rng)
+    views = []
+    for index in range(count):
+        turned = Rotation.from_rotvec(np.array([0.0, 0.35 * index, 0.0]) + rng.uniform(-0.1, 0.1, 3)) * world
+        focal, centre = rng.uniform(600, 900, 2), rng.normal([319.5, 239.5], 10.0)
+        camera = Camera(focal, centre, rng.uniform(-0.01, 0.01, 8))
+        translation = rng.normal([0.0, 0.0, 700.0], 15.0)
+        views.append(View(f"view {index}", SIZE, camera, turned.as_matrix(), translation))
+    return Rig(tuple(views))
+
+
+def pair(rotation: np.ndarray, translation: np.ndarray, **changed) -> Rig:
+    """Two cameras with this pose of the second in the first."""
+    first = View("left", SIZE, CAMERA, np.eye(3), np.zeros(3))
+    entries = {"name": "right", "image_size": SIZE, "camera": CAMERA, **changed}
+    return Rig((first, View(**entries, rotation_view_world=rotation, translation_view_world_mm=translation)))
+
+
+def assert_same(one: Rig, other: Rig, **tolerance) -> None:
+    assert one.names == other.names
+    for a, b in zip(one.views, other.views, strict=True):
+        assert a.image_size == b.image_size
+        for left, right in zip(a.camera, b.camera, strict=True):
+            np.testing.assert_allclose(left, right, **tolerance)
+    np.testing.assert_allclose(one.rotation_view_reference, other.rotation_view_reference, **tolerance)
+    np.testing.assert_allclose(one.translation_view_reference_mm, other.translation_view_reference_mm, **tolerance)
+
+
+# --- poses ---
+
+
+@given(poses, poses, poses, places)
+def test_relative_poses_compose(a, b, c, point_world):
+    rotation_ba, translation_ba = relative_pose(*a, *b)
+    rotation_cb, translation_cb = relative_pose(*b, *c)
+    rotation_ca, translation_ca = relative_pose(*a, *c)
+    np.testing.assert_allclose(rotation_cb @ rotation_ba, rotation_ca, atol=1e-12)
+    np.testing.assert_allclose(rotation_cb @ translation_ba + translation_cb, translation_ca, atol=1e-9)
+    point_a, point_b = a[0] @ point_world + a[1], b[0] @ point_world + b[1]
+    np.testing.assert_allclose(rotation_ba @ point_a + translation_ba, point_b, atol=1e-9)
+
+
+@given(poses)
+def test_a_pose_relative_to_itself_is_none(pose):
+    rotation, translation = relative_pose(*pose, *pose)
+    np.testing.assert_allclose(rotation, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(translation, 0.0, atol=1e-9)
+
+
+@given(seeds, places)
+def test_a_rig_places_world_points_in_every_view_and_back(seed, offset):
+    rig = random_rig(seed)
+    reference = rig.views[0]
+    points_world = np.stack([offset, offset + 10.0])
+    points_reference = points_world @ reference.rotation_view_world.T + reference.translation_view_world_mm
+    for index, view in enumerate(rig.views):
+        placed = rig.placed_view(index)
+        points_view = to_view(points_reference, placed)
+        expected = points_world @ view.rotation_view_world.T + view.translation_view_world_mm
+        np.testing.assert_allclose(points_view, expected, atol=1e-9)
+        np.testing.assert_allclose(to_reference(points_view, placed), points_reference, atol=1e-9)
+
+
+def test_the_first_view_is_the_reference_exactly():
+    rig = random_rig(3)
+    np.testing.assert_array_equal(rig.rotation_view_reference[0], np.eye(3))
+    np.testing.assert_array_equal(rig.translation_view_reference_mm[0], np.zeros(3))
+    np.testing.assert_array_equal(rig.position_reference_mm[0], np.zeros(3))
+
+
+def test_a_camera_stands_where_its_picture_has_no_depth():
+    rig = random_rig(4)
+    for index in range(3):
+        np.testing.assert_allclose(to_view(rig.position_reference_mm[index], rig.placed_view(index)), 0.0, atol=1e-10)
+        view = rig.views[index]
+        seen = view.rotation_view_world @ view.position_world_mm + view.translation_view_world_mm
+        np.testing.assert_allclose(seen, 0.0, atol=1e-10)
+
+
+def test_all_views_are_projected_to_at_once_under_a_trace():
+    rig = random_rig(5)
+    points = jnp.array([[10.0, -20.0, 650.0], [0.0, 0.0, 700.0]])
+    together = jax.jit(jax.vmap(project_to_view, in_axes=(None, 0)))(points, rig.placed)
+    for index, name in enumerate(rig.names):
+        placed = rig.placed_view(name)
+        np.testing.assert_allclose(together[index], project(placed.camera, to_view(points, placed)), rtol=1e-12)
+
+
+@given(seeds)
+def test_a_heads_pose_in_a_view_moves_its_points_as_the_rig_does(seed):
+    rng = np.random.default_rng(seed)
+    placed = random_rig(seed).placed_view(1)
+    rotation, translation = rng.normal(0.0, 0.5, (2, 3)), rng.normal([0.0, 0.0, 600.0], 50.0, (2, 3))
+    turned, moved = pose_in_view(rotation, translation, placed)
+    point = np.array([5.0, -30.0, 12.0])
+    for k in range(2):
+        point_reference = np.asarray(rotation_matrix(rotation[k])) @ point + translation[k]
+        expected = to_view(point_reference, placed)
+        np.testing.assert_allclose(rotation_matrix(turned[k]) @ point + moved[k], expected, atol=1e-9)
+
+
+def test_a_camera_to_the_right_sees_the_head_turned_to_the_left_of_its_picture(head):
+    scene = make_stereo_scene(head, make_rig((0.0, 30.0)), moving=False)
+    assert scene.rig.position_reference_mm[1, 0] > 0
+    middle, side = scene.points[:, 0]
+    eyes = [(points[36, 0] + points[45, 0]) / 2 for points in (middle, side)]
+    assert middle[30, 0] == pytest.approx(eyes[0], abs=1.0)
+    assert side[30, 0] < eyes[1] - 10
+
+
+def test_the_reference_view_of_a_scene_is_the_scene_of_one_camera(head):
+    stereo = make_stereo_scene(head, frames=2, seed=4)
+    truth = stereo.parameters[1]
+    weights = dict(zip(head.expression_names, np.asarray(truth.expression), strict=True))
+    angles_deg = yaw_pitch_roll_deg(np.array(truth.rotation))
+    mono = make_scene(head, angles_deg, weights, translation=truth.translation)
+    np.testing.assert_allclose(stereo.points[0, 1], mono.points, atol=1e-9)
+
+
+# --- what a rig is not ---
+
+
+def stretched(factor: float) -> np.ndarray:
+    return np.diag([factor, 1.0, 1.0])
+
+
+AWAY = np.array([-200.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Rig(()), "at least one view"),
+        (lambda: pair(np.eye(3), AWAY, name="left"), "stands for two views"),
+        (lambda: pair(np.eye(3), AWAY, name=" "), "needs a name"),
+        (lambda: pair(np.eye(3), AWAY, image_size=(0, 480)), "0 × 480"),
+        (lambda: pair(stretched(1.01), AWAY), "no rotation .* 0.02"),
+        (lambda: pair(np.full((3, 3), np.nan), AWAY), "no rotation"),
+        (lambda: pair(stretched(-1.0), AWAY), "mirrors"),
+        (lambda: pair(np.eye(3), np.array([np.inf, 0.0, 0.0])), "finite numbers"),
+        (lambda: pair(np.eye(3), AWAY, camera=CAMERA._replace(focal_px=np.array([700.0, -1.0]))), "positive"),
+        (lambda: pair(np.eye(3), AWAY, camera=CAMERA._replace(distortion=np.full(8, np.nan))), "not finite"),
+        (lambda: pair(np.eye(3), AWAY, camera=CAMERA._replace(principal_point_px=np.array([900.0, 1.0]))), "outside"),
+        (lambda: pair(np.eye(3), np.zeros(3)), "one place"),
+        (lambda: pair(np.eye(3), 0.001 * AWAY), "0.2 mm apart.*unit"),
+        (lambda: pair(np.eye(3), 1000.0 * AWAY), "mm apart.*unit"),
+        (lambda: pair(np.diag([-1.0, 1.0, -1.0]), AWAY), "share no point.*world_from_view"),
+        (lambda: make_rig().view("left"), "no view 'left'; its views are middle, side"),
+        (lambda: resized_view(make_rig().views[0], (640, 360)), "no scaled copies"),
+    ],
+)
+def test_what_cannot_be_a_rig_is_refused_in_one_sentence(make, message):
+    with pytest.raises(InputError, match=message) as refusal:
+        make()
+    assert "\n" not in str(refusal.value)
+
+
+def test_rounded_digits_of_a_rotation_are_repaired():
+    rotation = Rotation.from_rotvec([0.02, 0.5, -0.03]).as_matrix()
+    repaired = pair(rotation.round(4), -rotation @ [300.0, 0.0, 80.0]).views[1].rotation_view_world
+    np.testing.assert_allclose(repaired.T @ repaired, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(repaired, rotation, atol=1e-4)
+
+
+def test_one_camera_and_a_parallel_pair_are_rigs():
+    assert len(make_rig((0.0,))) == 1
+    assert len(pair(np.eye(3), np.array([-65.0, 0.0, 0.0]))) == 2
+
+
+def test_a_rig_cannot_be_changed_in_place():
+    rig = make_rig()
+    for array in (rig.views[0].rotation_view_world, rig.views[1].camera.focal_px, rig.rotation_view_reference):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
+@given(seeds, st.sampled_from([0.25, 0.5, 2.0]))
+def test_a_scaled_picture_shows_the_same_points_at_scaled_places(seed, scale):
+    view = random_rig(seed).views[1]
+    point = np.array([[30.0, -20.0, 600.0]])
+    resized = resized_view(view, (int(640 * scale), int(480 * scale)))
+    expected = (np.asarray(project(view.camera, point)) + 0.5) * scale - 0.5
+    np.testing.assert_allclose(project(resized.camera, point), expected, atol=1e-9)
+
+
+# --- files ---
+
+
+def save_opencv(path: Path, **entries) -> Path:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in entries.items():
+        storage.write(name, value)
+    storage.release()
+    return path
+
+
+ROTATION = Rotation.from_rotvec([0.01, 0.5, -0.02]).as_matrix()
+TRANSLATION = np.array([0.0, 0.0, 600.0]) - ROTATION @ [0.0, 0.0, 600.0]
+PAIR = {"K1": MATRIX, "D1": DISTORTION, "K2": MATRIX, "D2": DISTORTION, "R": ROTATION, "T": TRANSLATION[:, None]}
+WIDTH_HEIGHT = {"image_width": 640, "image_height": 480}
+
+
+@given(seed=seeds)
+def test_a_written_rig_is_read_to_the_same_bits(tmp_path_factory, seed):
+    rig = random_rig(seed)
+    path = tmp_path_factory.mktemp("rig") / "rig.toml"
+    write_rig(rig, path)
+    assert_same(read_rig(path), rig, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("suffix", ["yml", "yaml", "json", "xml"])
+def test_a_stereo_calibration_of_opencv_is_read(tmp_path, suffix):
+    rig = read_rig(save_opencv(tmp_path / f"stereo.{suffix}", **PAIR, **WIDTH_HEIGHT))
+    assert rig.names == ("camera1", "camera2")
+    assert rig.views[0].image_size == SIZE
+    np.testing.assert_allclose(rig.rotation_view_reference[1], ROTATION, atol=1e-15)
+    np.testing.assert_allclose(rig.translation_view_reference_mm[1], TRANSLATION, atol=1e-12)
+    np.testing.assert_allclose(rig.views[1].camera.distortion[:5], DISTORTION[0])
+    # OpenCV's own projection of a point, through both cameras.
+    point = np.array([[12.0, -7.0, 580.0]])
+    expected, _ = cv2.projectPoints(point, cv2.Rodrigues(ROTATION)[0], TRANSLATION, MATRIX, DISTORTION)
+    np.testing.assert_allclose(project_to_view(point, rig.placed_view(1)), expected[0], atol=1e-9)
+
+
+def test_opencvs_stereo_sample_writes_two_files_without_a_picture_size(tmp_path):
+    names = {"K1": "M1", "K2": "M2"}
+    intrinsics = {names.get(key, key): PAIR[key] for key in ("K1", "D1", "K2", "D2")}
+    first = save_opencv(tmp_path / "intrinsics.yml", **intrinsics)
+    second = save_opencv(tmp_path / "extrinsics.yml", R=PAIR["R"], T=PAIR["T"] / 10, R1=np.eye(3), P1=np.eye(3, 4))
+    rig = read_rig([first, second], unit="cm", image_size=SIZE)
+    np.testing.assert_allclose(rig.translation_view_reference_mm[1], TRANSLATION, atol=1e-12)
+    with pytest.raises(InputError, match=r"no picture size.*--size"):
+        read_rig([first, second])
+    with pytest.raises(InputError, match=r"no R and T.*extrinsic"):
+        read_rig(first, image_size=SIZE)
+
+
+@pytest.mark.parametrize("as_matrix", [True, False])
+def test_a_file_a_camera_of_opencv_is_read(tmp_path, as_matrix):
+    rig = random_rig(8)
+    paths = []
+    for view in rig.views:
+        rotation = view.rotation_view_world
+        pose = {"R": rotation} if as_matrix else {"rvec": Rotation.from_matrix(rotation).as_rotvec()[:, None]}
+        (fx, fy), (cx, cy) = view.camera.focal_px, view.camera.principal_point_px
+        matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        entries = {"camera_matrix": matrix, "distortion_coefficients": view.camera.distortion[None], **WIDTH_HEIGHT}
+        path = tmp_path / f"{view.name}.yml"
+        paths.append(save_opencv(path, **entries, **pose, tvec=view.translation_view_world_mm / 1000, unit="m"))
+    assert_same(read_rig(paths), rig, atol=1e-9)
+
+
+def test_lists_of_plain_json_are_read_as_matrices(tmp_path):
+    text = """{"K1": %s, "K2": %s, "R": %s, "T": %s, "image_size": [640, 480]}"""
+    parts = [np.asarray(value).tolist() for value in (MATRIX, MATRIX, ROTATION, TRANSLATION)]
+    path = tmp_path / "rig.json"
+    path.write_text(text % tuple(map(str, parts)))
+    np.testing.assert_allclose(read_rig(path).rotation_view_reference[1], ROTATION, atol=1e-15)
+
+
+@pytest.mark.parametrize("unit", ["mm", "cm", "m"])
+def test_lengths_come_in_the_unit_that_the_file_names(tmp_path, unit):
+    rig = make_rig()
+    factor = {"mm": 1.0, "cm": 10.0, "m": 1000.0}[unit]
+    lines = []
+    for line in rig_toml(rig).splitlines():
+        if line.startswith("unit"):
+            line = f'unit = "{unit}"'
+        if line.startswith("translation"):
+            line = f"translation = [0.0, 0.0, {600.0 / factor}]"
+        lines.append(line)
+    path = tmp_path / "rig.toml"
+    path.write_text("\n".join(lines))
+    assert_same(read_rig(path), rig, atol=1e-9)
+
+
+def test_poses_of_cameras_in_the_world_are_turned_round(tmp_path):
+    rig = random_rig(9)
+    text = rig_toml(rig).replace("view_from_world", "world_from_view")
+    for view in rig.views:
+        text = text.replace(str(view.translation_view_world_mm.tolist()), str(view.position_world_mm.tolist()))
+        for row, column in zip(view.rotation_view_world, view.rotation_view_world.T, strict=True):
+            text = text.replace(f"    {row.tolist()},", f"    {column.tolist()},")
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    assert_same(read_rig(path), rig, atol=1e-9)
+
+
+def edited(before: str, after: str):
+    def write(folder: Path) -> list[Path]:
+        text = rig_toml(make_rig())
+        assert before in text
+        (folder / "rig.toml").write_text(text.replace(before, after))
+        return [folder / "rig.toml"]
+
+    return write
+
+
+def raw(name: str, content: bytes):
+    def write(folder: Path) -> list[Path]:
+        (folder / name).write_bytes(content)
+        return [folder / name]
+
+    return write
+
+
+def opencv(name: str = "rig.yml", **changed):
+    def write(folder: Path) -> list[Path]:
+        entries = {**PAIR, **WIDTH_HEIGHT, **changed}
+        return [save_opencv(folder / name, **{k: v for k, v in entries.items() if v is not None})]
+
+    return write
+
+
+CUT = b"%YAML:1.0\n---\nK1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1., 2."
+SHORT = CUT + b" ]\n"
+LONE = {"K1": None, "K2": None, "K": MATRIX}
+
+
+@pytest.mark.parametrize(
+    ("write", "message"),
+    [
+        (lambda _: [], "at least one file"),
+        (lambda folder: [folder / "rig.toml"], "does not exist"),
+        (raw("rig.txt", b""), "got rig.txt"),
+        (raw("rig.toml", b"unit = "), "not valid TOML"),
+        (raw("rig.toml", b"\xff\xfe"), "not valid TOML"),
+        (raw("rig.toml", b'unit = "mm"\nviews = 3\n'), r"\[\[views\]\]"),
+        (raw("rig.toml", b'unit = "mm"\nviews = []\n'), "at least one view"),
+        (edited('unit = "mm"', 'unit = "inch"'), "'inch'.*mm, cm, m"),
+        (edited('unit = "mm"', ""), "unit is missing"),
+        (edited("version = 1", "version = 2"), "version is 2"),
+        (edited("unit =", "units ="), "'units'; did you mean unit"),
+        (edited("view_from_world", "camera"), "pose is 'camera'"),
+        (edited("translation = ", "translaton = "), "view 1: unknown key 'translaton'; did you mean translation"),
+        (edited("name = ", "# name = "), "view 1: name is missing"),
+        (edited('name = "side"', "name = 2"), "view 2: name is 2"),
+        (edited("image_size = [640, 480]", "image_size = [640.5, 480]"), "whole pixels"),
+        (edited("image_size = [640, 480]", "image_size = [640]"), "image_size has 1 entries, expected 2"),
+        (edited("[0.0, 0.0, 600.0]", '"far"'), "translation is 'far', expected 3 numbers"),
+        (edited("[0.0, 0.0, 600.0]", "[0.0, 0.0, nan]"), "not finite"),
+        (edited("[0.0, 0.0, 600.0]", "[0.0, 0.0, 0.6]"), "0.3106 mm apart.*unit"),
+        (edited("distortion = [0.0,", "distortion = ["), "7"),
+        (edited("[0.0, 0.0, 1.0]", "[0.0, 0.0]"), "view 1: matrix"),
+        (raw("rig.yml", b""), "cannot be read as an OpenCV file"),
+        (raw("rig.yml", CUT), "cannot be read as an OpenCV file"),
+        (raw("rig.yml", SHORT), "cannot be read as an OpenCV file"),
+        (raw("rig.json", b'{"K1": [1,'), "cannot be read as an OpenCV file"),
+        (raw("rig.xml", b"<?xml version='1.0'?><opencv_storage><K1>"), "cannot be read as an OpenCV file"),
+        (raw("rig.yml", b"\xff\xfe\x00"), "cannot be read as an OpenCV file"),
+        (raw("rig.yml", b"%YAML:1.0\n---\na: 1\n"), "no camera matrix.*its keys: a"),
+        (opencv(R=None), "no R and T"),
+        (opencv(K2=None), "no matrix of camera 2"),
+        (opencv(R=-ROTATION), "camera 2: The rotation of view 'camera2' mirrors"),
+        (opencv(R=np.eye(2)), "rotation has 4 entries, expected 3 or 9"),
+        (opencv(D1=np.zeros((1, 14))), "camera 1: .*coefficients, got 14"),
+        (opencv(K1=np.diag([-1.0, 1.0, 1.0])), "positive focal"),
+        (opencv(unit="feet"), "unit is 'feet'"),
+        (opencv(T=TRANSLATION / 1000), "mm apart.*unit"),
+        (opencv(image_width=300), "principal point .* lies outside"),
+        (opencv(**LONE, R=None), "where its camera stands: no rotation"),
+        (opencv(**LONE, T=None), "where its camera stands: no translation"),
+    ],
+)
+def test_damaged_files_are_refused_in_one_sentence_that_names_them(tmp_path, capfd, write, message):
+    paths = write(tmp_path)
+    with pytest.raises(InputError, match=message) as refusal:
+        read_rig(paths)
+    assert "\n" not in str(refusal.value)
+    assert not paths or paths[0].name in str(refusal.value)
+    assert capfd.readouterr().err == ""
+
+
+def test_what_a_file_says_is_not_said_again(tmp_path):
+    write_rig(make_rig(), tmp_path / "rig.toml")
+    with pytest.raises(InputError, match="says its unit"):
+        read_rig(tmp_path / "rig.toml", unit="m")
+    with pytest.raises(InputError, match="name it alone"):
+        read_rig([tmp_path / "rig.toml", tmp_path / "rig.toml"])
+    path = save_opencv(tmp_path / "rig.yml", **PAIR, **WIDTH_HEIGHT, unit="mm")
+    with pytest.raises(InputError, match="leave one out"):
+        read_rig(path, unit="cm")
+
+
+def test_rigs_are_written_as_toml_only(tmp_path):
+    with pytest.raises(InputError, match=r"written as \.toml"):
+        write_rig(make_rig(), tmp_path / "rig.yml")
+    assert list(tmp_path.iterdir()) == []
