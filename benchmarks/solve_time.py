@@ -149,7 +149,7 @@ def _stacked_inputs(fits: list[FrameFit]) -> FrameInput:
     expression = np.stack([fit.expression for fit in fits])
     measured = np.stack([np.column_stack([fit.observed, fit.confidence]) for fit in fits])
     last = slice(1, -1)
-    start = FaceParameters(pose[last, :3], pose[last, 3:], expression[last], np.zeros((len(fits) - 2, 0)))
+    start = FaceParameters(pose[last, :3], pose[last, 3:], expression[last], *[np.zeros((len(fits) - 2, 0))] * 3)
     return FrameInput(measured[2:], pose[last], pose[:-2], np.ones(len(fits) - 2), start)
 
 

@@ -7,10 +7,9 @@ import numpy as np
 
 from workbench.energies import project_landmarks
 from workbench.face import FaceModel, FaceParameters, contour_blend, landmark_model, model_landmarks
-from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov
+from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov, head_yaw
 from workbench.landmarks.observations import Landmarks2D
 from workbench.tracking import FrameObservation
-from workbench.tracking.frame_solver import head_yaw
 
 IMAGE_SIZE = (640, 480)
 FOV_DEG = 45.0

@@ -7,6 +7,12 @@ from workbench.face.blendshapes import delta_form as delta_form
 from workbench.face.blendshapes import targets_to_deltas as targets_to_deltas
 from workbench.face.default_head import GAZE_NAMES as GAZE_NAMES
 from workbench.face.default_head import load_default_head as load_default_head
+from workbench.face.jaw import JAW_SHAPES as JAW_SHAPES
+from workbench.face.jaw import JawJoint as JawJoint
+from workbench.face.jaw import jaw_joint as jaw_joint
+from workbench.face.jaw import jaw_of_weights as jaw_of_weights
+from workbench.face.jaw import move_jaw as move_jaw
+from workbench.face.jaw import weights_with_jaw as weights_with_jaw
 from workbench.face.landmark_model import LandmarkModel as LandmarkModel
 from workbench.face.landmark_model import PointModel as PointModel
 from workbench.face.landmark_model import contour_blend as contour_blend

@@ -3,7 +3,7 @@
 Trained on renders of the default head alone (`workbench/networks/bundled/MODEL_CARD.md` has data, recipe and limits).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from workbench.landmarks.alignment import FaceFrame, frame_from_box, frame_from_points, sampled
+from workbench.arrays import AnyArray
+from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame, frame_from_box, frame_from_points, sampled
 from workbench.landmarks.detectors import Box, Effort, FaceDetection
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import MIRROR
-from workbench.networks import CropBox, LandmarkNetwork, read_landmark_network, soft_argmax
+from workbench.landmarks.scheme import GROUPS, MIRROR
+from workbench.networks import BETA, CropBox, LandmarkNetwork, read_landmark_network, soft_argmax
 from workbench.networks.face_finder import FaceFinder, FoundFace, read_face_finder, without_doubles
 from workbench.runtime import COMPUTING
 
@@ -40,7 +41,19 @@ CANDIDATES, MORE_CANDIDATES = 5, 12
 SMALLEST_SIDE = 16
 """Pictures with a shorter side in pixels hold no face with 68 landmarks."""
 
+_INNER = np.array(GROUPS["inner"])
 BUNDLED = Path(__file__).resolve().parent.parent / "networks" / "bundled"
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkLook:
+    """One look of the landmark network: its answer, and what it made it of."""
+
+    landmarks: Landmarks2D
+    probability: Float[np.ndarray, "68 m m"]
+    """Of each landmark's place, over a map that spans the crop; sums to one."""
+    to_image: FaceFrame
+    """Takes the pixels of the crop (`CROP_SIDE` a side) to the picture's."""
 
 
 class NetworkDetector:
@@ -84,6 +97,12 @@ class NetworkDetector:
         """The landmarks of the face near `points`, by one look: about 10 ms."""
         return self._look(picture, frame_from_points(points))
 
+    def look(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> NetworkLook:
+        """What `refine` sees in the crop around `points`."""
+        to_image = crop_frame(frame_from_points(points))
+        landmarks, heat_maps = self._answer(picture, to_image, mirrored=False)
+        return NetworkLook(landmarks, _probability(heat_maps), to_image)
+
     def _faces(self, picture: np.ndarray, found: list[FoundFace], effort: Effort) -> list[FaceDetection]:
         """What of the finder's proposals the landmark network takes for a face, with the boxes of its landmarks."""
         faces = []
@@ -105,15 +124,19 @@ class NetworkDetector:
         return best
 
     def _look(self, picture: np.ndarray, face: FaceFrame, mirrored: bool = False) -> Landmarks2D:
-        to_image = crop_frame(face)
+        return self._answer(picture, crop_frame(face), mirrored)[0]
+
+    def _answer(self, picture: np.ndarray, to_image: FaceFrame, mirrored: bool) -> tuple[Landmarks2D, np.ndarray]:
+        """Landmarks in the picture, and the network's heat maps (of the mirrored crop if it was)."""
         crop = sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT)
         with COMPUTING:
-            answers = _answers(self._network, np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop)
+            *answers, heat_maps = _answers(self._network, np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop)
             points, confidence = (np.asarray(answer, np.float64) for answer in answers)
         if mirrored:
             points, confidence = points[list(MIRROR)], confidence[list(MIRROR)]
             points[:, 0] = CROP_SIDE - 1 - points[:, 0]
-        return Landmarks2D(to_image.to_image(points), np.clip(confidence, 0, 1), (picture.shape[1], picture.shape[0]))
+        size = (picture.shape[1], picture.shape[0])
+        return Landmarks2D(to_image.to_image(points), np.clip(confidence, 0, 1), size), np.asarray(heat_maps)
 
 
 def crop_frame(face: FaceFrame, side: int = CROP_SIDE) -> FaceFrame:
@@ -128,6 +151,18 @@ def network_box(face: FaceFrame) -> CropBox:
     middle = face.to_image(np.array([[0.0, CROP_DROP]]))[0]
     roll = np.arctan2(face.matrix[1, 0], face.matrix[0, 0])
     return CropBox(middle, np.float64(CROP_BOXES * face.side), np.float64(roll))
+
+
+def landmark_crop(points: Float[AnyArray, "68 2"]) -> CropBox:
+    """`network_box` of the face frame of known landmarks (pixels), traceable."""
+    source = MEAN_SHAPE[_INNER] - MEAN_SHAPE[_INNER].mean(axis=0)
+    middle = points[_INNER].mean(axis=0)
+    turned = np.stack([-source[:, 1], source[:, 0]], axis=1)
+    offsets = points[_INNER] - middle
+    cosine, sine = (jnp.sum(offsets * axis) / np.sum(source**2) for axis in (source, turned))
+    matrix = jnp.stack([jnp.stack([cosine, -sine]), jnp.stack([sine, cosine])])
+    centre = middle + matrix @ (np.array([0.0, CROP_DROP]) - MEAN_SHAPE[_INNER].mean(axis=0))
+    return CropBox(centre, CROP_BOXES * jnp.hypot(cosine, sine), jnp.arctan2(sine, cosine))
 
 
 @cache
@@ -145,11 +180,17 @@ def bundled_face_finder() -> FaceFinder:
 @jax.jit
 def _answers(
     network: LandmarkNetwork, crop: UInt8[jax.Array, "s s 3"]
-) -> tuple[Float[jax.Array, "68 2"], Float[jax.Array, "68"]]:
-    """Points in the crop's pixels, and confidences. One program for all weights of one architecture."""
+) -> tuple[Float[jax.Array, "68 2"], Float[jax.Array, "68"], Float[jax.Array, "68 m m"]]:
+    """Points in the crop's pixels, confidences and heat maps. One program for all weights of one architecture."""
     heat_maps = network(jnp.moveaxis(crop, -1, 0).astype(jnp.float32) / 255)
     stride = crop.shape[0] / heat_maps.shape[-1]
-    return (soft_argmax(heat_maps) + 0.5) * stride - 0.5, network.confidence_of(heat_maps)
+    return (soft_argmax(heat_maps) + 0.5) * stride - 0.5, network.confidence_of(heat_maps), heat_maps
+
+
+def _probability(heat_maps: Float[np.ndarray, "n m m"]) -> Float[np.ndarray, "n m m"]:
+    """Softmax of β·H over each map: the networks are trained for this."""
+    share = np.exp(BETA * (heat_maps - heat_maps.max(axis=(1, 2), keepdims=True)))
+    return share / share.sum(axis=(1, 2), keepdims=True)
 
 
 def _rolled(face: FaceFrame, roll: float) -> FaceFrame:

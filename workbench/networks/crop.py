@@ -81,6 +81,14 @@ def fan_box_from_landmarks(points: Float[np.ndarray, "n 2"], roll: float = 0.0) 
     return _box(x, y, FAN_PIXELS * (right - left + bottom - top) / FAN_REFERENCE, roll)
 
 
+def fan_box_of(points: Float[AnyArray, "n 2"]) -> CropBox:
+    """`fan_box_from_landmarks` without a roll, traceable."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = high - low
+    centre = (low + high) / 2 - jnp.stack([jnp.zeros_like(size[1]), FAN_RAISE * size[1]])
+    return CropBox(centre, FAN_PIXELS * size.sum() / FAN_REFERENCE, jnp.zeros_like(size[0]))
+
+
 def reduction_for(box: CropBox, side: int = INPUT_SIDE) -> int:
     """The `reduction` at which a crop's neighbouring samples lie less than two pixels apart: it skips no pixel."""
     return int(float(box.side) / (2 * side)) + 1

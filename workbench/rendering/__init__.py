@@ -3,6 +3,7 @@
 from workbench.rendering.appearance import Appearance as Appearance
 from workbench.rendering.appearance import estimate_appearance as estimate_appearance
 from workbench.rendering.appearance import load_appearance as load_appearance
+from workbench.rendering.camera import CropCamera as CropCamera
 from workbench.rendering.camera import OrthographicCamera as OrthographicCamera
 from workbench.rendering.camera import orthographic_camera as orthographic_camera
 from workbench.rendering.head import RenderModel as RenderModel

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from workbench.arrays import AnyArray
 from workbench.errors import InputError
 from workbench.geometry import Camera, project
+from workbench.networks import CropBox, to_crop
 
 NEAREST_MM = 1.0
 """Triangles with a corner nearer than this to a perspective camera, or behind it, are not drawn."""
@@ -22,7 +23,15 @@ class OrthographicCamera(NamedTuple):
     """The pixel of the camera frame's origin."""
 
 
-AnyCamera = Camera | OrthographicCamera
+class CropCamera(NamedTuple):
+    """What a camera sees inside of a crop, as a picture of `side` × `side` pixels: a render needs no more pixels."""
+
+    camera: Camera | OrthographicCamera
+    box: CropBox
+    side: Float[AnyArray, ""]
+
+
+AnyCamera = Camera | OrthographicCamera | CropCamera
 
 
 class ScreenPoints(NamedTuple):
@@ -40,6 +49,10 @@ class ScreenPoints(NamedTuple):
 
 def to_screen(camera: AnyCamera, points_camera: Float[AnyArray, "v 3"]) -> ScreenPoints:
     """Project camera-frame points (millimetres) in float32."""
+    if isinstance(camera, CropCamera):
+        screen = to_screen(camera.camera, points_camera)
+        box = CropBox(*(jnp.asarray(part, jnp.float32) for part in camera.box))
+        return screen._replace(pixels=to_crop(screen.pixels, box, jnp.asarray(camera.side, jnp.float32)))
     points = jnp.asarray(points_camera, jnp.float32)
     finite = jnp.isfinite(points).all(axis=1)
     points = jnp.where(finite[:, None], points, 1.0)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from workbench.arrays import AnyArray
-from workbench.face import FaceModel, FaceParameters
+from workbench.face import FaceModel, FaceParameters, JawJoint, jaw_joint, move_jaw
 from workbench.face.model import BLINK_SCALE_RANGE, BLINKS
 from workbench.geometry import rotation_matrix
 from workbench.rendering.camera import AnyCamera
@@ -29,6 +29,7 @@ class RenderModel(NamedTuple):
     expression_scale: Float[AnyArray, "k"]
     """Travel of each blendshape for the mean identity (1 but for blinks)."""
     expression_scale_identity: Float[AnyArray, "i k"]
+    jaw: JawJoint
     topology: MeshTopology
     colors: Float[AnyArray, "v 3"]
     """The model's own albedo, 0 to 1."""
@@ -51,6 +52,7 @@ def render_model(model: FaceModel) -> RenderModel:
         identity=model.identity_deltas.astype(np.float32),
         expression_scale=scale.astype(np.float32),
         expression_scale_identity=scale_identity.astype(np.float32),
+        jaw=JawJoint(*(np.asarray(part, np.float32) for part in jaw_joint(model))),
         topology=mesh_topology(model.triangles, len(model.neutral), lip_sides(model)),
         colors=model.colors.astype(np.float32) / 255.0,
         uv=model.uv.astype(np.float32),
@@ -79,13 +81,22 @@ def lip_sides(model: FaceModel) -> Int[np.ndarray, "t"]:
 
 
 def face_vertices(model: RenderModel, parameters: FaceParameters) -> Float[Array, "v 3"]:
-    """Camera-frame vertices, millimetres, float32. An empty identity means the mean one."""
-    rotation, translation, expression, identity = (jnp.asarray(part, jnp.float32) for part in parameters)
+    """x_R = R(θ)·x(w) + t in the camera frame, millimetres, float32 (Deep Energies Eq. 1).
+
+    x(w) is identity, then blendshapes, then the jaw joint. Empty parameters mean the mean identity, a resting joint
+    and scale 1.
+    """
+    parameters = FaceParameters(*(jnp.asarray(part, jnp.float32) for part in parameters))
+    rotation, translation, expression, identity, jaw, factor = parameters
     scale, vertices = model.expression_scale, model.neutral
     if len(identity):
         scale = jnp.clip(scale + identity @ model.expression_scale_identity, *BLINK_SCALE_RANGE)
         vertices = vertices + jnp.tensordot(identity, model.identity, axes=1)
     vertices = vertices + jnp.tensordot(expression * scale, model.expression, axes=1)
+    if len(jaw):
+        vertices = move_jaw(model.jaw, vertices, identity, jaw)
+    if len(factor):
+        vertices = vertices * factor
     return vertices @ rotation_matrix(rotation).T + translation
 
 

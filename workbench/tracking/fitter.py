@@ -305,6 +305,8 @@ class FrameFitter:
             translation=np.array([translation for _, translation in poses]),
             expression=np.zeros((count, len(self.model.expression_names))),
             identity=np.zeros((count, len(self.model.identity_deltas))),
+            jaw=np.zeros((count, 0)),
+            scale=np.zeros((count, 0)),
         )
         with COMPUTING:
             return calibrate_identity(

@@ -29,7 +29,7 @@ from workbench.energies import (
     unpack,
 )
 from workbench.face import FaceParameters, LandmarkModel, contour_blend, model_landmarks
-from workbench.geometry import Camera, rotation_matrix
+from workbench.geometry import Camera, head_yaw
 from workbench.solvers import Solution, minimise, minimise_with_optimistix
 
 OUTER_EYE_CORNERS = (36 - 17, 45 - 17)
@@ -68,9 +68,9 @@ class SolveSettings(NamedTuple):
 
     weights: EnergyWeights
     constants: EnergyConstants
-    lower: Float[AnyArray, ""]
-    """Lowest blendshape weight, −∞ for none."""
-    upper: Float[AnyArray, ""]
+    lower: Float[AnyArray, "*k"]
+    """Lowest blendshape weight, −∞ for none; finite bounds give way to the model's own of each weight."""
+    upper: Float[AnyArray, "*k"]
     tolerance: Float[AnyArray, ""]
     percent: Float[AnyArray, ""]
     """1: residuals count in percent of the outer-eye distance; 0: in pixels."""
@@ -107,11 +107,6 @@ class FrameSolution(NamedTuple):
     """None unless asked for: by stage, energies (s, steps, 7) and landmark residuals in pixels (s, steps, 68)."""
 
 
-def head_yaw(rotation: Float[AnyArray, "3"]) -> Float[AnyArray, ""]:
-    """Yaw in radians of an axis-angle rotation (`geometry.rotations` has the convention)."""
-    return jnp.arcsin(jnp.clip(rotation_matrix(rotation)[0, 2], -1.0, 1.0))
-
-
 @partial(jax.jit, static_argnames=("method", "trace_length"))
 def solve_frame(
     camera: Camera,
@@ -123,6 +118,7 @@ def solve_frame(
     trace_length: int = 0,
 ) -> FrameSolution:
     """Run the stages in order, each from where the one before ended."""
+    settings = _within_range(settings, model)
 
     def branch(free: tuple[str, ...]):
         def run(parameters: FaceParameters, limit, landmark_weights):
@@ -155,6 +151,14 @@ def solve_frame(
     parts = (parameters, pose, projected, *rows[:3])
     report = jnp.concatenate([jnp.ravel(leaf).astype(float) for leaf in jax.tree.leaves(parts)])
     return FrameSolution(*parts, report, rows[3])
+
+
+def _within_range(settings: SolveSettings, model: LandmarkModel) -> SolveSettings:
+    """The settings with the model's own bounds of each weight, where weights are bounded."""
+    lower = jnp.where(jnp.isfinite(settings.lower), model.expression_lower, settings.lower)
+    return settings._replace(
+        lower=lower, upper=jnp.where(jnp.isfinite(settings.upper), model.expression_upper, settings.upper)
+    )
 
 
 def read_report(solution: FrameSolution) -> FrameSolution:

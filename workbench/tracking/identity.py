@@ -59,7 +59,7 @@ def calibrate_identity(
 ) -> Calibration:
     """Solve for one identity and `f` poses and expressions; cameras and starts are stacked over the frames.
 
-    A frame with all weights zero takes no part. Weights are kept in [0, 1]. Each pass fixes contour and blink travel
+    A frame with all weights zero takes no part. Weights are kept in the model's range. Each pass fixes contour and blink travel
     from where the pass before ended.
     """
     frames, iterations = starts, []
@@ -103,7 +103,7 @@ def _solve_pass(cameras, model, settings, k, frames, points, weights):
             shared=systems.matrix[:, common, common].sum(0) + settings.identity * jnp.eye(len(identity)),
         )
 
-    lower, upper = _bounds(frames, PASSES[k])
+    lower, upper = _bounds(frames, PASSES[k], model)
     solution = minimise(
         evaluate, jnp.concatenate([packed.ravel(), frames.identity[0]]), lower, upper, settings.limits[k], 1e-6
     )
@@ -112,12 +112,12 @@ def _solve_pass(cameras, model, settings, k, frames, points, weights):
     return moved._replace(identity=jnp.broadcast_to(identity, frames.identity.shape)), solution
 
 
-def _bounds(frames: FaceParameters, free: tuple[str, ...]):
+def _bounds(frames: FaceParameters, free: tuple[str, ...], model: LandmarkModel):
     rigid = jnp.full(3 * (len(free) - 1), jnp.inf)
-    frame_count, expression_count = frames.expression.shape
+    frame_count = len(frames.expression)
     unbounded = jnp.full(frames.identity.shape[1], jnp.inf)
-    lower = jnp.concatenate([-rigid, jnp.zeros(expression_count)])
-    upper = jnp.concatenate([rigid, jnp.ones(expression_count)])
+    lower = jnp.concatenate([-rigid, model.expression_lower])
+    upper = jnp.concatenate([rigid, model.expression_upper])
     return (
         jnp.concatenate([jnp.tile(lower, frame_count), -unbounded]),
         jnp.concatenate([jnp.tile(upper, frame_count), unbounded]),

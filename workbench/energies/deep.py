@@ -1,0 +1,184 @@
+"""The energy of Deep Energies: landmarks that a network sees in the photo against those it sees in the render (Eq. 2).
+
+Beside it the preselected points of Appendix C.1: points on the mesh, projected, against the same detections. A share
+per landmark mixes the two. Both predictions enter the residuals linearly, so a solver may bring their derivative from
+anywhere: by forward mode through renderer and network, by differences, or from the other prediction.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from workbench.arrays import AnyArray, Scalar
+from workbench.energies.priors import identity_residual
+from workbench.face import FaceModel, FaceParameters, contour_blend
+from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
+from workbench.geometry import project, rotation_matrix, yaw_of
+from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
+from workbench.networks import CropBox, Fan, HeatMapNetwork, patch_mass, soft_argmax, to_picture
+from workbench.networks.crop import fan_box_of
+from workbench.rendering import CropCamera, RenderModel, face_vertices, render, render_model
+from workbench.rendering.camera import AnyCamera, OrthographicCamera
+
+DEEP_TERMS = ("landmarks", "edges", "lambda", "identity", "prior")
+"""The energy's terms: E_1 and E_2 of Sec. 8.1, λ‖w‖² of Sec. 8.2, the identity's, and the rigid prior of Sec. 5."""
+
+
+class DeepModel(NamedTuple):
+    """A face to be rendered, and where its 68 preselected points lie."""
+
+    render: RenderModel
+    landmarks: Int[AnyArray, "68 3"]
+    """Vertices around each point."""
+    barycentric: Float[AnyArray, "68 3"]
+    contour: Int[AnyArray, "b 17 3"]
+    """The jaw contour, frontal first and then for each tabulated yaw."""
+    contour_barycentric: Float[AnyArray, "b 17 3"]
+    contour_yaw: Float[AnyArray, "b"]
+    """Radians."""
+
+
+class DeepView(NamedTuple):
+    """What one camera brings: where it stands, what its photo shows, and how the render in it is lit."""
+
+    camera: AnyCamera
+    rotation: Float[AnyArray, "3"]
+    """Axis-angle from the reference camera's frame to this one's; zero for a single camera."""
+    translation: Float[AnyArray, "3"]
+    """Millimetres."""
+    target: Float[AnyArray, "68 2"]
+    """N(F*), pixels."""
+    weights: Float[AnyArray, "68"]
+    """W times the detection's confidence; all 0 where this view found no face."""
+    share: Float[AnyArray, "68"]
+    """1: the landmark is seen in the render by the network; 0: it is the preselected point."""
+    unit_px: Scalar
+    """What one unit of the landmark residuals is."""
+    light: Float[AnyArray, "9 3"]
+    background: Float[AnyArray, "3"]
+
+
+class DeepWeights(NamedTuple):
+    """Weights of the terms; all traced."""
+
+    landmarks: Scalar = 1.0
+    edges: Scalar = 0.0
+    regularisation: Scalar = 0.0
+    """λ of Sec. 8.2, for blendshapes and for the jaw counted in blendshapes."""
+    identity: Scalar = 0.0
+    prior: Scalar = 0.0
+    """Of the squared distance from the rigid pose that the stage starts from, one radian counted as 100 mm."""
+
+
+class NetworkView(NamedTuple):
+    """What the network sees in one render."""
+
+    points: Float[Array, "68 2"]
+    """N(F), pixels of the whole picture."""
+    mass: Float[Array, "68"]
+    """Share of each heat map's probability around its maximum."""
+    heat_maps: Float[Array, "68 m m"]
+    picture: Float[Array, "s s 3"]
+    """The render inside of the crop, RGB in 0..1."""
+    box: CropBox
+
+
+def deep_model(model: FaceModel) -> DeepModel:
+    """A face model with what this energy needs, on JAX's default device; made once."""
+    contour = np.concatenate([model.landmarks.vertices[None, :17], model.contour.vertices.reshape(-1, 17, 3)])
+    shares = np.concatenate([model.landmarks.barycentric[None, :17], model.contour.barycentric.reshape(-1, 17, 3)])
+    made = (
+        np.asarray(model.landmarks.vertices, np.int32),
+        np.asarray(model.landmarks.barycentric, np.float32),
+        np.asarray(contour, np.int32),
+        np.asarray(shares, np.float32),
+        np.radians(np.concatenate([[0.0], model.contour_yaw_deg])),
+    )
+    return DeepModel(render_model(model), *(jnp.asarray(part) for part in made))
+
+
+def view_vertices(model: DeepModel, view: DeepView, parameters: FaceParameters) -> Float[Array, "v 3"]:
+    """The face in the frame of a view's camera, millimetres."""
+    vertices = face_vertices(model.render, parameters)
+    rotation, translation = (jnp.asarray(part, jnp.float32) for part in (view.rotation, view.translation))
+    return vertices @ rotation_matrix(rotation).T + translation
+
+
+def preselected_points(
+    model: DeepModel, view: DeepView, parameters: FaceParameters, sliding: Scalar = 1.0
+) -> Float[Array, "68 2"]:
+    """The 68 points on the mesh, projected, pixels (Appendix C.1). `sliding` 1: the jaw contour follows the yaw."""
+    vertices = view_vertices(model, view, parameters)
+    turned = rotation_matrix(jnp.asarray(view.rotation)) @ rotation_matrix(jnp.asarray(parameters.rotation))
+    yaw = jax.lax.stop_gradient(yaw_of(turned))
+    blend = contour_blend(model.contour_yaw, yaw, sliding).astype(jnp.float32)
+    contour = jnp.einsum("b,bnjd,bnj->nd", blend, vertices[model.contour], model.contour_barycentric)
+    inner = jnp.einsum("njd,nj->nd", vertices[model.landmarks[17:]], model.barycentric[17:])
+    return _project(view.camera, jnp.concatenate([contour, inner]))
+
+
+def network_view(
+    network: HeatMapNetwork,
+    model: DeepModel,
+    albedo: Float[AnyArray, "v 3"],
+    view: DeepView,
+    parameters: FaceParameters,
+    side: int = CROP_SIDE,
+    samples: int = 1,
+) -> NetworkView:
+    """N(F(x_R)): the face rendered inside of its crop and seen by the network.
+
+    The crop D is where a detector that never fails would put it, from the projected points; constant in the
+    derivative, as in the paper (Sec. 4). Rendering the crop itself replaces cutting and resizing a render.
+    """
+    box = jax.lax.stop_gradient(crop_of(network, preselected_points(model, view, parameters, 0.0)))
+    vertices = view_vertices(model, view, parameters)
+    camera = CropCamera(view.camera, box, jnp.float32(side))
+    picture = render(
+        vertices, model.render.topology, camera, albedo, view.light, view.background, size=(side, side), samples=samples
+    ).color
+    heat_maps = network(jnp.moveaxis(picture, -1, 0))
+    points = to_picture(soft_argmax(heat_maps), box, heat_maps.shape[-1])
+    return NetworkView(points, patch_mass(heat_maps), heat_maps, picture, box)
+
+
+def crop_of(network: HeatMapNetwork, points: Float[AnyArray, "68 2"]) -> CropBox:
+    """The crop that a network wants of a face whose landmarks are known, pixels."""
+    return fan_box_of(points) if isinstance(network, Fan) else landmark_crop(points)
+
+
+def deep_residuals(
+    views: DeepView,
+    weights: DeepWeights,
+    predicted: Float[AnyArray, "views 68 2"],
+    parameters: FaceParameters,
+    start: FaceParameters,
+) -> dict[str, Float[Array, "_"]]:
+    """Residuals by term, weighted: the energy is the sum of their squares.
+
+    `views` is stacked. `predicted` are landmarks in each view, pixels; `start` holds the pose that the prior keeps to.
+    """
+    error = (predicted - views.target) / jnp.asarray(views.unit_px)[:, None, None]
+    root = jnp.sqrt(jnp.asarray(views.weights))[..., None]
+    # Consecutive landmarks, as in the paper; a difference counts as its less certain end.
+    ends = jnp.minimum(root[:, 1:], root[:, :-1])
+    shapes = [parameters.expression]
+    if len(parameters.jaw):
+        shapes += [parameters.jaw[:3] / np.radians(OPEN_DEG), parameters.jaw[3:] / TRAVEL_MM]
+    moved = [100.0 * (parameters.rotation - start.rotation), parameters.translation - start.translation]
+    return {
+        "landmarks": jnp.sqrt(weights.landmarks) * (root * error).ravel(),
+        "edges": jnp.sqrt(weights.edges) * (ends * (error[:, 1:] - error[:, :-1])).ravel(),
+        "lambda": jnp.sqrt(weights.regularisation) * jnp.concatenate(shapes),
+        "identity": jnp.sqrt(weights.identity) * identity_residual(parameters.identity),
+        "prior": jnp.sqrt(weights.prior) * jnp.concatenate(moved),
+    }
+
+
+def _project(camera: AnyCamera, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+    if isinstance(camera, OrthographicCamera):
+        return points[:, :2] * camera.scale_px_per_mm + camera.principal_point_px
+    return project(camera, points)

@@ -1,0 +1,99 @@
+"""The jaw joint: linear blend skinning with six degrees of freedom (Deep Energies Sec. 3), beside the blendshapes.
+
+A joint alone opens the mouth like a hinge; the blendshape `jawOpen` also shapes the lips. What the shape does beyond
+the hinge is kept as a corrective in proportion to the angle, so that the joint at `OPEN_DEG` is that shape at weight 1.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from workbench.arrays import AnyArray
+from workbench.face.model import FaceModel
+from workbench.geometry import rotation_matrix
+
+OPEN_DEG = 26.5
+"""Angle about +x (head frame) at which the joint is `jawOpen` at weight 1: the best hinge for that shape."""
+TRAVEL_MM = 8.0
+"""What `jawForward`, `jawLeft` and `jawRight` at weight 1 move the lower teeth by."""
+JAW_SHAPES = ("jawOpen", "jawForward", "jawLeft", "jawRight")
+"""Blendshapes that the joint replaces."""
+
+
+class JawJoint(NamedTuple):
+    """What skinning needs, for some points of a model."""
+
+    weights: Float[AnyArray, "v"]
+    joint: Float[AnyArray, "3"]
+    """Pivot of the mean identity, head frame, millimetres."""
+    joint_identity: Float[AnyArray, "i 3"]
+    corrective: Float[AnyArray, "v 3"]
+    """`jawOpen` minus the hinge at `OPEN_DEG`, millimetres."""
+
+
+def jaw_joint(model: FaceModel) -> JawJoint:
+    """The jaw joint of a face model; one that moves nothing where the model has none."""
+    count, identities = len(model.neutral), len(model.identity_deltas)
+    if "jaw" not in model.joints:
+        return JawJoint(np.zeros(count), np.zeros(3), np.zeros((identities, 3)), np.zeros((count, 3)))
+    joint = np.asarray(model.joints["jaw"], float)
+    made = JawJoint(
+        np.asarray(model.jaw_weights, float), joint, model.identity_joint_deltas["jaw"], np.zeros((count, 3))
+    )
+    if "jawOpen" not in model.expression_names:
+        return made
+    opened = np.zeros(6)
+    opened[0] = np.radians(OPEN_DEG)
+    hinge = np.asarray(move_jaw(made, model.neutral, np.zeros(identities), opened)) - model.neutral
+    return made._replace(corrective=model.expression_deltas[model.expression_names.index("jawOpen")] - hinge)
+
+
+def move_jaw(
+    joint: JawJoint,
+    vertices_head: Float[AnyArray, "v 3"],
+    identity: Float[AnyArray, "i"],
+    jaw: Float[AnyArray, "6"],
+) -> Float[AnyArray, "v 3"]:
+    """v + w·(R(v − J) + J + t − v), plus the corrective; head frame, millimetres. `jaw` is axis-angle, translation."""
+    pivot = joint.joint
+    if len(identity):
+        pivot = pivot + identity @ joint.joint_identity
+    turned = (vertices_head - pivot) @ rotation_matrix(jaw[:3]).T + pivot + jaw[3:]
+    moved = vertices_head + jnp.asarray(joint.weights)[:, None] * (turned - vertices_head)
+    return moved + jaw[0] / np.radians(OPEN_DEG) * joint.corrective
+
+
+def jaw_of_weights(model: FaceModel, expression: Float[np.ndarray, "k"]) -> Float[np.ndarray, "6"]:
+    """The joint motion nearest to the jaw blendshapes of an expression."""
+    weight = {
+        name: float(expression[model.expression_names.index(name)]) if name in model.expression_names else 0.0
+        for name in JAW_SHAPES
+    }
+    jaw = np.zeros(6)
+    jaw[0] = np.radians(OPEN_DEG) * weight["jawOpen"]
+    jaw[3] = TRAVEL_MM * (weight["jawLeft"] - weight["jawRight"])
+    jaw[5] = -TRAVEL_MM * weight["jawForward"]
+    return jaw
+
+
+def weights_with_jaw(
+    model: FaceModel, expression: Float[np.ndarray, "*n k"], jaw: Float[np.ndarray, "*n 6"]
+) -> Float[np.ndarray, "*n k"]:
+    """The expression with the joint's motion added as jaw blendshapes, for formats and characters without a joint.
+
+    Turns about other axes than x have no blendshape and are lost.
+    """
+    weights = np.array(expression, float)
+    sideways = jaw[..., 3] / TRAVEL_MM
+    parts = {
+        "jawOpen": jaw[..., 0] / np.radians(OPEN_DEG),
+        "jawForward": np.maximum(-jaw[..., 5] / TRAVEL_MM, 0.0),
+        "jawLeft": np.maximum(sideways, 0.0),
+        "jawRight": np.maximum(-sideways, 0.0),
+    }
+    for name, part in parts.items():
+        if name in model.expression_names:
+            weights[..., model.expression_names.index(name)] += part
+    return weights

@@ -1,0 +1,138 @@
+"""The compiled parts of a Deep Energies solve: what the network sees, how that changes, and the quadratic model of it.
+
+Few programs for everything: which parameters a stage frees, weights, camera, light and detections are data. A change
+of the network's architecture, of the model's size or of the number of views compiles anew.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+
+from workbench.arrays import AnyArray, Scalar
+from workbench.energies.deep import (
+    DeepModel,
+    DeepView,
+    DeepWeights,
+    NetworkView,
+    deep_residuals,
+    network_view,
+    preselected_points,
+)
+from workbench.face import FaceParameters
+from workbench.networks import HeatMapNetwork
+from workbench.solvers.dogleg import Quadratic
+
+CHUNK = 8
+"""Tangents pushed through renderer and network at a time: more fill the processor's cache, fewer waste forwards."""
+SCALES = FaceParameters(rotation=0.1, translation=10.0, expression=0.3, identity=1.0, jaw=0.1, scale=0.05)
+"""Typical size of an unknown: the dogleg's region is round in unknowns divided by these."""
+JAW_TRAVEL_SCALE_MM = 3.0
+
+
+class DeepScene(NamedTuple):
+    """What stays the same over the frames of a clip."""
+
+    network: HeatMapNetwork
+    model: DeepModel
+    albedo: Float[AnyArray, "v 3"]
+    sliding: Scalar
+
+
+def scales(like: FaceParameters) -> FaceParameters:
+    """The typical size of every unknown, shaped like the parameters."""
+    sizes = FaceParameters(*(np.full(np.shape(part), size) for part, size in zip(like, SCALES, strict=True)))
+    if len(like.jaw):
+        sizes.jaw[3:] = JAW_TRAVEL_SCALE_MM
+    return sizes
+
+
+@partial(jax.jit, static_argnames=("side", "samples"))
+def look(
+    scene: DeepScene, view: DeepView, parameters: FaceParameters, side: int = 256, samples: int = 1
+) -> NetworkView:
+    """What the network sees in the render of one view."""
+    return network_view(scene.network, scene.model, scene.albedo, view, parameters, side, samples)
+
+
+@partial(jax.jit, static_argnames=("side", "samples"))
+def look_derivative(
+    scene: DeepScene,
+    view: DeepView,
+    parameters: FaceParameters,
+    columns: Int[AnyArray, "c"],
+    side: int = 256,
+    samples: int = 1,
+) -> Float[Array, "c 68 2"]:
+    """Derivative of the seen landmarks by some of the scaled unknowns, forward mode; 0 for columns beyond them.
+
+    One chunk of `CHUNK` columns a call: a linearisation pushed through a loop takes ten times as long on a CPU.
+    """
+    vector, unravel = ravel_pytree(parameters)
+
+    def points(vector):
+        return network_view(scene.network, scene.model, scene.albedo, view, unravel(vector), side, samples).points
+
+    tangents = jax.nn.one_hot(columns, len(vector), dtype=vector.dtype) * ravel_pytree(scales(parameters))[0]
+    return jax.vmap(lambda tangent: jax.jvp(points, (vector,), (tangent,))[1])(tangents)
+
+
+@jax.jit
+def project_points(scene: DeepScene, view: DeepView, parameters: FaceParameters) -> Float[Array, "68 2"]:
+    """The preselected points in one view."""
+    return preselected_points(scene.model, view, parameters, scene.sliding)
+
+
+@jax.jit
+def points_derivative(scene: DeepScene, view: DeepView, parameters: FaceParameters) -> Float[Array, "n 68 2"]:
+    """Their derivative by all scaled unknowns."""
+    vector, unravel = ravel_pytree(parameters)
+    sizes = ravel_pytree(scales(parameters))[0]
+    derivative = jax.jacfwd(
+        lambda scaled: preselected_points(scene.model, view, unravel(vector + scaled * sizes), scene.sliding)
+    )(jnp.zeros_like(vector))
+    return jnp.moveaxis(derivative, -1, 0)
+
+
+@jax.jit
+def quadratic(
+    views: DeepView,
+    weights: DeepWeights,
+    predicted: Float[AnyArray, "views 68 2"],
+    derivative: Float[AnyArray, "views n 68 2"],
+    parameters: FaceParameters,
+    start: FaceParameters,
+) -> Quadratic:
+    """½Σr² with gradient and Gauss–Newton curvature in scaled unknowns, from predictions and their derivative."""
+    vector, unravel = ravel_pytree(parameters)
+    sizes = ravel_pytree(scales(parameters))[0]
+
+    def residual(predicted, vector):
+        return jnp.concatenate(list(deep_residuals(views, weights, predicted, unravel(vector), start).values()))
+
+    by_column = jnp.moveaxis(derivative, 1, 0).astype(vector.dtype)
+    predicted = predicted.astype(vector.dtype)
+
+    def push(tangent, column):
+        return jax.jvp(residual, (predicted, vector), (tangent, column))
+
+    values, jacobian = jax.vmap(push)(by_column, jnp.diag(sizes))
+    value = values[0]
+    return Quadratic(0.5 * value @ value, jacobian @ value, jacobian @ jacobian.T)
+
+
+@jax.jit
+def term_energies(
+    views: DeepView,
+    weights: DeepWeights,
+    predicted: Float[AnyArray, "views 68 2"],
+    parameters: FaceParameters,
+    start: FaceParameters,
+) -> Float[Array, "5"]:
+    """Σr² of each of `DEEP_TERMS`."""
+    terms = deep_residuals(views, weights, predicted, parameters, start)
+    return jnp.stack([residual @ residual for residual in terms.values()])

@@ -1,0 +1,231 @@
+"""One stage of Deep Energies: dogleg on the difference between what the network sees in photo and render.
+
+Three ways to the derivative of what the network sees in the render:
+
+* `network`: the exact one, forward mode through renderer, crop, network and soft-argmax, as in the paper. The network
+  answers in small jumps as edges pass over pixels, so the slope at one place says little about a step of millimetres.
+* `secant`: central differences over steps of half the unknowns' typical sizes: the slope that a step will meet.
+* `points`: that of the preselected points, corrected by what each step really did (Broyden). No extra render at all.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Bool, Float
+
+from workbench.energies.deep import DeepView, DeepWeights, NetworkView
+from workbench.face import FaceParameters
+from workbench.runtime import COMPUTING
+from workbench.solvers import Status
+from workbench.solvers.dogleg import Quadratic, dogleg_step, judge_step
+from workbench.tracking.deep_programs import (
+    CHUNK,
+    DeepScene,
+    look,
+    look_derivative,
+    points_derivative,
+    project_points,
+    quadratic,
+    scales,
+    term_energies,
+)
+
+Derivative = Literal["network", "secant", "points"]
+SECANT_STEP = 0.5
+"""Half the width of a central difference, in typical sizes of the unknown."""
+SMALLEST_RADIUS = 1e-2
+"""Share of a Gauss–Newton step below which a stage gives up: the network's answer is not smooth below it."""
+
+
+class Prediction(NamedTuple):
+    """The model's landmarks in every view, and what they come from."""
+
+    points: Float[np.ndarray, "views 68 2"]
+    """Mixed by each view's share."""
+    preselected: Float[np.ndarray, "views 68 2"]
+    looks: tuple[NetworkView | None, ...]
+    """None for views without the network."""
+
+
+class Iteration(NamedTuple):
+    """One accepted place of a stage."""
+
+    parameters: FaceParameters
+    energies: Float[np.ndarray, "5"]
+    """Of each of `energies.deep.DEEP_TERMS`."""
+    points: Float[np.ndarray, "views 68 2"]
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """How a stage ended."""
+
+    parameters: FaceParameters
+    prediction: Prediction
+    energies: Float[np.ndarray, "5"]
+    status: Status
+    iterations: int
+    evaluations: int
+    """Looks of the network at renders, those for differences included."""
+    path: tuple[Iteration, ...]
+    """The start and every accepted step."""
+
+
+@dataclass(frozen=True)
+class StageProblem:
+    """What one stage minimises."""
+
+    scene: DeepScene
+    views: tuple[DeepView, ...]
+    weights: DeepWeights
+    free: Bool[np.ndarray, "n"]
+    """Over the flattened `FaceParameters`."""
+    lower: Float[np.ndarray, "n"]
+    upper: Float[np.ndarray, "n"]
+    limit: int
+    tolerance: float
+    derivative: Derivative
+
+    @property
+    def stacked(self) -> DeepView:
+        """The views as one record with a leading axis."""
+        return jax.tree.map(lambda *parts: jnp.stack([jnp.asarray(part) for part in parts]), *self.views)
+
+
+def predict(scene: DeepScene, views: tuple[DeepView, ...], parameters: FaceParameters) -> Prediction:
+    """Landmarks of the model in every view; the network runs where a view gives it a share."""
+    points, preselected, looks = [], [], []
+    for view in views:
+        with COMPUTING:
+            projected = np.asarray(project_points(scene, view, parameters), float)
+            seen = look(scene, view, parameters) if np.any(np.asarray(view.share) > 0.0) else None
+        share = np.asarray(view.share, float)[:, None]
+        mixed = projected if seen is None else share * np.asarray(seen.points, float) + (1.0 - share) * projected
+        points.append(mixed)
+        preselected.append(projected)
+        looks.append(seen)
+    return Prediction(np.stack(points), np.stack(preselected), tuple(looks))
+
+
+def solve_stage(
+    problem: StageProblem, start: FaceParameters, cancelled: Callable[[], bool] = lambda: False
+) -> StageResult:
+    """Up to `limit` dogleg steps from `start`; each evaluates the network once in every view, plus its derivative."""
+    vector, unravel = ravel_pytree(start)
+    vector, sizes = np.asarray(vector), np.asarray(ravel_pytree(scales(start))[0])
+    views, state = problem.stacked, _State(problem, start)
+    parameters, prediction, radius = start, predict(problem.scene, problem.views, start), 1.0
+    energies = state.energies(views, prediction, parameters)
+    path = [Iteration(parameters, energies, prediction.points)]
+    derivative, status, count = None, Status.ITERATION_LIMIT, 0
+    while count < problem.limit and not cancelled():
+        if derivative is None:
+            derivative = state.derivative(parameters, prediction)
+        model = quadratic(views, problem.weights, prediction.points, derivative, parameters, start)
+        movable = _movable(problem, vector, model)
+        step = np.asarray(dogleg_step(model, movable, radius))
+        candidate = np.clip(vector + step * sizes, problem.lower, problem.upper)
+        step = (candidate - vector) / sizes
+        tried_parameters = unravel(jnp.asarray(candidate))
+        tried = predict(problem.scene, problem.views, tried_parameters)
+        tried_energies = state.energies(views, tried, tried_parameters)
+        accepted, radius = judge_step(model, movable, step, 0.5 * tried_energies.sum(), radius)
+        count += 1
+        if not np.isfinite(tried_energies).all():
+            status = Status.NOT_FINITE
+            break
+        if problem.derivative == "points":
+            derivative = broyden(derivative, step, tried.points - prediction.points)
+        if accepted:
+            small = energies.sum() - tried_energies.sum() <= problem.tolerance * energies.sum()
+            vector, parameters, prediction, energies = candidate, tried_parameters, tried, tried_energies
+            path.append(Iteration(parameters, energies, prediction.points))
+            if problem.derivative != "points":
+                derivative = None
+            if small:
+                status = Status.CONVERGED
+                break
+        elif float(radius) < SMALLEST_RADIUS or not np.any(step):
+            status = Status.CONVERGED
+            break
+        radius = float(min(radius, 1.0)) if accepted else float(radius)
+    return StageResult(parameters, prediction, energies, status, count, state.evaluations + count + 1, tuple(path))
+
+
+def broyden(
+    derivative: Float[np.ndarray, "views n 68 2"], step: Float[np.ndarray, "n"], change: Float[np.ndarray, "views 68 2"]
+) -> Float[np.ndarray, "views n 68 2"]:
+    """The derivative nearest to the present one that explains what a step did (Broyden's rank-one update)."""
+    length = step @ step
+    if length == 0.0:
+        return derivative
+    missing = change - np.einsum("n,vnij->vij", step, derivative)
+    return derivative + step[None, :, None, None] * missing[:, None] / length
+
+
+class _State:
+    """Counts evaluations and makes derivatives for one stage."""
+
+    def __init__(self, problem: StageProblem, start: FaceParameters):
+        self._problem, self._start = problem, start
+        self.evaluations = 0
+
+    def energies(self, views: DeepView, prediction: Prediction, parameters: FaceParameters) -> np.ndarray:
+        with COMPUTING:
+            return np.asarray(
+                term_energies(views, self._problem.weights, prediction.points, parameters, self._start), float
+            )
+
+    def derivative(self, parameters: FaceParameters, prediction: Prediction) -> Float[np.ndarray, "views n 68 2"]:
+        """Of the mixed landmarks, by the scaled unknowns; 0 where not free."""
+        return np.stack([self._of_view(view, parameters) for view in self._problem.views])
+
+    def _of_view(self, view: DeepView, parameters: FaceParameters) -> Float[np.ndarray, "n 68 2"]:
+        problem = self._problem
+        with COMPUTING:
+            of_points = np.array(points_derivative(problem.scene, view, parameters), float)
+        of_points[~problem.free] = 0.0
+        share = np.asarray(view.share, float)[:, None]
+        if problem.derivative == "points" or not np.any(share > 0.0):
+            return of_points
+        columns = np.flatnonzero(problem.free)
+        seen = np.zeros_like(of_points)
+        make = self._forward if problem.derivative == "network" else self._differences
+        seen[columns] = make(view, parameters, columns)
+        return share * seen + (1.0 - share) * of_points
+
+    def _forward(self, view, parameters, columns):
+        padded = np.full(-(-len(columns) // CHUNK) * CHUNK, len(self._problem.free))
+        padded[: len(columns)] = columns
+        with COMPUTING:
+            parts = [
+                np.asarray(look_derivative(self._problem.scene, view, parameters, chunk), float)
+                for chunk in padded.reshape(-1, CHUNK)
+            ]
+        return np.concatenate(parts)[: len(columns)]
+
+    def _differences(self, view, parameters, columns):
+        vector, unravel = ravel_pytree(parameters)
+        steps = SECANT_STEP * np.asarray(ravel_pytree(scales(parameters))[0])
+        rows = []
+        for column in columns:
+            ends = []
+            for sign in (1.0, -1.0):
+                with COMPUTING:
+                    moved = unravel(vector.at[column].add(sign * steps[column]))
+                    ends.append(np.asarray(look(self._problem.scene, view, moved).points, float))
+            rows.append((ends[0] - ends[1]) / (2.0 * SECANT_STEP))
+        self.evaluations += 2 * len(columns)
+        return np.stack(rows)
+
+
+def _movable(problem: StageProblem, vector, model: Quadratic) -> Bool[np.ndarray, "n"]:
+    """Free unknowns but those on a bound that the energy pushes against."""
+    slope = np.asarray(model.gradient)
+    pushed = ((vector <= problem.lower) & (slope > 0.0)) | ((vector >= problem.upper) & (slope < 0.0))
+    return problem.free & ~pushed
