@@ -30,6 +30,7 @@ from workbench.landmarks.scheme import MIRROR, outer_eye_distance
 from workbench.networks import to_picture
 from workbench.networks.face_finder import FaceFinder
 from workbench.networks.landmark_network import empty_landmark_network
+from workbench.pictures.heat import heat_layer
 from workbench.runtime import COMPUTING
 from workbench.samples import sample
 
@@ -345,6 +346,37 @@ def test_refining_follows_a_face_that_moved_a_little(network, astronaut, aligned
     moved = cv2.warpAffine(astronaut, move, (512, 512), borderMode=cv2.BORDER_REPLICATE)
     refined = network.refine(moved, aligned.points)
     assert distance(refined.points, aligned.points + move[:, 2]) < REFINE_TOLERANCE
+
+
+def test_a_look_shows_where_the_network_takes_landmarks_to_be(network, astronaut, aligned):
+    look = network.look(astronaut, aligned.points)
+    assert np.array_equal(look.landmarks.points, network.refine(astronaut, aligned.points).points)
+    assert look.probability.sum(axis=(1, 2)) == pytest.approx(np.ones(68), abs=1e-4)
+    side = look.probability.shape[-1]
+    row, column = np.divmod(look.probability.reshape(68, -1).argmax(axis=1), side)
+    places = look.to_image.to_image((np.stack([column, row], axis=1) + 0.5) * CROP_SIDE / side - 0.5)
+    cell = CROP_SIDE / side * look.to_image.side
+    assert np.abs(places - look.landmarks.points).max() < 1.5 * cell
+
+
+@pytest.mark.parametrize("enlarged", [1, 5])
+def test_the_heat_layer_glows_at_the_landmarks_and_outlines_the_crop(network, astronaut, aligned, enlarged):
+    picture = cv2.resize(astronaut, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_NEAREST)
+    look = network.look(picture, (aligned.points + 0.5) * enlarged - 0.5)
+    layer = heat_layer(look, (36, 45))
+    scale = len(layer) / len(picture)
+    assert layer.shape[:2] == ((512, 512) if enlarged == 1 else (1280, 1280))
+    for point in (30, 36, 45):
+        x, y = np.rint((look.landmarks.points[point] + 0.5) * scale - 0.5).astype(int)
+        assert (layer[y, x, 3] > 180) == (point != 30)
+    outline = (layer[..., 0] > 200) & (layer[..., 3] > 100)
+    ends = CROP_SIDE * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) - 0.5
+    corners = (look.to_image.to_image(ends) + 0.5) * scale - 0.5
+    rows, columns = np.nonzero(outline)
+    least, most = corners.min(axis=0).clip(0), corners.max(axis=0).clip(max=len(layer) - 1)
+    assert [columns.min(), rows.min()] == pytest.approx(least, abs=3)
+    assert [columns.max(), rows.max()] == pytest.approx(most, abs=3)
+    assert heat_layer(look)[..., 3].sum() > 3 * layer[..., 3].sum()
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -3,6 +3,7 @@
 import threading
 import time
 
+import cv2
 import numpy as np
 import pytest
 
@@ -276,6 +277,30 @@ def test_layers_colours_and_points_are_drawn(panel):
     assert panel.wait_idle()
     assert not np.array_equal(panel.head.view.mesh.colors, colors)
     assert "color:var(--jp-error" not in panel.status.value
+
+
+def test_the_heat_layer_shows_what_the_landmark_network_sees_of_the_selection(panel):
+    panel.overlay.layers["heat"].value = True
+    assert panel.wait_idle()
+    all_of_them = panel.overlay.view._heat
+    panel.overlay.view._handle_custom_msg({"kind": "select", "points": [30]}, [])
+    assert panel.wait_idle()
+    one = cv2.imdecode(np.frombuffer(panel.overlay.view._heat, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert one.shape == (512, 512, 4)
+    assert panel.overlay.view._heat != all_of_them
+    rows, columns = np.nonzero((one[..., 3] > 180) & (one[..., 2] < 50))  # red is low in the heat, not in the outline
+    assert np.hypot(columns.mean() - panel.fit.observed[30, 0], rows.mean() - panel.fit.observed[30, 1]) < 8
+    panel.overlay.layers["heat"].value = False
+
+
+def test_without_a_picture_there_is_no_heat(clip_panel):
+    clip_panel.overlay.layers["heat"].value = True
+    assert clip_panel.wait_idle()
+    assert clip_panel.overlay.view._heat == b""
+    assert clip_panel.overlay.view.message == "no picture, no heat map"
+    clip_panel.overlay.layers["heat"].value = False
+    assert clip_panel.wait_idle()
+    assert clip_panel.overlay.view.message == ""
 
 
 def test_a_clip_is_run_again_after_a_change_and_the_frame_follows_the_timeline(clip_panel):

@@ -183,6 +183,16 @@ class TestOverlay:
         overlay.set_layer(None)
         assert overlay._layer == b""
 
+    def test_heat_is_a_layer_of_its_own(self, overlay):
+        rgba = np.dstack([PICTURE, np.full((60, 80), 90, np.uint8)])
+        overlay.set_layer(rgba)
+        overlay.set_heat(rgba[::2, ::2].copy())
+        decoded = cv2.imdecode(np.frombuffer(overlay._heat, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert decoded.shape == (30, 40, 4)
+        overlay.set_heat(None)
+        assert overlay._heat == b""
+        assert overlay._layer
+
     def test_wire_segments_that_are_not_finite_are_left_out(self, overlay):
         segments = np.arange(12.0).reshape(3, 2, 2)
         segments[1, 0, 0] = np.nan
@@ -211,6 +221,8 @@ class TestOverlay:
                 overlay.set_picture(picture)
         with pytest.raises(InputError, match=r"h, w, 4"):
             overlay.set_layer(PICTURE)
+        with pytest.raises(InputError, match=r"h, w, 4"):
+            overlay.set_heat(PICTURE)
         with pytest.raises(InputError, match=r"n, 2, 2"):
             overlay.set_wire(np.zeros((4, 2)))
 

@@ -87,6 +87,11 @@ def eval_name(name):
         overlay.set_fit(landmarks.points, model, percent, landmarks.confidence, weights)
         overlay.selection = []
         return True
+    if word == "heat":
+        layer = np.zeros((64, 64, 4), np.uint8)
+        layer[48:, 48:] = (30, 120, 255, 255)  # the lower right corner
+        overlay.set_heat(layer if name.split()[1] == "on" else None)
+        return True
     if word == "part":
         threading.Thread(target=timeline.update_frames, args=(1500, np.full((300, 68), 0.0))).start()
         return True
@@ -214,6 +219,22 @@ def test_everything_is_drawn(views, screenshots):
     assert 0.005 < (views.canvas("overlay", "marks")[..., 3] > 0).mean() < 0.2
     assert views.canvas("timeline", "strip")[..., :3].std() > 20
     assert 0.01 < (views.canvas("chart", "lines")[..., 3] > 0).mean() < 0.5
+
+
+def test_heat_is_laid_over_the_picture_and_can_be_hidden(fresh):
+    def corner():
+        pixels = fresh.canvas("overlay", "picture")
+        state, ratio = fresh.state("overlay"), len(pixels) / 420
+        x, y = (int(ratio * (state["scale"] * 500 + state[axis])) for axis in "xy")
+        return pixels[y, x, 2::-1].tolist()
+
+    def settled(heat: bool) -> bool:
+        return any(corner() == [30, 120, 255] if heat else corner() != [30, 120, 255] for _ in range(20))
+
+    fresh.ask("heat on")
+    assert settled(heat=True)
+    fresh.ask("heat off")
+    assert settled(heat=False)
 
 
 def test_the_browser_says_whether_it_has_webgl(views):

@@ -6,8 +6,10 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.errors import WorkbenchError
+from workbench.landmarks.network_detector import NetworkDetector, NetworkLook
 from workbench.landmarks.scheme import GROUPS, outer_eye_distance
 from workbench.pictures import HeadRenderer, gl_available
+from workbench.pictures.heat import heat_layer
 from workbench.session import FittedHead, TuningSession
 from workbench.tracking import FrameFit
 from workbench.tracking.fitter import running_stages
@@ -27,6 +29,8 @@ class LandmarkTools:
     ) -> None:  # fmt: skip
         self._session, self._head, self._said, self._redraw = session, head, said, redraw
         self._renderer: HeadRenderer | None = None
+        self._network: NetworkDetector | None = None
+        self._seen: tuple[bytes, NetworkLook] | None = None
         self.frame = 0
         self.view = OverlayView(height_px=height_px, unit=UNITS["%"], at_face=True)
         self.view.on_event(self._on_event)
@@ -59,6 +63,13 @@ class LandmarkTools:
                 ("labels", False, "123", "landmark numbers"),
                 ("wire", False, "mesh", "wireframe of the fitted head"),
                 ("layer", False, "face", "the fitted head over the photo"),
+                (
+                    "heat",
+                    False,
+                    "heat",
+                    "what our landmark network sees: its crop, and where it takes the selected "
+                    "landmarks to be (all, if none is selected)",
+                ),
             )
         }
         for toggle in self.layers.values():
@@ -93,6 +104,7 @@ class LandmarkTools:
         if not fit.found:
             self.view.message = f"frame {self.frame}: no face"
             self.view.set_fit(None)
+            self.view.set_heat(None)
             return
         self.view.message = ""
         values = self.residuals(fit)
@@ -101,6 +113,8 @@ class LandmarkTools:
             self.view.set_wire(self._head.wire(fit))
         if self.layers["layer"].value:
             self.view.set_layer(self._face(fit))
+        if self.layers["heat"].value:
+            self.view.set_heat(self._heat(fit))
 
     def residuals(self, fit: FrameFit) -> np.ndarray:
         """Residuals in the chosen unit."""
@@ -136,6 +150,16 @@ class LandmarkTools:
         )
         return np.dstack([picture, mask])
 
+    def _heat(self, fit: FrameFit) -> np.ndarray | None:
+        picture, key = self._session.picture(self.frame), fit.observed.tobytes()
+        if not np.ptp(picture):
+            self.view.message = "no picture, no heat map"
+            return None
+        if self._seen is None or self._seen[0] != key:
+            self._network = self._network or NetworkDetector()
+            self._seen = key, self._network.look(picture, fit.observed)
+        return heat_layer(self._seen[1], tuple(self.view.selection))
+
     def _of_selection(self, kind: str) -> OverlayEvent:
         return OverlayEvent(kind, tuple(self.view.selection), None, None)
 
@@ -150,6 +174,8 @@ class LandmarkTools:
         if event.kind in ("mute", "weight_up", "weight_down", "reset") and not points:
             self._said("Select landmarks first: click them, or draw around them with the lasso.")
             return
+        if event.kind in ("select", "lasso") and self.layers["heat"].value:
+            self._redraw()
         factors = session.config.point_weights()
         if event.kind == "mute":
             muted = all(factors[point] == 0.0 for point in points)

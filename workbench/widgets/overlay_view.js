@@ -103,7 +103,7 @@ function render({ model, el }) {
 
   const view = { scale: 1, x: 0, y: 0, mode: model.get("at_face") ? "face" : "whole" };
   const moved = new Map(); // landmark -> {x, y, until}: where the user put it, until the kernel sends it back
-  let fit = null, wire = null, bitmap = null, layerBitmap = null, size = [0, 0];
+  let fit = null, wire = null, bitmap = null, layerBitmap = null, heatBitmap = null, size = [0, 0];
   let hovered = -1, pointer = null, gesture = null, draws = 0, asked = 0, stalePicture = true, placedFor = "";
   let dropped = { points: [], at: -Infinity };
 
@@ -180,7 +180,8 @@ function render({ model, el }) {
     if (!size[0]) return;
     const box = [...toScreen(-0.5, -0.5), view.scale * size[0], view.scale * size[1]];
     context.imageSmoothingQuality = "medium";
-    for (const [image, opacity] of [[bitmap, 1], [layer("layer") ? layerBitmap : null, model.get("layer_opacity")]]) {
+    const overlaid = [layer("layer") ? layerBitmap : null, model.get("layer_opacity")];
+    for (const [image, opacity] of [[bitmap, 1], overlaid, [layer("heat") ? heatBitmap : null, 1]]) {
       if (!image) continue;
       // From six screen pixels a picture pixel on, the pixels themselves are what one wants to see.
       context.imageSmoothingEnabled = (view.scale * size[0]) / image.width < 6;
@@ -510,6 +511,12 @@ function render({ model, el }) {
     draw(true);
   });
 
+  const heats = decoder((image) => {
+    heatBitmap?.close();
+    heatBitmap = image;
+    draw(true);
+  });
+
   function onFit() {
     const bytes = bytesOf(model.get("_fit"));
     fit = bytes.byteLength ? new Float32Array(bytes) : null;
@@ -545,10 +552,11 @@ function render({ model, el }) {
   }
 
   const onLayer = () => layers.push(bytesOf(model.get("_layer")));
+  const onHeat = () => heats.push(bytesOf(model.get("_heat")));
   const redraw = () => draw(true);
   const watched = [
     ["change:_picture", onPicture], ["change:_fits", onFit], ["change:_wire", onWire],
-    ["change:_layer", onLayer], ["change:height_px", onSize],
+    ["change:_layer", onLayer], ["change:_heat", onHeat], ["change:height_px", onSize],
     ...["layers", "layer_opacity", "unit", "selection", "subset", "tool", "message", "_scale"].map(
       (name) => ["change:" + name, redraw],
     ),
@@ -572,6 +580,7 @@ function render({ model, el }) {
   onSize();
   onPicture();
   onLayer();
+  onHeat();
   onWire();
   onFit();
 
@@ -581,6 +590,7 @@ function render({ model, el }) {
     cancelAnimationFrame(frame);
     bitmap?.close();
     layerBitmap?.close();
+    heatBitmap?.close();
     root.remove();
   };
 }

@@ -34,8 +34,9 @@ LAYERS: Mapping[str, bool] = {
     "labels": False,
     "wire": True,
     "layer": True,
+    "heat": True,
 }
-"""What is drawn at first; the wireframe and the picture layer appear when they are set."""
+"""What is drawn at first; the wireframe and the picture layers appear when they are set."""
 FINE_GROUPS = (
     *("jaw", "right_brow", "left_brow", "nose_bridge", "nose_base"),
     *("right_eye", "left_eye", "outer_lips", "inner_lips"),
@@ -131,6 +132,16 @@ def picture_bytes(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
     return cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
+def layer_bytes(rgba: Shaped[np.ndarray, "..."] | None) -> bytes:
+    """PNG of a picture with transparency, uint8 (h, w, 4); empty for None. Raises `InputError` for another array."""
+    if rgba is None:
+        return b""
+    if rgba.ndim != 3 or rgba.shape[2] != 4 or rgba.dtype != np.uint8:
+        raise InputError(f"a layer is uint8 of shape (h, w, 4); got {rgba.dtype} of shape {rgba.shape}")
+    pixels = cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA)
+    return cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+
+
 class OverlayView(anywidget.AnyWidget):
     """A picture with landmarks over it, to look at and to edit.
 
@@ -178,6 +189,7 @@ class OverlayView(anywidget.AnyWidget):
     _picture = traitlets.Bytes(b"").tag(sync=True)
     _size = traitlets.List(traitlets.Int(), [0, 0]).tag(sync=True)
     _layer = traitlets.Bytes(b"").tag(sync=True)
+    _heat = traitlets.Bytes(b"").tag(sync=True)
     _wire = traitlets.Bytes(b"").tag(sync=True)
     _fit = traitlets.Bytes(b"").tag(sync=True)
     _no_face = traitlets.Bool(False).tag(sync=True)
@@ -250,14 +262,15 @@ class OverlayView(anywidget.AnyWidget):
 
     def set_layer(self, rgba: Shaped[np.ndarray, "..."] | None) -> None:
         """Lay a picture with transparency, uint8 (h, w, 4), over the whole photo, or take it away; any resolution."""
-        encoded = b""
-        if rgba is not None:
-            if rgba.ndim != 3 or rgba.shape[2] != 4 or rgba.dtype != np.uint8:
-                raise InputError(f"a layer is uint8 of shape (h, w, 4); got {rgba.dtype} of shape {rgba.shape}")
-            pixels = cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA)
-            encoded = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+        encoded = layer_bytes(rgba)
         with self._lock:
             self._layer = encoded
+
+    def set_heat(self, rgba: Shaped[np.ndarray, "..."] | None) -> None:
+        """As `set_layer`, for a second layer above the first, as `pictures.heat_layer` makes it; always opaque."""
+        encoded = layer_bytes(rgba)
+        with self._lock:
+            self._heat = encoded
 
     def set_wire(self, segments: Num[np.ndarray, "..."] | None) -> None:
         """Draw line segments, (n, 2, 2): start and end, px; or none; segments that are not finite are left out."""
