@@ -25,6 +25,9 @@ class LandmarkModel(NamedTuple):
     """Travel of each blendshape for the mean identity (1 but for blinks)."""
     expression_scale_identity: Float[AnyArray, "i k"]
     """How the travel changes with each identity coefficient."""
+    expression_lower: Float[AnyArray, "k"]
+    """Least weight of each blendshape where weights are bounded."""
+    expression_upper: Float[AnyArray, "k"]
 
     def personal(self, identity: Float[np.ndarray, "i"]) -> "LandmarkModel":
         """The landmarks of one person: identity and blink travel baked in, no identity basis left."""
@@ -39,6 +42,8 @@ class LandmarkModel(NamedTuple):
             contour_yaw=self.contour_yaw,
             expression_scale=np.ones(len(scale)),
             expression_scale_identity=np.zeros((0, len(scale))),
+            expression_lower=self.expression_lower,
+            expression_upper=self.expression_upper,
         )
 
     def frontal_neutral(self) -> Float[np.ndarray, "68 3"]:
@@ -79,6 +84,8 @@ def landmark_model(model: FaceModel) -> LandmarkModel:
         contour_yaw=np.radians(np.concatenate([[0.0], model.contour_yaw_deg])),
         expression_scale=scale,
         expression_scale_identity=scale_identity,
+        expression_lower=model.weight_range()[:, 0],
+        expression_upper=model.weight_range()[:, 1],
     )
 
 

@@ -26,7 +26,10 @@ class Embedding:
 
 @dataclass(frozen=True)
 class FaceModel:
-    """A linear face model with ARKit-named blendshapes. Head frame, millimetres; sides are the subject's."""
+    """A linear face model. Head frame, millimetres; sides are the subject's.
+
+    Blendshapes that mean what ARKit's do have ARKit's names; components of a statistical basis have others.
+    """
 
     name: str
     neutral: Float[np.ndarray, "v 3"]
@@ -59,6 +62,10 @@ class FaceModel:
     """Scale of (eyeBlinkLeft, eyeBlinkRight) that just closes the lids of the mean identity."""
     blink_scale_identity: Float[np.ndarray, "i 2"]
     """How that scale changes with each identity coefficient."""
+    expression_range: Float[np.ndarray, "k 2"] | None = None
+    """Least and largest weight of each blendshape; None: [0, 1] for all. Statistical components have −3 to 3."""
+    notes: tuple[str, ...] = ()
+    """What a user should know about how the model was read."""
 
     def __post_init__(self):
         vertex_count = len(self.neutral)
@@ -68,6 +75,10 @@ class FaceModel:
         if len(self.expression_names) != len(self.expression_deltas):
             raise ModelError(
                 f"{len(self.expression_deltas)} blendshapes need as many names, got {len(self.expression_names)}."
+            )
+        if self.expression_range is not None and len(self.expression_range) != len(self.expression_names):
+            raise ModelError(
+                f"{len(self.expression_names)} blendshapes need as many ranges, got {len(self.expression_range)}."
             )
         if self.landmarks.vertices.shape != (68, 3):
             raise ModelError(f"The landmark embedding has 68 points, got {len(self.landmarks.vertices)}.")
@@ -93,7 +104,16 @@ class FaceModel:
         if missing:
             raise ModelError(f"The model has no blendshape {missing[0]!r}; it has {', '.join(self.expression_names)}.")
         index = [self.expression_names.index(name) for name in names]
-        return replace(self, expression_names=tuple(names), expression_deltas=self.expression_deltas[index])
+        kept = None if self.expression_range is None else self.expression_range[index]
+        return replace(
+            self, expression_names=tuple(names), expression_deltas=self.expression_deltas[index], expression_range=kept
+        )
+
+    def weight_range(self) -> Float[np.ndarray, "k 2"]:
+        """Least and largest weight of each blendshape."""
+        if self.expression_range is not None:
+            return self.expression_range
+        return np.tile([0.0, 1.0], (len(self.expression_names), 1))
 
     def personal(self, identity: Float[np.ndarray, "i"]) -> "FaceModel":
         """The model of one person: identity baked into neutral, joints and blink travel; no identity basis left.

@@ -59,8 +59,8 @@ def calibrate_identity(
 ) -> Calibration:
     """Solve for one identity and `f` poses and expressions; cameras and starts are stacked over the frames.
 
-    A frame with all weights zero takes no part. Weights are kept in the model's range. Each pass fixes contour and blink travel
-    from where the pass before ended.
+    A frame with all weights zero takes no part. Weights are kept in the model's range. Each pass fixes contour and
+    blink travel from where the pass before ended.
     """
     frames, iterations = starts, []
     for k in range(len(PASSES)):
