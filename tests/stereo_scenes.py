@@ -16,13 +16,13 @@ from workbench.geometry import (
     View,
     axis_angle_from_yaw_pitch_roll,
     camera_from_fov,
+    head_yaw,
     pose_in_view,
     project_to_view,
     rotation_matrix,
 )
 from workbench.landmarks.files import LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
-from workbench.tracking.frame_solver import head_yaw
 
 DISTANCE_MM = 600.0
 NAMES = ("middle", "side", "third", "fourth")

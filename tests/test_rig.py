@@ -1,5 +1,7 @@
 """Calibrated rigs: laws of their poses, their files, and what is refused."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,16 +21,23 @@ from workbench.geometry import (
     Rig,
     View,
     camera_from_fov,
+    epipolar_distance,
+    fundamental_matrix,
     pose_in_view,
     project,
     project_to_view,
     read_rig,
     relative_pose,
+    reprojection_error,
     resized_view,
+    rig_report,
     rig_toml,
     rotation_matrix,
     to_reference,
     to_view,
+    triangulate,
+    undistorted_pixels,
+    undistorted_rays,
     write_rig,
     yaw_pitch_roll_deg,
 )
@@ -231,6 +240,161 @@ def test_a_scaled_picture_shows_the_same_points_at_scaled_places(seed, scale):
     resized = resized_view(view, (int(640 * scale), int(480 * scale)))
     expected = (np.asarray(project(view.camera, point)) + 0.5) * scale - 0.5
     np.testing.assert_allclose(project(resized.camera, point), expected, atol=1e-9)
+
+
+# --- points in several views ---
+
+
+def seen_points(rig: Rig, seed: int, count: int = 12) -> tuple[np.ndarray, np.ndarray]:
+    """Points in front of all cameras, and their pixels in each."""
+    points = np.random.default_rng(seed).normal([0.0, 0.0, 700.0], 40.0, (count, 3))
+    return points, np.stack([project_to_view(points, rig.placed_view(v)) for v in range(len(rig))])
+
+
+def with_distortion(rig: Rig) -> Rig:
+    coefficients = np.array([-0.28, 0.09, 0.002, -0.001, 0.0, 0.0, 0.0, 0.0])
+    return Rig(tuple(replace(v, camera=v.camera._replace(distortion=coefficients)) for v in rig.views))
+
+
+@given(seeds)
+def test_undistorted_rays_invert_the_projection(seed):
+    rng = np.random.default_rng(seed)
+    camera = with_distortion(random_rig(seed)).views[0].camera
+    rays = rng.uniform(-0.4, 0.4, (20, 2))
+    pixels = np.asarray(project(camera, np.column_stack([rays, np.ones(20)])))
+    np.testing.assert_allclose(undistorted_rays(camera, pixels), rays, atol=1e-9)
+    straight = camera._replace(distortion=np.zeros(8))
+    expected = project(straight, np.column_stack([rays, np.ones(20)]))
+    np.testing.assert_allclose(undistorted_pixels(camera, pixels), expected, atol=1e-6)
+
+
+def test_pixels_that_no_ray_reaches_and_missing_pixels_have_no_ray():
+    folding = CAMERA._replace(distortion=np.array([-2.0, 0, 0, 0, 0, 0, 0, 0]))
+    found = undistorted_rays(folding, np.array([[0.0, 0.0], [320.0, 240.0], [np.nan, 1.0]]))
+    assert np.isfinite(found).all(axis=1).tolist() == [False, True, False]
+
+
+@given(seeds)
+def test_one_point_lies_on_its_epipolar_lines_through_any_lens(seed):
+    rig = with_distortion(random_rig(seed))
+    _, pixels = seen_points(rig, seed)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        distances = epipolar_distance(rig.placed_view(a), rig.placed_view(b), pixels[a], pixels[b])
+        np.testing.assert_allclose(distances, 0.0, atol=1e-6)
+
+
+def test_the_epipolar_distance_is_measured_across_the_line_in_pixels():
+    # A pair side by side: lines are the rows of the picture, and only y counts.
+    rig = pair(np.eye(3), np.array([-200.0, 0.0, 0.0]))
+    _, pixels = seen_points(rig, 0)
+    a, b = rig.placed_view(0), rig.placed_view(1)
+    np.testing.assert_allclose(epipolar_distance(a, b, pixels[0], pixels[1] + [7.0, 3.0]), 3.0)
+    np.testing.assert_allclose(epipolar_distance(b, a, pixels[1] + [7.0, 3.0], pixels[0]), 3.0)
+
+
+@given(seeds)
+def test_the_fundamental_matrix_is_transposed_the_other_way_round(seed):
+    rig = random_rig(seed)
+    forth = fundamental_matrix(rig.placed_view(0), rig.placed_view(1))
+    back = fundamental_matrix(rig.placed_view(1), rig.placed_view(0))
+    forth, back = forth / np.linalg.norm(forth), back.T / np.linalg.norm(back)
+    np.testing.assert_allclose(forth * np.sign((forth * back).sum()), back, atol=1e-9)
+
+
+@given(seeds)
+def test_triangulation_recovers_points_through_any_lens(seed):
+    rig = with_distortion(random_rig(seed))
+    points, pixels = seen_points(rig, seed)
+    found = triangulate(rig.placed, pixels)
+    np.testing.assert_allclose(found, points, atol=1e-5)
+    np.testing.assert_allclose(reprojection_error(rig.placed, found, pixels), 0.0, atol=1e-6)
+
+
+def test_triangulation_needs_two_views_of_a_point():
+    rig = random_rig(6)
+    points, pixels = seen_points(rig, 6)
+    pixels[0, :3] = np.nan
+    pixels[1, 0] = np.nan
+    found = triangulate(rig.placed, pixels)
+    assert np.isnan(found[0]).all()
+    np.testing.assert_allclose(found[1:], points[1:], atol=1e-6)
+
+
+def test_triangulated_points_are_nearest_to_noisy_pixels():
+    rig = with_distortion(random_rig(7))
+    points, pixels = seen_points(rig, 7, 200)
+    pixels += np.random.default_rng(7).normal(0.0, 1.0, pixels.shape)
+
+    def total(places):
+        return (reprojection_error(rig.placed, places, pixels) ** 2).sum(axis=0)
+
+    found = triangulate(rig.placed, pixels)
+    for step in 0.05 * np.vstack([np.eye(3), -np.eye(3)]):
+        assert (total(found + step) > total(found)).all()
+    assert np.median(np.linalg.norm(found - points, axis=1)) < 3.0
+
+
+# --- the report ---
+
+
+def test_a_report_measures_lenses_and_places():
+    rig = make_rig((0.0, 30.0))
+    first, second = rig_report(rig).views
+    assert first.fov_deg == pytest.approx((45.0, 34.515), abs=1e-3)
+    assert first.principal_offset_px == (0.0, 0.0)
+    assert first.corner_distortion_px == 0.0
+    assert second.baseline_mm == pytest.approx(2 * 600 * np.sin(np.radians(15)))
+    assert second.angle_deg == pytest.approx(30.0)
+    assert second.meeting_mm == pytest.approx(600.0)
+    assert second.gap_mm == pytest.approx(0.0, abs=1e-9)
+    assert second.roll_deg == pytest.approx(0.0)
+    assert rig_report(rig).meeting_reference_mm == pytest.approx((0.0, 0.0, 600.0), abs=1e-9)
+    assert rig_report(rig).warnings == ()
+
+
+def test_the_report_of_one_camera_and_of_barrel_distortion():
+    report = rig_report(make_rig((0.0,), distortion=(-0.25, 0.1)))
+    assert report.meeting_reference_mm is None
+    assert report.views[0].corner_distortion_px == pytest.approx(30.8, abs=2.0)
+    assert report.views[0].fov_deg[0] > 46.0
+
+
+def lens(**changed) -> Rig:
+    """Two cameras 30° apart, the second with another lens."""
+    first, second = make_rig().views
+    return Rig((first, replace(second, camera=second.camera._replace(**changed))))
+
+
+def placed(turn_deg, translation=(0.0, 0.0, 600.0)) -> Rig:
+    """The second camera turned by these angles about x, y, z before it is set down."""
+    turned = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix()
+    first, second = make_rig().views
+    moved = np.array(translation, float)
+    return Rig((first, replace(second, rotation_view_world=turned, translation_view_world_mm=moved)))
+
+
+@pytest.mark.parametrize(
+    ("make", "warning"),
+    [
+        (lambda: make_rig((0.0, 30.0), distance_mm=60.0), "60 mm in front.*unit"),
+        (lambda: make_rig((0.0, 30.0), distance_mm=12000.0), "12000 mm in front.*unit"),
+        (lambda: make_rig((0.0, 3.0)), "3.0° between"),
+        (lambda: make_rig((0.0, 120.0)), "120° between"),
+        (lambda: pair(np.eye(3), np.array([-65.0, 0.0, 0.0])), "parallel axes.*65 mm"),
+        (lambda: placed((0.0, 30.0, 90.0)), "turned by -?90°"),
+        (lambda: placed((0.0, 30.0, 0.0), (0.0, 260.0, 600.0)), "side: its axis passes 1[0-9]+ mm beside"),
+        (lambda: placed((0.0, -10.0, 0.0), (-300.0, 0.0, 0.0)), "behind"),
+        (lambda: lens(focal_px=np.array([900.0, 700.0])), "not square"),
+        (lambda: lens(focal_px=np.array([120.0, 120.0])), "139° is unusual"),
+        (lambda: lens(principal_point_px=np.array([450.0, 240.0])), "131 px off the middle"),
+        (lambda: lens(distortion=np.array([-2.0, 0, 0, 0, 0, 0, 0, 0])), "folds over"),
+        (lambda: lens(distortion=np.array([3.0, 0, 0, 0, 0, 0, 0, 0])), "moves a corner by"),
+    ],
+)
+def test_what_seems_wrong_is_said_in_one_sentence(make, warning):
+    warnings = rig_report(make()).warnings
+    assert any(re.search(warning, text) for text in warnings), warnings
+    assert all(text.count("\n") == 0 and len(text) < 160 for text in warnings)
 
 
 # --- files ---

@@ -1,4 +1,4 @@
-"""The command line: `workbench track|landmarks|demo|diagnose|config|weights|train|lab|app|info`."""
+"""The command line: `workbench track|landmarks|demo|diagnose|config|rig|weights|train|lab|app|info`."""
 
 import sys
 
@@ -9,6 +9,7 @@ from workbench.cli.configuration import config_app
 from workbench.cli.diagnosing import DIAGNOSE_HELP, diagnose
 from workbench.cli.installation import info
 from workbench.cli.landmarking import LANDMARKS_HELP, landmarks
+from workbench.cli.rigs import rig_app
 from workbench.cli.servers import APP_HELP, lab, serve_app
 from workbench.cli.servers import notebooks_folder as notebooks_folder
 from workbench.cli.servers import working_copies as working_copies
@@ -29,6 +30,7 @@ app.command(help=LANDMARKS_HELP)(landmarks)
 app.command()(demo)
 app.command(help=DIAGNOSE_HELP)(diagnose)
 app.add_typer(config_app, name="config")
+app.add_typer(rig_app, name="rig")
 app.add_typer(weights_app, name="weights")
 app.add_typer(train_app, name="train")
 app.command()(lab)
