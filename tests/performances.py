@@ -1,0 +1,68 @@
+"""A short made-up performance as a track, and a second character to play it."""
+
+import numpy as np
+import pyvista as pv
+from scipy.spatial import cKDTree
+
+from tests.scenes import make_scene
+from workbench.face import FaceModel
+from workbench.face.model import Embedding
+from workbench.face.obj_folder import linear_model
+from workbench.tracking import Track
+from workbench.tracking.records import FrameFit, stack_fits
+
+FRAMES, GAP = 12, 5
+"""One frame has no face."""
+
+
+def performance(head: FaceModel, frames: int = FRAMES, gap: int | None = GAP, rate: float = 25.0, shots: int = 1):
+    """A head of its own that turns to its left, opens the mouth, and smiles and blinks on the left side."""
+    rng = np.random.default_rng(3)
+    faces = [rng.normal(0.0, 1.0, len(head.identity_deltas)) for _ in range(shots)]
+    fits = []
+    for index in range(frames):
+        part = index / max(frames - 1, 1)
+        weights = {"jawOpen": 0.6 * part, "mouthSmileLeft": part, "eyeBlinkLeft": 1.0 - part, "browInnerUp": 0.4}
+        angles = (-30.0 * part, 20.0 * part, 10.0 * part)
+        shot = index * shots // frames
+        scene = make_scene(head, angles, weights, faces[shot], translation=(40.0 * part, -10.0, 600.0 + 50.0 * part))
+        fits.append(_fit(scene, index, shot, index != gap))
+    meta = {
+        "expression_names": list(head.expression_names),
+        "rate": rate,
+        "model": {"name": head.name, "sha256": head.fingerprint()},
+    }
+    return Track(meta=meta, **stack_fits(fits))
+
+
+def other_character(head: FaceModel, identity: np.ndarray, keep: float = 0.5) -> FaceModel:
+    """Another person on another mesh: `keep` of the triangles, the blendshapes of the vertices that stay."""
+    person = head.personal(identity)
+    corners = np.column_stack([np.full(len(person.triangles), 3), person.triangles]).ravel()
+    mesh = pv.PolyData(person.neutral, corners)
+    mesh.point_data["vertex"] = np.arange(len(person.neutral))
+    # Vertices that stay keep their place, so that closed lips are not mixed up, as nearest neighbours would be.
+    small = mesh.decimate_pro(1.0 - keep, preserve_topology=True, boundary_vertex_deletion=False)
+    kept = small.point_data["vertex"].astype(int)
+    vertices, deltas = person.neutral[kept], person.expression_deltas[:, kept]
+    triangles = small.faces.reshape(-1, 4)[:, 1:].astype(np.int32)
+    _, points = cKDTree(vertices).query(person.landmarks.of(person.neutral))
+    landmarks = Embedding(np.repeat(points[:, None], 3, axis=1).astype(np.int32), np.tile([1.0, 0.0, 0.0], (68, 1)))
+    return linear_model("other", vertices, triangles, person.expression_names, deltas, landmarks)
+
+
+def _fit(scene, index: int, shot: int, found: bool) -> FrameFit:
+    unknown = 1.0 if found else np.nan
+    parameters = scene.parameters
+    return FrameFit(
+        index=index, found=found, shot=shot, source="detected" if found else "none", image_size=(640, 480),
+        camera=scene.camera,
+        rotation=np.asarray(parameters.rotation) * unknown,
+        translation=np.asarray(parameters.translation) * unknown,
+        expression=np.asarray(parameters.expression) * unknown,
+        identity=np.asarray(parameters.identity) * unknown,
+        observed=(scene.points + 0.5) * unknown,
+        confidence=np.ones(68) * unknown,
+        projected=scene.points * unknown,
+        energies=np.zeros((1, 7)), status=np.zeros(1, int), iterations=np.zeros(1, int), milliseconds=np.zeros(3),
+    )  # fmt: skip

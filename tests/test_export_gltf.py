@@ -1,0 +1,232 @@
+"""glTF: valid, named, and the same face in the same place for every other program."""
+
+import json
+import os
+import shutil
+import struct
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pygltflib
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.performances import FRAMES, GAP, other_character, performance
+from workbench.export import make_clip
+from workbench.export.clip import quaternions, to_world
+from workbench.export.gltf import render_corners, write_gltf
+from workbench.geometry import project
+
+ROOT = Path(__file__).resolve().parent.parent
+TOOLS = Path(os.environ.get("WORKBENCH_VALIDATORS", ROOT / ".cache" / "validators"))
+BLENDER = TOOLS / "bin" / "python"
+KHRONOS = TOOLS / "node_modules" / "gltf-validator"
+NODE = shutil.which("node") or shutil.which("node", path=str(TOOLS / "bin"))
+VALIDATE = """
+const fs = require("fs");
+const bytes = new Uint8Array(fs.readFileSync(process.argv[2]));
+require(process.argv[1]).validateBytes(bytes, {maxIssues: 0}).then((told) => console.log(JSON.stringify(told)));
+"""
+
+needs_khronos = pytest.mark.skipif(
+    NODE is None or not KHRONOS.is_dir(), reason="no Khronos validator here; `make validators` installs it"
+)
+
+
+@pytest.fixture(scope="module")
+def clip(head):
+    return make_clip(performance(head), head)
+
+
+@pytest.fixture(scope="module")
+def glb(clip, tmp_path_factory):
+    path = tmp_path_factory.mktemp("gltf") / "face.glb"
+    write_gltf(clip, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def document(glb):
+    return pygltflib.GLTF2().load(str(glb))
+
+
+def array(document, number: int) -> np.ndarray:
+    """The numbers of an accessor, read by the format's rules and not by the writer's."""
+    accessor = document.accessors[number]
+    view = document.bufferViews[accessor.bufferView]
+    kind = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}[accessor.componentType]
+    width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[accessor.type]
+    start = (view.byteOffset or 0) + (accessor.byteOffset or 0)
+    content = document.binary_blob()[start : start + accessor.count * width * np.dtype(kind).itemsize]
+    return np.frombuffer(content, kind).reshape(accessor.count, width)
+
+
+def curve(document, path: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of the animated property."""
+    (animation,) = document.animations
+    channel = next(channel for channel in animation.channels if channel.target.path == path)
+    sampler = animation.samplers[channel.sampler]
+    return array(document, sampler.input)[:, 0], array(document, sampler.output)
+
+
+def validated(path: Path) -> dict:
+    done = subprocess.run([NODE, "-e", VALIDATE, str(KHRONOS), str(path)], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)["issues"]
+
+
+# --- what is in the file ---
+
+
+def test_the_container_is_binary_gltf_2(glb):
+    magic, version, length = struct.unpack("<4sII", glb.read_bytes()[:12])
+    assert (magic, version, length) == (b"glTF", 2, glb.stat().st_size)
+
+
+def test_morph_targets_carry_the_names_of_the_blendshapes(document, head):
+    (mesh,) = document.meshes
+    assert mesh.extras["targetNames"] == list(head.expression_names)
+    assert len(mesh.primitives[0].targets) == len(mesh.weights) == len(head.expression_names)
+
+
+def test_the_nodes_are_camera_head_jaw_and_face(document):
+    assert {node.name for node in document.nodes} == {"camera", "head", "jaw", "face"}
+    (skin,) = document.skins
+    assert [document.nodes[joint].name for joint in skin.joints] == ["head", "jaw"]
+    head = next(node for node in document.nodes if node.name == "head")
+    assert [document.nodes[child].name for child in head.children] == ["jaw"]
+
+
+def test_the_jaw_joint_holds_the_chin_and_not_the_brow(document, clip):
+    attributes = document.meshes[0].primitives[0].attributes
+    joints, weights = array(document, attributes.JOINTS_0), array(document, attributes.WEIGHTS_0)
+    np.testing.assert_allclose(weights.sum(1), 1.0, atol=1e-6)
+    jaw = np.where(joints == 1, weights, 0.0).sum(1)
+    corners = render_corners(clip.person)[0].tolist()
+    landmarks = clip.person.landmarks.vertices
+    assert jaw[corners.index(landmarks[8, 0])] > 0.8
+    assert jaw[corners.index(landmarks[19, 0])] == 0.0
+
+
+def test_keys_lie_at_the_frames_with_a_face_at_the_rate_of_the_clip(document):
+    for path in ("translation", "rotation", "weights"):
+        times, _ = curve(document, path)
+        np.testing.assert_allclose(times, [k / 25.0 for k in range(FRAMES) if k != GAP], atol=1e-6)
+
+
+def test_weights_are_those_of_the_track_left_on_the_left(document, clip):
+    names = document.meshes[0].extras["targetNames"]
+    _, values = curve(document, "weights")
+    weights = values.reshape(-1, len(names))
+    np.testing.assert_allclose(weights, clip.track.expression[clip.track.found], atol=1e-6)
+    assert weights[-1, names.index("mouthSmileLeft")] == pytest.approx(1.0)
+    assert weights[-1, names.index("mouthSmileRight")] == 0.0
+
+
+def test_a_smile_on_the_left_moves_the_side_of_positive_x(document):
+    mesh = document.meshes[0]
+    target = mesh.primitives[0].targets[mesh.extras["targetNames"].index("mouthSmileLeft")]
+    moved = np.abs(array(document, target["POSITION"])).sum(1)
+    x = array(document, mesh.primitives[0].attributes.POSITION)[:, 0]
+    assert moved[x > 0.005].sum() > 10.0 * moved[x < -0.005].sum()
+
+
+def test_the_camera_of_the_file_sees_every_vertex_where_ours_does(document, clip):
+    position = int(np.flatnonzero(clip.track.found)[-1])
+    lens = document.cameras[0].perspective
+    mesh = document.meshes[0]
+    _, weights = curve(document, "weights")
+    points = array(document, mesh.primitives[0].attributes.POSITION).astype(float)
+    for weight, target in zip(weights.reshape(-1, len(mesh.weights))[-1], mesh.primitives[0].targets, strict=True):
+        points = points + weight * array(document, target["POSITION"])
+    turn, place = curve(document, "rotation")[1][-1], curve(document, "translation")[1][-1]
+    points = Rotation.from_quat(turn).apply(points) + place
+    # The projection matrix of the specification, then pixels with the first pixel's centre at zero.
+    width, height = clip.image_size
+    down = np.tan(lens.yfov / 2)
+    x = (points[:, 0] / -points[:, 2] / (down * lens.aspectRatio) + 1.0) / 2.0 * width - 0.5
+    y = (1.0 - points[:, 1] / -points[:, 2] / down) / 2.0 * height - 0.5
+    corners = render_corners(clip.person)[0]
+    ours = project(clip.camera, _points_camera(clip, position)[corners])
+    np.testing.assert_allclose(np.stack([x, y], 1), ours, atol=0.01)
+
+
+def _points_camera(clip, position):
+    turn = Rotation.from_rotvec(clip.track.rotation[position])
+    return turn.apply(clip.vertices_head(position)) + clip.track.translation[position]
+
+
+def test_what_gltf_cannot_say_of_a_lens_is_kept_beside_it(head, tmp_path):
+    track = performance(head, frames=2, gap=None)
+    track = replace(track, principal_point_px=track.principal_point_px + np.array([7.0, -3.0]))
+    track.distortion[:, 0] = -0.2
+    write_gltf(make_clip(track, head), tmp_path / "lens.glb")
+    extras = pygltflib.GLTF2().load(str(tmp_path / "lens.glb")).cameras[0].extras
+    assert extras["principal_point_px"] == [326.5, 236.5]
+    assert extras["distortion"][0] == -0.2
+    assert extras["image_size"] == [640, 480]
+
+
+def test_normals_have_length_one_and_stay_so_where_a_shape_moves(document):
+    primitive = document.meshes[0].primitives[0]
+    normals = array(document, primitive.attributes.NORMAL)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
+    bent = normals + array(document, primitive.targets[0]["NORMAL"])
+    np.testing.assert_allclose(np.linalg.norm(bent, axis=1), 1.0, atol=1e-5)
+
+
+def test_a_character_without_jaw_and_texture_has_colours_and_no_skin(head, tmp_path):
+    character = other_character(head, np.zeros(50), keep=0.15)
+    track = performance(head, frames=3, gap=None)
+    track = replace(track, identity=np.zeros((3, 0)))
+    write_gltf(make_clip(track, character), tmp_path / "other.glb")
+    document = pygltflib.GLTF2().load(str(tmp_path / "other.glb"))
+    assert document.skins == []
+    assert document.meshes[0].primitives[0].attributes.COLOR_0 is not None
+    assert document.images == []
+
+
+# --- turning the frame of reference ---
+
+
+def test_quaternions_turn_as_the_rotations_do_and_never_jump(head):
+    angles = np.linspace(0.0, 4.0 * np.pi, 60)[:, None] * np.array([[0.2, 0.9, -0.3]])
+    found = quaternions(angles)
+    assert ((found[1:] * found[:-1]).sum(1) > 0.9).all()
+    point = np.array([10.0, 20.0, 30.0])
+    turned = Rotation.from_rotvec(angles).apply(point)
+    np.testing.assert_allclose(Rotation.from_quat(found).apply(to_world(point)), to_world(turned), atol=1e-12)
+
+
+# --- other programs ---
+
+
+@needs_khronos
+def test_the_khronos_validator_finds_no_fault(glb, head, tmp_path):
+    issues = validated(glb)
+    assert (issues["numErrors"], issues["numWarnings"], issues["messages"]) == (0, 0, [])
+    character = other_character(head, np.zeros(50), keep=0.15)
+    track = replace(performance(head, frames=3, gap=None), identity=np.zeros((3, 0)))
+    write_gltf(make_clip(track, character), tmp_path / "other.glb")
+    assert validated(tmp_path / "other.glb")["messages"] == []
+
+
+@pytest.mark.skipif(
+    not BLENDER.is_file() or subprocess.run([str(BLENDER), "-c", "import bpy"], capture_output=True).returncode != 0,
+    reason="no Blender (bpy) here; `make validators` installs it for Python 3.11",
+)
+def test_blender_sees_the_same_names_frames_and_vertices(glb, clip, tmp_path):
+    frames = [0, 4, FRAMES - 1]
+    command = [str(BLENDER), str(ROOT / "tests" / "blender_script.py"), "--", str(glb), str(tmp_path / "seen.npz")]
+    done = subprocess.run([*command, "25", *map(str, frames)], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-2000:]
+    seen = np.load(tmp_path / "seen.npz")
+    assert seen["names"].tolist() == ["Basis", *clip.person.expression_names]
+    assert set(seen["bones"]) == {"head", "jaw"}
+    assert (float(seen["first"]), round(float(seen["last"]), 3)) == (0.0, FRAMES - 1)
+    corners = render_corners(clip.person)[0]
+    for vertices, frame in zip(seen["vertices"], frames, strict=True):
+        ours = clip.vertices_world(frame)[corners][:, [0, 2, 1]] * [1.0, -1.0, 1.0]  # Blender's z is up
+        assert 1000.0 * np.abs(vertices - ours).max() < 0.1
+    np.testing.assert_allclose(seen["fov"][1], 2.0 * np.arctan(240.0 / clip.camera.focal_px[1]), atol=1e-5)

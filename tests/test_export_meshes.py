@@ -1,0 +1,214 @@
+"""USD, meshes and arrays: read back by the libraries that others read them with."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from tests.performances import FRAMES, GAP, other_character, performance
+from workbench.errors import InputError, MissingDependencyError
+from workbench.export import make_clip
+from workbench.export.meshes import write_arrays, write_meshes
+from workbench.export.usd import write_usd
+from workbench.geometry import project
+
+
+@pytest.fixture(scope="module")
+def clip(head):
+    return make_clip(performance(head), head)
+
+
+def pixels(clip, points_camera):
+    return np.asarray(project(clip.camera, points_camera))
+
+
+# --- the clip itself ---
+
+
+def test_the_person_wears_the_identity_of_the_track(clip, head):
+    expected = head.personal(clip.track.identity[0]).vertices(clip.track.expression[3])
+    np.testing.assert_allclose(clip.vertices_head(3), expected)
+
+
+def test_world_points_are_metres_up_and_towards_the_viewer(clip):
+    world, track = clip.vertices_world(0), clip.track
+    assert world[:, 2].max() < 0.0  # before a camera that looks along −z
+    assert abs(-np.median(world[:, 2]) - 0.6) < 0.1
+    chin, brow = clip.person.landmarks.of(world)[[8, 19]]
+    assert chin[1] < brow[1]
+    assert track.translation[0, 2] == 600.0
+
+
+def test_one_shot_leaves_alone(head):
+    track = performance(head, shots=2, gap=None)
+    clip = make_clip(track, head, shot=1)
+    assert clip.track.index.tolist() == [6, 7, 8, 9, 10, 11]
+    assert clip.times_s[0] == pytest.approx(6 / 25.0)
+    np.testing.assert_allclose(clip.person.neutral, head.personal(track.identity[-1]).neutral)
+    assert clip.notes == ()
+
+
+def test_several_faces_in_one_file_are_told(head):
+    (note,) = make_clip(performance(head, shots=2, gap=1), head).notes
+    assert "2 face shapes" in note
+    assert "--shot" in note
+
+
+def test_pictures_without_a_rate_are_told(head):
+    track = performance(head, frames=2, gap=None)
+    (note,) = make_clip(replace(track, meta={**track.meta, "rate": None}), head).notes
+    assert "25 a second" in note
+    assert make_clip(replace(track, meta={**track.meta, "rate": None}), head, rate=5.0).rate == 5.0
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        ({}, {"shot": 3}, "the shots 0 to 0, got 3"),
+        ({}, {"rate": 0.0}, "a rate above 0"),
+        ({"found": np.zeros(FRAMES, bool)}, {}, "No frame of this track has a face"),
+        ({"expression": np.zeros((FRAMES, 2)), "meta": {"expression_names": ["a", "b"]}}, {}, "2 blendshapes that are"),
+        ({"identity": np.zeros((FRAMES, 3))}, {}, "3 identity coefficients"),
+    ],
+)
+def test_what_cannot_be_a_clip_is_refused(change, options, message, head):
+    with pytest.raises(InputError, match=message):
+        make_clip(replace(performance(head), **change), head, **options)
+
+
+# --- USD ---
+
+
+@pytest.fixture(scope="module")
+def stage(clip, tmp_path_factory):
+    pxr_usd = pytest.importorskip("pxr.Usd")
+    path = tmp_path_factory.mktemp("usd") / "face.usd"
+    write_usd(clip, path)
+    return pxr_usd.Stage.Open(str(path))
+
+
+def test_the_stage_says_its_units_axis_and_rate(stage):
+    from pxr import UsdGeom
+
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
+    assert UsdGeom.GetStageUpAxis(stage) == "Y"
+    assert stage.GetTimeCodesPerSecond() == 25.0
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0.0, FRAMES - 1)
+
+
+def test_usd_blendshapes_have_names_and_weights_left_on_the_left(stage, clip):
+    from pxr import UsdSkel
+
+    animation = UsdSkel.Animation(stage.GetPrimAtPath("/performance/animation"))
+    names = list(animation.GetBlendShapesAttr().Get())
+    assert names == list(clip.person.expression_names)
+    assert animation.GetBlendShapeWeightsAttr().GetTimeSamples() == [k for k in range(FRAMES) if k != GAP]
+    last = dict(zip(names, animation.GetBlendShapeWeightsAttr().Get(FRAMES - 1), strict=True))
+    assert (last["mouthSmileLeft"], last["mouthSmileRight"]) == (1.0, 0.0)
+
+
+def test_usd_itself_skins_the_face_to_our_vertices(clip, tmp_path):
+    pytest.importorskip("pxr.Usd")
+    from pxr import Gf, Usd, UsdGeom, UsdSkel
+
+    write_usd(clip, tmp_path / "face.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "face.usda"))
+    root = UsdSkel.Root(stage.GetPrimAtPath("/performance"))
+    UsdSkel.BakeSkinning(root, Gf.Interval(0, FRAMES - 1))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/performance/face"))
+    for frame in (0, 4, FRAMES - 1):
+        points = np.array(mesh.GetPointsAttr().Get(frame))
+        assert 1000.0 * np.abs(points - clip.vertices_world(frame)).max() < 0.1
+
+
+def test_the_usd_camera_has_our_lens_also_where_its_axis_is_off_the_middle(head, tmp_path):
+    pytest.importorskip("pxr.Usd")
+    from pxr import Usd, UsdGeom
+
+    track = performance(head, frames=2, gap=None)
+    clip = make_clip(replace(track, principal_point_px=track.principal_point_px + np.array([30.0, -20.0])), head)
+    write_usd(clip, tmp_path / "lens.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "lens.usdc"))
+    camera = UsdGeom.Camera(stage.GetPrimAtPath("/performance/camera"))
+    matrix = np.array(camera.GetCamera(0).frustum.ComputeProjectionMatrix())
+    world = clip.vertices_world(1)
+    seen = np.column_stack([world, np.ones(len(world))]) @ matrix
+    x = (seen[:, 0] / seen[:, 3] + 1.0) / 2.0 * 640 - 0.5
+    y = (1.0 - seen[:, 1] / seen[:, 3]) / 2.0 * 480 - 0.5
+    np.testing.assert_allclose(np.stack([x, y], 1), pixels(clip, world * [1000.0, -1000.0, -1000.0]), atol=0.02)
+
+
+def test_usd_without_its_package_says_what_to_install(clip, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'face-energy-workbench\[usd\]'"):
+        write_usd(clip, tmp_path / "face.usd")
+
+
+def test_a_usd_character_without_a_jaw_is_a_stage_too(head, tmp_path):
+    pytest.importorskip("pxr.Usd")
+    from pxr import Usd, UsdGeom
+
+    character = other_character(head, np.zeros(50), keep=0.15)
+    clip = make_clip(replace(performance(head, frames=2, gap=None), identity=np.zeros((2, 0))), character)
+    write_usd(clip, tmp_path / "other.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "other.usda"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/performance/face"))
+    assert len(mesh.GetPointsAttr().Get()) == len(character.neutral)
+
+
+# --- meshes ---
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+def test_trimesh_reads_every_frame_with_a_face_back(kind, clip, tmp_path):
+    told = []
+    paths = write_meshes(clip, tmp_path / "frames", kind, lambda done, total: told.append((done, total)))
+    assert [path.name for path in paths] == [f"{k:06d}.{kind}" for k in range(FRAMES) if k != GAP]
+    assert sorted((tmp_path / "frames").iterdir()) == sorted(paths)
+    assert told[-1] == (FRAMES - 1, FRAMES - 1)
+    mesh = trimesh.load(paths[-1], process=False, maintain_order=True)
+    np.testing.assert_allclose(mesh.vertices, clip.vertices_world(FRAMES - 1), atol=1e-6)
+    np.testing.assert_array_equal(mesh.faces, clip.person.triangles)
+    assert mesh.volume > 0.0  # the outside is outside
+
+
+def test_a_folder_that_is_there_is_left_alone(clip, tmp_path):
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames" / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match="already exists"):
+        write_meshes(clip, tmp_path / "frames", "obj")
+    assert [path.name for path in tmp_path.rglob("*.*")] == ["mine.txt"]
+
+
+def test_an_interrupted_folder_of_meshes_leaves_nothing(clip, tmp_path):
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_meshes(clip, tmp_path / "frames", "ply", interrupt)
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_kinds_of_mesh_are_refused(clip, tmp_path):
+    with pytest.raises(InputError, match="obj or ply, got 'stl'"):
+        write_meshes(clip, tmp_path / "frames", "stl")
+
+
+# --- arrays ---
+
+
+def test_arrays_rebuild_the_face_with_numpy_alone(clip, tmp_path):
+    write_arrays(clip, tmp_path / "face.npz")
+    with np.load(tmp_path / "face.npz", allow_pickle=False) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    frame = FRAMES - 1
+    face = arrays["neutral_mm"] + np.tensordot(arrays["weights"][frame], arrays["shapes_mm"], axes=1)
+    camera = face @ arrays["rotation"][frame].T + arrays["translation_mm"][frame]
+    np.testing.assert_allclose(camera * [1e-3, -1e-3, -1e-3], clip.vertices_world(frame), atol=1e-6)
+    image = camera @ arrays["camera_matrix"][frame].T
+    np.testing.assert_allclose(image[:, :2] / image[:, 2:], pixels(clip, camera), atol=1e-6)
+    assert np.isnan(arrays["rotation"][GAP]).all()
+    assert arrays["names"].tolist() == list(clip.person.expression_names)
+    assert arrays["time_s"][frame] == pytest.approx(frame / 25.0)

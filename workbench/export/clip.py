@@ -1,0 +1,128 @@
+"""A track ready to leave: the person's head, the time of every frame, and the frame of reference of 3D files.
+
+All 3D files (glTF, USD, OBJ, PLY) have one frame of reference: metres, +x to the picture's right, +y up, +z towards
+the viewer, the camera in the origin. That is OpenCV's camera frame turned by half a turn about x.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from workbench.errors import InputError
+from workbench.face import FaceModel
+from workbench.geometry import Camera
+from workbench.pictures.mesh import to_camera
+from workbench.tracking import Track
+from workbench.tracking.records import ARRAYS
+
+RATE_OF_IMAGES = 25.0
+"""Frames per second of inputs that have no rate of their own."""
+METRES = 1e-3
+FLIP = np.array([1.0, -1.0, -1.0])
+"""Half a turn about x: from +y down, +z away to +y up, +z towards the viewer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A track with the one person who plays in it."""
+
+    track: Track
+    person: FaceModel
+    """Identity baked in."""
+    rate: float
+    """Frames per second."""
+    notes: tuple[str, ...] = ()
+    """What a user should know."""
+
+    @property
+    def times_s(self) -> Float[np.ndarray, "n"]:
+        """Seconds from the first frame of the input."""
+        return self.track.index / self.rate
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the first frame with a face."""
+        return self.track[int(np.argmax(self.track.found))].camera
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """(width, height) of that frame, pixels."""
+        return self.track[int(np.argmax(self.track.found))].image_size
+
+    def vertices_head(self, position: int) -> Float[np.ndarray, "v 3"]:
+        """The person's vertices in one frame with a face: head frame, millimetres."""
+        return self.person.vertices(self.track.expression[position])
+
+    def vertices_world(self, position: int) -> Float[np.ndarray, "v 3"]:
+        """The same where they stand before the camera, in the frame of reference of 3D files, metres."""
+        track = self.track
+        points = to_camera(self.vertices_head(position), track.rotation[position], track.translation[position])
+        return to_world(points)
+
+
+def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: float | None = None) -> Clip:
+    """The track with its person; `model` is what it was fitted with, or what it was retargeted to.
+
+    A file holds one face. Where the shots of a track have faces of their own, all are played by the one with the most
+    frames, unless `shot` takes one shot alone. `rate` replaces the track's frames per second. Raises `InputError` for
+    a track without a face, for a shot that it does not have and for another model than the track's.
+    """
+    check_model(track, model)
+    if rate is not None and not rate > 0.0:
+        raise InputError(f"A clip needs a rate above 0 frames per second, got {rate:g}.")
+    if shot is not None:
+        track = track_of_shot(track, shot)
+    if not track.found.any():
+        raise InputError("No frame of this track has a face, so there is nothing to export in 3D.")
+    notes = []
+    stored = track.meta.get("rate")
+    if rate is None and not stored:
+        notes.append(f"the input has no frame rate; the frames follow each other at {RATE_OF_IMAGES:g} a second")
+    identity, others = _main_identity(track)
+    if others:
+        notes.append(f"the shots have {others + 1} face shapes; the one with the most frames plays all, or use --shot")
+    return Clip(track, model.personal(identity), float(rate or stored or RATE_OF_IMAGES), tuple(notes))
+
+
+def track_of_shot(track: Track, shot: int) -> Track:
+    """The frames of one shot. Raises `InputError` for one that the track does not have."""
+    chosen = track.shot == shot
+    if not chosen.any():
+        raise InputError(f"This track has the shots 0 to {int(track.shot.max())}, got {shot}.")
+    return replace(track, **{name: getattr(track, name)[chosen] for name in ARRAYS})
+
+
+def check_model(track: Track, model: FaceModel) -> None:
+    """Raise `InputError` where the track's columns are not those of the model."""
+    if track.expression_names != model.expression_names:
+        raise InputError(
+            f"The track has {len(track.expression_names)} blendshapes that are not the {len(model.expression_names)} "
+            f"of {model.name}; pass the model it was fitted with, or retarget it."
+        )
+    if track.identity.shape[1] != len(model.identity_deltas):
+        raise InputError(
+            f"The track has {track.identity.shape[1]} identity coefficients, {model.name} has "
+            f"{len(model.identity_deltas)}; pass the model it was fitted with."
+        )
+
+
+def to_world(points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Millimetres with +y down and +z away to the metres of 3D files; for points of the camera and the head frame."""
+    return points * (METRES * FLIP)
+
+
+def quaternions(rotations: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
+    """Axis-angles as unit quaternions (x, y, z, w) in the frame of reference of 3D files, without jumps of sign."""
+    # Turning the frame by FLIP turns the axis; the angle stays.
+    found = Rotation.from_rotvec(rotations * FLIP).as_quat()
+    signs = np.where((found[1:] * found[:-1]).sum(1) < 0.0, -1.0, 1.0)
+    found[1:] *= np.cumprod(signs)[:, None]
+    return found
+
+
+def _main_identity(track: Track) -> tuple[Float[np.ndarray, "i"], int]:
+    """The identity with the most frames, and how many others there are."""
+    faces, counts = np.unique(track.identity[track.found], axis=0, return_counts=True)
+    return faces[np.argmax(counts)], len(faces) - 1

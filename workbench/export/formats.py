@@ -1,0 +1,136 @@
+"""What a track can be exported as: the suffix of the file decides."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from workbench.errors import InputError
+from workbench.export.clip import RATE_OF_IMAGES, check_model, make_clip, track_of_shot
+from workbench.export.live_link import write_live_link_csv
+from workbench.export.meshes import write_arrays, write_meshes
+from workbench.export.sources import pictures_of
+from workbench.export.tables import write_curves, write_parquet
+from workbench.export.usd import write_usd
+from workbench.face import FaceModel
+from workbench.frames import Frames
+from workbench.tracking import Track
+
+Progress = Callable[[str, int, int | None], None]
+"""Called with the name of a step, what is done, and how much there is in all."""
+
+FORMATS = {
+    ".glb": "glTF 2.0: head, blendshapes by name, jaw joint, camera, animation",
+    ".usd": "USD (also .usda, .usdc): the same with UsdSkel",
+    ".arkit.csv": "Live Link Face: ARKit's 52 weights and head angles with timecode",
+    ".csv": "every curve: pose, weights, errors",
+    ".parquet": "the same as Parquet",
+    ".npz": "curves, camera and the person's head as NumPy arrays",
+    ".obj": "a folder with a mesh a frame",
+    ".ply": "a folder with a mesh a frame",
+    ".mp4": "the pictures with the fit, the 3D face beside them",
+    ".html": "a report: pictures, curves, worst frames, settings",
+}
+"""Suffixes and what is written under them."""
+SAME = {".usda": ".usd", ".usdc": ".usd", ".htm": ".html"}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an export left behind."""
+
+    path: Path
+    """The file, or the folder of the meshes."""
+    notes: tuple[str, ...] = field(default=())
+    """What a user should know."""
+
+
+def format_of(path: str | Path) -> str:
+    """The key of `FORMATS` for a file name. Raises `InputError` for a suffix that is none of them."""
+    name = Path(path).name.lower()
+    for suffix in (".arkit.csv", *SAME, *FORMATS):
+        if name.endswith(suffix) and len(name) > len(suffix):
+            return SAME.get(suffix, suffix)
+    raise InputError(f"A track is exported as {', '.join(FORMATS)}, got {Path(path).name}.")
+
+
+def export_track(
+    track: Track,
+    model: FaceModel,
+    path: str | Path,
+    *,
+    shot: int | None = None,
+    rate: float | int | None = None,
+    pictures: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Exported:
+    """Write a track as what the suffix of `path` says (`FORMATS`), whole or not at all.
+
+    `model` is the model that it was fitted with, or the character that it was retargeted to. `shot` takes the frames
+    of one shot, `rate` replaces the frames per second, `pictures` stands for an input that was moved. The meshes of
+    .obj and .ply go into a folder of that name without the suffix. Raises `InputError` for what cannot be written and
+    `MissingDependencyError` where a format needs a package that is not installed.
+    """
+    path, kind, progress = Path(path), format_of(path), progress or _silent
+    check_model(track, model)
+    if shot is not None:
+        track = track_of_shot(track, shot)
+    if rate is not None and not 0.0 < rate <= 1000.0:
+        raise InputError(f"A clip needs a rate between 0 and 1000 frames per second, got {rate:g}.")
+    fps = float(rate or track.meta.get("rate") or RATE_OF_IMAGES)
+    if kind == ".arkit.csv":
+        write_live_link_csv(track, path, fps)
+    elif kind == ".csv":
+        write_curves(track, path, fps)
+    elif kind == ".parquet":
+        write_parquet(track, path, fps)
+    elif kind == ".mp4":
+        return _film(track, model, path, pictures, progress)
+    elif kind == ".html":
+        return _report(track, model, path, pictures, progress)
+    else:
+        return _in_3d(track, model, path, kind, fps if rate else None, progress)
+    return Exported(path)
+
+
+def _in_3d(track, model, path: Path, kind: str, rate: float | None, progress: Progress) -> Exported:
+    clip = make_clip(track, model, rate=rate)
+    if kind in (".obj", ".ply"):
+        folder = path.with_suffix("")
+        write_meshes(clip, folder, kind[1:], lambda done, total: progress("meshes", done, total))
+        return Exported(folder, clip.notes)
+    if kind == ".npz":
+        write_arrays(clip, path)
+    elif kind == ".usd":
+        write_usd(clip, path)
+    else:
+        from workbench.export.gltf import write_gltf  # pygltflib: a third of a second to import
+
+        write_gltf(clip, path)
+    return Exported(path, clip.notes)
+
+
+def _film(track, model, path: Path, pictures, progress: Progress) -> Exported:
+    from workbench.pictures.overlay_files import write_overlay_video  # VTK: a second to import
+
+    frames = pictures_of(track, pictures)
+    note = write_overlay_video(frames, track, model, path, lambda done, total: progress("film", done, total))
+    return Exported(path, (note,) if note else ())
+
+
+def _report(track, model, path: Path, pictures, progress: Progress) -> Exported:
+    from workbench.export.report import write_report
+
+    frames: Frames | None = None
+    notes: tuple[str, ...] = ()
+    try:
+        frames = pictures_of(track, pictures)
+    except InputError as error:
+        if pictures is not None:
+            raise
+        notes = (f"the report has no pictures of the input: {error}",)
+    write_report(track, model, path, frames, progress=lambda done, total: progress("report", done, total))
+    return Exported(path, notes)
+
+
+def _silent(step: str, done: int, total: int | None) -> None:
+    """No progress is shown."""

@@ -1,0 +1,95 @@
+"""The face as one mesh a frame (OBJ or PLY), and everything as arrays (NPZ)."""
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from workbench.errors import InputError
+from workbench.export.clip import Clip
+from workbench.files import atomic_path
+
+KINDS = ("obj", "ply")
+FIRST_LINE = "face where it stands before the camera: metres, +y up, +z towards the viewer"
+
+
+def write_meshes(
+    clip: Clip, folder: str | Path, kind: str, progress: Callable[[int, int], None] | None = None
+) -> tuple[Path, ...]:
+    """Write `folder`/000012.obj (or .ply) for every frame with a face: the same vertices in the same order.
+
+    The folder appears when all are written. Raises `InputError` where it already exists: it may hold frames of
+    another export.
+    """
+    folder = Path(folder)
+    if kind not in KINDS:
+        raise InputError(f"Meshes are written as {' or '.join(KINDS)}, got {kind!r}.")
+    if folder.exists():
+        raise InputError(f"{folder} already exists; name another folder for the meshes or remove it.")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    found = np.flatnonzero(clip.track.found).tolist()
+    names = [f"{clip.track.index[position]:06d}.{kind}" for position in found]
+    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
+    try:
+        for done, (position, name) in enumerate(zip(found, names, strict=True), 1):
+            mesh = trimesh.Trimesh(
+                clip.vertices_world(position),
+                clip.person.triangles,
+                vertex_colors=clip.person.colors,
+                process=False,  # keeps number and order of the vertices
+            )
+            (temporary / name).write_bytes(_encoded(mesh, kind))
+            if progress is not None:
+                progress(done, len(found))
+        temporary.chmod(0o755)
+        temporary.replace(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return tuple(folder / name for name in names)
+
+
+def write_arrays(clip: Clip, path: str | Path) -> None:
+    """Everything as plain arrays, to be read with NumPy alone: a face is R·(neutral + Σ w·shapes) + t.
+
+    `names`, `weights`, `found`, `frame`, `time_s`, `shot`; `rotation` (n, 3, 3) and `translation_mm` from the head to
+    the camera (OpenCV: +x right, +y down, +z forward); `angles_deg` (yaw, pitch, roll); `camera_matrix`,
+    `distortion`, `image_size` of each frame; `neutral_mm`, `shapes_mm`, `triangles`, `jaw_weights` of the person.
+    """
+    track, person = clip.track, clip.person
+    matrices = np.full((len(track), 3, 3), np.nan)
+    matrices[track.found] = Rotation.from_rotvec(track.rotation[track.found]).as_matrix()
+    lenses = np.tile(np.eye(3), (len(track), 1, 1))
+    lenses[:, [0, 1], [0, 1]] = track.focal_px
+    lenses[:, :2, 2] = track.principal_point_px
+    arrays = {
+        "names": np.array(track.expression_names),
+        "weights": track.expression,
+        "found": track.found,
+        "frame": track.index,
+        "time_s": clip.times_s,
+        "frames_per_second": np.array(clip.rate),
+        "shot": track.shot,
+        "rotation": matrices,
+        "translation_mm": track.translation,
+        "angles_deg": track.angles_deg,
+        "camera_matrix": lenses,
+        "distortion": track.distortion,
+        "image_size": track.image_size,
+        "neutral_mm": person.neutral.astype(np.float32),
+        "shapes_mm": person.expression_deltas.astype(np.float32),
+        "triangles": person.triangles,
+        "jaw_weights": person.jaw_weights.astype(np.float32),
+    }
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)
+
+
+def _encoded(mesh: trimesh.Trimesh, kind: str) -> bytes:
+    if kind == "ply":
+        return mesh.export(file_type="ply")
+    text = mesh.export(file_type="obj", header=FIRST_LINE, include_texture=False, digits=7)
+    return text.encode()

@@ -1,0 +1,175 @@
+"""A performance on another character: by the names of the blendshapes, or by least squares on the surface.
+
+Both give a `Track` whose weights are the character's, so that everything that reads tracks plays the character.
+"""
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import lsq_linear
+
+from workbench.errors import InputError, ModelError
+from workbench.export.live_link import LIVE_LINK_SHAPES
+from workbench.face import FaceModel
+from workbench.tracking import Track
+
+SIDES = {"l": "left", "r": "right"}
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeMapping:
+    """Weights of a character as sums of a performer's: character = performer @ matrix."""
+
+    source_names: tuple[str, ...]
+    target_names: tuple[str, ...]
+    matrix: Float[np.ndarray, "s t"]
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """Blendshapes of the performer that move nothing."""
+        return tuple(name for name, row in zip(self.source_names, self.matrix, strict=True) if not row.any())
+
+    @property
+    def still(self) -> tuple[str, ...]:
+        """Blendshapes of the character that nothing moves."""
+        return tuple(name for name, column in zip(self.target_names, self.matrix.T, strict=True) if not column.any())
+
+
+def mapping_by_names(source_names: tuple[str, ...], target_names: tuple[str, ...]) -> ShapeMapping:
+    """Equal names mapped to each other, whatever their spelling: `jawOpen`, `JawOpen`, `jaw_open`, `Face.Jaw_Open`.
+
+    `_L` and `_R` at the end are Left and Right. Raises `InputError` where no name is found in both.
+    """
+    plain = {_plain(name): column for column, name in reversed(list(enumerate(target_names)))}
+    matrix = np.zeros((len(source_names), len(target_names)))
+    for row, name in enumerate(source_names):
+        if _plain(name) in plain:
+            matrix[row, plain[_plain(name)]] = 1.0
+    if not matrix.any():
+        raise InputError(
+            f"The character has none of the track's blendshapes by name ({', '.join(target_names[:4])} …); "
+            "write a mapping file."
+        )
+    return ShapeMapping(source_names, target_names, matrix)
+
+
+def read_mapping(path: str | Path, source_names: tuple[str, ...], target_names: tuple[str, ...]) -> ShapeMapping:
+    """A mapping file (TOML): below `[shapes]`, each of the character's blendshapes as one of ours, or a sum of some.
+
+        [shapes]
+        Mouth_Open = "jawOpen"
+        Smile = { mouthSmileLeft = 0.5, mouthSmileRight = 0.5 }
+
+    Raises `InputError` for a file that cannot be read, and for names and factors that do not exist. ARKit's names are
+    accepted where the track lacks them: they are 0.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"The mapping file {path} does not exist; it names the character's blendshapes.")
+    try:
+        shapes = tomllib.loads(path.read_text(encoding="utf-8")).get("shapes")
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is not valid TOML: {error}.") from error
+    if not isinstance(shapes, dict) or not shapes:
+        raise InputError(f'{path} needs a table [shapes] with lines such as Mouth_Open = "jawOpen".')
+    matrix = np.zeros((len(source_names), len(target_names)))
+    for target, parts in shapes.items():
+        if target not in target_names:
+            raise InputError(f"{path} names {target!r}, the character has {', '.join(target_names)}.")
+        for source, factor in _parts(parts, target, path).items():
+            if source in source_names:
+                matrix[source_names.index(source), target_names.index(target)] = factor
+            elif source not in LIVE_LINK_SHAPES:
+                raise InputError(f"{path} names {source!r}, the track has {', '.join(source_names)}.")
+    return ShapeMapping(source_names, target_names, matrix)
+
+
+def retarget(track: Track, character: FaceModel, mapping: ShapeMapping | None = None) -> Track:
+    """The track played by the character's blendshapes, on its own neutral face; the pose is the performer's.
+
+    Without `mapping`, names that mean the same are mapped (`mapping_by_names`). Raises `InputError` for a mapping
+    between other blendshapes.
+    """
+    mapping = mapping or mapping_by_names(track.expression_names, character.expression_names)
+    if mapping.source_names != track.expression_names or mapping.target_names != character.expression_names:
+        raise InputError("The mapping was made for other blendshapes; make it for this track and this character.")
+    return _played(track, character, track.expression @ mapping.matrix)
+
+
+def retarget_surface(track: Track, performer: FaceModel, character: FaceModel, smoothness: float | int = 1e-3) -> Track:
+    """The track played by the weights in range with which the character's surface moves most like the performer's.
+
+    Each frame minimises ‖Σ w_k c_k − s·Σ v_j p_j‖² + λ‖w‖² over all vertices, for a performer and a character in
+    vertex correspondence whose blendshapes may differ in number, name and travel. s is the ratio of their sizes, λ
+    `smoothness` of the mean energy of the character's shapes. Raises `ModelError` for meshes out of correspondence.
+    """
+    if performer.neutral.shape != character.neutral.shape or not np.array_equal(
+        performer.triangles, character.triangles
+    ):
+        raise ModelError(
+            f"A retargeting over the surface needs two meshes with the same vertices and triangles, got "
+            f"{len(performer.neutral)} and {len(character.neutral)} vertices; retarget by names."
+        )
+    person = performer.personal(_identity(track))
+    moves = _size(character) / _size(person) * person.expression_deltas.reshape(len(person.expression_names), -1)
+    shapes = character.expression_deltas.reshape(len(character.expression_names), -1)
+    gram = shapes @ shapes.T
+    gram += max(float(smoothness), 1e-12) * np.trace(gram) / len(gram) * np.eye(len(gram))
+    # The Cholesky factor L of the Gram matrix turns a problem over all vertices into one as small as the weights.
+    factor = np.linalg.cholesky(gram)
+    wanted = np.linalg.solve(factor, shapes @ moves.T)
+    weights = np.full((len(track), len(shapes)), np.nan)
+    bounds = character.weight_range().T
+    for position in np.flatnonzero(track.found):
+        goal = wanted @ track.expression[position]
+        weights[position] = lsq_linear(factor.T, goal, bounds=tuple(bounds), method="bvls", tol=1e-12).x.clip(*bounds)
+    return _played(track, character, weights)
+
+
+def _played(track: Track, character: FaceModel, weights: Float[np.ndarray, "n t"]) -> Track:
+    meta: dict[str, Any] = json.loads(json.dumps(track.meta))
+    meta["expression_names"] = list(character.expression_names)
+    meta["model"] = {"name": character.name, "sha256": character.fingerprint()}
+    meta["retargeted_from"] = track.meta.get("model")
+    identity = np.where(track.found[:, None], 0.0, np.nan) * np.ones((1, len(character.identity_deltas)))
+    return replace(track, expression=weights, identity=identity, meta=meta)
+
+
+def _identity(track: Track) -> Float[np.ndarray, "i"]:
+    faces, counts = np.unique(track.identity[track.found], axis=0, return_counts=True)
+    if not len(faces):
+        raise InputError("No frame of this track has a face, so there is nothing to retarget.")
+    return faces[np.argmax(counts)]
+
+
+def _size(model: FaceModel) -> float:
+    """Spread of the 68 landmarks, millimetres."""
+    points = model.landmarks.of(model.neutral)
+    return float(np.sqrt(((points - points.mean(0)) ** 2).sum(1).mean()))
+
+
+def _parts(parts: Any, target: str, path: Path) -> Mapping[str, float]:
+    if isinstance(parts, str):
+        return {parts: 1.0}
+    numbers = isinstance(parts, dict) and all(
+        isinstance(factor, int | float) and not isinstance(factor, bool) for factor in parts.values()
+    )
+    if not numbers:
+        raise InputError(f"{path}: {target} is a name or a table of names with factors, got {parts!r}.")
+    return {name: float(factor) for name, factor in parts.items()}
+
+
+def _plain(name: str) -> str:
+    """Lower case without marks, prefixes before a dot, and with the side in words."""
+    last = re.sub(r"^.*[.:|]", "", name)
+    side = re.match(r"^(.*[a-z])_?([LR])$", last)
+    if side and (last[-2] == "_" or side.group(1)[-1].islower()):
+        last = side.group(1) + SIDES[side.group(2).lower()]
+    return re.sub(r"[^a-z0-9]", "", last.lower())

@@ -1,0 +1,146 @@
+"""USD (UsdSkel): head and jaw joints, blendshapes by name, camera, animation in time samples."""
+
+from pathlib import Path
+
+import numpy as np
+
+from workbench.errors import MissingDependencyError
+from workbench.export.clip import Clip, quaternions, to_world
+from workbench.face import FaceModel
+from workbench.files import atomic_path
+
+JOINTS = ("head", "head/jaw")
+APERTURE_MM = 36.0
+"""Width of the film that stands for the picture; USD states lenses in tenths of its unit of length."""
+
+
+def write_usd(clip: Clip, path: str | Path) -> None:
+    """Write a .usd, .usda, .usdc stage: `/performance/face` (mesh), `skeleton`, `animation`, and `/performance/camera`.
+
+    One unit of length is a metre, +y is up. Time codes are the input's frame numbers. Raises `MissingDependencyError`
+    without usd-core.
+    """
+    try:
+        from pxr import Sdf, Usd, UsdGeom, UsdSkel
+    except ImportError as error:
+        raise MissingDependencyError(
+            "USD needs usd-core; pip install 'face-energy-workbench[usd]', or write .glb."
+        ) from error
+    with atomic_path(path) as temporary:
+        stage = Usd.Stage.CreateInMemory(".usda")
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        stage.SetTimeCodesPerSecond(clip.rate)
+        stage.SetFramesPerSecond(clip.rate)
+        stage.SetStartTimeCode(float(clip.track.index[0]))
+        stage.SetEndTimeCode(float(clip.track.index[-1]))
+        root = UsdSkel.Root.Define(stage, "/performance")
+        stage.SetDefaultPrim(root.GetPrim())
+        skeleton = _skeleton(stage, clip.person)
+        animation = _animation(stage, clip)
+        binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
+        binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+        _mesh(stage, clip.person, skeleton)
+        _camera(stage, clip)
+        # The layer is made under a name that USD has not seen: it keeps layers by name for as long as a program runs.
+        layer = Sdf.Layer.CreateAnonymous(path.suffix if isinstance(path, Path) else Path(path).suffix)
+        layer.TransferContent(stage.GetRootLayer())
+        layer.Export(str(temporary))
+
+
+def _skeleton(stage, person: FaceModel):
+    from pxr import Gf, UsdSkel, Vt
+
+    jaw = Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*_jaw(person)))
+    skeleton = UsdSkel.Skeleton.Define(stage, "/performance/skeleton")
+    skeleton.CreateJointsAttr(Vt.TokenArray(JOINTS))
+    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray([Gf.Matrix4d(1.0), jaw]))
+    skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray([Gf.Matrix4d(1.0), jaw]))
+    return skeleton
+
+
+def _animation(stage, clip: Clip):
+    from pxr import Gf, UsdSkel, Vt
+
+    track = clip.track
+    animation = UsdSkel.Animation.Define(stage, "/performance/animation")
+    animation.CreateJointsAttr(Vt.TokenArray(JOINTS))
+    animation.CreateBlendShapesAttr(Vt.TokenArray(clip.person.expression_names))
+    animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1.0)] * len(JOINTS)))
+    places, turns, weights = (
+        animation.CreateTranslationsAttr(),
+        animation.CreateRotationsAttr(),
+        animation.CreateBlendShapeWeightsAttr(),
+    )
+    found = np.flatnonzero(track.found)
+    jaw = Gf.Vec3f(*_jaw(clip.person))
+    quats = quaternions(track.rotation[found])
+    for position, (x, y, z, w) in zip(found, quats.tolist(), strict=True):
+        time = float(track.index[position])
+        place = to_world(track.translation[position]).tolist()
+        places.Set(Vt.Vec3fArray([Gf.Vec3f(*place), jaw]), time)
+        turns.Set(Vt.QuatfArray([Gf.Quatf(w, x, y, z), Gf.Quatf(1.0)]), time)
+        weights.Set(Vt.FloatArray.FromNumpy(track.expression[position].astype(np.float32)), time)
+    return animation
+
+
+def _mesh(stage, person: FaceModel, skeleton) -> None:
+    from pxr import Sdf, UsdGeom, UsdSkel, Vt
+
+    mesh = UsdGeom.Mesh.Define(stage, "/performance/face")
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    points = to_world(person.neutral).astype(np.float32)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(person.triangles), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(person.triangles.astype(np.int32).ravel()))
+    primvars = UsdGeom.PrimvarsAPI(mesh)
+    colors = primvars.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex)
+    colors.Set(Vt.Vec3fArray.FromNumpy(((person.colors / 255.0) ** 2.2).astype(np.float32)))
+    if len(person.uv) > 1:
+        uv = primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
+        uv.Set(Vt.Vec2fArray.FromNumpy(person.uv[person.triangles_uv.ravel()].astype(np.float32)))
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    weights = np.stack([1.0 - person.jaw_weights, person.jaw_weights], axis=1).astype(np.float32)
+    joints = np.tile(np.arange(2, dtype=np.int32), (len(points), 1))
+    binding.CreateJointIndicesPrimvar(False, 2).Set(Vt.IntArray.FromNumpy(joints.ravel()))
+    binding.CreateJointWeightsPrimvar(False, 2).Set(Vt.FloatArray.FromNumpy(weights.ravel()))
+    binding.CreateBlendShapesAttr(Vt.TokenArray(person.expression_names))
+    targets = []
+    for name, delta in zip(person.expression_names, person.expression_deltas, strict=True):
+        moving = np.flatnonzero(np.abs(delta).max(1) > 0.0)
+        shape = UsdSkel.BlendShape.Define(stage, mesh.GetPath().AppendChild(_identifier(name)))
+        shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(to_world(delta[moving]).astype(np.float32)))
+        shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
+        targets.append(shape.GetPath())
+    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+
+
+def _camera(stage, clip: Clip) -> None:
+    """Lens and film: the same field of view and the same point where the optical axis meets the picture."""
+    from pxr import Gf, UsdGeom
+
+    width, height = clip.image_size
+    fx, fy = (float(length) for length in clip.camera.focal_px)
+    cx, cy = (float(place) for place in clip.camera.principal_point_px)
+    camera = UsdGeom.Camera.Define(stage, "/performance/camera")
+    # Focal length and film count in tenths of the stage's unit; only their ratios matter.
+    film = APERTURE_MM / 100.0
+    camera.CreateHorizontalApertureAttr(film)
+    camera.CreateVerticalApertureAttr(film * (height / fy) / (width / fx))
+    camera.CreateFocalLengthAttr(film * fx / width)
+    camera.CreateHorizontalApertureOffsetAttr(film * ((width - 1) / 2 - cx) / width)
+    camera.CreateVerticalApertureOffsetAttr(film * (cy - (height - 1) / 2) / fy / (width / fx))
+    camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
+
+
+def _jaw(person: FaceModel) -> list[float]:
+    """The pivot of the jaw; the origin for a head without one, where no vertex hangs on it."""
+    return to_world(np.asarray(person.joints.get("jaw", np.zeros(3)), float)).tolist()
+
+
+def _identifier(name: str) -> str:
+    from pxr import Tf
+
+    return Tf.MakeValidIdentifier(name)
