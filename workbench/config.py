@@ -19,7 +19,9 @@ from workbench.landmarks.scheme import GROUPS
 
 VERSION = 2
 DEFAULT_PRESET = "joint"
-PARAMETER_BLOCKS = ("rotation", "translation", "expression")
+PARAMETER_BLOCKS = ("rotation", "translation", "expression", "identity", "jaw_open", "jaw", "scale")
+FACE_IT_BLOCKS = PARAMETER_BLOCKS[:3]
+System = Literal["face-it", "deep-energies"]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
 PointKey = Annotated[str, Field(pattern=r"^([0-9]|[1-5][0-9]|6[0-7])$")]
@@ -39,6 +41,10 @@ class CameraConfig(_Section):
     )
     matrix: list[list[float]] | None = Field(None, description="OpenCV camera matrix in pixels; replaces fov_deg.")
     distortion: list[float] = Field([], description="OpenCV distortion, 0, 4, 5 or 8 coefficients.")
+    projection: Literal["perspective", "orthographic"] = Field(
+        "perspective", description="orthographic: no perspective, as by a tele lens; the head's scale replaces z."
+    )
+    rig: str = Field("", description="Rig file of several cameras (Deep Energies); replaces the camera above.")
 
 
 class WeightsConfig(_Section):
@@ -119,12 +125,46 @@ class LandmarksConfig(_Section):
     )
 
 
+class DeepConfig(_Section):
+    """Deep Energies: photo and render through one network (Sec. 4 to 8); FACE IT! reads none of this."""
+
+    energy: Literal["deep", "points", "mixed"] = Field(
+        "deep", description="Landmarks of the model: seen in its render, preselected on it, or mixed by confidence."
+    )
+    derivative: Literal["broyden", "forward", "differences"] = Field(
+        "broyden", description="forward: through renderer and network, as the paper; broyden: 8 times as quick."
+    )
+    start: Literal["frontal", "landmarks"] = Field(
+        "frontal", description="frontal: facing the camera in the picture's middle; landmarks: the pose they give."
+    )
+    distance_mm: Annotated[float, Field(gt=0.0)] = Field(650.0, description="Distance of the frontal start.")
+    appearance: Literal["estimate", "model"] = Field(
+        "estimate", description="Colours and light: from the frame nearest to neutral, or the model's own."
+    )
+    network: str = Field("", description="Weights of the landmark network (.safetensors); empty: the bundled one.")
+    edges: NonNegative = Field(0.5, description="Weight of the edge-preserving term E_2 (Sec. 8.1).")
+    regularisation: NonNegative = Field(100.0, description="λ of ‖w‖², blendshapes and jaw (Sec. 8.2).")
+    tolerance: NonNegative = Field(1e-3, description="A stage stops when a step gains less than this part.")
+    identity: NonNegative = Field(10.0, description="Weight of ‖identity‖² in stages that free it.")
+    prior: NonNegative = Field(1.0, description="Weight of staying near the pose before, 1 rad as 100 mm (Sec. 5).")
+    largest_error: NonNegative = Field(6.0, description="Failed above this mean landmark error, % of eye distance.")
+    largest_disagreement: NonNegative = Field(
+        12.0, description="Failed if jaw and other landmarks differ by more in their mean error, % of eye distance."
+    )
+
+
 class Stage(_Section):
     """One solve: what is free, what each landmark counts, how many iterations."""
 
     name: str = Field(min_length=1, description="What tables and plots call it.")
-    free: tuple[Literal["rotation", "translation", "expression"], ...] = Field(
+    free: tuple[Literal["rotation", "translation", "expression", "identity", "jaw_open", "jaw", "scale"], ...] = Field(
         min_length=1, description="What the stage solves for; the rest stays."
+    )
+    shapes: tuple[str, ...] = Field(
+        (), description="Deep Energies: free blendshapes by name or start of name, or first:N; empty: all."
+    )
+    terms: tuple[Literal["edges", "regularisation", "prior"], ...] = Field(
+        (), description="Deep Energies: terms beside the landmarks."
     )
     landmarks: dict[str, NonNegative] = Field({"all": 1.0}, description="Weight by group; later entries win.")
     limit: Iterations = Field(15, description="Most iterations.")
@@ -177,11 +217,54 @@ POSE = ("rotation", "translation")
 ROBUST_START = Stage(name="initial pose", free=POSE, landmarks={"robust": 1.0}, when="start")
 
 
+DEEP_STAGES = (
+    # Few iterations on purpose: translation alone would grow and shrink the face to reach the landmarks.
+    Stage(name="translation", free=("translation",), landmarks={"non_jaw": 1.0}, limit=5, terms=("edges",)),
+    Stage(name="rigid, not the jaw", free=POSE, landmarks={"non_jaw": 1.0}, limit=10, terms=("edges",)),
+    Stage(name="rigid, jaw alone", free=POSE, landmarks={"jaw": 1.0}, limit=3, terms=("edges",)),
+    Stage(name="rigid, all", free=POSE, limit=10, terms=("edges",)),
+    Stage(
+        name="jaw open",
+        free=(*POSE, "jaw_open"),
+        landmarks={"all": 1.0, "mouth": 3.0},
+        limit=8,
+        terms=("regularisation",),
+    ),
+    Stage(name="jaw", free=("jaw",), landmarks={"all": 1.0, "mouth": 3.0}, limit=8, terms=("regularisation",)),
+    Stage(
+        name="jaw and mouth",
+        free=(*POSE, "expression", "jaw"),
+        shapes=("mouth",),
+        limit=12,
+        terms=("regularisation",),
+    ),
+    Stage(
+        name="re-estimation",
+        free=("expression", "jaw"),
+        shapes=("mouth",),
+        limit=12,
+        terms=("regularisation",),
+        enabled=False,
+    ),
+)
+"""Deep Energies Sec. 8.1 and 8.2; the last one is B.1's, for after a temporal refinement."""
+
+FIRST_10 = ("first:10",)
+PARALLEL_STAGES = (
+    Stage(name="translation", free=("translation",), landmarks={"non_jaw": 1.0}, limit=5, terms=("edges",)),
+    Stage(name="rigid and scale", free=(*POSE, "scale"), limit=15, terms=("edges",)),
+    Stage(name="shape", free=(*POSE, "identity"), shapes=FIRST_10, limit=12),
+    Stage(name="expression", free=(*POSE, "expression"), shapes=FIRST_10, limit=12, terms=("regularisation",)),
+)
+"""Deep Energies Appendix C.2."""
+
+
 class Config(_Section):
     """A whole configuration."""
 
     version: Literal[2] = Field(VERSION, description="Of this file's format.")
     preset: str = Field(DEFAULT_PRESET, description="The preset this configuration started from.")
+    system: System = Field("face-it", description="face-it: from landmarks; deep-energies: from renders as well.")
     camera: CameraConfig = CameraConfig()
     weights: WeightsConfig = WeightsConfig()
     constants: ConstantsConfig = ConstantsConfig()
@@ -189,6 +272,7 @@ class Config(_Section):
     contour: ContourConfig = ContourConfig()
     identity: IdentityConfig = IdentityConfig()
     landmarks: LandmarksConfig = LandmarksConfig()
+    deep: DeepConfig = DeepConfig()
     subsets: dict[str, tuple[Annotated[int, Field(ge=0, lt=68)], ...]] = Field(
         {}, description="Named sets of landmark numbers, used like the built-in groups."
     )
@@ -224,6 +308,12 @@ class Config(_Section):
             for name in table:
                 if problem := _unknown_group(name, self.subsets):
                     raise ValueError(f"{place} {problem}")
+        for stage in self.stages:
+            foreign = [name for name in stage.free if name not in FACE_IT_BLOCKS]
+            if self.system == "face-it" and foreign:
+                raise ValueError(f"stage {stage.name!r} frees {foreign[0]!r}, which takes system = 'deep-energies'")
+        if self.system == "face-it" and self.camera.projection == "orthographic":
+            raise ValueError("an orthographic camera takes system = 'deep-energies'")
         if not any(stage.enabled and stage.when == "always" for stage in self.stages):
             raise ValueError("no enabled stage runs on every frame: enable one with when = 'always'")
         return self
@@ -271,6 +361,21 @@ PRESETS: dict[str, Config] = {
     ),
     # Ours: pose and expression as one problem of 50 unknowns, where the alternation sticks.
     "joint": Config(preset="joint", weights=WeightsConfig(sigma_smooth=20.0), stages=PRESET_STAGES["joint"]),
+    # Deep Energies, its stages as printed. λ is the paper's; it prints neither W nor the weight of its edge term.
+    "deep-energies": Config(preset="deep-energies", system="deep-energies", stages=DEEP_STAGES),
+    # The same with the energy of Appendix C.1.
+    "preselected-points": Config(
+        preset="preselected-points", system="deep-energies", deep=DeepConfig(energy="points"), stages=DEEP_STAGES
+    ),
+    # Appendix C.2: parallel projection with a scale, the mean face and 10 + 10 components.
+    "orthographic": Config(
+        preset="orthographic",
+        system="deep-energies",
+        camera=CameraConfig(projection="orthographic"),
+        identity=IdentityConfig(calibrate=False),
+        deep=DeepConfig(appearance="model"),
+        stages=PARALLEL_STAGES,
+    ),
 }
 
 
@@ -453,7 +558,7 @@ def _table(section: BaseModel):
         table.comment(section.__doc__.splitlines()[0])
     for name, field in type(section).model_fields.items():
         value = getattr(section, name)
-        if value is None:
+        if value is None or (value == () and isinstance(section, Stage)):
             continue
         table.add(name, _commented(value, field.description))
     return table

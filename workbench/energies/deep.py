@@ -18,7 +18,7 @@ from workbench.face import FaceModel, FaceParameters, contour_blend
 from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
 from workbench.geometry import project, rotation_matrix, yaw_of
 from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
-from workbench.networks import CropBox, Fan, HeatMapNetwork, patch_mass, soft_argmax, to_picture
+from workbench.networks import CropBox, Fan, LandmarkNetwork, soft_argmax, to_picture
 from workbench.networks.crop import fan_box_of
 from workbench.rendering import CropCamera, RenderModel, face_vertices, render, render_model
 from workbench.rendering.camera import AnyCamera, OrthographicCamera
@@ -45,10 +45,10 @@ class DeepView(NamedTuple):
     """What one camera brings: where it stands, what its photo shows, and how the render in it is lit."""
 
     camera: AnyCamera
-    rotation: Float[AnyArray, "3"]
-    """Axis-angle from the reference camera's frame to this one's; zero for a single camera."""
+    rotation: Float[AnyArray, "3 3"]
+    """From the reference camera's frame to this one's; the identity for a single camera."""
     translation: Float[AnyArray, "3"]
-    """Millimetres."""
+    """The reference camera's place in this one's frame, millimetres."""
     target: Float[AnyArray, "68 2"]
     """N(F*), pixels."""
     weights: Float[AnyArray, "68"]
@@ -78,8 +78,8 @@ class NetworkView(NamedTuple):
 
     points: Float[Array, "68 2"]
     """N(F), pixels of the whole picture."""
-    mass: Float[Array, "68"]
-    """Share of each heat map's probability around its maximum."""
+    confidence: Float[Array, "68"]
+    """0 to 1."""
     heat_maps: Float[Array, "68 m m"]
     picture: Float[Array, "s s 3"]
     """The render inside of the crop, RGB in 0..1."""
@@ -104,7 +104,7 @@ def view_vertices(model: DeepModel, view: DeepView, parameters: FaceParameters) 
     """The face in the frame of a view's camera, millimetres."""
     vertices = face_vertices(model.render, parameters)
     rotation, translation = (jnp.asarray(part, jnp.float32) for part in (view.rotation, view.translation))
-    return vertices @ rotation_matrix(rotation).T + translation
+    return vertices @ rotation.T + translation
 
 
 def preselected_points(
@@ -112,7 +112,7 @@ def preselected_points(
 ) -> Float[Array, "68 2"]:
     """The 68 points on the mesh, projected, pixels (Appendix C.1). `sliding` 1: the jaw contour follows the yaw."""
     vertices = view_vertices(model, view, parameters)
-    turned = rotation_matrix(jnp.asarray(view.rotation)) @ rotation_matrix(jnp.asarray(parameters.rotation))
+    turned = jnp.asarray(view.rotation) @ rotation_matrix(jnp.asarray(parameters.rotation))
     yaw = jax.lax.stop_gradient(yaw_of(turned))
     blend = contour_blend(model.contour_yaw, yaw, sliding).astype(jnp.float32)
     contour = jnp.einsum("b,bnjd,bnj->nd", blend, vertices[model.contour], model.contour_barycentric)
@@ -121,7 +121,7 @@ def preselected_points(
 
 
 def network_view(
-    network: HeatMapNetwork,
+    network: Fan | LandmarkNetwork,
     model: DeepModel,
     albedo: Float[AnyArray, "v 3"],
     view: DeepView,
@@ -142,10 +142,10 @@ def network_view(
     ).color
     heat_maps = network(jnp.moveaxis(picture, -1, 0))
     points = to_picture(soft_argmax(heat_maps), box, heat_maps.shape[-1])
-    return NetworkView(points, patch_mass(heat_maps), heat_maps, picture, box)
+    return NetworkView(points, network.confidence_of(heat_maps), heat_maps, picture, box)
 
 
-def crop_of(network: HeatMapNetwork, points: Float[AnyArray, "68 2"]) -> CropBox:
+def crop_of(network: Fan | LandmarkNetwork, points: Float[AnyArray, "68 2"]) -> CropBox:
     """The crop that a network wants of a face whose landmarks are known, pixels."""
     return fan_box_of(points) if isinstance(network, Fan) else landmark_crop(points)
 

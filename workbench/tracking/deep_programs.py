@@ -24,7 +24,7 @@ from workbench.energies.deep import (
     preselected_points,
 )
 from workbench.face import FaceParameters
-from workbench.networks import HeatMapNetwork
+from workbench.networks import Fan, LandmarkNetwork
 from workbench.solvers.dogleg import Quadratic
 
 CHUNK = 8
@@ -37,7 +37,7 @@ JAW_TRAVEL_SCALE_MM = 3.0
 class DeepScene(NamedTuple):
     """What stays the same over the frames of a clip."""
 
-    network: HeatMapNetwork
+    network: Fan | LandmarkNetwork
     model: DeepModel
     albedo: Float[AnyArray, "v 3"]
     sliding: Scalar

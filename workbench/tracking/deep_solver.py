@@ -2,10 +2,10 @@
 
 Three ways to the derivative of what the network sees in the render:
 
-* `network`: the exact one, forward mode through renderer, crop, network and soft-argmax, as in the paper. The network
+* `forward`: the exact one, forward mode through renderer, crop, network and soft-argmax, as in the paper. The network
   answers in small jumps as edges pass over pixels, so the slope at one place says little about a step of millimetres.
-* `secant`: central differences over steps of half the unknowns' typical sizes: the slope that a step will meet.
-* `points`: that of the preselected points, corrected by what each step really did (Broyden). No extra render at all.
+* `differences`: central ones over steps of half the unknowns' typical sizes: the slope that a step will meet.
+* `broyden`: that of the preselected points, corrected by what each step really did. No extra render at all.
 """
 
 from collections.abc import Callable
@@ -35,8 +35,8 @@ from workbench.tracking.deep_programs import (
     term_energies,
 )
 
-Derivative = Literal["network", "secant", "points"]
-SECANT_STEP = 0.5
+Derivative = Literal["forward", "differences", "broyden"]
+DIFFERENCE_STEP = 0.5
 """Half the width of a central difference, in typical sizes of the unknown."""
 SMALLEST_RADIUS = 1e-2
 """Share of a Gauss–Newton step below which a stage gives up: the network's answer is not smooth below it."""
@@ -139,13 +139,13 @@ def solve_stage(
         if not np.isfinite(tried_energies).all():
             status = Status.NOT_FINITE
             break
-        if problem.derivative == "points":
+        if problem.derivative == "broyden":
             derivative = broyden(derivative, step, tried.points - prediction.points)
         if accepted:
             small = energies.sum() - tried_energies.sum() <= problem.tolerance * energies.sum()
             vector, parameters, prediction, energies = candidate, tried_parameters, tried, tried_energies
             path.append(Iteration(parameters, energies, prediction.points))
-            if problem.derivative != "points":
+            if problem.derivative != "broyden":
                 derivative = None
             if small:
                 status = Status.CONVERGED
@@ -191,11 +191,11 @@ class _State:
             of_points = np.array(points_derivative(problem.scene, view, parameters), float)
         of_points[~problem.free] = 0.0
         share = np.asarray(view.share, float)[:, None]
-        if problem.derivative == "points" or not np.any(share > 0.0):
+        if problem.derivative == "broyden" or not np.any(share > 0.0):
             return of_points
         columns = np.flatnonzero(problem.free)
         seen = np.zeros_like(of_points)
-        make = self._forward if problem.derivative == "network" else self._differences
+        make = self._forward if problem.derivative == "forward" else self._differences
         seen[columns] = make(view, parameters, columns)
         return share * seen + (1.0 - share) * of_points
 
@@ -211,7 +211,7 @@ class _State:
 
     def _differences(self, view, parameters, columns):
         vector, unravel = ravel_pytree(parameters)
-        steps = SECANT_STEP * np.asarray(ravel_pytree(scales(parameters))[0])
+        steps = DIFFERENCE_STEP * np.asarray(ravel_pytree(scales(parameters))[0])
         rows = []
         for column in columns:
             ends = []
@@ -219,7 +219,7 @@ class _State:
                 with COMPUTING:
                     moved = unravel(vector.at[column].add(sign * steps[column]))
                     ends.append(np.asarray(look(self._problem.scene, view, moved).points, float))
-            rows.append((ends[0] - ends[1]) / (2.0 * SECANT_STEP))
+            rows.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))
         self.evaluations += 2 * len(columns)
         return np.stack(rows)
 

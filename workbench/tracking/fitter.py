@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from workbench.config import Config, Stage
 from workbench.energies import TERMS, EnergyConstants, EnergyWeights
@@ -16,6 +16,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, camera_from_fov, camera_from_matrix, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
+from workbench.rendering import Appearance
 from workbench.runtime import COMPUTING
 from workbench.tracking.frame_solver import (
     FREE_SETS,
@@ -47,6 +48,10 @@ class FrameObservation:
     """Whether this frame starts a new shot."""
     milliseconds: tuple[float, float] = (0.0, 0.0)
     """Time that detection and landmarks took."""
+    picture: UInt8[np.ndarray, "h w 3"] | None = None
+    """RGB, where the fit wants it: Deep Energies takes colours and light from one."""
+    others: tuple[Landmarks2D | None, ...] = ()
+    """Landmarks in the other views of a rig, in its order; None where that view found no face."""
 
 
 class Continuation(NamedTuple):
@@ -69,6 +74,8 @@ class FrameContext(NamedTuple):
     """Where the calibration left this frame, if it was one of its frames."""
     last: Continuation | None
     """The frame before; None where a shot, or the face after a gap or a jump, begins."""
+    appearance: Appearance | None = None
+    """Colours and light of the shot, for renders."""
 
 
 class Calibrated(NamedTuple):
@@ -77,6 +84,7 @@ class Calibrated(NamedTuple):
     identity: Float[np.ndarray, "i"]
     starts: dict[int, FaceParameters]
     """By frame index."""
+    appearance: Appearance | None = None
 
 
 class StageTrace(NamedTuple):
@@ -155,6 +163,11 @@ class FrameFitter:
         self._used = np.array(config.point_weights()) > 0.0
         self._programs = {start: stage_program(config, start) for start in (True, False)}
         self._cameras: dict[tuple[int, int], tuple[Camera, Camera]] = {}
+
+    @property
+    def calibrates(self) -> bool:
+        """Whether a shot is looked at before its frames are fitted."""
+        return self.config.identity.calibrate
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """The camera used for pictures of this size."""

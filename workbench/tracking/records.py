@@ -2,7 +2,7 @@
 
 import json
 import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,9 @@ from workbench.geometry import Camera, yaw_pitch_roll_deg
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 
 FORMAT = "face-energy-workbench-track"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+FAILURES = ("", "jaw and face disagree", "large error", "not finite")
+"""Why a fit is no good although there was a face (Deep Energies Sec. 8.2); stored as an index."""
 SOURCES = ("none", "detected", "tracked", "given")
 """Where the landmarks of a frame came from; stored as an index."""
 
@@ -42,13 +44,19 @@ class FrameFit:
     confidence: Float[np.ndarray, "68"]
     projected: Float[np.ndarray, "68 2"]
     """The model's landmarks in the picture, pixels."""
-    energies: Float[np.ndarray, "s 7"]
-    """Weighted energy of each term (`energies.TERMS`) after each stage."""
+    energies: Float[np.ndarray, "s e"]
+    """Weighted energy of each term (`energies.TERMS`, or `energies.deep.DEEP_TERMS`) after each stage."""
     status: Int[np.ndarray, "s"]
     """`solvers.Status` of each stage, −1 for a stage that did not run."""
     iterations: Int[np.ndarray, "s"]
     milliseconds: Float[np.ndarray, "3"]
     """Time for detection, landmarks and solve."""
+    jaw: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
+    """Motion of the jaw joint (`FaceParameters.jaw`); zero where only blendshapes move."""
+    scale: float = 1.0
+    """Of the head, for views that do not tell its distance."""
+    failure: str = ""
+    """One of `FAILURES`: why the fit should not be used, empty if it may."""
 
     @property
     def errors(self) -> tuple[float, float, float]:
@@ -85,10 +93,13 @@ class Track:
     observed: Float[np.ndarray, "n 68 2"]
     confidence: Float[np.ndarray, "n 68"]
     projected: Float[np.ndarray, "n 68 2"]
-    energies: Float[np.ndarray, "n s 7"]
+    energies: Float[np.ndarray, "n s e"]
     status: Int[np.ndarray, "n s"]
     iterations: Int[np.ndarray, "n s"]
     milliseconds: Float[np.ndarray, "n 3"]
+    jaw: Float[np.ndarray, "n 6"]
+    scale: Float[np.ndarray, "n"]
+    failure: np.ndarray
     meta: dict[str, Any]
     """Expression names, configuration, inputs, names of the frames, software versions: plain JSON."""
 
@@ -99,7 +110,8 @@ class Track:
         row = {name: getattr(self, name)[position] for name in ARRAYS}
         camera = Camera(row.pop("focal_px"), row.pop("principal_point_px"), row.pop("distortion"))
         row["index"], row["shot"], row["found"] = int(row["index"]), int(row["shot"]), bool(row["found"])
-        row["source"] = SOURCES[int(row["source"])]
+        row["source"], row["failure"] = SOURCES[int(row["source"])], FAILURES[int(row["failure"])]
+        row["scale"] = float(row["scale"])
         row["image_size"] = (int(row["image_size"][0]), int(row["image_size"][1]))
         return FrameFit(camera=camera, **row)
 
@@ -133,14 +145,21 @@ class Track:
                     raise InputError(f"{path} is no workbench track; pass the track.npz of a run.")
                 if meta.get("format_version", 0) > FORMAT_VERSION:
                     raise InputError(f"{path} was written by a newer workbench; upgrade to read it.")
-                return cls(meta=meta, **{name: stored[name] for name in ARRAYS})
+                return cls(meta=meta, **_arrays_of(stored))
         except (zipfile.BadZipFile, KeyError, ValueError, OSError, EOFError, AttributeError) as error:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{path} is damaged or no workbench track ({error}); run the tracking again.") from error
 
 
-ARRAYS = tuple(field.name for field in fields(Track) if field.name != "meta")
+ARRAYS = tuple(entry.name for entry in fields(Track) if entry.name != "meta")
+
+
+def _arrays_of(stored) -> dict[str, np.ndarray]:
+    """The arrays of a file; those that older versions did not write as they were then."""
+    count = len(stored["index"])
+    old = {"jaw": np.zeros((count, 6)), "scale": np.ones(count), "failure": np.zeros(count, np.int8)}
+    return {name: stored[name] if name in stored or name not in old else old[name] for name in ARRAYS}
 
 
 def meta_array(meta: dict[str, Any]) -> np.ndarray:
@@ -156,6 +175,7 @@ def stack_fits(fits: list[FrameFit]) -> dict[str, np.ndarray]:
         "shot": np.array([fit.shot for fit in fits], np.int64),
         "source": np.array([SOURCES.index(fit.source) for fit in fits], np.int8),
         "image_size": np.array([fit.image_size for fit in fits], np.int64),
+        "failure": np.array([FAILURES.index(fit.failure) for fit in fits], np.int8),
         "focal_px": np.stack([np.asarray(fit.camera.focal_px, float) for fit in fits]),
         "principal_point_px": np.stack([np.asarray(fit.camera.principal_point_px, float) for fit in fits]),
         "distortion": np.stack([np.asarray(fit.camera.distortion, float) for fit in fits]),

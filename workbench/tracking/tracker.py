@@ -1,6 +1,7 @@
-"""FACE IT! over a stream of landmarks: identity calibration, first poses, and one frame after the other."""
+"""Either system over a stream of landmarks: calibration of each shot, and one frame after the other."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import fields
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,15 +12,16 @@ from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera
 from workbench.landmarks.scheme import outer_eye_distance
+from workbench.rendering import Appearance
 from workbench.tracking.fitter import (
     Continuation,
     FrameContext,
-    FrameFitter,
     FrameObservation,
     StageTrace,
     corrected,
 )
 from workbench.tracking.records import FrameFit
+from workbench.tracking.systems import configured, make_fitter
 
 JUMP = 0.5
 """Mean landmark motion between frames, in outer-eye distances, that restarts the pose."""
@@ -32,7 +34,7 @@ class FaceTracker:
         """`stills`: every frame is its own shot, no term links it to another."""
         self.model = model
         self.stills = stills
-        self._fitter = FrameFitter(model, config)
+        self._fitter = make_fitter(model, config)
         self._shot = -1
         self._pending: list[FrameObservation] = []
         self._start_shot()
@@ -45,12 +47,12 @@ class FaceTracker:
     def warm_up(self, image_size: tuple[int, int]) -> None:
         """Compile (or load from the cache) all that a run needs, so that its first frames are as fast as the others."""
         self._fitter.warm_up(image_size)
-        if self.config.identity.calibrate:
+        if self._fitter.calibrates:
             self._fitter.calibrate([self._fitter.neutral_observation(image_size)], self._calibration_frames())
 
     def configure(self, config: Config) -> None:
         """Use another configuration from the next frame on."""
-        self._fitter.configure(config)
+        self._fitter = configured(self._fitter, config)
 
     def push(self, observation: FrameObservation) -> list[FrameFit]:
         """Take the next frame; return the fits that are ready, in order."""
@@ -58,17 +60,24 @@ class FaceTracker:
 
     def advance(self, observation: FrameObservation) -> list[tuple[FrameFit, FrameContext]]:
         """As `push`, each fit with the context that it was fitted in."""
-        observation, ready = corrected(observation, self.config), []
+        return [self._fit(*pair) for pair in self.prepare(observation)]
+
+    def prepare(self, observation: FrameObservation) -> Iterator[tuple[FrameObservation, FrameContext]]:
+        """Take the next frame; yield the frames that can be fitted, each with its context, without fitting them.
+
+        Only where frames are independent (Deep Energies) may they be fitted elsewhere, and in any order.
+        """
+        observation = corrected(observation, self.config)
         if (observation.cut or self.stills) and (self._pending or self._seen):
-            ready += self.complete()
+            yield from self.prepare_rest()
             self._start_shot()
         self._seen = True
         self._pending.append(observation)
         if self._identity is None and self._faces_pending():
             if len(self._pending) < (1 if self.stills else self.config.identity.window):
-                return ready
+                return
             self._calibrate(self._pending)
-        return ready + self._flush()
+        yield from self._flush()
 
     def finish(self) -> list[FrameFit]:
         """Fits of the frames still held back: the shot has ended."""
@@ -76,9 +85,13 @@ class FaceTracker:
 
     def complete(self) -> list[tuple[FrameFit, FrameContext]]:
         """As `finish`, each fit with its context."""
+        return [self._fit(*pair) for pair in self.prepare_rest()]
+
+    def prepare_rest(self) -> Iterator[tuple[FrameObservation, FrameContext]]:
+        """As `prepare`, for the frames still held back."""
         if self._identity is None and self._faces_pending():
             self._calibrate(self._pending)
-        return self._flush()
+        yield from self._flush()
 
     def explain(self, observation: FrameObservation) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """Fit one frame as the next `push` would, with every iteration kept; the tracker itself does not move.
@@ -89,17 +102,18 @@ class FaceTracker:
         observation = corrected(observation, self.config)
         if observation.landmarks is None:
             raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
-        identity, starts = self._identity, self._starts
-        if (self.stills or identity is None) and self.config.identity.calibrate:
-            identity, starts = self._fitter.calibrate([observation], self._calibration_frames())
+        identity, starts, appearance = self._identity, self._starts, self._appearance
+        if (self.stills or identity is None) and self._fitter.calibrates:
+            identity, starts, appearance = self._fitter.calibrate([observation], self._calibration_frames())
         last = None if self.stills else self._continuing(observation)
-        context = FrameContext(self._shot, identity, starts.get(observation.index), last)
+        context = FrameContext(self._shot, identity, starts.get(observation.index), last, appearance)
         return self._fitter.explain(observation, context)
 
     def resume(self, context: FrameContext) -> None:
         """Go on as if the next frame were the one of this context."""
         self._pending = []
         self._shot, self._identity, self._last, self._seen = context.shot, context.identity, context.last, True
+        self._appearance = context.appearance
 
     def fit_all(self, observations: Iterable[FrameObservation]) -> Iterator[FrameFit]:
         """`push` for each observation, then `finish`."""
@@ -114,6 +128,8 @@ class FaceTracker:
         arrays = {"shot": np.array(self._shot), "seen": np.array(self._seen)}
         if self._identity is not None:
             arrays["identity"] = self._identity
+        if self._appearance is not None:
+            arrays |= {f"appearance_{name}": np.asarray(value) for name, value in vars(self._appearance).items()}
         if self._last is not None:
             arrays |= {f"parameters_{k}": np.asarray(value) for k, value in enumerate(self._last.parameters)}
             arrays |= {"pose": np.asarray(self._last.pose), "last_pose": np.asarray(self._last.last_pose)}
@@ -126,6 +142,9 @@ class FaceTracker:
         self._shot, self._seen = int(arrays["shot"]), bool(arrays["seen"])
         if "identity" in arrays:
             self._identity = arrays["identity"]
+        if "appearance_albedo" in arrays:
+            parts = {field.name: arrays[f"appearance_{field.name}"] for field in fields(Appearance)}
+            self._appearance = Appearance(**{**parts, "residual": float(parts["residual"])})
         if "pose" in arrays:
             parameters = FaceParameters(*(jnp.asarray(arrays[f"parameters_{k}"]) for k in range(4)))
             self._last = Continuation(
@@ -146,27 +165,33 @@ class FaceTracker:
         self._last: Continuation | None = None
         self._starts: dict[int, FaceParameters] = {}
         self._identity: np.ndarray | None = None
-        if not self.config.identity.calibrate:
+        self._appearance: Appearance | None = None
+        if not self._fitter.calibrates:
             self._identity = self._fitter.mean_identity()
 
     def _faces_pending(self) -> bool:
         return any(observation.landmarks is not None for observation in self._pending)
 
-    def _flush(self) -> list[tuple[FrameFit, FrameContext]]:
+    def _flush(self) -> Iterator[tuple[FrameObservation, FrameContext]]:
         pending, self._pending = self._pending, []
-        return [self._fit(observation) for observation in pending]
+        for observation in pending:
+            # Made one at a time: a context holds what the frame before left.
+            yield observation, self._context(observation)
 
     def _calibration_frames(self) -> int:
         return 1 if self.stills else self.config.identity.frames
 
     def _calibrate(self, observations: list[FrameObservation]) -> None:
-        self._identity, self._starts = self._fitter.calibrate(observations, self._calibration_frames())
+        calibrated = self._fitter.calibrate(observations, self._calibration_frames())
+        self._identity, self._starts, self._appearance = calibrated
 
-    def _fit(self, observation: FrameObservation) -> tuple[FrameFit, FrameContext]:
+    def _context(self, observation: FrameObservation) -> FrameContext:
         last = None if observation.landmarks is None else self._continuing(observation)
         # A shot without any face has no identity, and no fit that would need one.
         identity = self._fitter.mean_identity() if self._identity is None else self._identity
-        context = FrameContext(self._shot, identity, self._starts.get(observation.index), last)
+        return FrameContext(self._shot, identity, self._starts.get(observation.index), last, self._appearance)
+
+    def _fit(self, observation: FrameObservation, context: FrameContext) -> tuple[FrameFit, FrameContext]:
         fit, self._last = self._fitter.fit(observation, context)
         return fit, context
 

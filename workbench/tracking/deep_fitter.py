@@ -1,0 +1,440 @@
+"""One frame under Deep Energies: the same calls as `FrameFitter`, with renders in place of points on the mesh.
+
+Frames are independent (the paper's Sec. 7 starts from there): a fit needs the shot's identity and appearance and the
+frame's own landmarks, nothing of the frame before.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from workbench.config import Config, Stage, preset
+from workbench.energies.deep import DEEP_TERMS, DeepView, DeepWeights, crop_of, deep_model
+from workbench.errors import ConfigError, InputError
+from workbench.face import FaceModel, FaceParameters
+from workbench.geometry import Camera, Rig, read_rig, yaw_pitch_roll_deg
+from workbench.landmarks.network_detector import CROP_BOXES
+from workbench.landmarks.observations import Landmarks2D
+from workbench.rendering import Appearance, ambient_light, directional_light, estimate_appearance, orthographic_camera
+from workbench.rendering.camera import OrthographicCamera
+from workbench.solvers import Status
+from workbench.tracking.deep_programs import DeepScene
+from workbench.tracking.deep_solver import StageProblem, StageResult, solve_stage
+from workbench.tracking.deep_target import energy_network
+from workbench.tracking.fitter import (
+    Calibrated,
+    FrameContext,
+    FrameFitter,
+    FrameObservation,
+    StageTrace,
+    camera_of,
+    running_stages,
+)
+from workbench.tracking.records import FAILURES, FrameFit
+
+EYES_PER_BOX = 0.726
+"""Outer-eye distance of an average face in face-box sides (`landmarks.alignment.MEAN_SHAPE`): unlike the distance in
+the picture it does not shrink with the yaw."""
+FAR_MM = 1e5
+"""A parallel view is recorded as a camera at this distance, so that everything that reads a fit can draw it."""
+JAW_LOWER = (-0.05, -0.25, -0.15, -12.0, -6.0, -12.0)
+JAW_UPPER = (0.70, 0.25, 0.15, 12.0, 12.0, 12.0)
+"""Range of the jaw joint: radians about x (opening), y, z, then millimetres."""
+BACKGROUND = (0.45, 0.45, 0.45)
+NEUTRAL_YAW_DEG = 25.0
+"""A weight of 1 makes a frame as unfit for the appearance as this yaw."""
+
+
+@dataclass(frozen=True)
+class DeepSolution:
+    """A frame solved: what every stage made of it."""
+
+    stages: tuple[Stage, ...]
+    results: tuple[StageResult, ...]
+    views: tuple[DeepView, ...]
+    """As the last stage had them."""
+    start: FaceParameters
+    seconds: tuple[float, ...]
+    """Of each stage."""
+
+    @property
+    def parameters(self) -> FaceParameters:
+        """Where the last stage ended."""
+        return self.results[-1].parameters
+
+
+class DeepFitter:
+    """Fits frames by Deep Energies. Holds the arrays of one model and one configuration, no order of frames."""
+
+    def __init__(self, model: FaceModel, config: Config):
+        self.model = model
+        self._deep_model = deep_model(model)
+        self._points = FrameFitter(model, _points_config(config))
+        self.configure(config)
+
+    def configure(self, config: Config) -> None:
+        """Use another configuration from now on. Raises `InputError` and `ConfigError` for a rig or network file that
+        cannot be used."""
+        self.config = config
+        self.rig: Rig | None = read_rig(Path(config.camera.rig)) if config.camera.rig else None
+        if self.rig is not None and config.camera.projection == "orthographic":
+            raise ConfigError("A rig's cameras are perspective; set camera.projection or leave camera.rig empty.")
+        self._network = energy_network(config.deep.network)
+        self._points.configure(_points_config(config))
+
+    @property
+    def calibrates(self) -> bool:
+        """Whether a shot is looked at before its frames are fitted: for the identity, the appearance, or both."""
+        return self.config.identity.calibrate or self.config.deep.appearance == "estimate"
+
+    def camera(self, image_size: tuple[int, int]) -> Camera:
+        """The camera of the reference view; for a parallel view one far away that looks alike."""
+        if self.rig is not None:
+            return self.rig.views[0].camera
+        guessed = camera_of(self.config, image_size)
+        if self.config.camera.projection == "perspective":
+            return guessed
+        scale = self._start_scale(guessed)
+        return Camera(np.full(2, scale * FAR_MM), np.asarray(guessed.principal_point_px, float), np.zeros(8))
+
+    def mean_identity(self) -> Float[np.ndarray, "i"]:
+        """The identity used where none is calibrated."""
+        return np.zeros(len(self.model.identity_deltas))
+
+    def neutral_observation(self, image_size: tuple[int, int]) -> FrameObservation:
+        """What a perfect detector would see of the neutral face in front of this camera."""
+        return self._points.neutral_observation(image_size)
+
+    def warm_up(self, image_size: tuple[int, int], trace: bool = False) -> None:
+        """Compile (or load from the cache) every program of a fit."""
+        observation = self.neutral_observation(image_size)
+        self.fit(observation, FrameContext(0, self.mean_identity(), None, None))
+
+    def calibrate(self, observations: Sequence[FrameObservation], frames: int) -> Calibrated:
+        """Identity as FACE IT! calibrates it, and the appearance from the frame nearest to neutral that has a picture.
+
+        Raises `InputError` if none has landmarks.
+        """
+        if self.config.identity.calibrate:
+            calibrated = self._points.calibrate(observations, frames)
+        else:
+            calibrated = Calibrated(self.mean_identity(), {})
+        return calibrated._replace(starts={}, appearance=self.appearance(observations, calibrated.identity))
+
+    def appearance(
+        self, observations: Sequence[FrameObservation], identity: Float[np.ndarray, "i"]
+    ) -> Appearance | None:
+        """Colours and light of the frame nearest to neutral and frontal; None without pictures or by configuration."""
+        pictured = [item for item in observations if item.picture is not None and item.landmarks is not None]
+        if self.config.deep.appearance == "model" or not pictured:
+            return None
+        fits = [self._points.fit(item, FrameContext(0, identity, None, None))[0] for item in pictured]
+        best = min(range(len(fits)), key=lambda k: _unfitness(fits[k]))
+        person, fit = self.model.personal(identity), fits[best]
+        vertices = person.vertices(fit.expression)
+        from_head = Rotation.from_rotvec(np.array(fit.rotation)).apply(vertices) + fit.translation
+        try:
+            return estimate_appearance(pictured[best].picture, person, from_head, fit.camera)
+        except InputError:
+            return None  # too small a face: the model's own colours serve
+
+    def fit(
+        self, observation: FrameObservation, context: FrameContext, cancelled: Callable[[], bool] = lambda: False
+    ) -> tuple[FrameFit, None]:
+        """The fit of a frame; nothing is handed to the next one."""
+        if not self._seen_anywhere(observation):
+            return self._empty(observation, context.shot), None
+        began = time.perf_counter()
+        solution = self.solve(observation, context, cancelled)
+        return self.record(observation, context, solution, 1e3 * (time.perf_counter() - began)), None
+
+    def explain(self, observation: FrameObservation, context: FrameContext) -> tuple[FrameFit, tuple[StageTrace, ...]]:
+        """The fit with every accepted step of every stage. Raises `InputError` for a frame without landmarks."""
+        if observation.landmarks is None:
+            raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
+        began = time.perf_counter()
+        solution = self.solve(observation, context)
+        fit = self.record(observation, context, solution, 1e3 * (time.perf_counter() - began))
+        target = observation.landmarks.points
+        return fit, tuple(
+            StageTrace(
+                stage.name,
+                np.stack([step.energies for step in result.path]),
+                np.stack([np.linalg.norm(step.points[0] - target, axis=1) for step in result.path]),
+            )
+            for stage, result in zip(solution.stages, solution.results, strict=True)
+        )
+
+    def solve(
+        self, observation: FrameObservation, context: FrameContext, cancelled: Callable[[], bool] = lambda: False
+    ) -> DeepSolution:
+        """All stages in order, with what each left. `cancelled` is asked before every step."""
+        scene = self.scene(context.appearance)
+        stages = tuple(running_stages(self.config, start=True))
+        start = parameters = self._start(observation, context)
+        results, seconds, views = [], [], ()
+        for stage in stages:
+            began = time.perf_counter()
+            views = self.views(observation, context, stage)
+            result = solve_stage(self._problem(scene, views, stage, parameters), parameters, cancelled)
+            parameters = result.parameters
+            results.append(result)
+            seconds.append(time.perf_counter() - began)
+        return DeepSolution(stages, tuple(results), views, start, tuple(seconds))
+
+    def scene(self, appearance: Appearance | None) -> DeepScene:
+        """Network, model and colours of a shot."""
+        albedo = self._deep_model.render.colors if appearance is None else jnp.asarray(appearance.albedo, jnp.float32)
+        sliding = jnp.asarray(float(self.config.contour.mode == "sliding"))
+        return DeepScene(self._network, self._deep_model, albedo, sliding)
+
+    def views(
+        self, observation: FrameObservation, context: FrameContext, stage: Stage | None = None
+    ) -> tuple[DeepView, ...]:
+        """What each camera brings to a stage; every landmark in full for None."""
+        weights = np.ones(68)
+        if stage is not None:
+            weights = np.multiply(stage.landmark_weights(self.config.subsets), self.config.point_weights())
+        light = _light(context.appearance)
+        if self.rig is None:
+            camera = self._solver_camera(observation.image_size)
+            return (self._view(camera, np.eye(3), np.zeros(3), observation.landmarks, weights, light),)
+        seen = (observation.landmarks, *observation.others)
+        if len(seen) != len(self.rig):
+            raise InputError(
+                f"The rig has {len(self.rig)} views ({', '.join(self.rig.names)}), the frame landmarks of {len(seen)}; "
+                "give one clip for each view."
+            )
+        places = zip(self.rig.rotation_view_reference, self.rig.translation_view_reference_mm, strict=True)
+        return tuple(
+            self._view(view.camera, rotation, translation, landmarks, weights, light)
+            for view, (rotation, translation), landmarks in zip(self.rig.views, places, seen, strict=True)
+        )
+
+    def record(
+        self, observation: FrameObservation, context: FrameContext, solution: DeepSolution, milliseconds: float
+    ) -> FrameFit:
+        """A solution as the record that tables, pictures and exports read."""
+        results = solution.results
+        parameters = jax.tree.map(lambda part: np.array(part, float), solution.parameters)
+        prediction, camera = results[-1].prediction, self.camera(observation.image_size)
+        translation, scale = parameters.translation, float(parameters.scale[0])
+        if self.config.camera.projection == "orthographic":
+            translation = np.array([translation[0], translation[1], FAR_MM])
+        landmarks = observation.landmarks
+        observed = np.full((68, 2), np.nan) if landmarks is None else landmarks.points
+        rotation = np.array(parameters.rotation)
+        return FrameFit(
+            index=observation.index,
+            found=True,
+            shot=context.shot,
+            source=observation.source,
+            image_size=observation.image_size,
+            camera=camera,
+            rotation=rotation,
+            translation=translation,
+            expression=parameters.expression,
+            identity=parameters.identity,
+            observed=observed,
+            confidence=np.zeros(68) if landmarks is None else landmarks.confidence,
+            projected=prediction.points[0],
+            energies=np.stack([result.energies for result in results]),
+            status=np.array([int(result.status.value) for result in results]),
+            iterations=np.array([result.iterations for result in results]),
+            milliseconds=np.array([*observation.milliseconds, milliseconds]),
+            jaw=parameters.jaw,
+            scale=scale,
+            failure=self._failure(solution),
+        )
+
+    def start(self, identity: Float[np.ndarray, "i"]) -> FaceParameters:
+        """The frontal start: facing the camera, in the middle of the picture."""
+        count = len(self.model.expression_names)
+        return FaceParameters(
+            rotation=jnp.zeros(3),
+            translation=jnp.array([0.0, 0.0, self.config.deep.distance_mm]),
+            expression=jnp.zeros(count),
+            identity=jnp.asarray(identity, float),
+            jaw=jnp.zeros(6),
+            scale=jnp.ones(1),
+        )
+
+    def _start(self, observation: FrameObservation, context: FrameContext) -> FaceParameters:
+        start = self.start(context.identity)
+        if context.start is not None:
+            given = context.start
+            count = len(self.model.expression_names)
+            return start._replace(
+                rotation=jnp.asarray(given.rotation, float),
+                translation=jnp.asarray(given.translation, float),
+                expression=jnp.asarray(given.expression, float) if len(given.expression) == count else start.expression,
+                jaw=jnp.asarray(given.jaw, float) if len(given.jaw) else start.jaw,
+            )
+        if self.config.deep.start == "frontal" or observation.landmarks is None:
+            return start
+        fit = self._points.fit(observation, FrameContext(0, context.identity, None, None))[0]
+        return start._replace(rotation=jnp.asarray(fit.rotation), translation=jnp.asarray(fit.translation))
+
+    def _problem(self, scene: DeepScene, views, stage: Stage, parameters: FaceParameters) -> StageProblem:
+        deep, free = self.config.deep, self.free(stage)
+        weights = DeepWeights(
+            landmarks=1.0,
+            edges=deep.edges if "edges" in stage.terms else 0.0,
+            regularisation=deep.regularisation if "regularisation" in stage.terms else 0.0,
+            identity=deep.identity,
+            prior=deep.prior if "prior" in stage.terms else 0.0,
+        )
+        lower, upper = self._bounds(parameters)
+        return StageProblem(
+            scene=scene,
+            views=views,
+            weights=DeepWeights(*(jnp.asarray(weight, float) for weight in weights)),
+            free=free,
+            lower=lower,
+            upper=upper,
+            limit=stage.limit,
+            tolerance=deep.tolerance,
+            derivative=deep.derivative,
+        )
+
+    def free(self, stage: Stage) -> Bool[np.ndarray, "n"]:
+        """Which entries of the flattened parameters a stage frees. Raises `ConfigError` for shapes the model lacks."""
+        zeros = jax.tree.map(lambda part: np.zeros(np.shape(part), bool), self.start(self.mean_identity()))
+        chosen = {name: np.array(part) for name, part in zeros._asdict().items()}
+        for name in stage.free:
+            if name in ("rotation", "translation", "scale"):
+                chosen[name][:] = True
+            elif name == "jaw_open":
+                chosen["jaw"][0] = True
+            elif name == "jaw":
+                chosen["jaw"][:] = True
+            else:
+                names = self.model.expression_names if name == "expression" else [""] * len(self.model.identity_deltas)
+                chosen[name] |= _chosen_shapes(stage, tuple(names))
+        if self.config.camera.projection == "orthographic":
+            chosen["translation"][2] = False
+        return np.asarray(ravel_pytree(FaceParameters(**chosen))[0], bool)
+
+    def _bounds(self, parameters: FaceParameters) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        limits = []
+        for sign in (-1.0, 1.0):
+            limit = FaceParameters(*(np.full(np.shape(part), sign * np.inf) for part in parameters))
+            limit.jaw[:] = JAW_LOWER if sign < 0 else JAW_UPPER
+            if self.config.solver.bounded:
+                limit.expression[:] = 0.0 if sign < 0 else 1.0
+            limits.append(np.concatenate(limit))
+        return limits[0], limits[1]
+
+    def _solver_camera(self, image_size: tuple[int, int]) -> Camera | OrthographicCamera:
+        guessed = camera_of(self.config, image_size)
+        if self.config.camera.projection == "perspective":
+            return Camera(*(jnp.asarray(part, float) for part in guessed))
+        made = orthographic_camera(image_size, self._start_scale(guessed))
+        return OrthographicCamera(*(jnp.asarray(part, float) for part in made))
+
+    def _start_scale(self, guessed: Camera) -> float:
+        """Pixels per millimetre at the start's distance."""
+        return float(np.mean(np.asarray(guessed.focal_px))) / self.config.deep.distance_mm
+
+    def _view(self, camera, rotation, translation, landmarks: Landmarks2D | None, weights, light) -> DeepView:
+        if landmarks is None:
+            target, confidence, unit = np.zeros((68, 2)), np.zeros(68), 1.0
+        else:
+            target, confidence = landmarks.points, landmarks.confidence
+            unit = 1.0
+            if self.config.solver.unit == "percent":
+                box = crop_of(self._network, jnp.asarray(target))
+                unit = 0.01 * EYES_PER_BOX / CROP_BOXES * float(box.side)
+        share = {"deep": np.ones(68), "points": np.zeros(68), "mixed": confidence}[self.config.deep.energy]
+        if landmarks is None:
+            share = np.zeros(68)
+        return DeepView(
+            camera=Camera(*(jnp.asarray(part, float) for part in camera)) if isinstance(camera, Camera) else camera,
+            rotation=jnp.asarray(rotation, jnp.float32),
+            translation=jnp.asarray(translation, jnp.float32),
+            target=jnp.asarray(target),
+            weights=jnp.asarray(weights * confidence),
+            share=jnp.asarray(share),
+            unit_px=jnp.asarray(unit),
+            light=jnp.asarray(light, jnp.float32),
+            background=jnp.asarray(BACKGROUND, jnp.float32),
+        )
+
+    def _failure(self, solution: DeepSolution) -> str:
+        """Why the result should not be used, from its errors in % of the eye distance in the worst view."""
+        result = solution.results[-1]
+        if result.status is Status.NOT_FINITE:
+            return FAILURES[3]
+        for view, points in zip(solution.views, result.prediction.points, strict=True):
+            if not np.any(np.asarray(view.weights) > 0.0):
+                continue
+            box = crop_of(self._network, view.target)
+            percent = 0.01 * EYES_PER_BOX / CROP_BOXES * float(box.side)
+            errors = np.linalg.norm(points - np.asarray(view.target), axis=1) / percent
+            if abs(errors[:17].mean() - errors[17:].mean()) > self.config.deep.largest_disagreement:
+                return FAILURES[1]
+            if errors.mean() > self.config.deep.largest_error:
+                return FAILURES[2]
+        return ""
+
+    def _seen_anywhere(self, observation: FrameObservation) -> bool:
+        return any(landmarks is not None for landmarks in (observation.landmarks, *observation.others))
+
+    def _empty(self, observation: FrameObservation, shot: int) -> FrameFit:
+        rows = len(running_stages(self.config, start=True))
+        empty = self._points.fit(
+            replace(observation, landmarks=None), FrameContext(shot, self.mean_identity(), None, None)
+        )
+        return replace(
+            empty[0],
+            camera=self.camera(observation.image_size),
+            energies=np.full((rows, len(DEEP_TERMS)), np.nan),
+            status=np.full(rows, -1),
+            iterations=np.zeros(rows, int),
+            jaw=np.full(6, np.nan),
+        )
+
+
+def _points_config(config: Config) -> Config:
+    """FACE IT!'s configuration for identity and first pose, with this one's camera, landmarks and identity."""
+    base = preset("joint")
+    camera = config.camera.model_copy(update={"projection": "perspective", "rig": ""})
+    kept = {name: getattr(config, name) for name in ("identity", "landmarks", "subsets", "contour")}
+    return base.model_copy(update={**kept, "camera": camera})
+
+
+def _chosen_shapes(stage: Stage, names: tuple[str, ...]) -> Bool[np.ndarray, "k"]:
+    if not stage.shapes:
+        return np.ones(len(names), bool)
+    chosen = np.zeros(len(names), bool)
+    for shape in stage.shapes:
+        if shape.startswith("first:"):
+            chosen[: int(shape.removeprefix("first:"))] = True
+            continue
+        found = np.array([name.startswith(shape) for name in names])
+        if not found.any():
+            raise ConfigError(
+                f"Stage {stage.name!r} frees the blendshapes {shape!r}, which this model does not have; "
+                "name blendshapes, the start of their names, or first:N."
+            )
+        chosen |= found
+    return chosen
+
+
+def _light(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
+    if appearance is not None:
+        return appearance.light
+    return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
+
+
+def _unfitness(fit: FrameFit) -> float:
+    yaw, pitch, _ = yaw_pitch_roll_deg(fit.rotation)
+    return float((abs(yaw) + abs(pitch)) / NEUTRAL_YAW_DEG + np.abs(fit.expression).sum() + fit.errors[1] / 5.0)
