@@ -23,6 +23,7 @@ from workbench.geometry import (
 )
 from workbench.landmarks.files import LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
+from workbench.pictures import HeadRenderer
 
 DISTANCE_MM = 600.0
 NAMES = ("middle", "side", "third", "fourth")
@@ -62,10 +63,10 @@ def make_rig(
     fov_deg: float = FOV_DEG,
     distortion: Sequence[float] = (),
 ) -> Rig:
-    """Cameras on a circle around a head, all looking at it; the first is the reference.
+    """Cameras on a circle around the world's origin, all looking at it; the first is the reference.
 
-    A camera at +30° stands to the first's right (+x): it sees the head turned to the image's left. The world is the
-    head's frame when the head faces the first camera at 0°.
+    A camera at 0° sees a head in the world's axes from the front; one at +30° stands to its right (+x) and sees the
+    head turned to the image's left.
     """
     coefficients = np.zeros(8)
     coefficients[: len(distortion)] = distortion
@@ -86,9 +87,9 @@ def make_stereo_scene(
     moving: bool = True,
     sliding: bool = False,
 ) -> StereoScene:
-    """A head that turns, shifts and talks before the rig (default: two views 30° apart), and its exact landmarks.
+    """A head that turns, shifts and talks about the origin of the rig's world (default: two views 30° apart).
 
-    Expressions come and go smoothly; `moving=False` holds the head straight at the point that the cameras look at.
+    Expressions come and go smoothly; `moving=False` holds the head where the cameras look, straight towards 0°.
     `sliding` lets the jaw contour follow the yaw *in each view*, as detectors see it; else it is one set of points.
     """
     rig = make_rig() if rig is None else rig
@@ -96,20 +97,19 @@ def make_stereo_scene(
     peaks = random_expression(head, rng)
     speeds, phases = rng.uniform(0.15, 0.35, (2, 6)), rng.uniform(0.0, 2 * np.pi, (2, 6))
     identity = np.zeros(len(head.identity_deltas)) if identity is None else identity
+    reference = rig.views[0]
+    # The world as if it were the reference camera's frame: where the head is in it, the reference camera sees.
+    world = PlacedCamera(reference.camera, reference.rotation_view_world, reference.translation_view_world_mm)
     parameters = []
     for k in range(frames):
         swing = np.sin(speeds[0] * k + phases[0]) * moving
         expression = np.zeros(len(head.expression_names))
         for (name, peak), wave in zip(peaks.items(), 0.5 + 0.5 * np.sin(speeds[1] * k + phases[1]), strict=False):
             expression[head.expression_names.index(name)] = peak * wave
-        parameters.append(
-            FaceParameters(
-                jnp.asarray(axis_angle_from_yaw_pitch_roll(swing[:3] * [12.0, 8.0, 5.0])),
-                jnp.asarray([0.0, 0.0, DISTANCE_MM] + swing[3:] * [25.0, 15.0, 30.0]),
-                jnp.asarray(expression),
-                jnp.asarray(identity, float),
-            )
-        )
+        turned = axis_angle_from_yaw_pitch_roll(swing[:3] * [12.0, 8.0, 5.0])
+        rotation, translation = pose_in_view(turned, swing[3:] * [25.0, 15.0, 30.0], world)
+        pose = jnp.asarray(rotation), jnp.asarray(translation)
+        parameters.append(FaceParameters(*pose, jnp.asarray(expression), jnp.asarray(identity, float)))
     projected = [[landmarks_in_view(head, p, rig.placed_view(v), sliding) for p in parameters] for v in range(len(rig))]
     return StereoScene(rig, tuple(parameters), np.array(projected))
 
@@ -124,3 +124,11 @@ def landmarks_in_view(
     points = points_head(model_landmarks(model, blend, parameters.identity), parameters)
     points_reference = points @ rotation_matrix(parameters.rotation).T + parameters.translation
     return np.asarray(jax.jit(project_to_view)(points_reference, view))
+
+
+def picture_in_view(
+    renderer: HeadRenderer, person: FaceModel, parameters: FaceParameters, view: PlacedCamera
+) -> np.ndarray:
+    """What a view's camera (without distortion) sees of a person whose identity is part of the model."""
+    pose = pose_in_view(np.asarray(parameters.rotation), np.asarray(parameters.translation), view)
+    return renderer.render(person.vertices(np.asarray(parameters.expression)), view.camera, *pose)

@@ -172,6 +172,7 @@ def test_the_reference_view_of_a_scene_is_the_scene_of_one_camera(head):
     truth = stereo.parameters[1]
     weights = dict(zip(head.expression_names, np.asarray(truth.expression), strict=True))
     angles_deg = yaw_pitch_roll_deg(np.array(truth.rotation))
+    assert np.abs(angles_deg).max() < 15.0
     mono = make_scene(head, angles_deg, weights, translation=truth.translation)
     np.testing.assert_allclose(stereo.points[0, 1], mono.points, atol=1e-9)
 

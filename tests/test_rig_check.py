@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.stereo_scenes import make_rig, make_stereo_scene
+from tests.stereo_scenes import make_rig, make_stereo_scene, picture_in_view
 from tests.test_cli import run as run
 from workbench.errors import InputError
 from workbench.geometry import Rig, read_rig, write_rig
+from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.epipolar import check_rig
 from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.landmarks.observations import Landmarks2D
+from workbench.pictures import HeadRenderer, gl_available
 
 FRAMES = 40
 NOISE_PX = 0.5
@@ -143,6 +145,27 @@ def test_clips_that_were_scaled_down_evenly_are_compared(stereo):
         for r in stereo.records(1)
     ]
     assert check_rig(stereo.rig, [stereo.records(0), records]).pairs[0].median_px < 1e-6
+
+
+@pytest.mark.skipif(not gl_available(), reason="no OpenGL")
+def test_a_detectors_landmarks_on_rendered_pictures_fit_the_rig(head):
+    scene = make_stereo_scene(head, make_rig((-15.0, 15.0)), 3, seed=5)
+    detector = make_detector("network")
+    with HeadRenderer(head, (640, 480)) as renderer:
+        pictures = [
+            [picture_in_view(renderer, head, p, scene.rig.placed_view(v)) for p in scene.parameters] for v in range(2)
+        ]
+    clips = [
+        [
+            LandmarkRecord(k, "", detector.refine(picture, scene.points[v, k]), (640, 480))
+            for k, picture in enumerate(pictures[v])
+        ]
+        for v in range(2)
+    ]
+    found = check_rig(scene.rig, clips)
+    assert found.pairs[0].median_percent < 1.0
+    assert found.eye_distance_mm == pytest.approx(88.5, abs=3.0)
+    assert found.warnings == ()
 
 
 def no_faces(scene):
