@@ -76,7 +76,7 @@ class LandmarkTools:
             toggle.observe(lambda _change: self._on_layers(), "value")
         self.opacity = widgets.FloatSlider(
             0.6, min=0.0, max=1.0, step=0.05, readout=False, tooltip="opacity of the face",
-            layout=widgets.Layout(width="52px"),
+            layout=widgets.Layout(width="42px"),
         )  # fmt: skip
         widgets.link((self.opacity, "value"), (self.view, "layer_opacity"))
         self.unit = widgets.Dropdown(

@@ -30,7 +30,7 @@ CONTROLS_PX, HEAD_PX = 262, 304
 TABS_PX = 190
 STYLE = """<style>
 .fw-panel { --jp-widgets-inline-height: 24px; --jp-widgets-font-size: 12px; max-width: 1500px; }
-.fw-panel .jupyter-button { padding: 0 7px; line-height: 22px; }
+.fw-panel .jupyter-button { padding: 0 5px; line-height: 22px; }
 .fw-panel .jupyter-widget-Tab > .jupyter-widget-TabPanel-tabContents, .fw-panel .widget-tab-contents { padding: 4px; }
 .fw-panel .lm-TabBar-tab { min-width: 0; flex: 0 1 auto; padding: 0 6px; font-size: 12px; }
 .fw-panel .fw-controls .lm-TabBar-tab { flex: 1 1 auto !important; padding: 0 3px !important; }
