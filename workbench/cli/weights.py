@@ -17,15 +17,17 @@ GROUP_HELP = """Convert published network weights to safetensors, and tell what 
   workbench weights show fan.safetensors
 """
 
-CONVERT_HELP = """Convert a published checkpoint of the Face Alignment Network (3D-FAN) to safetensors, once.
+CONVERT_HELP = """Convert a published checkpoint of 3D-FAN (face landmarks) or RAFT (optical flow) to safetensors, once.
 
 FILE is a state dict (.pth, .pth.tar) or a TorchScript archive (.zip, .pt) as published for the package \
-face-alignment. It is read as data: nothing in it is run, and PyTorch is not needed. 3D-FAN and 2D-FAN have the same \
-layers: only the name tells which you have.
+face-alignment, or torchvision's raft_small. It is read as data: nothing in it is run, and PyTorch is not needed. \
+3D-FAN and 2D-FAN have the same layers: only the name tells which you have.
 
-[bold]Example[/bold]
+[bold]Examples[/bold]
 
   workbench weights convert 3DFAN4-7835d9f11d.pth.tar --out models/fan.safetensors
+
+  workbench weights convert raft_small_C_T_V2-01064c6d.pth
 """
 
 SHOW_HELP = """Tell which network a weights file is of, and where it comes from.
@@ -41,13 +43,15 @@ weights_app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich", help=GR
 @weights_app.command(help=CONVERT_HELP)
 def convert(
     file: Annotated[Path, typer.Argument(help="Checkpoint as published.")],
-    out: Annotated[Path, typer.Option(help="File to write.")] = Path("fan.safetensors"),
+    out: Annotated[
+        Path | None, typer.Option(help="File to write; fan.safetensors or raft-small.safetensors by default.")
+    ] = None,
 ) -> None:
     """Convert a published checkpoint to safetensors."""
-    from workbench.networks import convert_fan  # with JAX's start-up: only when it is asked for
+    from workbench.networks import convert_checkpoint  # with JAX's start-up: only when it is asked for
 
-    written = convert_fan(file, out)
-    _tell(str(out), written.metadata, written.arrays)
+    written = convert_checkpoint(file, out)
+    _tell(written.origin, written.metadata, written.arrays)
 
 
 @weights_app.command(help=SHOW_HELP)

@@ -20,5 +20,10 @@ from workbench.flow.measures import end_point_error as end_point_error
 from workbench.flow.measures import end_point_errors as end_point_errors
 from workbench.flow.measures import occluded as occluded
 from workbench.flow.measures import round_trip as round_trip
+from workbench.flow.network_flow import FlowModel as FlowModel
+from workbench.flow.network_flow import NetworkFlow as NetworkFlow
+from workbench.flow.network_flow import bundled_flow as bundled_flow
+from workbench.flow.network_flow import flow_estimator as flow_estimator
+from workbench.flow.network_flow import read_flow as read_flow
 from workbench.flow.sampling import sample as sample
 from workbench.flow.sampling import warp as warp

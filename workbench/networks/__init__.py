@@ -1,4 +1,4 @@
-"""Networks that find landmarks in pictures: heat maps, the soft-argmax, and the crop they see, all differentiable."""
+"""Networks for landmarks (heat maps, the soft-argmax, the crop they see) and for optical flow, all differentiable."""
 
 from workbench.networks.crop import INPUT_SIDE as INPUT_SIDE
 from workbench.networks.crop import CropBox as CropBox
@@ -12,6 +12,9 @@ from workbench.networks.crop import to_picture as to_picture
 from workbench.networks.fan import Fan as Fan
 from workbench.networks.fan import convert_fan as convert_fan
 from workbench.networks.fan import read_fan as read_fan
+from workbench.networks.flow_network import FlowNetwork as FlowNetwork
+from workbench.networks.flow_network import read_flow_network as read_flow_network
+from workbench.networks.flow_network import save_flow_network as save_flow_network
 from workbench.networks.landmark_chain import HeatMapNetwork as HeatMapNetwork
 from workbench.networks.landmark_chain import NetworkLandmarks as NetworkLandmarks
 from workbench.networks.landmark_chain import landmarks_of as landmarks_of
@@ -19,6 +22,10 @@ from workbench.networks.landmark_network import Calibration as Calibration
 from workbench.networks.landmark_network import LandmarkNetwork as LandmarkNetwork
 from workbench.networks.landmark_network import read_landmark_network as read_landmark_network
 from workbench.networks.landmark_network import save_landmark_network as save_landmark_network
+from workbench.networks.published import convert_checkpoint as convert_checkpoint
+from workbench.networks.raft import RaftSmall as RaftSmall
+from workbench.networks.raft import convert_raft as convert_raft
+from workbench.networks.raft import read_raft as read_raft
 from workbench.networks.soft_argmax import BETA as BETA
 from workbench.networks.soft_argmax import patch_mass as patch_mass
 from workbench.networks.soft_argmax import soft_argmax as soft_argmax

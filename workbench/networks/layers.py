@@ -14,20 +14,22 @@ BATCH_NORM_EPSILON = 1e-5
 
 
 class Conv(eqx.Module):
-    """A convolution with an odd square kernel and zeros around, as `torch.nn.Conv2d(padding=kernel // 2)`."""
+    """A convolution with an odd square kernel and zeros around: `torch.nn.Conv2d(padding=dilation * (kernel // 2))`."""
 
     weight: Float[Array, "out in k k"]
     bias: Float[Array, "out"] | None
     stride: int = eqx.field(static=True, default=1)
+    dilation: int = eqx.field(static=True, default=1)
 
     def __call__(self, x: Float[Array, "h w in"]) -> Float[Array, "h2 w2 out"]:
         """The convolved maps."""
-        margin = self.weight.shape[-1] // 2
+        margin = self.dilation * (self.weight.shape[-1] // 2)
         y = jax.lax.conv_general_dilated(
             x[None],
             self.weight,
             window_strides=(self.stride, self.stride),
             padding=((margin, margin), (margin, margin)),
+            rhs_dilation=(self.dilation, self.dilation),
             dimension_numbers=("NHWC", "OIHW", "NHWC"),
         )[0]
         return y if self.bias is None else y + self.bias
@@ -47,9 +49,12 @@ class BatchNorm(eqx.Module):
         return x * factor + (self.bias - self.running_mean * factor)
 
 
-def empty_conv(inputs: int, outputs: int, kernel: int, *, stride: int = 1, bias: bool = True) -> Conv:
+def empty_conv(
+    inputs: int, outputs: int, kernel: int, *, stride: int = 1, dilation: int = 1, bias: bool = True
+) -> Conv:
     """A convolution whose weights are zero until some are read."""
-    return Conv(jnp.zeros((outputs, inputs, kernel, kernel), jnp.float32), _zeros(outputs) if bias else None, stride)
+    weight = jnp.zeros((outputs, inputs, kernel, kernel), jnp.float32)
+    return Conv(weight, _zeros(outputs) if bias else None, stride, dilation)
 
 
 def empty_batch_norm(channels: int) -> BatchNorm:

@@ -12,7 +12,7 @@ from torch.nn import functional
 from workbench.landmarks.alignment import frame_from_points
 from workbench.networks.face_finder import NAME, OUTPUTS, PADDING_GREY, STRIDE, UNIT_SIDE
 from workbench.training.augment import photographed, random_background
-from workbench.training.loop import Batch, Phase
+from workbench.training.loop import Batch, MapsTask, Phase
 from workbench.training.pool import Pool
 
 MOST_FACES = 4
@@ -24,12 +24,11 @@ SIZE_WEIGHT = 0.5
 
 
 @dataclass(frozen=True)
-class FinderTask:
+class FinderTask(MapsTask):
     """Four maps: the score (logit) of a box centred here, the log of its side, and the centre's offset."""
 
     architecture: str = NAME
     outputs: int = OUTPUTS
-    output_scale: float = 1.0
 
     def batch(self, pool: Pool, phase: Phase, rngs: list[np.random.Generator]) -> Batch:
         """Pictures, and boxes (centre x, y, side; side 0 where there is none) in pixels."""

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from workbench.networks.landmark_network import NAME
 from workbench.training.augment import augmented
-from workbench.training.loop import Batch, Phase
+from workbench.training.loop import Batch, MapsTask, Phase
 from workbench.training.pool import Pool
 
 BETA = 50.0
@@ -23,7 +23,7 @@ JAW_WEIGHT = 0.5
 
 
 @dataclass(frozen=True)
-class LandmarkTask:
+class LandmarkTask(MapsTask):
     """68 heat maps: softmax of a map is the distribution of its landmark."""
 
     architecture: str = NAME

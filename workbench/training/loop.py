@@ -7,14 +7,14 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import UInt8
 from safetensors.numpy import save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from workbench.errors import InputError
 from workbench.files import atomic_path
@@ -68,21 +68,46 @@ class TrainingPlan:
         return phase.peak_rate * rise * fall
 
 
-Batch = tuple[UInt8[np.ndarray, "n s s 3"], tuple[np.ndarray, ...]]
-"""Pictures, and what is known of them."""
+Batch = tuple[UInt8[np.ndarray, "n s s channels"], tuple[np.ndarray, ...]]
+"""Pictures (or pairs: six channels), and what is known of them."""
 
 
 @runtime_checkable
 class Task(Protocol):
-    """What is learned."""
+    """What is learned, from which pool, by which network, and what is kept of it."""
+
+    architecture: str
+
+    def open(self, folder: Path) -> Any: ...
+
+    def network(self, plan: TrainingPlan) -> nn.Module: ...
+
+    def arrays(self, network: nn.Module) -> dict[str, np.ndarray]: ...
+
+    def batch(self, pool: Any, phase: Phase, rngs: list[np.random.Generator]) -> Batch: ...
+
+    def loss(self, answers: Any, targets: tuple[Tensor, ...]) -> tuple[Tensor, dict[str, float]]: ...
+
+
+@dataclass(frozen=True)
+class MapsTask:
+    """What the tasks of the landmark network's architecture share."""
 
     architecture: str
     outputs: int
-    output_scale: float
+    output_scale: float = 1.0
 
-    def batch(self, pool: Pool, phase: Phase, rngs: list[np.random.Generator]) -> Batch: ...
+    def open(self, folder: Path) -> Pool:
+        """The pool that batches are made of."""
+        return open_pool(folder)
 
-    def loss(self, maps: Tensor, targets: tuple[Tensor, ...]) -> tuple[Tensor, dict[str, float]]: ...
+    def network(self, plan: TrainingPlan) -> nn.Module:
+        """An untrained one."""
+        return TorchLandmarkNetwork(plan.widths, plan.blocks, self.outputs)
+
+    def arrays(self, network: nn.Module) -> dict[str, np.ndarray]:
+        """What is kept of a trained one."""
+        return folded_arrays(network, self.output_scale)
 
 
 @dataclass(frozen=True)
@@ -101,16 +126,16 @@ class _Batches(torch.utils.data.Dataset):
         step = self.first_step + offset
         phase, _ = self.plan.at(step)
         rngs = [np.random.default_rng([self.plan.seed, step, place]) for place in range(phase.batch)]
-        return self.task.batch(_pool_of_process(self.pool_folder), phase, rngs)
+        return self.task.batch(_pool_of_process(self.task, self.pool_folder), phase, rngs)
 
 
-_POOLS: dict[Path, Pool] = {}
+_POOLS: dict[Path, Any] = {}
 
 
-def _pool_of_process(folder: Path) -> Pool:
+def _pool_of_process(task: Task, folder: Path) -> Any:
     if folder not in _POOLS:
         cv2.setNumThreads(1)
-        _POOLS[folder] = open_pool(folder)
+        _POOLS[folder] = task.open(folder)
     return _POOLS[folder]
 
 
@@ -133,9 +158,7 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     _claim(folder / "plan.json", plan)
     torch.manual_seed(plan.seed)
-    network = (
-        TorchLandmarkNetwork(plan.widths, plan.blocks, task.outputs).to(device).to(memory_format=torch.channels_last)
-    )
+    network = task.network(plan).to(device).to(memory_format=torch.channels_last)
     average = {name: value.detach().clone().float() for name, value in network.state_dict().items()}
     optimiser = torch.optim.AdamW(network.parameters(), lr=1e-3, weight_decay=plan.weight_decay)
     step = _resumed(folder / "checkpoint.pt", network, optimiser, average)
@@ -146,8 +169,9 @@ def train(
             group["lr"] = plan.rate(step)
         x = pictures.to(device).permute(0, 3, 1, 2).float().div_(255).contiguous(memory_format=torch.channels_last)
         with torch.autocast(device, torch.bfloat16):
-            maps = network(x)
-        loss, numbers = task.loss(maps.float(), tuple(target.to(device) for target in targets))
+            answers = network(x)
+        answers = [part.float() for part in answers] if isinstance(answers, list) else answers.float()
+        loss, numbers = task.loss(answers, tuple(target.to(device) for target in targets))
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
@@ -172,10 +196,10 @@ def train(
 def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = None) -> Path:
     """Fold the averaged weights of a training folder's checkpoint and write `weights.safetensors` beside it."""
     plan = read_plan(folder / "plan.json")
-    network = TorchLandmarkNetwork(plan.widths, plan.blocks, task.outputs)
+    network = task.network(plan)
     state = torch.load(folder / "checkpoint.pt", map_location="cpu", weights_only=True)
     network.load_state_dict(state["average"])
-    arrays = folded_arrays(network, task.output_scale)
+    arrays = task.arrays(network)
     size = {WIDTHS: json.dumps(list(plan.widths)), BLOCKS: json.dumps(plan.blocks)}
     path = folder / "weights.safetensors"
     with atomic_path(path) as temporary:
@@ -198,6 +222,11 @@ def folded_arrays(network: TorchLandmarkNetwork, output_scale: float = 1.0) -> d
         for place, block in enumerate(getattr(network, name)):
             arrays[f"{name}.{place}.weight"], arrays[f"{name}.{place}.bias"] = block.conv.folded()
     arrays["head.weight"], arrays["head.bias"] = network.head.weight * output_scale, network.head.bias * output_scale
+    return kept(arrays)
+
+
+def kept(arrays: dict[str, Tensor]) -> dict[str, np.ndarray]:
+    """Tensors as what a weights file takes."""
     return {name: value.detach().float().contiguous().numpy() for name, value in arrays.items()}
 
 

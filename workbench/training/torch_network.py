@@ -7,9 +7,12 @@ from torch import Tensor, nn
 class ConvNorm(nn.Module):
     """Convolution, batch normalisation, ReLU."""
 
-    def __init__(self, channels_in: int, channels_out: int, kernel: int = 3, stride: int = 1) -> None:
+    def __init__(
+        self, channels_in: int, channels_out: int, kernel: int = 3, stride: int = 1, dilation: int = 1
+    ) -> None:
         super().__init__()
-        self.conv = nn.Conv2d(channels_in, channels_out, kernel, stride, kernel // 2, bias=False)
+        margin = dilation * (kernel // 2)
+        self.conv = nn.Conv2d(channels_in, channels_out, kernel, stride, margin, dilation, bias=False)
         self.norm = nn.BatchNorm2d(channels_out, momentum=0.05)
 
     def forward(self, x: Tensor) -> Tensor:

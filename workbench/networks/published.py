@@ -1,0 +1,18 @@
+"""Published checkpoints that the workbench knows, told apart by their arrays."""
+
+from pathlib import Path
+
+from workbench.networks import fan, raft
+from workbench.networks.torch_checkpoints import read_checkpoint
+from workbench.networks.weights import Weights
+
+
+def convert_checkpoint(source: str | Path, out: str | Path | None = None) -> Weights:
+    """Check a checkpoint of 3D-FAN or of torchvision's `raft_small` and write its weights as safetensors.
+
+    `out` is named after the network by default. Returns what was written; its metadata names the network, the source
+    and its SHA-256. Raises `InputError` for a file that cannot be read, `ModelError` for another network.
+    """
+    kind = raft if raft.looks_like_raft(read_checkpoint(source)) else fan
+    convert = raft.convert_raft if kind is raft else fan.convert_fan
+    return convert(source, out or f"{kind.NAME}.safetensors")
