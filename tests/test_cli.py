@@ -97,7 +97,7 @@ def test_mistakes_are_one_sentence_and_exit_code_2(arguments, message, run, poin
     assert "Traceback" not in out + err
 
 
-NAMES = ("track", "landmarks", "demo", "diagnose", "config", "weights", "train", "lab", "app", "info")
+NAMES = ("track", "landmarks", "demo", "diagnose", "export", "config", "weights", "train", "lab", "app", "info")
 COMMANDS = [[name] for name in NAMES]
 CONFIG_COMMANDS = [["config", name] for name in ("show", "check", "diff", "schema")]
 

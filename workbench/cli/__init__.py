@@ -1,4 +1,4 @@
-"""The command line: `workbench track|landmarks|demo|diagnose|config|rig|weights|train|lab|app|info`."""
+"""The command line: `workbench track|landmarks|demo|diagnose|export|config|rig|weights|train|lab|app|info`."""
 
 import sys
 
@@ -7,6 +7,7 @@ import typer
 from workbench.cli import screen
 from workbench.cli.configuration import config_app
 from workbench.cli.diagnosing import DIAGNOSE_HELP, diagnose
+from workbench.cli.exporting import EXPORT_HELP, export
 from workbench.cli.installation import info
 from workbench.cli.landmarking import LANDMARKS_HELP, landmarks
 from workbench.cli.rigs import rig_app
@@ -29,6 +30,7 @@ app.command(help=TRACK_HELP)(track)
 app.command(help=LANDMARKS_HELP)(landmarks)
 app.command()(demo)
 app.command(help=DIAGNOSE_HELP)(diagnose)
+app.command(help=EXPORT_HELP)(export)
 app.add_typer(config_app, name="config")
 app.add_typer(rig_app, name="rig")
 app.add_typer(weights_app, name="weights")

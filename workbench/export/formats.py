@@ -19,15 +19,15 @@ Progress = Callable[[str, int, int | None], None]
 """Called with the name of a step, what is done, and how much there is in all."""
 
 FORMATS = {
-    ".glb": "glTF 2.0: head, blendshapes by name, jaw joint, camera, animation",
+    ".glb": "glTF 2.0: blendshapes by name, jaw, camera, animation",
     ".usd": "USD (also .usda, .usdc): the same with UsdSkel",
-    ".arkit.csv": "Live Link Face: ARKit's 52 weights and head angles with timecode",
+    ".arkit.csv": "Live Link Face: ARKit's weights, head angles, timecode",
     ".csv": "every curve: pose, weights, errors",
     ".parquet": "the same as Parquet",
-    ".npz": "curves, camera and the person's head as NumPy arrays",
+    ".npz": "curves, camera, the person's head as NumPy arrays",
     ".obj": "a folder with a mesh a frame",
     ".ply": "a folder with a mesh a frame",
-    ".mp4": "the pictures with the fit, the 3D face beside them",
+    ".mp4": "pictures with the fit, the 3D face beside them",
     ".html": "a report: pictures, curves, worst frames, settings",
 }
 """Suffixes and what is written under them."""

@@ -1,0 +1,165 @@
+"""`workbench export`: what is typed, what is written, what is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from tests.performances import FRAMES, performance
+from tests.test_cli import run as run
+from workbench.errors import InputError
+from workbench.export import FORMATS, export_track, format_of
+from workbench.frames import VideoWriter, open_frames
+from workbench.tracking import Track
+
+
+@pytest.fixture
+def stored(head, tmp_path):
+    """A run's folder, with its input as a video."""
+    with VideoWriter(tmp_path / "clip.mp4") as writer:
+        for k in range(FRAMES):
+            writer.write(np.full((480, 640, 3), 60 + 10 * k, np.uint8))
+    track = performance(head)
+    track.meta["inputs"] = [{"path": str(tmp_path / "clip.mp4"), "sha256": "0" * 64}]
+    track.save(tmp_path / "talk" / "track.npz")
+    return tmp_path / "talk"
+
+
+def character_folder(head, folder, names):
+    """An OBJ folder as a modeller exports it."""
+    folder.mkdir()
+    small = head.with_expressions(tuple(names))
+    shapes = {"neutral": head.neutral, **dict(zip(names.values(), small.expression_deltas + head.neutral, strict=True))}
+    for name, vertices in shapes.items():
+        trimesh.Trimesh(vertices, head.triangles, process=False).export(folder / f"{name}.obj")
+    points = ", ".join(str(v) for v in head.landmarks.vertices[:, 0])
+    (folder / "landmarks.toml").write_text(f"vertices = [{points}]\n")
+
+
+@pytest.mark.parametrize("kind", sorted(FORMATS))
+def test_every_format_is_written_by_its_suffix(kind, run, stored, tmp_path):
+    code, out, err = run("export", "talk", "--to", f"made/x{kind}")
+    assert (code, err) == (0, "")
+    (made,) = (tmp_path / "made").iterdir()
+    assert made.name == ("x" if kind in (".obj", ".ply") else f"x{kind}")
+    assert str(made.relative_to(tmp_path)) in out
+    assert FORMATS[kind] in out
+    assert "note:" not in out
+
+
+def test_several_files_in_one_go(run, stored, tmp_path):
+    assert run("export", "talk/track.npz", "--to", "a.csv", "--to", "b.arkit.csv", "--to", "c.usdc")[0] == 0
+    assert {path.name for path in tmp_path.iterdir()} >= {"a.csv", "b.arkit.csv", "c.usdc"}
+
+
+def test_the_film_has_a_picture_a_frame_and_the_head_beside(run, stored, tmp_path):
+    run("export", "talk", "--to", "film.mp4")
+    film = open_frames(tmp_path / "film.mp4")
+    assert len(list(film.iterate())) == FRAMES
+    assert film.image_size[0] > 640
+    assert film.rate == 25.0
+
+
+def test_moved_pictures_are_named(run, stored, tmp_path):
+    (tmp_path / "clip.mp4").rename(tmp_path / "moved.mp4")
+    code, _, err = run("export", "talk", "--to", "film.mp4")
+    assert code == 2
+    assert "no longer at" in err
+    assert "--pictures" in err
+    assert run("export", "talk", "--to", "film.mp4", "--pictures", "moved.mp4")[0] == 0
+    code, out, _ = run("export", "talk", "--to", "report.html")
+    assert code == 0
+    assert "note: the report has no pictures of the input" in out
+
+
+def test_a_rate_of_ones_own(run, stored, tmp_path):
+    assert run("export", "talk", "--to", "a.arkit.csv", "--fps", "60")[0] == 0
+    assert (tmp_path / "a.arkit.csv").read_text().splitlines()[-1].startswith("00:00:00:11.000,61,")
+
+
+# --- characters ---
+
+
+def test_a_character_plays_by_names_and_what_has_no_counterpart_is_told(run, stored, head, tmp_path):
+    character_folder(head, tmp_path / "hero", {"jawOpen": "JawOpen", "mouthSmileLeft": "Mouth_Smile_L"})
+    code, out, err = run("export", "talk", "--to", "hero.npz", "--character", "hero")
+    assert (code, err) == (0, "")
+    assert "move nothing on the character" in out
+    with np.load(tmp_path / "hero.npz") as arrays:
+        assert sorted(arrays["names"]) == ["JawOpen", "Mouth_Smile_L"] or len(arrays["names"]) == 2
+        np.testing.assert_allclose(arrays["weights"][-1], [0.6, 1.0])
+
+
+def test_a_character_plays_by_a_mapping_file(run, stored, head, tmp_path):
+    character_folder(head, tmp_path / "hero", {"jawOpen": "wide", "mouthSmileLeft": "grin"})
+    (tmp_path / "map.toml").write_text("[shapes]\ngrin = { mouthSmileLeft = 0.5, mouthSmileRight = 0.5 }\n")
+    code, out, _ = run("export", "talk", "--to", "hero.csv", "--character", "hero", "--map", "map.toml")
+    assert code == 0
+    assert "the blendshapes wide of the character stay at rest" in out
+
+
+def test_a_character_plays_by_its_surface(run, stored, head, tmp_path):
+    character_folder(head, tmp_path / "hero", {"jawOpen": "one", "mouthSmileLeft": "two"})
+    assert run("export", "talk", "--to", "hero.npz", "--character", "hero", "--surface")[0] == 0
+    with np.load(tmp_path / "hero.npz") as arrays:
+        weights = dict(zip(arrays["names"].tolist(), arrays["weights"][-1], strict=True))
+    assert weights["one"] == pytest.approx(0.6, abs=0.1)
+    assert weights["two"] == pytest.approx(1.0, abs=0.1)
+
+
+# --- mistakes ---
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["talk", "--to", "x.fbx"], "is exported as .glb"),
+        (["talk", "--to", ".csv"], "is exported as .glb"),
+        (["nowhere", "--to", "x.glb"], "does not exist"),
+        (["talk", "--to", "x.glb", "--shot", "4"], "the shots 0 to 0"),
+        (["talk", "--to", "x.csv", "--fps", "0"], "a rate between 0 and 1000"),
+        (["talk", "--to", "x.csv", "--map", "m.toml"], "name it with --character"),
+        (["talk", "--to", "talk/track.npz"], "is the track itself"),
+        (["talk", "--to", "talk.ply"], "already exists"),
+    ],
+)
+def test_mistakes_are_one_sentence_and_write_nothing(arguments, message, run, stored, tmp_path):
+    before = sorted(tmp_path.rglob("*"))
+    code, out, err = run("export", *arguments)
+    assert code == 2
+    assert err.startswith("error: ")
+    assert message in err
+    assert "Traceback" not in out + err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_track_of_another_model_asks_for_it(run, stored, head):
+    track = Track.load(stored / "track.npz")
+    replace(track, meta={**track.meta, "model": {"name": "flame", "sha256": "1"}}).save(stored / "track.npz")
+    code, _, err = run("export", "talk", "--to", "x.glb")
+    assert code == 2
+    assert "fitted with the model flame" in err
+    assert "--model" in err
+
+
+def test_an_older_edition_of_the_default_head_is_told(run, stored):
+    track = Track.load(stored / "track.npz")
+    replace(track, meta={**track.meta, "model": {"name": "default-head", "sha256": "1"}}).save(stored / "track.npz")
+    code, out, _ = run("export", "talk", "--to", "x.glb")
+    assert code == 0
+    assert "another edition of default-head" in out
+
+
+def test_landmarks_alone_make_no_film(head, tmp_path):
+    track = performance(head, frames=2, gap=None)
+    track.meta["inputs"] = [{"path": "points.csv", "sha256": "0"}]
+    with pytest.raises(InputError, match="landmarks without pictures"):
+        export_track(track, head, tmp_path / "x.mp4")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("a.GLB", ".glb"), ("b.usda", ".usd"), ("c.arkit.csv", ".arkit.csv"), ("d.x.csv", ".csv")]
+)
+def test_the_suffix_decides(name, kind):
+    assert format_of(name) == kind

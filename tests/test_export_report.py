@@ -1,0 +1,165 @@
+"""The report: one page, whole in itself, that tells where to look."""
+
+import html
+import re
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from tests import browser
+from tests.performances import FRAMES, GAP, performance
+from workbench.config import preset
+from workbench.diagnosis import flag_frames
+from workbench.export.report import worst_frames, write_report
+from workbench.export.report_charts import line_chart, nice_ticks, residual_picture
+from workbench.frames import VideoWriter, open_frames
+
+
+@pytest.fixture(scope="module")
+def track(head):
+    """A clip with one frame far off, and its configuration."""
+    made = performance(head, frames=FRAMES)
+    made.projected[9] += np.array([30.0, 0.0])
+    config = preset("joint").changed(weights={"tau": 0.25})
+    meta = {"config": config.model_dump(mode="json"), "versions": {"workbench": "x & y"}}
+    return replace(made, meta={**made.meta, **meta, "inputs": [{"path": "a <b>.mp4", "sha256": "0" * 64}]})
+
+
+@pytest.fixture(scope="module")
+def page(track, head, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    with VideoWriter(folder / "clip.mp4") as writer:
+        for k in range(FRAMES):
+            writer.write(np.full((480, 640, 3), 60 + 10 * k, np.uint8))
+    write_report(track, head, folder / "report.html", open_frames(folder / "clip.mp4"))
+    return folder / "report.html"
+
+
+def test_the_page_refers_to_nothing_outside_itself(page):
+    text = page.read_text(encoding="utf-8")
+    addresses = re.findall(r"""(?:src|href)=["']([^"']*)["']|url\(([^)]*)\)""", text)
+    assert addresses
+    assert all((plain or styled).startswith("data:image/") for plain, styled in addresses)
+    assert "<script" not in text
+    assert "@import" not in text
+
+
+def test_the_page_tells_counts_settings_and_origin_with_names_escaped(page):
+    text = page.read_text(encoding="utf-8")
+    assert f"<b>{FRAMES - 1} of {FRAMES}</b>" in text
+    assert "<td>weights.tau</td>" in text
+    assert "<td>0.25</td>" in text
+    assert html.escape("a <b>.mp4") in text
+    assert "x &amp; y" in text
+    assert "a <b>" not in text
+
+
+def test_the_frame_that_is_far_off_heads_the_worst_with_its_reason(page, track):
+    flags = flag_frames(track)
+    assert worst_frames(track, flags)[0] == 9
+    section = page.read_text(encoding="utf-8").split("<h2>Worst frames</h2>")[1]
+    first = section.split("<tr>")[2]
+    assert '<td class="number">9</td>' in first
+    assert html.escape(flags.text[9]) in first
+    assert "largest at" in first
+
+
+def test_neighbours_of_a_worst_frame_are_not_listed_again(head):
+    track = performance(head, frames=30, gap=None)
+    worst = worst_frames(track, flag_frames(track))
+    assert len(worst) == len(set(worst)) >= 3
+    assert np.diff(sorted(worst)).min() >= 8
+
+
+def test_a_track_without_pictures_gets_grey_ones(track, head, tmp_path):
+    write_report(track, head, tmp_path / "report.html", None)
+    assert (tmp_path / "report.html").read_text(encoding="utf-8").count("data:image/jpeg") >= 6
+
+
+def test_a_track_without_any_face_says_so(track, head, tmp_path):
+    nothing = replace(
+        track,
+        found=np.zeros(FRAMES, bool),
+        **{name: getattr(track, name) * np.nan for name in ("rotation", "translation", "expression", "projected")},
+    )
+    write_report(nothing, head, tmp_path / "report.html", None)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert f"<b>0 of {FRAMES}</b>" in text
+    assert "No frame has a face" in text
+
+
+def test_a_failed_report_leaves_no_file(track, head, tmp_path):
+    def fail(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_report(track, head, tmp_path / "report.html", None, progress=fail)
+    assert not list(tmp_path.iterdir())
+
+
+# --- charts ---
+
+
+def test_a_curve_is_broken_where_it_has_no_number():
+    values = np.array([0.0, 1.0, np.nan, 2.0, 3.0])
+    path = re.search(r'class="curve c0" d="([^"]*)"', line_chart(np.arange(5.0), {"x": values}, "mm")).group(1)
+    assert path.count("M") == 2
+    assert "nan" not in path
+
+
+def test_long_curves_are_thinned():
+    chart = line_chart(np.arange(100_000.0), {"x": np.zeros(100_000)}, "mm")
+    assert chart.count("L") < 1600
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"),
+    [
+        (0.0, 1.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+        (-31.0, 44.0, [-40.0, -20.0, 0.0, 20.0, 40.0, 60.0]),
+        (2.0, 2.0, [2.0]),
+    ],
+)
+def test_ticks_are_round_numbers(low, high, ticks):
+    assert nice_ticks(low, high) == pytest.approx(ticks, abs=1e-6)
+
+
+def test_the_strip_has_a_row_a_landmark_and_is_grey_without_a_face(track):
+    picture = residual_picture(track)
+    assert picture.shape == (68, FRAMES, 3)
+    assert (picture[:, GAP] == 128).all()
+    assert picture[:, 9].astype(int).sum() > picture[:, 8].astype(int).sum()  # brighter where the error is large
+
+
+# --- in a browser ---
+
+
+@pytest.mark.skipif(browser.missing() is not None, reason=browser.missing() or "")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_browser_shows_it_readably_and_asks_for_nothing(scheme, page, screenshots):
+    from playwright.sync_api import sync_playwright
+
+    asked, complaints = [], []
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=browser.CHROMIUM, args=browser.FLAGS)
+        tab = chromium.new_page(viewport={"width": 1366, "height": 768}, color_scheme=scheme)
+        tab.on("request", lambda request: asked.append(request.url))
+        tab.on("console", lambda message: complaints.append(message.text))
+        tab.goto(page.as_uri())
+        images = tab.eval_on_selector_all("img", "all => all.map(one => one.naturalWidth)")
+        colors = tab.evaluate(
+            "(() => { const s = getComputedStyle(document.body); return [s.color, s.backgroundColor]; })()"
+        )
+        wide = tab.evaluate("document.documentElement.scrollWidth")
+        tab.screenshot(path=screenshots / f"report-{scheme}.png", full_page=True)
+        chromium.close()
+    assert [url for url in asked if not url.startswith("data:")] == [page.as_uri()]
+    assert complaints == []
+    assert images
+    assert all(width > 0 for width in images)
+    assert wide <= 1366
+    ink, paper = (np.mean([int(part) for part in re.findall(r"\d+", color)[:3]]) for color in colors)
+    assert (ink < 60 and paper > 240) if scheme == "light" else (ink > 220 and paper < 40)
+    assert cv2.imread(str(screenshots / f"report-{scheme}.png")) is not None

@@ -1,0 +1,129 @@
+"""`workbench export`: a track as animation, tables, meshes, a film or a report."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from workbench.cli import screen
+from workbench.errors import InputError
+from workbench.export.formats import FORMATS, export_track, format_of
+from workbench.face import FaceModel
+from workbench.tracking import Track
+
+EXPORT_HELP = (
+    """Write a track as what other programs read; the suffix of the file decides.
+
+[bold]Examples[/bold]
+
+  workbench export out/talk --to talk.glb          for Blender, Unity, three.js
+
+  workbench export out/talk --to talk.arkit.csv    as Live Link Face writes it
+
+  workbench export out/talk --to talk.csv --to report.html
+
+  workbench export out/talk --to hero.glb --character hero/
+
+  workbench export out/talk --to hero.mp4 --character hero/ --map hero.toml
+
+[bold]Formats[/bold]
+
+"""
+    + "\n\n".join(f"  {suffix:11} {told}" for suffix, told in FORMATS.items())
+    + "\n"
+)
+
+MOST_NAMES = 6
+"""Blendshapes that are named where some have no counterpart."""
+
+
+def export(
+    run: Annotated[Path, typer.Argument(metavar="TRACK", help="Folder of a run, or its track.npz.")],
+    to: Annotated[list[Path], typer.Option("--to", help="File to write; may be given several times.")],
+    shot: Annotated[int | None, typer.Option(help="Only the frames of this shot, counted from 0.")] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames per second in place of the input's.")] = None,
+    character: Annotated[Path | None, typer.Option(help="Another face model that plays the performance.")] = None,
+    mapping: Annotated[Path | None, typer.Option("--map", help="Its blendshapes by ours (TOML).")] = None,
+    surface: Annotated[
+        bool, typer.Option("--surface", help="Match the character's surface, not the names; needs the same mesh.")
+    ] = False,
+    model: Annotated[Path | None, typer.Option(help="The face model of the track, if not the default head.")] = None,
+    pictures: Annotated[Path | None, typer.Option(help="The pictures, if they were moved since.")] = None,
+) -> None:
+    """Write a track as what other programs read."""
+    stored = run / "track.npz" if run.is_dir() else run
+    for path in to:
+        format_of(path)  # a wrong suffix is refused before anything is written
+        if path.exists() and stored.exists() and path.samefile(stored):
+            raise InputError(f"{path} is the track itself; name another file.")
+    track = Track.load(stored)
+    head, notes = model_of_track(track, model)
+    if character is not None:
+        other = load_model(character)
+        track, more = _played(track, head, other, mapping, surface)
+        head, notes = other, [*notes, *more]
+    elif mapping is not None or surface:
+        raise InputError("--map and --surface say how a character is moved; name it with --character.")
+    with screen.progress_bar() as progress:
+        for path in to:
+            try:
+                done = export_track(track, head, path, shot=shot, rate=fps, pictures=pictures, progress=progress)
+            except KeyboardInterrupt:
+                screen.errors.print(f"[yellow]interrupted[/yellow]: {escape(str(path))} was not written")
+                raise typer.Exit(130) from None
+            told = FORMATS[format_of(path)]
+            screen.console.print(f"{escape(str(done.path))}  [dim]{told}[/dim]", soft_wrap=True)
+            notes += [note for note in done.notes if note not in notes]
+    for note in notes:
+        screen.console.print(f"[yellow]note:[/yellow] {escape(note)}", soft_wrap=True)
+
+
+def model_of_track(track: Track, path: Path | None) -> tuple[FaceModel, list[str]]:
+    """The model that a track was fitted with, from a file or the default head, and what is odd about it.
+
+    Raises `InputError` for a track of another model than the default head without its file.
+    """
+    from workbench.face import load_default_head
+
+    stored = track.meta.get("model") or {}
+    if path is not None:
+        model = load_model(path)
+    else:
+        if stored.get("name", "default-head") != "default-head":
+            raise InputError(f"This track was fitted with the model {stored['name']}; name its file with --model.")
+        full = load_default_head(gaze=True)
+        model = full if track.expression_names == full.expression_names else load_default_head()
+    if stored.get("sha256") not in (None, model.fingerprint()):
+        return model, [f"the track was fitted with another edition of {model.name}; the face may differ a little"]
+    return model, []
+
+
+def load_model(path: Path) -> FaceModel:
+    """A face model from a file or folder."""
+    from workbench.face import read_obj_folder
+
+    return read_obj_folder(path)
+
+
+def _played(track, performer: FaceModel, character: FaceModel, mapping: Path | None, surface: bool):
+    """The track on a character, and which blendshapes have no counterpart."""
+    from workbench.export.retargeting import mapping_by_names, read_mapping, retarget, retarget_surface
+
+    if surface:
+        if mapping is not None:
+            raise InputError("Give --map or --surface, not both: --surface needs no names.")
+        return retarget_surface(track, performer, character), []
+    names = track.expression_names, character.expression_names
+    found = mapping_by_names(*names) if mapping is None else read_mapping(mapping, *names)
+    notes = []
+    if found.unused:
+        notes.append(f"{_some(found.unused)} of the track move nothing on the character")
+    if found.still:
+        notes.append(f"{_some(found.still)} of the character stay at rest")
+    return retarget(track, character, found), notes
+
+
+def _some(names: tuple[str, ...]) -> str:
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return f"the blendshapes {', '.join(names[:MOST_NAMES])}{more}"
