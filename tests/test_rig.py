@@ -1,6 +1,7 @@
 """Calibrated rigs: laws of their poses, their files, and what is refused."""
 
 import re
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from workbench.geometry import (
     relative_pose,
     reprojection_error,
     resized_view,
+    rig_files,
     rig_report,
     rig_toml,
     rotation_matrix,
@@ -601,3 +603,19 @@ def test_rigs_are_written_as_toml_only(tmp_path):
     with pytest.raises(InputError, match=r"written as \.toml"):
         write_rig(make_rig(), tmp_path / "rig.yml")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_rig_in_the_readme_is_one(tmp_path):
+    readme = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(re.search(r"```toml\n(.*?)```", readme, re.S)[1], encoding="utf-8")
+    rig = read_rig(tmp_path / "rig.toml")
+    assert rig.names == ("left", "right")
+    assert rig_report(rig).warnings == ()
+
+
+def test_the_rig_in_the_reference_is_one(tmp_path):
+    example = rig_files.__doc__.split("\n\n")
+    first, view = (textwrap.dedent(example[i]) for i in (2, 3))
+    other = view.replace('"left"', '"right"').replace("translation = [0.0,", "translation = [-60.0,")
+    (tmp_path / "rig.toml").write_text("\n".join([first, view, other]), encoding="utf-8")
+    assert read_rig(tmp_path / "rig.toml").names == ("left", "right")
