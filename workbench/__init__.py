@@ -17,6 +17,7 @@ from workbench.config import read_config as read_config  # noqa: E402
 from workbench.config import write_config as write_config  # noqa: E402
 from workbench.face import FaceModel as FaceModel  # noqa: E402
 from workbench.face import load_default_head as load_default_head  # noqa: E402
+from workbench.face import load_face_model as load_face_model  # noqa: E402
 from workbench.face import read_obj_folder as read_obj_folder  # noqa: E402
 from workbench.frames import open_frames as open_frames  # noqa: E402
 from workbench.frames import read_picture as read_picture  # noqa: E402

@@ -78,7 +78,13 @@ _LITERALS = frozenset(
     ]
 )
 _CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
-_EMPTY: dict[str, Callable[[], Any]] = {"EMPTY_DICT": dict, "EMPTY_LIST": list, "EMPTY_TUPLE": tuple}
+# A set stays a list: its entries may be endless to hash.
+_EMPTY: dict[str, Callable[[], Any]] = {
+    "EMPTY_DICT": dict,
+    "EMPTY_LIST": list,
+    "EMPTY_TUPLE": tuple,
+    "EMPTY_SET": list,
+}
 _TUPLES = {"TUPLE1": 1, "TUPLE2": 2, "TUPLE3": 3}
 _IGNORED = frozenset(["PROTO", "FRAME"])
 
@@ -144,7 +150,7 @@ class _Machine:
             stack.append(named(zip(values[::2], values[1::2], strict=True)))
         elif code == "APPEND":
             self._extend([stack.pop()])
-        elif code == "APPENDS":
+        elif code in ("APPENDS", "ADDITEMS"):
             self._extend(self._since_mark())
         elif code == "SETITEM":
             self._update(self._popped(2))

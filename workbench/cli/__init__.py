@@ -10,6 +10,7 @@ from workbench.cli.diagnosing import DIAGNOSE_HELP, diagnose
 from workbench.cli.exporting import EXPORT_HELP, export
 from workbench.cli.installation import info
 from workbench.cli.landmarking import LANDMARKS_HELP, landmarks
+from workbench.cli.models import model_app
 from workbench.cli.rigs import rig_app
 from workbench.cli.servers import APP_HELP, lab, serve_app
 from workbench.cli.servers import notebooks_folder as notebooks_folder
@@ -32,6 +33,7 @@ app.command()(demo)
 app.command(help=DIAGNOSE_HELP)(diagnose)
 app.command(help=EXPORT_HELP)(export)
 app.add_typer(config_app, name="config")
+app.add_typer(model_app, name="model")
 app.add_typer(rig_app, name="rig")
 app.add_typer(weights_app, name="weights")
 app.add_typer(train_app, name="train")

@@ -33,10 +33,13 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
   workbench track talk.mp4 --config tuned.toml      your own configuration
 
+  workbench track talk.mp4 --model flame.pkl        another face model
+
   workbench track talk.mp4 --resume                 go on with an interrupted run
 """
 
 DETECTOR_HELP = "auto (dlib where it is installed, else network), network, dlib, dlib-hog or dlib-cnn."
+MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 FACE_HELP = "A point X,Y in the wanted face, pixels."
 
 
@@ -52,6 +55,7 @@ def track(
     identity: Annotated[
         bool | None, typer.Option("--identity/--no-identity", help="Calibrate the subject's face shape first.")
     ] = None,
+    model: Annotated[Path | None, typer.Option(help=MODEL_HELP)] = None,
     landmarks: Annotated[Path | None, typer.Option(help="Stored landmarks of the pictures: no detector.")] = None,
     pictures: Annotated[bool, typer.Option(help="Write the overlay video or pictures.")] = True,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
@@ -59,7 +63,7 @@ def track(
     """Track faces in pictures, a video or landmark files."""
     settings = _configuration(config, preset_name, detector, fov, face, identity)
     folder = out or Path("out") / (inputs[0].stem or "run")
-    _run(inputs, folder, settings, stills=stills, pictures=pictures, resume=resume, landmarks=landmarks)
+    _run(inputs, folder, settings, model, stills=stills, pictures=pictures, resume=resume, landmarks=landmarks)
 
 
 def demo(
@@ -103,13 +107,14 @@ def wanted_face(text: str | None) -> tuple[float, float] | None:
     return x, y
 
 
-def _run(inputs, folder, config, **options) -> None:
-    from workbench.face import load_default_head
+def _run(inputs, folder, config, model_path: Path | None = None, **options) -> None:
+    from workbench.face import load_default_head, load_face_model
     from workbench.pipeline import track
 
+    model = load_default_head() if model_path is None else load_face_model(model_path)
     with screen.progress_bar() as progress:
         try:
-            result = track(inputs, folder, load_default_head(), config, progress=progress, **options)
+            result = track(inputs, folder, model, config, progress=progress, **options)
         except KeyboardInterrupt:
             screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept, --resume goes on from there")
             raise typer.Exit(130) from None

@@ -7,6 +7,8 @@ from workbench.face.blendshapes import delta_form as delta_form
 from workbench.face.blendshapes import targets_to_deltas as targets_to_deltas
 from workbench.face.default_head import GAZE_NAMES as GAZE_NAMES
 from workbench.face.default_head import load_default_head as load_default_head
+from workbench.face.formats import arkit_name as arkit_name
+from workbench.face.formats import load_face_model as load_face_model
 from workbench.face.jaw import JAW_SHAPES as JAW_SHAPES
 from workbench.face.jaw import JawJoint as JawJoint
 from workbench.face.jaw import jaw_joint as jaw_joint

@@ -19,7 +19,7 @@ class Embedding:
     vertices: Integer[np.ndarray, "*n 3"]
     barycentric: Float[np.ndarray, "*n 3"]
 
-    def of(self, vertices: Float[np.ndarray, "*b v 3"]) -> Float[np.ndarray, "*b m 3"]:
+    def of(self, vertices: Float[np.ndarray, "*b v 3"]) -> Float[np.ndarray, "... 3"]:
         """The landmarks of a mesh, or of a stack of vertex offsets, in its frame and unit."""
         return np.einsum("...jd,...j->...d", vertices[..., self.vertices, :], self.barycentric)
 

@@ -10,6 +10,7 @@ from workbench.pictures.head_picture import portrait_view as portrait_view
 from workbench.pictures.lighting import STUDIO as STUDIO
 from workbench.pictures.lighting import Light as Light
 from workbench.pictures.lighting import Lighting as Lighting
+from workbench.pictures.model_check import model_check_picture as model_check_picture
 from workbench.pictures.overlay import ALL_BUT_MESH as ALL_BUT_MESH
 from workbench.pictures.overlay import OverlayParts as OverlayParts
 from workbench.pictures.overlay import draw_overlay as draw_overlay

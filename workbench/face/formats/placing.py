@@ -1,0 +1,136 @@
+"""Unit, axes and origin of a stored face model, recognised by laying the default head on it.
+
+What the file tells of the face, in this order: landmarks, eye centres, and the places that blendshapes of ARKit's names
+move. Units are powers of ten apart and heads are not, so that the nearest unit is the right one; axes are exchanged and
+turned by right angles, so that a head stored with a slight nod keeps it.
+"""
+
+from itertools import permutations, product
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench.errors import ModelError
+from workbench.face.formats.raw import Y_UP, RawModel
+from workbench.face.model import FaceModel
+
+UNITS_MM = {"m": 1000.0, "dm": 100.0, "cm": 10.0, "mm": 1.0, "um": 0.001}
+RECOGNISED = ("m", "cm", "mm", "um")
+LARGEST_MISFIT = 2.2
+"""Factor between a head in a recognised unit and the default head's size."""
+FLAT = 0.02
+"""Third singular value of points that tell no handedness, in parts of the first."""
+
+
+class Correspondences(NamedTuple):
+    """Points of the default head, millimetres in the head frame, and the same points in the file."""
+
+    head: Float[np.ndarray, "p 3"]
+    file: Float[np.ndarray, "p 3"]
+
+
+class Placement(NamedTuple):
+    """points_head = unit_mm · rotation_head_file · (points_file − origin_file)."""
+
+    rotation: Float[np.ndarray, "3 3"]
+    unit_mm: float
+    origin: Float[np.ndarray, "3"]
+    size: float
+    """Size of this head in parts of the default head's."""
+
+    def points(self, points_file: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
+        """Points of the file in the head frame, millimetres."""
+        return self.offsets(points_file - self.origin)
+
+    def offsets(self, offsets_file: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
+        """Offsets of the file in the head frame, millimetres."""
+        return self.unit_mm * (offsets_file @ self.rotation.T)
+
+
+def correspondences(raw: RawModel, names: tuple[str, ...], deltas: np.ndarray, head: FaceModel) -> Correspondences:
+    """Points that are known in the default head and in the file; `names` and `deltas` are ARKit's where known."""
+    head_points, file_points = [], []
+    default_landmarks = head.landmarks.of(head.neutral)
+    for point, (vertices, weights) in sorted(raw.landmarks.items()):
+        head_points.append(default_landmarks[point])
+        file_points.append(weights @ raw.vertices[vertices])
+    for eye in ("leftEye", "rightEye"):
+        if eye in raw.joints:
+            head_points.append(head.joints[eye])
+            file_points.append(raw.joints[eye])
+    if len(head_points) < 6:
+        for name, moved in zip(names, deltas, strict=True):
+            if name in head.expression_names and np.any(moved):
+                same = head.expression_deltas[head.expression_names.index(name)]
+                head_points.append(_centre_of_motion(head.neutral, same))
+                file_points.append(_centre_of_motion(raw.vertices, moved))
+    return Correspondences(np.reshape(head_points, (-1, 3)), np.reshape(file_points, (-1, 3)))
+
+
+def place(points: Correspondences, axes: np.ndarray | None, unit: str | None, path: object) -> Placement:
+    """Where the file's head is. Raises `ModelError` where that cannot be told."""
+    count = len(points.head)
+    if count < 2:
+        raise ModelError(
+            f"{path} does not tell where its face is: give 68 vertex numbers in landmarks.toml, or export blendshapes "
+            "under ARKit's names."
+        )
+    head, file = points.head - points.head.mean(0), points.file - points.file.mean(0)
+    spread = np.sqrt((file**2).sum())
+    if spread == 0.0:
+        raise ModelError(f"{path}: all points of the face that are known lie in one place; the model is damaged.")
+    rotation = _recognised_axes(head, file, path) if axes is None else axes
+    scale = float(np.sum(head * (file @ rotation.T)) / spread**2)
+    if scale <= 0.0:
+        raise ModelError(f"{path}: the eyes or landmarks stand the wrong way round; sides are the subject's.")
+    unit_mm = _unit(scale, unit, path)
+    # The default head's origin, laid on the file by the similarity.
+    origin = points.file.mean(0) - rotation.T @ points.head.mean(0) / scale
+    return Placement(rotation, unit_mm, origin, unit_mm / scale)
+
+
+def _centre_of_motion(vertices: np.ndarray, deltas: np.ndarray) -> np.ndarray:
+    weights = (deltas**2).sum(1)
+    return weights @ vertices / weights.sum()
+
+
+def _right_angles() -> Float[np.ndarray, "24 3 3"]:
+    """Every rotation that takes axes to axes."""
+    signed = [
+        np.eye(3)[list(order)] * np.array(signs)[:, None]
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    return np.stack([matrix for matrix in signed if np.linalg.det(matrix) > 0.0])
+
+
+def _recognised_axes(head: np.ndarray, file: np.ndarray, path: object) -> np.ndarray:
+    if len(head) < 3:
+        return Y_UP
+    candidates = _right_angles()
+    covariance = head.T @ file
+    rotation = candidates[np.argmax(np.einsum("cij,ij->c", candidates, covariance))]
+    # A set that fits far better when mirrored names its sides by the picture's.
+    left, singular, right = np.linalg.svd(covariance)
+    if np.linalg.det(left @ right) < 0.0 and singular[2] > FLAT * singular[0]:
+        raise ModelError(
+            f"{path}: landmarks or blendshapes fit a face only when mirrored; name left and right as the subject's, "
+            "and number landmarks from the subject's right ear."
+        )
+    return rotation
+
+
+def _unit(scale: float, unit: str | None, path: object) -> float:
+    if unit is not None:
+        if unit not in UNITS_MM:
+            raise ModelError(f"There is no unit {unit!r}; the units are {', '.join(UNITS_MM)}.")
+        return UNITS_MM[unit]
+    misfit = {UNITS_MM[name]: abs(np.log(scale / UNITS_MM[name])) for name in RECOGNISED}
+    nearest = min(misfit, key=misfit.__getitem__)
+    if misfit[nearest] > np.log(LARGEST_MISFIT):
+        raise ModelError(
+            f"{path}: with eyes about {63.0 / scale:.3g} units apart the head has no human size in any of "
+            f"{', '.join(RECOGNISED)}; say which it is: unit='cm', or --unit cm."
+        )
+    return nearest

@@ -1,0 +1,96 @@
+"""What the reader of a format hands over: a face model in its file's own unit, axes and order."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Integer, UInt8
+
+from workbench.errors import ModelError
+from workbench.face.model import Embedding
+
+Y_UP = np.diag([1.0, -1.0, -1.0])
+"""From +x subject's left, +y up, +z out of the face (FLAME, Basel, ICT, glTF) to the head frame."""
+STATISTICAL_RANGE = (-3.0, 3.0)
+"""Weights of a component of unit variance."""
+
+Place = tuple[Integer[np.ndarray, "3"], Float[np.ndarray, "3"]]
+"""A point of a mesh: three vertices and their barycentric weights."""
+
+
+@dataclass(frozen=True)
+class RawModel:
+    """A face model as it is stored. Points of one kind share the file's frame and unit; sides are the subject's."""
+
+    name: str
+    vertices: Float[np.ndarray, "v 3"]
+    triangles: Integer[np.ndarray, "t 3"]
+    expression_names: tuple[str, ...]
+    expression_deltas: Float[np.ndarray, "k v 3"]
+    expression_range: Float[np.ndarray, "k 2"]
+    identity_deltas: Float[np.ndarray, "i v 3"] | None = None
+    """Components of unit variance."""
+    landmarks: Mapping[int, Place] = field(default_factory=dict)
+    """What the format says of the 68 points, by iBUG number; the others are fitted."""
+    contour_yaw_deg: Float[np.ndarray, "b"] | None = None
+    """Head yaws in our sign, ascending, where the format tabulates a sliding jaw contour."""
+    contour: Embedding | None = None
+    joints: Mapping[str, Float[np.ndarray, "3"]] = field(default_factory=dict)
+    """Among them leftEye, rightEye (centres) and jaw, where the format knows them."""
+    identity_joint_deltas: Mapping[str, Float[np.ndarray, "i 3"]] = field(default_factory=dict)
+    jaw_weights: Float[np.ndarray, "v"] | None = None
+    colors: UInt8[np.ndarray, "v 3"] | None = None
+    regions: Mapping[str, Integer[np.ndarray, "_"]] | None = None
+    mirror: Integer[np.ndarray, "v"] | None = None
+    uv: Float[np.ndarray, "u 2"] | None = None
+    triangles_uv: Integer[np.ndarray, "t 3"] | None = None
+    axes: Float[np.ndarray, "3 3"] | None = None
+    """Rotation from the file's axes to the head frame's, where the format defines it."""
+    notes: tuple[str, ...] = ()
+
+
+def vertex_place(vertex: int) -> Place:
+    """A landmark that is a vertex."""
+    return np.array([vertex] * 3, np.int32), np.array([1.0, 0.0, 0.0])
+
+
+def places_of(embedding: Embedding, first: int = 0) -> dict[int, Place]:
+    """Landmarks of consecutive numbers from `first` on."""
+    pairs = zip(embedding.vertices, embedding.barycentric, strict=True)
+    return {first + k: (vertices, weights) for k, (vertices, weights) in enumerate(pairs)}
+
+
+def embedding_of(places: Mapping[int, Place]) -> Embedding:
+    """The 68 landmarks as arrays. Raises `ModelError` where one is missing."""
+    missing = [point for point in range(68) if point not in places]
+    if missing:
+        raise ModelError(f"The model has no landmark {missing[0]} of the 68; give all of them in landmarks.toml.")
+    vertices, weights = zip(*(places[point] for point in range(68)), strict=True)
+    return Embedding(np.stack(vertices).astype(np.int32), np.stack(weights).astype(float))
+
+
+def statistical_names(count: int) -> tuple[str, ...]:
+    """Names of the components of an expression basis that has none."""
+    return tuple(f"expression_{k:03d}" for k in range(count))
+
+
+def ranges(count: int, bounds: tuple[float, float] = (0.0, 1.0)) -> Float[np.ndarray, "k 2"]:
+    """The same range for `count` shapes."""
+    return np.tile(np.array(bounds, float), (count, 1))
+
+
+def check_mesh(path: object, vertices: np.ndarray, triangles: np.ndarray, deltas: Mapping[str, np.ndarray]) -> None:
+    """Raise `ModelError` where arrays of a file do not belong together."""
+    count = len(vertices)
+    if vertices.shape != (count, 3) or count == 0 or triangles.ndim != 2 or triangles.shape[1:] != (3,):
+        raise ModelError(f"{path} holds no triangle mesh: vertices {vertices.shape}, triangles {triangles.shape}.")
+    if triangles.size and (triangles.min() < 0 or triangles.max() >= count):
+        raise ModelError(
+            f"{path}: a triangle names vertex {triangles.max()}, the mesh has {count}; the file is damaged."
+        )
+    for label, basis in deltas.items():
+        if basis.ndim != 3 or basis.shape[1:] != (count, 3):
+            raise ModelError(f"{path}: {label} has shape {basis.shape}, expected (n, {count}, 3); the file is damaged.")
+    for label, array in {"vertices": vertices, **deltas}.items():
+        if not np.isfinite(array).all():
+            raise ModelError(f"{path}: {label} holds numbers that are not finite; the file is damaged.")
