@@ -7,7 +7,7 @@ video needs no more memory than a second, and `iterate(start)` delivers identica
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
@@ -169,6 +169,30 @@ class ImageFrames:
         """Yield the images from index `start` on."""
         for index in range(_checked_start(start), len(self.paths)):
             yield Frame(index, read_picture(self.paths[index]), 0.0, self.paths[index].name)
+
+
+class FrameRange:
+    """Consecutive frames of a stream as a stream of their own, counted from 0."""
+
+    def __init__(self, frames: Frames, first: int, last: int) -> None:
+        """Frames `first` to `last`, both included. Raises `InputError` for a range that the stream does not have."""
+        count = frames.announced_count
+        if not 0 <= first <= last or (count is not None and first >= count):
+            known = "" if count is None else f"; {frames.name} has frames 0 to {count - 1}"
+            raise InputError(f"Frames {first} to {last} were asked for{known}.")
+        self._frames, self._first = frames, first
+        self.kind, self.name, self.rate, self.image_size = frames.kind, frames.name, frames.rate, frames.image_size
+        self.announced_count = last - first + 1 if count is None else min(last + 1, count) - first
+        self.notes = frames.notes
+
+    def iterate(self, start: int = 0) -> Iterator[Frame]:
+        """Yield the frames from index `start` of the range on."""
+        stream = self._frames.iterate(self._first + _checked_start(start))
+        for index in range(start, self.announced_count):
+            frame = next(stream, None)
+            if frame is None:
+                return
+            yield replace(frame, index=index)
 
 
 class VideoFrames:

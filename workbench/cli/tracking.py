@@ -1,5 +1,6 @@
 """`workbench track` and `workbench demo`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -31,6 +32,10 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
   workbench track talk.mp4 --preset face-it         as the paper has it
 
+  workbench track talk.mp4 --preset deep-energies --frames 100-200 --workers 2
+
+  workbench track left.mp4 --preset deep-energies --rig rig.toml --view right=right.mp4
+
   workbench track talk.mp4 --config tuned.toml      your own configuration
 
   workbench track talk.mp4 --model flame.pkl        another face model
@@ -40,6 +45,11 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
 DETECTOR_HELP = "auto (dlib where it is installed, else network), network, dlib, dlib-hog or dlib-cnn."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
+ENERGY_HELP = "Deep Energies: deep (network on the render), points (on the mesh) or mixed."
+FRAMES_HELP = "Only a part, first and last frame as A-B."
+WORKERS_HELP = "Deep Energies: processes that fit frames."
+RIG_HELP = "Deep Energies: calibration of several cameras; INPUT is its first view."
+VIEW_HELP = "Clip of another view of the rig as NAME=CLIP; may be given more than once."
 FACE_HELP = "A point X,Y in the wanted face, pixels."
 
 
@@ -56,14 +66,31 @@ def track(
         bool | None, typer.Option("--identity/--no-identity", help="Calibrate the subject's face shape first.")
     ] = None,
     model: Annotated[Path | None, typer.Option(help=MODEL_HELP)] = None,
+    energy: Annotated[str | None, typer.Option(help=ENERGY_HELP)] = None,
+    frames: Annotated[str | None, typer.Option(help=FRAMES_HELP)] = None,
+    workers: Annotated[int, typer.Option(min=1, max=64, help=WORKERS_HELP)] = 1,
+    rig: Annotated[Path | None, typer.Option(help=RIG_HELP)] = None,
+    view: Annotated[list[str] | None, typer.Option(help=VIEW_HELP)] = None,
     landmarks: Annotated[Path | None, typer.Option(help="Stored landmarks of the pictures: no detector.")] = None,
     pictures: Annotated[bool, typer.Option(help="Write the overlay video or pictures.")] = True,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
 ) -> None:
     """Track faces in pictures, a video or landmark files."""
-    settings = _configuration(config, preset_name, detector, fov, face, identity)
+    settings = _configuration(config, preset_name, detector, fov, face, identity, energy, rig)
     folder = out or Path("out") / (inputs[0].stem or "run")
-    _run(inputs, folder, settings, model, stills=stills, pictures=pictures, resume=resume, landmarks=landmarks)
+    _run(
+        inputs,
+        folder,
+        settings,
+        model,
+        stills=stills,
+        pictures=pictures,
+        resume=resume,
+        landmarks=landmarks,
+        frames=frame_range(frames),
+        views=_views(view or []),
+        workers=workers,
+    )
 
 
 def demo(
@@ -77,7 +104,7 @@ def demo(
         _run([sample(name)], out / name, config, pictures=pictures, landmarks=sample(f"{name}-landmarks"))
 
 
-def _configuration(config, preset_name, detector, fov, face, identity) -> Config:
+def _configuration(config, preset_name, detector, fov, face, identity, energy, rig) -> Config:
     if config is not None and preset_name is not None:
         raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
     base = read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
@@ -88,12 +115,37 @@ def _configuration(config, preset_name, detector, fov, face, identity) -> Config
         landmarks["face"] = wanted_face(face)
     if fov is not None:
         camera = {"fov_deg": fov, "matrix": None}
+    if rig is not None:
+        camera["rig"] = str(rig)
+    if energy is not None and base.system != "deep-energies":
+        raise ConfigError("--energy belongs to Deep Energies; add --preset deep-energies.")
     changes = {
+        "deep": {} if energy is None else {"energy": energy},
         "landmarks": landmarks,
         "camera": camera,
         "identity": {} if identity is None else {"calibrate": identity},
     }
     return base.changed(**changes)
+
+
+def frame_range(text: str | None) -> tuple[int, int] | None:
+    """First and last frame of A-B, None where it is left out; raises `ConfigError` for anything else."""
+    if text is None:
+        return None
+    first, _, last = text.partition("-")
+    if not (first.isdigit() and last.isdigit() and int(first) <= int(last)):
+        raise ConfigError(f"A part of a clip is its first and last frame as A-B, got {text!r}; for example 100-200.")
+    return int(first), int(last)
+
+
+def _views(texts: list[str]) -> dict[str, Path]:
+    views = {}
+    for text in texts:
+        name, sign, path = text.partition("=")
+        if not (name and sign and path):
+            raise ConfigError(f"A view is given as NAME=CLIP, got {text!r}; for example right=right.mp4.")
+        views[name] = Path(path)
+    return views
 
 
 def wanted_face(text: str | None) -> tuple[float, float] | None:
@@ -131,6 +183,9 @@ def _print_summary(result) -> None:
     table = Table(show_header=False, box=None)
     faces = f"{summary['frames_with_face']} of {summary['frames']} with a face, {summary['shots']} shot(s)"
     table.add_row("[bold]frames[/bold]", faces)
+    if summary["frames_failed"]:
+        listed = ", ".join(f"{count} × {reason}" for reason, count in summary["frames_failed"].items())
+        table.add_row("[bold]failed[/bold]", f"{listed}")
     table.add_row("[bold]landmarks[/bold]", f"by {summary['detector']}" if summary["detector"] else "from a file")
     if summary["frames_with_face"]:
         table.add_row(
@@ -139,20 +194,33 @@ def _print_summary(result) -> None:
             f"(p95 {every['p95']:.2f} %) of the eye distance",
         )
         spent = ", ".join(f"{name} {value['p50']:.1f} ms" for name, value in times.items())
-        rate = f"; {summary['frames_per_second']:.0f} frames/s" if summary["frames_per_second"] else ""
+        rate = f"; {summary['frames_per_second']:.3g} frames/s" if summary["frames_per_second"] else ""
         table.add_row("[bold]time[/bold]", f"median {spent}{rate}")
     kind = "guessed, --fov changes it" if camera["guessed"] else "as given"
     table.add_row(
         "[bold]camera[/bold]",
         f"focal length {camera['focal_px'][0]:.0f} px, {camera['horizontal_fov_deg']:.0f}° horizontally ({kind})",
     )
-    for path in result.files[:8]:
+    for path in _named(result.files):
         key = "overlay.mp4" if "overlay" in path.name or path.parent.name == "overlay" else path.name
+        key = "stages/" if path.parent.name == "stages" else key
         table.add_row("", f"{escape(str(path))}  [dim]{OUTPUTS.get(key, '')}[/dim]")
     screen.console.print(table)
     for note in result.notes:
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")
     print_licence_notice(summary["detector"])
+
+
+def _named(files: Sequence[Path]) -> list[Path]:
+    """The files worth a line: all tables, and the first picture of each folder of pictures."""
+    parents, kept = set(), []
+    for path in files:
+        if path.parent.name in ("stages", "overlay"):
+            if path.parent in parents:
+                continue
+            parents.add(path.parent)
+        kept.append(path)
+    return kept
 
 
 def print_licence_notice(detector: str | None) -> None:

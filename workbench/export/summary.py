@@ -10,7 +10,7 @@ import numpy as np
 from workbench.files import atomic_path
 from workbench.geometry import Camera, horizontal_fov_deg
 from workbench.tracking import Track
-from workbench.tracking.records import frame_errors
+from workbench.tracking.records import FAILURES, frame_errors
 
 TIMES = ("detect", "landmarks", "solve")
 
@@ -21,12 +21,13 @@ def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[st
     `tracks` are consecutive pieces of one run. The detector is None where the landmarks came from a file. Errors
     are means over the landmarks of a frame, then mean, median and 95th percentile over the frames with a face.
     """
-    errors, milliseconds, found, iterations, shots, camera, detector = [], [], [], [], 0, {}, None
+    errors, milliseconds, found, iterations, failure, shots, camera, detector = [], [], [], [], [], 0, {}, None
     for track in tracks:
         errors.append(frame_errors(track))
         milliseconds.append(track.milliseconds)
         found.append(track.found)
         iterations.append(track.iterations)
+        failure.append(track.failure)
         shots = int(track.shot.max()) + 1
         camera = camera or _camera(track)
         detector = track.meta.get("detector")
@@ -41,6 +42,7 @@ def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[st
     return {
         "frames": len(found),
         "frames_with_face": int(found.sum()),
+        "frames_failed": _failures(np.concatenate(failure)),
         "shots": shots,
         "detector": detector,
         "reprojection_error": {name: _spread(errors[:, k]) for k, name in enumerate(names)},
@@ -56,6 +58,11 @@ def write_summary(summary: dict[str, Any], path: str | Path) -> None:
     """Write the summary as indented JSON, whole or not at all."""
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _failures(failure: np.ndarray) -> dict[str, int]:
+    """Frames whose fit should not be used, by reason."""
+    return {FAILURES[k]: int((failure == k).sum()) for k in range(1, len(FAILURES)) if (failure == k).any()}
 
 
 def _camera(track: Track) -> dict[str, Any]:

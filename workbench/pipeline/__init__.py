@@ -4,9 +4,10 @@ import hashlib
 import importlib.metadata
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,20 +17,17 @@ from workbench.config import Config, write_config
 from workbench.errors import InputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.face import FaceModel
-from workbench.frames import Frame, Frames, ImageFrames, open_frames
-from workbench.landmarks.detectors import LandmarkDetector, fallback_note, make_detector
-from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
+from workbench.frames import Frames, ImageFrames
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
-from workbench.tracking import FaceTracker, FrameFit, FrameObservation, Track
+from workbench.pipeline.deep_run import track_independent_frames, write_strips
+from workbench.pipeline.sources import PictureSource as PictureSource
+from workbench.pipeline.sources import is_landmark_file as is_landmark_file
+from workbench.pipeline.sources import open_deep_source, open_source
+from workbench.tracking import FaceTracker, FrameFit, Track
 from workbench.tracking.track_writer import TrackWriter
 
-LANDMARK_SUFFIXES = (".csv", ".json", ".pts")
 PACKAGES = ("jax", "optimistix", "numpy", "scipy", "opencv-contrib-python-headless", "pyvista")
-STILL_CONFIDENCE = 0.5
-"""Median landmark confidence that a photo needs: no later frame would put a doubtful face right."""
-CANVAS = 235
-"""Grey level behind the landmarks of a file that comes without its pictures."""
 
 Progress = Callable[[str, int, int | None], None]
 """Called with the name of a step, the frames done, and the frames in all if known."""
@@ -51,11 +49,6 @@ class RunResult:
         return Track.load(self.folder / "track.npz")
 
 
-def is_landmark_file(path: Path) -> bool:
-    """Whether a path names a landmark file and not a picture or a video."""
-    return path.suffix.lower() in LANDMARK_SUFFIXES
-
-
 def track(
     inputs: str | Path | Sequence[str | Path],
     folder: str | Path,
@@ -66,29 +59,43 @@ def track(
     pictures: bool = True,
     resume: bool = False,
     landmarks: Path | None = None,
+    frames: tuple[int, int] | None = None,
+    views: Mapping[str, Path] = MappingProxyType({}),
+    workers: int = 1,
     progress: Progress | None = None,
 ) -> RunResult:
     """Track a video, a folder, photos or a landmark file into `folder`; see `OUTPUTS` for what it holds afterwards.
 
     `stills` treats every picture on its own. `landmarks` is a file with the landmarks of the pictures: no detector
-    runs. `resume` goes on with an interrupted run of the same input and
-    configuration. An interrupted run (Ctrl-C) keeps its finished parts for that. Raises `InputError` for an input
-    that cannot be used.
+    runs. `frames` are the first and last one of a part. `views` are the clips of a rig's other cameras by the views'
+    names, `workers` the processes that fit (both Deep Energies). `resume` goes on with an interrupted run of the same
+    input and configuration. An interrupted run (Ctrl-C) keeps its finished parts for that. Raises `InputError` for an
+    input that cannot be used.
     """
     paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     if not paths:
         raise InputError("There is nothing to track; name a photo, a folder, a video or a landmark file.")
     folder, progress = Path(folder), progress or _silent
-    source = open_source(paths, config, landmarks)
+    deep = config.system == "deep-energies"
+    if not deep and (views or workers > 1):
+        raise InputError("Several views and several processes belong to Deep Energies; add --preset deep-energies.")
+    if deep:
+        source = open_deep_source(paths, config, landmarks, frames, views)
+    else:
+        source = open_source(paths, config, landmarks, frames)
     stills = stills or source.single_picture
     tracker = FaceTracker(model, config, stills=stills)
     tracker.warm_up(source.image_size)
     folder.mkdir(parents=True, exist_ok=True)
-    meta = _meta(paths, landmarks, model, config, stills, source)
+    meta = _meta([*paths, *views.values()], landmarks, model, config, stills, source)
+    meta["frames"] = None if frames is None else list(frames)
     writer = TrackWriter(folder / "track.npz", meta, _fingerprint(meta), resume)
-    began, already = time.perf_counter(), len(writer)
+    began, already, strips = time.perf_counter(), len(writer), []
     try:
-        _track_frames(source, tracker, writer, stills, progress)
+        if deep:
+            strips = track_independent_frames(source, tracker, writer, stills, workers, progress)
+        else:
+            _track_frames(source, tracker, writer, stills, progress)
     except InputError:
         writer.discard()
         raise
@@ -99,6 +106,8 @@ def track(
     summary = summary_of(writer.tracks(), seconds if not already else None)
     notes = [*source.notes()]
     files = _write_tables(writer, summary, model, config, folder)
+    if pictures and deep:
+        files += write_strips(strips, tracker.fitter, folder, progress)
     if pictures:
         files += _write_pictures(source, writer, model, stills, folder, progress, notes)
     writer.close()
@@ -111,123 +120,13 @@ OUTPUTS = {
     "parameters.csv": "a row a frame: pose, 44 weights, errors",
     "landmarks.csv": "a row a frame: the 68 detected points",
     "config.toml": "the configuration used",
+    "stages/": "Deep Energies: what each stage made of some frames, and of those that failed",
     "overlay.mp4": "the landmarks on the picture, the 3D face beside it (overlay/ with pictures for stills)",
 }
 
 
 def _silent(step: str, done: int, total: int | None) -> None:
     """No progress is shown."""
-
-
-class PictureSource:
-    """Frames through a detector and, unless they are stills, through the landmark tracker."""
-
-    def __init__(self, frames: Frames, detector: LandmarkDetector, config: Config):
-        self.frames = frames
-        self.single_picture = frames.kind == "images" and frames.announced_count == 1
-        self.image_size = frames.image_size
-        self.count = frames.announced_count
-        self.detector = detector.name
-        self._fallback = fallback_note(config.landmarks.detector, detector.name)
-        face = config.landmarks.face
-        self._tracker = LandmarkTracker(detector, TrackerOptions(face=face))
-        self._finder = LandmarkTracker(detector, TrackerOptions(face=face, accept_confidence=STILL_CONFIDENCE))
-
-    def notes(self) -> list[str]:
-        return [*self.frames.notes, *([self._fallback] if self._fallback else [])]
-
-    def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
-        if stills:
-            yield from (observation for _, observation in self.stills(start))
-            return
-        frames = self.frames.iterate(max(start - 1, 0))
-        if start:
-            self._tracker.restore(state, next(frames).picture)
-        for frame in frames:
-            height, width = frame.picture.shape[:2]
-            found = self._tracker.step(frame.picture)
-            times = (found.milliseconds["detect"], found.milliseconds["landmarks"])
-            yield FrameObservation(frame.index, found.landmarks, (width, height), found.source, found.cut, times)
-
-    def stills(self, start: int = 0) -> Iterator[tuple[Frame, FrameObservation]]:
-        """Each frame as a picture of its own, with what is found in it."""
-        yield from ((frame, self._still(frame)) for frame in self.frames.iterate(start))
-
-    def state(self) -> dict[str, np.ndarray]:
-        return self._tracker.state()
-
-    def _still(self, frame: Frame) -> FrameObservation:
-        height, width = frame.picture.shape[:2]
-        self._finder.reset()
-        found = self._finder.step(frame.picture)
-        times = (found.milliseconds["detect"], found.milliseconds["landmarks"])
-        return FrameObservation(frame.index, found.landmarks, (width, height), found.source, True, times)
-
-
-class FileSource:
-    """Landmarks that were stored before, with or without their pictures."""
-
-    detector = None
-
-    def __init__(self, paths: list[Path], frames: Frames | None):
-        self._paths = paths
-        first = next(iter(self._records()), None)
-        if first is None:
-            raise InputError(f"{paths[0]} holds no frame; a landmark file has a row or an entry a frame.")
-        self.image_size = _size(first)
-        self.frames = frames or _Canvas(self)
-        self.count = self.frames.announced_count
-        self.single_picture = frames is not None and frames.kind == "images" and self.count == 1
-
-    def notes(self) -> list[str]:
-        return list(self.frames.notes)
-
-    def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
-        for index, record in enumerate(self._records()):
-            if index >= start:
-                yield FrameObservation(index, record.landmarks, _size(record), "given", stills)
-
-    def state(self) -> dict[str, np.ndarray]:
-        return {}
-
-    def _records(self) -> Iterator[LandmarkRecord]:
-        for path in self._paths:
-            yield from read_landmark_file(path)
-
-
-class _Canvas:
-    """Plain pictures of the sizes that a landmark file names, to draw on."""
-
-    kind, rate, announced_count = "images", 25.0, None
-
-    def __init__(self, source: FileSource):
-        self._source = source
-        self.name = source._paths[0].stem
-        self.image_size = source.image_size
-        self.notes: list[str] = []
-
-    def iterate(self, start: int = 0) -> Iterator[Frame]:
-        for observation in self._source.observations(start, {}, False):
-            width, height = observation.image_size
-            picture = np.full((height, width, 3), CANVAS, np.uint8)
-            yield Frame(observation.index, picture, 0.0, f"{self.name}-{observation.index}")
-
-
-def _size(record: LandmarkRecord) -> tuple[int, int]:
-    return record.landmarks.image_size if record.landmarks is not None else record.image_size
-
-
-def open_source(paths: list[Path], config: Config, landmarks: Path | None) -> PictureSource | FileSource:
-    """Frames and their landmarks: from a detector, or from a landmark file. Raises `InputError` for a mixture."""
-    of_landmarks = [path for path in paths if is_landmark_file(path)]
-    if of_landmarks and (len(of_landmarks) < len(paths) or landmarks is not None):
-        raise InputError("A run takes pictures or landmark files as input; for both, name the file with --landmarks.")
-    if of_landmarks:
-        return FileSource(paths, None)
-    frames = open_frames(paths if len(paths) > 1 else paths[0])
-    if landmarks is not None:
-        return FileSource([landmarks], frames)
-    return PictureSource(frames, make_detector(config.landmarks.detector), config)
 
 
 def _track_frames(source, tracker: FaceTracker, writer: TrackWriter, stills: bool, progress: Progress) -> None:

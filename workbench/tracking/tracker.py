@@ -21,7 +21,7 @@ from workbench.tracking.fitter import (
     corrected,
 )
 from workbench.tracking.records import FrameFit
-from workbench.tracking.systems import configured, make_fitter
+from workbench.tracking.systems import Fitter, configured, make_fitter
 
 JUMP = 0.5
 """Mean landmark motion between frames, in outer-eye distances, that restarts the pose."""
@@ -78,6 +78,15 @@ class FaceTracker:
                 return
             self._calibrate(self._pending)
         yield from self._flush()
+
+    def fit_prepared(self, observation: FrameObservation, context: FrameContext) -> FrameFit:
+        """The fit of a prepared frame, where frames are independent."""
+        return self._fitter.fit(observation, context)[0]
+
+    @property
+    def fitter(self) -> Fitter:
+        """What fits the frames."""
+        return self._fitter
 
     def finish(self) -> list[FrameFit]:
         """Fits of the frames still held back: the shot has ended."""

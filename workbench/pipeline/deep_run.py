@@ -1,0 +1,100 @@
+"""Frames of a Deep Energies run: independent of each other, so over several processes, with the same numbers."""
+
+import multiprocessing
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+from workbench.config import Config
+from workbench.face import FaceModel
+from workbench.pipeline.sources import DeepSource
+from workbench.tracking import FaceTracker, FrameContext, FrameFit, FrameObservation
+from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking.track_writer import TrackWriter
+
+BATCH = 16
+"""Frames between two parts on disk: an interrupted run loses less than these."""
+STRIPS = 12
+"""Frames whose stages are drawn, evenly over the run, and at most as many that failed."""
+
+Pair = tuple[FrameObservation, FrameContext]
+
+
+def track_independent_frames(
+    source: DeepSource, tracker: FaceTracker, writer: TrackWriter, stills: bool, workers: int, progress
+) -> list[Pair]:
+    """Fit what the writer does not hold yet, in order; return the frames whose stages are worth a picture.
+
+    On resume the landmarks of all frames are found again (a few milliseconds each): then nothing but the number of
+    finished frames has to be stored, and the numbers cannot depend on where a run was cut.
+    """
+    every = max(1, (source.count or STRIPS) // STRIPS)
+    chosen: list[Pair] = []
+    failed: list[Pair] = []
+    done = len(writer)
+    with ExitStack() as stack:
+        fit = _mapper(tracker, workers, stack)
+        pairs = islice(_pairs(source, tracker, stills), done, None)
+        while batch := list(islice(pairs, BATCH)):
+            for (observation, context), result in zip(batch, fit(batch), strict=True):
+                writer.add(result)
+                done += 1
+                progress("track", done, source.count)
+                if result.found and observation.index % every == 0 and len(chosen) < STRIPS:
+                    chosen.append((observation, context))
+                elif result.failure and len(failed) < STRIPS:
+                    failed.append((observation, context))
+            writer.write_part({})
+    return [*chosen, *failed]
+
+
+def write_strips(pairs: list[Pair], fitter: DeepFitter, folder: Path, progress) -> tuple[Path, ...]:
+    """Draw the stages of some frames: `stages/0012.jpg`."""
+    from workbench.pictures.deep_strip import write_stage_strip
+
+    made = []
+    pictured = [pair for pair in pairs if pair[0].picture is not None]
+    for observation, context in pictured:
+        solution = fitter.solve(observation, context)
+        path = folder / "stages" / f"{observation.index:04d}.jpg"
+        path.parent.mkdir(exist_ok=True)
+        write_stage_strip(path, observation.picture, fitter, observation, context, solution)
+        made.append(path)
+        progress("stages", len(made), len(pictured))
+    return tuple(made)
+
+
+def _pairs(source: DeepSource, tracker: FaceTracker, stills: bool) -> Iterator[Pair]:
+    for observation in source.observations(0, {}, stills):
+        yield from tracker.prepare(observation)
+    yield from tracker.prepare_rest()
+
+
+def _mapper(tracker: FaceTracker, workers: int, stack: ExitStack):
+    """What fits a batch: here, or in processes that each hold model and configuration."""
+    if workers <= 1:
+        return lambda batch: (tracker.fit_prepared(*pair) for pair in batch)
+    # Spawned: a forked child of a process that runs JAX's threads hangs.
+    pool = stack.enter_context(
+        ProcessPoolExecutor(
+            workers, multiprocessing.get_context("spawn"), initializer=_start, initargs=(tracker.model, tracker.config)
+        )
+    )
+    return lambda batch: pool.map(
+        _fit, [(replace(observation, picture=None), context) for observation, context in batch]
+    )
+
+
+_FITTER: list[DeepFitter] = []
+"""The worker's own fitter, made once when the process starts."""
+
+
+def _start(model: FaceModel, config: Config) -> None:
+    _FITTER.append(DeepFitter(model, config))
+
+
+def _fit(pair: Pair) -> FrameFit:
+    return _FITTER[0].fit(*pair)[0]

@@ -1,0 +1,259 @@
+"""Where a run's frames and landmarks come from: a detector over pictures, a landmark file, several cameras."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain, islice, repeat
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from workbench.config import Config
+from workbench.errors import InputError
+from workbench.frames import Frame, FrameRange, Frames, open_frames
+from workbench.geometry import read_rig
+from workbench.landmarks.detectors import LandmarkDetector, fallback_note, make_detector
+from workbench.landmarks.files import LandmarkRecord, read_landmark_file
+from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
+from workbench.tracking import FrameObservation
+from workbench.tracking.deep_target import energy_network, photo_landmarks
+
+LANDMARK_SUFFIXES = (".csv", ".json", ".pts")
+STILL_CONFIDENCE = 0.5
+"""Median landmark confidence that a photo needs: no later frame would put a doubtful face right."""
+CANVAS = 235
+"""Grey level behind the landmarks of a file that comes without its pictures."""
+
+
+def is_landmark_file(path: Path) -> bool:
+    """Whether a path names a landmark file and not a picture or a video."""
+    return path.suffix.lower() in LANDMARK_SUFFIXES
+
+
+class PictureSource:
+    """Frames through a detector and, unless they are stills, through the landmark tracker."""
+
+    def __init__(self, frames: Frames, detector: LandmarkDetector, config: Config, keep_pictures: bool = False):
+        """`keep_pictures` hands every frame's picture on with its observation."""
+        self.frames, self._keep = frames, keep_pictures
+        self.single_picture = frames.kind == "images" and frames.announced_count == 1
+        self.image_size = frames.image_size
+        self.count = frames.announced_count
+        self.detector = detector.name
+        self._fallback = fallback_note(config.landmarks.detector, detector.name)
+        face = config.landmarks.face
+        self._tracker = LandmarkTracker(detector, TrackerOptions(face=face))
+        self._finder = LandmarkTracker(detector, TrackerOptions(face=face, accept_confidence=STILL_CONFIDENCE))
+
+    def notes(self) -> list[str]:
+        return [*self.frames.notes, *([self._fallback] if self._fallback else [])]
+
+    def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
+        if stills:
+            yield from (observation for _, observation in self.stills(start))
+            return
+        frames = self.frames.iterate(max(start - 1, 0))
+        if start:
+            self._tracker.restore(state, next(frames).picture)
+        for frame in frames:
+            height, width = frame.picture.shape[:2]
+            found = self._tracker.step(frame.picture)
+            times = (found.milliseconds["detect"], found.milliseconds["landmarks"])
+            kept = frame.picture if self._keep else None
+            yield FrameObservation(
+                frame.index, found.landmarks, (width, height), found.source, found.cut, times, picture=kept
+            )
+
+    def stills(self, start: int = 0) -> Iterator[tuple[Frame, FrameObservation]]:
+        """Each frame as a picture of its own, with what is found in it."""
+        yield from ((frame, self._still(frame)) for frame in self.frames.iterate(start))
+
+    def state(self) -> dict[str, np.ndarray]:
+        return self._tracker.state()
+
+    def _still(self, frame: Frame) -> FrameObservation:
+        height, width = frame.picture.shape[:2]
+        self._finder.reset()
+        found = self._finder.step(frame.picture)
+        times = (found.milliseconds["detect"], found.milliseconds["landmarks"])
+        kept = frame.picture if self._keep else None
+        return FrameObservation(frame.index, found.landmarks, (width, height), found.source, True, times, picture=kept)
+
+
+class FileSource:
+    """Landmarks that were stored before, with or without their pictures."""
+
+    detector = None
+
+    def __init__(
+        self, paths: list[Path], frames: Frames | None, rows: range | None = None, keep_pictures: bool = False
+    ):
+        """`rows`: the part of the file that counts. `keep_pictures` hands the pictures on with the observations."""
+        self._paths, self._rows, self._keep = paths, rows, keep_pictures and frames is not None
+        first = next(iter(self._records()), None)
+        if first is None:
+            raise InputError(f"{paths[0]} holds no frame; a landmark file has a row or an entry a frame.")
+        self.image_size = _size(first)
+        self.frames = frames or _Canvas(self)
+        self.count = self.frames.announced_count
+        self.single_picture = frames is not None and frames.kind == "images" and self.count == 1
+
+    def notes(self) -> list[str]:
+        return list(self.frames.notes)
+
+    def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
+        pictures = self.frames.iterate(start) if self._keep else repeat(None)
+        for index, record in islice(enumerate(self._records()), start, None):
+            frame = next(pictures, None)
+            picture = None if frame is None else frame.picture
+            yield FrameObservation(index, record.landmarks, _size(record), "given", stills, picture=picture)
+
+    def state(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def _records(self) -> Iterator[LandmarkRecord]:
+        records = chain.from_iterable(read_landmark_file(path) for path in self._paths)
+        yield from records if self._rows is None else islice(records, self._rows.start, self._rows.stop)
+
+
+class _Canvas:
+    """Plain pictures of the sizes that a landmark file names, to draw on."""
+
+    kind, rate, announced_count = "images", 25.0, None
+
+    def __init__(self, source: FileSource):
+        self._source = source
+        self.name = source._paths[0].stem
+        self.image_size = source.image_size
+        self.notes: list[str] = []
+
+    def iterate(self, start: int = 0) -> Iterator[Frame]:
+        for observation in self._source.observations(start, {}, False):
+            width, height = observation.image_size
+            picture = np.full((height, width, 3), CANVAS, np.uint8)
+            yield Frame(observation.index, picture, 0.0, f"{self.name}-{observation.index}")
+
+
+def _size(record: LandmarkRecord) -> tuple[int, int]:
+    return record.landmarks.image_size if record.landmarks is not None else record.image_size
+
+
+class RigSource:
+    """Clips of one performance from several cameras, frame by frame; pictures are those of the first view."""
+
+    def __init__(self, sources: Sequence["PictureSource | FileSource"], names: Sequence[str]):
+        self._sources, self._names = sources, names
+        reference = sources[0]
+        self.frames, self.image_size, self.detector = reference.frames, reference.image_size, reference.detector
+        counts = [source.count for source in sources if source.count is not None]
+        self.count = min(counts) if counts else None
+        self.single_picture = all(source.single_picture for source in sources)
+
+    def notes(self) -> list[str]:
+        counts = {name: source.count for name, source in zip(self._names, self._sources, strict=True)}
+        unequal = len({count for count in counts.values() if count is not None}) > 1
+        listed = ", ".join(f"{name}: {count}" for name, count in counts.items())
+        uneven = [f"The views have different numbers of frames ({listed}); the shortest counts."] if unequal else []
+        return [*dict.fromkeys(note for source in self._sources for note in source.notes()), *uneven]
+
+    def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
+        streams = [source.observations(start, {}, stills) for source in self._sources]
+        # Not strict: the shortest clip ends the run.
+        for reference, *others in zip(*streams, strict=False):
+            yield replace(reference, others=tuple(other.landmarks for other in others)), [o.picture for o in others]
+
+    def state(self) -> dict[str, np.ndarray]:
+        return {}
+
+
+class DeepSource:
+    """Another source's frames with N(F*) in place of the detector's landmarks, in every view."""
+
+    def __init__(self, source: "PictureSource | FileSource | RigSource", config: Config):
+        self._source = source
+        self._network = energy_network(config.deep.network)
+        self.frames, self.image_size, self.detector = source.frames, source.image_size, source.detector
+        self.count, self.single_picture = source.count, source.single_picture
+        self._without_pictures = False
+
+    def notes(self) -> list[str]:
+        given = "Without pictures the given landmarks stand for what the network would see in them."
+        return [*self._source.notes(), *([given] if self._without_pictures else [])]
+
+    def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
+        for item in self._source.observations(start, state, stills):
+            observation, pictures = item if isinstance(item, tuple) else (item, [])
+            others = zip(pictures, observation.others, strict=True)
+            yield replace(
+                observation,
+                landmarks=self._target(observation.picture, observation.landmarks),
+                others=tuple(self._target(picture, landmarks) for picture, landmarks in others),
+            )
+
+    def state(self) -> dict[str, np.ndarray]:
+        return self._source.state()
+
+    def _target(self, picture: np.ndarray | None, landmarks: Landmarks2D | None) -> Landmarks2D | None:
+        if landmarks is None:
+            return None
+        if picture is None:
+            self._without_pictures = True
+            return landmarks
+        return photo_landmarks(self._network, picture, landmarks)
+
+
+Source = PictureSource | FileSource | RigSource | DeepSource
+
+
+def open_source(
+    paths: list[Path],
+    config: Config,
+    landmarks: Path | None,
+    frames: tuple[int, int] | None = None,
+    keep_pictures: bool = False,
+) -> PictureSource | FileSource:
+    """Frames and their landmarks: from a detector, or from a landmark file. Raises `InputError` for a mixture.
+
+    `frames` are the first and last one that count.
+    """
+    rows = None if frames is None else range(frames[0], frames[1] + 1)
+    of_landmarks = [path for path in paths if is_landmark_file(path)]
+    if of_landmarks and (len(of_landmarks) < len(paths) or landmarks is not None):
+        raise InputError("A run takes pictures or landmark files as input; for both, name the file with --landmarks.")
+    if of_landmarks:
+        return FileSource(paths, None, rows)
+    opened = open_frames(paths if len(paths) > 1 else paths[0])
+    opened = opened if frames is None else FrameRange(opened, *frames)
+    if landmarks is not None:
+        return FileSource([landmarks], opened, rows, keep_pictures)
+    return PictureSource(opened, make_detector(config.landmarks.detector), config, keep_pictures)
+
+
+def open_deep_source(
+    paths: list[Path],
+    config: Config,
+    landmarks: Path | None,
+    frames: tuple[int, int] | None = None,
+    views: Mapping[str, Path] = MappingProxyType({}),
+) -> DeepSource:
+    """The source of a Deep Energies run; `views` are the clips of a rig's other cameras by the views' names.
+
+    Raises `InputError` for views that the rig does not have or that are missing.
+    """
+    reference = open_source(paths, config, landmarks, frames, keep_pictures=True)
+    if not config.camera.rig:
+        if views:
+            raise InputError("Clips of several views need their calibration; name the rig file (camera.rig, --rig).")
+        return DeepSource(reference, config)
+    names = read_rig(config.camera.rig).names
+    unknown = [name for name in views if name not in names[1:]]
+    missing = [name for name in names[1:] if name not in views]
+    if unknown or missing:
+        what = f"has no view {unknown[0]!r}" if unknown else f"needs the clip of its view {missing[0]!r}"
+        raise InputError(
+            f"The rig {what}; the input is its first view {names[0]!r}, and the others ({', '.join(names[1:])}) are "
+            "given as --view NAME=CLIP."
+        )
+    others = [open_source([views[name]], config, None, frames, keep_pictures=True) for name in names[1:]]
+    return DeepSource(RigSource([reference, *others], names), config)
