@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
-from workbench.face import FaceModel
+from workbench.face import FaceModel, posed_vertices
 from workbench.geometry import Camera
 from workbench.pictures.mesh import to_camera
 from workbench.tracking import Track
@@ -53,7 +53,10 @@ class Clip:
 
     def vertices_head(self, position: int) -> Float[np.ndarray, "v 3"]:
         """The person's vertices in one frame with a face: head frame, millimetres."""
-        return self.person.vertices(self.track.expression[position])
+        track = self.track
+        return posed_vertices(
+            self.person, track.expression[position], track.jaw[position], float(track.scale[position])
+        )
 
     def vertices_world(self, position: int) -> Float[np.ndarray, "v 3"]:
         """The same where they stand before the camera, in the frame of reference of 3D files, metres."""

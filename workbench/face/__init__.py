@@ -14,6 +14,7 @@ from workbench.face.jaw import JawJoint as JawJoint
 from workbench.face.jaw import jaw_joint as jaw_joint
 from workbench.face.jaw import jaw_of_weights as jaw_of_weights
 from workbench.face.jaw import move_jaw as move_jaw
+from workbench.face.jaw import posed_vertices as posed_vertices
 from workbench.face.jaw import weights_with_jaw as weights_with_jaw
 from workbench.face.landmark_model import LandmarkModel as LandmarkModel
 from workbench.face.landmark_model import PointModel as PointModel

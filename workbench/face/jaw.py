@@ -65,6 +65,19 @@ def move_jaw(
     return moved + jaw[0] / np.radians(OPEN_DEG) * joint.corrective
 
 
+def posed_vertices(
+    person: FaceModel,
+    expression: Float[np.ndarray, "k"],
+    jaw: Float[np.ndarray, "6"],
+    scale: float | int = 1.0,
+) -> Float[np.ndarray, "v 3"]:
+    """x(w) of a person (identity baked in), jaw joint and scale included: head frame, millimetres."""
+    vertices = person.vertices(expression)
+    if np.any(jaw):
+        vertices = np.asarray(move_jaw(jaw_joint(person), vertices, np.zeros(0), np.asarray(jaw, float)), float)
+    return vertices if scale == 1.0 else scale * vertices
+
+
 def jaw_of_weights(model: FaceModel, expression: Float[np.ndarray, "k"]) -> Float[np.ndarray, "6"]:
     """The joint motion nearest to the jaw blendshapes of an expression."""
     weight = {

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from workbench.face.model import FaceModel
+from workbench.face import FaceModel, posed_vertices
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import POLYLINES, outer_eye_distance
 from workbench.pictures.mesh import scaled_camera, to_camera, to_pixels
@@ -220,7 +220,7 @@ def _draw_axes(canvas, fit: FrameFit, nose, scale, unit) -> None:
 
 def _draw_mesh(canvas, fit: FrameFit, model: FaceModel, scale: float) -> None:
     """The edges of the triangles that face the camera, half transparent."""
-    vertices = model.personal(fit.identity).vertices(fit.expression)
+    vertices = posed_vertices(model.personal(fit.identity), fit.expression, fit.jaw, fit.scale)
     points_camera = to_camera(vertices, fit.rotation, fit.translation)
     if points_camera[:, 2].min() <= 1.0:
         return

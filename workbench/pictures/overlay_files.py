@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from workbench.errors import InputError
-from workbench.face.model import FaceModel
+from workbench.face import FaceModel, posed_vertices
 from workbench.frames import Frame, Frames, VideoWriter, write_picture
 from workbench.pictures.background import background_picture
 from workbench.pictures.head_picture import HeadRenderer, PlainPainter, head_painter, portrait_view
@@ -122,7 +122,9 @@ class HeadPanel:
         if self._identity is None or not np.array_equal(fit.identity, self._identity):
             self._identity, self._person = fit.identity, self.model.personal(fit.identity)
         rotation = fit.rotation if self.view == "pose" else np.zeros(3)
-        return self.painter.submit(self._person.vertices(fit.expression), self.camera, rotation, self.translation)
+        return self.painter.submit(
+            posed_vertices(self._person, fit.expression, fit.jaw, fit.scale), self.camera, rotation, self.translation
+        )
 
     def __enter__(self) -> "HeadPanel":
         return self

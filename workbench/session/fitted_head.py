@@ -5,7 +5,7 @@ import threading
 import numpy as np
 from jaxtyping import Float
 
-from workbench.face import FaceModel
+from workbench.face import FaceModel, posed_vertices
 from workbench.geometry import rotation_matrix
 from workbench.pictures.mesh import to_camera, to_pixels
 from workbench.tracking import FrameFit
@@ -38,7 +38,10 @@ class FittedHead:
         personal = self.personal(fit.identity)
         with self._lock:
             moved = fit.expression.astype(np.float32) @ self._basis
-        return personal.neutral + moved.reshape(-1, 3)
+        vertices = personal.neutral + moved.reshape(-1, 3)
+        if np.any(fit.jaw) or fit.scale != 1.0:
+            return posed_vertices(personal, fit.expression, fit.jaw, fit.scale)
+        return vertices
 
     def landmarks(self, fit: FrameFit) -> Float[np.ndarray, "68 3"]:
         """The model's landmarks on the surface, head frame; the jaw contour at its frontal place."""

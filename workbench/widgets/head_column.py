@@ -6,6 +6,7 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.pictures.overlay import residual_colors
+from workbench.face import posed_vertices
 from workbench.session import FittedHead, TuningSession
 from workbench.tracking import FrameFit
 from workbench.widgets.head_view import HeadView, make_head_view
@@ -138,7 +139,8 @@ class HeadColumn:
             # A model of its own: the other configuration may see another person.
             model = self._head.model.personal(other.identity)
             place = BESIDE_MM if beside else BEHIND_MM
-            self.view.set_ghost(model.vertices(other.expression) + place, 1.0 if beside else 0.4)
+            ghost = posed_vertices(model, other.expression, other.jaw, other.scale)
+            self.view.set_ghost(ghost + place, 1.0 if beside else 0.4)
         self._compared = key
 
     def _comparisons(self) -> list[tuple[str, str]]:
