@@ -5,8 +5,8 @@ from collections.abc import Callable
 import ipywidgets as widgets
 import numpy as np
 
-from workbench.pictures.overlay import residual_colors
 from workbench.face import posed_vertices
+from workbench.pictures.overlay import residual_colors
 from workbench.session import FittedHead, TuningSession
 from workbench.tracking import FrameFit
 from workbench.widgets.head_view import HeadView, make_head_view
