@@ -10,7 +10,7 @@ where triangles are smaller than pixels. Two per side (`samples=2`) come close t
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -65,7 +65,6 @@ class Rendering(NamedTuple):
     """Contour pieces left out for want of room: 0 but in pictures with extremely many edges."""
 
 
-@partial(jax.jit, static_argnames=("size", "samples", "antialias", "cull_backfaces"))
 def render(
     vertices_camera: Float[AnyArray, "v 3"],
     topology: MeshTopology,
@@ -83,12 +82,30 @@ def render(
 
     `albedo` is one colour per vertex or a `Texture`, `light` nine coefficients per channel (`lighting`). `samples`
     squared points are shaded per pixel. Without `antialias` each sample is its centre's colour, and contours have no
-    derivative. Everything but sizes and switches is traced: new values compile nothing. `jax.vmap` batches. Raises
-    `InputError` for arrays whose shapes do not belong together.
+    derivative. Everything but sizes and switches is traced: new values compile nothing, nor do arrays of another
+    precision. `jax.vmap` batches. Raises `InputError` for arrays whose shapes do not belong together.
     """
     _check(vertices_camera, topology, albedo, background, size, samples)
+    vertices, camera, albedo, light, background = jax.tree.map(
+        _single, (vertices_camera, camera, albedo, light, background)
+    )
+    return _render(vertices, topology, camera, albedo, light, background, size, samples, antialias, cull_backfaces)
+
+
+@partial(jax.jit, static_argnames=("size", "samples", "antialias", "cull_backfaces"))
+def _render(
+    vertices: Float[Array, "v 3"],
+    topology: MeshTopology,
+    camera: AnyCamera,
+    albedo: Float[Array, "n 3"] | Texture,
+    light: Float[Array, "9 3"],
+    background: Float[Array, "*hw 3"],
+    size: tuple[int, int],
+    samples: int,
+    antialias: bool,
+    cull_backfaces: bool,
+) -> Rendering:
     width, height = size[0] * samples, size[1] * samples
-    vertices = jnp.asarray(vertices_camera, jnp.float32)
     topology = MeshTopology(*(jnp.asarray(array) for array in topology))
     screen = _finer(to_screen(camera, vertices), samples)
     table, texture = _surface(vertices, topology, screen, albedo)
@@ -112,6 +129,12 @@ def render(
         barycentric=barycentric[one],
         lost_contours=jnp.int32(0) if contours is None else contours.lost,
     )
+
+
+def _single(values: Any) -> Array:
+    """Floats in single precision, whole numbers as they are."""
+    values = jnp.asarray(values)
+    return values.astype(jnp.float32) if jnp.issubdtype(values.dtype, jnp.floating) else values
 
 
 def _check(vertices, topology, albedo, background, size, samples) -> None:
