@@ -75,7 +75,8 @@ def test_a_clip_that_runs_early_or_late_is_told_by_how_many_frames(stereo, shift
     assert pair.offset == -shift
     assert pair.offset_median_px < 0.6
     assert pair.median_px > 4 * pair.offset_median_px
-    assert any(f"frame 100 of middle fits frame {100 - shift} of side" in text for text in found.warnings)
+    (warning,) = found.warnings
+    assert f"frame 100 of middle fits frame {100 - shift} of side" in warning
 
 
 def test_a_head_that_does_not_move_has_no_time_offset(head):
@@ -113,6 +114,14 @@ def test_of_three_cameras_the_one_that_was_moved_is_named(three, index):
 
 def test_three_good_cameras_accuse_nobody(three):
     assert check_rig(three.rig, clips(three)).warnings == ()
+
+
+def test_two_cameras_that_never_see_the_face_together_are_joined_by_a_third(three):
+    early = [record for record in three.records(1, NOISE_PX) if record.frame < 20]
+    late = [record for record in three.records(2, NOISE_PX) if record.frame >= 20]
+    found = check_rig(three.rig, [three.records(0, NOISE_PX), early, late])
+    assert [pair.views for pair in found.pairs] == [("middle", "side"), ("middle", "third")]
+    assert found.warnings == ()
 
 
 def test_landmark_files_in_the_wrong_order_turn_the_face_inside_out(stereo):
@@ -188,7 +197,7 @@ def other_size(scene, *sizes):
         (lambda scene: (scene.rig, no_faces(scene)), "'middle' have no face"),
         (
             lambda scene: (scene.rig, [scene.records(0)[:3], scene.records(1)[5:]]),
-            "never have a face in the same frame",
+            "No two of the views middle, side",
         ),
         (lambda scene: (scene.rig, other_size(scene, (640, 360))), "no scaled copies"),
         (lambda scene: (scene.rig, other_size(scene, (640, 480), (320, 240))), "2 sizes"),

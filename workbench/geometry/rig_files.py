@@ -22,6 +22,7 @@ does not say is OpenCV's: its pose convention, and `unit` and picture size must 
 """
 
 import difflib
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -44,6 +45,7 @@ OPENCV_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
 TOP_KEYS = ("version", "unit", "pose", "views")
 VIEW_KEYS = ("name", "image_size", "matrix", "distortion", "rotation", "translation")
 VERSION = 1
+MOST_NESTED = 16
 
 MATRIX_NAMES = ("camera_matrix", "cameraMatrix", "K", "M")
 DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D")
@@ -204,15 +206,26 @@ def _stereo(where: str, file: Mapping[str, Any], unit: str | None, image_size: t
 
 def _file_storage(path: Path) -> dict[str, Any]:
     """The file's top level: arrays for matrices and lists, else numbers and text."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    _check_nesting(path, text)
     try:
         # From memory: OpenCV would print its own complaint about a file that it cannot open.
-        storage = cv2.FileStorage(
-            path.read_text(encoding="utf-8"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY, "utf-8"
-        )
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY, "utf-8")
         root = storage.root()
         return {key: _node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118 (not a dict)
     except (cv2.error, SystemError, ValueError) as error:
         raise InputError(f"{path} cannot be read as an OpenCV file (cv2.FileStorage); it may be cut off.") from error
+
+
+def _check_nesting(path: Path, text: str) -> None:
+    """Refuse what would overflow the stack of OpenCV's parser, which takes the whole process with it."""
+    depth = deepest = 0
+    for token in re.finditer(r"(?P<opening>[\[{]|<\w)|[\]}]|</|/>", text):
+        depth += 1 if token["opening"] else -1
+        deepest = max(deepest, depth)
+    # YAML's lists nest by dashes too.
+    if deepest > MOST_NESTED or re.search(rf"(?:-\s+){{{MOST_NESTED}}}", text):
+        raise InputError(f"{path} nests its entries more than {MOST_NESTED} deep; that is no calibration.")
 
 
 def _node(node: "cv2.FileNode") -> Any:

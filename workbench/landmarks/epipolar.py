@@ -90,6 +90,7 @@ class RigCheck:
     """How landmarks fit a rig."""
 
     pairs: tuple[PairCheck, ...]
+    """Those that see the face together in some frame."""
     views: tuple[ViewCheck, ...]
     eye_distance_mm: float
     """Median distance between the triangulated outer eye corners: tells a wrong unit."""
@@ -113,7 +114,13 @@ def check_rig(rig: Rig, clips: Sequence[Iterable[LandmarkRecord]]) -> RigCheck:
         )
     recorded = [_undistorted_clip(view, clip) for view, clip in zip(rig.views, clips, strict=True)]
     rig, points = Rig(tuple(view for view, _ in recorded)), [found for _, found in recorded]
-    pairs = tuple(_pair_check(rig, a, b, points[a], points[b]) for a, b in combinations(range(len(rig)), 2))
+    together = [(a, b) for a, b in combinations(range(len(rig)), 2) if points[a].keys() & points[b].keys()]
+    if not together:
+        raise InputError(
+            f"No two of the views {', '.join(rig.names)} have a face in the same frame; "
+            "frames belong together by their numbers."
+        )
+    pairs = tuple(_pair_check(rig, a, b, points[a], points[b]) for a, b in together)
     stacked = _stacked(points)
     places = triangulate(rig.placed, stacked)
     views = _view_checks(rig, points, stacked, places)
@@ -144,11 +151,6 @@ def _undistorted_clip(view: View, clip: Iterable[LandmarkRecord]) -> tuple[View,
 def _pair_check(rig: Rig, a: int, b: int, points_a: Clip, points_b: Clip) -> PairCheck:
     names, views = (rig.names[a], rig.names[b]), (rig.placed_view(a), rig.placed_view(b))
     pixels_a, pixels_b = _together(points_a, points_b, 0)
-    if not len(pixels_a):
-        raise InputError(
-            f"Views {names[0]!r} and {names[1]!r} never have a face in the same frame; "
-            "frames belong together by their numbers."
-        )
     distances = epipolar_distance(*views, pixels_a, pixels_b)
     median = _quantile(distances, 0.5)
     percent = 100.0 * median / (0.5 * (_eye_distance(pixels_a) + _eye_distance(pixels_b)))
@@ -226,7 +228,7 @@ def _pair_warnings(pairs: Sequence[PairCheck]) -> list[str]:
                 f"{a} and {b}: frame 100 of {a} fits frame {100 + pair.offset} of {b} "
                 f"({pair.offset_median_px:.2f} instead of {pair.median_px:.2f} px): are the clips synchronised?"
             )
-        if pair.median_percent > DOUBT_PERCENT:
+        if _is_doubtful(pair):
             found.append(
                 f"{a} and {b}: landmarks lie {pair.median_px:.1f} px ({pair.median_percent:.1f} % of the eye distance) "
                 f"off their epipolar lines; up to {DOUBT_PERCENT:g} % is usual."
@@ -234,12 +236,18 @@ def _pair_warnings(pairs: Sequence[PairCheck]) -> list[str]:
     return found
 
 
+def _is_doubtful(pair: PairCheck) -> bool:
+    """Whether the landmarks stay off their lines when the clips are shifted as fits best."""
+    left = pair.offset_median_px / pair.median_px if pair.offset else 1.0
+    return left * pair.median_percent > DOUBT_PERCENT
+
+
 def _explanations(rig: Rig, pairs: Sequence[PairCheck], points: Sequence[Clip]) -> list[str]:
     """What would bring the landmarks onto their lines and the nose before the eyes: clips in another order, poses
     turned round."""
     median, inside_out = _fit(rig, points)
     found = ["The face comes out inside out, with the nose behind the eyes."] if inside_out else []
-    if not inside_out and all(pair.median_percent <= DOUBT_PERCENT for pair in pairs):
+    if not inside_out and not any(_is_doubtful(pair) for pair in pairs):
         return []
 
     def better(candidate: tuple[float, bool]) -> bool:
@@ -264,7 +272,7 @@ def _fit(rig: Rig, points: Sequence[Clip]) -> tuple[float, bool]:
         medians.append(_quantile(epipolar_distance(rig.placed_view(a), rig.placed_view(b), *pixels), 0.5))
     across, down, nose = np.moveaxis(_triples(triangulate(rig.placed, _stacked(points))), 1, 0)
     outwards = -np.einsum("ni,ni->n", np.cross(across, down), nose)
-    return float(np.mean(medians)), _quantile(outwards, 0.5) < 0
+    return float(np.nanmean(medians)), _quantile(outwards, 0.5) < 0
 
 
 def _triples(places: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "f 3 3"]:
@@ -288,7 +296,7 @@ def _turned_round(rig: Rig) -> Rig | None:
 
 def _view_warnings(views: Sequence[ViewCheck]) -> list[str]:
     """With three views or more, the one without which the others agree."""
-    if len(views) < 3:
+    if len(views) < 3 or not np.isfinite([view.others_px for view in views]).all():
         return []
     best, second = sorted(views, key=lambda view: view.others_px)[:2]
     together = float(np.mean([view.median_px for view in views]))
