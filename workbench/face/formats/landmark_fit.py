@@ -2,7 +2,7 @@
 
 1. The default head starts where the known points of the file put it (`placing`).
 2. Its pose, size and 50 identity coefficients follow the surface: iterated closest points, point to plane, only where
-   normals agree; known landmarks and eye centres hold it.
+   normals agree; known landmarks and eye centres hold it, and the places that blendshapes of ARKit's names move pull.
 3. The 68 landmarks and the jaw contour for nine yaws go to the nearest points of the surface with agreeing normals.
 """
 
@@ -23,7 +23,9 @@ REACH_MM = (30.0, 8.0)
 NORMALS_AGREE = 0.5
 FACE_BOX = ((-75.0, -70.0, -60.0), (75.0, 105.0, 45.0))
 """The part of the default head that is laid on the surface, head frame, millimetres."""
-IDENTITY_WEIGHT, LANDMARK_WEIGHT, POINT_WEIGHT = 2.0, 60.0, 0.02
+IDENTITY_WEIGHT, LANDMARK_WEIGHT, MOTION_WEIGHT, POINT_WEIGHT = 2.0, 60.0, 6.0, 0.02
+WIDE = ("jaw", "eyeLook", "tongue")
+"""Beginnings of the names of shapes whose motion is too wide, or inside the head, to tell a place of the face."""
 NEIGHBOURS = 30
 
 
@@ -44,7 +46,10 @@ class _Surface(NamedTuple):
     vertices: Float[np.ndarray, "v 3"]
     triangles: Integer[np.ndarray, "t 3"]
     normals: Float[np.ndarray, "v 3"]
+    used: Integer[np.ndarray, "w"]
+    """Vertices that have a triangle."""
     tree: cKDTree
+    """Of the used vertices."""
 
 
 def outward(vertices: Float[np.ndarray, "v 3"], triangles: Integer[np.ndarray, "t 3"]) -> bool:
@@ -59,17 +64,22 @@ def fit_landmarks(
     triangles: Integer[np.ndarray, "t 3"],
     known: Mapping[int, Place],
     eyes: Mapping[str, Float[np.ndarray, "3"]],
+    motions: Mapping[str, Float[np.ndarray, "3"]],
     size: float,
     head: FaceModel,
 ) -> LandmarkFit:
-    """Fit the default head to a mesh in the head frame, millimetres, that it is `size` times as large as."""
-    surface = _Surface(vertices, triangles, vertex_normals(vertices, triangles), cKDTree(vertices))
+    """Fit the default head to a mesh in the head frame, millimetres, of `size` times the default head's size.
+
+    `motions` are the centres of motion of blendshapes by ARKit's name.
+    """
+    used = np.unique(triangles)
+    surface = _Surface(vertices, triangles, vertex_normals(vertices, triangles), used, cKDTree(vertices[used]))
     low, high = (np.array(corner) for corner in FACE_BOX)
     front = np.flatnonzero(np.all((head.neutral > low) & (head.neutral < high), axis=1))
     outer = np.concatenate([head.regions[name] for name in ("skin", "lips", "brow") if name in head.regions])
     sample = np.intersect1d(front, outer)
     state = _State(np.eye(3), size, np.zeros(3), np.zeros(len(head.identity_deltas)))
-    held = _held(head, known, eyes, vertices)
+    held = _held(head, known, eyes, motions, vertices)
     for step in range(ITERATIONS):
         reach = size * np.interp(step, (0, ITERATIONS - 3), REACH_MM)
         state, distance, covered = _step(state, head, sample, surface, held, reach)
@@ -115,9 +125,22 @@ class _Held(NamedTuple):
     points: np.ndarray
     identity: np.ndarray
     targets: np.ndarray
+    weights: np.ndarray
 
 
-def _held(head: FaceModel, known: Mapping[int, Place], eyes: Mapping[str, np.ndarray], vertices: np.ndarray) -> _Held:
+def centre_of_motion(deltas: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v"]:
+    """Weights of the vertices whose mean is the place that a blendshape moves; zero for one that moves nothing."""
+    squares = (deltas**2).sum(1)
+    return squares / max(squares.sum(), 1e-300)
+
+
+def _held(
+    head: FaceModel,
+    known: Mapping[int, Place],
+    eyes: Mapping[str, np.ndarray],
+    motions: Mapping[str, np.ndarray],
+    vertices: np.ndarray,
+) -> _Held:
     neutral, moved = head.landmarks.of(head.neutral), head.landmarks.of(head.identity_deltas)
     numbers = sorted(known)
     points, identity = [neutral[numbers]], [moved[:, numbers]]
@@ -126,7 +149,15 @@ def _held(head: FaceModel, known: Mapping[int, Place], eyes: Mapping[str, np.nda
         points.append(head.joints[eye][None])
         identity.append(head.identity_joint_deltas[eye][:, None])
         targets.append(place)
-    return _Held(np.concatenate(points), np.concatenate(identity, axis=1), np.reshape(targets, (-1, 3)))
+    for name, place in motions.items():
+        if name in head.expression_names and not name.startswith(WIDE):
+            centre = centre_of_motion(head.expression_deltas[head.expression_names.index(name)])
+            points.append((centre @ head.neutral)[None])
+            identity.append((head.identity_deltas.swapaxes(1, 2) @ centre)[:, None])
+            targets.append(place)
+    weights = np.full(len(targets), MOTION_WEIGHT)
+    weights[: len(known) + len(eyes)] = LANDMARK_WEIGHT
+    return _Held(np.concatenate(points), np.concatenate(identity, axis=1), np.reshape(targets, (-1, 3)), weights)
 
 
 def _step(state: _State, head: FaceModel, sample, surface: _Surface, held: _Held, reach: float):
@@ -135,6 +166,7 @@ def _step(state: _State, head: FaceModel, sample, surface: _Surface, held: _Held
     x = state.place(local)
     normals = vertex_normals(state.vertices(head), head.triangles)[sample]
     distance, nearest = surface.tree.query(x)
+    nearest = surface.used[nearest]
     agree = np.einsum("pd,pd->p", normals, surface.normals[nearest]) > NORMALS_AGREE
     used = agree & (distance < reach)
     if used.sum() < 50:
@@ -154,8 +186,9 @@ def _step(state: _State, head: FaceModel, sample, surface: _Surface, held: _Held
     if len(held.points):
         at = state.place(held.points + np.tensordot(state.identity, held.identity, axes=1))
         pull = _jacobian(state, at, held.identity).reshape(-1, jacobian.shape[-1])
-        matrix += LANDMARK_WEIGHT * pull.T @ pull
-        gradient += LANDMARK_WEIGHT * pull.T @ (at - held.targets).ravel()
+        each = np.repeat(held.weights, 3)
+        matrix += (pull * each[:, None]).T @ pull
+        gradient += pull.T @ (each * (at - held.targets).ravel())
     prior = np.concatenate([np.zeros(7), np.full(len(state.identity), IDENTITY_WEIGHT * used.sum() / 100.0)])
     gradient += prior * np.concatenate([np.zeros(7), state.identity])
     change = -np.linalg.solve(matrix + np.diag(prior + 1e-9 * matrix.trace()), gradient)
@@ -190,9 +223,9 @@ def _on_surface(surface: _Surface, points: np.ndarray, normals: np.ndarray) -> E
     points, normals = points.reshape(-1, 3), normals.reshape(-1, 3)
     around = _triangles_around(surface)
     vertices, weights = [], []
-    near = surface.tree.query(points, k=min(NEIGHBOURS, len(surface.vertices)))[1].reshape(len(points), -1)
+    near = surface.tree.query(points, k=min(NEIGHBOURS, len(surface.used)))[1].reshape(len(points), -1)
     for point, normal, ring in zip(points, normals, near, strict=True):
-        chosen = np.unique(np.concatenate([around[vertex] for vertex in ring]))
+        chosen = np.unique(np.concatenate([around[vertex] for vertex in surface.used[ring]]))
         corners = surface.triangles[chosen]
         facing = surface.normals[corners].mean(1) @ normal > 0.3 * np.linalg.norm(normal)
         corners = corners[facing] if facing.any() else corners

@@ -15,12 +15,12 @@ from workbench.face.formats.flame import companions, flame_model, is_flame
 from workbench.face.formats.gltf import read_gltf
 from workbench.face.formats.gnm import gnm_model, is_gnm
 from workbench.face.formats.ict_facekit import is_ict_facekit, read_ict_facekit
-from workbench.face.formats.landmark_fit import LandmarkFit, fit_landmarks, outward
+from workbench.face.formats.landmark_fit import LandmarkFit, centre_of_motion, fit_landmarks, outward
 from workbench.face.formats.obj import read_landmarks_toml, read_obj_targets
 from workbench.face.formats.pickled_arrays import read_arrays
 from workbench.face.formats.placing import Placement, correspondences, place
 from workbench.face.formats.raw import RawModel, embedding_of, places_of
-from workbench.face.formats.shape_names import arkit_shapes
+from workbench.face.formats.shape_names import arkit_name, arkit_shapes
 from workbench.face.model import Embedding, FaceModel
 
 COMPONENTS = 50
@@ -127,7 +127,9 @@ def _placed(raw: RawModel, unit: str | None, path: Path) -> FaceModel:
     if not outward(vertices, triangles):
         triangles = triangles[:, ::-1]
     eyes = {name: placement.points(raw.joints[name]) for name in ("leftEye", "rightEye") if name in raw.joints}
-    fit = fit_landmarks(vertices, triangles, raw.landmarks, eyes, placement.size, head)
+    moved = {name: delta for name, delta in zip(names, deltas, strict=True) if arkit_name(name) and np.any(delta)}
+    motions = {name: centre_of_motion(delta) @ vertices for name, delta in moved.items()}
+    fit = fit_landmarks(vertices, triangles, raw.landmarks, eyes, motions, placement.size, head)
     found = fit.covered >= LEAST_COVERED and fit.distance_mm <= WORST_MM * placement.size
     fitted = 68 - len(raw.landmarks)
     if fitted and not found:

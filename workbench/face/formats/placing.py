@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench.errors import ModelError
+from workbench.face.formats.landmark_fit import centre_of_motion
 from workbench.face.formats.raw import Y_UP, RawModel
 from workbench.face.model import FaceModel
 
@@ -63,8 +64,8 @@ def correspondences(raw: RawModel, names: tuple[str, ...], deltas: np.ndarray, h
         for name, moved in zip(names, deltas, strict=True):
             if name in head.expression_names and np.any(moved):
                 same = head.expression_deltas[head.expression_names.index(name)]
-                head_points.append(_centre_of_motion(head.neutral, same))
-                file_points.append(_centre_of_motion(raw.vertices, moved))
+                head_points.append(centre_of_motion(same) @ head.neutral)
+                file_points.append(centre_of_motion(moved) @ raw.vertices)
     return Correspondences(np.reshape(head_points, (-1, 3)), np.reshape(file_points, (-1, 3)))
 
 
@@ -88,11 +89,6 @@ def place(points: Correspondences, axes: np.ndarray | None, unit: str | None, pa
     # The default head's origin, laid on the file by the similarity.
     origin = points.file.mean(0) - rotation.T @ points.head.mean(0) / scale
     return Placement(rotation, unit_mm, origin, unit_mm / scale)
-
-
-def _centre_of_motion(vertices: np.ndarray, deltas: np.ndarray) -> np.ndarray:
-    weights = (deltas**2).sum(1)
-    return weights @ vertices / weights.sum()
 
 
 def _right_angles() -> Float[np.ndarray, "24 3 3"]:
