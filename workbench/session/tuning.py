@@ -4,7 +4,7 @@ import shlex
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,15 @@ from workbench.config import DEFAULT_PRESET, Config, Difference, Stage, differen
 from workbench.diagnosis import Change, Diagnosis, FrameCase, ShotReference, diagnose_frame, reference_of
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, load_default_head
+from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import software_versions
 from workbench.session.material import Material, Progress, load_material, material_of_track
 from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation, StageTrace, Track
+from workbench.tracking.deep_fitter import DeepFitter, DeepSolution
+from workbench.tracking.deep_target import energy_network, photo_landmarks
 from workbench.tracking.fitter import Calibrated, Continuation, corrected, running_stages
 from workbench.tracking.records import frame_errors, stack_fits
+from workbench.tracking.systems import Fitter, configured, make_fitter
 from workbench.tracking.tracker import calibration_window, jumped
 
 GESTURE_S = 0.8
@@ -71,8 +75,10 @@ class TuningSession:
         self._fitting = threading.RLock()
         self._calibrating = threading.Lock()
         self._diagnosing = threading.Lock()
-        self._fitter = FrameFitter(model, self.base)
-        self._diagnostic_fitter = FrameFitter(model, self.base)
+        self._fitter = make_fitter(model, self.base)
+        self._diagnostic_fitter: FrameFitter | None = None
+        self._targets: dict[tuple[int, str], Landmarks2D] = {}
+        self._solution: tuple[tuple, DeepSolution] | None = None
         self._reference: tuple[tuple[int, Config], ShotReference] | None = None
 
     def __repr__(self) -> str:
@@ -223,7 +229,21 @@ class TuningSession:
         config = self._config if config is None else config
         if not 0 <= frame < len(self):
             raise InputError(f"There is no frame {frame}; {self.material.name} has frames 0 to {len(self) - 1}.")
-        return corrected(self.material.observations[frame], config)
+        return corrected(self._detected(frame, config), config)
+
+    def _detected(self, frame: int, config: Config, pictured: bool = False) -> FrameObservation:
+        """A frame as the system wants it: Deep Energies looks at the photo with its own network, N(F*).
+
+        `pictured`: with the picture, where there is one.
+        """
+        observation = self.material.observations[frame]
+        if config.system != "deep-energies" or observation.landmarks is None or not self.material.pictures.real:
+            return observation
+        picture, key = self.material.pictures[frame], (frame, config.deep.network)
+        if key not in self._targets:
+            network = energy_network(config.deep.network)
+            self._targets[key] = photo_landmarks(network, picture, observation.landmarks)
+        return replace(observation, landmarks=self._targets[key], picture=picture if pictured else None)
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "h w 3"]:
         """The picture of a frame; blank where the material has none."""
@@ -237,18 +257,44 @@ class TuningSession:
         """
         with self._fitting:
             config, observation, context = self._prepared(frame, coarse, config)
+            if isinstance(self._fitter, DeepFitter) and observation.landmarks is not None:
+                return self._fitter.recorded(observation, context, self._solved(frame, observation, context))
             return self._fitter.fit(observation, context)[0]
 
     def explain_frame(self, frame: int) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """`fit_frame` with every iteration kept. Raises `InputError` for a frame without landmarks."""
         with self._fitting:
             _, observation, context = self._prepared(frame, coarse=True)
+            if isinstance(self._fitter, DeepFitter):
+                return self._fitter.explained(observation, context, self._solved(frame, observation, context))
             return self._fitter.explain(observation, context)
+
+    def solve_frame(self, frame: int) -> DeepSolution | None:
+        """What every stage of Deep Energies made of a frame; None under FACE IT! and without a face."""
+        with self._fitting:
+            _, observation, context = self._prepared(frame, coarse=True)
+            if not isinstance(self._fitter, DeepFitter) or observation.landmarks is None:
+                return None
+            return self._solved(frame, observation, context)
+
+    def stage_strip(self, frame: int) -> UInt8[np.ndarray, "h w 3"] | None:
+        """The stages of Deep Energies on a frame as a film strip; None where there is nothing to draw."""
+        solution = self.solve_frame(frame)
+        if solution is None or not self.material.pictures.real:
+            return None
+        from workbench.pictures.deep_strip import stage_strip  # here: a session without pictures needs no plotting
+
+        with self._fitting:
+            _, observation, context = self._prepared(frame, coarse=True)
+            return stage_strip(self.picture(frame), self._fitter, observation, context, solution)
 
     def fit_steps(self, frame: int, steps: int) -> FrameFit:
         """The fit of a frame stopped after `steps` iterations, counted through all stages."""
         with self._fitting:
             config, observation, context = self._prepared(frame, coarse=True)
+            if isinstance(self._fitter, DeepFitter):
+                solution = self._solved(frame, observation, context).stopped(steps)
+                return self._fitter.recorded(observation, context, solution)
             counts = [len(trace.energies) - 1 for trace in self._fitter.explain(observation, context)[1]]
             self._configure(_stopped(config, context.last is None, counts, steps))
             return self._fitter.fit(observation, context)[0]
@@ -260,6 +306,11 @@ class TuningSession:
 
     def diagnose(self, frame: int) -> Diagnosis:
         """Reasons why the fit of a frame may be bad. Raises `InputError` for a frame without landmarks."""
+        if self._config.system == "deep-energies":
+            raise InputError(
+                "The diagnosis tries changes to FACE IT!; go to a FACE IT! preset for it. What failed under Deep "
+                "Energies is named beside the frame, and the film strip shows at which stage."
+            )
         with self._fitting:
             config, observation, context = self._prepared(frame, coarse=False)
         shot = [corrected(self.material.observations[k], config) for k in self.material.shots[context.shot]]
@@ -267,6 +318,8 @@ class TuningSession:
         previous = self.picture(frame - 1) if real and frame - 1 in self.material.shots[context.shot] else None
         case = FrameCase(observation, context, config, shot, self.picture(frame) if real else None, previous)
         with self._diagnosing:
+            if self._diagnostic_fitter is None:
+                self._diagnostic_fitter = FrameFitter(self.model, config)
             key = (context.shot, config)
             if self._reference is None or self._reference[0] != key:
                 self._reference = (key, reference_of(self.model, config, shot, self._diagnostic_fitter))
@@ -289,14 +342,14 @@ class TuningSession:
         A cancelled run leaves the fits of the last whole one.
         """
         config = self._config
-        fitter = FrameFitter(self.model, config)
+        fitter = make_fitter(self.model, config)
         fits, contexts = [], []
         for shot, frames in enumerate(self.material.shots):
             calibrated, last = self._calibrated(shot, config, fitter), None
             for frame in frames:
                 if cancelled():
                     return None
-                observation = corrected(self.material.observations[frame], config)
+                observation = self.observation(frame, config)
                 context = _context(shot, calibrated, observation, last)
                 fit, last = fitter.fit(observation, context)
                 fits.append(fit)
@@ -360,6 +413,9 @@ class TuningSession:
     def warm_up(self) -> None:
         """Compile all that a panel can ask for: every solver, with and without its trace, and a diagnosis."""
         size = self.material.observations[0].image_size
+        if self.base.system == "deep-energies":
+            self.fit_frame(0)
+            return
         for changes in ({}, {"method": "optimistix-lm"}, {"method": "optimistix-dogleg"}):
             fitter = FrameFitter(self.model, self.base.changed(solver={"method": "lm", "bounded": False, **changes}))
             fitter.warm_up(size, trace=True)
@@ -424,7 +480,15 @@ class TuningSession:
 
     def _configure(self, config: Config) -> None:
         if self._fitter.config is not config:
-            self._fitter.configure(config)
+            self._fitter = configured(self._fitter, config)
+
+    def _solved(self, frame: int, observation: FrameObservation, context: FrameContext) -> DeepSolution:
+        """The solution of a frame; the newest is kept, since a panel asks for its fit, its path and its pictures."""
+        config = self._fitter.config
+        key = (frame, _without_moves(config), context.identity.tobytes(), observation.landmarks.points.tobytes())
+        if self._solution is None or self._solution[0] != key:
+            self._solution = (key, self._fitter.solve(observation, context))
+        return self._solution[1]
 
     def _prepared(
         self, frame: int, coarse: bool, config: Config | None = None
@@ -438,14 +502,14 @@ class TuningSession:
         last = self._run.contexts[frame].last if self._run is not None else None
         return config, observation, _context(shot, calibrated, observation, last)
 
-    def _calibrated(self, shot: int, config: Config, fitter: FrameFitter, coarse: bool = False) -> Calibrated:
-        if not config.identity.calibrate:
+    def _calibrated(self, shot: int, config: Config, fitter: Fitter, coarse: bool = False) -> Calibrated:
+        if not fitter.calibrates:
             return Calibrated(fitter.mean_identity(), {})
         stills = self.material.stills
         frames = self.material.shots[shot]
         seen = [self.material.observations[frame] for frame in frames]
         window = calibration_window(seen, 1 if stills else config.identity.window)
-        window = [corrected(observation, config) for observation in window]
+        window = [corrected(self._detected(item.index, config, pictured=True), config) for item in window]
         if not any(observation.landmarks is not None for observation in window):
             return Calibrated(fitter.mean_identity(), {})
         key = (shot, _identity_key(config, window))
@@ -453,7 +517,7 @@ class TuningSession:
             if coarse and len(frames) > 1 and key not in self._calibrations:
                 earlier = [found for (number, _), found in self._calibrations.items() if number == shot]
                 if earlier:
-                    return Calibrated(earlier[-1].identity, {})
+                    return earlier[-1]._replace(starts={})
             if key not in self._calibrations:
                 self._calibrations[key] = fitter.calibrate(window, 1 if stills else config.identity.frames)
                 while len(self._calibrations) > 4 * len(self.material.shots) + 32:
@@ -529,7 +593,8 @@ def _context(
 ) -> FrameContext:
     if observation.landmarks is None or (last is not None and jumped(last.points, observation.landmarks.points)):
         last = None
-    return FrameContext(shot, calibrated.identity, calibrated.starts.get(observation.index), last)
+    start = calibrated.starts.get(observation.index)
+    return FrameContext(shot, calibrated.identity, start, last, calibrated.appearance)
 
 
 def _stopped(config: Config, start: bool, counts: Sequence[int], steps: int) -> Config:
@@ -553,5 +618,7 @@ def _without_moves(config: Config) -> str:
 def _identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
     """What the identity of a shot depends on."""
     moved = {key: config.landmarks.moved[key] for item in window if (key := str(item.index)) in config.landmarks.moved}
-    sections = config.model_dump_json(include={"camera", "identity", "contour", "subsets"})
+    kept = {"system", "camera", "identity", "contour", "subsets"}
+    kept |= {"deep"} if config.system == "deep-energies" else set()
+    sections = config.model_dump_json(include=kept)
     return f"{sections}{config.point_weights()}{moved}"

@@ -70,6 +70,18 @@ class DeepSolution:
         """Where the last stage ended."""
         return self.results[-1].parameters
 
+    def stopped(self, steps: int) -> "DeepSolution":
+        """The solution as it stood after `steps` accepted steps, counted through all stages."""
+        results, left = [], max(steps, 0)
+        for result in self.results:
+            kept = min(left, len(result.path) - 1)
+            results.append(result.stopped(kept))
+            left -= kept
+            if kept < len(result.path) - 1 or left == 0:
+                break
+        count = len(results)
+        return replace(self, stages=self.stages[:count], results=tuple(results), seconds=self.seconds[:count])
+
 
 class DeepFitter:
     """Fits frames by Deep Energies. Holds the arrays of one model and one configuration, no order of frames."""
@@ -89,6 +101,11 @@ class DeepFitter:
             raise ConfigError("A rig's cameras are perspective; set camera.projection or leave camera.rig empty.")
         self._network = energy_network(config.deep.network)
         self._points.configure(_points_config(config))
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the energy's terms."""
+        return DEEP_TERMS
 
     @property
     def calibrates(self) -> bool:
@@ -152,18 +169,19 @@ class DeepFitter:
         """The fit of a frame; nothing is handed to the next one."""
         if not self._seen_anywhere(observation):
             return self._empty(observation, context.shot), None
-        began = time.perf_counter()
-        solution = self.solve(observation, context, cancelled)
-        return self.record(observation, context, solution, 1e3 * (time.perf_counter() - began)), None
+        return self.recorded(observation, context, self.solve(observation, context, cancelled)), None
 
     def explain(self, observation: FrameObservation, context: FrameContext) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """The fit with every accepted step of every stage. Raises `InputError` for a frame without landmarks."""
         if observation.landmarks is None:
             raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
-        began = time.perf_counter()
-        solution = self.solve(observation, context)
-        fit = self.record(observation, context, solution, 1e3 * (time.perf_counter() - began))
-        target = observation.landmarks.points
+        return self.explained(observation, context, self.solve(observation, context))
+
+    def explained(
+        self, observation: FrameObservation, context: FrameContext, solution: DeepSolution
+    ) -> tuple[FrameFit, tuple[StageTrace, ...]]:
+        """`explain` of a frame that is solved already."""
+        fit, target = self.recorded(observation, context, solution), observation.landmarks.points
         return fit, tuple(
             StageTrace(
                 stage.name,
@@ -219,11 +237,9 @@ class DeepFitter:
             for view, (rotation, translation), landmarks in zip(self.rig.views, places, seen, strict=True)
         )
 
-    def record(
-        self, observation: FrameObservation, context: FrameContext, solution: DeepSolution, milliseconds: float
-    ) -> FrameFit:
+    def recorded(self, observation: FrameObservation, context: FrameContext, solution: DeepSolution) -> FrameFit:
         """A solution as the record that tables, pictures and exports read."""
-        results = solution.results
+        results, rows = solution.results, len(running_stages(self.config, start=True))
         parameters = jax.tree.map(lambda part: np.array(part, float), solution.parameters)
         prediction, camera = results[-1].prediction, self.camera(observation.image_size)
         translation, scale = parameters.translation, float(parameters.scale[0])
@@ -246,10 +262,10 @@ class DeepFitter:
             observed=observed,
             confidence=np.zeros(68) if landmarks is None else landmarks.confidence,
             projected=prediction.points[0],
-            energies=np.stack([result.energies for result in results]),
-            status=np.array([int(result.status.value) for result in results]),
-            iterations=np.array([result.iterations for result in results]),
-            milliseconds=np.array([*observation.milliseconds, milliseconds]),
+            energies=_rows([result.energies for result in results], rows, np.nan),
+            status=_rows([int(result.status.value) for result in results], rows, -1),
+            iterations=_rows([result.iterations for result in results], rows, 0),
+            milliseconds=np.array([*observation.milliseconds, 1e3 * sum(solution.seconds)]),
             jaw=parameters.jaw,
             scale=scale,
             failure=self._failure(solution),
@@ -401,6 +417,12 @@ class DeepFitter:
             iterations=np.zeros(rows, int),
             jaw=np.full(6, np.nan),
         )
+
+
+def _rows(values: list, count: int, missing: float | int) -> np.ndarray:
+    """Values of the stages that ran, filled up to all of them."""
+    known = np.asarray(values)
+    return np.concatenate([known, np.full((count - len(known), *known.shape[1:]), missing, known.dtype)])
 
 
 def _points_config(config: Config) -> Config:

@@ -9,7 +9,7 @@ Three ways to the derivative of what the network sees in the render:
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import jax
@@ -74,6 +74,22 @@ class StageResult:
     """Looks of the network at renders, those for differences included."""
     path: tuple[Iteration, ...]
     """The start and every accepted step."""
+
+    def stopped(self, steps: int) -> "StageResult":
+        """The stage as it stood after `steps` accepted steps."""
+        if steps >= len(self.path) - 1:
+            return self
+        at = self.path[steps]
+        prediction = self.prediction._replace(points=at.points)
+        return replace(
+            self,
+            parameters=at.parameters,
+            prediction=prediction,
+            energies=at.energies,
+            status=Status.ITERATION_LIMIT,
+            iterations=steps,
+            path=self.path[: steps + 1],
+        )
 
 
 @dataclass(frozen=True)

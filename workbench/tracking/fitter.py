@@ -165,6 +165,11 @@ class FrameFitter:
         self._cameras: dict[tuple[int, int], tuple[Camera, Camera]] = {}
 
     @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the energy's terms."""
+        return TERMS
+
+    @property
     def calibrates(self) -> bool:
         """Whether a shot is looked at before its frames are fitted."""
         return self.config.identity.calibrate
