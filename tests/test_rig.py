@@ -323,6 +323,12 @@ def test_triangulation_needs_two_views_of_a_point():
     np.testing.assert_allclose(found[1:], points[1:], atol=1e-6)
 
 
+def test_parallel_rays_give_no_place():
+    rig = pair(np.eye(3), np.array([-200.0, 0.0, 0.0]))
+    pixels = np.array([[[320.0, 240.0]], [[320.0, 240.0]]])
+    assert np.isnan(triangulate(rig.placed, pixels)).all()
+
+
 def test_triangulated_points_are_nearest_to_noisy_pixels():
     rig = with_distortion(random_rig(7))
     points, pixels = seen_points(rig, 7, 200)
@@ -383,6 +389,7 @@ def placed(turn_deg, translation=(0.0, 0.0, 600.0)) -> Rig:
         (lambda: make_rig((0.0, 30.0), distance_mm=12000.0), "12000 mm in front.*unit"),
         (lambda: make_rig((0.0, 3.0)), "3.0° between"),
         (lambda: make_rig((0.0, 120.0)), "120° between"),
+        (lambda: make_rig((0.0, 180.0)), "180° between.*seen by both"),
         (lambda: pair(np.eye(3), np.array([-65.0, 0.0, 0.0])), "parallel axes.*65 mm"),
         (lambda: placed((0.0, 30.0, 90.0)), "turned by -?90°"),
         (lambda: placed((0.0, 30.0, 0.0), (0.0, 260.0, 600.0)), "side: its axis passes 1[0-9]+ mm beside"),

@@ -153,12 +153,12 @@ def _place_warnings(reference: ViewReport, view: ViewReport) -> list[str]:
     found = []
     if abs(view.roll_deg) > ROLL_DEG:
         found.append(f"pictures turned by {view.roll_deg:.0f}° against each other: detectors need upright faces.")
-    if np.isinf(view.meeting_mm):
+    if view.angle_deg > MOST_ANGLE_DEG:
+        found.append(f"{view.angle_deg:.0f}° between the axes: hardly any landmark is seen by both.")
+    elif np.isinf(view.meeting_mm):
         found.append(f"parallel axes: only the baseline of {view.baseline_mm:.0f} mm tells depth.")
     elif view.angle_deg < LEAST_ANGLE_DEG:
         found.append(f"{view.angle_deg:.1f}° between the axes leave depth uncertain.")
-    elif view.angle_deg > MOST_ANGLE_DEG:
-        found.append(f"{view.angle_deg:.0f}° between the axes: hardly any landmark is seen by both.")
     return [f"{reference.name} and {view.name}: {text}" for text in found]
 
 

@@ -14,6 +14,7 @@ from workbench.geometry.rig import PlacedCamera
 
 UNDISTORT_TOLERANCE_PX = 0.01
 REFINEMENT_STEPS = 5
+SINGULAR = 1e-13
 NO_TURN = np.zeros(3)
 
 
@@ -125,8 +126,10 @@ def _least_squares(rows: AnyArray, right: AnyArray, seen: AnyArray) -> Float[np.
     normal = np.einsum("vnki,vnkj->nij", rows, rows)
     product = np.einsum("vnki,vnkl->nil", rows, right)
     solved = np.full(product.shape, np.nan)
+    # Rays as good as parallel leave the depth open: the determinant against that of a sphere of the same size.
     with np.errstate(invalid="ignore"):
-        good = (seen.sum(axis=0) >= 2) & (np.linalg.cond(np.where(np.isfinite(normal), normal, 0.0)) < 1e15)
+        size = np.trace(normal, axis1=1, axis2=2) / 3.0
+        good = (seen.sum(axis=0) >= 2) & (np.linalg.det(normal) > SINGULAR * size**3)
     solved[good] = np.linalg.solve(normal[good], product[good])
     return solved[..., 0]
 
