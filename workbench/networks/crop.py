@@ -120,7 +120,7 @@ def to_picture(points: Float[AnyArray, "n 2"], box: CropBox, side: int) -> Float
     return (box.side * unit) @ _rotation(box.roll).T + box.centre
 
 
-def to_crop(points: Float[AnyArray, "n 2"], box: CropBox, side: int) -> Float[Array, "n 2"]:
+def to_crop(points: Float[AnyArray, "n 2"], box: CropBox, side: int | Scalar) -> Float[Array, "n 2"]:
     """The inverse of `to_picture`: from the picture's pixels to those of the crop or heat map."""
     unit = ((points - box.centre) @ _rotation(box.roll)) / box.side
     return (unit + 0.5) * side - 0.5

@@ -1,5 +1,8 @@
 """Pictures: the 3D head off screen, and overlays on the input frames."""
 
+from workbench.pictures.deep_strip import heat_map_pair as heat_map_pair
+from workbench.pictures.deep_strip import stage_strip as stage_strip
+from workbench.pictures.deep_strip import write_stage_strip as write_stage_strip
 from workbench.pictures.gl_probe import gl_available as gl_available
 from workbench.pictures.head_picture import HeadPainter as HeadPainter
 from workbench.pictures.head_picture import HeadRenderer as HeadRenderer
