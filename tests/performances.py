@@ -1,5 +1,7 @@
 """A short made-up performance as a track, and a second character to play it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pyvista as pv
 from scipy.spatial import cKDTree
@@ -35,6 +37,15 @@ def performance(head: FaceModel, frames: int = FRAMES, gap: int | None = GAP, ra
     return Track(meta=meta, **stack_fits(fits))
 
 
+def with_jaw(track: Track) -> Track:
+    """The track with a jaw that opens by its joint, swings to both sides, and a head that grows."""
+    part = np.linspace(0.0, 1.0, len(track))
+    jaw = np.zeros((len(track), 6))
+    jaw[:, 0], jaw[:, 1] = np.radians(24.0) * part, np.radians(3.0) * np.sin(9.0 * part)
+    jaw[:, 3], jaw[:, 5] = 4.0 * np.cos(5.0 * part), -2.0 * part
+    return replace(track, jaw=jaw, scale=1.0 + 0.1 * part)
+
+
 def other_character(head: FaceModel, identity: np.ndarray, keep: float = 0.5) -> FaceModel:
     """Another person on another mesh: `keep` of the triangles, the blendshapes of the vertices that stay."""
     person = head.personal(identity)
@@ -48,7 +59,8 @@ def other_character(head: FaceModel, identity: np.ndarray, keep: float = 0.5) ->
     triangles = small.faces.reshape(-1, 4)[:, 1:].astype(np.int32)
     _, points = cKDTree(vertices).query(person.landmarks.of(person.neutral))
     landmarks = Embedding(np.repeat(points[:, None], 3, axis=1).astype(np.int32), np.tile([1.0, 0.0, 0.0], (68, 1)))
-    return linear_model("other", vertices, triangles, person.expression_names, deltas, landmarks)
+    made = linear_model("other", vertices, triangles, person.expression_names, deltas, landmarks)
+    return replace(made, colors=person.colors[kept])
 
 
 def _fit(scene, index: int, shot: int, found: bool) -> FrameFit:

@@ -13,10 +13,11 @@ import pygltflib
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.performances import FRAMES, GAP, other_character, performance
+from tests.performances import FRAMES, GAP, other_character, performance, with_jaw
 from workbench.export import make_clip
 from workbench.export.clip import quaternions, to_world
 from workbench.export.gltf import render_corners, write_gltf
+from workbench.export.skinning import CORRECTIVES
 from workbench.geometry import project
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -187,6 +188,45 @@ def test_a_character_without_jaw_and_texture_has_colours_and_no_skin(head, tmp_p
     assert document.images == []
 
 
+def matrix(node, **moved) -> np.ndarray:
+    """Local transform of a node, with animated values in place of its own."""
+    made = np.eye(4)
+    turn = moved.get("rotation", node.rotation)
+    made[:3, :3] = (np.eye(3) if turn is None else Rotation.from_quat(turn).as_matrix()) * moved.get("scale", 1.0)
+    made[:3, 3] = moved.get("translation", node.translation)
+    return made
+
+
+def test_a_moving_jaw_joint_gives_our_vertices_by_the_formats_own_rules(head, tmp_path):
+    clip = make_clip(with_jaw(performance(head)), head)
+    write_gltf(clip, tmp_path / "jaw.glb")
+    document = pygltflib.GLTF2().load(str(tmp_path / "jaw.glb"))
+    (animation,), (mesh,), (skin,) = document.animations, document.meshes, document.skins
+    curves = {
+        (document.nodes[channel.target.node].name, channel.target.path): array(
+            document, animation.samplers[channel.sampler].output
+        )
+        for channel in animation.channels
+    }
+    attributes = mesh.primitives[0].attributes
+    joints, hold = array(document, attributes.JOINTS_0), array(document, attributes.WEIGHTS_0)
+    bind = array(document, skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)
+    nodes = {node.name: node for node in document.nodes}
+    weights = curves["face", "weights"].reshape(-1, len(mesh.weights))
+    corners = render_corners(clip.person)[0]
+    for key, position in [(0, 0), (4, 4), (len(weights) - 1, FRAMES - 1)]:
+        points = array(document, attributes.POSITION).astype(float)
+        for weight, target in zip(weights[key], mesh.primitives[0].targets, strict=True):
+            points = points + weight * array(document, target["POSITION"])
+        parts = {name: {p: values[key] for (n, p), values in curves.items() if n == name} for name in ("head", "jaw")}
+        world = [matrix(nodes["head"], **parts["head"])]
+        world.append(world[0] @ matrix(nodes["jaw"], **parts["jaw"]))
+        moved = np.stack([place @ back for place, back in zip(world, bind, strict=True)])
+        blended = np.einsum("vj,vjab->vab", hold, moved[joints])
+        seen = np.einsum("vab,vb->va", blended, np.column_stack([points, np.ones(len(points))]))[:, :3]
+        assert 1000.0 * np.abs(seen - clip.vertices_world(position)[corners]).max() < 0.1
+
+
 # --- turning the frame of reference ---
 
 
@@ -210,19 +250,26 @@ def test_the_khronos_validator_finds_no_fault(glb, head, tmp_path):
     track = replace(performance(head, frames=3, gap=None), identity=np.zeros((3, 0)))
     write_gltf(make_clip(track, character), tmp_path / "other.glb")
     assert validated(tmp_path / "other.glb")["messages"] == []
+    write_gltf(make_clip(with_jaw(performance(head)), head), tmp_path / "jaw.glb")
+    assert validated(tmp_path / "jaw.glb")["messages"] == []
 
 
 @pytest.mark.skipif(
     not BLENDER.is_file() or subprocess.run([str(BLENDER), "-c", "import bpy"], capture_output=True).returncode != 0,
     reason="no Blender (bpy) here; `make validators` installs it for Python 3.11",
 )
-def test_blender_sees_the_same_names_frames_and_vertices(glb, clip, tmp_path):
+@pytest.mark.parametrize("jaw", [False, True], ids=["blendshapes", "jaw joint"])
+def test_blender_sees_the_same_names_frames_and_vertices(jaw, head, tmp_path):
+    track = performance(head)
+    clip = make_clip(with_jaw(track) if jaw else track, head)
+    write_gltf(clip, tmp_path / "face.glb")
     frames = [0, 4, FRAMES - 1]
-    command = [str(BLENDER), str(ROOT / "tests" / "blender_script.py"), "--", str(glb), str(tmp_path / "seen.npz")]
-    done = subprocess.run([*command, "25", *map(str, frames)], capture_output=True, text=True, timeout=300)
+    script, out = ROOT / "tests" / "blender_script.py", tmp_path / "seen.npz"
+    command = [str(BLENDER), str(script), "--", str(tmp_path / "face.glb"), str(out), "25", *map(str, frames)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
-    seen = np.load(tmp_path / "seen.npz")
-    assert seen["names"].tolist() == ["Basis", *clip.person.expression_names]
+    seen = np.load(out)
+    assert seen["names"].tolist() == ["Basis", *clip.person.expression_names, *(CORRECTIVES if jaw else ())]
     assert set(seen["bones"]) == {"head", "jaw"}
     assert (float(seen["first"]), round(float(seen["last"]), 3)) == (0.0, FRAMES - 1)
     corners = render_corners(clip.person)[0]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.performances import FRAMES, GAP, other_character, performance
+from tests.performances import FRAMES, GAP, other_character, performance, with_jaw
 from workbench.errors import InputError, MissingDependencyError
 from workbench.export import make_clip
 from workbench.export.meshes import write_arrays, write_meshes
@@ -109,7 +109,9 @@ def test_usd_blendshapes_have_names_and_weights_left_on_the_left(stage, clip):
     assert (last["mouthSmileLeft"], last["mouthSmileRight"]) == (1.0, 0.0)
 
 
-def test_usd_itself_skins_the_face_to_our_vertices(clip, tmp_path):
+@pytest.mark.parametrize("jaw", [False, True], ids=["blendshapes", "jaw joint"])
+def test_usd_itself_skins_the_face_to_our_vertices(jaw, head, tmp_path):
+    clip = make_clip(with_jaw(performance(head)) if jaw else performance(head), head)
     pytest.importorskip("pxr.Usd")
     from pxr import Gf, Usd, UsdGeom, UsdSkel
 

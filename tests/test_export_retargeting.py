@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.performances import FRAMES, GAP, other_character, performance
+from tests.performances import FRAMES, GAP, other_character, performance, with_jaw
 from workbench.errors import InputError, ModelError
 from workbench.export import make_clip, mapping_by_names, read_mapping, retarget, retarget_surface
 from workbench.face import GAZE_NAMES
+from workbench.face.jaw import OPEN_DEG
 
 IDENTITY = np.random.default_rng(8).normal(0.0, 1.2, 50)
 
@@ -52,6 +53,12 @@ def test_the_pose_and_the_gaps_are_the_performers(track, character):
     assert played.meta["model"]["name"] == "other"
     assert played.meta["retargeted_from"]["name"] == "default-head"
     assert track.meta["model"]["name"] == "default-head"
+
+
+def test_a_character_without_a_jaw_joint_opens_the_mouth_by_its_blendshape(track, character):
+    played = retarget(with_jaw(track), character)
+    assert column(played, "jawOpen")[-1] == pytest.approx(0.6 + 24.0 / OPEN_DEG)
+    assert not played.jaw.any()
 
 
 @pytest.mark.parametrize(

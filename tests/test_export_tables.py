@@ -9,11 +9,12 @@ import pandas
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.performances import FRAMES, GAP, performance
+from tests.performances import FRAMES, GAP, performance, with_jaw
 from workbench.errors import InputError, MissingDependencyError
 from workbench.export.live_link import HEADER, LIVE_LINK_SHAPES, head_angles, timecode, write_live_link_csv
 from workbench.export.tables import curve_columns, write_curves, write_parquet
 from workbench.face import load_default_head
+from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
 
 APP_HEADER = (
     "Timecode,BlendShapeCount,EyeBlinkLeft,EyeLookDownLeft,EyeLookInLeft,EyeLookOutLeft,EyeLookUpLeft,EyeSquintLeft,"
@@ -123,6 +124,15 @@ def test_a_track_without_arkits_blendshapes_is_refused(track, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_the_motion_of_a_jaw_joint_is_in_the_jaws_blendshapes(track, tmp_path):
+    write_live_link_csv(with_jaw(track), tmp_path / "jaw.csv")
+    last = pandas.read_csv(tmp_path / "jaw.csv").iloc[-1]
+    assert last["JawOpen"] == pytest.approx(0.6 + 24.0 / OPEN_DEG)
+    assert last["JawForward"] == pytest.approx(2.0 / TRAVEL_MM)
+    assert last["JawLeft"] == pytest.approx(4.0 * np.cos(5.0) / TRAVEL_MM)
+    assert last["JawRight"] == 0.0
+
+
 # --- all curves ---
 
 
@@ -144,6 +154,16 @@ def test_the_last_frame_is_turned_by_30_degrees_and_that_many_radians(track, tmp
     np.testing.assert_allclose(matrix, expected, atol=1e-8)
     assert last["time_s"] == pytest.approx((FRAMES - 1) / 25.0)
     assert last["tz"] == pytest.approx(650.0)
+
+
+def test_a_jaw_joint_a_scale_and_failures_have_columns_where_there_are_any(track):
+    moved = replace(with_jaw(track), failure=np.where(track.index == 3, 2, 0))
+    columns = curve_columns(moved, 25.0)
+    np.testing.assert_array_equal(columns["jaw_rx"], moved.jaw[:, 0])
+    np.testing.assert_array_equal(columns["jaw_tz"], moved.jaw[:, 5])
+    np.testing.assert_array_equal(columns["scale"], moved.scale)
+    assert columns["failure"][3] == 2
+    assert not {"jaw_rx", "scale", "failure"} & set(curve_columns(track, 25.0))
 
 
 def test_parquet_holds_the_same_columns_and_the_units(track, tmp_path):

@@ -405,6 +405,9 @@ def _flat(config: Config) -> dict[str, Any]:
     stored = config.model_dump(exclude={"version", "preset", "provenance", "stages"})
     found: dict[str, Any] = {}
     for section, values in stored.items():
+        if not isinstance(values, dict):
+            found[section] = values
+            continue
         for key, value in values.items():
             if isinstance(value, dict):
                 found |= {f"{section}.{key}.{name}": entry for name, entry in value.items()}

@@ -101,9 +101,9 @@ def model_of_track(track: Track, path: Path | None) -> tuple[FaceModel, list[str
 
 def load_model(path: Path) -> FaceModel:
     """A face model from a file or folder."""
-    from workbench.face import read_obj_folder
+    from workbench.face import load_face_model
 
-    return read_obj_folder(path)
+    return load_face_model(path)
 
 
 def _played(track, performer: FaceModel, character: FaceModel, mapping: Path | None, surface: bool):

@@ -5,13 +5,14 @@ the viewer, the camera in the origin. That is OpenCV's camera frame turned by ha
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
-from workbench.face import FaceModel, posed_vertices
+from workbench.face import FaceModel, JawJoint, jaw_joint, posed_vertices, weights_with_jaw
 from workbench.geometry import Camera
 from workbench.pictures.mesh import to_camera
 from workbench.tracking import Track
@@ -51,6 +52,21 @@ class Clip:
         """(width, height) of that frame, pixels."""
         return self.track[int(np.argmax(self.track.found))].image_size
 
+    @cached_property
+    def joint(self) -> JawJoint:
+        """The person's jaw joint; one that moves nothing for a head without it."""
+        return jaw_joint(self.person)
+
+    @property
+    def moves_jaw(self) -> bool:
+        """Whether the jaw joint moves, beside the blendshapes (Deep Energies)."""
+        return bool(self.track.jaw[self.track.found].any())
+
+    @property
+    def moves_scale(self) -> bool:
+        """Whether the head changes its size (views that do not tell its distance)."""
+        return bool((self.track.scale[self.track.found] != 1.0).any())
+
     def vertices_head(self, position: int) -> Float[np.ndarray, "v 3"]:
         """The person's vertices in one frame with a face: head frame, millimetres."""
         track = self.track
@@ -86,7 +102,16 @@ def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: flo
     identity, others = _main_identity(track)
     if others:
         notes.append(f"the shots have {others + 1} face shapes; the one with the most frames plays all, or use --shot")
-    return Clip(track, model.personal(identity), float(rate or stored or RATE_OF_IMAGES), tuple(notes))
+    rate = float(rate or stored or RATE_OF_IMAGES)
+    return Clip(track, model.personal(identity), rate, tuple(notes))
+
+
+def without_jaw(track: Track) -> Track:
+    """The track with the jaw joint's motion in the blendshapes, for formats and characters without a joint."""
+    if not track.jaw.any():
+        return track
+    weights = weights_with_jaw(track.expression_names, track.expression, track.jaw)
+    return replace(track, expression=weights, jaw=np.zeros_like(track.jaw))
 
 
 def track_of_shot(track: Track, shot: int) -> Track:

@@ -9,6 +9,7 @@ import pygltflib
 from jaxtyping import Float, Int
 
 from workbench.export.clip import FLIP, Clip, quaternions, to_world
+from workbench.export.skinning import Shapes, clip_shapes
 from workbench.face import FaceModel
 from workbench.files import atomic_path
 from workbench.geometry import Camera
@@ -45,7 +46,8 @@ def _document(clip: Clip) -> pygltflib.GLTF2:
     corners, uv_corners, triangles = render_corners(person)
     found = np.flatnonzero(track.found)
     jawed = "jaw" in person.joints and bool(person.jaw_weights.any())
-    mesh = _mesh(pool, person, corners, uv_corners, triangles, track.expression[found[0]], jawed)
+    shapes = clip_shapes(clip)
+    mesh = _mesh(pool, person, shapes, corners, uv_corners, triangles, shapes.weights[found[0]], jawed)
     nodes = [
         pygltflib.Node(name="camera", camera=0),
         pygltflib.Node(
@@ -58,7 +60,7 @@ def _document(clip: Clip) -> pygltflib.GLTF2:
     scene, skins = [0, 1], []
     if jawed:
         # A mesh that joints move stands beside them: its own place does not count.
-        jaw = to_world(person.joints["jaw"])
+        jaw = to_world(np.asarray(clip.joint.joint, float))
         nodes.append(pygltflib.Node(name="jaw", translation=_numbers(jaw)))
         nodes[1].children, nodes[2].skin = [3], 0
         inverse = np.tile(np.eye(4), (2, 1, 1))
@@ -78,7 +80,7 @@ def _document(clip: Clip) -> pygltflib.GLTF2:
         skins=skins,
         cameras=[_camera(clip.camera, clip.image_size)],
         materials=[_material(texture)],
-        animations=[_animation(pool, clip, found)],
+        animations=[_animation(pool, clip, shapes, found)],
         images=image,
         textures=[pygltflib.Texture(source=0, sampler=0)] if texture else [],
         samplers=[pygltflib.Sampler(magFilter=pygltflib.LINEAR, minFilter=pygltflib.LINEAR_MIPMAP_LINEAR)]
@@ -100,7 +102,9 @@ def render_corners(person: FaceModel) -> tuple[Int[np.ndarray, "c"], Int[np.ndar
     return every, np.zeros(len(every), int), person.triangles.astype(int)
 
 
-def _mesh(pool, person: FaceModel, corners, uv_corners, triangles, weights, jawed: bool) -> pygltflib.Mesh:
+def _mesh(
+    pool, person: FaceModel, shapes: Shapes, corners, uv_corners, triangles, weights, jawed: bool
+) -> pygltflib.Mesh:
     sums = corner_sum(person.triangles, len(person.neutral))
 
     def normals(vertices: np.ndarray) -> np.ndarray:
@@ -128,7 +132,7 @@ def _mesh(pool, person: FaceModel, corners, uv_corners, triangles, weights, jawe
             "POSITION": pool.add(to_world(delta[corners]), VERTICES, bounds=True),
             "NORMAL": pool.add(normals(person.neutral + delta) - neutral, VERTICES),
         }
-        for delta in person.expression_deltas
+        for delta in shapes.deltas
     ]
     indices = pool.add(
         triangles.astype(np.uint32 if len(corners) > 65_535 else np.uint16).ravel(), pygltflib.ELEMENT_ARRAY_BUFFER
@@ -137,18 +141,23 @@ def _mesh(pool, person: FaceModel, corners, uv_corners, triangles, weights, jawe
         name="face",
         primitives=[pygltflib.Primitive(attributes=attributes, indices=indices, material=0, targets=targets)],
         weights=_numbers(weights),
-        extras={"targetNames": list(person.expression_names)},
+        extras={"targetNames": list(shapes.names)},
     )
 
 
-def _animation(pool, clip: Clip, found: Int[np.ndarray, "m"]) -> pygltflib.Animation:
+def _animation(pool, clip: Clip, shapes: Shapes, found: Int[np.ndarray, "m"]) -> pygltflib.Animation:
     track = clip.track
     times = pool.add(clip.times_s[found], bounds=True)
     curves = {
         (1, "translation"): to_world(track.translation[found]),
         (1, "rotation"): quaternions(track.rotation[found]),
-        (2, "weights"): track.expression[found].ravel(),
+        (2, "weights"): shapes.weights[found].ravel(),
     }
+    if clip.moves_scale:
+        curves[1, "scale"] = np.repeat(track.scale[found, None], 3, axis=1)
+    if clip.moves_jaw:
+        curves[3, "translation"] = to_world(np.asarray(clip.joint.joint) + track.jaw[found, 3:])
+        curves[3, "rotation"] = quaternions(track.jaw[found, :3])
     made = pygltflib.Animation(name="performance")
     for number, ((node, path), values) in enumerate(curves.items()):
         made.samplers.append(pygltflib.AnimationSampler(input=times, output=pool.add(values)))

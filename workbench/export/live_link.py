@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
-from workbench.export.clip import FLIP, RATE_OF_IMAGES
+from workbench.export.clip import FLIP, RATE_OF_IMAGES, without_jaw
 from workbench.files import atomic_path
 from workbench.tracking import Track
 
@@ -40,10 +40,11 @@ VALUES = len(LIVE_LINK_SHAPES) + len(ROTATIONS)
 def write_live_link_csv(track: Track, path: str | Path, rate: float | None = None) -> None:
     """A row a frame: timecode HH:MM:SS:FF.mmm, 61, the weights, then yaw, pitch, roll of head and eyes in radians.
 
-    Blendshapes that the track does not have are 0, and so are the eyes, which 68 landmarks do not see. A frame without
-    a face has the count 0 and no values, as in the app's files. Raises `InputError` for a track that has none of
-    ARKit's blendshapes.
+    Blendshapes that the track does not have are 0, and so are the eyes, which 68 landmarks do not see. The motion of a
+    jaw joint is in the jaw's blendshapes. A frame without a face has the count 0 and no values, as in the app's files.
+    Raises `InputError` for a track that has none of ARKit's blendshapes.
     """
+    track = without_jaw(track)
     names = track.expression_names
     if not set(names) & set(LIVE_LINK_SHAPES):
         raise InputError(

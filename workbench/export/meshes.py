@@ -53,11 +53,13 @@ def write_meshes(
 
 
 def write_arrays(clip: Clip, path: str | Path) -> None:
-    """Everything as plain arrays, to be read with NumPy alone: a face is R·(neutral + Σ w·shapes) + t.
+    """Everything as plain arrays, to be read with NumPy alone: a face is s·R·(neutral + Σ w·shapes) + t.
 
     `names`, `weights`, `found`, `frame`, `time_s`, `shot`; `rotation` (n, 3, 3) and `translation_mm` from the head to
     the camera (OpenCV: +x right, +y down, +z forward); `angles_deg` (yaw, pitch, roll); `camera_matrix`,
-    `distortion`, `image_size` of each frame; `neutral_mm`, `shapes_mm`, `triangles`, `jaw_weights` of the person.
+    `distortion`, `image_size` of each frame; `neutral_mm`, `shapes_mm`, `triangles` of the person. `scale` s is 1 and
+    `jaw` (axis-angle, millimetres) 0 where only blendshapes move; else the joint of `jaw_pivot_mm`, `jaw_weights` and
+    `jaw_corrective_mm` moves the face before R as `workbench.face.move_jaw` does.
     """
     track, person = clip.track, clip.person
     matrices = np.full((len(track), 3, 3), np.nan)
@@ -82,7 +84,11 @@ def write_arrays(clip: Clip, path: str | Path) -> None:
         "neutral_mm": person.neutral.astype(np.float32),
         "shapes_mm": person.expression_deltas.astype(np.float32),
         "triangles": person.triangles,
-        "jaw_weights": person.jaw_weights.astype(np.float32),
+        "scale": track.scale,
+        "jaw": track.jaw,
+        "jaw_pivot_mm": np.asarray(clip.joint.joint, np.float32),
+        "jaw_weights": np.asarray(clip.joint.weights, np.float32),
+        "jaw_corrective_mm": np.asarray(clip.joint.corrective, np.float32),
     }
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)

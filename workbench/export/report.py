@@ -26,7 +26,7 @@ from workbench.landmarks.scheme import GROUPS, outer_eye_distance
 from workbench.pictures import HeadPanel, OverlayParts, draw_overlay, side_by_side
 from workbench.plots import STRIP_ROWS, close_up
 from workbench.tracking import Track
-from workbench.tracking.records import frame_errors
+from workbench.tracking.records import FAILURES, frame_errors
 
 PICTURES = 6
 """Frames that are shown from all over the clip."""
@@ -100,7 +100,8 @@ def worst_frames(track: Track, flags: FrameFlags) -> list[int]:
     error = np.nan_to_num(frame_errors(track)[:, 2], nan=-1.0)
     apart = 1 if track.meta.get("stills") else APART
     chosen: list[int] = []
-    for position in np.lexsort((-error, -flags.severity)).tolist():
+    failed = (track.failure != 0).astype(float)
+    for position in np.lexsort((-error, -np.maximum(flags.severity, failed))).tolist():
         if track.found[position] and all(abs(position - other) >= apart for other in chosen):
             chosen.append(position)
         if len(chosen) == WORST:
@@ -193,6 +194,8 @@ def _worst(track: Track, positions: list[int], flags: FrameFlags, pictures) -> s
     for position in positions:
         frame = int(track.index[position])
         why = flags.text[position] or "does not stand out; one of the largest errors of this clip"
+        if track.failure[position]:
+            why = f"the fit failed: {FAILURES[int(track.failure[position])]}; {why}"
         why += f"; largest at {_largest_parts(track, position)}"
         severity = f"{flags.severity[position]:.2f}" if flags.flagged[position] else "–"
         rows.append(

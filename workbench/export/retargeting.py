@@ -16,6 +16,7 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 from workbench.errors import InputError, ModelError
+from workbench.export.clip import without_jaw
 from workbench.export.live_link import LIVE_LINK_SHAPES
 from workbench.face import FaceModel
 from workbench.tracking import Track
@@ -100,7 +101,7 @@ def retarget(track: Track, character: FaceModel, mapping: ShapeMapping | None = 
     mapping = mapping or mapping_by_names(track.expression_names, character.expression_names)
     if mapping.source_names != track.expression_names or mapping.target_names != character.expression_names:
         raise InputError("The mapping was made for other blendshapes; make it for this track and this character.")
-    return _played(track, character, track.expression @ mapping.matrix)
+    return _played(track, character, without_jaw(track).expression @ mapping.matrix)
 
 
 def retarget_surface(track: Track, performer: FaceModel, character: FaceModel, smoothness: float | int = 1e-3) -> Track:
@@ -126,9 +127,9 @@ def retarget_surface(track: Track, performer: FaceModel, character: FaceModel, s
     factor = np.linalg.cholesky(gram)
     wanted = np.linalg.solve(factor, shapes @ moves.T)
     weights = np.full((len(track), len(shapes)), np.nan)
-    bounds = character.weight_range().T
+    bounds, expression = character.weight_range().T, without_jaw(track).expression
     for position in np.flatnonzero(track.found):
-        goal = wanted @ track.expression[position]
+        goal = wanted @ expression[position]
         weights[position] = lsq_linear(factor.T, goal, bounds=tuple(bounds), method="bvls", tol=1e-12).x.clip(*bounds)
     return _played(track, character, weights)
 
@@ -139,7 +140,7 @@ def _played(track: Track, character: FaceModel, weights: Float[np.ndarray, "n t"
     meta["model"] = {"name": character.name, "sha256": character.fingerprint()}
     meta["retargeted_from"] = track.meta.get("model")
     identity = np.where(track.found[:, None], 0.0, np.nan) * np.ones((1, len(character.identity_deltas)))
-    return replace(track, expression=weights, identity=identity, meta=meta)
+    return replace(track, expression=weights, identity=identity, jaw=np.zeros_like(track.jaw), meta=meta)
 
 
 def _identity(track: Track) -> Float[np.ndarray, "i"]:

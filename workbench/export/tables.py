@@ -12,6 +12,7 @@ from workbench.tracking import Track
 from workbench.tracking.records import frame_errors
 
 POSE_COLUMNS = ("rx", "ry", "rz", "tx", "ty", "tz", "yaw_deg", "pitch_deg", "roll_deg")
+JAW_COLUMNS = ("jaw_rx", "jaw_ry", "jaw_rz", "jaw_tx", "jaw_ty", "jaw_tz")
 ERROR_COLUMNS = ("error_px", "error_inner_pct", "error_all_pct")
 
 
@@ -36,10 +37,11 @@ def curve_columns(track: Track, rate: float) -> dict[str, np.ndarray]:
     """Every curve of a track by name: frame, time, pose, weights, errors, camera; NaN without a face.
 
     Axis-angle in radians, translation in millimetres, yaw, pitch and roll in degrees, errors as in
-    `write_parameter_table`, focal lengths in pixels.
+    `write_parameter_table`, focal lengths in pixels. Tracks of Deep Energies have the jaw joint's motion too, and the
+    head's scale and the number of a failure (`tracking.records.FAILURES`) where there are any.
     """
     pose = np.concatenate([track.rotation, track.translation, track.angles_deg], axis=1)
-    return {
+    columns = {
         "frame": track.index,
         "time_s": track.index / rate,
         "shot": track.shot,
@@ -51,6 +53,13 @@ def curve_columns(track: Track, rate: float) -> dict[str, np.ndarray]:
         "focal_x_px": track.focal_px[:, 0],
         "focal_y_px": track.focal_px[:, 1],
     }
+    if track.jaw.any():
+        columns |= dict(zip(JAW_COLUMNS, track.jaw.T, strict=True))
+    if (track.scale[track.found] != 1.0).any():
+        columns["scale"] = track.scale
+    if track.failure.any():
+        columns["failure"] = track.failure
+    return columns
 
 
 def write_curves(track: Track, path: str | Path, rate: float) -> None:

@@ -3,9 +3,11 @@
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from workbench.errors import MissingDependencyError
 from workbench.export.clip import Clip, quaternions, to_world
+from workbench.export.skinning import Shapes, clip_shapes
 from workbench.face import FaceModel
 from workbench.files import atomic_path
 
@@ -36,11 +38,12 @@ def write_usd(clip: Clip, path: str | Path) -> None:
         stage.SetEndTimeCode(float(clip.track.index[-1]))
         root = UsdSkel.Root.Define(stage, "/performance")
         stage.SetDefaultPrim(root.GetPrim())
-        skeleton = _skeleton(stage, clip.person)
-        animation = _animation(stage, clip)
+        skeleton = _skeleton(stage, clip)
+        shapes = clip_shapes(clip)
+        animation = _animation(stage, clip, shapes)
         binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
         binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-        _mesh(stage, clip.person, skeleton)
+        _mesh(stage, clip.person, shapes, skeleton)
         _camera(stage, clip)
         # The layer is made under a name that USD has not seen: it keeps layers by name for as long as a program runs.
         layer = Sdf.Layer.CreateAnonymous(path.suffix if isinstance(path, Path) else Path(path).suffix)
@@ -48,10 +51,10 @@ def write_usd(clip: Clip, path: str | Path) -> None:
         layer.Export(str(temporary))
 
 
-def _skeleton(stage, person: FaceModel):
+def _skeleton(stage, clip: Clip):
     from pxr import Gf, UsdSkel, Vt
 
-    jaw = Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*_jaw(person)))
+    jaw = Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*to_world(np.asarray(clip.joint.joint, float)).tolist()))
     skeleton = UsdSkel.Skeleton.Define(stage, "/performance/skeleton")
     skeleton.CreateJointsAttr(Vt.TokenArray(JOINTS))
     skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray([Gf.Matrix4d(1.0), jaw]))
@@ -59,32 +62,37 @@ def _skeleton(stage, person: FaceModel):
     return skeleton
 
 
-def _animation(stage, clip: Clip):
+def _animation(stage, clip: Clip, shapes: Shapes):
     from pxr import Gf, UsdSkel, Vt
 
     track = clip.track
     animation = UsdSkel.Animation.Define(stage, "/performance/animation")
     animation.CreateJointsAttr(Vt.TokenArray(JOINTS))
-    animation.CreateBlendShapesAttr(Vt.TokenArray(clip.person.expression_names))
-    animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1.0)] * len(JOINTS)))
-    places, turns, weights = (
-        animation.CreateTranslationsAttr(),
-        animation.CreateRotationsAttr(),
-        animation.CreateBlendShapeWeightsAttr(),
-    )
+    animation.CreateBlendShapesAttr(Vt.TokenArray(shapes.names))
+    places, turns = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
+    sizes, weights = animation.CreateScalesAttr(), animation.CreateBlendShapeWeightsAttr()
+    sizes.Set(Vt.Vec3hArray([Gf.Vec3h(1.0)] * len(JOINTS)))
     found = np.flatnonzero(track.found)
-    jaw = Gf.Vec3f(*_jaw(clip.person))
-    quats = quaternions(track.rotation[found])
-    for position, (x, y, z, w) in zip(found, quats.tolist(), strict=True):
+    pivot = np.asarray(clip.joint.joint)
+    turned = zip(found, _quaternions(track.rotation[found]), _quaternions(track.jaw[found, :3]), strict=True)
+    for position, head, jaw in turned:
         time = float(track.index[position])
-        place = to_world(track.translation[position]).tolist()
-        places.Set(Vt.Vec3fArray([Gf.Vec3f(*place), jaw]), time)
-        turns.Set(Vt.QuatfArray([Gf.Quatf(w, x, y, z), Gf.Quatf(1.0)]), time)
-        weights.Set(Vt.FloatArray.FromNumpy(track.expression[position].astype(np.float32)), time)
+        both = (to_world(track.translation[position]), to_world(pivot + track.jaw[position, 3:]))
+        places.Set(Vt.Vec3fArray([Gf.Vec3f(*place.tolist()) for place in both]), time)
+        turns.Set(Vt.QuatfArray([head, jaw]), time)
+        weights.Set(Vt.FloatArray.FromNumpy(shapes.weights[position].astype(np.float32)), time)
+        if clip.moves_scale:
+            sizes.Set(Vt.Vec3hArray([Gf.Vec3h(float(track.scale[position])), Gf.Vec3h(1.0)]), time)
     return animation
 
 
-def _mesh(stage, person: FaceModel, skeleton) -> None:
+def _quaternions(rotations: Float[np.ndarray, "n 3"]) -> list:
+    from pxr import Gf
+
+    return [Gf.Quatf(w, x, y, z) for x, y, z, w in quaternions(rotations).tolist()]
+
+
+def _mesh(stage, person: FaceModel, shapes: Shapes, skeleton) -> None:
     from pxr import Sdf, UsdGeom, UsdSkel, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, "/performance/face")
@@ -106,9 +114,9 @@ def _mesh(stage, person: FaceModel, skeleton) -> None:
     joints = np.tile(np.arange(2, dtype=np.int32), (len(points), 1))
     binding.CreateJointIndicesPrimvar(False, 2).Set(Vt.IntArray.FromNumpy(joints.ravel()))
     binding.CreateJointWeightsPrimvar(False, 2).Set(Vt.FloatArray.FromNumpy(weights.ravel()))
-    binding.CreateBlendShapesAttr(Vt.TokenArray(person.expression_names))
+    binding.CreateBlendShapesAttr(Vt.TokenArray(shapes.names))
     targets = []
-    for name, delta in zip(person.expression_names, person.expression_deltas, strict=True):
+    for name, delta in zip(shapes.names, shapes.deltas, strict=True):
         moving = np.flatnonzero(np.abs(delta).max(1) > 0.0)
         shape = UsdSkel.BlendShape.Define(stage, mesh.GetPath().AppendChild(_identifier(name)))
         shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(to_world(delta[moving]).astype(np.float32)))
@@ -133,11 +141,6 @@ def _camera(stage, clip: Clip) -> None:
     camera.CreateHorizontalApertureOffsetAttr(film * ((width - 1) / 2 - cx) / width)
     camera.CreateVerticalApertureOffsetAttr(film * (cy - (height - 1) / 2) / fy / (width / fx))
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
-
-
-def _jaw(person: FaceModel) -> list[float]:
-    """The pivot of the jaw; the origin for a head without one, where no vertex hangs on it."""
-    return to_world(np.asarray(person.joints.get("jaw", np.zeros(3)), float)).tolist()
 
 
 def _identifier(name: str) -> str:

@@ -92,7 +92,7 @@ def jaw_of_weights(model: FaceModel, expression: Float[np.ndarray, "k"]) -> Floa
 
 
 def weights_with_jaw(
-    model: FaceModel, expression: Float[np.ndarray, "*n k"], jaw: Float[np.ndarray, "*n 6"]
+    names: tuple[str, ...], expression: Float[np.ndarray, "*n k"], jaw: Float[np.ndarray, "*n 6"]
 ) -> Float[np.ndarray, "*n k"]:
     """The expression with the joint's motion added as jaw blendshapes, for formats and characters without a joint.
 
@@ -107,6 +107,6 @@ def weights_with_jaw(
         "jawRight": np.maximum(-sideways, 0.0),
     }
     for name, part in parts.items():
-        if name in model.expression_names:
-            weights[..., model.expression_names.index(name)] += part
+        if name in names:
+            weights[..., names.index(name)] += part
     return weights

@@ -3,6 +3,7 @@
 from workbench.widgets.head_view import make_head_view as make_head_view
 from workbench.widgets.light_panel import LightPanel as LightPanel
 from workbench.widgets.opener import SessionOpener as SessionOpener
+from workbench.widgets.player import AvatarPlayer as AvatarPlayer
 from workbench.widgets.playground import FitPlayground as FitPlayground
 from workbench.widgets.playground import adjusted as adjusted
 from workbench.widgets.tuning_panel import TuningPanel as TuningPanel
