@@ -21,6 +21,8 @@ command goes on. Needs PyTorch: pip install "face-energy-workbench\\[train]".
   workbench train landmarks training --quick      all of it in small, to see it work
 
   workbench train finder training                 the face finder, from the same pool
+
+  workbench train flow training                   the flow network, from pairs of its own
 """
 
 train_app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich", help=TRAIN_HELP)
@@ -49,6 +51,17 @@ def finder(folder: Folder, quick: Quick = False, workers: Workers = 1, device: D
 
     recipe = QUICK if quick else Recipe(plan=FINDER_PLAN)
     screen.console.print(train_face_finder(folder, recipe, workers, device, screen.console.print))
+
+
+@train_app.command(help="Train the flow network.")
+def flow(folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu") -> None:
+    """Train the flow network."""
+    _check_torch()
+    from workbench.training.flow_recipe import QUICK_FLOW, FlowRecipe, train_flow_network
+
+    recipe = QUICK_FLOW if quick else FlowRecipe()
+    screen.console.print(train_flow_network(folder, recipe, workers, device, screen.console.print))
+    screen.console.print((folder / "flow_tables.md").read_text(encoding="utf-8"), markup=False)
 
 
 def _check_torch() -> None:

@@ -1,1 +1,1 @@
-"""Training the landmark network on renders of the package's own heads (extra `[train]`)."""
+"""Training the networks on renders of the package's own heads (extra `[train]`)."""

@@ -16,6 +16,10 @@ SMALLEST_VIEW, LARGEST_VIEW = 110.0, 300.0
 """Pixels of a render that a training picture shows across."""
 MIDDLE = 127.5
 """Of a render, pixels."""
+STILL = 0.15
+"""Share of heads that do not move by themselves: in a video most of the picture hardly does."""
+LEAST_SHAKE, MOST_SHAKE = 0.0008, 0.03
+"""Of the camera, as a share of the picture's side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +85,8 @@ def _head(pool, index, rng, side, places, hardness) -> _Layer:
     here = int(rng.integers(2))
     rgba = [np.asarray(pair.rgba[k]) for k in (here, 1 - here)]
     flow, marks = pair.flow[here].astype(np.float32), np.asarray(pair.marks[here])
+    if rng.random() < STILL:
+        rgba, flow, marks = [rgba[0]] * 2, np.zeros_like(flow), np.where(marks & SEEN, marks | VISIBLE, marks)
     if rng.random() < 0.5:
         rgba, flow, marks = [picture[:, ::-1] for picture in rgba], flow[:, ::-1] * np.float32([-1, 1]), marks[:, ::-1]
     view = np.exp(rng.uniform(np.log(SMALLEST_VIEW), np.log(LARGEST_VIEW)))
@@ -90,7 +96,8 @@ def _head(pool, index, rng, side, places, hardness) -> _Layer:
     )  # fmt: skip
     end = start
     if rng.random() < 0.6:
-        end = start @ _motion(rng, side, 0.02 * hardness.motion)
+        shake = np.exp(rng.uniform(np.log(LEAST_SHAKE), np.log(MOST_SHAKE)))
+        end = start @ _motion(rng, side, float(shake) * hardness.motion)
     if zoom > 1.3:  # so that small pictures do not alias
         rgba = [cv2.GaussianBlur(picture, (0, 0), 0.35 * zoom) for picture in rgba]
     looks = [_warped(np.ascontiguousarray(picture), way, side) for picture, way in zip(rgba, (start, end), strict=True)]
@@ -111,7 +118,7 @@ def _background(pool, rng, side, places, hardness) -> _Layer:
     zoom = np.exp(rng.uniform(np.log(0.6), np.log(1.6)))
     start = _affine(zoom, rng.uniform(-np.pi, np.pi), side, len(picture) / 2 + rng.normal(0, 60, 2))
     still = rng.random() < 0.35
-    end = start if still else start @ _motion(rng, side, float(np.exp(rng.uniform(-5.5, -2.5))) * hardness.motion)
+    end = start if still else start @ _motion(rng, side, float(np.exp(rng.uniform(-7.2, -2.6))) * hardness.motion)
     whole = np.ones((side, side), bool)
     looks = [_warped(picture, way, side, border=cv2.BORDER_REFLECT).astype(np.float32) for way in (start, end)]
     flow = _apply(np.linalg.inv(end) @ start, places) - places

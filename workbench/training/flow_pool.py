@@ -99,7 +99,7 @@ def open_pair_pool(folder: Path) -> PairPool:
 
 
 def shard_files(folder: Path, shard: int) -> dict[str, Path]:
-    """The files of one shard by part; the marks are written before the backgrounds, which come last."""
+    """The files of one shard by part."""
     return {name: folder / f"{name}_{shard:04d}.npy" for name in PARTS}
 
 

@@ -1,12 +1,16 @@
 """What a training leaves to look at: its curves, the confidence against the truth, and the tables of the model card."""
 
 import csv
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from workbench.files import atomic_path
+
+CURVES = {"loss": "loss", "inner_percent": "inner 51, % of the outer-eye distance"}
+"""Columns of the curves that are drawn, and what they are."""
 
 
 def write_report(folder: Path, numbers: dict, curves: Path) -> None:
@@ -18,17 +22,17 @@ def write_report(folder: Path, numbers: dict, curves: Path) -> None:
         temporary.write_text(tables(numbers), encoding="utf-8")
 
 
-def curves_figure(path: Path) -> Figure:
-    """Loss and error of the training pictures over the steps."""
+def curves_figure(path: Path, curves: Mapping[str, str] = CURVES) -> Figure:
+    """Loss and error of the training pictures over the steps: columns of the file with their titles."""
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     steps = [int(row["step"]) for row in rows]
     figure = Figure(figsize=(8, 3), layout="constrained")
-    for axis, name in zip(figure.subplots(1, 2), ("loss", "inner_percent"), strict=True):
+    for axis, (name, title) in zip(figure.subplots(1, len(curves)), curves.items(), strict=True):
         axis.plot(steps, [float(row[name]) for row in rows], color="#2a6f97")
         axis.set_yscale("log")
         axis.set_xlabel("step")
-        axis.set_title("loss" if name == "loss" else "inner 51, % of the outer-eye distance")
+        axis.set_title(title)
         axis.grid(alpha=0.3, which="both")
     return figure
 
