@@ -299,7 +299,8 @@ def nearest_vertices(subject: Subject) -> np.ndarray:
 def write_glb(path: Path, subject: Subject, names: dict[str, str], sparse: str | None = None) -> Path:
     """glTF of two meshes below a turned and scaled node; `names` are the file's names of the shapes.
 
-    The shape `sparse` is stored as a sparse accessor. A third mesh, far below, is a body without morph targets.
+    The shape `sparse` is stored as a sparse accessor. Of two meshes without morph targets one is inside the
+    head, as teeth are, and one far below, as a body is.
     """
     document = pygltflib.GLTF2(asset=pygltflib.Asset(version="2.0"), scene=0)
     blob = bytearray()
@@ -348,7 +349,7 @@ def write_glb(path: Path, subject: Subject, names: dict[str, str], sparse: str |
         document.meshes.append(pygltflib.Mesh(primitives=[primitive], extras=extras))
 
     mesh(subject.vertices, subject.triangles, subject.shapes)
-    mesh(*_box(np.array([0.0, 60.0, -60.0])), {})
+    mesh(*_box(np.array([0.0, 50.0, 0.0])), {})
     mesh(*_box(np.array([0.0, 900.0, 0.0])), {})
     document.nodes = [
         pygltflib.Node(children=[1, 2, 3], translation=OFFSET.tolist()),

@@ -203,6 +203,12 @@ def test_triangles_face_outwards_and_the_contour_slides(loaded):
     assert turned[-1, :8, 2].mean() < turned[0, :8, 2].mean() - 5.0
 
 
+def test_gltf_keeps_what_is_inside_the_head_and_leaves_the_body_out(subject, tmp_path):
+    model = load_face_model(as_glb(tmp_path, subject))
+    assert len(model.neutral) == len(subject.vertices) + 8
+    assert model.notes[-1].startswith("stored in metres")
+
+
 def test_basel_2009_has_a_face_and_no_expressions(subject, tmp_path):
     path = write_basel_2009(tmp_path / "01_MorphableModel.mat", subject)
     (tmp_path / "points.toml").write_text(f"vertices = {nearest_vertices(subject).tolist()}\n")

@@ -75,3 +75,16 @@ def test_every_bundled_file_has_its_source_stated():
         if path.is_file() and path.suffix in {".png", ".jpg", ".mp4", ".csv", ".npz"}:
             assert f"`{path.name}`" in stated
     assert (ROOT / "data_samples" / "head" / "LICENSE-CC0.txt").is_file()
+
+
+def test_the_face_model_snippet_runs(tmp_path):
+    snippet = next(text for text in SNIPPETS if "load_face_model" in text)
+    for written, meant in {
+        "generic_model.pkl": sample("head"),
+        "talk.mp4": sample("astronaut-landmarks"),
+        "out/talk": tmp_path,
+    }.items():
+        snippet = snippet.replace(f'"{written}"', f'r"{meant}"')
+    names = {}
+    exec(compile(snippet, "README.md", "exec"), names)
+    assert names["result"].summary["frames_with_face"] == 1
