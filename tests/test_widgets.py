@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from workbench.config import PRESETS, preset
+from workbench.config import FACE_IT_PRESETS, PRESETS, preset
 from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.samples import sample
@@ -145,7 +145,7 @@ def test_the_representation_is_short(playground):
     assert repr(playground) == "FitPlayground('joint', 'default-head')"
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", FACE_IT_PRESETS)
 def test_slider_start_values_give_back_the_preset(name):
     config = preset(name)
     same = adjusted(config, **start_values(config))

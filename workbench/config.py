@@ -379,6 +379,9 @@ PRESETS: dict[str, Config] = {
 }
 
 
+FACE_IT_PRESETS = tuple(name for name, config in PRESETS.items() if config.system == "face-it")
+
+
 @dataclass(frozen=True)
 class Difference:
     """One value that two configurations do not share."""

@@ -82,7 +82,19 @@ LANDMARKS = tuple(
          "linear", 0.0, 3.0, 0.05)
     for name in LANDMARK_GROUPS
 )  # fmt: skip
-KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS)
+DEEP = (
+    Knob("deep.energy", "energy", "N(F*) − N(F): seen in the render, Eq. 2; points on the mesh, C.1; or mixed",
+         "choice", choices=("deep", "points", "mixed")),
+    Knob("deep.derivative", "derivative", "forward: through renderer and network; broyden: from the points, corrected",
+         "choice", choices=("broyden", "forward", "differences")),
+    Knob("deep.start", "start", "frontal in the middle of the picture, or the pose that the landmarks give", "choice",
+         choices=("frontal", "landmarks")),
+    Knob("deep.edges", "ω_edges", "E_2 of Sec. 8.1: differences of consecutive landmarks", "log", 1e-3, 1e2),
+    Knob("deep.regularisation", "λ", "λ‖w‖², blendshapes and jaw; the paper: 100, Sec. 8.2", "log", 1e-2, 1e4),
+    Knob("deep.prior", "ω_prior", "stay near the pose before, in stages with that term, Sec. 5", "log", 1e-3, 1e3),
+    Knob("deep.tolerance", "tolerance", "a stage stops when a step gains less than this part", "log", 1e-6, 1e-1),
+)  # fmt: skip
+KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP)
 
 
 def value_of(config: Config, path: str) -> Value:

@@ -14,6 +14,8 @@ from jaxtyping import Bool, Float, UInt8
 
 from workbench.config import DEFAULT_PRESET, Config, Difference, Stage, differences, parse_config, preset, write_config
 from workbench.diagnosis import Change, Diagnosis, FrameCase, ShotReference, diagnose_frame, reference_of
+from workbench.energies import TERMS
+from workbench.energies.deep import DEEP_TERMS
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, load_default_head
 from workbench.landmarks.observations import Landmarks2D
@@ -223,6 +225,11 @@ class TuningSession:
         return self.set(label, gesture, landmarks=stored)
 
     # --- frames and fits ---
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the energy's terms under the present configuration."""
+        return DEEP_TERMS if self._config.system == "deep-energies" else TERMS
 
     def observation(self, frame: int, config: Config | None = None) -> FrameObservation:
         """A frame's observation with the detections that were moved. Raises `InputError` outside the material."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import ipywidgets as widgets
 
 from workbench.config import Config
-from workbench.session.knobs import CAMERA, CONSTANTS, IDENTITY, LANDMARKS, OMEGA, SOLVE, Knob, Value, value_of
+from workbench.session.knobs import CAMERA, CONSTANTS, DEEP, IDENTITY, LANDMARKS, OMEGA, SOLVE, Knob, Value, value_of
 from workbench.session.knobs import effective_weights as effective_weights_of
 
 Turned = Callable[[str, Value], None]
@@ -112,6 +112,7 @@ PAGES = {
     "camera": CAMERA + IDENTITY,
     "points": LANDMARKS,
     "a b c": CONSTANTS,
+    "deep": DEEP,
 }
 
 

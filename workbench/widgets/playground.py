@@ -8,7 +8,7 @@ import ipywidgets as widgets
 import numpy as np
 from jaxtyping import UInt8
 
-from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset
+from workbench.config import DEFAULT_PRESET, FACE_IT_PRESETS, Config, preset
 from workbench.errors import WorkbenchError
 from workbench.face import FaceModel
 from workbench.landmarks.observations import Landmarks2D
@@ -87,7 +87,10 @@ class FitPlayground(widgets.VBox):
         self._panel = HeadPanel(model, (SIDE_PX, SIDE_PX))
         self.config, self.fit = config, None
         self.preset = widgets.Dropdown(
-            options=list(PRESETS), value=config.preset, description="preset", style={"description_width": "130px"}
+            options=list(FACE_IT_PRESETS),
+            value=config.preset,
+            description="preset",
+            style={"description_width": "130px"},
         )
         self.sliders = _sliders(start_values(config))
         self.status = widgets.HTML()

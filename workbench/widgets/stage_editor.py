@@ -9,6 +9,8 @@ from workbench.errors import ConfigError
 from workbench.widgets.controls import small_button
 
 BLOCKS = {"rotation": "R", "translation": "t", "expression": "w"}
+DEEP_BLOCKS = {"jaw_open": "j1", "jaw": "j6", "identity": "i", "scale": "s"}
+"""What only Deep Energies frees: the jaw's opening, all of its joint, the face's shape, one scale."""
 LONGEST = 8
 """Stages that the table shows."""
 HEADER = "<b style='display:inline-block;width:{}px'>{}</b>"
@@ -24,7 +26,7 @@ class StageRow:
         self.name = widgets.Text(continuous_update=False, tooltip="name", layout=widgets.Layout(width="128px"))
         self.free = {
             block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=tiny)
-            for block, letter in BLOCKS.items()
+            for block, letter in (BLOCKS | DEEP_BLOCKS).items()
         }
         self.landmarks = widgets.Text(
             continuous_update=False, layout=widgets.Layout(width="190px"),
@@ -52,9 +54,11 @@ class StageRow:
             *self.buttons.values(), self.result,
         ])  # fmt: skip
 
-    def show(self, stage: Stage) -> None:
-        """Show a stage without calling back."""
+    def show(self, stage: Stage, deep: bool = False) -> None:
+        """Show a stage without calling back; `deep`: with what only Deep Energies frees."""
         self._quiet = True
+        for block in DEEP_BLOCKS:
+            self.free[block].layout.display = None if deep else "none"
         try:
             self.enabled.value, self.name.value, self.limit.value = stage.enabled, stage.name, stage.limit
             self.when.value, self.landmarks.value = stage.when, landmarks_text(stage.landmarks)
@@ -116,7 +120,7 @@ class StageEditor:
         for k, row in enumerate(self._rows):
             row.widget.layout.display = None if k < len(config.stages) else "none"
             if k < len(config.stages):
-                row.show(config.stages[k])
+                row.show(config.stages[k], config.system == "deep-energies")
 
     def show_results(self, results: dict[str, str], place: str = "") -> None:
         """What the last fit did in each stage by name, and where stepping stands."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from workbench.config import PRESETS, preset
 from workbench.diagnosis import Change, vertex_uncertainty
-from workbench.energies import TERMS
 from workbench.errors import WorkbenchError
 from workbench.session import FittedHead, TuningSession
 from workbench.session.knobs import changed_by
@@ -24,6 +23,7 @@ from workbench.widgets.diagnosis_view import DiagnosisView
 from workbench.widgets.head_column import HeadColumn
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
+from workbench.widgets.playground import jpeg
 from workbench.widgets.stage_editor import StageEditor
 
 CONTROLS_PX, HEAD_PX = 262, 304
@@ -86,7 +86,7 @@ class TuningPanel(widgets.VBox):
         self.add_class("fw-panel")
         self._show_session()
         self._worker.submit(Show(0))
-        self._clip_worker.submit("run")
+        self._clip_worker.submit("settle" if self._is_slow else "run")
         self._later(self._warm_up)
 
     def __repr__(self) -> str:
@@ -135,6 +135,11 @@ class TuningPanel(widgets.VBox):
     def _is_clip(self) -> bool:
         return len(self.session) > 1
 
+    @property
+    def _is_slow(self) -> bool:
+        """Whether a clip is only run when asked for: Deep Energies takes seconds a frame."""
+        return self._is_clip and self.session.config.system == "deep-energies"
+
     def _build(self, backend: str, height_px: int) -> None:
         session = self.session
         self.controls = Controls(session.config, self._on_knob, height_px)
@@ -146,6 +151,7 @@ class TuningPanel(widgets.VBox):
         self.stages = StageEditor(self._on_stages, self._on_run, TABS_PX)
         self.diagnosis = DiagnosisView(self._on_why, self._on_apply, self._on_take_back, TABS_PX)
         self.energy = ChartView(height_px=TABS_PX - 20, y_log=True, title="energy per term against iteration")
+        self.strip = widgets.Image(format="jpeg", layout=widgets.Layout(max_width="100%", object_fit="contain"))
         self.changes = widgets.HTML(layout=widgets.Layout(height=f"{TABS_PX}px", overflow="auto"))
         columns = f"{CONTROLS_PX}px minmax(240px, 1fr) {HEAD_PX + 6}px"
         self._main = widgets.GridBox(
@@ -155,6 +161,7 @@ class TuningPanel(widgets.VBox):
         pages = {"Energy": self.energy, "Stages": self.stages.widget, "Diagnosis": self.diagnosis.widget}
         if self._is_clip:
             pages["Curves"] = self.clip.curves
+        pages["Film strip"] = self.strip
         pages["Changes"] = self.changes
         self.tabs = widgets.Tab(children=list(pages.values()), titles=list(pages))
 
@@ -344,6 +351,11 @@ class TuningPanel(widgets.VBox):
         if fit.found:
             self._traces = session.explain_frame(request.frame)[1]
             self._show_energy(self._traces, request.steps)
+            self._show_strip(request.frame)
+
+    def _show_strip(self, frame: int) -> None:
+        strip = self.session.stage_strip(frame)
+        self.strip.value = b"" if strip is None else jpeg(strip)
 
     def _show(self, fit: FrameFit) -> None:
         self.fit = fit
@@ -363,7 +375,7 @@ class TuningPanel(widgets.VBox):
             if not self._is_clip:  # the fit that is shown is the whole run
                 self._show_changes()
                 return
-            if not self.follow.value:
+            if not self.follow.value or self._is_slow:
                 self._worker.submit(Show(self.frame))
                 self.clip.show_stale()
                 self._show_changes()
@@ -386,11 +398,12 @@ class TuningPanel(widgets.VBox):
         self._show_changes()
 
     def _show_energy(self, traces: tuple[StageTrace, ...], steps: int | None) -> None:
-        series, marks, results, x = {term: [] for term in TERMS}, [], {}, 0
+        terms = self.session.terms
+        series, marks, results, x = {term: [] for term in terms}, [], {}, 0
         status = dict(zip([trace.stage for trace in traces], self.fit.status[-len(traces) :], strict=False))
         for trace in traces:
             marks.append((x, trace.stage))
-            for term, column in zip(TERMS, trace.energies.T, strict=True):
+            for term, column in zip(terms, trace.energies.T, strict=True):
                 series[term].append(column)
             count = len(trace.energies) - 1
             results[trace.stage] = f"{count} steps {STATUS_NAMES.get(int(status.get(trace.stage, -1)), '')}"
@@ -447,11 +460,12 @@ def status_of(fit: FrameFit, frames: int) -> str:
     where = f"frame {fit.index}/{frames - 1}  " if frames > 1 else ""
     if not fit.found:
         return f"{where}no face"
+    failed = f"  FAILED: {fit.failure}" if fit.failure else ""
     pixels, inner, every = fit.errors
     yaw, pitch, roll = fit.angles_deg
     return (
         f"{where}{pixels:.2f} px = {every:.2f} % (inner {inner:.2f} %)  yaw {yaw:+.0f}° pitch {pitch:+.0f}° "
-        f"roll {roll:+.0f}°  {fit.milliseconds[2]:.0f} ms"
+        f"roll {roll:+.0f}°  {fit.milliseconds[2]:.0f} ms{failed}"
     )
 
 
