@@ -1,6 +1,8 @@
 """`workbench export`: what is typed, what is written, what is told."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import trimesh
 from tests.performances import FRAMES, performance
 from tests.test_cli import run as run
 from workbench.errors import InputError
-from workbench.export import FORMATS, export_track, format_of
+from workbench.export import FORMATS, export_track, format_of, read_mapping
 from workbench.frames import VideoWriter, open_frames
 from workbench.tracking import Track
 
@@ -106,6 +108,23 @@ def test_a_character_plays_by_its_surface(run, stored, head, tmp_path):
         weights = dict(zip(arrays["names"].tolist(), arrays["weights"][-1], strict=True))
     assert weights["one"] == pytest.approx(0.6, abs=0.1)
     assert weights["two"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_example_of_the_readme_runs(stored, head, tmp_path, monkeypatch):
+    readme = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
+    snippet = next(text for text in re.findall(r"```python\n(.*?)```", readme, re.S) if "AvatarPlayer" in text)
+    mapping = next(text for text in re.findall(r"```toml\n(.*?)```", readme, re.S) if "[shapes]" in text)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    stored.rename(tmp_path / "out" / "talk")
+    export_track(performance(head), head, tmp_path / "hero.glb")
+    names = {}
+    exec(compile(snippet, "README.md", "exec"), names)
+    assert (tmp_path / "hero.usd").is_file()
+    np.testing.assert_allclose(names["played"].expression[-1].max(), 1.0)
+    names["player"].close()
+    (tmp_path / "map.toml").write_text(mapping)
+    assert read_mapping("map.toml", head.expression_names, ("Mouth_Open", "Smile")).still == ()
 
 
 # --- mistakes ---
