@@ -76,7 +76,7 @@ def stage_strip(
         if target is not None:
             note = f"{note}   {np.linalg.norm(points - target, axis=1).mean():.1f} px apart".strip()
         panels.append(_panel(drawn, name, note))
-    failure = fitter.record(observation, context, solution, 0.0).failure
+    failure = fitter.recorded(observation, context, solution).failure
     looks = sum(result.evaluations for result in solution.results)
     said = f"failed: {failure}" if failure else f"{looks} renders seen by the network" if _looks(solution) else ""
     panels.append(
