@@ -63,6 +63,20 @@ def test_pictures_without_a_rate_are_told(head):
     assert make_clip(replace(track, meta={**track.meta, "rate": None}), head, rate=5.0).rate == 5.0
 
 
+def test_frames_whose_fit_failed_have_no_key(head):
+    track = performance(head, gap=None)
+    clip = make_clip(replace(track, failure=np.where(track.index == 4, 1, 0)), head)
+    assert clip.notes == (f"1 of {FRAMES} fits failed and have no key",)
+    assert np.flatnonzero(~clip.track.found).tolist() == [4]
+    assert make_clip(replace(track, failure=np.ones(FRAMES, int)), head).track.found.all()
+
+
+def test_several_lenses_in_one_file_are_told(head):
+    track = performance(head, frames=3, gap=None)
+    (note,) = make_clip(replace(track, focal_px=track.focal_px * [[1.0], [1.0], [1.1]]), head).notes
+    assert "several lenses" in note
+
+
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [

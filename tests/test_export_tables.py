@@ -77,6 +77,11 @@ def test_a_frame_without_a_face_keeps_its_row_and_counts_no_values(live_link):
     assert {row[1] for k, row in enumerate(rows[1:]) if k != GAP} == {"61"}
 
 
+def test_a_failed_fit_counts_as_no_face_for_the_app(track, tmp_path):
+    write_live_link_csv(replace(track, failure=np.where(track.index == 2, 1, 0)), tmp_path / "x.csv")
+    assert pandas.read_csv(tmp_path / "x.csv")["BlendShapeCount"].tolist().count(0) == 2
+
+
 @pytest.mark.parametrize(
     ("angles", "column", "sign"),
     [

@@ -96,6 +96,12 @@ def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: flo
     if not track.found.any():
         raise InputError("No frame of this track has a face, so there is nothing to export in 3D.")
     notes = []
+    good = without_failures(track)
+    if good is not track:
+        notes.append(f"{int(track.found.sum() - good.found.sum())} of {len(track)} fits failed and have no key")
+        track = good
+    if len(np.unique(np.hstack([track.focal_px, track.image_size])[track.found], axis=0)) > 1:
+        notes.append("the pictures have several lenses or sizes; the file has the camera of the first one with a face")
     stored = track.meta.get("rate")
     if rate is None and not stored:
         notes.append(f"the input has no frame rate; the frames follow each other at {RATE_OF_IMAGES:g} a second")
@@ -104,6 +110,12 @@ def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: flo
         notes.append(f"the shots have {others + 1} face shapes; the one with the most frames plays all, or use --shot")
     rate = float(rate or stored or RATE_OF_IMAGES)
     return Clip(track, model.personal(identity), rate, tuple(notes))
+
+
+def without_failures(track: Track) -> Track:
+    """The track with frames whose fit failed counted as frames without a face; unchanged if that leaves none."""
+    good = track.found & (track.failure == 0)
+    return replace(track, found=good) if good.any() and (good != track.found).any() else track
 
 
 def without_jaw(track: Track) -> Track:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
-from workbench.export.clip import FLIP, RATE_OF_IMAGES, without_jaw
+from workbench.export.clip import FLIP, RATE_OF_IMAGES, without_failures, without_jaw
 from workbench.files import atomic_path
 from workbench.tracking import Track
 
@@ -41,10 +41,11 @@ def write_live_link_csv(track: Track, path: str | Path, rate: float | None = Non
     """A row a frame: timecode HH:MM:SS:FF.mmm, 61, the weights, then yaw, pitch, roll of head and eyes in radians.
 
     Blendshapes that the track does not have are 0, and so are the eyes, which 68 landmarks do not see. The motion of a
-    jaw joint is in the jaw's blendshapes. A frame without a face has the count 0 and no values, as in the app's files.
+    jaw joint is in the jaw's blendshapes. A frame without a face, or with a failed fit, has the count 0 and no values,
+    as in the app's files.
     Raises `InputError` for a track that has none of ARKit's blendshapes.
     """
-    track = without_jaw(track)
+    track = without_jaw(without_failures(track))
     names = track.expression_names
     if not set(names) & set(LIVE_LINK_SHAPES):
         raise InputError(

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
 from workbench.export.clip import Clip
+from workbench.face import FaceModel
 from workbench.files import atomic_path
 
 KINDS = ("obj", "ply")
@@ -35,14 +36,9 @@ def write_meshes(
     names = [f"{clip.track.index[position]:06d}.{kind}" for position in found]
     temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
     try:
+        write = _obj_writer(clip.person) if kind == "obj" else _ply_writer(clip.person)
         for done, (position, name) in enumerate(zip(found, names, strict=True), 1):
-            mesh = trimesh.Trimesh(
-                clip.vertices_world(position),
-                clip.person.triangles,
-                vertex_colors=clip.person.colors,
-                process=False,  # keeps number and order of the vertices
-            )
-            (temporary / name).write_bytes(_encoded(mesh, kind))
+            (temporary / name).write_bytes(write(clip.vertices_world(position)))
             if progress is not None:
                 progress(done, len(found))
         temporary.chmod(0o755)
@@ -94,8 +90,23 @@ def write_arrays(clip: Clip, path: str | Path) -> None:
         np.savez_compressed(stream, **arrays)
 
 
-def _encoded(mesh: trimesh.Trimesh, kind: str) -> bytes:
-    if kind == "ply":
+def _obj_writer(person: FaceModel) -> Callable[[np.ndarray], bytes]:
+    """OBJ text of the person's mesh with other vertices; a fifth of trimesh's time, as only they are formatted."""
+    colors = [" {:.4f} {:.4f} {:.4f}".format(*color) for color in (person.colors / 255.0).tolist()]
+    faces = "\n".join("f {} {} {}".format(*corners) for corners in (person.triangles + 1).tolist())
+
+    def write(vertices: np.ndarray) -> bytes:
+        lines = ["v %.7f %.7f %.7f" % tuple(point) for point in vertices.tolist()]  # noqa: UP031 (the fastest way)
+        points = "\n".join(map(str.__add__, lines, colors))
+        return f"# {FIRST_LINE}\n{points}\n{faces}\n".encode()
+
+    return write
+
+
+def _ply_writer(person: FaceModel) -> Callable[[np.ndarray], bytes]:
+    def write(vertices: np.ndarray) -> bytes:
+        # Without `process=False` the library merges and reorders vertices.
+        mesh = trimesh.Trimesh(vertices, person.triangles, vertex_colors=person.colors, process=False)
         return mesh.export(file_type="ply")
-    text = mesh.export(file_type="obj", header=FIRST_LINE, include_texture=False, digits=7)
-    return text.encode()
+
+    return write
