@@ -170,8 +170,7 @@ def test_a_failed_solve_says_so(photo, head, observation):
     good = observation.landmarks
     wild = replace(good, points=good.points + np.where(np.arange(68) < 17, 60.0, 0.0)[:, None])
     given = solved(head, "points", replace(observation, landmarks=wild))
-    record = given[0].record(given[1], given[2], given[3], 0.0)
-    assert record.failure
+    assert given[0].recorded(*given[1:]).failure
     caption = stage_strip(photo, *given)[GAP + PANEL : GAP + PANEL + CAPTION]
     assert where(caption[:, -PANEL:], APART, 60).any()
     assert not where(caption[:, :PANEL], APART, 60).any()

@@ -119,6 +119,47 @@ def test_a_sweep_rings_the_least_value_and_shows_zero_on_a_logarithmic_axis():
     assert first.lines[0].get_xdata()[0] == pytest.approx(0.1)
 
 
+def test_energies_over_stages_break_between_stages_and_leave_out_what_never_changes():
+    stages = {
+        "translation": np.array([[900.0, 40.0, 0.0, 7.0], [300.0, 30.0, 0.0, 7.0], [100.0, 20.0, 0.0, 7.0]]),
+        "jaw and mouth": np.array([[90.0, 0.0, 0.0, 7.0], [10.0, 0.0, 5.0, 7.0]]),
+    }
+    figure = plots.energies_over_stages(stages, ("landmarks", "edges", "lambda", "identity"))
+    axis = figure.axes[0]
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["sum", "landmarks", "edges", "lambda"]
+    assert [text.get_text() for text in axis.get_xticklabels()] == ["translation", "jaw and\nmouth"]
+    first = next(line for line in axis.lines if line.get_label() == "sum")
+    np.testing.assert_allclose(first.get_ydata(), [940.0, 330.0, 120.0])
+    borders = [line for line in axis.lines if len(set(line.get_xdata())) == 1]
+    assert [line.get_xdata()[0] for line in borders] == [3.0]
+
+
+def test_errors_per_stage_have_a_plot_a_quantity_and_a_line_a_way():
+    errors = {
+        "rotation, °": {"deep": np.array([20.0, 5.0, 1.0]), "points": np.array([20.0, 6.0, 3.0])},
+        "depth, mm": {"deep": np.array([10.0, 8.0, 7.0]), "points": np.array([10.0, 9.0, 9.0])},
+    }
+    figure = plots.errors_per_stage(["start", "translation", "rigid"], errors)
+    left, right = figure.axes
+    assert [axis.get_title() for axis in figure.axes] == list(errors)
+    assert [axis.get_yscale() for axis in figure.axes] == ["log", "linear"]
+    np.testing.assert_allclose(left.lines[1].get_ydata(), [20.0, 6.0, 3.0])
+    assert [text.get_text() for text in left.get_legend().get_texts()] == ["deep", "points"]
+    assert right.get_legend() is None
+
+
+def test_boxes_of_errors_show_every_frame():
+    one, two = np.array([4.0, 6.0, 9.0, 20.0]), np.array([1.0, 2.0, 2.5, 3.0])
+    figure = plots.error_boxes({"depth, mm": {"one camera": one, "two cameras": two}})
+    axis = figure.axes[0]
+    dots = [line for line in axis.lines if line.get_marker() == "."]
+    np.testing.assert_allclose(dots[0].get_ydata(), one)
+    medians = [line.get_ydata()[0] for line in axis.lines if len(set(line.get_ydata())) == 1]
+    assert {7.5, 2.25} <= set(medians)
+    assert [text.get_text() for text in axis.get_xticklabels()] == ["one\ncamera", "two\ncameras"]
+    assert axis.get_ylim()[0] == 0.0
+
+
 def test_a_heat_map_has_a_readable_number_in_every_cell():
     figure = plots.heat_map(np.array([[1.0, 2.0], [3.0, 400.0]]), ["a", "b"], [5, 6], "rows", "columns", "error", True)
     texts = figure.axes[0].texts

@@ -171,6 +171,97 @@ def curves(
     return figure
 
 
+def energies_over_stages(
+    stages: dict[str, Float[np.ndarray, "_ terms"]], terms: Sequence[str], y_label: str = "energy"
+) -> Figure:
+    """Each term's energy at every step of a solve in stages, one after the other, and their sum in grey.
+
+    A stage's rows are its start and its accepted steps; lines break between stages, where weights change. Terms that
+    never change are left out, also of the sum. The scale is logarithmic above a thousandth of the largest value.
+    """
+    whole = np.concatenate(list(stages.values()))
+    shown = np.flatnonzero(np.ptp(whole, axis=0) > 0.0)
+    largest = float(whole[:, shown].sum(axis=1).max())
+    figure, axis = _axes(PAGE_WIDTH, 3.2)
+    start, ticks, known = 0.0, [], set()
+    for number, values in enumerate(stages.values()):
+        place = start + np.arange(len(values))
+        sums = values[:, shown].sum(axis=1)
+        axis.plot(place, sums, color=GREY, linewidth=4.0, alpha=0.6, label=None if number else "sum")
+        for (color, dash), k in zip(LINES, shown, strict=False):
+            if values[:, k].any():
+                label = None if k in known else terms[k]
+                known.add(k)
+                style = {"color": color, "linewidth": 1.2, "marker": "o", "markersize": 2.5, "label": label}
+                axis.plot(place, values[:, k], dash, **style)
+        ticks.append(place.mean())
+        start = place[-1] + 2.0
+        if number < len(stages) - 1:
+            axis.axvline(start - 1.0, color="0.75", linewidth=0.8)
+    axis.set_yscale("symlog", linthresh=max(1e-3 * largest, 1e-12))
+    axis.set_ylim(bottom=0.0, top=1.6 * largest)
+    axis.set_xlim(-1.0, start - 1.0)
+    axis.set_xticks(ticks, [_wrapped(name) for name in stages], fontsize=8)
+    axis.tick_params(axis="x", length=0)
+    axis.set_ylabel(y_label)
+    axis.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(shown) + 1)
+    return figure
+
+
+def errors_per_stage(
+    stages: Sequence[str], errors: dict[str, dict[str, Float[np.ndarray, "stages"]]], log: bool = True
+) -> Figure:
+    """What each stage left of an error: one small plot a quantity, in it a line for each way to solve, by label."""
+    figure, axes = _subplots(1, len(errors), (PAGE_WIDTH, 3.3))
+    place = np.arange(len(stages))
+    for axis, (title, lines) in zip(axes, errors.items(), strict=True):
+        for (label, values), (color, dash) in zip(lines.items(), LINES, strict=False):
+            axis.plot(place, values, dash, marker="o", markersize=4, color=color, linewidth=1.4, label=label)
+        axis.set_xticks(place, stages, rotation=55, ha="right", rotation_mode="anchor", fontsize=8)
+        axis.set_title(title, fontsize=9)
+        positive = np.concatenate([np.asarray(values, float) for values in lines.values()])
+        if log and positive.max() > 10.0 * positive.min() > 0.0:
+            axis.set_yscale("log")
+            axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.yaxis.set_major_formatter("{x:g}")
+            axis.yaxis.set_minor_formatter(NullFormatter())
+        else:
+            axis.set_ylim(bottom=0.0)
+        axis.grid(axis="y", color="0.92", linewidth=0.8)
+        _plain(axis)
+    if len(next(iter(errors.values()))) > 1:
+        axes[0].legend(frameon=False, fontsize=8, loc="upper right")
+    figure.tight_layout()
+    return figure
+
+
+def error_boxes(errors: dict[str, dict[str, Float[np.ndarray, "_"]]]) -> Figure:
+    """Errors over frames as boxes with every frame as a dot: one small plot a quantity, a box a label.
+
+    Each box spans the middle half, its line is the median, and its whiskers reach to the least and the largest.
+    """
+    figure, axes = _subplots(1, len(errors), (min(2.8 * len(errors), PAGE_WIDTH), 3.0))
+    rng = np.random.default_rng(0)
+    for axis, (title, groups) in zip(axes, errors.items(), strict=True):
+        for k, ((label, values), (color, _)) in enumerate(zip(groups.items(), LINES, strict=False)):
+            drawn = axis.boxplot(
+                np.asarray(values), positions=[k], widths=0.5, whis=(0, 100), showfliers=False, patch_artist=True,
+                tick_labels=[_wrapped(label)], medianprops={"color": color, "linewidth": 1.8},
+            )  # fmt: skip
+            for part in ("boxes", "whiskers", "caps"):
+                for line in drawn[part]:
+                    line.set_color(color)
+            drawn["boxes"][0].set_facecolor((*to_rgb(color), 0.12))
+            apart = k + rng.uniform(-0.14, 0.14, len(values))
+            axis.plot(apart, values, ".", color=color, markersize=4, alpha=0.7)
+        axis.set_ylim(bottom=0.0)
+        axis.tick_params(axis="x", length=0, labelsize=8)
+        axis.set_title(title, fontsize=9)
+        _plain(axis)
+    figure.tight_layout()
+    return figure
+
+
 def sweep_figure(
     x: Float[np.ndarray, "n"],
     series: dict[str, dict[str, Float[np.ndarray, "n"]]],
@@ -471,6 +562,15 @@ def _figure(width: float, height: float) -> Figure:
     figure = pyplot.figure(figsize=(width, height), dpi=DPI)
     pyplot.close(figure)
     return figure
+
+
+def _wrapped(text: str) -> str:
+    """A long name in two lines, broken near its middle."""
+    gaps = [k for k, letter in enumerate(text) if letter == " "]
+    if len(text) < 9 or not gaps:
+        return text
+    gap = min(gaps, key=lambda k: abs(2 * k - len(text)))
+    return text[:gap] + "\n" + text[gap + 1 :]
 
 
 def _plain(axis: Axes) -> None:

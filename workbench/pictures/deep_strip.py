@@ -49,13 +49,15 @@ def stage_strip(
     context: FrameContext,
     solution: DeepSolution,
     view: int = 0,
+    columns: int = COLUMNS,
 ) -> UInt8[np.ndarray, "sh sw 3"]:
     """A film strip of a solve: the photo, the start, what each stage left, and the last one without marks.
 
     Each stage's face is rendered with the shot's albedo and light over the same square of the photo. Green dots are
     the model's landmarks, as the energy has them; teal rings those in the photo, red lines lead from one to the other
     (Deep Energies Fig. 3). Below stand the stage's name, its steps, its energy before and after, and the mean distance.
-    `view` counts the cameras of a rig; `picture` is that camera's. Raises `InputError` for a view that is not there.
+    `view` counts the cameras of a rig; `picture` is that camera's. `columns` panels stand in a row. Raises `InputError`
+    for a view that is not there.
     """
     _check(solution, view)
     scene, camera = fitter.scene(context.appearance), solution.views[view]
@@ -82,7 +84,7 @@ def stage_strip(
     panels.append(
         _panel(_blended(photo, np.asarray(over), np.asarray(share), 1.0), "result", said, APART if failure else PALE)
     )
-    return _page(panels, COLUMNS, "seen in the render" if _looks(solution) else "points of the model")
+    return _page(panels, columns, "seen in the render" if _looks(solution) else "points of the model")
 
 
 def write_stage_strip(
@@ -145,7 +147,7 @@ def heat_map_pair(
                 _draw_pairs(drawn, _in_panel(seen[[k]], window, HEAT_PANEL), _in_panel(found[[k]], window, HEAT_PANEL))
             else:
                 _ring(drawn, _in_panel(seen[k], window, HEAT_PANEL), mark)
-            panels.append(_panel(drawn, f"{name}: {POINT_NAMES[k]} ({k})", f"confidence {confidence[k]:.2f}"))
+            panels.append(_panel(drawn, f"{name}, confidence {confidence[k]:.2f}", f"{k}: {POINT_NAMES[k]}"))
     return _page(panels, len(points), "seen in the render")
 
 
