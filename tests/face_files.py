@@ -25,6 +25,7 @@ from workbench.face import Embedding, FaceModel, load_default_head
 
 SHAPES = ("jawOpen", "mouthSmileLeft", "mouthSmileRight", "mouthPucker", "browInnerUp", "eyeBlinkLeft", "eyeBlinkRight")
 COMPONENTS = 10
+IDENTITY = np.eye(3)
 OFFSET = np.array([0.02, -0.25, 0.04])
 """Where the files put the head, metres: formats do not agree on an origin."""
 
@@ -173,19 +174,19 @@ class Calls:
 # --- the others -----------------------------------------------------------------------------------------------------
 
 
-def write_gnm(path: Path, subject: Subject, expressions: np.ndarray, names: list[str]) -> Path:
-    """GNM Head: plain arrays by their published names."""
+def write_gnm(path: Path, subject: Subject, expressions: np.ndarray, names: list[str], turn=IDENTITY) -> Path:
+    """GNM Head: plain arrays by their published names; `turn` takes y-up axes to the file's."""
     count, people = len(subject.vertices), len(subject.identity)
-    joints = [y_up(subject.joints[name]) + OFFSET for name in ("neck", "leftEye", "rightEye")]
+    joints = [(y_up(subject.joints[name]) + OFFSET) @ turn.T for name in ("neck", "leftEye", "rightEye")]
     np.savez(
         path,
         version="3.0",
         variant="head",
-        template_vertex_positions=(y_up(subject.vertices) + OFFSET).astype(np.float32),
+        template_vertex_positions=((y_up(subject.vertices) + OFFSET) @ turn.T).astype(np.float32),
         template_joint_positions=np.array(joints),
-        vertex_identity_basis=y_up(subject.identity),
+        vertex_identity_basis=y_up(subject.identity) @ turn.T,
         joint_identity_basis=np.zeros((people, 3, 3)),
-        expression_basis=y_up(expressions),
+        expression_basis=y_up(expressions) @ turn.T,
         expression_names=names,
         identity_names=[f"head_{k}" for k in range(people)],
         joint_names=["neck", "left_eye", "right_eye"],

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
+import torch
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -42,6 +43,7 @@ from workbench.errors import ModelError
 from workbench.face import arkit_name, landmark_model, load_default_head, load_face_model
 from workbench.face.formats.landmark_fit import outward
 from workbench.face.formats.pickled_arrays import read_arrays
+from workbench.landmarks.scheme import MIRROR
 from workbench.samples import sample
 from workbench.tracking import FaceTracker
 
@@ -247,6 +249,28 @@ def test_the_largest_components_of_gnm_are_kept_under_their_names(subject, tmp_p
     model = load_face_model(tmp_path / "gnm_head.npz", expressions=2)
     assert model.expression_names == ("lower_face_region_0", "lower_face_region_1")
     assert set(model.regions) == {"skin", "left"}
+
+
+def test_the_axes_of_gnm_are_told_by_its_joints(subject, tmp_path):
+    z_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    write_gnm(tmp_path / "gnm_head.npz", subject, subject.expressions[:2], ["a_0", "a_1"], z_up)
+    model = load_face_model(tmp_path / "gnm_head.npz")
+    np.testing.assert_allclose(without_shift(model, subject), subject.vertices, atol=0.05)
+    np.testing.assert_allclose(model.expression_deltas, subject.expressions[:2], atol=0.01)
+
+
+def test_an_embedding_with_tensors_of_pytorch_gives_its_arrays(flame_file, subject, tmp_path):
+    """DECA's landmark_embedding.npy holds its sliding contour as tensors, which are left out."""
+    embedding = {
+        "full_lmk_faces_idx": flame_embedding(subject)["lmk_face_idx"][None],
+        "full_lmk_bary_coords": flame_embedding(subject)["lmk_b_coords"][None],
+        "dynamic_lmk_faces_idx": torch.zeros((79, 17), dtype=torch.long),
+        "dynamic_lmk_bary_coords": torch.zeros((79, 17, 3)),
+    }
+    np.save(tmp_path / "landmark_embedding.npy", np.array(embedding, object), allow_pickle=True)
+    model = load_face_model(flame_file, landmarks=tmp_path / "landmark_embedding.npy")
+    assert "51 landmarks from the file" in model.notes[-1]
+    assert len(model.contour_yaw_deg) == 9
 
 
 def test_the_published_contour_of_flame_is_read_with_either_sign(subject, tmp_path):
@@ -522,11 +546,16 @@ def unnamed_targets(document):
 
 
 def swapped_landmarks(folder, subject):
-    mirrored = [*range(16, -1, -1), *range(26, 16, -1), *range(27, 31), *range(35, 30, -1)]
-    mirrored += [45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40]
-    mirrored += [54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55, 64, 63, 62, 61, 60, 67, 66, 65]
     path = as_obj_folder(folder, subject)
-    (path / "landmarks.toml").write_text(f"vertices = {nearest_vertices(subject)[mirrored].tolist()}\n")
+    (path / "landmarks.toml").write_text(f"vertices = {nearest_vertices(subject)[list(MIRROR)].tolist()}\n")
+    return path
+
+
+def ict_with_swapped_landmarks(folder, subject):
+    path = as_ict(folder, subject)
+    stored = json.loads((path / "vertex_indices.json").read_text())
+    stored["idx_to_landmark_verts"] = [stored["idx_to_landmark_verts"][point] for point in MIRROR]
+    (path / "vertex_indices.json").write_text(json.dumps(stored))
     return path
 
 
@@ -582,6 +611,7 @@ def file_named(name):
         (file_named("face.obj"), "one mesh"),
         (file_named("face.docx"), "known are"),
         (swapped_landmarks, "only when mirrored"),
+        (ict_with_swapped_landmarks, "only when mirrored"),
         (a_sphere, "landmarks.toml"),
     ],
 )

@@ -63,9 +63,10 @@ def flame_model(
     joints, joint_deltas, jaw_weights = {}, {}, None
     if "J_regressor" in arrays:
         regressor = _regressor(path, arrays, len(vertices))
-        joints = dict(zip(JOINTS, regressor @ vertices, strict=True))
         moved = np.einsum("jv,ivd->jid", regressor, identity_deltas)
-        joint_deltas = dict(zip(JOINTS, moved, strict=True))
+        order = _subjects_sides(regressor @ vertices)
+        joints = dict(zip(order, regressor @ vertices, strict=True))
+        joint_deltas = dict(zip(order, moved, strict=True))
         if "weights" in arrays:
             jaw_weights = _skinning(path, arrays, len(vertices))[:, JAW]
             opened = _jaw_shapes(path, arrays, vertices, joints["jaw"], jaw_weights)
@@ -93,6 +94,11 @@ def flame_model(
 def companions(path: Path) -> list[Path]:
     """The landmark embeddings that lie beside a model, under the names of their publication."""
     return [found for pattern in COMPANIONS for found in sorted(path.parent.glob(pattern))]
+
+
+def _subjects_sides(joints: np.ndarray) -> tuple[str, ...]:
+    """Names of the joints, the left eye being the one at the subject's left, +x."""
+    return JOINTS if joints[3, 0] > joints[4, 0] else (*JOINTS[:3], "rightEye", "leftEye")
 
 
 def _regressor(path: Path, arrays: dict[str, Any], count: int) -> np.ndarray:

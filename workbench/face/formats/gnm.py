@@ -4,7 +4,7 @@ Arrays as the public loader names them: `template_vertex_positions` (V, 3) metre
 `expression_basis` (E, V, 3) of unit variance, `expression_names`, `triangles` (T, 3), `template_joint_positions` (J,
 3), `joint_identity_basis` (I, J, 3), `joint_names`, `vertex_groups` (G, V), `vertex_group_names`, `mirror_indices`.
 The components of eyes, mouth, teeth and tongue stand one group after the other; the largest are kept. Landmarks are not
-in the file. Axes: +x subject's left, +y up, +z out of the face.
+in the file. The axes are not documented: eyes, head and neck tell them.
 """
 
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 
 from workbench.errors import ModelError
 from workbench.face.formats.pickled_arrays import array_of
-from workbench.face.formats.raw import STATISTICAL_RANGE, Y_UP, RawModel, check_mesh, ranges
+from workbench.face.formats.raw import STATISTICAL_RANGE, RawModel, check_mesh, ranges
 
 
 def is_gnm(arrays: dict[str, Any]) -> bool:
@@ -46,7 +46,6 @@ def gnm_model(path: Path, arrays: dict[str, Any], identity: int | None, expressi
         identity_joint_deltas=joint_deltas,
         regions=_groups(path, arrays, len(vertices)),
         mirror=mirror.astype(np.int32) if fits else None,
-        axes=Y_UP,
     )
 
 

@@ -18,7 +18,7 @@ from workbench.face.formats.ict_facekit import is_ict_facekit, read_ict_facekit
 from workbench.face.formats.landmark_fit import LandmarkFit, centre_of_motion, fit_landmarks, outward
 from workbench.face.formats.obj import read_landmarks_toml, read_obj_targets
 from workbench.face.formats.pickled_arrays import read_arrays
-from workbench.face.formats.placing import Placement, correspondences, place
+from workbench.face.formats.placing import Placement, axes_of_joints, correspondences, place
 from workbench.face.formats.raw import RawModel, embedding_of, places_of
 from workbench.face.formats.shape_names import arkit_name, arkit_shapes
 from workbench.face.model import Embedding, FaceModel
@@ -120,7 +120,9 @@ def _read_named_arrays(path: Path, landmarks: Path | None, identity: int | None,
 def _placed(raw: RawModel, unit: str | None, path: Path) -> FaceModel:
     head = load_default_head(gaze=True)
     names, deltas, bounds = arkit_shapes(raw.expression_names, raw.expression_deltas, raw.expression_range)
-    placement = place(correspondences(raw, names, deltas, head), raw.axes, unit, path)
+    points = correspondences(raw, names, deltas, head)
+    axes = axes_of_joints(raw, head) if raw.axes is None and len(points.head) < 3 else raw.axes
+    placement = place(points, axes, unit, path)
     placement = _with_exact_origin(raw, placement)
     vertices = placement.points(raw.vertices)
     triangles = np.asarray(raw.triangles, np.int32)

@@ -69,6 +69,16 @@ def correspondences(raw: RawModel, names: tuple[str, ...], deltas: np.ndarray, h
     return Correspondences(np.reshape(head_points, (-1, 3)), np.reshape(file_points, (-1, 3)))
 
 
+def axes_of_joints(raw: RawModel, head: FaceModel) -> Float[np.ndarray, "3 3"]:
+    """Axes by the joints that file and default head share: the neck is below and behind the eyes; else +y is up."""
+    shared = [name for name in head.joints if name in raw.joints]
+    if len(shared) < 3:
+        return Y_UP
+    pairs = Correspondences(*(np.array([joints[name] for name in shared]) for joints in (head.joints, raw.joints)))
+    covariance = (pairs.head - pairs.head.mean(0)).T @ (pairs.file - pairs.file.mean(0))
+    return _nearest_right_angle(covariance)
+
+
 def place(points: Correspondences, axes: np.ndarray | None, unit: str | None, path: object) -> Placement:
     """Where the file's head is. Raises `ModelError` where that cannot be told."""
     count = len(points.head)
@@ -81,7 +91,8 @@ def place(points: Correspondences, axes: np.ndarray | None, unit: str | None, pa
     spread = np.sqrt((file**2).sum())
     if spread == 0.0:
         raise ModelError(f"{path}: all points of the face that are known lie in one place; the model is damaged.")
-    rotation = _recognised_axes(head, file, path) if axes is None else axes
+    _check_sides(head.T @ file, path)
+    rotation = _nearest_right_angle(head.T @ file) if axes is None else axes
     scale = float(np.sum(head * (file @ rotation.T)) / spread**2)
     if scale <= 0.0:
         raise ModelError(f"{path}: the eyes or landmarks stand the wrong way round; sides are the subject's.")
@@ -101,20 +112,20 @@ def _right_angles() -> Float[np.ndarray, "24 3 3"]:
     return np.stack([matrix for matrix in signed if np.linalg.det(matrix) > 0.0])
 
 
-def _recognised_axes(head: np.ndarray, file: np.ndarray, path: object) -> np.ndarray:
-    if len(head) < 3:
-        return Y_UP
+def _nearest_right_angle(covariance: np.ndarray) -> np.ndarray:
+    """The turn by right angles that takes the file's points nearest to the head's; `covariance` is head by file."""
     candidates = _right_angles()
-    covariance = head.T @ file
-    rotation = candidates[np.argmax(np.einsum("cij,ij->c", candidates, covariance))]
-    # A set that fits far better when mirrored names its sides by the picture's.
+    return candidates[np.argmax(np.einsum("cij,ij->c", candidates, covariance))]
+
+
+def _check_sides(covariance: np.ndarray, path: object) -> None:
+    """Raise `ModelError` for points that fit far better when mirrored: their sides are named by the picture's."""
     left, singular, right = np.linalg.svd(covariance)
     if np.linalg.det(left @ right) < 0.0 and singular[2] > FLAT * singular[0]:
         raise ModelError(
             f"{path}: landmarks or blendshapes fit a face only when mirrored; name left and right as the subject's, "
             "and number landmarks from the subject's right ear."
         )
-    return rotation
 
 
 def _unit(scale: float, unit: str | None, path: object) -> float:
