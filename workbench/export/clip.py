@@ -105,7 +105,7 @@ def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: flo
     stored = track.meta.get("rate")
     if rate is None and not stored:
         notes.append(f"the input has no frame rate; the frames follow each other at {RATE_OF_IMAGES:g} a second")
-    identity, others = _main_identity(track)
+    identity, others = main_identity(track)
     if others:
         notes.append(f"the shots have {others + 1} face shapes; the one with the most frames plays all, or use --shot")
     rate = float(rate or stored or RATE_OF_IMAGES)
@@ -162,7 +162,7 @@ def quaternions(rotations: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]
     return found
 
 
-def _main_identity(track: Track) -> tuple[Float[np.ndarray, "i"], int]:
+def main_identity(track: Track) -> tuple[Float[np.ndarray, "i"], int]:
     """The identity with the most frames, and how many others there are."""
     faces, counts = np.unique(track.identity[track.found], axis=0, return_counts=True)
     return faces[np.argmax(counts)], len(faces) - 1

@@ -4,7 +4,6 @@ Both give a `Track` whose weights are the character's, so that everything that r
 """
 
 import json
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -16,12 +15,11 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 from workbench.errors import InputError, ModelError
-from workbench.export.clip import without_jaw
+from workbench.export.clip import main_identity, without_jaw
 from workbench.export.live_link import LIVE_LINK_SHAPES
 from workbench.face import FaceModel
+from workbench.face.formats.shape_names import arkit_name
 from workbench.tracking import Track
-
-SIDES = {"l": "left", "r": "right"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +42,16 @@ class ShapeMapping:
 
 
 def mapping_by_names(source_names: tuple[str, ...], target_names: tuple[str, ...]) -> ShapeMapping:
-    """Equal names mapped to each other, whatever their spelling: `jawOpen`, `JawOpen`, `jaw_open`, `Face.Jaw_Open`.
+    """Equal names mapped to each other, ARKit's in whatever spelling: `jawOpen`, `JawOpen`, `jaw_open`, `Face.JawOpen`.
 
     `_L` and `_R` at the end are Left and Right. Raises `InputError` where no name is found in both.
     """
-    plain = {_plain(name): column for column, name in reversed(list(enumerate(target_names)))}
     matrix = np.zeros((len(source_names), len(target_names)))
+    columns = {arkit_name(name) or name: column for column, name in reversed(list(enumerate(target_names)))}
     for row, name in enumerate(source_names):
-        if _plain(name) in plain:
-            matrix[row, plain[_plain(name)]] = 1.0
+        column = columns.get(arkit_name(name) or name)
+        if column is not None:
+            matrix[row, column] = 1.0
     if not matrix.any():
         raise InputError(
             f"The character has none of the track's blendshapes by name ({', '.join(target_names[:4])} …); "
@@ -118,7 +117,9 @@ def retarget_surface(track: Track, performer: FaceModel, character: FaceModel, s
             f"A retargeting over the surface needs two meshes with the same vertices and triangles, got "
             f"{len(performer.neutral)} and {len(character.neutral)} vertices; retarget by names."
         )
-    person = performer.personal(_identity(track))
+    if not track.found.any():
+        raise InputError("No frame of this track has a face, so there is nothing to retarget.")
+    person = performer.personal(main_identity(track)[0])
     moves = _size(character) / _size(person) * person.expression_deltas.reshape(len(person.expression_names), -1)
     shapes = character.expression_deltas.reshape(len(character.expression_names), -1)
     gram = shapes @ shapes.T
@@ -143,13 +144,6 @@ def _played(track: Track, character: FaceModel, weights: Float[np.ndarray, "n t"
     return replace(track, expression=weights, identity=identity, jaw=np.zeros_like(track.jaw), meta=meta)
 
 
-def _identity(track: Track) -> Float[np.ndarray, "i"]:
-    faces, counts = np.unique(track.identity[track.found], axis=0, return_counts=True)
-    if not len(faces):
-        raise InputError("No frame of this track has a face, so there is nothing to retarget.")
-    return faces[np.argmax(counts)]
-
-
 def _size(model: FaceModel) -> float:
     """Spread of the 68 landmarks, millimetres."""
     points = model.landmarks.of(model.neutral)
@@ -165,12 +159,3 @@ def _parts(parts: Any, target: str, path: Path) -> Mapping[str, float]:
     if not numbers:
         raise InputError(f"{path}: {target} is a name or a table of names with factors, got {parts!r}.")
     return {name: float(factor) for name, factor in parts.items()}
-
-
-def _plain(name: str) -> str:
-    """Lower case without marks, prefixes before a dot, and with the side in words."""
-    last = re.sub(r"^.*[.:|]", "", name)
-    side = re.match(r"^(.*[a-z])_?([LR])$", last)
-    if side and (last[-2] == "_" or side.group(1)[-1].islower()):
-        last = side.group(1) + SIDES[side.group(2).lower()]
-    return re.sub(r"[^a-z0-9]", "", last.lower())
