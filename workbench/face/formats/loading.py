@@ -122,34 +122,21 @@ def _placed(raw: RawModel, unit: str | None, path: Path) -> FaceModel:
     names, deltas, bounds = arkit_shapes(raw.expression_names, raw.expression_deltas, raw.expression_range)
     points = correspondences(raw, names, deltas, head)
     axes = axes_of_joints(raw, head) if raw.axes is None and len(points.head) < 3 else raw.axes
-    placement = place(points, axes, unit, path)
-    placement = _with_exact_origin(raw, placement)
+    placement = _with_exact_origin(raw, place(points, axes, unit, path))
     vertices = placement.points(raw.vertices)
     triangles = np.asarray(raw.triangles, np.int32)
     if not outward(vertices, triangles):
         triangles = triangles[:, ::-1]
-    eyes = {name: placement.points(raw.joints[name]) for name in ("leftEye", "rightEye") if name in raw.joints}
-    moved = {name: delta for name, delta in zip(names, deltas, strict=True) if arkit_name(name) and np.any(delta)}
-    motions = {name: centre_of_motion(delta) @ vertices for name, delta in moved.items()}
-    fit = fit_landmarks(vertices, triangles, raw.landmarks, eyes, motions, placement.size, head)
-    found = fit.covered >= LEAST_COVERED and fit.distance_mm <= WORST_MM * placement.size
-    fitted = 68 - len(raw.landmarks)
-    if fitted and not found:
-        raise ModelError(
-            f"{path}: the default head could not be laid on this mesh ({100 * fit.covered:.0f} % of its face found the "
-            f"surface, {fit.distance_mm:.1f} mm away in the middle); give all 68 landmarks in landmarks.toml."
-        )
+    fit, found = _fitted(raw, dict(zip(names, deltas, strict=True)), vertices, triangles, placement, path)
     yaws, contour = _contour(raw, fit, head, found)
-    count = len(vertices)
+    count, people = len(vertices), raw.people()
     return FaceModel(
         name=raw.name,
         neutral=vertices,
         triangles=triangles,
         expression_names=names,
         expression_deltas=placement.offsets(deltas),
-        identity_deltas=placement.offsets(raw.identity_deltas)
-        if raw.identity_deltas is not None
-        else np.zeros((0, count, 3)),
+        identity_deltas=placement.offsets(people),
         landmarks=embedding_of({**places_of(fit.landmarks), **raw.landmarks}),
         contour_yaw_deg=yaws,
         contour=contour,
@@ -162,10 +149,33 @@ def _placed(raw: RawModel, unit: str | None, path: Path) -> FaceModel:
         mirror=raw.mirror if raw.mirror is not None else _mirror(vertices),
         identity_joint_deltas=_joint_deltas(raw, placement),
         blink_scale=np.ones(2),
-        blink_scale_identity=np.zeros((0 if raw.identity_deltas is None else len(raw.identity_deltas), 2)),
+        blink_scale_identity=np.zeros((len(people), 2)),
         expression_range=bounds,
         notes=(*raw.notes, _told(raw, placement, fit, found)),
     )
+
+
+def _fitted(
+    raw: RawModel,
+    shapes: dict[str, np.ndarray],
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    placement: Placement,
+    path: Path,
+) -> tuple[LandmarkFit, bool]:
+    """The default head laid on the mesh, and whether it lies on it. Raises `ModelError` where landmarks need it to."""
+    eyes = {name: placement.points(raw.joints[name]) for name in ("leftEye", "rightEye") if name in raw.joints}
+    moved = {name: delta for name, delta in shapes.items() if arkit_name(name) and np.any(delta)}
+    motions = {name: centre_of_motion(delta) @ vertices for name, delta in moved.items()}
+    head = load_default_head(gaze=True)
+    fit = fit_landmarks(vertices, triangles, raw.landmarks, eyes, motions, placement.size, head)
+    found = fit.covered >= LEAST_COVERED and fit.distance_mm <= WORST_MM * placement.size
+    if len(raw.landmarks) < 68 and not found:
+        raise ModelError(
+            f"{path}: the default head could not be laid on this mesh ({100 * fit.covered:.0f} % of its face found the "
+            f"surface, {fit.distance_mm:.1f} mm away in the middle); give all 68 landmarks in landmarks.toml."
+        )
+    return fit, found
 
 
 def _with_exact_origin(raw: RawModel, placement: Placement) -> Placement:
@@ -216,8 +226,7 @@ def _mirror(vertices: np.ndarray) -> np.ndarray:
 
 
 def _joint_deltas(raw: RawModel, placement: Placement) -> dict[str, np.ndarray]:
-    count = 0 if raw.identity_deltas is None else len(raw.identity_deltas)
-    still = np.zeros((count, 3))
+    still = np.zeros((len(raw.people()), 3))
     return {
         name: placement.offsets(raw.identity_joint_deltas[name]) if name in raw.identity_joint_deltas else still
         for name in raw.joints

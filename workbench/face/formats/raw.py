@@ -48,6 +48,10 @@ class RawModel:
     """Rotation from the file's axes to the head frame's, where the format defines it."""
     notes: tuple[str, ...] = ()
 
+    def people(self) -> Float[np.ndarray, "i v 3"]:
+        """The identity components, none where the file has none."""
+        return np.zeros((0, len(self.vertices), 3)) if self.identity_deltas is None else self.identity_deltas
+
 
 def vertex_place(vertex: int) -> Place:
     """A landmark that is a vertex."""
