@@ -8,15 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from workbench.errors import InputError
+from workbench.errors import ConfigError, InputError
 from workbench.face import FaceParameters
 from workbench.flow import (
     DisFlow,
     FarnebackFlow,
     FlowEstimator,
+    NetworkFlow,
+    bundled_flow,
     choose_points,
     color_wheel,
     end_point_error,
+    flow_estimator,
     flow_picture,
     geometric_flow,
     occluded,
@@ -30,7 +33,14 @@ from workbench.flow import (
     wheel_picture,
 )
 from workbench.geometry import Camera, camera_from_fov
-from workbench.rendering import face_vertices, orthographic_camera, render_model
+from workbench.rendering import (
+    ambient_light,
+    directional_light,
+    face_vertices,
+    orthographic_camera,
+    render_face,
+    render_model,
+)
 from workbench.rendering.camera import to_screen
 
 SIZE = (96, 80)
@@ -222,6 +232,96 @@ class TestEstimators:
             DisFlow()(texture(40, 40), texture(40, 48))
         with pytest.raises(InputError, match="at least 16"):
             FarnebackFlow()(texture(12, 40), texture(12, 40))
+
+
+class Constant:
+    """A network that always sees the same flow in its own pixels, plus the pictures' mean difference."""
+
+    multiple, smallest_side = 32, 64
+
+    def __init__(self, flow):
+        self.flow = jnp.asarray(flow, jnp.float32)
+
+    def __call__(self, first, second):
+        return self.flow[:, None, None] + jnp.broadcast_to((second - first).mean(), (2, *first.shape[1:]))
+
+
+class TestNetworkFlow:
+    @pytest.mark.parametrize(
+        ("size", "seen"), [((96, 128), (96, 128)), ((90, 160), (64, 128)), ((300, 200), (128, 96))]
+    )
+    def test_the_flow_is_brought_back_to_the_pictures_pixels(self, size, seen):
+        flow = NetworkFlow(Constant([2.0, -1.0]), side=128)
+        answer = flow(texture(*size), texture(*size))
+        assert flow.seen_size(*size) == seen
+        assert answer.shape == (*size, 2)
+        assert np.allclose(answer, [2.0 * size[1] / seen[1], -1.0 * size[0] / seen[0]], atol=1e-4)
+
+    def test_it_is_differentiable_through_the_resizing(self):
+        flow = NetworkFlow(Constant([0.0, 0.0]), side=64)
+        first = np.zeros((80, 100, 3))
+        way = np.ones_like(first)
+        tangent = jax.jvp(lambda picture: flow.traced(first, picture), (first,), (way,))[1]
+        assert np.allclose(tangent, [100 / 64, 80 / 64], atol=1e-3)
+
+    def test_sides_that_make_no_sense_are_refused(self):
+        for side in (32, 5000):
+            with pytest.raises(InputError, match="64 to 2048"):
+                NetworkFlow(Constant([0.0, 0.0]), side)
+
+    def test_estimators_are_chosen_by_name(self):
+        assert [flow_estimator(name).name for name in ("network", "dis", "farneback")] == [
+            "network",
+            "dis",
+            "farneback",
+        ]
+        with pytest.raises(ConfigError, match="network, dis, farneback or a weights file"):
+            flow_estimator("lucas-kanade")
+        with pytest.raises(InputError, match="no weights file"):
+            flow_estimator("nowhere/raft_small.pth")
+
+
+@pytest.fixture(scope="module")
+def network():
+    return bundled_flow(128)
+
+
+class TestBundledNetwork:
+    def test_a_known_translation_is_recovered(self, network):
+        first = texture(96, 128)
+        flow = network(first, shifted(first, (3.0, -2.0)))
+        assert np.allclose(np.median(flow[12:-12, 12:-12], axis=(0, 1)), [3.0, -2.0], atol=0.3)
+
+    def test_what_does_not_move_has_hardly_any_flow(self, network):
+        assert np.median(np.linalg.norm(network(texture(96, 128), texture(96, 128)), axis=-1)) < 0.2
+
+    def test_renders_go_through_it_with_a_derivative(self, network, head):
+        """A head that moves to the right: the network sees it, and that it would see more if it moved on."""
+        model = render_model(head)
+        view = orthographic_camera((128, 128), 0.55)
+        light = ambient_light(0.4) + directional_light((-0.5, -0.6, -1.0), 0.7)
+        rest = FaceParameters(
+            np.zeros(3), np.array([0.0, 20.0, 500.0]), np.zeros(len(head.expression_names)), np.zeros(0)
+        )
+
+        def picture(right):
+            state = rest._replace(translation=jnp.asarray(rest.translation).at[0].set(right))
+            ground = np.full(3, 0.3)
+            return render_face(model, state, view, model.colors, light, ground, size=(128, 128)).color
+
+        def flow(right):
+            return network.traced(picture(0.0), picture(right))
+
+        moved, slope = jax.jit(lambda right: jax.jvp(flow, (right,), (jnp.float32(1.0),)))(jnp.float32(5.0))
+        face = (
+            np.asarray(
+                seen_surface(face_vertices(model, rest), model.topology.triangles, view, size=(128, 128)).triangle
+            )
+            >= 0
+        )
+        face = cv2.erode(face.astype(np.uint8), np.ones((9, 9))) > 0
+        assert np.isclose(np.median(np.asarray(moved)[face, 0]), 5 * 0.55, atol=0.4)
+        assert np.median(np.asarray(slope)[face, 0]) > 0.15
 
 
 class TestMeasures:
