@@ -193,8 +193,10 @@ def _face_pixels(view: _View, model: FaceModel) -> _Pixels:
 
 
 def _part_pixels(view: _View, model: FaceModel, part: Bool[np.ndarray, "v"]) -> _Pixels:
-    """Pixels that show these vertices, without the outermost."""
-    return _pixels(view, model, binary_erosion(_shows(view, model, part)) & (view.facing > LEAST_FACING))
+    """Pixels that show these vertices, without the outermost where enough are left, as in the eyes of a large face."""
+    whole = _shows(view, model, part) & (view.facing > LEAST_FACING)
+    inner = binary_erosion(whole)
+    return _pixels(view, model, inner if inner.sum() > TINT_PRIOR else whole)
 
 
 def _shows(view: _View, model: FaceModel, part: Bool[np.ndarray, "v"]) -> Bool[np.ndarray, "h w"]:
