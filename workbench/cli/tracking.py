@@ -174,7 +174,7 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
 
 
 def _print_summary(result) -> None:
-    from workbench.pipeline import OUTPUTS
+    from workbench.pipeline import DEEP_OUTPUTS, OUTPUTS
 
     summary = result.summary
     error = summary["reprojection_error"]
@@ -203,8 +203,8 @@ def _print_summary(result) -> None:
     )
     for path in _named(result.files):
         key = "overlay.mp4" if "overlay" in path.name or path.parent.name == "overlay" else path.name
-        key = "stages/" if path.parent.name == "stages" else key
-        table.add_row("", f"{escape(str(path))}  [dim]{OUTPUTS.get(key, '')}[/dim]")
+        key = "stages" if path.parent.name == "stages" else key
+        table.add_row("", f"{escape(str(path))}  [dim]{(OUTPUTS | DEEP_OUTPUTS).get(key, '')}[/dim]")
     screen.console.print(table)
     for note in result.notes:
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")

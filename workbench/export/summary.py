@@ -79,6 +79,7 @@ def _camera(track: Track) -> dict[str, Any]:
 
 
 def _spread(values: np.ndarray) -> dict[str, float | None]:
+    values = values[np.isfinite(values)]
     if not len(values):
         return {"mean": None, "median": None, "p95": None}
     return {

@@ -120,9 +120,10 @@ OUTPUTS = {
     "parameters.csv": "a row a frame: pose, 44 weights, errors",
     "landmarks.csv": "a row a frame: the 68 detected points",
     "config.toml": "the configuration used",
-    "stages/": "Deep Energies: what each stage made of some frames, and of those that failed",
     "overlay.mp4": "the landmarks on the picture, the 3D face beside it (overlay/ with pictures for stills)",
 }
+DEEP_OUTPUTS = {"stages": "what each stage made of some frames, and of those that failed"}
+"""What a Deep Energies run leaves besides."""
 
 
 def _silent(step: str, done: int, total: int | None) -> None:

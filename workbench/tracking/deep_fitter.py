@@ -127,8 +127,9 @@ class DeepFitter:
         return np.zeros(len(self.model.identity_deltas))
 
     def neutral_observation(self, image_size: tuple[int, int]) -> FrameObservation:
-        """What a perfect detector would see of the neutral face in front of this camera."""
-        return self._points.neutral_observation(image_size)
+        """What a perfect detector would see of the neutral face in front of this camera; nothing in a rig's others."""
+        others = () if self.rig is None else (None,) * (len(self.rig) - 1)
+        return replace(self._points.neutral_observation(image_size), others=others)
 
     def warm_up(self, image_size: tuple[int, int], trace: bool = False) -> None:
         """Compile (or load from the cache) every program of a fit."""
@@ -246,7 +247,8 @@ class DeepFitter:
         if self.config.camera.projection == "orthographic":
             translation = np.array([translation[0], translation[1], FAR_MM])
         landmarks = observation.landmarks
-        observed = np.full((68, 2), np.nan) if landmarks is None else landmarks.points
+        # A view that saw nothing has no residual either: its confidence of 0 keeps it out of all means.
+        observed = prediction.points[0] if landmarks is None else landmarks.points
         rotation = np.array(parameters.rotation)
         return FrameFit(
             index=observation.index,
@@ -340,12 +342,12 @@ class DeepFitter:
         return np.asarray(ravel_pytree(FaceParameters(**chosen))[0], bool)
 
     def _bounds(self, parameters: FaceParameters) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        limits = []
+        limits, (lowest, highest) = [], self.model.weight_range()
         for sign in (-1.0, 1.0):
             limit = FaceParameters(*(np.full(np.shape(part), sign * np.inf) for part in parameters))
             limit.jaw[:] = JAW_LOWER if sign < 0 else JAW_UPPER
             if self.config.solver.bounded:
-                limit.expression[:] = 0.0 if sign < 0 else 1.0
+                limit.expression[:] = lowest if sign < 0 else highest
             limits.append(np.concatenate(limit))
         return limits[0], limits[1]
 

@@ -40,7 +40,7 @@ class FrameFit:
     expression: Float[np.ndarray, "k"]
     identity: Float[np.ndarray, "i"]
     observed: Float[np.ndarray, "68 2"]
-    """Landmarks as given to the fit, pixels."""
+    """Landmarks as given to the fit, pixels; the model's own where only other views of a rig saw the face."""
     confidence: Float[np.ndarray, "68"]
     projected: Float[np.ndarray, "68 2"]
     """The model's landmarks in the picture, pixels."""
@@ -189,9 +189,10 @@ def stack_fits(fits: list[FrameFit]) -> dict[str, np.ndarray]:
 def frame_errors(track: Track) -> Float[np.ndarray, "n 4"]:
     """Mean error of every frame in px over the inner 51 and over all 68, then both in % of the outer-eye distance.
 
-    NaN without a face. The last three are `FrameFit.errors`.
+    NaN without a face in this view. The last three are `FrameFit.errors`.
     """
-    return _errors(track.projected, track.observed)
+    seen = np.nan_to_num(track.confidence).max(axis=1, initial=0.0) > 0.0
+    return np.where(seen[:, None], _errors(track.projected, track.observed), np.nan)
 
 
 def _errors(projected: Float[np.ndarray, "n 68 2"], observed: Float[np.ndarray, "n 68 2"]) -> Float[np.ndarray, "n 4"]:

@@ -1,0 +1,144 @@
+"""Deep Energies over whole inputs: files, parts, several processes, interruptions, several cameras."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.stereo_scenes import make_rig, make_stereo_scene
+from workbench.cli import app
+from workbench.config import preset
+from workbench.errors import InputError
+from workbench.geometry import write_rig
+from workbench.landmarks.files import LandmarkCsvWriter
+from workbench.pipeline import DEEP_OUTPUTS, OUTPUTS, track
+from workbench.samples import sample
+from workbench.tracking import Track
+
+FRAMES = (4, 7)
+QUICK = {"identity": {"window": 2, "frames": 2}, "camera": {"fov_deg": 33.0}}
+
+
+@pytest.fixture(scope="module")
+def config():
+    return preset("deep-energies").changed(**QUICK)
+
+
+@pytest.fixture(scope="module")
+def run(head, config, tmp_path_factory):
+    """Four frames of the sample clip, from its stored detections."""
+    folder = tmp_path_factory.mktemp("deep") / "run"
+    return track(sample("performance"), folder, head, config, landmarks=sample("performance-landmarks"), frames=FRAMES)
+
+
+@pytest.fixture(scope="module")
+def stereo(head, tmp_path_factory):
+    """Landmark files of three frames before two cameras, with the rig; the reference misses the last frame."""
+    folder = tmp_path_factory.mktemp("stereo")
+    rig = make_rig((-15.0, 15.0))
+    scene = make_stereo_scene(head, rig, frames=3, sliding=True)
+    write_rig(rig, folder / "rig.toml")
+    files = {name: folder / f"{name}.csv" for name in rig.names}
+    for view, name in enumerate(rig.names):
+        with LandmarkCsvWriter(files[name], confidence=False) as writer:
+            for record in scene.records(view, missing=(2,) if view == 0 else ()):
+                writer.write(record)
+    return folder / "rig.toml", scene, files
+
+
+def same_numbers(first: Track, second: Track) -> bool:
+    timeless = [name for name in vars(first) if name not in ("meta", "milliseconds")]
+    return all(
+        np.array_equal(getattr(first, name), getattr(second, name), equal_nan=getattr(first, name).dtype.kind == "f")
+        for name in timeless
+    )
+
+
+def test_a_run_leaves_the_same_files_as_face_it_and_the_stages_of_some_frames(run):
+    assert sorted(path.name for path in run.folder.iterdir()) == sorted([*OUTPUTS, *DEEP_OUTPUTS])
+    strips = sorted(path.name for path in (run.folder / "stages").iterdir())
+    assert strips == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
+    assert json.loads((run.folder / "summary.json").read_text())["frames_failed"] == {}
+
+
+def test_the_pose_is_close_to_the_clip_s_truth(run):
+    with np.load(sample("performance-truth"), allow_pickle=False) as truth:
+        expected = truth["rotation"][FRAMES[0] : FRAMES[1] + 1]
+    error = np.degrees(np.linalg.norm(run.track.rotation - expected, axis=1))
+    assert len(error) == 4
+    assert error.mean() < 3.5
+
+
+def test_two_processes_and_an_interrupted_run_give_the_same_numbers(head, config, run, tmp_path, monkeypatch):
+    options = {"landmarks": sample("performance-landmarks"), "frames": FRAMES, "pictures": False}
+    spread = track(sample("performance"), tmp_path / "two", head, config, workers=2, **options)
+    assert same_numbers(spread.track, run.track)
+
+    monkeypatch.setattr("workbench.pipeline.deep_run.BATCH", 2)
+
+    def stop(step, done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        track(sample("performance"), tmp_path / "cut", head, config, progress=stop, **options)
+    seen = []
+    resumed = track(
+        sample("performance"), tmp_path / "cut", head, config, resume=True,
+        progress=lambda step, done, total: seen.append(done), **options,
+    )  # fmt: skip
+    assert seen == [3, 4]
+    assert same_numbers(resumed.track, run.track)
+
+
+def test_two_cameras_find_the_place_of_the_head_and_one_may_miss_it(head, stereo, tmp_path):
+    rig, scene, files = stereo
+    config = preset("preselected-points").changed(camera={"rig": str(rig)}, identity={"calibrate": False})
+    result = track(files["middle"], tmp_path, head, config, views={"side": files["side"]})
+    truth = np.array([np.asarray(parameters.translation) for parameters in scene.parameters])
+    errors = np.linalg.norm(result.track.translation - truth, axis=1)
+    assert result.track.found.all()
+    assert errors[:2].max() < 4.0
+    assert np.isfinite(errors[2])
+
+
+def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):
+    rig, _, files = stereo
+    single = preset("preselected-points")
+    config = single.changed(camera={"rig": str(rig)})
+    side = {"side": files["side"]}
+    with pytest.raises(InputError, match="needs the clip of its view 'side'"):
+        track(files["middle"], tmp_path, head, config)
+    with pytest.raises(InputError, match="has no view 'top'"):
+        track(files["middle"], tmp_path, head, config, views={"top": files["side"]})
+    with pytest.raises(InputError, match="name the rig file"):
+        track(files["middle"], tmp_path, head, single, views=side)
+    with pytest.raises(InputError, match="belong to Deep Energies"):
+        track(files["middle"], tmp_path, head, preset("joint"), workers=2)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--energy", "deep"], "--energy belongs to Deep Energies"),
+        (["--frames", "9-3"], "first and last frame as A-B"),
+        (["--frames", "500-600"], "frames 0 to 239"),
+        (["--preset", "deep-energies", "--view", "right"], "NAME=CLIP"),
+        (["--preset", "deep-energies", "--rig", "nowhere.toml"], "nowhere.toml"),
+    ],
+)
+def test_the_command_line_says_what_is_wrong(options, sentence, tmp_path):
+    result = CliRunner().invoke(app, ["track", str(sample("performance")), "--out", str(tmp_path), *options])
+    message = " ".join((result.output + str(result.exception or "")).split())
+    assert result.exit_code != 0
+    assert sentence in message
+
+
+def test_a_part_of_a_clip_is_tracked_by_either_system(head, tmp_path):
+    result = track(
+        sample("performance"), tmp_path, head, preset("joint").changed(**QUICK),
+        landmarks=sample("performance-landmarks"), frames=FRAMES, pictures=False,
+    )  # fmt: skip
+    assert len(result.track) == 4
+    assert result.track.meta["frames"] == [4, 7]
