@@ -342,7 +342,7 @@ class DeepFitter:
         return np.asarray(ravel_pytree(FaceParameters(**chosen))[0], bool)
 
     def _bounds(self, parameters: FaceParameters) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        limits, (lowest, highest) = [], self.model.weight_range()
+        limits, (lowest, highest) = [], self.model.weight_range().T
         for sign in (-1.0, 1.0):
             limit = FaceParameters(*(np.full(np.shape(part), sign * np.inf) for part in parameters))
             limit.jaw[:] = JAW_LOWER if sign < 0 else JAW_UPPER
