@@ -25,6 +25,7 @@ LEAST_PICTURES = {
     "07_rendering_and_light": 13,
     "08_what_the_network_sees": 13,
     "10_workbench_app": 0,  # the panel alone
+    "11_other_programs_other_faces": 4,
 }
 TIMEOUT_S = 300
 
