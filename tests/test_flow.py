@@ -309,17 +309,12 @@ class TestBundledNetwork:
             ground = np.full(3, 0.3)
             return render_face(model, state, view, model.colors, light, ground, size=(128, 128)).color
 
-        def flow(right):
-            return network.traced(picture(0.0), picture(right))
-
-        moved, slope = jax.jit(lambda right: jax.jvp(flow, (right,), (jnp.float32(1.0),)))(jnp.float32(5.0))
-        face = (
-            np.asarray(
-                seen_surface(face_vertices(model, rest), model.topology.triangles, view, size=(128, 128)).triangle
-            )
-            >= 0
-        )
-        face = cv2.erode(face.astype(np.uint8), np.ones((9, 9))) > 0
+        first, second = picture(0.0), picture(5.0)
+        change = (picture(5.2) - picture(4.8)) / 0.4
+        answer = jax.jit(lambda moved, way: jax.jvp(lambda x: network.traced(first, x), (moved,), (way,)))
+        moved, slope = answer(second, change)
+        seen = seen_surface(face_vertices(model, rest), model.topology.triangles, view, size=(128, 128))
+        face = cv2.erode((np.asarray(seen.triangle) >= 0).astype(np.uint8), np.ones((9, 9))) > 0
         assert np.isclose(np.median(np.asarray(moved)[face, 0]), 5 * 0.55, atol=0.4)
         assert np.median(np.asarray(slope)[face, 0]) > 0.15
 
