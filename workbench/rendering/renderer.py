@@ -116,7 +116,8 @@ def _render(
     layers, depth, normal, barycentric = _shade(seen, table, texture, light, behind, samples)
     if contours is not None:
         place, change = _edge_change(contours, crossings, topology, screen, table, texture, light, behind, samples)
-        layers = layers.reshape(-1, 4).at[place].add(change, mode="drop").reshape(height, width, 4)
+        smoothed = layers.reshape(-1, 4).at[place].add(change, mode="drop").reshape(height, width, 4)
+        layers = _within_neighbours(smoothed, layers)
     layers = _mean_of_samples(layers, samples)
     # The other outputs show the sample nearest to the pixel's centre.
     one = (slice(samples // 2, None, samples),) * 2
@@ -200,6 +201,30 @@ def _shade(seen, table, texture, light, background, samples):
 
 def _finer(screen: ScreenPoints, samples: int) -> ScreenPoints:
     return screen._replace(pixels=(screen.pixels + 0.5) * samples - 0.5) if samples > 1 else screen
+
+
+def _within_neighbours(smoothed: Float[Array, "h w 4"], plain: Float[Array, "h w 4"]) -> Float[Array, "h w 4"]:
+    """Smoothed pixels between the least and largest of the plain picture around them; derivatives stay as they are.
+
+    Where several edges cross one pixel, as between lid and eyeball, their changes add up beyond every colour there.
+    """
+    plain, now = lax.stop_gradient((plain, smoothed))
+    low, high = plain, plain
+    for axis in (0, 1):
+        # Each neighbour once; the picture's edge is its own neighbour.
+        low = jnp.minimum(low, jnp.minimum(_shifted(low, axis, 1), _shifted(low, axis, -1)))
+        high = jnp.maximum(high, jnp.maximum(_shifted(high, axis, 1), _shifted(high, axis, -1)))
+    return smoothed + (jnp.clip(now, low, high) - now)
+
+
+def _shifted(picture: Float[Array, "h w c"], axis: int, by: int) -> Float[Array, "h w c"]:
+    """The picture moved by one pixel, its border repeated."""
+    count = picture.shape[axis]
+    if by > 0:
+        parts = [lax.slice_in_dim(picture, 0, 1, axis=axis), lax.slice_in_dim(picture, 0, count - 1, axis=axis)]
+    else:
+        parts = [lax.slice_in_dim(picture, 1, count, axis=axis), lax.slice_in_dim(picture, count - 1, count, axis=axis)]
+    return jnp.concatenate(parts, axis=axis)
 
 
 def _mean_of_samples(layers: Float[Array, "n m 4"], samples: int) -> Float[Array, "h w 4"]:
