@@ -282,7 +282,6 @@ def _accuracy(rows: list[Row]) -> dict[str, float]:
     return {
         "rotation_deg_mean": _mean(found, "rotation_deg"),
         "rotation_deg_median": _median(found, "rotation_deg"),
-        "rotation_as_seen_deg_mean": _mean(found, "rotation_as_seen_deg"),
         "translation_mm_mean": _mean(found, "translation_mm"),
         "depth_percent_mean": 100.0 * _mean(found, "depth"),
         "jaw_deg_mean": float(np.mean(np.abs([row["jaw_deg"] for row in found]))),

@@ -1,0 +1,90 @@
+"""Truth for Deep Energies: what the network sees in the model's own render, so that a perfect solve leaves nothing."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from workbench.config import Config, Stage, preset
+from workbench.face import FaceModel, FaceParameters
+from workbench.geometry import axis_angle_from_yaw_pitch_roll
+from workbench.landmarks.observations import Landmarks2D
+from workbench.tracking import FrameContext, FrameObservation
+from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking.deep_solver import predict
+
+IMAGE_SIZE = (720, 540)
+FOV_DEG = 40.0
+BLANK = Landmarks2D(np.zeros((68, 2)), np.ones(68), IMAGE_SIZE)
+DEEP = preset("deep-energies").changed(camera={"fov_deg": FOV_DEG}, deep={"appearance": "model"})
+POINTS = DEEP.changed(deep={"energy": "points"})
+POSE_ONLY = (Stage(name="pose", free=("rotation", "translation"), limit=20),)
+
+
+@dataclass(frozen=True)
+class DeepScene:
+    """One frame of truth, in the frame of the reference camera."""
+
+    parameters: FaceParameters
+    landmarks: tuple[Landmarks2D | None, ...]
+
+    def observation(self, index: int = 0) -> FrameObservation:
+        """The frame as a tracker brings it."""
+        return FrameObservation(index, self.landmarks[0], IMAGE_SIZE, others=self.landmarks[1:])
+
+    def context(self) -> FrameContext:
+        """What is known of the person."""
+        return FrameContext(0, np.asarray(self.parameters.identity), None, None)
+
+
+def make_parameters(
+    head: FaceModel,
+    angles_deg=(0.0, 0.0, 0.0),
+    translation=(0.0, 0.0, 650.0),
+    weights: dict[str, float] | None = None,
+    jaw_deg: float = 0.0,
+    seed: int | None = None,
+) -> FaceParameters:
+    """Parameters of both systems; a `seed` makes a person who is not the mean."""
+    expression = np.zeros(len(head.expression_names))
+    for name, weight in (weights or {}).items():
+        expression[head.expression_names.index(name)] = weight
+    count = len(head.identity_deltas)
+    identity = np.zeros(count) if seed is None else np.random.default_rng(seed).normal(0.0, 0.7, count)
+    parts = (
+        axis_angle_from_yaw_pitch_roll(np.asarray(angles_deg, float)),
+        np.asarray(translation, float),
+        expression,
+        identity,
+        np.array([np.radians(jaw_deg), 0.0, 0.0, 0.0, 0.0, 0.0]),
+        np.ones(1),
+    )
+    return FaceParameters(*(jnp.asarray(part) for part in parts))
+
+
+def make_deep_scene(fitter: DeepFitter, parameters: FaceParameters) -> DeepScene:
+    """What the fitter itself would predict of these parameters, by its energy and in all its views, as detections."""
+    count = 1 if fitter.rig is None else len(fitter.rig)
+    blank = FrameObservation(0, BLANK, IMAGE_SIZE, others=(BLANK,) * (count - 1))
+    context = FrameContext(0, np.asarray(parameters.identity), None, None)
+    seen = predict(fitter.scene(None), fitter.views(blank, context), parameters).points
+    return DeepScene(parameters, tuple(Landmarks2D(points, np.ones(68), IMAGE_SIZE) for points in seen))
+
+
+def fitter_with(fitter: DeepFitter, config: Config) -> DeepFitter:
+    """The shared fitter under another configuration."""
+    fitter.configure(config)
+    return fitter
+
+
+def rotation_error_deg(found: FaceParameters, true: FaceParameters) -> float:
+    """Angle between two rotations."""
+    found, true = (Rotation.from_rotvec(np.array(each.rotation)) for each in (found, true))
+    return float(np.degrees((found.inv() * true).magnitude()))
+
+
+def flat(parameters: FaceParameters) -> np.ndarray:
+    """All numbers in one row, as `StageProblem` counts them."""
+    return np.asarray(jax.flatten_util.ravel_pytree(parameters)[0])

@@ -1,0 +1,641 @@
+"""Deep Energies by behaviour: its energy, its derivatives, its stages, several cameras, failures, no compilations."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.deep_scenes import (
+    DEEP,
+    IMAGE_SIZE,
+    POINTS,
+    POSE_ONLY,
+    fitter_with,
+    flat,
+    make_deep_scene,
+    make_parameters,
+    rotation_error_deg,
+)
+from tests.stereo_scenes import make_rig
+from workbench.config import PARALLEL_STAGES, Config, Stage, preset
+from workbench.energies.deep import DEEP_TERMS, DeepView, DeepWeights, deep_residuals, view_vertices
+from workbench.errors import ConfigError, InputError
+from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
+from workbench.geometry import project, rotation_matrix, write_rig
+from workbench.landmarks.observations import Landmarks2D
+from workbench.networks import landmarks_of, soft_argmax, to_picture
+from workbench.rendering import CropCamera, OrthographicCamera, render
+from workbench.solvers.dogleg import dogleg_step, judge_step
+from workbench.tracking import FaceTracker, Track
+from workbench.tracking.deep_fitter import FAR_MM, DeepFitter
+from workbench.tracking.deep_programs import (
+    look,
+    look_derivative,
+    points_derivative,
+    project_points,
+    quadratic,
+    scales,
+    term_energies,
+)
+from workbench.tracking.deep_solver import solve_stage
+from workbench.tracking.records import FAILURES, meta_array, stack_fits
+from workbench.tracking.systems import make_fitter
+
+CROP_SIDE = 256
+
+
+@pytest.fixture(scope="session")
+def shared(head):
+    """One fitter whose programs all tests of this file share."""
+    return DeepFitter(head, DEEP)
+
+
+@pytest.fixture
+def deep(shared):
+    return fitter_with(shared, DEEP)
+
+
+@pytest.fixture
+def points(shared):
+    """By preselected points: no network, so a solve takes a tenth of a second."""
+    return fitter_with(shared, POINTS)
+
+
+@pytest.fixture(scope="session")
+def truth(head):
+    """Someone with a smile and an open mouth, 20° and some way off the start."""
+    return make_parameters(head, (17.0, -8.0, 6.0), (18.0, -14.0, 600.0), {"mouthSmileLeft": 0.5}, 12.0, seed=3)
+
+
+@pytest.fixture(scope="session")
+def solved(shared, truth):
+    """The truth's own render as photo, and all seven stages on it."""
+    scene = make_deep_scene(fitter_with(shared, DEEP), truth)
+    return scene, shared.solve(scene.observation(), scene.context())
+
+
+def derivative_of(function, parameters, column, step):
+    """Central difference in scaled unknowns."""
+    vector, unravel = jax.flatten_util.ravel_pytree(parameters)
+    size = flat(scales(parameters))[column]
+    above, below = (np.asarray(function(unravel(vector.at[column].add(sign * step * size))), float) for sign in (1, -1))
+    return (above - below) / (2.0 * step)
+
+
+# The energy.
+
+
+def test_the_energy_is_the_papers(head, truth):
+    """E_1 + E_2 (Sec. 8.1) in units of the view, λ‖w‖² (Sec. 8.2) with the jaw counted in blendshapes, the prior."""
+    rng = np.random.default_rng(0)
+    target, predicted = rng.normal(size=(2, 2, 68, 2)) * 30.0
+    importance, unit = rng.uniform(0.0, 2.0, (2, 68)), np.array([1.4, 0.7])
+    views = DeepView(*[None] * 3, target, importance, np.ones((2, 68)), unit, None, None)
+    parameters = truth._replace(jaw=jnp.array([0.3, 0.05, -0.02, 1.0, 2.0, -3.0]))
+    start = make_parameters(head, (10.0, 0.0, 0.0))
+    terms = deep_residuals(views, DeepWeights(2.0, 0.5, 100.0, 10.0, 3.0), predicted, parameters, start)
+    energy = {name: float(residual @ residual) for name, residual in terms.items()}
+    error = (predicted - target) / unit[:, None, None]
+    difference = np.diff(error, axis=1)
+    edge = np.minimum(importance[:, 1:], importance[:, :-1])
+    jaw = np.asarray(parameters.jaw)
+    turned, moved = (
+        np.asarray(getattr(parameters, name) - getattr(start, name)) for name in ("rotation", "translation")
+    )
+    expected = {
+        "landmarks": 2.0 * (importance[..., None] * error**2).sum(),
+        "edges": 0.5 * (edge[..., None] * difference**2).sum(),
+        "lambda": 100.0
+        * (
+            (np.asarray(parameters.expression) ** 2).sum()
+            + ((jaw[:3] / np.radians(OPEN_DEG)) ** 2).sum()
+            + ((jaw[3:] / TRAVEL_MM) ** 2).sum()
+        ),
+        "identity": 10.0 * (np.asarray(parameters.identity) ** 2).sum(),
+        "prior": 3.0 * (100.0**2 * (turned**2).sum() + (moved**2).sum()),
+    }
+    assert tuple(terms) == DEEP_TERMS
+    for name, value in expected.items():
+        assert energy[name] == pytest.approx(value, rel=1e-9), name
+
+
+def test_the_quadratic_model_is_that_of_the_residuals(points, truth):
+    """Value, gradient and curvature from landmarks' derivative: as by differentiating everything at once."""
+    scene = make_deep_scene(points, truth)
+    views = jax.tree.map(lambda part: jnp.asarray(part)[None], points.views(scene.observation(), scene.context())[0])
+    start = points.start(np.asarray(truth.identity))
+    weights = DeepWeights(*(jnp.asarray(weight) for weight in (1.0, 0.5, 100.0, 10.0, 1.0)))
+    view = jax.tree.map(lambda part: part[0], views)
+    predicted = np.asarray(project_points(points.scene(None), view, start), float)[None]
+    derivative = np.asarray(points_derivative(points.scene(None), view, start), float)[None]
+    model = quadratic(views, weights, predicted, derivative, start, start)
+    energies = np.asarray(term_energies(views, weights, predicted, start, start))
+    assert float(model.value) == pytest.approx(0.5 * energies.sum())
+
+    def energy(vector):
+        moved = jax.flatten_util.ravel_pytree(start)[1](vector)
+        seen = predicted + np.einsum(
+            "n,vnij->vij", (np.asarray(vector) - flat(start)) / flat(scales(start)), derivative
+        )
+        return 0.5 * float(np.asarray(term_energies(views, weights, seen, moved, start)).sum())
+
+    # Landmarks linear in the unknowns: the energy is exactly quadratic.
+    rng = np.random.default_rng(1)
+    step = rng.normal(size=len(flat(start))) * 0.1
+    value = float(model.value) + step @ np.asarray(model.gradient) + 0.5 * step @ np.asarray(model.hessian) @ step
+    assert energy(jnp.asarray(flat(start) + step * flat(scales(start)))) == pytest.approx(value, rel=1e-6)
+
+
+# What the network sees.
+
+
+def test_a_rendered_crop_is_seen_as_the_crop_of_a_render(deep, truth):
+    """Two routes to N(F): the crop rendered at the network's size, or cut out of the whole picture and shrunk."""
+    scene = make_deep_scene(deep, truth)
+    view, programs = deep.views(scene.observation(), scene.context())[0], deep.scene(None)
+    seen = look(programs, view, truth)
+    vertices = view_vertices(programs.model, view, truth)
+    topology = programs.model.render.topology
+    whole = render(vertices, topology, view.camera, programs.albedo, view.light, view.background, size=IMAGE_SIZE)
+    cut = jax.jit(landmarks_of)(programs.network, whole.color, seen.box).points
+    apart = np.linalg.norm(np.asarray(cut) - np.asarray(seen.points), axis=1)
+    assert float(seen.box.side) > 300.0
+    assert apart.mean() < 0.4  # of a face of 300 px
+    assert apart.max() < 2.0
+
+
+def test_the_network_sees_the_model_near_its_preselected_points(deep, truth):
+    scene = make_deep_scene(deep, truth)
+    view, programs = deep.views(scene.observation(), scene.context())[0], deep.scene(None)
+    apart = np.linalg.norm(scene.landmarks[0].points - np.asarray(project_points(programs, view, truth)), axis=1)
+    assert apart[17:].mean() < 3.0
+    assert 0.1 < apart.mean() < 5.0
+    assert np.median(np.asarray(look(programs, view, truth).confidence)) > 0.8
+
+
+@pytest.mark.parametrize("column", [0, 1, 2, 3, 4, 5, "mouthSmileLeft", "jaw", "scale"])
+def test_the_points_derivative_is_that_of_finite_differences(points, truth, column):
+    view, programs = points.views(make_deep_scene(points, truth).observation(), _context(truth))[0], points.scene(None)
+    column = _column(points, column)
+    exact = np.asarray(points_derivative(programs, view, truth))[column]
+    near = derivative_of(lambda moved: project_points(programs, view, moved), truth, column, 0.03)
+    moves = np.ones(68, bool)
+    if column in (0, 1, 2):  # the contour slides along the face; that place is constant in the derivative
+        moves[:17] = False
+    np.testing.assert_allclose(near[moves], exact[moves], atol=0.02 * np.abs(exact).max() + 0.02)
+
+
+def test_the_forward_derivative_is_that_of_a_crop_that_stands_still(deep, truth):
+    """D is constant in the derivative (Sec. 4); and it points to where a real step leads, if not exactly there."""
+    view, programs = deep.views(make_deep_scene(deep, truth).observation(), _context(truth))[0], deep.scene(None)
+    box = look(programs, view, truth).box
+    columns = np.array([0, 1, 2, 3, 4, 5, _column(deep, "jaw"), len(flat(truth))])
+    forward = np.asarray(look_derivative(programs, view, truth, columns), float)
+    assert (forward[-1] == 0.0).all()  # beyond the unknowns: padding
+    vector, unravel = jax.flatten_util.ravel_pytree(truth)
+
+    @jax.jit
+    def held(vector, tangent):
+        def points(vector):
+            vertices = view_vertices(programs.model, view, unravel(vector))
+            camera = CropCamera(view.camera, box, jnp.float32(CROP_SIDE))
+            topology, size = programs.model.render.topology, (CROP_SIDE, CROP_SIDE)
+            drawn = render(vertices, topology, camera, programs.albedo, view.light, view.background, size=size)
+            heat_maps = programs.network(jnp.moveaxis(drawn.color, -1, 0))
+            return to_picture(soft_argmax(heat_maps), box, heat_maps.shape[-1])
+
+        return jax.jvp(points, (vector,), (tangent,))
+
+    agreement = []
+    for column, slope in zip(columns[:-1], forward, strict=False):
+        way = jnp.zeros_like(vector).at[column].set(flat(scales(truth))[column])
+        np.testing.assert_allclose(held(vector, way)[1], slope, rtol=0.01, atol=0.01 * np.abs(slope).max())
+        ends = [np.asarray(held(vector + sign * way / 2, way)[0], float) for sign in (1.0, -1.0)]
+        secant = ends[0] - ends[1]
+        agreement.append((secant * slope).sum() / np.linalg.norm(secant) / np.linalg.norm(slope))
+    assert min(agreement) > 0.6
+    assert np.median(agreement) > 0.8
+
+
+def _column(fitter, name):
+    """Place of an unknown in the flat row."""
+    if isinstance(name, int):
+        return name
+    shapes, people = fitter.model.expression_names, len(fitter.model.identity_deltas)
+    if name in shapes:
+        return 6 + shapes.index(name)
+    return 6 + len(shapes) + people + {"jaw": 0, "scale": 6}[name]
+
+
+def _context(truth):
+    from workbench.tracking import FrameContext
+
+    return FrameContext(0, np.asarray(truth.identity), None, None)
+
+
+# The stages.
+
+
+def test_the_seven_stages_find_the_truth_from_a_frontal_start(solved, truth):
+    scene, solution = solved
+    found = solution.parameters
+    assert rotation_error_deg(solution.start, truth) > 18.0
+    assert rotation_error_deg(found, truth) < 1.5
+    assert abs(float(found.translation[2] / truth.translation[2]) - 1.0) < 0.02
+    assert abs(np.degrees(float(found.jaw[0] - truth.jaw[0]))) < 3.0
+    errors = np.linalg.norm(solution.results[-1].prediction.points[0] - scene.landmarks[0].points, axis=1)
+    assert errors.mean() < 1.0
+
+
+def test_an_open_mouth_no_longer_turns_the_head_once_the_jaw_is_free(solved, truth):
+    """Fig. 6: the rigid stages explain the chin by the pose, the jaw stages put that right."""
+    names = [stage.name for stage in solved[1].stages]
+    rigid = solved[1].results[names.index("rigid, all")].parameters
+    assert rotation_error_deg(solved[1].parameters, truth) < rotation_error_deg(rigid, truth)
+
+
+def test_a_stage_moves_only_what_it_frees(solved, shared):
+    before = flat(solved[1].start)
+    for stage, result in zip(solved[1].stages, solved[1].results, strict=True):
+        after, free = flat(result.parameters), shared.free(stage)
+        np.testing.assert_array_equal(after[~free], before[~free], err_msg=stage.name)
+        assert (after[free] != before[free]).any(), stage.name
+        before = after
+
+
+def test_no_stage_raises_its_energy_and_none_exceeds_its_limit(solved):
+    for stage, result in zip(solved[1].stages, solved[1].results, strict=True):
+        assert result.iterations <= stage.limit
+        totals = [step.energies.sum() for step in result.path]
+        assert (np.diff(totals) <= 0.0).all(), stage.name
+        assert totals[-1] == pytest.approx(result.energies.sum())
+
+
+def test_weights_and_jaw_keep_their_ranges(solved, head):
+    for result in solved[1].results:
+        expression = np.asarray(result.parameters.expression)
+        assert expression.min() >= 0.0
+        assert expression.max() <= 1.0
+        assert -0.05 <= float(result.parameters.jaw[0]) <= 0.7
+
+
+def test_a_bound_that_the_energy_pushes_against_is_met_exactly(points, truth):
+    scene = make_deep_scene(points, truth)
+    stage = Stage(name="jaw", free=("jaw_open",), limit=20)
+    views = points.views(scene.observation(), scene.context(), stage)
+    start = truth._replace(jaw=jnp.zeros(6))
+    problem = points._problem(points.scene(None), views, stage, start)
+    column = _column(points, "jaw")
+    upper = problem.upper.copy()
+    upper[column] = 0.1
+    assert float(solve_stage(problem, start).parameters.jaw[0]) == pytest.approx(float(truth.jaw[0]), abs=2e-3)
+    assert float(solve_stage(replace(problem, upper=upper), start).parameters.jaw[0]) == 0.1
+
+
+def test_lambda_pulls_the_weights_and_the_jaw_to_rest(points, truth):
+    scene = make_deep_scene(points, truth)
+    sizes = []
+    for weight in (0.0, 1e3, 1e5):
+        fitter_with(points, POINTS.changed(deep={"regularisation": weight}))
+        found = points.solve(scene.observation(), scene.context()).parameters
+        sizes.append(np.linalg.norm(found.expression) + abs(float(found.jaw[0])) / np.radians(OPEN_DEG))
+    assert sizes[0] > sizes[1] > sizes[2]
+    assert sizes[2] < 0.1
+
+
+def test_the_prior_holds_the_pose_that_a_stage_starts_from(points, truth):
+    scene = make_deep_scene(points, truth)
+    stages = [Stage(name="pose", free=("rotation", "translation"), terms=("prior",), limit=20).model_dump()]
+    moved = []
+    for weight in (0.0, 10.0, 1e6):
+        fitter_with(points, POINTS.changed(deep={"prior": weight}, stages=stages))
+        found = points.solve(scene.observation(), scene.context()).parameters
+        moved.append(float(jnp.linalg.norm(found.rotation)))
+    assert moved[0] > moved[1] > moved[2]
+    assert moved[2] < 0.01
+
+
+def test_the_options_are_one_energy(shared, truth):
+    """Points, deep and mixed: a share per landmark between two predictions of the same parameters."""
+    seen = {}
+    for energy in ("deep", "points", "mixed"):
+        fitter = fitter_with(shared, DEEP.changed(deep={"energy": energy}))
+        scene = make_deep_scene(fitter, truth)
+        doubtful = replace(scene.landmarks[0], confidence=np.linspace(0.0, 1.0, 68))
+        view = fitter.views(replace(scene.observation(), landmarks=doubtful), scene.context())[0]
+        seen[energy] = scene.landmarks[0].points, np.asarray(view.share)
+    np.testing.assert_array_equal(seen["deep"][1], 1.0)
+    np.testing.assert_array_equal(seen["points"][1], 0.0)
+    np.testing.assert_array_equal(seen["mixed"][1], np.linspace(0.0, 1.0, 68))
+    np.testing.assert_allclose(seen["mixed"][0], seen["deep"][0])  # all certain: the network's
+
+
+def test_muted_landmarks_have_no_say(points, truth):
+    scene = make_deep_scene(points, truth)
+    wrong = scene.landmarks[0].points.copy()
+    wrong[17:27] += 60.0
+    observation = replace(scene.observation(), landmarks=replace(scene.landmarks[0], points=wrong))
+    fooled = points.solve(observation, scene.context()).parameters
+    fitter_with(points, POINTS.changed(landmarks={"weights": {"brows": 0.0}}))
+    told = points.solve(observation, scene.context()).parameters
+    assert rotation_error_deg(told, truth) < 1.0 < rotation_error_deg(fooled, truth)
+
+
+def test_a_fit_does_not_depend_on_other_frames(points, truth, head):
+    one = make_deep_scene(points, truth)
+    other = make_deep_scene(points, make_parameters(head, (-20.0, 5.0, 0.0), (-30.0, 10.0, 700.0), seed=3))
+    fits = [points.fit(scene.observation(), scene.context())[0] for scene in (one, other, one)]
+    np.testing.assert_array_equal(fits[0].rotation, fits[2].rotation)
+    np.testing.assert_array_equal(fits[0].jaw, fits[2].jaw)
+    assert not np.array_equal(fits[0].rotation, fits[1].rotation)
+
+
+@pytest.mark.parametrize("derivative", ["forward", "differences"])
+def test_other_derivatives_of_the_network_find_the_pose_too(shared, solved, truth, derivative):
+    scene, _ = solved
+    fitter = fitter_with(shared, DEEP.changed(deep={"derivative": derivative}, stages=_dumped(POSE_ONLY, limit=6)))
+    near = truth._replace(rotation=truth.rotation + 0.08, translation=truth.translation + jnp.array([4.0, 3.0, 15.0]))
+    found = fitter.solve(scene.observation(), scene.context()._replace(start=near)).parameters
+    assert rotation_error_deg(near, truth) > 6.0
+    assert rotation_error_deg(found, truth) < 2.0
+
+
+def _dumped(stages, **changes):
+    return [{**stage.model_dump(), **changes} for stage in stages]
+
+
+def test_moving_numbers_compiles_nothing(shared, solved):
+    scene, _ = solved
+    programs = (look, project_points, points_derivative, quadratic, term_energies, dogleg_step, judge_step)
+    fitter = fitter_with(shared, DEEP.changed(stages=_dumped(DEEP.stages[:1], limit=2)))
+    fitter.fit(scene.observation(), scene.context())
+    before = [program._cache_size() for program in programs]
+    changes = (
+        {"deep": {"edges": 2.0, "regularisation": 3.0, "prior": 0.2, "identity": 1.0, "tolerance": 0.1}},
+        {"deep": {"energy": "points"}, "camera": {"fov_deg": 50.0}, "contour": {"mode": "fixed"}},
+        {"deep": {"energy": "mixed", "distance_mm": 700.0}, "landmarks": {"weights": {"eyes": 0.3}}},
+        {"solver": {"unit": "px", "bounded": False}},
+        {"stages": _dumped(DEEP.stages[4:5], limit=3, landmarks={"all": 0.5, "8": 4.0})},
+    )
+    for change in changes:
+        fitter.configure(fitter.config.changed(**change))
+        fitter.fit(scene.observation(), scene.context())
+    assert [program._cache_size() for program in programs] == before
+
+
+# Failure is a result.
+
+
+def test_a_good_fit_has_no_failure(points, truth):
+    scene = make_deep_scene(points, truth)
+    fit, _ = points.fit(scene.observation(), scene.context())
+    assert (fit.found, fit.failure) == (True, "")
+
+
+def test_a_jaw_elsewhere_than_the_face_is_a_disagreement(points, truth):
+    """A contour that caught on a collar: the face is met, the jaw is not."""
+    scene = make_deep_scene(points, truth)
+    wrong = scene.landmarks[0].points.copy()
+    wrong[:17] += [90.0, 0.0]
+    observation = replace(scene.observation(), landmarks=replace(scene.landmarks[0], points=wrong))
+    fitter_with(points, POINTS.changed(landmarks={"weights": {"jaw": 0.01}}))
+    assert points.fit(observation, scene.context())[0].failure == FAILURES[1]
+
+
+def test_landmarks_that_no_face_has_leave_a_large_error(points, truth):
+    scene = make_deep_scene(points, truth)
+    wrong = scene.landmarks[0].points + np.random.default_rng(0).normal(0.0, 15.0, (68, 2))
+    observation = replace(scene.observation(), landmarks=replace(scene.landmarks[0], points=wrong))
+    assert points.fit(observation, scene.context())[0].failure == FAILURES[2]
+
+
+def test_the_ranges_of_failure_are_configured(points, truth):
+    scene = make_deep_scene(points, truth)
+    fitter_with(points, POINTS.changed(deep={"largest_error": 0.0}))
+    assert points.fit(scene.observation(), scene.context())[0].failure == FAILURES[2]
+
+
+def test_a_frame_without_a_face_is_empty(points, truth):
+    observation = replace(make_deep_scene(points, truth).observation(), landmarks=None)
+    fit, _ = points.fit(observation, _context(truth))
+    assert not fit.found
+    assert np.isnan(fit.rotation).all()
+    assert np.isnan(fit.jaw).all()
+    assert fit.energies.shape == (7, len(DEEP_TERMS))
+    with pytest.raises(InputError, match="no landmarks"):
+        points.explain(observation, _context(truth))
+
+
+# Several cameras.
+
+
+@pytest.fixture(scope="session")
+def rig_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("rig") / "rig.toml"
+    write_rig(make_rig((0.0, 30.0), 650.0, IMAGE_SIZE, 40.0), path)
+    return path
+
+
+def _stereo_scene(fitter, head, noise_px=0.0, seed=0):
+    scene = make_deep_scene(fitter, make_parameters(head, (12.0, -6.0, 4.0), (10.0, -8.0, 620.0), jaw_deg=8.0, seed=4))
+    rng = np.random.default_rng(seed)
+    noisy = [replace(seen, points=seen.points + rng.normal(0.0, 1.0, (68, 2)) * noise_px) for seen in scene.landmarks]
+    return replace(scene, landmarks=tuple(noisy))
+
+
+def test_two_views_find_the_truth_and_place_it_better_than_one(shared, head, rig_file):
+    """Noise of 1.5 px: the second camera sees the first one's depth from the side."""
+    errors = {1: [], 2: []}
+    for seed in range(3):
+        fitter = fitter_with(shared, POINTS.changed(camera={"rig": str(rig_file)}))
+        scene = _stereo_scene(fitter, head, 1.5, seed)
+        truth = scene.parameters
+        two = fitter.solve(scene.observation(), scene.context()).parameters
+        fitter_with(shared, POINTS)
+        alone = replace(scene.observation(), others=())
+        one = fitter.solve(alone, scene.context()).parameters
+        for views, found in ((1, one), (2, two)):
+            errors[views].append(float(jnp.linalg.norm(found.translation - truth.translation)))
+            assert rotation_error_deg(found, truth) < 2.0
+    assert np.mean(errors[2]) < 0.5 * np.mean(errors[1])
+
+
+def test_a_view_without_a_detection_drops_out(shared, head, rig_file):
+    fitter = fitter_with(shared, POINTS.changed(camera={"rig": str(rig_file)}))
+    scene = _stereo_scene(fitter, head)
+    half = fitter.fit(replace(scene.observation(), others=(None,)), scene.context())[0]
+    fitter_with(shared, POINTS)
+    alone = fitter.fit(replace(scene.observation(), others=()), scene.context())[0]
+    np.testing.assert_allclose(half.translation, alone.translation, atol=1e-3)
+    np.testing.assert_allclose(half.rotation, alone.rotation, atol=1e-5)
+    fitter_with(shared, POINTS.changed(camera={"rig": str(rig_file)}))
+    other = fitter.fit(replace(scene.observation(), landmarks=None), scene.context())[0]
+    assert other.found
+    assert np.isnan(other.observed).all()
+    np.testing.assert_allclose(other.rotation, np.asarray(scene.parameters.rotation), atol=0.03)
+
+
+def test_a_rig_wants_landmarks_of_every_view(shared, head, rig_file):
+    fitter = fitter_with(shared, POINTS.changed(camera={"rig": str(rig_file)}))
+    scene = _stereo_scene(fitter, head)
+    with pytest.raises(InputError, match="one clip for each view"):
+        fitter.fit(replace(scene.observation(), others=()), scene.context())
+
+
+# Views without perspective.
+
+
+def test_the_parallel_view_finds_rotation_scale_place_and_shape(shared, head):
+    """Appendix C.2 on a truth seen by that very camera: four stages from the mean face."""
+    config = preset("orthographic").changed(camera={"fov_deg": 40.0}, deep={"energy": "points"})
+    fitter = fitter_with(shared, config)
+    truth = make_parameters(head, (14.0, -6.0, 5.0), (12.0, -9.0, 650.0))
+    shape = np.zeros(len(truth.identity))
+    shape[:3] = 1.0, -0.7, 0.5
+    truth = truth._replace(scale=jnp.array([1.1]), identity=jnp.asarray(shape))
+    scene = make_deep_scene(fitter, truth)
+    mean = scene.context()._replace(identity=fitter.mean_identity())
+    fit, _ = fitter.fit(scene.observation(), mean)
+    assert len(fit.energies) == len(PARALLEL_STAGES)
+    assert fit.failure == ""
+    assert np.degrees(np.linalg.norm(fit.rotation - np.asarray(truth.rotation))) < 2.0
+    assert fit.scale == pytest.approx(1.1, rel=0.05)  # some of a head's size is in its shape
+    np.testing.assert_allclose(fit.translation[:2], truth.translation[:2], atol=1.5)
+    assert fit.errors[0] < 1.0
+    assert not fit.identity[10:].any()
+    assert not fit.expression[10:].any()
+
+
+def test_a_parallel_view_is_recorded_as_a_camera_far_away(shared, head):
+    config = preset("orthographic").changed(camera={"fov_deg": 40.0}, deep={"energy": "points"})
+    fitter = fitter_with(shared, config)
+    truth = make_parameters(head, (14.0, -6.0, 5.0), (12.0, -9.0, 650.0))
+    scene = make_deep_scene(fitter, truth)
+    assert isinstance(fitter.views(scene.observation(), scene.context())[0].camera, OrthographicCamera)
+    fit, _ = fitter.fit(scene.observation(), scene.context())
+    assert fit.translation[2] == FAR_MM
+    person = fitter.model.personal(fit.identity)
+    nose = person.vertices(fit.expression)[person.landmarks.vertices[30]]
+    nose = (nose * person.landmarks.barycentric[30][:, None]).sum(axis=0) * fit.scale
+    seen = project(fit.camera, nose[None] @ np.asarray(rotation_matrix(fit.rotation)).T + fit.translation)
+    np.testing.assert_allclose(np.asarray(seen)[0], fit.projected[30], atol=0.3)
+
+
+# Configuration.
+
+
+def test_stages_free_named_blendshapes_and_parts_of_the_jaw(deep):
+    names = deep.model.expression_names
+    mouth = deep.free(Stage(name="m", free=("expression", "jaw_open"), shapes=("mouth",)))
+    assert mouth[6 : 6 + len(names)].tolist() == [name.startswith("mouth") for name in names]
+    assert mouth[_column(deep, "jaw") : _column(deep, "jaw") + 6].tolist() == [True, *[False] * 5]
+    ten = deep.free(Stage(name="s", free=("identity",), shapes=("first:10",)))
+    assert ten.sum() == 10
+    assert not ten[: 6 + len(names)].any()
+    assert deep.free(Stage(name="r", free=("rotation", "translation", "scale"))).sum() == 7
+
+
+def test_unknown_blendshapes_are_refused(deep):
+    with pytest.raises(ConfigError, match=r"'brow_up'.*does not have; name blendshapes"):
+        deep.free(Stage(name="odd", free=("expression",), shapes=("brow_up",)))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"stages": _dumped((Stage(name="j", free=("jaw",)),))}, "stage 'j' frees 'jaw', which takes system"),
+        ({"camera": {"projection": "orthographic"}}, "an orthographic camera takes system"),
+    ],
+)
+def test_face_it_has_neither_jaw_nor_parallel_views(change, words):
+    with pytest.raises(ConfigError, match=words):
+        preset("joint").changed(**change)
+
+
+def test_a_rig_has_perspective_cameras(head, rig_file):
+    with pytest.raises(ConfigError, match="rig's cameras are perspective"):
+        make_fitter(head, preset("orthographic").changed(camera={"rig": str(rig_file)}))
+
+
+def test_presets_of_both_systems_survive_their_file(tmp_path):
+    from workbench.config import read_config, write_config
+
+    for name in ("deep-energies", "preselected-points", "orthographic"):
+        write_config(preset(name), tmp_path / "config.toml")
+        assert read_config(tmp_path / "config.toml") == preset(name)
+    assert isinstance(preset("deep-energies"), Config)
+
+
+# Records.
+
+
+@pytest.fixture
+def tracked(head, points, truth):
+    """Two frames by the tracker, the second without a face, the third wrong."""
+    scene = make_deep_scene(points, truth)
+    wrong = replace(scene.landmarks[0], points=scene.landmarks[0].points[::-1].copy())
+    observations = [
+        scene.observation(0),
+        replace(scene.observation(1), landmarks=None),
+        replace(scene.observation(2), landmarks=wrong),
+    ]
+    tracker = FaceTracker(head, POINTS.changed(identity={"calibrate": False}))
+    return list(tracker.fit_all(observations))
+
+
+def test_a_track_keeps_jaw_scale_and_failure(head, tracked, tmp_path):
+    meta = {"format": "face-energy-workbench-track", "format_version": 2, "expression_names": []}
+    Track(**stack_fits(tracked), meta=meta).save(tmp_path / "track.npz")
+    loaded = Track.load(tmp_path / "track.npz")
+    for before, after in zip(tracked, loaded, strict=False):
+        np.testing.assert_array_equal(after.jaw, before.jaw)
+        assert (after.failure, after.scale) == (before.failure, before.scale)
+    assert loaded[2].failure != ""
+    assert np.isnan(loaded[1].jaw).all()
+
+
+def test_a_track_from_before_the_jaw_loads(tracked, tmp_path):
+    arrays = stack_fits(tracked)
+    for name in ("jaw", "scale", "failure"):
+        del arrays[name]
+    meta = meta_array({"expression_names": []})
+    np.savez_compressed(tmp_path / "old.npz", meta=meta, **arrays)
+    loaded = Track.load(tmp_path / "old.npz")
+    assert not loaded.jaw.any()
+    assert (loaded.scale == 1.0).all()
+    assert [loaded[k].failure for k in range(3)] == ["", "", ""]
+
+
+def test_explaining_shows_every_step_of_every_stage(points, truth):
+    scene = make_deep_scene(points, truth)
+    fit, traces = points.explain(scene.observation(), scene.context())
+    assert [trace.stage for trace in traces] == [stage.name for stage in POINTS.stages if stage.enabled]
+    for trace, energies in zip(traces, fit.energies, strict=True):
+        assert trace.energies.shape[1] == len(DEEP_TERMS)
+        np.testing.assert_allclose(trace.energies[-1], energies)
+    np.testing.assert_allclose(traces[-1].residuals_px[-1], fit.residuals_px, atol=1e-9)
+
+
+def test_starting_from_landmarks_begins_near_the_truth(points, truth):
+    scene = make_deep_scene(points, truth)
+    fitter_with(points, POINTS.changed(deep={"start": "landmarks"}))
+    begun = points.solve(scene.observation(), scene.context()).start
+    assert rotation_error_deg(begun, truth) < 6.0
+
+
+def test_a_cancelled_solve_stops_where_it_is(points, truth):
+    scene = make_deep_scene(points, truth)
+    solution = points.solve(scene.observation(), scene.context(), lambda: True)
+    np.testing.assert_array_equal(flat(solution.parameters), flat(solution.start))
+
+
+def test_the_image_size_compiles_nothing(points, truth):
+    scene = make_deep_scene(points, truth)
+    before = project_points._cache_size()
+    larger = Landmarks2D(2.0 * scene.landmarks[0].points, np.ones(68), (1440, 1080))
+    observation = replace(scene.observation(), landmarks=larger, image_size=(1440, 1080))
+    fit, _ = points.fit(observation, scene.context())
+    assert project_points._cache_size() == before
+    assert rotation_error_deg(truth._replace(rotation=fit.rotation), truth) < 1.5
