@@ -473,7 +473,7 @@ def test_a_view_without_a_detection_drops_out(shared, head, rig_file):
     fitter_with(shared, POINTS.changed(camera={"rig": str(rig_file)}))
     other = fitter.fit(replace(scene.observation(), landmarks=None), scene.context())[0]
     assert other.found
-    assert np.isnan(other.observed).all()
+    assert not other.confidence.any()
     np.testing.assert_allclose(other.rotation, np.asarray(scene.parameters.rotation), atol=0.03)
 
 
