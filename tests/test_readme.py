@@ -58,6 +58,17 @@ def test_the_tracking_snippet_runs(tmp_path):
     assert names["smile"][0] > 0.2
 
 
+def test_the_deep_energies_snippet_runs():
+    snippet = next(text for text in SNIPPETS if "stage_strip" in text)
+    snippet = snippet.replace('"talk.mp4"', f'r"{sample("astronaut")}"').replace("(12)", "(0)")
+    names = {}
+    exec(compile(snippet, "README.md", "exec"), names)
+    assert names["fit"].jaw.shape == (6,)
+    assert names["fit"].failure == ""
+    assert names["strip"].shape[2] == 3
+    assert names["session"].config.deep.energy == "points"
+
+
 def test_every_output_file_is_described():
     for name in OUTPUTS:
         assert f"`{name}`" in README
