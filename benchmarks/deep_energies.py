@@ -195,7 +195,7 @@ def orthographic(bench: Bench) -> None:
         against="truth of perspective photos",
         details={
             "frames": len(rows),
-            "ran": sum(np.isfinite(row["rotation_deg"]) for row in found),
+            "ran": sum(bool(np.isfinite(row["rotation_deg"])) for row in found),
             "parallel": _accuracy(rows),
             "perspective_mean_face": _accuracy(perspective),
             "perspective_own_face": _accuracy(known),
