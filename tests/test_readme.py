@@ -99,3 +99,15 @@ def test_the_face_model_snippet_runs(tmp_path):
     names = {}
     exec(compile(snippet, "README.md", "exec"), names)
     assert names["result"].summary["frames_with_face"] == 1
+
+
+def test_the_flow_snippet_runs():
+    snippet = next(text for text in SNIPPETS if "bundled_flow" in text)
+    snippet = snippet.replace('"talk.mp4"', f'r"{sample("performance")}"')
+    names = {}
+    exec(compile(snippet, "README.md", "exec"), names)
+    height, width = names["first"].shape[:2]
+    assert names["flow"].shape == (height, width, 2)
+    assert names["colors"].shape == (height, width, 3)
+    assert names["hidden"].mean() < 0.5
+    assert names["difference"].shape == (height, width)

@@ -17,7 +17,13 @@ from workbench.training.loop import Phase, TrainingPlan, train
 from workbench.training.report import curves_figure
 
 FLOW_PLAN = TrainingPlan(
-    phases=(Phase(128, 3000, 12, 2e-3), Phase(192, 900, 8, 1e-3), Phase(256, 500, 5, 6e-4)),
+    phases=(
+        Phase(128, 3000, 12, 2e-3),
+        Phase(192, 900, 8, 1e-3),
+        Phase(256, 500, 5, 6e-4),
+        Phase(256, 550, 5, 5e-4),
+        Phase(256, 600, 5, 4e-4),
+    ),
     widths=(32, 48, 64, 96),
     blocks=1,
 )
