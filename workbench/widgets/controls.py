@@ -58,8 +58,9 @@ class KnobControl:
             self._quiet = quiet
 
     def _on_input(self, change) -> None:
-        # A value between two places of the slider stays as it is until the slider leaves its place.
-        if self._quiet or (self.value is not None and change["new"] == place_of(self.knob, self.value)):
+        # A value between two places of the slider stays as it is until the slider leaves its place. Browsers send a
+        # place back with other last digits.
+        if self._quiet or (self.value is not None and _same(change["new"], place_of(self.knob, self.value))):
             return
         self.value = value_at(self.knob, change["new"])
         self._read_out(self.value)
@@ -137,6 +138,12 @@ def place_of(knob: Knob, value: Value) -> Value:
         value = math.log10(value) if value > 0.0 else low
     place = round(low + round((min(max(value, low), high) - low) / step) * step, 9)
     return float(min(max(place, low), high))
+
+
+def _same(place: Value, other: Value) -> bool:
+    if isinstance(place, str) or isinstance(other, str):
+        return place == other
+    return math.isclose(place, other, abs_tol=1e-6)
 
 
 def _lowest(knob: Knob) -> float:

@@ -52,7 +52,7 @@ class StageRow:
         self.widget = widgets.HBox([
             self.enabled, self.name, *self.free.values(), self.landmarks, self.limit, self.when,
             *self.buttons.values(), self.result,
-        ])  # fmt: skip
+        ], layout=widgets.Layout(flex="0 0 auto"))  # fmt: skip
 
     def show(self, stage: Stage, deep: bool = False) -> None:
         """Show a stage without calling back; `deep`: with what only Deep Energies frees."""
@@ -104,23 +104,23 @@ class StageEditor:
         self.add.on_click(lambda _button: self._add())
         for button, what in ((self.all, "all"), (self.back, "back"), (self.step, "step")):
             button.on_click(lambda _button, what=what: self._run(what, -1))
-        titles = (("", 28), ("stage", 132), ("free", 100), ("landmarks and weights", 194), ("limit", 62),
-                  ("when", 90), ("", 130), ("last fit", 100))  # fmt: skip
-        header = widgets.HTML("".join(HEADER.format(width, title) for title, width in titles))
-        bar = widgets.HBox([self.all, self.back, self.step, self.place, self.add])
+        fixed = widgets.Layout(flex="0 0 auto")
+        self._header = widgets.HTML(_header(deep=False), layout=fixed)
+        bar = widgets.HBox([self.all, self.back, self.step, self.place, self.add], layout=fixed)
         self.widget = widgets.VBox(
-            [bar, header, *(row.widget for row in self._rows)],
+            [bar, self._header, *(row.widget for row in self._rows)],
             layout=widgets.Layout(height=f"{height_px}px", overflow="auto"),
         )
         self.widget.add_class("fw-stages")
 
     def show(self, config: Config) -> None:
         """Show the stages of a configuration."""
-        self._stages = config.stages
+        self._stages, deep = config.stages, config.system == "deep-energies"
+        self._header.value = _header(deep)
         for k, row in enumerate(self._rows):
             row.widget.layout.display = None if k < len(config.stages) else "none"
             if k < len(config.stages):
-                row.show(config.stages[k], config.system == "deep-energies")
+                row.show(config.stages[k], deep)
 
     def show_results(self, results: dict[str, str], place: str = "") -> None:
         """What the last fit did in each stage by name, and where stepping stands."""
@@ -154,6 +154,14 @@ class StageEditor:
             name = next(f"stage {k}" for k in range(1, 99) if f"stage {k}" not in names)
             added = Stage(name=name, free=("expression",)).model_dump()
             self._changed([*(stage.model_dump() for stage in self._stages), added], f"add {name}")
+
+
+def _header(deep: bool) -> str:
+    """Titles above the columns; the toggles of Deep Energies take more room."""
+    free = 100 + (33 * len(DEEP_BLOCKS) if deep else 0)
+    titles = (("", 28), ("stage", 132), ("free", free), ("landmarks and weights", 194), ("limit", 62),
+              ("when", 90), ("", 130), ("last fit", 100))  # fmt: skip
+    return "".join(HEADER.format(width, title) for title, width in titles)
 
 
 def landmarks_text(landmarks: dict[str, float]) -> str:

@@ -152,6 +152,7 @@ class TuningPanel(widgets.VBox):
         self.diagnosis = DiagnosisView(self._on_why, self._on_apply, self._on_take_back, TABS_PX)
         self.energy = ChartView(height_px=TABS_PX - 20, y_log=True, title="energy per term against iteration")
         self.strip = widgets.Image(format="jpeg", layout=widgets.Layout(max_width="100%", object_fit="contain"))
+        self.strip.add_class("fw-film-strip")
         self.changes = widgets.HTML(layout=widgets.Layout(height=f"{TABS_PX}px", overflow="auto"))
         columns = f"{CONTROLS_PX}px minmax(240px, 1fr) {HEAD_PX + 6}px"
         self._main = widgets.GridBox(

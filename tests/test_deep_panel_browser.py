@@ -1,0 +1,68 @@
+"""Deep Energies in the tuning panel, in a real browser: the energy is a choice, the stages are a film strip."""
+
+import os
+
+import pytest
+
+from tests import browser
+from tests.panel_page import MARKS, PANEL, READY, opened, tab, write_notebook
+
+lacking = browser.missing()
+
+if lacking and os.environ.get("CI") != "true":
+    pytest.skip(f"browser tests: {lacking}", allow_module_level=True)
+
+STRIP = ".fw-panel .fw-film-strip"
+CELLS = (
+    PANEL.format(name="astronaut").replace('-landmarks"))', '-landmarks"), config="deep-energies")'),
+    READY,
+    "print(session.config.deep.energy, [step.path for step in session.changes()])",
+)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The panel on the portrait under Deep Energies, shown and ready."""
+    folder, settings = tmp_path_factory.mktemp("notebooks"), tmp_path_factory.mktemp("jupyter")
+    write_notebook(folder / "deep.ipynb", CELLS)
+    with (
+        browser.lab_server(folder, settings) as server,
+        browser.lab_page(server, tmp_path_factory.mktemp("profile")) as page,
+    ):
+        page.page.set_viewport_size({"width": 1366, "height": 768})
+        page.page.add_init_script(browser.KEEP_PIXELS)
+        yield opened(page, "deep.ipynb")
+
+
+def strip_source(page):
+    return page.page.evaluate("(s) => document.querySelector(s).src", STRIP)
+
+
+def test_the_film_strip_shows_the_stages_and_follows_the_choice_of_energy(page, screenshots):
+    tab(page, "Film strip")
+    page.page.wait_for_function(
+        "(s) => { const i = document.querySelector(s); return i && i.naturalWidth > 600 && i.naturalHeight > 300; }",
+        arg=STRIP,
+        timeout=120_000,
+    )
+    page.page.screenshot(path=screenshots / "deep-panel-strip.png")
+    tab(page, "deep")
+    before = strip_source(page)
+    page.page.screenshot(path=screenshots / "deep-panel.png")
+    page.page.locator(".fw-controls select:visible").first.select_option("points")
+    page.page.wait_for_function(
+        "([s, before]) => document.querySelector(s).src !== before", arg=[STRIP, before], timeout=120_000
+    )
+    tab(page, "Stages")
+    page.page.wait_for_timeout(500)
+    page.page.screenshot(path=screenshots / "deep-panel-stages.png")
+    assert page.page.locator(MARKS).is_visible()
+
+
+def test_the_kernel_has_the_chosen_energy_and_nothing_went_wrong(page):
+    page.run_cell(2)
+    texts = [output.get("text", "") for output in page.outputs()]
+    assert any(text.startswith("points ['deep.energy") for text in texts), texts
+    assert [output for output in page.outputs() if output["type"] == "error" or output["name"] == "stderr"] == []
+    assert page.page_errors == []
+    assert page.foreign_requests == []
