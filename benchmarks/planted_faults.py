@@ -99,7 +99,7 @@ def follow(
     fitter = FrameFitter(clip().head, config)
     starts = {}
     if identity is None:
-        identity, starts = fitter.calibrate(observations[: config.identity.window], config.identity.frames)
+        identity, starts, _ = fitter.calibrate(observations[: config.identity.window], config.identity.frames)
     fits, last = [], None
     for observation in observations:
         if last is not None and jumped(last.points, observation.landmarks.points):

@@ -62,11 +62,11 @@ def test_unknown_names_list_the_detectors():
             function("dlb")
 
 
-def test_importing_the_landmarks_imports_no_detector():
-    wanted = "('dlib', 'workbench.landmarks.network_detector')"
-    code = f"import sys, workbench.landmarks.tracking; print([name in sys.modules for name in {wanted}])"
+def test_importing_the_workbench_imports_no_dlib_and_reads_no_weights():
+    asked = "'dlib' in sys.modules, network_detector.bundled_landmark_network.cache_info().currsize"
+    code = f"import sys, workbench; from workbench.landmarks import network_detector; print({asked})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[False, False]"
+    assert done.stdout.strip() == "False 0"
 
 
 def test_without_dlib_the_error_gives_the_line_that_installs_it(monkeypatch):
