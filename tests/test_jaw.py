@@ -139,7 +139,9 @@ def test_weights_and_joint_say_the_same(head, openness, forward, sideways):
     jaw = jaw_of_weights(head, weights)
     assert jaw[0] == pytest.approx(np.radians(OPEN_DEG) * openness)
     assert jaw[3] == pytest.approx(TRAVEL_MM * sideways)
-    np.testing.assert_allclose(weights_with_jaw(head.expression_names, np.zeros_like(weights), jaw), weights, atol=1e-12)
+    np.testing.assert_allclose(
+        weights_with_jaw(head.expression_names, np.zeros_like(weights), jaw), weights, atol=1e-12
+    )
 
 
 def test_weights_of_many_frames_are_made_at_once(head):
