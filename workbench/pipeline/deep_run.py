@@ -10,7 +10,7 @@ from pathlib import Path
 
 from workbench.config import Config
 from workbench.face import FaceModel
-from workbench.pipeline.sources import DeepSource
+from workbench.pipeline.sources import DeepSource, RigSource
 from workbench.tracking import FaceTracker, FrameContext, FrameFit, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.track_writer import TrackWriter
@@ -24,7 +24,7 @@ Pair = tuple[FrameObservation, FrameContext]
 
 
 def track_independent_frames(
-    source: DeepSource, tracker: FaceTracker, writer: TrackWriter, stills: bool, workers: int, progress
+    source: DeepSource | RigSource, tracker: FaceTracker, writer: TrackWriter, stills: bool, workers: int, progress
 ) -> list[Pair]:
     """Fit what the writer does not hold yet, in order; return the frames whose stages are worth a picture.
 
@@ -67,7 +67,7 @@ def write_strips(pairs: list[Pair], fitter: DeepFitter, folder: Path, progress) 
     return tuple(made)
 
 
-def _pairs(source: DeepSource, tracker: FaceTracker, stills: bool) -> Iterator[Pair]:
+def _pairs(source: DeepSource | RigSource, tracker: FaceTracker, stills: bool) -> Iterator[Pair]:
     for observation in source.observations(0, {}, stills):
         yield from tracker.prepare(observation)
     yield from tracker.prepare_rest()

@@ -142,7 +142,7 @@ def _size(record: LandmarkRecord) -> tuple[int, int]:
 class RigSource:
     """Clips of one performance from several cameras, frame by frame; pictures are those of the first view."""
 
-    def __init__(self, sources: Sequence["PictureSource | FileSource"], names: Sequence[str]):
+    def __init__(self, sources: Sequence["DeepSource"], names: Sequence[str]):
         self._sources, self._names = sources, names
         reference = sources[0]
         self.frames, self.image_size, self.detector = reference.frames, reference.image_size, reference.detector
@@ -161,16 +161,16 @@ class RigSource:
         streams = [source.observations(start, {}, stills) for source in self._sources]
         # Not strict: the shortest clip ends the run.
         for reference, *others in zip(*streams, strict=False):
-            yield replace(reference, others=tuple(other.landmarks for other in others)), [o.picture for o in others]
+            yield replace(reference, others=tuple(other.landmarks for other in others))
 
     def state(self) -> dict[str, np.ndarray]:
         return {}
 
 
 class DeepSource:
-    """Another source's frames with N(F*) in place of the detector's landmarks, in every view."""
+    """Another source's frames with N(F*) in place of the detector's landmarks."""
 
-    def __init__(self, source: "PictureSource | FileSource | RigSource", config: Config):
+    def __init__(self, source: PictureSource | FileSource, config: Config):
         self._source = source
         self._network = energy_network(config.deep.network)
         self.frames, self.image_size, self.detector = source.frames, source.image_size, source.detector
@@ -182,14 +182,9 @@ class DeepSource:
         return [*self._source.notes(), *([given] if self._without_pictures else [])]
 
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
-        for item in self._source.observations(start, state, stills):
-            observation, pictures = item if isinstance(item, tuple) else (item, [])
-            others = zip(pictures, observation.others, strict=True)
-            yield replace(
-                observation,
-                landmarks=self._target(observation.picture, observation.landmarks),
-                others=tuple(self._target(picture, landmarks) for picture, landmarks in others),
-            )
+        for observation in self._source.observations(start, state, stills):
+            landmarks = self._target(observation.picture, observation.landmarks)
+            yield replace(observation, landmarks=landmarks)
 
     def state(self) -> dict[str, np.ndarray]:
         return self._source.state()
@@ -201,9 +196,6 @@ class DeepSource:
             self._without_pictures = True
             return landmarks
         return photo_landmarks(self._network, picture, landmarks)
-
-
-Source = PictureSource | FileSource | RigSource | DeepSource
 
 
 def open_source(
@@ -236,7 +228,7 @@ def open_deep_source(
     landmarks: Path | None,
     frames: tuple[int, int] | None = None,
     views: Mapping[str, Path] = MappingProxyType({}),
-) -> DeepSource:
+) -> DeepSource | RigSource:
     """The source of a Deep Energies run; `views` are the clips of a rig's other cameras by the views' names.
 
     Raises `InputError` for views that the rig does not have or that are missing.
@@ -256,4 +248,4 @@ def open_deep_source(
             "given as --view NAME=CLIP."
         )
     others = [open_source([views[name]], config, None, frames, keep_pictures=True) for name in names[1:]]
-    return DeepSource(RigSource([reference, *others], names), config)
+    return RigSource([DeepSource(source, config) for source in (reference, *others)], names)

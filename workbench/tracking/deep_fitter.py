@@ -369,8 +369,7 @@ class DeepFitter:
             target, confidence = landmarks.points, landmarks.confidence
             unit = 1.0
             if self.config.solver.unit == "percent":
-                box = crop_of(self._network, jnp.asarray(target))
-                unit = 0.01 * EYES_PER_BOX / CROP_BOXES * float(box.side)
+                unit = self._percent_px(target)
         share = {"deep": np.ones(68), "points": np.zeros(68), "mixed": confidence}[self.config.deep.energy]
         if landmarks is None:
             share = np.zeros(68)
@@ -386,6 +385,10 @@ class DeepFitter:
             background=jnp.asarray(BACKGROUND, jnp.float32),
         )
 
+    def _percent_px(self, points: Float[np.ndarray, "68 2"]) -> float:
+        """One percent of a face's outer-eye distance, pixels, by the size of its crop."""
+        return 0.01 * EYES_PER_BOX / CROP_BOXES * float(crop_of(self._network, jnp.asarray(points)).side)
+
     def _failure(self, solution: DeepSolution) -> str:
         """Why the result should not be used, from its errors in % of the eye distance in the worst view."""
         result = solution.results[-1]
@@ -394,9 +397,8 @@ class DeepFitter:
         for view, points in zip(solution.views, result.prediction.points, strict=True):
             if not np.any(np.asarray(view.weights) > 0.0):
                 continue
-            box = crop_of(self._network, view.target)
-            percent = 0.01 * EYES_PER_BOX / CROP_BOXES * float(box.side)
-            errors = np.linalg.norm(points - np.asarray(view.target), axis=1) / percent
+            target = np.asarray(view.target)
+            errors = np.linalg.norm(points - target, axis=1) / self._percent_px(target)
             if abs(errors[:17].mean() - errors[17:].mean()) > self.config.deep.largest_disagreement:
                 return FAILURES[1]
             if errors.mean() > self.config.deep.largest_error:
