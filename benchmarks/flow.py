@@ -7,13 +7,13 @@ better of the other two: below 1 it beats both, on clean and on damaged pairs.
 
 import argparse
 import tempfile
-import time
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from result import print_result
+from timing import least_ms
 
 from workbench.flow import DisFlow, FarnebackFlow, bundled_flow
 from workbench.pictures.gl_probe import gl_available
@@ -67,18 +67,8 @@ def _speed(network) -> dict[str, float]:
         return jax.jvp(lambda picture: network.traced(first, picture), (second,), (way,))[1]
 
     tangents = jax.jit(jax.vmap(tangent, in_axes=(None, 0)))
-    one, many = _least_ms(lambda: flow(first, second)), _least_ms(lambda: tangents(second, changes))
+    one, many = least_ms(lambda: flow(first, second), 10), least_ms(lambda: tangents(second, changes), 10)
     return {"call_ms": one, "tangent_in_calls": (many - one) / TANGENTS / one}
-
-
-def _least_ms(run) -> float:
-    jax.block_until_ready(run())
-    times = []
-    for _ in range(10):
-        began = time.perf_counter()
-        jax.block_until_ready(run())
-        times.append(time.perf_counter() - began)
-    return 1e3 * min(times)
 
 
 if __name__ == "__main__":

@@ -6,13 +6,13 @@ The renders come from a seed that the training does not use. "Clean" is the fram
 
 import argparse
 import tempfile
-import time
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from result import print_result
+from timing import least_ms
 
 from workbench.landmarks.network_detector import BUNDLED, CROP_SIDE, bundled_landmark_network
 from workbench.networks import crop_box, landmarks_of
@@ -71,18 +71,8 @@ def _speed() -> dict[str, float]:
     forward = jax.jit(network)
     chain = jax.jit(lambda picture: landmarks_of(network, picture, box).points)
     tangents = jax.jit(lambda: jax.vmap(lambda change: jax.jvp(chain, (picture,), (change,))[1])(changes))
-    one, whole, many = (_least_ms(run) for run in (lambda: forward(crop), lambda: chain(picture), tangents))
+    one, whole, many = (least_ms(run, 15) for run in (lambda: forward(crop), lambda: chain(picture), tangents))
     return {"forward_ms": one, "chain_720x540_ms": whole, "tangent_in_chains": (many - whole) / TANGENTS / whole}
-
-
-def _least_ms(run) -> float:
-    jax.block_until_ready(run())
-    times = []
-    for _ in range(15):
-        began = time.perf_counter()
-        jax.block_until_ready(run())
-        times.append(time.perf_counter() - began)
-    return 1e3 * min(times)
 
 
 if __name__ == "__main__":

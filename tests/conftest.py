@@ -33,3 +33,23 @@ def screenshots(tmp_path_factory) -> Path:
     """Folder for pictures of the browser tests; WORKBENCH_SCREENSHOTS keeps them."""
     kept = os.environ.get("WORKBENCH_SCREENSHOTS")
     return Path(kept) if kept else tmp_path_factory.mktemp("screenshots")
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    """Run a command line in an empty folder: (exit code, standard output, standard error)."""
+    from workbench import cli
+    from workbench.cli import screen
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(screen, "console", screen.Console(width=200, highlight=False))
+    monkeypatch.setattr(screen, "errors", screen.Console(width=200, stderr=True, highlight=False))
+
+    def call(*arguments: str):
+        monkeypatch.setattr(sys, "argv", ["workbench", *arguments])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        out, err = capsys.readouterr()
+        return stop.value.code or 0, out, err
+
+    return call

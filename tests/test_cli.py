@@ -8,30 +8,13 @@ import pytest
 
 from tests.scenes import make_scene
 from workbench import cli
-from workbench.cli import screen, servers
+from workbench.cli import servers
 from workbench.config import PRESETS, preset, read_config
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.samples import sample
 from workbench.tracking import FaceTracker, FrameObservation, Track
-
-
-@pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
-    """Run a command line in an empty folder: (exit code, standard output, standard error)."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(screen, "console", screen.Console(width=200, highlight=False))
-    monkeypatch.setattr(screen, "errors", screen.Console(width=200, stderr=True, highlight=False))
-
-    def call(*arguments: str):
-        monkeypatch.setattr(sys, "argv", ["workbench", *arguments])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        out, err = capsys.readouterr()
-        return stop.value.code or 0, out, err
-
-    return call
 
 
 @pytest.fixture

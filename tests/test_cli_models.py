@@ -1,37 +1,17 @@
 """`workbench model show` and `workbench track --model`: another face model on the command line."""
 
 import pickle
-import sys
 
 import numpy as np
 import pytest
 
 from tests.face_files import Calls, flame_arrays, make_subject, python2_pickle
 from tests.scenes import make_scene
-from workbench import cli
-from workbench.cli import screen
 from workbench.face import load_face_model
 from workbench.frames import read_picture
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
 from workbench.tracking import Track
-
-
-@pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
-    """Run a command line in an empty folder: (exit code, standard output, standard error)."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(screen, "console", screen.Console(width=200, highlight=False))
-    monkeypatch.setattr(screen, "errors", screen.Console(width=200, stderr=True, highlight=False))
-
-    def call(*arguments: str):
-        monkeypatch.setattr(sys, "argv", ["workbench", *arguments])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        out, err = capsys.readouterr()
-        return stop.value.code or 0, out, err
-
-    return call
 
 
 @pytest.fixture
