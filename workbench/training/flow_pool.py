@@ -1,6 +1,5 @@
 """The pool of pairs on disk, made once; every training pair is an augmentation of one of them."""
 
-import multiprocessing
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from workbench.face import load_default_head
 from workbench.files import atomic_path
 from workbench.training.augment import random_background
 from workbench.training.flow_scenes import PairStudio, RenderedPair
+from workbench.training.pool import make_shards
 from workbench.training.skin import skin_painter
 
 SHARD = 120
@@ -77,13 +77,7 @@ def make_pair_pool(
     folder: Path, pairs: int, seed: int, workers: int = 1, progress: Callable[[int, int], None] | None = None
 ) -> None:
     """Render what is missing of a pool of (at least) this many pairs; may be interrupted and called again."""
-    folder.mkdir(parents=True, exist_ok=True)
-    shards = range(-(-pairs // SHARD))
-    # A GL context does not survive a fork.
-    with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=8) as processes:
-        for done, _ in enumerate(processes.imap(_Shard(folder, seed), shards), 1):
-            if progress is not None:
-                progress(done * SHARD, len(shards) * SHARD)
+    make_shards(make_pair_shard, folder, -(-pairs // SHARD), seed, SHARD, workers, progress)
 
 
 def open_pair_pool(folder: Path) -> PairPool:
@@ -101,15 +95,3 @@ def open_pair_pool(folder: Path) -> PairPool:
 def shard_files(folder: Path, shard: int) -> dict[str, Path]:
     """The files of one shard by part."""
     return {name: folder / f"{name}_{shard:04d}.npy" for name in PARTS}
-
-
-@dataclass(frozen=True)
-class _Shard:
-    """One shard's work, in a form that another process can be given."""
-
-    folder: Path
-    seed: int
-
-    def __call__(self, shard: int) -> int:
-        make_pair_shard(self.folder, self.seed, shard)
-        return shard

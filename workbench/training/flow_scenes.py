@@ -11,18 +11,24 @@ from workbench.geometry import Camera
 from workbench.geometry.rotations import axis_angle_from_yaw_pitch_roll
 from workbench.landmarks.alignment import frame_from_points
 from workbench.pictures.extras import ColoredMesh, Extras
-from workbench.pictures.head_scene import HeadScene
 from workbench.pictures.lighting import Light, Lighting
 from workbench.pictures.mesh import to_camera, to_pixels
 from workbench.training.accessories import glasses, hair
-from workbench.training.scenes import Person, landmarks_head, random_expression, random_lighting, random_pose_deg
+from workbench.training.scenes import (
+    BOX_MM,
+    Person,
+    Studio,
+    landmarks_head,
+    random_expression,
+    random_lighting,
+    random_pose_deg,
+)
 from workbench.training.skin import SkinPainter
 
 SIDE = 256
 """Pixels of a rendered picture."""
 BOX_SIDES = 1.8
 """Face boxes across a rendered picture."""
-BOX_MM = 165.0
 SEEN, VISIBLE, FACE = 1, 2, 4
 """Bits of a pair's marks: the mesh is here, the other picture shows the same point, and it is the face."""
 LEAST_TURN_DEG, MOST_TURN_DEG = 0.2, 9.0
@@ -46,20 +52,12 @@ class RenderedPair:
     """Sums of `SEEN`, `VISIBLE`, `FACE`."""
 
 
-class PairStudio:
-    """Renders pairs; owns a GL context, so it is made and used in one thread."""
+class PairStudio(Studio):
+    """Renders pairs."""
 
     def __init__(self, model: FaceModel, painter: SkinPainter) -> None:
-        self.model, self.painter = model, painter
-        blank = np.full((8, 8, 3), 255, np.uint8)
-        self.scene = HeadScene(model, (SIDE, SIDE), blank, supersampling=1.6, fade_neck=False)
+        super().__init__(model, painter, SIDE)
         self.is_face = face_triangles(model)
-
-    def cast(self, rng: np.random.Generator) -> Person:
-        """A random person."""
-        identity = rng.normal(0, rng.uniform(0.4, 1.1), len(self.model.identity_deltas))
-        albedo, hair_color = self.painter.paint(rng)
-        return Person(self.model.personal(identity), albedo, hair_color)
 
     def shoot(self, who: Person, rng: np.random.Generator) -> RenderedPair:
         """A random pair of this person."""
@@ -94,10 +92,6 @@ class PairStudio:
         ]
         flow, marks = self._truth(moved, meshes, camera)
         return RenderedPair(np.stack(pictures), flow.astype(np.float16), marks)
-
-    def close(self) -> None:
-        """Give the GL context back."""
-        self.scene.close()
 
     def _truth(self, moved, meshes: list[ColoredMesh], camera: Camera):
         """Flow both ways and marks of head and extras together."""

@@ -3,6 +3,7 @@
 import multiprocessing
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -77,13 +78,25 @@ def make_pool(
     folder: Path, pictures: int, seed: int, workers: int = 1, progress: Callable[[int, int], None] | None = None
 ) -> None:
     """Render what is missing of a pool of (at least) this many pictures; may be interrupted and called again."""
+    make_shards(make_shard, folder, -(-pictures // SHARD), seed, SHARD, workers, progress)
+
+
+def make_shards(
+    make: Callable[[Path, int, int], None],
+    folder: Path,
+    count: int,
+    seed: int,
+    size: int,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """`make(folder, seed, shard)` for each shard of `size` entries, over processes; progress counts entries."""
     folder.mkdir(parents=True, exist_ok=True)
-    shards = range(-(-pictures // SHARD))
-    # A fresh process a shard: a GL context does not survive a fork, and nothing piles up in memory.
+    # A fresh process now and then: a GL context does not survive a fork, and nothing piles up in memory.
     with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=4) as processes:
-        for done, _ in enumerate(processes.imap(_Shard(folder, seed), shards), 1):
+        for done, _ in enumerate(processes.imap(partial(make, folder, seed), range(count)), 1):
             if progress is not None:
-                progress(done * SHARD, len(shards) * SHARD)
+                progress(done * size, count * size)
 
 
 def open_pool(folder: Path) -> Pool:
@@ -106,15 +119,3 @@ def open_pool(folder: Path) -> Pool:
 def shard_paths(folder: Path, shard: int) -> tuple[Path, Path]:
     """The files of one shard: pictures and numbers."""
     return folder / f"pictures_{shard:04d}.npy", folder / f"numbers_{shard:04d}.npz"
-
-
-@dataclass(frozen=True)
-class _Shard:
-    """One shard's work, in a form that another process can be given."""
-
-    folder: Path
-    seed: int
-
-    def __call__(self, shard: int) -> int:
-        make_shard(self.folder, self.seed, shard)
-        return shard

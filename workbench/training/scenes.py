@@ -48,19 +48,31 @@ class Person:
     hair_color: Float[np.ndarray, "3"]
 
 
-class FaceStudio:
-    """Renders random heads; owns a GL context, so it is made and used in one thread."""
+class Studio:
+    """Where random people are rendered; owns a GL context, so it is made and used in one thread."""
 
-    def __init__(self, model: FaceModel, painter: SkinPainter) -> None:
+    def __init__(self, model: FaceModel, painter: SkinPainter, side: int) -> None:
+        """`side`: pixels of a rendered picture."""
         self.model, self.painter = model, painter
         blank = np.full((8, 8, 3), 255, np.uint8)
-        self.scene = HeadScene(model, (SIDE, SIDE), blank, supersampling=1.6, fade_neck=False)
+        self.scene = HeadScene(model, (side, side), blank, supersampling=1.6, fade_neck=False)
 
     def cast(self, rng: np.random.Generator) -> Person:
         """A random person."""
         identity = rng.normal(0, rng.uniform(0.4, 1.1), len(self.model.identity_deltas))
         albedo, hair_color = self.painter.paint(rng)
         return Person(self.model.personal(identity), albedo, hair_color)
+
+    def close(self) -> None:
+        """Give the GL context back."""
+        self.scene.close()
+
+
+class FaceStudio(Studio):
+    """Renders random heads."""
+
+    def __init__(self, model: FaceModel, painter: SkinPainter) -> None:
+        super().__init__(model, painter, SIDE)
 
     def shoot(self, who: Person, rng: np.random.Generator) -> RenderedFace:
         """A random picture of this person."""
@@ -95,10 +107,6 @@ class FaceStudio:
             rgba = _tinted(rgba, [to_pixels(camera, to_camera(lens, rotation, translation)) for lens in lenses], rng)
         points = to_pixels(camera, to_camera(points_head, rotation, translation))
         return RenderedFace(np.ascontiguousarray(rgba), points, angles, expression)
-
-    def close(self) -> None:
-        """Give the GL context back."""
-        self.scene.close()
 
 
 def landmarks_head(person: FaceModel, vertices: Float[np.ndarray, "v 3"], yaw_deg: float) -> Float[np.ndarray, "68 3"]:
