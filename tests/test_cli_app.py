@@ -18,7 +18,6 @@ import psutil
 import pytest
 
 from tests import browser
-from tests.test_cli import run as run
 from workbench.cli import servers
 
 SLIDER = """

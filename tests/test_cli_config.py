@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from tests.test_cli import run as run
 from workbench.cli import screen
 from workbench.config import PRESETS, config_schema, config_toml, preset, read_config
 

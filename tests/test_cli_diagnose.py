@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tests.scenes import IMAGE_SIZE, make_scene
-from tests.test_cli import run as run
 from workbench.cli import diagnosis_files, screen
 from workbench.config import preset
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord

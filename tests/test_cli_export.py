@@ -9,7 +9,6 @@ import pytest
 import trimesh
 
 from tests.performances import FRAMES, performance
-from tests.test_cli import run as run
 from workbench.errors import InputError
 from workbench.export import FORMATS, export_track, format_of, read_mapping
 from workbench.frames import VideoWriter, open_frames

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.test_cli import run as run
 from workbench.cli import screen
 from workbench.frames import VideoWriter, open_frames, read_picture
 from workbench.landmarks import dlib_detector

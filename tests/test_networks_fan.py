@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.test_cli import run as run
 from workbench.errors import InputError, ModelError
 from workbench.networks import (
     Fan,

@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.stereo_scenes import make_rig, make_stereo_scene, picture_in_view
-from tests.test_cli import run as run
 from workbench.errors import InputError
 from workbench.geometry import Rig, read_rig, write_rig
 from workbench.landmarks.detectors import make_detector

@@ -199,10 +199,11 @@ class DeepFitter:
         scene = self.scene(context.appearance)
         stages = tuple(running_stages(self.config, start=True))
         start = parameters = self._start(observation, context)
+        seen = self.views(observation, context)
         results, seconds, views = [], [], ()
         for stage in stages:
             began = time.perf_counter()
-            views = self.views(observation, context, stage)
+            views = self._weighed(seen, stage)
             result = solve_stage(self._problem(scene, views, stage, parameters), parameters, cancelled)
             parameters = result.parameters
             results.append(result)
@@ -219,13 +220,12 @@ class DeepFitter:
         self, observation: FrameObservation, context: FrameContext, stage: Stage | None = None
     ) -> tuple[DeepView, ...]:
         """What each camera brings to a stage; every landmark in full for None."""
-        weights = np.ones(68)
         if stage is not None:
-            weights = np.multiply(stage.landmark_weights(self.config.subsets), self.config.point_weights())
+            return self._weighed(self.views(observation, context), stage)
         light = _light(context.appearance)
         if self.rig is None:
             camera = self._solver_camera(observation.image_size)
-            return (self._view(camera, np.eye(3), np.zeros(3), observation.landmarks, weights, light),)
+            return (self._view(camera, np.eye(3), np.zeros(3), observation.landmarks, light),)
         seen = (observation.landmarks, *observation.others)
         if len(seen) != len(self.rig):
             raise InputError(
@@ -234,9 +234,14 @@ class DeepFitter:
             )
         places = zip(self.rig.rotation_view_reference, self.rig.translation_view_reference_mm, strict=True)
         return tuple(
-            self._view(view.camera, rotation, translation, landmarks, weights, light)
+            self._view(view.camera, rotation, translation, landmarks, light)
             for view, (rotation, translation), landmarks in zip(self.rig.views, places, seen, strict=True)
         )
+
+    def _weighed(self, views: tuple[DeepView, ...], stage: Stage) -> tuple[DeepView, ...]:
+        """The views with what each landmark counts in a stage."""
+        weights = np.multiply(stage.landmark_weights(self.config.subsets), self.config.point_weights())
+        return tuple(view._replace(weights=jnp.asarray(weights * np.asarray(view.weights))) for view in views)
 
     def recorded(self, observation: FrameObservation, context: FrameContext, solution: DeepSolution) -> FrameFit:
         """A solution as the record that tables, pictures and exports read."""
@@ -362,7 +367,7 @@ class DeepFitter:
         """Pixels per millimetre at the start's distance."""
         return float(np.mean(np.asarray(guessed.focal_px))) / self.config.deep.distance_mm
 
-    def _view(self, camera, rotation, translation, landmarks: Landmarks2D | None, weights, light) -> DeepView:
+    def _view(self, camera, rotation, translation, landmarks: Landmarks2D | None, light) -> DeepView:
         if landmarks is None:
             target, confidence, unit = np.zeros((68, 2)), np.zeros(68), 1.0
         else:
@@ -378,7 +383,7 @@ class DeepFitter:
             rotation=jnp.asarray(rotation, jnp.float32),
             translation=jnp.asarray(translation, jnp.float32),
             target=jnp.asarray(target),
-            weights=jnp.asarray(weights * confidence),
+            weights=jnp.asarray(confidence),
             share=jnp.asarray(share),
             unit_px=jnp.asarray(unit),
             light=jnp.asarray(light, jnp.float32),
@@ -410,11 +415,11 @@ class DeepFitter:
 
     def _empty(self, observation: FrameObservation, shot: int) -> FrameFit:
         rows = len(running_stages(self.config, start=True))
-        empty = self._points.fit(
+        empty, _ = self._points.fit(
             replace(observation, landmarks=None), FrameContext(shot, self.mean_identity(), None, None)
         )
         return replace(
-            empty[0],
+            empty,
             camera=self.camera(observation.image_size),
             energies=np.full((rows, len(DEEP_TERMS)), np.nan),
             status=np.full(rows, -1),
