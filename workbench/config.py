@@ -155,6 +155,51 @@ class DeepConfig(_Section):
     )
 
 
+class FlowConfig(_Section):
+    """Optical flow between neighbouring frames, for infill and refinement (Deep Energies Sec. 6 and 7)."""
+
+    estimator: str = Field("dis", min_length=1, description="dis, farneback, network, or the path of a weights file.")
+    side: Annotated[int, Field(ge=64, le=1024)] = Field(
+        384, description="Pixels that the square about the face is brought to; the paper has 512."
+    )
+    points: Annotated[int, Field(ge=16, le=5000)] = Field(600, description="Surface points that are compared.")
+    renders: Literal["exact", "estimated"] = Field(
+        "exact", description="Flow of the renders: of the moving mesh, or by the same estimator as the photos."
+    )
+    robust: Annotated[float, Field(gt=0.0)] = Field(
+        1.0, description="Percent of the eye distance from which a point counts less and less."
+    )
+    stay: NonNegative = Field(20.0, description="Weight of blendshapes and jaw staying where they are expected.")
+    iterations: Iterations = Field(8, description="Most steps of each of the robust least squares.")
+
+
+class InfillConfig(_Section):
+    """Frames without a usable fit, filled from their neighbours (Deep Energies Sec. 6, 8.3, Appendix A)."""
+
+    method: Literal["none", "flow", "linear", "spline"] = Field("none", description="none leaves failed frames as is.")
+    rounds: Annotated[int, Field(ge=1, le=10)] = Field(1, description="Flow: ways forth and back through a gap.")
+    longest: Annotated[int, Field(ge=1)] = Field(10_000, description="Gaps of more frames stay.")
+
+
+class RefinementConfig(_Section):
+    """Steadier tracks (Deep Energies Sec. 7, Appendix B)."""
+
+    method: Literal["none", "averaging", "self", "plate", "hybrid"] = Field(
+        "none", description="hybrid: averaging, then the flow of the pictures (plate)."
+    )
+    sweeps: Annotated[int, Field(ge=1, le=20)] = Field(1, description="Times that every frame is solved.")
+    order: Literal["jacobi", "gauss-seidel"] = Field(
+        "jacobi", description="jacobi: from the neighbours of the last sweep; gauss-seidel: from the newest."
+    )
+    centre: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
+        0.5, description="Averaging: weight of the frame itself; its neighbours share the rest."
+    )
+    prior: NonNegative = Field(0.0, description="Flow: weight of staying at the fit before, pose in mm, 1 rad as 100.")
+    reestimate: Annotated[int, Field(ge=0, le=10)] = Field(
+        0, description="Times that the expression is fitted anew with the pose held (B.1), each with its refinement."
+    )
+
+
 class Stage(_Section):
     """One solve: what is free, what each landmark counts, how many iterations."""
 
@@ -275,6 +320,9 @@ class Config(_Section):
     identity: IdentityConfig = IdentityConfig()
     landmarks: LandmarksConfig = LandmarksConfig()
     deep: DeepConfig = DeepConfig()
+    flow: FlowConfig = FlowConfig()
+    infill: InfillConfig = InfillConfig()
+    refinement: RefinementConfig = RefinementConfig()
     subsets: dict[str, tuple[Annotated[int, Field(ge=0, lt=68)], ...]] = Field(
         {}, description="Named sets of landmark numbers, used like the built-in groups."
     )

@@ -12,7 +12,6 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
@@ -38,6 +37,7 @@ from workbench.tracking.fitter import (
     camera_of,
     running_stages,
 )
+from workbench.tracking.free_parameters import free_parameters, parameter_range
 from workbench.tracking.records import FAILURES, FrameFit
 
 EYES_PER_BOX = 0.726
@@ -45,9 +45,6 @@ EYES_PER_BOX = 0.726
 the picture it does not shrink with the yaw."""
 FAR_MM = 1e5
 """A parallel view is recorded as a camera at this distance, so that everything that reads a fit can draw it."""
-JAW_LOWER = (-0.05, -0.25, -0.15, -12.0, -6.0, -12.0)
-JAW_UPPER = (0.70, 0.25, 0.15, 12.0, 12.0, 12.0)
-"""Range of the jaw joint: radians about x (opening), y, z, then millimetres."""
 BACKGROUND = (0.45, 0.45, 0.45)
 NEUTRAL_YAW_DEG = 25.0
 """A weight of 1 makes a frame as unfit for the appearance as this yaw."""
@@ -204,7 +201,7 @@ class DeepFitter:
         for stage in stages:
             began = time.perf_counter()
             views = self._weighed(seen, stage)
-            result = solve_stage(self._problem(scene, views, stage, parameters), parameters, cancelled)
+            result = solve_stage(self._problem(scene, views, stage), parameters, cancelled)
             parameters = result.parameters
             results.append(result)
             seconds.append(time.perf_counter() - began)
@@ -306,7 +303,7 @@ class DeepFitter:
         fit = self._points.fit(observation, FrameContext(0, context.identity, None, None))[0]
         return start._replace(rotation=jnp.asarray(fit.rotation), translation=jnp.asarray(fit.translation))
 
-    def _problem(self, scene: DeepScene, views, stage: Stage, parameters: FaceParameters) -> StageProblem:
+    def _problem(self, scene: DeepScene, views, stage: Stage) -> StageProblem:
         deep, free = self.config.deep, self.free(stage)
         weights = DeepWeights(
             landmarks=1.0,
@@ -315,7 +312,7 @@ class DeepFitter:
             identity=deep.identity,
             prior=deep.prior if "prior" in stage.terms else 0.0,
         )
-        lower, upper = self._bounds(parameters)
+        lower, upper = self._bounds()
         return StageProblem(
             scene=scene,
             views=views,
@@ -330,31 +327,11 @@ class DeepFitter:
 
     def free(self, stage: Stage) -> Bool[np.ndarray, "n"]:
         """Which entries of the flattened parameters a stage frees. Raises `ConfigError` for shapes the model lacks."""
-        zeros = jax.tree.map(lambda part: np.zeros(np.shape(part), bool), self.start(self.mean_identity()))
-        chosen = {name: np.array(part) for name, part in zeros._asdict().items()}
-        for name in stage.free:
-            if name in ("rotation", "translation", "scale"):
-                chosen[name][:] = True
-            elif name == "jaw_open":
-                chosen["jaw"][0] = True
-            elif name == "jaw":
-                chosen["jaw"][:] = True
-            else:
-                names = self.model.expression_names if name == "expression" else [""] * len(self.model.identity_deltas)
-                chosen[name] |= _chosen_shapes(stage, tuple(names))
-        if self.config.camera.projection == "orthographic":
-            chosen["translation"][2] = False
-        return np.asarray(ravel_pytree(FaceParameters(**chosen))[0], bool)
+        return np.concatenate(free_parameters(self.model, self.config, [stage]))
 
-    def _bounds(self, parameters: FaceParameters) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        limits, (lowest, highest) = [], self.model.weight_range().T
-        for sign in (-1.0, 1.0):
-            limit = FaceParameters(*(np.full(np.shape(part), sign * np.inf) for part in parameters))
-            limit.jaw[:] = JAW_LOWER if sign < 0 else JAW_UPPER
-            if self.config.solver.bounded:
-                limit.expression[:] = lowest if sign < 0 else highest
-            limits.append(np.concatenate(limit))
-        return limits[0], limits[1]
+    def _bounds(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        lower, upper = parameter_range(self.model, self.config.solver.bounded)
+        return np.concatenate(lower), np.concatenate(upper)
 
     def _solver_camera(self, image_size: tuple[int, int]) -> Camera | OrthographicCamera:
         guessed = camera_of(self.config, image_size)
@@ -440,24 +417,6 @@ def _points_config(config: Config) -> Config:
     camera = config.camera.model_copy(update={"projection": "perspective", "rig": ""})
     kept = {name: getattr(config, name) for name in ("identity", "landmarks", "subsets", "contour")}
     return base.model_copy(update={**kept, "camera": camera})
-
-
-def _chosen_shapes(stage: Stage, names: tuple[str, ...]) -> Bool[np.ndarray, "k"]:
-    if not stage.shapes:
-        return np.ones(len(names), bool)
-    chosen = np.zeros(len(names), bool)
-    for shape in stage.shapes:
-        if shape.startswith("first:"):
-            chosen[: int(shape.removeprefix("first:"))] = True
-            continue
-        found = np.array([name.startswith(shape) for name in names])
-        if not found.any():
-            raise ConfigError(
-                f"Stage {stage.name!r} frees the blendshapes {shape!r}, which this model does not have; "
-                "name blendshapes, the start of their names, or first:N."
-            )
-        chosen |= found
-    return chosen
 
 
 def _light(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:

@@ -15,11 +15,11 @@ from workbench.geometry import Camera, yaw_pitch_roll_deg
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 
 FORMAT = "face-energy-workbench-track"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 FAILURES = ("", "jaw and face disagree", "large error", "not finite")
 """Why a fit is no good although there was a face (Deep Energies Sec. 8.2); stored as an index."""
-SOURCES = ("none", "detected", "tracked", "given")
-"""Where the landmarks of a frame came from; stored as an index."""
+SOURCES = ("none", "detected", "tracked", "given", "filled")
+"""Where the landmarks of a frame came from (filled: from its neighbours, by infill); stored as an index."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,144 @@
+"""Flow energies (Deep Energies Sec. 6 and 7): the motion of the rendered face should be that of the photographed one.
+
+A neighbouring frame whose parameters are known gives every visible point of the face a place in its picture, and the
+flow from there to the frame a place in the frame. ‖N(F*₁, F*₂) − N(F₁, F₂)‖ at these points is the distance of the
+face's points from these places. N(F₁, F₂) is the exact flow of the moving mesh, or that plus what an estimator says
+beside it on the rendered pair (`bias_px`), which is then the paper's energy with the same estimator on both sides.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from workbench.arrays import AnyArray, Scalar
+from workbench.errors import InputError
+from workbench.face import FaceModel, FaceParameters
+from workbench.flow import SurfacePoints, points_in_camera
+from workbench.geometry import Camera, project
+
+LANDMARKS = 68.0
+"""All points of a view count as so many landmarks, however many they are."""
+NEAR_FACE_MM = 30.0
+"""Surface farther from every landmark (ears, neck, crown) carries no point."""
+DENSE_MM, DENSER = 12.0, 6.0
+"""About eyes and mouth, within this distance, points lie this many times as dense: small parts that move much."""
+FACE_REGIONS = ("skin", "lips", "brow")
+
+
+class FlowView(NamedTuple):
+    """A camera and its place: x_view = rotation · x_reference + translation."""
+
+    camera: Camera
+    rotation: Float[AnyArray, "3 3"]
+    translation: Float[AnyArray, "3"]
+
+
+class FlowTargets(NamedTuple):
+    """Where neighbours and flow say that the face's points are, in each view of a frame; pixels."""
+
+    places: Float[AnyArray, "sides views n 2"]
+    weights: Float[AnyArray, "sides views n"]
+    """0 where a point is hidden, or a side or view has nothing to say."""
+    bias_px: Float[AnyArray, "sides views n 2"]
+    """What the estimator says beside the mesh's exact flow on the rendered pair; 0: the exact flow counts."""
+    unit_px: Float[AnyArray, "views"]
+    """One percent of the outer-eye distance in each view."""
+
+
+class FlowWeights(NamedTuple):
+    """Weights of the terms; a residual is in percent of the outer-eye distance."""
+
+    flow: Scalar
+    stay: Scalar
+    """Of the squared distance of blendshapes and jaw from where `FlowPrior` has them."""
+    stay_pose: Scalar
+    """Of that of the pose; one radian counts as 100 mm."""
+    robust: Scalar
+    """Residual from which a point counts less and less, percent (Cauchy); infinite: plain least squares."""
+
+
+RADIAN_MM = 100.0
+JAW_RADIAN, JAW_MM = 0.46, 20.0
+"""Jaw motions that count as a blendshape's whole travel."""
+
+
+def points_in_views(
+    points: SurfacePoints, views: FlowView, parameters: FaceParameters
+) -> tuple[Float[Array, "views n 2"], Float[Array, "views n 3"]]:
+    """The surface points in the picture of each view (stacked), pixels, and in its camera frame, millimetres."""
+    reference = points_in_camera(points, parameters)
+    seen = [
+        reference @ jnp.asarray(rotation, reference.dtype).T + jnp.asarray(translation, reference.dtype)
+        for rotation, translation in zip(views.rotation, views.translation, strict=True)
+    ]
+    cameras = [Camera(*(part[k] for part in views.camera)) for k in range(len(seen))]
+    return jnp.stack([project(camera, at) for camera, at in zip(cameras, seen, strict=True)]), jnp.stack(seen)
+
+
+def flow_residuals(
+    points: SurfacePoints,
+    views: FlowView,
+    targets: FlowTargets,
+    weights: FlowWeights,
+    scales: Float[AnyArray, "sides views n"],
+    parameters: FaceParameters,
+    prior: FaceParameters,
+) -> dict[str, Float[Array, "_"]]:
+    """Residuals by term: `flow` (Deep Energies Sec. 6 and 7) and `stay`, the optional prior of Sec. 7.
+
+    `scales` multiply the flow's residuals (`robust_scales`). The energy is the sum of all squares.
+    """
+    missed = flow_distances(points, views, targets, parameters)
+    share = jnp.sqrt(weights.flow * LANDMARKS / missed.shape[2]) * jnp.sqrt(targets.weights) * scales
+    pose = [
+        RADIAN_MM * (jnp.asarray(parameters.rotation) - prior.rotation),
+        jnp.asarray(parameters.translation) - prior.translation,
+    ]
+    stay = [jnp.sqrt(weights.stay_pose) * part for part in pose]
+    stay.append(jnp.sqrt(weights.stay) * (jnp.asarray(parameters.expression) - prior.expression))
+    if len(parameters.jaw):
+        sizes = jnp.asarray([JAW_RADIAN] * 3 + [JAW_MM] * 3)
+        stay.append(jnp.sqrt(weights.stay) * (jnp.asarray(parameters.jaw) - prior.jaw) / sizes)
+    return {"flow": (missed * share[..., None]).ravel(), "stay": jnp.concatenate(stay)}
+
+
+def flow_distances(
+    points: SurfacePoints, views: FlowView, targets: FlowTargets, parameters: FaceParameters
+) -> Float[Array, "sides views n 2"]:
+    """How far each point is from where its neighbour and the flow say, percent of the outer-eye distance."""
+    places, _ = points_in_views(points, views, parameters)
+    missed = places[None] + targets.bias_px - targets.places
+    return missed / targets.unit_px[:, None, None]
+
+
+def robust_scales(missed: Float[AnyArray, "sides views n 2"], robust: Scalar) -> Float[Array, "sides views n"]:
+    """Factor of each residual for which the next least squares is a step of Cauchy's."""
+    return 1.0 / jnp.sqrt(1.0 + (missed**2).sum(axis=-1) / jnp.square(robust))
+
+
+def choose_surface(model: FaceModel, count: int) -> tuple[np.ndarray, Float[np.ndarray, "n 3"]]:
+    """Triangles and barycentrics of `count` points spread over the face's skin, denser about eyes and mouth.
+
+    The same for every call. Raises `InputError` for less than 16 points.
+    """
+    if count < 16:
+        raise InputError(f"Flow is compared at 16 surface points or more, got {count}.")
+    corners = model.neutral[model.triangles]
+    centres = corners.mean(axis=1)
+    distance = np.linalg.norm(centres[:, None] - model.landmarks.of(model.neutral)[None], axis=2)
+    wanted = distance.min(axis=1) < NEAR_FACE_MM
+    if all(name in model.regions for name in FACE_REGIONS):
+        skin = np.zeros(len(model.neutral), bool)
+        skin[np.concatenate([model.regions[name] for name in FACE_REGIONS])] = True
+        wanted &= skin[model.triangles].all(axis=1)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    share = area * wanted * (1.0 + (DENSER - 1.0) * (distance[:, 36:].min(axis=1) < DENSE_MM))
+    # Evenly along the sum of shares: close triangles are close in the mesh's order, so that the points spread.
+    steps = (np.arange(count) + 0.5) / count * share.sum()
+    triangle = np.searchsorted(np.cumsum(share), steps).clip(0, len(share) - 1)
+    rng = np.random.default_rng(0)
+    first, second = np.sqrt(rng.uniform(size=count)), rng.uniform(size=count)
+    barycentric = np.stack([1.0 - first, first * (1.0 - second), first * second], axis=1)
+    return triangle, barycentric

@@ -1,0 +1,366 @@
+"""A frame placed from its neighbours by optical flow: photos, surface points, renders and solver put together."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, UInt8
+
+from workbench.arrays import AnyArray
+from workbench.config import Config
+from workbench.energies.deep import DeepView, deep_model, preselected_points
+from workbench.energies.flow import FlowTargets, FlowView, FlowWeights, choose_surface, points_in_views
+from workbench.errors import InputError
+from workbench.face import FaceModel, FaceParameters
+from workbench.flow import SurfacePoints, flow_estimator, points_in_camera, seen_surface, surface_points
+from workbench.flow.geometric import HIDDEN_MM
+from workbench.flow.sampling import four_neighbours
+from workbench.geometry import Camera, read_rig
+from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
+from workbench.networks.crop import CropBox
+from workbench.rendering import (
+    Appearance,
+    RenderModel,
+    ambient_light,
+    directional_light,
+    estimate_appearance,
+    face_vertices,
+    render,
+)
+from workbench.rendering.camera import CropCamera, to_screen
+from workbench.runtime import COMPUTING
+from workbench.tracking.flow_solver import FlowLimits, FlowSolution, solve_flow
+from workbench.tracking.free_parameters import free_parameters, parameter_range
+from workbench.tracking.photo_flow import Cutout, cutout_about, photo_flow, read_at
+from workbench.tracking.records import FrameFit
+
+VISIBILITY_SIDE = 128
+"""Pixels across the face in the picture of depths that tells hidden points."""
+ESTIMATED_PASSES = 3
+"""Solves with the estimator's word on the renders brought up to date in between."""
+RENDER_GREY = 0.45
+DEFAULT_LIGHT = ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
+TOLERANCE = 1e-4
+"""A solve ends when a step lowers the energy by less than this part."""
+MOVING = ("rotation", "translation", "expression", "jaw")
+
+Pictures = tuple[UInt8[np.ndarray, "_ _ 3"], ...]
+"""A moment in each view of a rig; one for a single camera."""
+
+
+class Neighbour(NamedTuple):
+    """A frame beside the one that is solved."""
+
+    parameters: FaceParameters
+    pictures: Pictures
+
+
+class Links(NamedTuple):
+    """What the pictures say about one frame: from one neighbour's points, by flow, to places in each view."""
+
+    places: Float[np.ndarray, "views n 2"]
+    weights: Float[np.ndarray, "views n"]
+    starts: Float[np.ndarray, "views n 2"]
+    """The points in the neighbour's pictures."""
+    cutouts: tuple[Cutout, ...]
+
+
+class FlowFitter:
+    """Solves frames from the flow to their neighbours. Holds the arrays of one model and one configuration."""
+
+    def __init__(self, model: FaceModel, config: Config):
+        """Raises `InputError` and `ConfigError` for a rig, weights or settings that cannot be used."""
+        self.model, self.config = model, config
+        self.rig = read_rig(Path(config.camera.rig)) if config.camera.rig else None
+        self.estimator = flow_estimator(config.flow.estimator, config.flow.side)
+        self._model = deep_model(model)
+        self._render = self._model.render
+        self._points = surface_points(self._render, *choose_surface(model, config.flow.points))
+        corners = model.landmarks.vertices[[RIGHT_EYE_OUTER_CORNER, LEFT_EYE_OUTER_CORNER]]
+        self._eyes_mm = float(np.linalg.norm(np.diff(model.neutral[corners].mean(axis=1), axis=0)))
+        stages = [stage for stage in config.stages if stage.enabled]
+        self.free = np.concatenate(self._of_moving(free_parameters(model, config, stages)))
+        """Which of rotation, translation, expression and jaw the configuration's stages ever free."""
+        self._appearances: dict[int, Appearance | None] = {}
+
+    @property
+    def _estimates_renders(self) -> bool:
+        return self.config.flow.renders == "estimated"
+
+    @property
+    def view_count(self) -> int:
+        """Cameras that look at the face."""
+        return 1 if self.rig is None else len(self.rig)
+
+    def views(self, fit: FrameFit) -> FlowView:
+        """The cameras of a fit, stacked."""
+        if self.rig is None:
+            cameras, rotations, translations = [fit.camera], np.eye(3)[None], np.zeros((1, 3))
+        else:
+            cameras = [view.camera for view in self.rig.views]
+            rotations, translations = self.rig.rotation_view_reference, self.rig.translation_view_reference_mm
+        stacked = Camera(
+            *(np.stack([np.asarray(part, float) for part in parts]) for parts in zip(*cameras, strict=True))
+        )
+        return FlowView(stacked, np.asarray(rotations, float), np.asarray(translations, float))
+
+    def links(self, neighbour: Neighbour, pictures: Pictures, guess: FaceParameters, views: FlowView) -> Links:
+        """Where the flow from a neighbour's pictures puts the face's points in these ones.
+
+        `guess` says about where the face is, so that the cut-outs hold it. Raises `InputError` for another number of
+        pictures than views.
+        """
+        if not len(neighbour.pictures) == len(pictures) == self.view_count:
+            raise InputError(
+                f"There are {self.view_count} views and pictures of {len(neighbour.pictures)} and {len(pictures)}; "
+                "give one picture for each view."
+            )
+        with COMPUTING:
+            here = np.asarray(_places(self._points, views, neighbour.parameters), float)
+            there = np.asarray(_places(self._points, views, guess), float)
+        places, weights, cutouts = [], [], []
+        for view in range(self.view_count):
+            cutout = cutout_about(np.stack([here[view], there[view]]), self.config.flow.side)
+            found = photo_flow(self.estimator, neighbour.pictures[view], pictures[view], here[view], cutout)
+            visible = self._visible(neighbour.parameters, views, view, cutout_about(here[view], VISIBILITY_SIDE))
+            places.append(found.places)
+            # An estimator that sees both pairs errs alike where something gets hidden: that is kept, as in the paper.
+            weights.append((visible & (found.consistent | self._estimates_renders)).astype(float))
+            cutouts.append(cutout)
+        return Links(np.stack(places), np.stack(weights), here, tuple(cutouts))
+
+    def solve(
+        self,
+        sides: tuple[tuple[Neighbour, Links] | None, tuple[Neighbour, Links] | None],
+        start: FaceParameters,
+        prior: FaceParameters,
+        views: FlowView,
+        stay_pose: float | int = 0.0,
+        appearance: Appearance | None = None,
+    ) -> FlowSolution:
+        """The frame between two neighbours (None where there is none), near `prior`.
+
+        `appearance`: for renders that go through the estimator, by configuration.
+        """
+        targets = self._targets(sides, start, views)
+        solution = self.solve_targets(targets, start, prior, views, stay_pose)
+        if self._estimates_renders:
+            for _ in range(ESTIMATED_PASSES):
+                bias = self._bias(sides, solution.parameters, views, appearance)
+                biased = targets._replace(bias_px=bias)
+                solution = self.solve_targets(biased, solution.parameters, prior, views, stay_pose)
+        return solution
+
+    def solve_targets(
+        self,
+        targets: FlowTargets,
+        start: FaceParameters,
+        prior: FaceParameters,
+        views: FlowView,
+        stay_pose: float | int = 0.0,
+    ) -> FlowSolution:
+        """The frame whose points lie where the targets say, near `prior`."""
+        limits, weights = self._limits(start), self._weights(stay_pose)
+        with COMPUTING:
+            solution = solve_flow(self._points, views, targets, weights, start, prior, limits)
+            return jax.tree.map(np.asarray, solution)
+
+    def midway_targets(self, before: FaceParameters, after: FaceParameters, views: FlowView) -> FlowTargets:
+        """Every point midway between its places in the neighbours' renders: there ‖N(F₁, F₂) − N(F₂, F₃)‖ is least.
+
+        The difference of both flows at a point is twice its distance from there; hence the weight of 4.
+        """
+        with COMPUTING:
+            ends = [np.asarray(_places(self._points, views, state), float) for state in (before, after)]
+        targets = self._targets((None, None), before, views)
+        targets.places[0] = 0.5 * (ends[0] + ends[1])
+        targets.weights[0] = 4.0
+        return targets
+
+    def appearance_of_shot(self, moment) -> Appearance | None:
+        """Colours and light of a shot, from the first of its frames that is asked for; None where none are wanted."""
+        if not self._estimates_renders:
+            return None
+        if moment.fit.shot not in self._appearances:
+            self._appearances[moment.fit.shot] = self.appearance(moment.fit, moment.pictures[0])
+        return self._appearances[moment.fit.shot]
+
+    def appearance(self, fit: FrameFit, picture: UInt8[np.ndarray, "h w 3"]) -> Appearance | None:
+        """Colours and light for renders, from a frame that is fitted; None where the face is too small for them."""
+        person = self.model.personal(fit.identity)
+        vertices = np.asarray(face_vertices(self._render, parameters_of(fit)), float)
+        try:
+            return estimate_appearance(picture, person, vertices, fit.camera)
+        except InputError:
+            return None
+
+    def placed(self, like: FrameFit, parameters: FaceParameters) -> FrameFit:
+        """A fit moved to other parameters, its landmarks kept; what the stages reported is no longer true of it."""
+        parts = {name: np.asarray(getattr(parameters, name), float) for name in MOVING}
+        return replace(
+            like,
+            projected=self.landmarks(like, parameters),
+            energies=np.full_like(like.energies, np.nan),
+            status=np.full_like(like.status, -1),
+            iterations=np.zeros_like(like.iterations),
+            **parts,
+        )
+
+    def filled(self, empty: FrameFit, like: FrameFit, parameters: FaceParameters) -> FrameFit:
+        """The record of a frame that has no landmarks to fit: the model's own stand for them, with confidence 0.
+
+        `empty` brings the frame's number and times, `like` (an anchor) the camera, the person and the layout.
+        """
+        made = self.placed(replace(like, index=empty.index, milliseconds=empty.milliseconds), parameters)
+        return replace(made, found=True, failure="", source="filled", observed=made.projected, confidence=np.zeros(68))
+
+    def landmarks(self, fit: FrameFit, parameters: FaceParameters) -> Float[np.ndarray, "68 2"]:
+        """The model's landmarks in the reference picture, pixels."""
+        nothing = np.zeros((68, 2)), np.zeros(68), np.zeros(68), np.ones(()), np.zeros((9, 3)), np.zeros(3)
+        view = DeepView(fit.camera, np.eye(3), np.zeros(3), *nothing)
+        sliding = float(self.config.contour.mode == "sliding")
+        with COMPUTING:
+            return np.asarray(_landmarks(self._model, view, parameters, sliding), float)
+
+    def _targets(self, sides, guess: FaceParameters, views: FlowView) -> FlowTargets:
+        count = len(self._points.barycentric)
+        places = np.zeros((2, self.view_count, count, 2))
+        weights = np.zeros((2, self.view_count, count))
+        for k, side in enumerate(sides):
+            if side is not None:
+                places[k], weights[k] = side[1].places, side[1].weights
+        depth = np.linalg.norm(np.asarray(guess.translation, float))
+        unit = [0.01 * self._eyes_mm * float(np.mean(focal)) / depth for focal in np.asarray(views.camera.focal_px)]
+        return FlowTargets(places, weights, np.zeros_like(places), np.array(unit))
+
+    def _weights(self, stay_pose: float) -> FlowWeights:
+        flow = self.config.flow
+        return FlowWeights(*(np.asarray(weight, float) for weight in (1.0, flow.stay, stay_pose, flow.robust)))
+
+    def _limits(self, start: FaceParameters) -> FlowLimits:
+        lower, upper = (
+            np.concatenate(self._of_moving(limit)) for limit in parameter_range(self.model, self.config.solver.bounded)
+        )
+        held = np.concatenate([np.asarray(part, float) for part in self._of_moving(start)])
+        # What may not move, and what stood beyond its range before: there the range gives way.
+        lower, upper = np.minimum(lower, held), np.maximum(upper, held)
+        return FlowLimits(
+            np.where(self.free, lower, held),
+            np.where(self.free, upper, held),
+            np.asarray(self.config.flow.iterations),
+            np.asarray(TOLERANCE),
+        )
+
+    @staticmethod
+    def _of_moving(parameters: FaceParameters) -> tuple[np.ndarray, ...]:
+        return tuple(getattr(parameters, name) for name in MOVING)
+
+    def _visible(self, parameters: FaceParameters, views: FlowView, view: int, cutout: Cutout) -> Bool[np.ndarray, "n"]:
+        """Which of the points a view shows: nothing of the head is before them."""
+        camera, place = _view(views, view)
+        crop = _crop(camera, cutout)
+        with COMPUTING:
+            shown = _shown(self._render, self._points, parameters, crop, *place, size=(cutout.pixels,) * 2)
+            return np.asarray(shown)
+
+    def _bias(self, sides, parameters: FaceParameters, views: FlowView, appearance: Appearance | None):
+        """What the estimator says of the rendered pair beside the exact flow, at the neighbour's points; pixels."""
+        count = len(self._points.barycentric)
+        bias = np.zeros((2, self.view_count, count, 2))
+        with COMPUTING:
+            there = np.asarray(_places(self._points, views, parameters), float)
+        for k, side in enumerate(sides):
+            if side is None:
+                continue
+            neighbour, links = side
+            for view, cutout in enumerate(links.cutouts):
+                renders = [
+                    self._rendered(state, views, view, cutout, appearance)
+                    for state in (neighbour.parameters, parameters)
+                ]
+                flow = self.estimator(*renders)
+                said = read_at(flow, cutout.inside(links.starts[view])) / cutout.scale
+                bias[k, view] = said - (there[view] - links.starts[view])
+        return bias
+
+    def _rendered(
+        self, parameters: FaceParameters, views: FlowView, view: int, cutout: Cutout, appearance: Appearance | None
+    ) -> UInt8[np.ndarray, "s s 3"]:
+        camera, place = _view(views, view)
+        albedo = self._render.colors if appearance is None else appearance.albedo
+        light = DEFAULT_LIGHT if appearance is None else appearance.light
+        with COMPUTING:
+            seen = _look(
+                self._render,
+                parameters,
+                _crop(camera, cutout),
+                *place,
+                np.asarray(albedo, np.float32),
+                np.asarray(light, np.float32),
+                size=(cutout.pixels,) * 2,
+            )
+            return np.asarray(np.clip(255.0 * np.asarray(seen), 0.0, 255.0), np.uint8)
+
+
+def parameters_of(fit: FrameFit) -> FaceParameters:
+    """The parameters that a fit recorded."""
+    return FaceParameters(
+        rotation=np.asarray(fit.rotation, float),
+        translation=np.asarray(fit.translation, float),
+        expression=np.asarray(fit.expression, float),
+        identity=np.asarray(fit.identity, float),
+        jaw=np.asarray(fit.jaw, float),
+        scale=np.full(1, fit.scale),
+    )
+
+
+def _view(views: FlowView, view: int):
+    camera = Camera(*(np.asarray(part[view], np.float32) for part in views.camera))
+    return camera, (np.asarray(views.rotation[view], np.float32), np.asarray(views.translation[view], np.float32))
+
+
+def _crop(camera: Camera, cutout: Cutout) -> CropCamera:
+    box = CropBox(*(np.asarray(part, np.float32) for part in (cutout.centre, cutout.side_px, 0.0)))
+    return CropCamera(camera, box, np.asarray(float(cutout.pixels), np.float32))
+
+
+@jax.jit
+def _places(points: SurfacePoints, views: FlowView, parameters: FaceParameters) -> Float[Array, "views n 2"]:
+    return points_in_views(points, views, parameters)[0]
+
+
+@jax.jit
+def _landmarks(model, view: DeepView, parameters: FaceParameters, sliding) -> Float[Array, "68 2"]:
+    return preselected_points(model, view, parameters, sliding)
+
+
+@partial(jax.jit, static_argnames=("size",))
+def _shown(
+    model: RenderModel,
+    points: SurfacePoints,
+    parameters: FaceParameters,
+    camera: CropCamera,
+    rotation: Float[AnyArray, "3 3"],
+    translation: Float[AnyArray, "3"],
+    *,
+    size: tuple[int, int],
+) -> Bool[Array, "n"]:
+    vertices = face_vertices(model, parameters) @ rotation.T + translation
+    surface = seen_surface(vertices, model.topology.triangles, camera, size=size)
+    at = points_in_camera(points, parameters) @ rotation.T + translation
+    pixels = to_screen(camera, at).pixels
+    inside = ((pixels >= 0.0) & (pixels <= jnp.asarray(size, pixels.dtype) - 1.0)).all(axis=-1)
+    rows, columns, _ = four_neighbours(pixels, (size[1], size[0]))
+    # Of four pixels the farthest: a slanted surface does not hide itself.
+    return inside & (at[:, 2] <= surface.depth[rows, columns].max(axis=-1) + HIDDEN_MM)
+
+
+@partial(jax.jit, static_argnames=("size",))
+def _look(model, parameters, camera: CropCamera, rotation, translation, albedo, light, *, size: tuple[int, int]):
+    vertices = face_vertices(model, parameters) @ rotation.T + translation
+    background = jnp.full(3, RENDER_GREY, jnp.float32)
+    return render(vertices, model.topology, camera, albedo, light, background, size=size).color

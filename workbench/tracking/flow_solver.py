@@ -1,0 +1,113 @@
+"""One frame from the flow to its neighbours: pose, weights and jaw by robust Levenberg–Marquardt, compiled once.
+
+What is free, weights, bounds, targets and cameras are data. Another number of surface points, views or blendshapes
+compiles anew.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from workbench.arrays import AnyArray, Count, Scalar
+from workbench.energies.flow import (
+    FlowTargets,
+    FlowView,
+    FlowWeights,
+    flow_distances,
+    flow_residuals,
+    robust_scales,
+)
+from workbench.face import FaceParameters
+from workbench.flow import SurfacePoints
+from workbench.solvers.levenberg_marquardt import minimise, normal_equations
+
+REWEIGHTINGS = 3
+"""Least squares in turn, each with the robust weights that the one before left."""
+
+
+class FlowLimits(NamedTuple):
+    """What may move, and how far and how long."""
+
+    lower: Float[AnyArray, "n"]
+    """Least value of each unknown: rotation, translation, expression, jaw; equal to `upper` where it stays."""
+    upper: Float[AnyArray, "n"]
+    iterations: Count
+    """Of each of the robust least squares."""
+    tolerance: Scalar
+
+
+class FlowSolution(NamedTuple):
+    """A frame placed by flow."""
+
+    parameters: FaceParameters
+    energies: Float[Array, "2"]
+    """Σr² of the flow (with its robust weights) and of the prior."""
+    missed: Float[Array, ""]
+    """Weighted mean distance of the points from where neighbours and flow have them, percent of the eye distance."""
+    status: Int[Array, ""]
+    iterations: Int[Array, ""]
+
+
+def moving(parameters: FaceParameters) -> Float[Array, "n"]:
+    """The unknowns as one vector: rotation, translation, expression, jaw."""
+    chosen = (parameters.rotation, parameters.translation, parameters.expression, parameters.jaw)
+    return jnp.concatenate([jnp.asarray(part, float) for part in chosen])
+
+
+def placed(vector: Float[AnyArray, "n"], like: FaceParameters) -> FaceParameters:
+    """The parameters with these unknowns; identity and scale stay."""
+    ends = np.cumsum([3, 3, len(like.expression)])
+    rotation, translation, expression, jaw = jnp.split(vector, ends)
+    return like._replace(rotation=rotation, translation=translation, expression=expression, jaw=jaw)
+
+
+@partial(jax.jit)
+def solve_flow(
+    points: SurfacePoints,
+    views: FlowView,
+    targets: FlowTargets,
+    weights: FlowWeights,
+    start: FaceParameters,
+    prior: FaceParameters,
+    limits: FlowLimits,
+) -> FlowSolution:
+    """The frame whose points lie where its neighbours and the flow say, near the prior."""
+
+    def terms(vector, scales):
+        return flow_residuals(points, views, targets, weights, scales, placed(vector, start), prior)
+
+    def least_squares(carry, _):
+        vector, scales = carry
+
+        def residual(vector):
+            return jnp.concatenate(list(terms(vector, scales).values())).astype(float)
+
+        def evaluate(vector):
+            return normal_equations(residual(vector), jax.jacfwd(residual)(vector))
+
+        found = minimise(
+            evaluate,
+            vector,
+            limits.lower,
+            limits.upper,
+            limits.iterations,
+            limits.tolerance,
+            cost=lambda vector: jnp.sum(residual(vector) ** 2),
+        )
+        missed = flow_distances(points, views, targets, placed(found.x, start))
+        return (found.x, robust_scales(missed, weights.robust)), (found.status, found.iterations)
+
+    vector = jnp.clip(moving(start), limits.lower, limits.upper)
+    missed = flow_distances(points, views, targets, placed(vector, start))
+    first = (vector, robust_scales(missed, weights.robust))
+    (vector, scales), (status, iterations) = jax.lax.scan(least_squares, first, None, length=REWEIGHTINGS)
+    result = placed(vector, start)
+    energies = jnp.stack([jnp.sum(part**2) for part in terms(vector, scales).values()])
+    missed = jnp.linalg.norm(flow_distances(points, views, targets, result), axis=-1)
+    counted = targets.weights * scales**2
+    mean = (missed * counted).sum() / jnp.maximum(counted.sum(), 1e-9)
+    return FlowSolution(result, energies, mean, status[-1], iterations.sum())

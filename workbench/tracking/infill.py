@@ -1,0 +1,189 @@
+"""Failed frames filled from their neighbours (Deep Energies Sec. 6, 8.3 and Appendix A).
+
+Forward from the good frame before the gap, backward from the one behind it; then both ways are joined, each weighed by
+how near its anchor is (flow's errors add up on the way), and every frame is solved once more between its two
+neighbours. At the ends of a clip there is one anchor and one way.
+"""
+
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from workbench.errors import InputError
+from workbench.face import FaceParameters
+from workbench.tracking.flow_fitter import FlowFitter, Neighbour, Pictures, parameters_of
+from workbench.tracking.interpolation import SPLINE_FRAMES, between, splined
+from workbench.tracking.moments import Moment, PictureSpool
+from workbench.tracking.records import FrameFit
+
+Advanced = Callable[[FrameFit], None]
+"""Called with each frame as it was before, when it is solved (by flow several times)."""
+
+
+def infilled(
+    fitter: FlowFitter,
+    stream: Iterable[Moment],
+    failed: Collection[int] = (),
+    advanced: Advanced = lambda fit: None,
+) -> Iterator[Moment]:
+    """The stream with its gaps filled by the configuration's method, frames in order.
+
+    A gap are frames without a face, with a failed fit, or named in `failed`. Frames of a shot without any good frame,
+    and gaps longer than the configuration allows, stay as they are. Holds a gap and its ends in memory, pictures of a
+    long one on disk.
+    """
+    method = fitter.config.infill.method
+    ahead = SPLINE_FRAMES if method == "spline" else 1
+    window = _Window()
+    for moment in stream:
+        good = moment.fit.found and not moment.fit.failure and moment.fit.index not in failed
+        if window.shot is not None and moment.fit.shot != window.shot:
+            yield from _closed(fitter, window, advanced)
+            window = _Window()
+        window.shot = moment.fit.shot
+        if good and not window.gap:
+            window.before.append(moment)
+            yield moment
+        elif good:
+            window.after.append(moment)
+            if len(window.after) == ahead:
+                yield from _closed(fitter, window, advanced)
+                window = window.continued()
+        elif window.after:
+            # Another gap begins before the spline has all of its frames.
+            yield from _closed(fitter, window, advanced)
+            window = window.continued()
+            window.add(moment)
+        else:
+            window.add(moment)
+    yield from _closed(fitter, window, advanced)
+
+
+@dataclass
+class _Window:
+    """Good frames, a gap, good frames."""
+
+    shot: int | None = None
+    before: deque[Moment] = field(default_factory=lambda: deque(maxlen=SPLINE_FRAMES))
+    gap: list[FrameFit] = field(default_factory=list)
+    pictures: PictureSpool = field(default_factory=PictureSpool)
+    after: list[Moment] = field(default_factory=list)
+
+    def add(self, moment: Moment) -> None:
+        self.gap.append(moment.fit)
+        self.pictures.append(moment.pictures)
+
+    def continued(self) -> "_Window":
+        """What the next gap finds before it."""
+        return _Window(self.shot, deque(self.after, maxlen=SPLINE_FRAMES))
+
+
+def _closed(fitter: FlowFitter, window: _Window, advanced: Advanced) -> Iterator[Moment]:
+    if window.gap:
+        before, after = window.before, window.after
+        ends = (before[-1] if before else None), (after[0] if after else None)
+        filled = window.gap
+        if any(ends) and len(window.gap) <= fitter.config.infill.longest:
+            like = next(end for end in ends if end is not None).fit
+            found = _filled(fitter, window, ends, advanced)
+            filled = [fitter.filled(fit, like, at) for fit, at in zip(window.gap, found, strict=True)]
+        for k, fit in enumerate(filled):
+            yield Moment(fit, window.pictures[k])
+        window.pictures.close()
+    yield from window.after
+
+
+def _filled(fitter: FlowFitter, window: _Window, ends, advanced: Advanced) -> list[FaceParameters]:
+    method, count = fitter.config.infill.method, len(window.gap)
+    if method == "flow":
+        return fill_by_flow(fitter, *ends, window.pictures, lambda k: advanced(window.gap[k]))
+    fits = [[moment.fit for moment in side] for side in (window.before, window.after)]
+    if method == "spline":
+        found = fill_by_spline(*fits, count)
+    else:
+        found = fill_linearly(fits[0][-1] if fits[0] else None, fits[1][0] if fits[1] else None, count)
+    for fit in window.gap:
+        advanced(fit)
+    return found
+
+
+def fill_by_flow(
+    fitter: FlowFitter,
+    before: Moment | None,
+    after: Moment | None,
+    pictures: Sequence[Pictures] | PictureSpool,
+    advanced: Callable[[int], None] = lambda k: None,
+) -> list[FaceParameters]:
+    """Parameters of the frames between two anchors, or beyond one. `advanced` is called with each frame's place after
+    its solve.
+
+    Raises `InputError` without any anchor.
+    """
+    anchor = before or after
+    if anchor is None:
+        raise InputError("A gap needs a good frame at one of its ends; this shot has none.")
+    views = fitter.views(anchor.fit)
+    appearance = fitter.appearance_of_shot(anchor)
+    ends = tuple(None if end is None else Neighbour(parameters_of(end.fit), end.pictures) for end in (before, after))
+    count = len(pictures)
+
+    def along(order: Sequence[int], end: Neighbour, starts: list[FaceParameters] | None) -> list[FaceParameters]:
+        found: list[FaceParameters] = [end.parameters] * count
+        neighbour = end
+        for k in order:
+            start = neighbour.parameters if starts is None else starts[k]
+            links = fitter.links(neighbour, pictures[k], start, views)
+            solution = fitter.solve(
+                ((neighbour, links), None), start, neighbour.parameters, views, appearance=appearance
+            )
+            found[k] = solution.parameters
+            neighbour = Neighbour(found[k], pictures[k])
+            advanced(k)
+        return found
+
+    def polished(order: Sequence[int], path: list[FaceParameters]) -> list[FaceParameters]:
+        path = list(path)
+        for k in order:
+            sides = []
+            for other in (k - 1, k + 1):
+                if 0 <= other < count:
+                    neighbour = Neighbour(path[other], pictures[other])
+                else:
+                    neighbour = ends[0 if other < 0 else 1]
+                sides.append((neighbour, fitter.links(neighbour, pictures[k], path[k], views)))
+            path[k] = fitter.solve(tuple(sides), path[k], path[k], views, appearance=appearance).parameters
+            advanced(k)
+        return path
+
+    forth, back = range(count), range(count - 1, -1, -1)
+    if before is None or after is None:
+        return along(forth if after is None else back, ends[0] or ends[1], None)
+    forward, backward = along(forth, ends[0], None), along(back, ends[1], None)
+    path = [between(forward[k], backward[k], (k + 1) / (count + 1)) for k in range(count)]
+    for turn in range(fitter.config.infill.rounds):
+        path = polished(forth if turn % 2 == 0 else back, path)
+    return path
+
+
+def fill_linearly(before: FrameFit | None, after: FrameFit | None, count: int) -> list[FaceParameters]:
+    """t and w linear, θ spherical between two anchors; beyond one the anchor's parameters (Appendix A).
+
+    Raises `InputError` without any anchor.
+    """
+    if before is None and after is None:
+        raise InputError("A gap needs a good frame at one of its ends; this shot has none.")
+    if before is None or after is None:
+        return [parameters_of(before or after)] * count
+    first, last = parameters_of(before), parameters_of(after)
+    return [between(first, last, (k + 1) / (count + 1)) for k in range(count)]
+
+
+def fill_by_spline(before: Sequence[FrameFit], after: Sequence[FrameFit], count: int) -> list[FaceParameters]:
+    """Along splines through the good frames on both sides, nearest in the middle; beyond one side as `fill_linearly`.
+
+    `before` and `after` are in order; their frames stand without a gap next to the one that is filled.
+    """
+    if not before or not after:
+        return fill_linearly(before[-1] if before else None, after[0] if after else None, count)
+    times = [*range(-len(before), 0), *range(count, count + len(after))]
+    return splined(times, [parameters_of(fit) for fit in (*before, *after)], range(count))

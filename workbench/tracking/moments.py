@@ -1,0 +1,68 @@
+"""Fits with their pictures as a stream: what the passes over time read and write, a window at a time."""
+
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.frames import Frames
+from workbench.tracking.flow_fitter import Pictures
+from workbench.tracking.records import FrameFit
+
+MEMORY_BYTES = 64 * 2**20
+"""Pictures of a gap beyond this wait on disk."""
+
+
+class Moment(NamedTuple):
+    """One frame: its fit, and its picture in every view."""
+
+    fit: FrameFit
+    pictures: Pictures
+
+
+def moments(fits: Iterable[FrameFit], views: Sequence[Frames]) -> Iterator[Moment]:
+    """The fits with the pictures of each view, in order; `fits` are all frames of the views from 0 on.
+
+    Raises `InputError` where the pictures end before the fits do.
+    """
+    streams = [frames.iterate() for frames in views]
+    for fit in fits:
+        pictures = tuple(frame.picture for stream in streams if (frame := next(stream, None)) is not None)
+        if len(pictures) < len(views):
+            raise InputError(
+                f"The track has a frame {fit.index}, but its pictures end before; pass the pictures it was made from."
+            )
+        yield Moment(fit, pictures)
+
+
+class PictureSpool:
+    """Pictures that wait for their turn, in memory up to 64 MB, beyond that on disk; read by position."""
+
+    def __init__(self) -> None:
+        self._file = tempfile.SpooledTemporaryFile(max_size=MEMORY_BYTES)  # noqa: SIM115 - closed by `close`
+        self._places: list[list[tuple[int, tuple[int, ...]]]] = []
+
+    def append(self, pictures: Pictures) -> None:
+        """Take the next moment."""
+        self._file.seek(0, 2)
+        places = []
+        for picture in pictures:
+            places.append((self._file.tell(), picture.shape))
+            self._file.write(np.ascontiguousarray(picture).tobytes())
+        self._places.append(places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, position: int) -> Pictures:
+        found = []
+        for place, shape in self._places[position]:
+            self._file.seek(place)
+            found.append(np.frombuffer(self._file.read(int(np.prod(shape))), np.uint8).reshape(shape))
+        return tuple(found)
+
+    def close(self) -> None:
+        """Forget all pictures."""
+        self._file.close()

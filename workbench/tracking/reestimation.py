@@ -1,0 +1,83 @@
+"""Expression fitted anew with the pose held (Deep Energies Appendix B.1), for after a temporal refinement."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.config import Config, Stage
+from workbench.face import FaceModel, FaceParameters
+from workbench.landmarks.observations import Landmarks2D
+from workbench.rendering import Appearance
+from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking.fitter import FrameContext, FrameFitter, FrameObservation
+from workbench.tracking.flow_fitter import parameters_of
+from workbench.tracking.moments import Moment
+from workbench.tracking.records import FrameFit
+from workbench.tracking.systems import make_fitter
+
+NAME = "re-estimation"
+
+
+def reestimation_stage(config: Config) -> Stage:
+    """The stage that fits expressions with the pose held: the configuration's own of that name, or its last one."""
+    named = next((stage for stage in config.stages if stage.name == NAME), None)
+    if named is not None:
+        return named.model_copy(update={"enabled": True})
+    last = [stage for stage in config.stages if stage.enabled and "expression" in stage.free][-1]
+    kept = tuple(name for name in last.free if name in ("expression", "jaw"))
+    return last.model_copy(update={"name": NAME, "free": kept, "when": "always"})
+
+
+class Reestimator:
+    """Fits the expressions of a stream's frames to their own landmarks, poses held."""
+
+    def __init__(self, model: FaceModel, config: Config):
+        """Raises `ConfigError` if no stage of the configuration frees the expression."""
+        self._fitter = make_fitter(model, config.model_copy(update={"stages": (reestimation_stage(config),)}))
+        self._appearances: dict[int, Appearance | None] = {}
+
+    def stream(
+        self, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
+    ) -> Iterator[Moment]:
+        """Each frame with its expression fitted anew; frames without landmarks of their own stay."""
+        for moment in stream:
+            seen = moment.fit.found and np.nan_to_num(moment.fit.confidence).max() > 0.0
+            yield moment._replace(fit=self.fit(moment)) if seen else moment
+            advanced(moment.fit)
+
+    def fit(self, moment: Moment) -> FrameFit:
+        """The frame with its expression fitted to its landmarks, all else as it was."""
+        before = moment.fit
+        observation = FrameObservation(
+            before.index,
+            Landmarks2D(before.observed, before.confidence, before.image_size),
+            before.image_size,
+            before.source,
+            picture=moment.pictures[0] if moment.pictures else None,
+            # A track keeps the landmarks of the reference view only.
+            others=(None,) * (max(len(moment.pictures), 1) - 1),
+        )
+        start = parameters_of(before)
+        if isinstance(self._fitter, FrameFitter):  # identity baked into its landmarks, no joint, no scale
+            start = FaceParameters(start.rotation, start.translation, start.expression, np.zeros(0))
+        context = FrameContext(
+            before.shot, np.asarray(before.identity, float), start, None, self._appearance(moment, observation)
+        )
+        found, _ = self._fitter.fit(observation, context)
+        rows = len(before.status)
+        return replace(
+            found,
+            energies=np.full_like(before.energies, np.nan),
+            status=np.full(rows, -1),
+            iterations=np.zeros(rows, before.iterations.dtype),
+            milliseconds=before.milliseconds,
+        )
+
+    def _appearance(self, moment: Moment, observation: FrameObservation) -> Appearance | None:
+        if not isinstance(self._fitter, DeepFitter):
+            return None
+        if moment.fit.shot not in self._appearances:
+            identity = np.asarray(moment.fit.identity, float)
+            self._appearances[moment.fit.shot] = self._fitter.appearance([observation], identity)
+        return self._appearances[moment.fit.shot]
