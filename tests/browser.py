@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -180,13 +180,17 @@ class LabPage:
 
 
 @contextmanager
-def lab_page(server: LabServer, profile: Path) -> Iterator[LabPage]:
-    """A fresh Chromium with its own profile on a server."""
+def lab_page(server: LabServer, profile: Path, flags: Sequence[str] = ()) -> Iterator[LabPage]:
+    """A fresh Chromium with its own profile, and flags besides the usual ones, on a server."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
         context = playwright.chromium.launch_persistent_context(
-            str(profile), executable_path=CHROMIUM, headless=True, args=FLAGS, viewport={"width": 1280, "height": 1000}
+            str(profile),
+            executable_path=CHROMIUM,
+            headless=True,
+            args=[*FLAGS, *flags],
+            viewport={"width": 1280, "height": 1000},
         )
         context.set_default_timeout(1000 * RUN_S)
         try:

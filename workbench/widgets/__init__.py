@@ -2,6 +2,7 @@
 
 from workbench.widgets.head_view import make_head_view as make_head_view
 from workbench.widgets.light_panel import LightPanel as LightPanel
+from workbench.widgets.live_panel import LivePanel as LivePanel
 from workbench.widgets.opener import SessionOpener as SessionOpener
 from workbench.widgets.player import AvatarPlayer as AvatarPlayer
 from workbench.widgets.playground import FitPlayground as FitPlayground

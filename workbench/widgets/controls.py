@@ -1,7 +1,7 @@
 """Controls for the knobs of a configuration: sliders, boxes and menus that call back with a path and a value."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import ipywidgets as widgets
 
@@ -80,12 +80,14 @@ class KnobControl:
 
 
 class Controls:
-    """All knobs in tabs; `show` brings them to a configuration."""
+    """Knobs in tabs; `show` brings them to a configuration."""
 
-    def __init__(self, config: Config, turned: Turned, height_px: int) -> None:
+    def __init__(self, config: Config, turned: Turned, height_px: int, titles: Sequence[str] | None = None) -> None:
+        """`titles`: the pages of `PAGES` that are wanted; None: all."""
         self.by_path: dict[str, KnobControl] = {}
         pages = []
-        for title, knobs in PAGES.items():
+        for title in PAGES if titles is None else titles:
+            knobs = PAGES[title]
             controls = [KnobControl(knob, turned) for knob in knobs]
             self.by_path |= {control.knob.path: control for control in controls}
             layout = widgets.Layout(height=f"{height_px - 34}px", overflow="hidden auto")

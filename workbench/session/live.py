@@ -1,0 +1,303 @@
+"""Fitting a running camera: landmarks, identity, fit and recording, one frame after the other, without a screen."""
+
+import threading
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench.config import DEFAULT_PRESET, FACE_IT_PRESETS, Config, preset
+from workbench.errors import InputError
+from workbench.face import FaceModel
+from workbench.landmarks.detectors import LandmarkDetector, make_detector
+from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
+from workbench.session.live_frame import LIVE_SIZE, LiveFrame
+from workbench.session.recording import Recorder, Recording
+from workbench.tracking import FrameFit, FrameObservation
+from workbench.tracking.fitter import Continuation, FrameContext, FrameFitter
+from workbench.tracking.tracker import jumped
+
+FIRST_FRAMES = 24
+"""Frames with a face from which the first identity comes: about a second."""
+NEUTRAL_FRAMES = 16
+"""Frames that a neutral face is held for."""
+NEUTRAL_EXPRESSION = 1e4
+"""ω of the weights while a neutral face is calibrated: all that is seen is identity."""
+STEADY_FACE = 0.02
+"""Motion of the face from frame to frame, in outer-eye distances, up to which a neutral frame is sharp enough."""
+HISTORY = 100
+GESTURE_S = 0.8
+"""Changes of one control within this time are one step of undo."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Frames that an identity comes from, and whether the face was neutral in them."""
+
+    observations: tuple[FrameObservation, ...]
+    neutral: bool
+
+
+@dataclass(frozen=True)
+class LiveState:
+    """What undo goes back to."""
+
+    config: Config
+    calibration: Calibration | None
+    """None: the model's mean face."""
+
+
+@dataclass(frozen=True)
+class LiveFit:
+    """A frame with its fit."""
+
+    frame: LiveFrame
+    fit: FrameFit
+    milliseconds: float
+    """From the encoded picture to the fit."""
+
+
+class LiveSession:
+    """Fits frame after frame of one person before a running camera.
+
+    `step` is called by one thread; everything else may be called by any other and takes effect at the next frame. The
+    identity is calibrated on the first second with a face, and anew by `calibrate_neutral`. Raises `InputError` for a
+    configuration of Deep Energies, which takes seconds a frame.
+    """
+
+    def __init__(
+        self,
+        model: FaceModel,
+        config: Config | None = None,
+        detector: LandmarkDetector | None = None,
+    ) -> None:
+        config = preset(DEFAULT_PRESET) if config is None else config
+        _check_live(config)
+        self.model, self.base = model, config
+        self._state = LiveState(config, None)
+        self._lock = threading.RLock()
+        self._undo: list[LiveState] = []
+        self._gesture: tuple[str, float] | None = None
+        self._detector = detector
+        self._landmarks: LandmarkTracker | None = None
+        self._fitter = FrameFitter(model, config)
+        self._identity = self._fitter.mean_identity()
+        self._identity_of: tuple[str, Calibration | None] = (_identity_key(config), None)
+        self._recorder: Recorder | None = None
+        self._last: Continuation | None = None
+        self.start_anew()
+
+    def __repr__(self) -> str:
+        return f"LiveSession({self.model.name!r}, {self.config.preset!r}, {self._frames} frames)"
+
+    # --- settings, from any thread ---
+
+    @property
+    def config(self) -> Config:
+        """The configuration of the next frame."""
+        return self._state.config
+
+    @property
+    def identity(self) -> Float[np.ndarray, "i"]:
+        """The face shape in use."""
+        return self._identity
+
+    @property
+    def calibrated(self) -> str:
+        """Where the identity comes from: "mean face", "first second" or "neutral face"."""
+        calibration = self._identity_of[1]
+        if calibration is None:
+            return "mean face"
+        return "neutral face" if calibration.neutral else "first second"
+
+    @property
+    def gathering(self) -> tuple[int, int] | None:
+        """Frames that a neutral calibration has and wants; None if none is going on."""
+        with self._lock:
+            return (len(self._gathered), NEUTRAL_FRAMES) if self._gathering == "neutral" else None
+
+    def use(self, config: Config, gesture: str | None = None) -> None:
+        """Change the configuration; one step of undo, or part of one with the same `gesture` shortly before.
+
+        Raises `InputError` for Deep Energies, and while recording for other stages.
+        """
+        _check_live(config)
+        with self._lock:
+            if config == self.config:
+                return
+            names = [stage.name for stage in config.stages]
+            if self._recorder is not None and names != [stage.name for stage in self.config.stages]:
+                raise InputError("Another preset has other stages; stop the recording first.")
+            now = time.monotonic()
+            if self._gesture is None or gesture != self._gesture[0] or now - self._gesture[1] > GESTURE_S:
+                self._remember()
+            self._gesture = None if gesture is None else (gesture, now)
+            self._state = replace(self._state, config=config)
+
+    def undo(self) -> bool:
+        """Take back the last change of settings or the last calibration; False if there is none."""
+        with self._lock:
+            if not self._undo:
+                return False
+            self._state, self._gesture = self._undo.pop(), None
+            self._gathering = ""
+            return True
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is something to take back."""
+        return bool(self._undo)
+
+    def calibrate_neutral(self) -> None:
+        """Take the next frames with a steady face as a neutral one: all that is seen in them becomes identity."""
+        with self._lock:
+            self._gathering, self._gathered = "neutral", []
+
+    def start_anew(self) -> None:
+        """Forget the face that was followed; the settings stay, and so does a neutral calibration."""
+        with self._lock:
+            calibration = self._state.calibration
+            if calibration is not None and not calibration.neutral:
+                self._state = replace(self._state, calibration=None)
+            wanted = self.config.identity.calibrate and self._state.calibration is None
+            self._gathering, self._gathered = ("first" if wanted else ""), []
+            self._fresh = True
+        self._frames = self._shot = 0
+
+    # --- recording, from any thread ---
+
+    @property
+    def recording(self) -> tuple[int, float] | None:
+        """Frames and seconds of the recording that is going on."""
+        recorder = self._recorder
+        return None if recorder is None else (len(recorder), recorder.seconds)
+
+    @property
+    def recording_ended(self) -> str:
+        """Why the recording takes no more frames, one sentence; empty if it goes on."""
+        recorder = self._recorder
+        return "" if recorder is None else recorder.ended
+
+    def start_recording(self, keep_pictures: bool = True) -> None:
+        """Keep every frame from now on; a recording that is going on is dropped."""
+        with self._lock:
+            self._recorder = Recorder(keep_pictures)
+
+    def stop_recording(self, source: str = "camera") -> Recording:
+        """End it. Raises `InputError` if none was going on or it has no face."""
+        with self._lock:
+            recorder, self._recorder = self._recorder, None
+            if recorder is None:
+                raise InputError("Nothing is being recorded; press record first.")
+            detector = "" if self._landmarks is None else self._landmarks.detector.name
+            return recorder.finish(self.model, self.config, source, detector)
+
+    # --- frames, from one thread ---
+
+    def warm_up(self) -> None:
+        """Load the detector and compile all that a frame can need, so that the first one is as fast as the others."""
+        self._tracker()
+        self._fitter.warm_up(LIVE_SIZE)
+        self._fitter.calibrate([self._fitter.neutral_observation(LIVE_SIZE)], self.config.identity.frames)
+
+    def step(self, frame: LiveFrame) -> LiveFit:
+        """Fit the next frame. Raises `InputError` for one that cannot be read."""
+        began = time.perf_counter()
+        picture = frame.picture
+        tracker = self._tracker()
+        with self._lock:
+            if self._fresh:
+                tracker.reset()
+                self._last, self._fresh = None, False
+        found = tracker.step(picture)
+        size = (picture.shape[1], picture.shape[0])
+        times = (found.milliseconds["detect"], found.milliseconds["landmarks"])
+        observation = FrameObservation(self._frames, found.landmarks, size, found.source, found.cut, times)
+        self._gather(observation)
+        self._follow_state()
+        if found.cut:
+            self._shot, self._last = self._shot + 1, None
+        if found.landmarks is None or (self._last and jumped(self._last.points, found.landmarks.points)):
+            self._last = None
+        context = FrameContext(self._shot, self._identity, None, self._last)
+        fit, self._last = self._fitter.fit(observation, context)
+        self._frames += 1
+        self._record(fit, frame)
+        return LiveFit(frame, fit, 1e3 * (time.perf_counter() - began))
+
+    def _tracker(self) -> LandmarkTracker:
+        if self._landmarks is None:
+            landmarks = self.config.landmarks
+            detector = make_detector(landmarks.detector) if self._detector is None else self._detector
+            self._landmarks = LandmarkTracker(detector, TrackerOptions(face=landmarks.face))
+        return self._landmarks
+
+    def _gather(self, observation: FrameObservation) -> None:
+        """Collect a frame for a calibration that is going on; the last one it wants makes it the state's."""
+        with self._lock:
+            if not self._gathering or observation.landmarks is None:
+                return
+            neutral = self._gathering == "neutral"
+            if neutral and self._last is not None and _motion(self._last, observation) > STEADY_FACE:
+                return
+            self._gathered.append(observation)
+            if len(self._gathered) < (NEUTRAL_FRAMES if neutral else FIRST_FRAMES):
+                return
+            if neutral:
+                self._remember()
+            self._state = replace(self._state, calibration=Calibration(tuple(self._gathered), neutral))
+            self._gathering, self._gathered = "", []
+
+    def _follow_state(self) -> None:
+        """Bring fitter and identity to the present state."""
+        state = self._state
+        if state.config is not self._fitter.config:
+            self._fitter.configure(state.config)
+        elif state.calibration is self._identity_of[1]:
+            return
+        key = (_identity_key(state.config), state.calibration)
+        if key[0] == self._identity_of[0] and key[1] is self._identity_of[1]:
+            return
+        self._identity = self._identity_from(state)
+        self._identity_of = key
+
+    def _identity_from(self, state: LiveState) -> Float[np.ndarray, "i"]:
+        calibration = state.calibration
+        if calibration is None or not state.config.identity.calibrate:
+            return self._fitter.mean_identity()
+        observations = list(calibration.observations)
+        if not calibration.neutral:
+            return self._fitter.calibrate(observations, state.config.identity.frames).identity
+        self._fitter.configure(state.config.changed(identity={"expression": NEUTRAL_EXPRESSION}))
+        try:
+            return self._fitter.calibrate(observations, state.config.identity.frames).identity
+        finally:
+            self._fitter.configure(state.config)
+
+    def _record(self, fit: FrameFit, frame: LiveFrame) -> None:
+        with self._lock:
+            if self._recorder is not None:
+                self._recorder.add(fit, frame)
+
+    def _remember(self) -> None:
+        self._undo = [*self._undo[-HISTORY + 1 :], self._state]
+
+
+def _check_live(config: Config) -> None:
+    if config.system != "face-it":
+        raise InputError(
+            f"Deep Energies takes seconds a frame and cannot follow a camera; use one of {', '.join(FACE_IT_PRESETS)}."
+        )
+
+
+def _identity_key(config: Config) -> str:
+    """What an identity depends on besides its frames."""
+    sections = config.model_dump_json(include={"camera", "identity", "contour", "subsets"})
+    return f"{sections}{config.point_weights()}"
+
+
+def _motion(last: Continuation, observation: FrameObservation) -> float:
+    """Mean way of the landmarks since the last frame, in outer-eye distances."""
+    before, now = last.points, observation.landmarks.points
+    return float(np.linalg.norm(now - before, axis=1).mean() / np.linalg.norm(before[36] - before[45]))

@@ -1,0 +1,151 @@
+"""What was recorded live: fits with their times, put on an even grid as a track, and the pictures beside it."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int
+
+from workbench.config import Config
+from workbench.errors import InputError
+from workbench.face import FaceModel
+from workbench.frames import VideoWriter
+from workbench.pipeline import content_hash, software_versions
+from workbench.session.live_frame import LiveFrame
+from workbench.tracking import FrameFit, Track
+from workbench.tracking.records import stack_fits
+
+SLOWEST_RATE = 5.0
+"""Frames a second of a recording at the least, however slowly the frames came."""
+MOST_BYTES, MOST_S = 256 << 20, 900.0
+"""Pictures in memory and seconds at which a recording ends by itself."""
+
+
+def even_frames(times_s: Sequence[float]) -> tuple[Int[np.ndarray, "n"], float]:
+    """For each instant of an even grid the nearest of these ascending times, and the rate of the grid, in 1/s.
+
+    The grid has the median interval of the times: a steady stream keeps every frame, and where frames were dropped the
+    nearest one is held, so that everything happens when it happened.
+    """
+    times = np.asarray(times_s, float)
+    intervals = np.diff(times)
+    if not len(intervals) or np.median(intervals) <= 0.0:
+        return np.arange(len(times)), 25.0
+    rate = max(1.0 / float(np.median(intervals)), SLOWEST_RATE)
+    instants = times[0] + np.arange(round((times[-1] - times[0]) * rate) + 1) / rate
+    after = np.clip(np.searchsorted(times, instants), 1, len(times) - 1)
+    earlier = instants - times[after - 1] < times[after] - instants
+    return np.where(earlier, after - 1, after), rate
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A stretch of live fits. `track` is like that of any run; `save` writes it where `workbench export` finds it."""
+
+    track: Track
+    jpegs: tuple[bytes, ...]
+    """The picture of each frame; empty where pictures were not kept."""
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def __repr__(self) -> str:
+        return f"Recording({len(self)} frames, {self.seconds:.1f} s, {'with' if self.jpegs else 'without'} pictures)"
+
+    @property
+    def seconds(self) -> float:
+        """How long it plays."""
+        return len(self) / self.track.meta["rate"]
+
+    def save(self, folder: str | Path) -> Path:
+        """Write track.npz into a folder, and clip.mp4 if pictures were kept; returns the path of the track."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        track = self.track
+        if self.jpegs:
+            clip = folder / "clip.mp4"
+            with VideoWriter(clip, rate=track.meta["rate"]) as writer:
+                for jpeg in self.jpegs:
+                    writer.write(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR_RGB))
+            inputs = [{"path": str(clip), "sha256": content_hash(clip)}]
+            track = replace(track, meta={**track.meta, "inputs": inputs})
+        track.save(folder / "track.npz")
+        return folder / "track.npz"
+
+
+class Recorder:
+    """Collects live fits, with their pictures if wanted, until `finish`."""
+
+    def __init__(self, keep_pictures: bool) -> None:
+        self._keep = keep_pictures
+        self._fits: list[FrameFit] = []
+        self._times: list[float] = []
+        self._jpegs: list[bytes] = []
+        self._bytes = 0
+        self.ended = ""
+        """Why no more frames are taken, one sentence; empty while they are."""
+
+    def __len__(self) -> int:
+        return len(self._fits)
+
+    @property
+    def seconds(self) -> float:
+        """From the first frame to the newest."""
+        return self._times[-1] - self._times[0] if self._times else 0.0
+
+    def add(self, fit: FrameFit, frame: LiveFrame) -> None:
+        """Take the next frame, unless the recording has ended by itself: `ended` says why."""
+        self.ended = self.ended or self._obstacle(fit)
+        if self.ended:
+            return
+        self._fits.append(fit)
+        self._times.append(frame.time_s)
+        if self._keep:
+            self._jpegs.append(frame.jpeg)
+            self._bytes += len(frame.jpeg)
+
+    def _obstacle(self, fit: FrameFit) -> str:
+        if self._fits and fit.image_size != self._fits[0].image_size:
+            return "The camera's pictures changed their size, so the recording ended."
+        if self._bytes > MOST_BYTES or self.seconds > MOST_S:
+            return "The recording has reached its largest length and ended."
+        return ""
+
+    def finish(self, model: FaceModel, config: Config, source: str, detector: str) -> Recording:
+        """The recording as a track. Raises `InputError` if there is no frame with a face."""
+        if not any(fit.found for fit in self._fits):
+            raise InputError("No face was seen while recording, so there is nothing to keep; record again.")
+        chosen, rate = even_frames(self._times)
+        fits = [replace(self._fits[k], index=position) for position, k in enumerate(chosen.tolist())]
+        columns = stack_fits(fits)
+        meta = live_meta(model, config, source, detector, rate)
+        meta["live"]["times_s"] = _since_first(self._times)[chosen].round(4).tolist()
+        jpegs = tuple(self._jpegs[k] for k in chosen.tolist()) if self._jpegs else ()
+        return Recording(Track(meta=meta, **columns), jpegs)
+
+
+def live_meta(model: FaceModel, config: Config, source: str, detector: str, rate: float) -> dict[str, Any]:
+    """Metadata of a track that came from a camera: the keys of any run, and where it came from."""
+    return {
+        "expression_names": list(model.expression_names),
+        "stages": [stage.name for stage in config.stages if stage.enabled],
+        "config": json.loads(config.model_dump_json()),
+        "inputs": [],
+        "landmarks": None,
+        "detector": detector,
+        "names": [],
+        "stills": False,
+        "rate": rate,
+        "camera_guessed": config.camera.matrix is None,
+        "model": {"name": model.name, "sha256": model.fingerprint()},
+        "versions": software_versions(),
+        "live": {"camera": source},
+    }
+
+
+def _since_first(times: Sequence[float]) -> Float[np.ndarray, "n"]:
+    return np.asarray(times, float) - (times[0] if len(times) else 0.0)

@@ -1,0 +1,291 @@
+"""The browser's part of a live panel: its camera, the picture with landmarks, and the avatar."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import anywidget
+import cv2
+import numpy as np
+import traitlets
+from jaxtyping import Float, Float32
+
+from workbench.face import FaceModel
+from workbench.geometry import rotation_matrix
+from workbench.landmarks.scheme import POLYLINES
+from workbench.pictures.head_picture import bundled_texture, portrait_view
+from workbench.pictures.mesh import split_seams
+from workbench.session.live_frame import LIVE_SIZE, Deliver, LiveFrame, Trouble
+from workbench.tracking import FrameFit
+from workbench.widgets.k3d_head_view import collar_opacity
+from workbench.widgets.overlay_view import color_table
+
+LOOKS = ("head", "camera", "expression")
+PIVOT_MM = (0.0, 40.0, 80.0)
+"""Where the head turns about in the view "head": the middle of the skull's base, head frame."""
+TEXTURE_QUALITY = 90
+TIMES_KEPT = 300
+MARK_COLUMNS = 6
+NUMBERS_BEFORE_WEIGHTS = 16
+TROUBLES = {
+    "denied": "The browser was not allowed to use the camera; allow it in the address bar (camera symbol), then start.",
+    "absent": "The browser found no camera; plug one in, or use the kernel's camera, then start.",
+    "busy": "The browser cannot open the camera because another program uses it; close that program, then start.",
+    "ended": "The camera was unplugged or switched off; plug it in again, then start.",
+    "insecure": "Browsers give a camera only to pages from localhost or https; open JupyterLab that way, "
+    "or use the kernel's camera.",
+    "silent": "The kernel did not answer for a minute, so the camera was switched off; start it again.",
+    "failed": "The browser could not open the camera ({detail}); try another browser or the kernel's camera.",
+}
+"""What a browser can report, as one sentence for the user."""
+
+LOST_S = 2.0
+"""Time without a frame after which the camera may go to another page."""
+LOST_FRAMES = 60
+"""Pictures that are left out for one that was never confirmed, as after a page was closed."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A frame that a browser has drawn."""
+
+    number: int
+    milliseconds: float
+    """Since the browser grabbed it, or, for the kernel's camera, since it arrived in the browser."""
+
+
+class LiveView(anywidget.AnyWidget):
+    """Camera in, drawings out. The kernel sends numbers only: pose, weights and landmarks of each frame.
+
+    The morph targets lie in the browser, and so does every frame until its fit comes back. One browser page at a time
+    has the camera: the one that answered first when it was called. Methods may be called from any thread.
+    """
+
+    _esm = Path(__file__).with_name("live_view.js")
+    _css = Path(__file__).with_name("live_view.css")
+
+    running = traitlets.Bool(False).tag(sync=True)
+    mirror = traitlets.Bool(True, help="show everything as in a mirror").tag(sync=True)
+    looking = traitlets.Enum(LOOKS, "head").tag(sync=True)
+    height_px = traitlets.Int(340, min=120).tag(sync=True)
+    message = traitlets.Unicode("", help="a sentence over the picture").tag(sync=True)
+    alert = traitlets.Bool(False, help="the message is about something wrong").tag(sync=True)
+    _scheme = traitlets.Dict().tag(sync=True)
+    _mesh = traitlets.Dict().tag(sync=True)
+    _person = traitlets.Dict().tag(sync=True)
+
+    def __init__(self, model: FaceModel, height_px: int = 340) -> None:
+        self._model = model
+        self._lock = threading.RLock()
+        self._pages: set[str] = set()
+        self._page: str | None = None
+        self._unseen: int | None = None
+        self._heard = time.monotonic()
+        self._on_frame: Deliver | None = None
+        self._on_trouble: Trouble | None = None
+        self._on_left: Callable[[], None] | None = None
+        self.times: deque[Shown] = deque(maxlen=TIMES_KEPT)
+        """The newest frames that were drawn."""
+        super().__init__(
+            height_px=height_px,
+            _scheme={"lines": [list(line) for line in POLYLINES], "colors": color_table().tobytes()},
+            _mesh=mesh_message(model),
+            _person=person_message(model, np.zeros(len(model.identity_deltas))),
+        )
+        self.on_msg(self._on_message)
+
+    def __repr__(self) -> str:
+        return f"LiveView({self._model.name!r}, {'running' if self.running else 'stopped'})"
+
+    @property
+    def pages(self) -> int:
+        """Browser pages that show the view."""
+        return len(self._pages)
+
+    @property
+    def silence_s(self) -> float:
+        """Seconds since a page that shows the view was heard of; they speak every ten. 0 if none ever did."""
+        return time.monotonic() - self._heard if self._pages else 0.0
+
+    def set_person(self, identity: Float[np.ndarray, "i"]) -> None:
+        """Show the avatar with this face shape."""
+        self._person = person_message(self._model, identity)
+
+    def open_camera(self, deliver: Deliver, trouble: Trouble) -> None:
+        """Ask the pages that show the view for their camera; the first one that answers is taken."""
+        with self._lock:
+            self._on_frame, self._on_trouble, self._page = deliver, trouble, None
+        self.send({"kind": "call"})
+
+    def close_camera(self) -> None:
+        """Let the camera go."""
+        with self._lock:
+            self._on_frame = self._on_trouble = self._page = None
+        self.send({"kind": "close"})
+
+    def taken(self, number: int) -> None:
+        """Tell the page that this frame is being worked on: it may send the next one."""
+        self.send({"kind": "taken", "number": number})
+
+    def on_left(self, callback: Callable[[], None]) -> None:
+        """Call `callback()` when no page shows the view any more."""
+        self._on_left = callback
+
+    def show(self, fit: FrameFit, frame: LiveFrame, milliseconds: float | int, with_picture: bool) -> bool:
+        """Send a fit to be drawn, with its picture if the browser does not have it.
+
+        A picture is only sent when the one before has been drawn; False if this one was left out for that.
+        """
+        if with_picture:
+            with self._lock:
+                if self._unseen is not None and frame.number - self._unseen < LOST_FRAMES:
+                    return False
+                self._unseen = frame.number
+        numbers = pack_fit(fit)
+        content = {
+            "kind": "fit",
+            "number": frame.number,
+            "found": fit.found,
+            "size": list(fit.image_size),
+            "error": round(fit.errors[0], 3) if fit.found else None,
+            "angles": [round(float(angle), 1) for angle in fit.angles_deg] if fit.found else None,
+            "ms": round(float(milliseconds), 2),
+            "solve": round(float(fit.milliseconds[2]), 2),
+        }
+        self.send(content, [numbers.tobytes(), *([frame.jpeg] if with_picture else [])])
+        return True
+
+    def forget_unseen(self) -> None:
+        """Expect no confirmation of an earlier picture."""
+        with self._lock:
+            self._unseen = None
+
+    def _on_message(self, _widget: object, content: object, buffers: object) -> None:
+        if not isinstance(content, dict) or not isinstance(content.get("page"), str):
+            return
+        kind, page, before, self._heard = content.get("kind"), content["page"], self._heard, time.monotonic()
+        if kind == "here":
+            self._on_here(page, self._heard - before)
+        elif kind == "left":
+            self._on_page_left(page)
+        elif kind == "shown":
+            self._on_shown(content)
+        elif kind == "frame" and page == self._page:
+            self._on_shown(content.get("shown"))
+            self._take_frame(content, buffers)
+        elif kind == "trouble" and page in (self._page, None) and self._on_trouble is not None:
+            sentence = TROUBLES.get(content.get("why"), TROUBLES["failed"])
+            self._on_trouble(sentence.format(detail=str(content.get("detail", ""))[:120]))
+
+    def _on_here(self, page: str, silence_s: float) -> None:
+        with self._lock:
+            self._pages.add(page)
+            # A page that is loaded anew does not say farewell.
+            wanted = self._on_frame is not None and (self._page in (None, page) or silence_s > LOST_S)
+            if wanted:
+                self._page = page
+        if wanted:
+            self.send({"kind": "open", "page": page, "size": list(LIVE_SIZE)})
+
+    def _on_page_left(self, page: str) -> None:
+        with self._lock:
+            self._pages.discard(page)
+            gone = not self._pages
+            if self._page == page:
+                self._page = None
+        if gone and self._on_left is not None:
+            self._on_left()
+
+    def _on_shown(self, content: object) -> None:
+        if not isinstance(content, dict):
+            return
+        number, milliseconds = content.get("number"), content.get("ms")
+        if type(number) is not int or not isinstance(milliseconds, int | float):
+            return
+        with self._lock:
+            if self._unseen is not None and number >= self._unseen:
+                self._unseen = None
+        self.times.append(Shown(number, float(milliseconds)))
+
+    def _take_frame(self, content: dict, buffers: object) -> None:
+        number, time_ms, deliver = content.get("number"), content.get("time"), self._on_frame
+        if deliver is None or type(number) is not int or not isinstance(time_ms, int | float) or not buffers:
+            return
+        deliver(LiveFrame(number, 1e-3 * time_ms, jpeg=bytes(buffers[0])))
+
+
+def pack_fit(fit: FrameFit) -> Float32[np.ndarray, "n"]:
+    """Rotation (row by row), translation, focal lengths, principal point, weights, and a row a landmark.
+
+    A landmark's row is observed x, y; model x, y; distance, px; confidence. All NaN without a face.
+    """
+    camera = fit.camera
+    rotation = np.asarray(rotation_matrix(np.asarray(fit.rotation, float))) if fit.found else np.full((3, 3), np.nan)
+    marks = np.column_stack([fit.observed, fit.projected, fit.residuals_px, fit.confidence])
+    parts = (rotation, fit.translation, camera.focal_px, camera.principal_point_px, fit.expression, marks)
+    return np.concatenate([np.ravel(np.asarray(part, float)) for part in parts]).astype("<f4")
+
+
+def mesh_message(model: FaceModel) -> dict[str, object]:
+    """What never changes: triangles, morph targets in 16 bits, colours or texture, and the portrait's camera."""
+    picture = bundled_texture(model)
+    if picture is None:
+        order, triangles, uv, texture = np.arange(len(model.neutral)), model.triangles, np.zeros((0, 2)), b""
+    else:
+        order, uv_index, triangles = split_seams(model.triangles, model.triangles_uv)
+        uv = model.uv[uv_index] * [1.0, -1.0] + [0.0, 1.0]
+        quality = [cv2.IMWRITE_JPEG_QUALITY, TEXTURE_QUALITY]
+        texture = cv2.imencode(".jpg", picture[..., ::-1], quality)[1].tobytes()
+    steps = np.maximum(np.abs(model.expression_deltas).max(axis=(1, 2)), 1e-9) / 32767.0
+    deltas = np.rint(model.expression_deltas / steps[:, None, None])
+    camera, translation = portrait_view(model, (1000, 1000))
+    return {
+        "vertices": len(model.neutral),
+        "shapes": len(model.expression_names),
+        "names": list(model.expression_names),
+        "triangles": np.ascontiguousarray(model.triangles, "<u4").tobytes(),
+        "drawn": np.ascontiguousarray(triangles, "<u4").tobytes(),
+        "order": np.ascontiguousarray(order, "<u4").tobytes(),
+        "uv": np.ascontiguousarray(uv, "<f4").tobytes(),
+        "texture": texture,
+        "colors": np.ascontiguousarray(model.colors[order]).tobytes(),
+        "shown": np.ascontiguousarray(collar_opacity(model)[order], "<f4").tobytes(),
+        "deltas": np.ascontiguousarray(deltas, "<i2").tobytes(),
+        "steps": steps.tolist(),
+        "focal": float(camera.focal_px[0]) / 1000.0,
+        "translation": translation.tolist(),
+        "pivot": list(PIVOT_MM),
+    }
+
+
+def person_message(model: FaceModel, identity: Float[np.ndarray, "i"]) -> dict[str, object]:
+    """What changes with the identity: the neutral face, and how far each morph target goes."""
+    personal = model.personal(identity)
+    largest = np.maximum(np.abs(model.expression_deltas).max(axis=(1, 2)), 1e-9)
+    factors = np.abs(personal.expression_deltas).max(axis=(1, 2)) / largest
+    return {"neutral": np.ascontiguousarray(personal.neutral, "<f4").tobytes(), "factors": factors.tolist()}
+
+
+class BrowserCamera:
+    """The camera of the browser that shows a `LiveView`: a `FrameSource`; the kernel may be on another machine."""
+
+    name = "browser's camera"
+    mirrored = in_browser = True
+
+    def __init__(self, view: LiveView) -> None:
+        self._view = view
+
+    def start(self, deliver: Deliver, trouble: Trouble) -> None:
+        """See `FrameSource.start`; a browser that shows the view later is asked then."""
+        self._view.open_camera(deliver, trouble)
+
+    def taken(self, frame: LiveFrame) -> None:
+        """See `FrameSource.taken`."""
+        self._view.taken(frame.number)
+
+    def stop(self) -> None:
+        """See `FrameSource.stop`."""
+        self._view.close_camera()
