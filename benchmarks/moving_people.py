@@ -20,8 +20,8 @@ from workbench.pictures.extras import Extras
 from workbench.pictures.head_scene import HeadScene
 from workbench.pictures.mesh import to_camera
 from workbench.tracking import FrameFit
-from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.fitter import FrameContext, FrameFitter, FrameObservation
+from workbench.tracking.flow_fitter import FlowFitter
 from workbench.training.accessories import hair
 from workbench.training.scenes import random_lighting
 from workbench.training.skin import skin_painter

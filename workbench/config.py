@@ -179,6 +179,24 @@ class InfillConfig(_Section):
     method: Literal["none", "flow", "linear", "spline"] = Field("none", description="none leaves failed frames as is.")
     rounds: Annotated[int, Field(ge=1, le=10)] = Field(1, description="Flow: ways forth and back through a gap.")
     longest: Annotated[int, Field(ge=1)] = Field(10_000, description="Gaps of more frames stay.")
+    largest_error: NonNegative = Field(
+        10.0, description="Mean landmark error, % of eye distance, above which a fit counts as failed."
+    )
+    frames: tuple[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], ...] = Field(
+        (), description="Frames that are filled although they have a fit: first and last of each part."
+    )
+
+    @field_validator("frames")
+    @classmethod
+    def _in_order(cls, value):
+        for first, last in value:
+            if last < first:
+                raise ValueError(f"a part goes from its first to its last frame, got {first} to {last}")
+        return tuple(sorted(value))
+
+    def named(self, frame: int) -> bool:
+        """Whether a frame is filled although it has a fit."""
+        return any(first <= frame <= last for first, last in self.frames)
 
 
 class RefinementConfig(_Section):

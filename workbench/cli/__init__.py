@@ -1,4 +1,4 @@
-"""The command line: `workbench track|landmarks|demo|diagnose|export|config|rig|weights|train|lab|app|info`."""
+"""The command line: tracking, infill and refinement, diagnosis, export, and what serves them."""
 
 import sys
 
@@ -11,6 +11,7 @@ from workbench.cli.exporting import EXPORT_HELP, export
 from workbench.cli.installation import info
 from workbench.cli.landmarking import LANDMARKS_HELP, landmarks
 from workbench.cli.models import model_app
+from workbench.cli.over_time import INFILL_HELP, REESTIMATE_HELP, REFINE_HELP, infill, reestimate, refine
 from workbench.cli.rigs import rig_app
 from workbench.cli.servers import APP_HELP, lab, serve_app
 from workbench.cli.servers import notebooks_folder as notebooks_folder
@@ -30,6 +31,9 @@ app = typer.Typer(
 app.command(help=TRACK_HELP)(track)
 app.command(help=LANDMARKS_HELP)(landmarks)
 app.command()(demo)
+app.command(help=INFILL_HELP)(infill)
+app.command(help=REFINE_HELP)(refine)
+app.command(help=REESTIMATE_HELP)(reestimate)
 app.command(help=DIAGNOSE_HELP)(diagnose)
 app.command(help=EXPORT_HELP)(export)
 app.add_typer(config_app, name="config")

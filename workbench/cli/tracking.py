@@ -36,6 +36,8 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
   workbench track left.mp4 --preset deep-energies --rig rig.toml --view right=right.mp4
 
+  workbench track talk.mp4 --infill flow --refine hybrid
+
   workbench track talk.mp4 --config tuned.toml      your own configuration
 
   workbench track talk.mp4 --model flame.pkl        another face model
@@ -50,6 +52,8 @@ FRAMES_HELP = "Only a part, first and last frame as A-B."
 WORKERS_HELP = "Deep Energies: processes that fit frames."
 RIG_HELP = "Deep Energies: calibration of several cameras; INPUT is its first view."
 VIEW_HELP = "Clip of another view of the rig as NAME=CLIP; may be given more than once."
+INFILL_HELP = "Fill failed frames: flow, linear or spline (none: leave them)."
+REFINE_HELP = "Steady the result: averaging, self, plate or hybrid (none: leave it)."
 FACE_HELP = "A point X,Y in the wanted face, pixels."
 
 
@@ -72,11 +76,13 @@ def track(
     rig: Annotated[Path | None, typer.Option(help=RIG_HELP)] = None,
     view: Annotated[list[str] | None, typer.Option(help=VIEW_HELP)] = None,
     landmarks: Annotated[Path | None, typer.Option(help="Stored landmarks of the pictures: no detector.")] = None,
+    infill: Annotated[str | None, typer.Option(help=INFILL_HELP)] = None,
+    refine: Annotated[str | None, typer.Option(help=REFINE_HELP)] = None,
     pictures: Annotated[bool, typer.Option(help="Write the overlay video or pictures.")] = True,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
 ) -> None:
     """Track faces in pictures, a video or landmark files."""
-    settings = _configuration(config, preset_name, detector, fov, face, identity, energy, rig)
+    settings = _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine)
     folder = out or Path("out") / (inputs[0].stem or "run")
     _run(
         inputs,
@@ -88,7 +94,7 @@ def track(
         resume=resume,
         landmarks=landmarks,
         frames=frame_range(frames),
-        views=_views(view or []),
+        views=named_views(view or []),
         workers=workers,
     )
 
@@ -104,7 +110,7 @@ def demo(
         _run([sample(name)], out / name, config, pictures=pictures, landmarks=sample(f"{name}-landmarks"))
 
 
-def _configuration(config, preset_name, detector, fov, face, identity, energy, rig) -> Config:
+def _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine) -> Config:
     if config is not None and preset_name is not None:
         raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
     base = read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
@@ -124,6 +130,8 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, r
         "landmarks": landmarks,
         "camera": camera,
         "identity": {} if identity is None else {"calibrate": identity},
+        "infill": {} if infill is None else {"method": infill},
+        "refinement": {} if refine is None else {"method": refine},
     }
     return base.changed(**changes)
 
@@ -138,7 +146,8 @@ def frame_range(text: str | None) -> tuple[int, int] | None:
     return int(first), int(last)
 
 
-def _views(texts: list[str]) -> dict[str, Path]:
+def named_views(texts: list[str]) -> dict[str, Path]:
+    """Clips by the names of their views; raises `ConfigError` for anything but NAME=CLIP."""
     views = {}
     for text in texts:
         name, sign, path = text.partition("=")
@@ -170,11 +179,12 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
         except KeyboardInterrupt:
             screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept, --resume goes on from there")
             raise typer.Exit(130) from None
-    _print_summary(result)
+    print_result(result)
 
 
-def _print_summary(result) -> None:
-    from workbench.pipeline import DEEP_OUTPUTS, OUTPUTS
+def print_result(result) -> None:
+    """The table of a finished run."""
+    from workbench.pipeline import DEEP_OUTPUTS, OUTPUTS, TIME_OUTPUTS
 
     summary = result.summary
     error = summary["reprojection_error"]
@@ -186,6 +196,8 @@ def _print_summary(result) -> None:
     if summary["frames_failed"]:
         listed = ", ".join(f"{count} × {reason}" for reason, count in summary["frames_failed"].items())
         table.add_row("[bold]failed[/bold]", f"{listed}")
+    if summary["frames_filled"]:
+        table.add_row("[bold]filled[/bold]", f"{summary['frames_filled']} frames from their neighbours")
     table.add_row("[bold]landmarks[/bold]", f"by {summary['detector']}" if summary["detector"] else "from a file")
     if summary["frames_with_face"]:
         table.add_row(
@@ -204,7 +216,7 @@ def _print_summary(result) -> None:
     for path in _named(result.files):
         key = "overlay.mp4" if "overlay" in path.name or path.parent.name == "overlay" else path.name
         key = "stages" if path.parent.name == "stages" else key
-        table.add_row("", f"{escape(str(path))}  [dim]{(OUTPUTS | DEEP_OUTPUTS).get(key, '')}[/dim]")
+        table.add_row("", f"{escape(str(path))}  [dim]{(OUTPUTS | DEEP_OUTPUTS | TIME_OUTPUTS).get(key, '')}[/dim]")
     screen.console.print(table)
     for note in result.notes:
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")

@@ -10,7 +10,7 @@ import numpy as np
 from workbench.files import atomic_path
 from workbench.geometry import Camera, horizontal_fov_deg
 from workbench.tracking import Track
-from workbench.tracking.records import FAILURES, frame_errors
+from workbench.tracking.records import FAILURES, SOURCES, frame_errors
 
 TIMES = ("detect", "landmarks", "solve")
 
@@ -22,12 +22,14 @@ def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[st
     are means over the landmarks of a frame, then mean, median and 95th percentile over the frames with a face.
     """
     errors, milliseconds, found, iterations, failure, shots, camera, detector = [], [], [], [], [], 0, {}, None
+    filled = 0
     for track in tracks:
         errors.append(frame_errors(track))
         milliseconds.append(track.milliseconds)
         found.append(track.found)
         iterations.append(track.iterations)
         failure.append(track.failure)
+        filled += int((track.source == SOURCES.index("filled")).sum())
         shots = int(track.shot.max()) + 1
         camera = camera or _camera(track)
         detector = track.meta.get("detector")
@@ -42,6 +44,7 @@ def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[st
     return {
         "frames": len(found),
         "frames_with_face": int(found.sum()),
+        "frames_filled": filled,
         "frames_failed": _failures(np.concatenate(failure)),
         "shots": shots,
         "detector": detector,

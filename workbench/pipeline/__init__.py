@@ -4,7 +4,7 @@ import hashlib
 import importlib.metadata
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -24,7 +24,12 @@ from workbench.pipeline.deep_run import track_independent_frames, write_strips
 from workbench.pipeline.sources import PictureSource as PictureSource
 from workbench.pipeline.sources import is_landmark_file as is_landmark_file
 from workbench.pipeline.sources import open_deep_source, open_source
+from workbench.pipeline.temporal_run import Step as Step
+from workbench.pipeline.temporal_run import config_of as config_of
+from workbench.pipeline.temporal_run import over_time, views_of, wanted_steps, worked_meta
+from workbench.pipeline.temporal_run import work_over as work_over
 from workbench.tracking import FaceTracker, FrameFit, Track
+from workbench.tracking.track_reader import TrackReader
 from workbench.tracking.track_writer import TrackWriter
 
 PACKAGES = ("jax", "optimistix", "numpy", "scipy", "opencv-contrib-python-headless", "pyvista")
@@ -89,7 +94,12 @@ def track(
     folder.mkdir(parents=True, exist_ok=True)
     meta = _meta([*paths, *views.values()], landmarks, model, config, stills, source)
     meta["frames"] = None if frames is None else list(frames)
-    writer = TrackWriter(folder / "track.npz", meta, _fingerprint(meta), resume)
+    meta["views"] = {name: str(path) for name, path in views.items()}
+    steps = wanted_steps(config)
+    if steps and stills:
+        raise InputError("Unrelated photos have no neighbours in time; leave infill and refinement out, or --stills.")
+    name = UNREFINED if steps else "track.npz"
+    writer = TrackWriter(folder / name, meta, _fingerprint(meta), resume)
     began, already, strips = time.perf_counter(), len(writer), []
     try:
         if deep:
@@ -102,16 +112,88 @@ def track(
     if not len(writer):
         writer.discard()
         raise InputError(f"{paths[0]} holds no frame to track; check that it plays.")
+    written = writer
+    if steps:
+        written = _over_time(_fits(writer), source.views, model, config, steps, meta, folder, progress, len(writer))
     seconds = time.perf_counter() - began
-    summary = summary_of(writer.tracks(), seconds if not already else None)
+    summary = summary_of(written.tracks(), seconds if not already else None)
     notes = [*source.notes()]
-    files = _write_tables(writer, summary, model, config, folder)
+    files = _write_tables(written, summary, model, config, folder)
     if pictures and deep:
         files += write_strips(strips, tracker.fitter, folder, progress)
     if pictures:
-        files += _write_pictures(source, writer, model, stills, folder, progress, notes)
+        files += _write_pictures(source.frames, written, model, stills, folder, progress, notes)
+    for finished in dict.fromkeys((written, writer)):
+        finished.close()
+    kept = (folder / UNREFINED,) if steps else ()
+    return RunResult(folder, summary, (folder / "track.npz", *kept, *files), tuple(notes))
+
+
+def retrack(
+    stored: str | Path,
+    folder: str | Path,
+    model: FaceModel,
+    config: Config,
+    steps: Sequence[Step],
+    *,
+    pictures: bool = True,
+    clip: Path | None = None,
+    views: Mapping[str, Path] = MappingProxyType({}),
+    progress: Progress | None = None,
+) -> RunResult:
+    """Infill, refine or re-estimate a stored track into `folder`: a new track and the tables of `track`.
+
+    `config` is the track's own (`config_of`) with changes; `clip` and `views` say where the pictures are now, where
+    they were moved. Raises `InputError` for a track, model or pictures that cannot be used.
+    """
+    folder, progress = Path(folder), progress or _silent
+    reader = TrackReader(stored)
+    check_model(reader.meta, model)
+    if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
+        raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
+    opened = views_of(reader.meta, config, clip, views)
+    folder.mkdir(parents=True, exist_ok=True)
+    began = time.perf_counter()
+    origin = {"path": str(reader.path), "sha256": content_hash(reader.path)}
+    meta = {**reader.meta, "track": origin}
+    writer = _over_time(reader, opened, model, config, steps, meta, folder, progress, len(reader))
+    summary = summary_of(writer.tracks(), time.perf_counter() - began)
+    files = _write_tables(writer, summary, model, config, folder)
+    notes = [note for frames in opened for note in frames.notes]
+    if pictures and opened:
+        files += _write_pictures(opened[0], writer, model, False, folder, progress, notes)
     writer.close()
     return RunResult(folder, summary, (folder / "track.npz", *files), tuple(notes))
+
+
+def check_model(meta: Mapping[str, Any], model: FaceModel) -> None:
+    """Raise `InputError` unless a track was made with this face model."""
+    made = meta.get("model", {})
+    if made.get("sha256") not in (None, model.fingerprint()):
+        raise InputError(f"The track was made with the face model {made.get('name')!r}; pass that one with --model.")
+
+
+def _over_time(
+    fits: Iterable[FrameFit], views, model, config, steps, meta, folder: Path, progress: Progress, total: int
+) -> TrackWriter:
+    """The writer of the new track, all of its frames in it."""
+    meta = worked_meta(meta, config, steps)
+    writer = TrackWriter(folder / "track.npz", meta, _fingerprint(meta))
+    try:
+        for fit in over_time(fits, views, model, config, steps, progress, total):
+            writer.add(fit)
+            if writer.wants_part():
+                writer.write_part({})
+        writer.write_part({})
+    except BaseException:
+        writer.discard()
+        raise
+    return writer
+
+
+def _fits(writer: TrackWriter) -> Iterator[FrameFit]:
+    for part in writer.tracks():
+        yield from (part[position] for position in range(len(part)))
 
 
 OUTPUTS = {
@@ -122,8 +204,11 @@ OUTPUTS = {
     "config.toml": "the configuration used",
     "overlay.mp4": "the landmarks on the picture, the 3D face beside it (overlay/ with pictures for stills)",
 }
+UNREFINED = "unrefined.npz"
 DEEP_OUTPUTS = {"stages": "what each stage made of some frames, and of those that failed"}
 """What a Deep Energies run leaves besides."""
+TIME_OUTPUTS = {UNREFINED: "the fits of single frames, before infill and refinement"}
+"""What a run with infill or refinement leaves besides."""
 
 
 def _silent(step: str, done: int, total: int | None) -> None:
@@ -176,23 +261,24 @@ def _write_tables(writer, summary, model, config, folder: Path) -> tuple[Path, .
 
 def landmark_record(fit: FrameFit) -> LandmarkRecord:
     """The observed landmarks of a fit as a row of a landmark file."""
-    landmarks = Landmarks2D(fit.observed, fit.confidence, fit.image_size) if fit.found else None
+    seen = fit.found and fit.source != "filled"
+    landmarks = Landmarks2D(fit.observed, fit.confidence, fit.image_size) if seen else None
     return LandmarkRecord(fit.index, f"frame-{fit.index}", landmarks, fit.image_size)
 
 
-def _write_pictures(source, writer, model, stills, folder, progress, notes) -> tuple[Path, ...]:
+def _write_pictures(frames, writer, model, stills, folder, progress, notes) -> tuple[Path, ...]:
     from workbench.pictures.overlay_files import write_overlay_picture, write_overlay_video  # VTK: a second to import
 
     total = len(writer)
     if not stills:
         path = folder / "overlay.mp4"
         note = write_overlay_video(
-            source.frames, writer, model, path, progress=lambda done, total: progress("overlay", done, total)
+            frames, writer, model, path, progress=lambda done, total: progress("overlay", done, total)
         )
         notes += [note] if note else []
         return (path,)
     made = []
-    for frame in source.frames.iterate():
+    for frame in frames.iterate():
         name = "overlay.png" if total == 1 else f"overlay/{frame.index:04d}-{Path(frame.name).stem}.jpg"
         note = write_overlay_picture(folder / name, frame.picture, writer[frame.index], model)
         if note and note not in notes:

@@ -46,6 +46,11 @@ class PictureSource:
         self._tracker = LandmarkTracker(detector, TrackerOptions(face=face))
         self._finder = LandmarkTracker(detector, TrackerOptions(face=face, accept_confidence=STILL_CONFIDENCE))
 
+    @property
+    def views(self) -> list[Frames]:
+        """The pictures of every view."""
+        return [self.frames]
+
     def notes(self) -> list[str]:
         return [*self.frames.notes, *([self._fallback] if self._fallback else [])]
 
@@ -98,6 +103,7 @@ class FileSource:
         self.frames = frames or _Canvas(self)
         self.count = self.frames.announced_count
         self.single_picture = frames is not None and frames.kind == "images" and self.count == 1
+        self.views: list[Frames] = [] if frames is None else [frames]
 
     def notes(self) -> list[str]:
         return list(self.frames.notes)
@@ -149,6 +155,7 @@ class RigSource:
         counts = [source.count for source in sources if source.count is not None]
         self.count = min(counts) if counts else None
         self.single_picture = all(source.single_picture for source in sources)
+        self.views = [source.frames for source in sources]
 
     def notes(self) -> list[str]:
         counts = {name: source.count for name, source in zip(self._names, self._sources, strict=True)}
@@ -175,6 +182,7 @@ class DeepSource:
         self._network = energy_network(config.deep.network)
         self.frames, self.image_size, self.detector = source.frames, source.image_size, source.detector
         self.count, self.single_picture = source.count, source.single_picture
+        self.views = source.views
         self._without_pictures = False
 
     def notes(self) -> list[str]:

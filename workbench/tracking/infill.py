@@ -6,9 +6,12 @@ neighbours. At the ends of a clip there is one anchor and one way.
 """
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from workbench.config import InfillConfig
 from workbench.errors import InputError
 from workbench.face import FaceParameters
 from workbench.tracking.flow_fitter import FlowFitter, Neighbour, Pictures, parameters_of
@@ -23,20 +26,19 @@ Advanced = Callable[[FrameFit], None]
 def infilled(
     fitter: FlowFitter,
     stream: Iterable[Moment],
-    failed: Collection[int] = (),
     advanced: Advanced = lambda fit: None,
 ) -> Iterator[Moment]:
     """The stream with its gaps filled by the configuration's method, frames in order.
 
-    A gap are frames without a face, with a failed fit, or named in `failed`. Frames of a shot without any good frame,
-    and gaps longer than the configuration allows, stay as they are. Holds a gap and its ends in memory, pictures of a
-    long one on disk.
+    A gap are frames without a face, whose fit failed or misses its landmarks, or named by the configuration. Frames of
+    a shot without any good frame, and gaps longer than the configuration allows, stay as they are. Holds a gap and its
+    ends in memory, pictures of a long one on disk.
     """
     method = fitter.config.infill.method
     ahead = SPLINE_FRAMES if method == "spline" else 1
     window = _Window()
     for moment in stream:
-        good = moment.fit.found and not moment.fit.failure and moment.fit.index not in failed
+        good = usable(moment.fit, fitter.config.infill)
         if window.shot is not None and moment.fit.shot != window.shot:
             yield from _closed(fitter, window, advanced)
             window = _Window()
@@ -57,6 +59,14 @@ def infilled(
         else:
             window.add(moment)
     yield from _closed(fitter, window, advanced)
+
+
+def usable(fit: FrameFit, infill: InfillConfig) -> bool:
+    """Whether a fit stays and may be an anchor: found, not failed, not named, its landmark error small enough."""
+    if not fit.found or fit.failure or infill.named(fit.index):
+        return False
+    unseen = not np.nan_to_num(fit.confidence).max() > 0.0
+    return unseen or fit.errors[2] <= infill.largest_error
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -140,12 +141,7 @@ class Track:
         try:
             # Opened here, because NumPy leaves a damaged archive open.
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-                meta = json.loads(stored["meta"].item())
-                if meta.get("format") != FORMAT:
-                    raise InputError(f"{path} is no workbench track; pass the track.npz of a run.")
-                if meta.get("format_version", 0) > FORMAT_VERSION:
-                    raise InputError(f"{path} was written by a newer workbench; upgrade to read it.")
-                return cls(meta=meta, **_arrays_of(stored))
+                return cls(meta=checked_meta(stored, path), **in_todays_layout(stored, len(stored["index"])))
         except (zipfile.BadZipFile, KeyError, ValueError, OSError, EOFError, AttributeError) as error:
             if isinstance(error, InputError):
                 raise
@@ -155,9 +151,18 @@ class Track:
 ARRAYS = tuple(entry.name for entry in fields(Track) if entry.name != "meta")
 
 
-def _arrays_of(stored) -> dict[str, np.ndarray]:
-    """The arrays of a file; those that older versions did not write as they were then."""
-    count = len(stored["index"])
+def checked_meta(stored: Mapping[str, np.ndarray], path: Path) -> dict[str, Any]:
+    """The metadata of a track's arrays. Raises `InputError` for a foreign file and one of a newer workbench."""
+    meta = json.loads(stored["meta"].item())
+    if meta.get("format") != FORMAT:
+        raise InputError(f"{path} is no workbench track; pass the track.npz of a run.")
+    if meta.get("format_version", 0) > FORMAT_VERSION:
+        raise InputError(f"{path} was written by a newer workbench; upgrade to read it.")
+    return meta
+
+
+def in_todays_layout(stored: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+    """All arrays of a track of `count` frames; those that older versions did not write as they were then."""
     old = {"jaw": np.zeros((count, 6)), "scale": np.ones(count), "failure": np.zeros(count, np.int8)}
     return {name: stored[name] if name in stored or name not in old else old[name] for name in ARRAYS}
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from workbench.config import Config, Stage
+from workbench.errors import ConfigError
 from workbench.face import FaceModel, FaceParameters
 from workbench.landmarks.observations import Landmarks2D
 from workbench.rendering import Appearance
@@ -24,7 +25,10 @@ def reestimation_stage(config: Config) -> Stage:
     named = next((stage for stage in config.stages if stage.name == NAME), None)
     if named is not None:
         return named.model_copy(update={"enabled": True})
-    last = [stage for stage in config.stages if stage.enabled and "expression" in stage.free][-1]
+    able = [stage for stage in config.stages if stage.enabled and "expression" in stage.free]
+    if not able:
+        raise ConfigError("Re-estimation fits the expression, which no enabled stage frees; enable one that does.")
+    last = able[-1]
     kept = tuple(name for name in last.free if name in ("expression", "jaw"))
     return last.model_copy(update={"name": NAME, "free": kept, "when": "always"})
 

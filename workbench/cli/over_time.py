@@ -1,0 +1,139 @@
+"""`workbench infill`, `refine` and `reestimate`: what uses time, on stored tracks."""
+
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import typer
+
+from workbench.cli import screen
+from workbench.cli.tracking import frame_range, named_views, print_result
+from workbench.config import InfillConfig, RefinementConfig
+from workbench.errors import ConfigError
+
+INFILL_HELP = """Fill frames without a usable fit from their neighbours, into a new track.
+
+[bold]Examples[/bold]
+
+  workbench infill out/talk                          by optical flow, into out/talk-infill
+
+  workbench infill out/talk --frames 120-131         frames that were found, but badly
+
+  workbench infill out/talk --method spline          without looking at the pictures
+"""
+REFINE_HELP = """Steady a track, into a new one.
+
+[bold]Examples[/bold]
+
+  workbench refine out/talk                          averaging, then the pictures' flow, into out/talk-refine
+
+  workbench refine out/talk --method plate --sweeps 3 --order gauss-seidel
+
+  workbench refine out/talk --reestimate 1           and the expression anew with the steadied pose
+"""
+REESTIMATE_HELP = """Fit the expressions of a track anew with its poses held, into a new track.
+
+[bold]Example[/bold]
+
+  workbench reestimate out/talk-refine
+"""
+
+
+def _choices(section: type, key: str) -> list[str]:
+    return [choice for choice in get_args(section.model_fields[key].annotation) if choice != "none"]
+
+
+INFILL_METHODS, REFINEMENT_METHODS = _choices(InfillConfig, "method"), _choices(RefinementConfig, "method")
+
+Run = Annotated[Path, typer.Argument(metavar="TRACK", help="Folder of a run, or its track.npz.")]
+Out = Annotated[Path | None, typer.Option(help="Folder for the results (default: TRACK's, with the command's name).")]
+Model = Annotated[Path | None, typer.Option(help="The face model of the track, if not the default head.")]
+Clip = Annotated[Path | None, typer.Option("--clip", help="The pictures, if they were moved since.")]
+View = Annotated[list[str] | None, typer.Option(help="Clip of another view, if moved, as NAME=CLIP.")]
+Estimator = Annotated[str | None, typer.Option(help="dis, farneback, network, or a file of weights.")]
+Pictures = Annotated[bool, typer.Option(help="Write the overlay video.")]
+
+
+def infill(
+    run: Run,
+    out: Out = None,
+    frames: Annotated[
+        list[str] | None, typer.Option(help="Fill these too, first and last as A-B; may be given more than once.")
+    ] = None,
+    method: Annotated[str, typer.Option(help=f"One of: {', '.join(INFILL_METHODS)}.")] = "flow",
+    estimator: Estimator = None,
+    longest: Annotated[int | None, typer.Option(min=1, help="Leave gaps of more frames as they are.")] = None,
+    model: Model = None,
+    clip: Clip = None,
+    view: View = None,
+    pictures: Pictures = True,
+) -> None:
+    """Fill frames without a usable fit from their neighbours, into a new track."""
+    _check(method, INFILL_METHODS)
+    section: dict[str, Any] = {"method": method, "frames": [frame_range(text) for text in frames or []]}
+    if longest is not None:
+        section["longest"] = longest
+    _work(run, out, "infill", {"infill": section, "flow": _flow(estimator)}, ["infill"], model, clip, view, pictures)
+
+
+def refine(
+    run: Run,
+    out: Out = None,
+    method: Annotated[str, typer.Option(help=f"One of: {', '.join(REFINEMENT_METHODS)}.")] = "hybrid",
+    sweeps: Annotated[int | None, typer.Option(min=1, max=20, help="Times that every frame is solved.")] = None,
+    order: Annotated[str | None, typer.Option(help="jacobi or gauss-seidel.")] = None,
+    prior: Annotated[float | None, typer.Option(min=0.0, help="Weight of staying at the pose before.")] = None,
+    reestimate: Annotated[int, typer.Option(min=0, max=10, help="Also fit the expression anew, so often.")] = 0,
+    estimator: Estimator = None,
+    model: Model = None,
+    clip: Clip = None,
+    view: View = None,
+    pictures: Pictures = True,
+) -> None:
+    """Steady a track, into a new one."""
+    _check(method, REFINEMENT_METHODS)
+    given = {"sweeps": sweeps, "order": order, "prior": prior}
+    section = {"method": method, "reestimate": reestimate} | {k: v for k, v in given.items() if v is not None}
+    steps = ["refine", *(["reestimate"] if reestimate else [])]
+    changes = {"refinement": section, "flow": _flow(estimator)}
+    _work(run, out, "refine", changes, steps, model, clip, view, pictures)
+
+
+def reestimate(
+    run: Run, out: Out = None, model: Model = None, clip: Clip = None, view: View = None, pictures: Pictures = True
+) -> None:
+    """Fit the expressions of a track anew with its poses held, into a new track."""
+    changes = {"refinement": {"reestimate": 1}}
+    _work(run, out, "reestimate", changes, ["reestimate"], model, clip, view, pictures)
+
+
+def _check(method: str, known: list[str]) -> None:
+    if method not in known:
+        raise ConfigError(f"The method is one of {', '.join(known)}, got {method!r}.")
+
+
+def _flow(estimator: str | None) -> dict[str, str]:
+    return {} if estimator is None else {"estimator": estimator}
+
+
+def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, clip, view, pictures: bool) -> None:
+    from workbench.face import load_default_head, load_face_model
+    from workbench.pipeline import config_of, retrack
+    from workbench.tracking.track_reader import TrackReader
+
+    stored = run / "track.npz" if run.is_dir() else run
+    config = config_of(TrackReader(stored).meta).changed(**changes)
+    model = load_default_head() if model_path is None else load_face_model(model_path)
+    folder = out or stored.parent.with_name(f"{stored.resolve().parent.name}-{name}")
+    with screen.progress_bar() as progress:
+        result = retrack(
+            stored,
+            folder,
+            model,
+            config,
+            steps,
+            pictures=pictures,
+            clip=clip,
+            views=named_views(view or []),
+            progress=progress,
+        )
+    print_result(result)

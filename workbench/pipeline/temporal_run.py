@@ -1,0 +1,145 @@
+"""What uses time, over whole tracks: infill, refinement and re-estimation as part of a run or on a stored track."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+from workbench.config import Config, parse_config
+from workbench.errors import InputError
+from workbench.face import FaceModel
+from workbench.frames import IMAGE_SUFFIXES, VIDEO_SUFFIXES, FrameRange, Frames, open_frames
+from workbench.geometry import read_rig
+from workbench.tracking.flow_fitter import FlowFitter
+from workbench.tracking.infill import infilled
+from workbench.tracking.moments import Moment, moments
+from workbench.tracking.records import FrameFit, Track, stack_fits
+from workbench.tracking.reestimation import Reestimator
+from workbench.tracking.refinement import refined
+
+Step = Literal["infill", "refine", "reestimate"]
+STEPS: tuple[Step, ...] = ("infill", "refine", "reestimate")
+Progress = Callable[[str, int, int | None], None]
+
+
+def wanted_steps(config: Config) -> tuple[Step, ...]:
+    """What the configuration asks for beside fitting each frame."""
+    asked = (config.infill.method != "none", config.refinement.method != "none", config.refinement.reestimate > 0)
+    return tuple(step for step, wanted in zip(STEPS, asked, strict=True) if wanted)
+
+
+def over_time(
+    fits: Iterable[FrameFit],
+    views: Sequence[Frames],
+    model: FaceModel,
+    config: Config,
+    steps: Sequence[Step],
+    progress: Progress = lambda step, done, total: None,
+    total: int | None = None,
+) -> Iterator[FrameFit]:
+    """The fits after these steps by the configuration, as a stream: memory for a window of frames.
+
+    `views` are the pictures of each view; none is enough for methods that look at none. Refinement and re-estimation
+    alternate as often as the configuration says. Raises `InputError` for methods that need the pictures.
+    """
+    if not views and (need := needs_pictures(config, steps)):
+        raise InputError(
+            f"The method {need!r} looks at the pictures, and there are none; name them, or choose another."
+        )
+    fitter = FlowFitter(model, config)
+    done = dict.fromkeys(STEPS, 0)
+
+    def counted(step: Step) -> Callable[[FrameFit], None]:
+        def advanced(fit: FrameFit) -> None:
+            done[step] += 1
+            progress(step, done[step], None)
+
+        return advanced
+
+    stream: Iterator[Moment] = moments(fits, views)
+    if "infill" in steps:
+        stream = infilled(fitter, stream, counted("infill"))
+    for _ in range(max(1, config.refinement.reestimate)):
+        if "refine" in steps:
+            stream = refined(fitter, stream, counted("refine"))
+        if "reestimate" in steps:
+            stream = Reestimator(model, config).stream(stream, counted("reestimate"))
+    for count, moment in enumerate(stream, start=1):
+        yield moment.fit
+        progress("time", count, total)
+
+
+def needs_pictures(config: Config, steps: Sequence[Step]) -> str:
+    """The method of these steps that looks at the pictures; empty if none does."""
+    if "infill" in steps and config.infill.method == "flow":
+        return "flow"
+    if "refine" in steps and config.refinement.method in ("plate", "hybrid"):
+        return config.refinement.method
+    return ""
+
+
+def config_of(track_meta: Mapping[str, Any]) -> Config:
+    """The configuration that a track was made with."""
+    return parse_config(track_meta["config"], "The track's configuration")
+
+
+def views_of(
+    meta: Mapping[str, Any],
+    config: Config,
+    pictures: Path | None = None,
+    others: Mapping[str, Path] = MappingProxyType({}),
+) -> list[Frames]:
+    """The pictures that a track was made from, in each view; empty for a track of landmarks alone.
+
+    `pictures` and `others` (by the views' names) say where they are now. Raises `InputError` for pictures that are no
+    longer there, for views the rig does not have, and for a track of unrelated photos.
+    """
+    if meta.get("stills"):
+        raise InputError("This track holds unrelated photos; infill and refinement need frames of a clip.")
+    names = read_rig(Path(config.camera.rig)).names if config.camera.rig else ("",)
+    unknown = [name for name in others if name not in names[1:]]
+    if unknown:
+        raise InputError(f"The rig has no view {unknown[0]!r}; its other views are {', '.join(names[1:]) or 'none'}.")
+    paths = _view_paths(meta, names)
+    if pictures is not None:
+        paths[0] = [pictures]
+    for name, path in others.items():
+        paths[names.index(name)] = [path]
+    looked_at = [path for group in paths for path in group]
+    if any(path.suffix.lower() not in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES, "") for path in looked_at):
+        return []
+    missing = [path for path in looked_at if not path.exists()]
+    if missing:
+        raise InputError(f"The pictures of this track are no longer at {missing[0]}; name them with --pictures.")
+    opened = [open_frames(group if len(group) > 1 else group[0]) for group in paths]
+    part = meta.get("frames")
+    return opened if part is None else [FrameRange(frames, *part) for frames in opened]
+
+
+def _view_paths(meta: Mapping[str, Any], names: Sequence[str]) -> list[list[Path]]:
+    """The input files of each view."""
+    paths = [Path(item["path"]) for item in meta.get("inputs", [])]
+    if len(names) == 1:
+        return [paths]
+    others = meta.get("views") or dict(zip(names[1:], (str(path) for path in paths[1 - len(names) :]), strict=False))
+    return [paths[: 1 - len(names)], *([Path(others[name])] for name in names[1:])]
+
+
+def work_over(
+    track: Track,
+    views: Sequence[Frames],
+    model: FaceModel,
+    config: Config,
+    steps: Sequence[Step] | None = None,
+    progress: Progress = lambda step, done, total: None,
+) -> Track:
+    """A track in memory after these steps (default: all that the configuration asks for), as `over_time`."""
+    wanted = wanted_steps(config) if steps is None else tuple(steps)
+    fits = list(over_time((track[k] for k in range(len(track))), views, model, config, wanted, progress, len(track)))
+    return Track(meta=worked_meta(track.meta, config, wanted), **stack_fits(fits))
+
+
+def worked_meta(meta: Mapping[str, Any], config: Config, steps: Sequence[Step]) -> dict[str, Any]:
+    """Metadata of a track after these steps."""
+    stored = config.model_dump(mode="json")
+    return {**meta, "config": stored, "steps": [*meta.get("steps", []), *steps]}
