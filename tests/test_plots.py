@@ -10,11 +10,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from workbench import plots
 from workbench.config import PRESETS
 from workbench.energies import EnergyConstants
+from workbench.errors import InputError
 from workbench.frames import read_picture
 from workbench.geometry import project, rotation_matrix
 from workbench.landmarks.files import read_landmark_file
 from workbench.samples import sample
-from workbench.tracking import FaceTracker, FrameObservation
+from workbench.tracking import FaceTracker, FrameObservation, Track
+from workbench.tracking.records import stack_fits
 
 
 @pytest.fixture(scope="module")
@@ -272,3 +274,72 @@ def test_the_normals_of_a_ball_are_unit_vectors_towards_the_camera():
     np.testing.assert_allclose(normals[20, 20], [0, 0, -1], atol=1e-12)
     assert normals[20, 35, 0] > 0.6
     assert normals[35, 20, 1] > 0.6
+
+
+@pytest.fixture
+def short_track(head, portrait):
+    """Four frames of one fit that turns and opens its mouth; frames 10 to 13, the third one without a face."""
+    _, fit = portrait
+    fits = []
+    for k in range(4):
+        expression = fit.expression.copy()
+        expression[head.expression_names.index("jawOpen")] = 0.1 * k
+        turned = fit.rotation + np.array([0.0, 0.1 * k, 0.0])
+        fits.append(replace(fit, index=10 + k, rotation=turned, expression=expression, found=k != 2))
+    return Track(meta={"expression_names": list(head.expression_names)}, **stack_fits(fits))
+
+
+def test_curves_of_tracks_show_each_quantity_of_each_track_with_the_truth_behind(short_track):
+    moved = replace(short_track, translation=short_track.translation + 5.0)
+    figure = plots.track_curves(
+        {"truth": short_track, "moved": moved}, ("yaw", "z", "jawOpen", "roll"), shaded=[(11, 12)]
+    )
+    yaw, depth, jaw, _ = figure.axes[:4]
+    assert [axis.get_title() for axis in figure.axes[:4]] == ["yaw, °", "z, mm", "jawOpen", "roll, °"]
+    behind, before = depth.get_lines()
+    np.testing.assert_array_equal(before.get_ydata() - behind.get_ydata(), np.full(4, 5.0))
+    assert behind.get_linewidth() > before.get_linewidth()
+    assert behind.get_zorder() < before.get_zorder()
+    np.testing.assert_allclose(jaw.get_lines()[0].get_ydata(), [0.0, 0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(yaw.get_lines()[0].get_xdata(), [10, 11, 12, 13])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["truth", "moved"]
+    assert drawn(figure).min() < 100
+
+
+def test_curves_of_tracks_can_show_a_part(short_track):
+    figure = plots.track_curves({"fits": short_track}, ("yaw",), frames=(11, 12))
+    np.testing.assert_array_equal(figure.axes[0].get_lines()[0].get_xdata(), [11, 12])
+
+
+def test_curves_of_tracks_name_the_quantities_there_are(short_track):
+    with pytest.raises(InputError, match="yaw, pitch, roll, x, y, z or a blendshape of the track, got 'jaw'"):
+        plots.track_curves({"fits": short_track}, ("jaw",))
+
+
+def test_a_film_strip_has_a_row_of_pictures_and_one_for_each_track(head, portrait, short_track):
+    picture, _ = portrait
+    right = [short_track[k] for k in (0, 1, 3)]
+    far = [replace(fit, translation=fit.translation + np.array([60.0, 0.0, 0.0])) for fit in right]
+    notes = {"far": ["", "much too far", ""]}
+    figure = plots.film_strip(head, [picture] * 3, {"right": right, "far": far}, notes)
+    panels = [axis.images[0].get_array().astype(int) for axis in figure.axes]
+    assert len(panels) == 9
+    assert len({panel.shape for panel in panels}) == 1
+    assert [axis.get_title() for axis in figure.axes[:3]] == ["frame 10", "frame 11", "frame 13"]
+    assert [text.get_text() for text in figure.texts] == ["picture", "right", "far"]
+    assert "much too far" in [text.get_text() for axis in figure.axes for text in axis.texts]
+    photo, fitted, moved = panels[0], panels[3], panels[6]
+    assert np.abs(moved - fitted).mean() > 2.0
+    assert np.abs(fitted - photo).mean() > 2.0
+    # The corner beside the head: the same square of the picture in all rows.
+    assert np.abs(moved[:10, :10] - photo[:10, :10]).mean() < 12.0
+
+
+def test_a_film_strip_darkens_frames_without_a_face_and_needs_one_in_a_column(head, portrait, short_track):
+    picture, _ = portrait
+    lost = short_track[2]
+    kept = plots.film_strip(head, [picture], {"before": [lost], "after": [short_track[1]]})
+    photo, dark, _ = (axis.images[0].get_array().astype(float) for axis in kept.axes)
+    assert dark.mean() < 0.4 * photo.mean()
+    with pytest.raises(InputError, match="Frame 12 of the film strip has no face in any row"):
+        plots.film_strip(head, [picture], {"before": [lost]})

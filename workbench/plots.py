@@ -13,15 +13,18 @@ from matplotlib import colormaps, pyplot
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from workbench.arrays import AnyArray
 from workbench.energies import EnergyConstants, beta_curve, beta_slope
+from workbench.errors import InputError
 from workbench.face import FaceModel
+from workbench.face.jaw import posed_vertices
 from workbench.geometry import Camera
 from workbench.landmarks.scheme import GROUPS, outer_eye_distance
-from workbench.pictures import HeadPanel, OverlayParts, draw_overlay
-from workbench.tracking import FrameFit
+from workbench.pictures import HeadPanel, OverlayParts, draw_overlay, head_painter
+from workbench.tracking import FrameFit, Track
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 BLUE, RED, GREY, GREEN, AMBER = "#2a6f97", "#c0392b", "#8d99a6", "#2d936c", "#e09f3e"
@@ -37,16 +40,30 @@ CLOSE_UP_MARGIN = 1.5
 """Side of a close-up in sides of the box around the landmarks."""
 HEAD_CUT = 1.35
 """Side of a rendered head in sides of the part of it that is shown."""
+STRIP_LABEL, STRIP_LARGEST = 0.24, 2.0
+"""Film strips: room for the rows' names, and the largest side of a picture, inches."""
+STRIP_MARGIN, HEAD_SHARE = 1.2, 0.6
+"""Film strips: as `CLOSE_UP_MARGIN`, and how much the head hides of the picture."""
+LINES_ALONE = OverlayParts(observed=False, model_points=False, residuals=False, axes=False, text=False, legend=False)
+ANGLES, PLACES = ("yaw", "pitch", "roll"), ("x", "y", "z")
 
 
-def close_up(picture: Picture, fit: FrameFit, side: int) -> tuple[Picture, FrameFit]:
+def close_up(
+    picture: Picture,
+    fit: FrameFit,
+    side: int,
+    about: Float[np.ndarray, "n 2"] | None = None,
+    margin: float = CLOSE_UP_MARGIN,
+) -> tuple[Picture, FrameFit]:
     """The square around the face, `side` pixels wide, and the fit in its pixels: small faces become readable.
 
-    The square stays inside the picture where it can; beyond it the picture's edge is repeated.
+    The square is `margin` times as wide as the box of the points `about`, the observed landmarks by default. It stays
+    inside the picture where it can; beyond it the picture's edge is repeated.
     """
-    low, high = fit.observed.min(axis=0), fit.observed.max(axis=0)
+    points = fit.observed if about is None else about
+    low, high = points.min(axis=0), points.max(axis=0)
     # Landmarks end at the brows, so the middle of the face lies above the middle of their box.
-    half = 0.5 * CLOSE_UP_MARGIN * float(np.max(high - low))
+    half = 0.5 * margin * float(np.max(high - low))
     corner = (low + high) / 2 - half - np.array([0.0, 0.12 * half])
     room = np.array([picture.shape[1], picture.shape[0]]) - 2 * half
     corner = np.where(room > 0, np.clip(corner, -0.5, room - 0.5), corner)
@@ -92,6 +109,136 @@ def pictures_in_a_row(pictures: Sequence[Picture], titles: Sequence[str] = (), c
         if titled[row]:
             axis.set_title(titles[k], fontsize=9, pad=4)
     return figure
+
+
+def film_strip(
+    model: FaceModel,
+    pictures: Sequence[Picture],
+    rows: dict[str, Sequence[FrameFit]],
+    notes: dict[str, Sequence[str]] | None = None,
+) -> Figure:
+    """Frames side by side: the pictures, and in a row for each label its fits as heads over them.
+
+    `rows[label][k]` is a fit to `pictures[k]`, and `notes[label][k]` is written into its corner. A column shows the
+    same square in all rows. The head lets the picture shine through, so that what does not match looks double; lines
+    are the model's landmarks. A frame without a face is dark. Raises `InputError` where no row has a face in a frame.
+
+    Deep Energies Figs. 8, 13, 14 and 18.
+    """
+    count = len(pictures)
+    across = PAGE_WIDTH - STRIP_LABEL - GAP * count
+    side = int(min(across / count, STRIP_LARGEST) * DPI)
+    fine = 2 * side  # drawn at twice the size, so that lines are thin and smooth
+    panels: list[list[Picture]] = [[] for _ in range(len(rows) + 1)]
+    with head_painter(model, (fine, fine), texture=False, fade_neck=True) as painter:
+        for k, picture in enumerate(pictures):
+            column = [fits[k] for fits in rows.values()]
+            found = [fit.projected for fit in column if fit.found]
+            if not found:
+                raise InputError(f"Frame {column[0].index} of the film strip has no face in any row; leave it out.")
+            square = {"about": np.median(found, axis=0), "margin": STRIP_MARGIN}
+            photo, _ = close_up(picture, column[0], fine, **square)
+            panels[0].append(_resized(photo, side))
+            for row, fit in zip(panels[1:], column, strict=True):
+                row.append(_resized(_head_over(model, painter, *close_up(picture, fit, fine, **square)), side))
+    return _labelled_rows(
+        panels,
+        [f"frame {fit.index}" for fit in next(iter(rows.values()))],
+        ["picture", *rows],
+        [[""] * count, *(notes.get(label, [""] * count) if notes else [""] * count for label in rows)],
+    )
+
+
+def _head_over(model: FaceModel, painter, photo: Picture, fit: FrameFit) -> Picture:
+    """The head of a fit over the picture, drawn by a `HeadPainter` of the picture's size."""
+    if not fit.found:
+        return photo // 3
+    vertices = posed_vertices(model.personal(fit.identity), fit.expression, fit.jaw, fit.scale)
+    head = painter.render(vertices, fit.camera, fit.rotation, fit.translation, background=photo)
+    mixed = cv2.addWeighted(head, HEAD_SHARE, photo, 1.0 - HEAD_SHARE, 0.0)
+    return draw_overlay(mixed, fit, parts=LINES_ALONE)
+
+
+def _labelled_rows(
+    panels: Sequence[Sequence[Picture]], tops: Sequence[str], labels: Sequence[str], notes: Sequence[Sequence[str]]
+) -> Figure:
+    """Square pictures in a table under their columns' names, rows named on the left."""
+    side = len(panels[0][0]) / DPI
+    width, height = STRIP_LABEL + len(tops) * (side + GAP), TITLE_HEIGHT + len(panels) * (side + GAP)
+    figure = _figure(width, height)
+    for row, (pictures, label, said) in enumerate(zip(panels, labels, notes, strict=True)):
+        bottom = height - TITLE_HEIGHT - row * (side + GAP) - side
+        figure.text(
+            0.45 * STRIP_LABEL / width, (bottom + side / 2) / height, label, rotation=90, ha="center", va="center",
+            fontsize=9,
+        )  # fmt: skip
+        for column, (picture, note) in enumerate(zip(pictures, said, strict=True)):
+            left = STRIP_LABEL + column * (side + GAP)
+            axis = figure.add_axes((left / width, bottom / height, side / width, side / height))
+            axis.imshow(picture)
+            axis.axis("off")
+            axis.text(0.97, 0.03, note, transform=axis.transAxes, ha="right", va="bottom", fontsize=8, color="white",
+                      path_effects=[Stroke(linewidth=2, foreground="0.1"), Normal()])  # fmt: skip
+            if row == 0:
+                axis.set_title(tops[column], fontsize=9, pad=4)
+    return figure
+
+
+def track_curves(
+    tracks: dict[str, Track],
+    quantities: Sequence[str] = (*ANGLES, *PLACES),
+    frames: tuple[int, int] | None = None,
+    shaded: Sequence[tuple[int, int]] = (),
+    columns: int = 3,
+) -> Figure:
+    """Parameters of several tracks over their frames, one small plot a quantity (Deep Energies Figs. 15 and 17).
+
+    Quantities are yaw, pitch, roll (degrees), x, y, z (millimetres) and the names of blendshapes. `frames` are the
+    first and last one that are shown. A track named "truth" is thick and grey behind the others. `shaded` are parts of
+    frames, first and last, on a grey ground.
+
+    Raises `InputError` for a quantity that a track does not have.
+    """
+    rows = -(-len(quantities) // columns)
+    figure, axes = _subplots(rows, columns, (PAGE_WIDTH, 0.35 + 1.75 * rows))
+    for axis, quantity in zip(axes, quantities, strict=False):
+        styles = iter(LINES)
+        for label, track in tracks.items():
+            behind = label == "truth"
+            color, dash = (GREY, "-") if behind else next(styles)
+            shown = slice(None) if frames is None else (track.index >= frames[0]) & (track.index <= frames[1])
+            axis.plot(
+                track.index[shown], _quantity(track, quantity)[shown], dash, color=color,
+                linewidth=3.5 if behind else 1.2,
+                alpha=0.6 if behind else 1.0, label=label, zorder=1 if behind else 2,
+            )  # fmt: skip
+        for first, last in shaded:
+            axis.axvspan(first - 0.5, last + 0.5, color="0.93", zorder=0)
+        unit = ", °" if quantity in ANGLES else ", mm" if quantity in PLACES else ""
+        axis.set_title(quantity + unit, fontsize=9)
+        axis.tick_params(labelsize=8)
+        _plain(axis)
+    for axis in axes[len(quantities) :]:
+        axis.axis("off")
+    for axis in axes[max(0, len(quantities) - columns) : len(quantities)]:
+        axis.set_xlabel("frame", fontsize=9)
+    lines, labels = axes[0].get_legend_handles_labels()
+    figure.legend(lines, labels, frameon=False, fontsize=9, loc="upper center", ncols=len(labels))
+    figure.tight_layout(rect=(0.0, 0.0, 1.0, 1.0 - 0.3 / figure.get_figheight()))
+    return figure
+
+
+def _quantity(track: Track, name: str) -> Float[np.ndarray, "n"]:
+    if name in ANGLES:
+        return track.angles_deg[:, ANGLES.index(name)]
+    if name in PLACES:
+        return track.translation[:, PLACES.index(name)]
+    if name in track.expression_names:
+        return track.expression[:, track.expression_names.index(name)]
+    raise InputError(
+        f"Curves are of {', '.join((*ANGLES, *PLACES))} or a blendshape of the track, got {name!r}; its "
+        "expression_names are the blendshapes."
+    )
 
 
 def strongest_weights(
