@@ -29,6 +29,14 @@ def head():
 
 
 @pytest.fixture(scope="session")
+def film_maker(head):
+    """Makes small films whose every parameter is known."""
+    from tests.films import FilmMaker
+
+    return FilmMaker(head)
+
+
+@pytest.fixture(scope="session")
 def screenshots(tmp_path_factory) -> Path:
     """Folder for pictures of the browser tests; WORKBENCH_SCREENSHOTS keeps them."""
     kept = os.environ.get("WORKBENCH_SCREENSHOTS")

@@ -34,31 +34,29 @@ def infilled(
     a shot without any good frame, and gaps longer than the configuration allows, stay as they are. Holds a gap and its
     ends in memory, pictures of a long one on disk.
     """
-    method = fitter.config.infill.method
-    ahead = SPLINE_FRAMES if method == "spline" else 1
+    ahead = SPLINE_FRAMES if fitter.config.infill.method == "spline" else 1
     window = _Window()
-    for moment in stream:
-        good = usable(moment.fit, fitter.config.infill)
-        if window.shot is not None and moment.fit.shot != window.shot:
-            yield from _closed(fitter, window, advanced)
-            window = _Window()
-        window.shot = moment.fit.shot
-        if good and not window.gap:
-            window.before.append(moment)
-            yield moment
-        elif good:
-            window.after.append(moment)
-            if len(window.after) == ahead:
+    try:
+        for moment in stream:
+            good = usable(moment.fit, fitter.config.infill)
+            another_gap = not good and bool(window.after)  # begins before the spline has all of its frames
+            if another_gap or (window.shot is not None and moment.fit.shot != window.shot):
                 yield from _closed(fitter, window, advanced)
-                window = window.continued()
-        elif window.after:
-            # Another gap begins before the spline has all of its frames.
-            yield from _closed(fitter, window, advanced)
-            window = window.continued()
-            window.add(moment)
-        else:
-            window.add(moment)
-    yield from _closed(fitter, window, advanced)
+                window = window.continued(moment.fit.shot)
+            window.shot = moment.fit.shot
+            if not good:
+                window.add(moment)
+            elif not window.gap:
+                window.before.append(moment)
+                yield moment
+            else:
+                window.after.append(moment)
+                if len(window.after) == ahead:
+                    yield from _closed(fitter, window, advanced)
+                    window = window.continued(window.shot)
+        yield from _closed(fitter, window, advanced)
+    finally:
+        window.pictures.close()
 
 
 def usable(fit: FrameFit, infill: InfillConfig) -> bool:
@@ -83,9 +81,9 @@ class _Window:
         self.gap.append(moment.fit)
         self.pictures.append(moment.pictures)
 
-    def continued(self) -> "_Window":
-        """What the next gap finds before it."""
-        return _Window(self.shot, deque(self.after, maxlen=SPLINE_FRAMES))
+    def continued(self, shot: int) -> "_Window":
+        """What the next gap finds before it, nothing in another shot."""
+        return _Window(shot, deque(self.after if shot == self.shot else (), maxlen=SPLINE_FRAMES))
 
 
 def _closed(fitter: FlowFitter, window: _Window, advanced: Advanced) -> Iterator[Moment]:

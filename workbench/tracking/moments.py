@@ -41,11 +41,13 @@ class PictureSpool:
     """Pictures that wait for their turn, in memory up to 64 MB, beyond that on disk; read by position."""
 
     def __init__(self) -> None:
-        self._file = tempfile.SpooledTemporaryFile(max_size=MEMORY_BYTES)  # noqa: SIM115 - closed by `close`
+        self._file: tempfile.SpooledTemporaryFile | None = None
         self._places: list[list[tuple[int, tuple[int, ...]]]] = []
 
     def append(self, pictures: Pictures) -> None:
         """Take the next moment."""
+        if self._file is None:
+            self._file = tempfile.SpooledTemporaryFile(max_size=MEMORY_BYTES)  # noqa: SIM115 - closed by `close`
         self._file.seek(0, 2)
         places = []
         for picture in pictures:
@@ -65,4 +67,5 @@ class PictureSpool:
 
     def close(self) -> None:
         """Forget all pictures."""
-        self._file.close()
+        if self._file is not None:
+            self._file.close()

@@ -23,7 +23,8 @@ class TrackReader:
         if not self.path.is_file():
             raise InputError(f"The track {self.path} does not exist; `workbench track INPUT` writes track.npz.")
         try:
-            with np.load(self.path, allow_pickle=False) as stored:
+            # Opened here, because NumPy leaves a damaged archive open.
+            with self.path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
                 self.meta: dict[str, Any] = checked_meta(stored, self.path)
             with zipfile.ZipFile(self.path) as archive, archive.open("index.npy") as member:
                 self._count = _header(member)[0][0]

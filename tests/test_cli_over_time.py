@@ -1,0 +1,201 @@
+"""`workbench infill|refine|reestimate` on stored tracks, and the same inside of `track`."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from tests.films import FOV_DEG
+from workbench.config import preset, read_config
+from workbench.frames import VideoWriter
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
+from workbench.landmarks.observations import Landmarks2D
+from workbench.pipeline import track
+from workbench.tracking import Track
+from workbench.tracking.records import SOURCES
+
+COUNT = 12
+MISSING = (5, 6)
+QUICK = ("--no-pictures",)
+
+
+def motion(index: int):
+    return {"jawOpen": 0.05 * index}, (index - 6.0, 0.0, 0.0), (0.5 * index, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def clip(film_maker, tmp_path_factory):
+    """A video and its landmark file with two frames in which nothing was found."""
+    folder = tmp_path_factory.mktemp("clip")
+    film = film_maker.film(COUNT, motion)
+    with VideoWriter(folder / "clip.mp4") as writer:
+        for picture in film.pictures:
+            writer.write(picture)
+    size = film.pictures[0].shape[1::-1]
+    with LandmarkCsvWriter(folder / "points.csv", confidence=False) as table:
+        for fit in film.truth:
+            found = None if fit.index in MISSING else Landmarks2D(fit.observed, np.ones(68), size)
+            table.write(LandmarkRecord(fit.index, f"f{fit.index}", found, size))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def config():
+    return preset("joint").changed(
+        camera={"fov_deg": FOV_DEG}, identity={"calibrate": False}, flow={"side": 192, "points": 300}
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(head, clip, config):
+    """A run on the clip."""
+    track(clip / "clip.mp4", clip / "talk", head, config, landmarks=clip / "points.csv", pictures=False)
+    return clip / "talk"
+
+
+@pytest.fixture
+def talk(finished, tmp_path):
+    return shutil.copytree(finished, tmp_path / "talk")
+
+
+def test_infill_writes_a_new_track_with_its_tables(run, talk, tmp_path):
+    code, out, err = run("infill", "talk", *QUICK)
+    assert (code, err) == (0, "")
+    assert "2 frames from their neighbours" in out
+    made = tmp_path / "talk-infill"
+    assert {path.name for path in made.iterdir()} == {
+        "track.npz", "summary.json", "parameters.csv", "landmarks.csv", "config.toml"
+    }  # fmt: skip
+    before, after = Track.load(talk / "track.npz"), Track.load(made / "track.npz")
+    assert np.flatnonzero(~before.found).tolist() == list(MISSING)
+    assert after.found.all()
+    assert np.flatnonzero(after.source == SOURCES.index("filled")).tolist() == list(MISSING)
+    assert np.array_equal(after.rotation[:5], before.rotation[:5])
+    assert after.meta["steps"] == ["infill"]
+    assert after.meta["track"]["path"].endswith("track.npz")
+    assert read_config(made / "config.toml").infill.method == "flow"
+    assert json.loads((made / "summary.json").read_text())["frames_filled"] == 2
+
+
+def test_filled_frames_lie_on_the_way(run, talk, tmp_path, film_maker):
+    assert run("infill", "talk", "--out", "made", *QUICK)[0] == 0
+    track = Track.load(tmp_path / "made" / "track.npz")
+    yaw = track.angles_deg[:, 0]
+    assert np.diff(yaw)[4:7] == pytest.approx(np.diff(yaw).mean(), abs=0.4)
+
+
+def test_named_frames_are_filled_although_they_have_a_fit(run, talk, tmp_path):
+    code, _, err = run("infill", "talk", "--frames", "2-3", "--frames", "9-9", "--method", "linear", *QUICK)
+    assert (code, err) == (0, "")
+    after = Track.load(tmp_path / "talk-infill" / "track.npz")
+    assert np.flatnonzero(after.source == SOURCES.index("filled")).tolist() == [2, 3, 5, 6, 9]
+    assert read_config(tmp_path / "talk-infill" / "config.toml").infill.frames == ((2, 3), (9, 9))
+
+
+def test_refine_and_reestimate_follow_each_other(run, talk, tmp_path):
+    assert run("refine", "talk", "--method", "averaging", *QUICK)[0] == 0
+    assert run("reestimate", "talk-refine", "--out", "again", *QUICK)[0] == 0
+    before, refined, again = (Track.load(tmp_path / name / "track.npz") for name in ("talk", "talk-refine", "again"))
+    middle = 0.25 * before.translation[1] + 0.5 * before.translation[2] + 0.25 * before.translation[3]
+    assert refined.translation[2] == pytest.approx(middle)
+    assert np.allclose(again.rotation, refined.rotation, equal_nan=True)
+    assert not np.allclose(again.expression[2], refined.expression[2])
+    assert again.meta["steps"] == ["refine", "reestimate"]
+
+
+def test_a_run_with_infill_and_refinement_is_the_same_as_one_after_the_other(run, talk, clip, config, tmp_path):
+    given = ("--landmarks", str(clip / "points.csv"), "--config", "c.toml", "--out", "whole")
+    from workbench.config import write_config
+
+    write_config(config, tmp_path / "c.toml")
+    chosen = ("--infill", "flow", "--refine", "hybrid")
+    code, out, err = run("track", str(clip / "clip.mp4"), *given, *chosen, *QUICK)
+    assert (code, err) == (0, "")
+    assert "unrefined.npz" in out
+    assert run("infill", "talk", "--out", "filled", *QUICK)[0] == 0
+    assert run("refine", "filled", "--out", "refined", *QUICK)[0] == 0
+    whole, parts = (Track.load(tmp_path / name / "track.npz") for name in ("whole", "refined"))
+    single, raw = Track.load(tmp_path / "whole" / "unrefined.npz"), Track.load(talk / "track.npz")
+    for name in ("rotation", "translation", "expression", "projected"):
+        assert np.array_equal(getattr(whole, name), getattr(parts, name)), name
+        assert np.array_equal(getattr(single, name), getattr(raw, name), equal_nan=True), name
+
+
+def test_moved_pictures_are_named(run, talk, clip, tmp_path):
+    meta = Track.load(talk / "track.npz").meta
+    meta["inputs"][0]["path"] = "/nowhere/clip.mp4"
+    track = Track.load(talk / "track.npz")
+    type(track)(**{**vars(track), "meta": meta}).save(talk / "track.npz")
+    code, _, err = run("infill", "talk", *QUICK)
+    assert code == 2
+    assert "no longer at /nowhere/clip.mp4" in err
+    assert not (tmp_path / "talk-infill").exists()
+    assert run("infill", "talk", "--clip", str(clip / "clip.mp4"), *QUICK)[0] == 0
+
+
+def test_a_track_of_landmarks_alone_needs_methods_that_look_at_none(run, clip, head, config, tmp_path):
+    track(clip / "points.csv", tmp_path / "points", head, config, pictures=False)
+    code, _, err = run("infill", "points", *QUICK)
+    assert code == 2
+    assert "The method 'flow' looks at the pictures, and there are none" in err
+    assert run("infill", "points", "--method", "spline", *QUICK)[0] == 0
+    assert run("refine", "points-infill", "--method", "self", *QUICK)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("infill", "none"), "The track none does not exist"),
+        (("infill", "talk", "--method", "magic"), "The method is one of flow, linear, spline, got 'magic'"),
+        (("refine", "talk", "--method", "flow"), "averaging, self, plate, hybrid, got 'flow'"),
+        (("infill", "talk", "--frames", "9-2"), "first and last frame as A-B"),
+        (("infill", "talk", "--out", "talk"), "holds the track itself"),
+        (("infill", "talk", "--view", "right=x.mp4"), "The rig has no view 'right'"),
+        (("refine", "talk", "--estimator", "magic"), "flow estimators are network, dis, farneback"),
+        (("refine", "talk", "--order", "random"), "refinement.order"),
+    ],
+)
+def test_mistakes_are_told_in_a_sentence(run, talk, arguments, sentence):
+    code, _, err = run(*arguments)
+    assert code == 2
+    assert sentence in err.replace("\n", " ")
+    assert "Traceback" not in err
+
+
+def test_another_face_model_is_noticed(run, talk):
+    track = Track.load(talk / "track.npz")
+    meta = {**track.meta, "model": {"name": "other head", "sha256": "0" * 64}}
+    type(track)(**{**vars(track), "meta": meta}).save(talk / "track.npz")
+    code, _, err = run("infill", "talk", *QUICK)
+    assert code == 2
+    assert "made with the face model 'other head'" in err
+
+
+def test_unrelated_photos_have_no_neighbours(run, talk, clip):
+    track = Track.load(talk / "track.npz")
+    type(track)(**{**vars(track), "meta": {**track.meta, "stills": True}}).save(talk / "track.npz")
+    code, _, err = run("infill", "talk", *QUICK)
+    assert code == 2
+    assert "holds unrelated photos" in err
+    code, _, err = run("track", str(clip / "points.csv"), "--stills", "--infill", "linear", *QUICK)
+    assert code == 2
+    assert "no neighbours in time" in err
+
+
+def test_an_interrupted_run_over_time_goes_on(head, clip, config, tmp_path, monkeypatch):
+    """The single frames are kept; what is done over time begins again, with the same result."""
+    from workbench.tracking import refinement
+
+    changed = config.changed(infill={"method": "linear"}, refinement={"method": "averaging"})
+    given = {"landmarks": clip / "points.csv", "pictures": False}
+    with monkeypatch.context() as patch:
+        patch.setattr(refinement, "averaged", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            track(clip / "clip.mp4", tmp_path / "cut", head, changed, **given)
+    assert not (tmp_path / "cut" / "track.npz").exists()
+    assert not (tmp_path / "cut" / "track.npz.parts").exists()
+    track(clip / "clip.mp4", tmp_path / "cut", head, changed, resume=True, **given)
+    track(clip / "clip.mp4", tmp_path / "whole", head, changed, **given)
+    cut, whole = (Track.load(tmp_path / name / "track.npz") for name in ("cut", "whole"))
+    assert np.array_equal(cut.rotation, whole.rotation)

@@ -1,0 +1,200 @@
+"""Failed frames are filled from their neighbours (Deep Energies Sec. 6, 8.3, Appendix A)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.films import film_config, landmark_error_px, lost
+from workbench.errors import ConfigError, InputError
+from workbench.tracking import moments as moments_module
+from workbench.tracking.flow_fitter import FlowFitter, parameters_of
+from workbench.tracking.infill import fill_by_flow, fill_linearly, infilled, usable
+from workbench.tracking.moments import Moment, PictureSpool, moments
+
+OPEN_UNTIL = 4
+
+
+def snap(index: int):
+    """A mouth held open that snaps shut, while the head turns evenly."""
+    jaw = float(np.interp(index, [OPEN_UNTIL, OPEN_UNTIL + 1, OPEN_UNTIL + 2], [0.6, 0.15, 0.0]))
+    return {"jawOpen": jaw}, (1.5 * index - 6.0, 0.0, 0.0), (0.6 * index, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def film(film_maker):
+    return film_maker.film(10, snap)
+
+
+def fitter_with(film_maker, **infill):
+    return FlowFitter(film_maker.head, film_config(infill={"method": "flow", **infill}))
+
+
+def with_lost(film, frames):
+    return film.moments([lost(fit) if fit.index in frames else fit for fit in film.truth])
+
+
+def errors(result, film, frames):
+    return np.array([landmark_error_px(result[k].fit, film.truth[k]) for k in frames])
+
+
+def test_a_gap_is_filled_far_better_than_by_a_straight_line(film_maker, film):
+    gap = (3, 4, 5)
+    by_flow = list(infilled(fitter_with(film_maker), with_lost(film, gap)))
+    by_line = list(infilled(fitter_with(film_maker, method="linear"), with_lost(film, gap)))
+    assert errors(by_flow, film, gap).mean() < 0.5 * errors(by_line, film, gap).mean()
+    jaw = film_maker.head.expression_names.index("jawOpen")
+    assert by_flow[4].fit.expression[jaw] > 0.45
+    assert by_line[4].fit.expression[jaw] < 0.4
+
+
+def test_linear_and_spline_are_what_they_are_called(film_maker, film):
+    gap = (3, 4)
+    line = [moment.fit for moment in infilled(fitter_with(film_maker, method="linear"), with_lost(film, gap))]
+    third = film.truth[2].translation + (film.truth[5].translation - film.truth[2].translation) / 3
+    assert line[3].translation == pytest.approx(third)
+    curve = [moment.fit for moment in infilled(fitter_with(film_maker, method="spline"), with_lost(film, gap))]
+    assert curve[3].rotation == pytest.approx(film.truth[3].rotation, abs=1e-6)
+
+
+def test_every_frame_comes_out_once_in_order_and_good_ones_untouched(film_maker, film):
+    for method in ("flow", "linear", "spline"):
+        result = list(infilled(fitter_with(film_maker, method=method), with_lost(film, (0, 4, 6, 9))))
+        assert [moment.fit.index for moment in result] == list(range(10))
+        assert all(moment.fit.found for moment in result)
+        for k in (1, 2, 3, 5, 7, 8):
+            assert result[k].fit is film.truth[k]
+        for moment, picture in zip(result, film.pictures, strict=True):
+            assert np.array_equal(moment.pictures[0], picture)
+
+
+def test_at_the_ends_of_a_clip_one_anchor_is_enough(film_maker, film):
+    ends = (0, 1, 8, 9)
+    result = list(infilled(fitter_with(film_maker), with_lost(film, ends)))
+    held = list(infilled(fitter_with(film_maker, method="linear"), with_lost(film, ends)))
+    assert errors(result, film, ends).mean() < 0.5 * errors(held, film, ends).mean()
+    assert held[9].fit.rotation == pytest.approx(film.truth[7].rotation)
+
+
+def test_a_filled_frame_says_that_it_was(film_maker, film):
+    result = list(infilled(fitter_with(film_maker), with_lost(film, (4,))))[4].fit
+    assert (result.source, result.failure, result.found) == ("filled", "", True)
+    assert result.confidence.max() == 0.0
+    assert np.array_equal(result.observed, result.projected)
+    assert np.isnan(result.energies).all()
+    assert result.identity == pytest.approx(film.truth[3].identity)
+
+
+@pytest.mark.parametrize("why", ["failed", "named", "far off"])
+def test_bad_fits_are_filled_too(film_maker, film, why):
+    fits = list(film.truth)
+    wrong = replace(fits[4], rotation=fits[4].rotation + 0.3)
+    if why == "failed":
+        wrong = replace(wrong, failure="large error")
+    if why == "far off":
+        wrong = replace(wrong, projected=wrong.projected + 15.0)
+    fits[4] = wrong
+    named = {"frames": [(4, 4)]} if why == "named" else {}
+    result = [moment.fit for moment in infilled(fitter_with(film_maker, **named), film.moments(fits))]
+    assert result[4].source == "filled"
+    assert result[4].rotation == pytest.approx(film.truth[4].rotation, abs=0.02)
+    assert all(result[k] is fits[k] for k in range(10) if k != 4)
+
+
+def test_gaps_longer_than_allowed_stay_empty(film_maker, film):
+    result = [m.fit for m in infilled(fitter_with(film_maker, longest=1), with_lost(film, (2, 5, 6)))]
+    assert [fit.found for fit in result] == [k not in (5, 6) for k in range(10)]
+
+
+def test_nothing_flows_over_a_cut(film_maker, film):
+    fits = [replace(fit, shot=int(fit.index >= 5)) for fit in film.truth]
+    fits = [lost(fit) if fit.index in (3, 4, 5) else fit for fit in fits]
+    result = [m.fit for m in infilled(fitter_with(film_maker, method="linear"), film.moments(fits))]
+    assert result[4].translation == pytest.approx(film.truth[2].translation)
+    assert result[5].translation == pytest.approx(film.truth[6].translation)
+    assert [fit.shot for fit in result] == [0] * 5 + [1] * 5
+
+
+def test_a_shot_without_a_good_frame_stays_empty(film_maker, film):
+    fits = [replace(fit, shot=int(fit.index >= 5)) for fit in film.truth]
+    fits = [lost(fit) if fit.index >= 5 else fit for fit in fits]
+    result = [m.fit for m in infilled(fitter_with(film_maker), film.moments(fits))]
+    assert [fit.found for fit in result] == [True] * 5 + [False] * 5
+    with pytest.raises(InputError, match="this shot has none"):
+        fill_by_flow(film_maker.flow, None, None, [])
+    with pytest.raises(InputError, match="this shot has none"):
+        fill_linearly(None, None, 2)
+
+
+def test_frames_are_asked_for_as_they_are_needed(film_maker, film):
+    asked = []
+
+    def stream():
+        for moment in with_lost(film, (4, 5)):
+            asked.append(moment.fit.index)
+            yield moment
+
+    result = infilled(fitter_with(film_maker, method="linear"), stream())
+    for _ in range(3):
+        next(result)
+    assert asked == [0, 1, 2]
+    assert [next(result).fit.index, next(result).fit.index] == [3, 4]
+    assert asked == [0, 1, 2, 3, 4, 5, 6]
+
+
+def test_renders_may_go_through_the_estimator_of_the_photos(film_maker, film):
+    config = film_config(infill={"method": "flow"}, flow={"renders": "estimated"})
+    gap = (4, 5)
+    result = list(infilled(FlowFitter(film_maker.head, config), with_lost(film, gap)))
+    line = list(infilled(fitter_with(film_maker, method="linear"), with_lost(film, gap)))
+    assert errors(result, film, gap).mean() < 0.7 * errors(line, film, gap).mean()
+
+
+def test_more_rounds_and_other_estimators_are_settings(film_maker, film):
+    gap = (4, 5)
+    line = list(infilled(fitter_with(film_maker, method="linear"), with_lost(film, gap)))
+    for estimator, rounds in (("farneback", 1), ("network", 2)):
+        config = film_config(infill={"method": "flow", "rounds": rounds}, flow={"estimator": estimator})
+        result = list(infilled(FlowFitter(film_maker.head, config), with_lost(film, gap)))
+        assert errors(result, film, gap).mean() < errors(line, film, gap).mean()
+    with pytest.raises(ConfigError, match="flow estimators are"):
+        FlowFitter(film_maker.head, film_config(flow={"estimator": "guess"}))
+
+
+def test_usable_fits_are_those_that_hit_their_landmarks(film, film_maker):
+    infill = film_config().infill
+    fit = film.truth[0]
+    assert usable(fit, infill)
+    assert not usable(lost(fit), infill)
+    assert not usable(replace(fit, failure="not finite"), infill)
+    # Without landmarks of its own (another view saw the face) nothing speaks against it.
+    assert usable(replace(fit, confidence=np.zeros(68), projected=fit.projected + 50.0), infill)
+
+
+def test_each_view_brings_one_picture(film_maker, film):
+    neighbour = Moment(film.truth[0], film.pictures[:1])
+    views = film_maker.flow.views(film.truth[0])
+    from workbench.tracking.flow_fitter import Neighbour
+
+    known = Neighbour(parameters_of(neighbour.fit), neighbour.pictures)
+    with pytest.raises(InputError, match="There are 1 views and pictures of 1 and 2"):
+        film_maker.flow.links(known, film.pictures[:2], known.parameters, views)
+
+
+def test_pictures_that_end_before_the_fits_are_told(film):
+    with pytest.raises(InputError, match="has a frame 9, but its pictures end before"):
+        list(moments(film.truth, [type(film.frames())(film.pictures[:9])]))
+
+
+def test_pictures_wait_on_disk_as_in_memory(film, monkeypatch):
+    monkeypatch.setattr(moments_module, "MEMORY_BYTES", 100_000)
+    spool = PictureSpool()
+    for picture in film.pictures:
+        spool.append((picture, picture[::2, ::2]))
+    assert spool._file._rolled
+    for k in (7, 0, 9, 3):
+        whole, small = spool[k]
+        assert np.array_equal(whole, film.pictures[k])
+        assert np.array_equal(small, film.pictures[k][::2, ::2])
+    assert len(spool) == 10
+    spool.close()
