@@ -50,8 +50,8 @@ class KernelCamera:
         self._thread = threading.Thread(target=self._read, args=arguments, name="kernel-camera", daemon=True)
         self._thread.start()
 
-    def taken(self, frame: LiveFrame) -> None:
-        """See `FrameSource.taken`; a camera that is read anyway needs no leave."""
+    def skipped(self, frame: LiveFrame) -> None:
+        """See `FrameSource.skipped`; a camera that is read anyway waits for nothing."""
 
     def stop(self) -> None:
         """See `FrameSource.stop`."""
@@ -69,7 +69,7 @@ class KernelCamera:
         if problem and not stopped.is_set():
             trouble(problem)
 
-    def _deliver_all(self, capture: cv2.VideoCapture, stopped: threading.Event, deliver: Deliver) -> str | None:
+    def _deliver_all(self, capture, stopped: threading.Event, deliver: Deliver) -> str | None:
         """Deliver until it is stopped or fails; what the user should know."""
         if not capture.isOpened():
             return self._cannot_open()

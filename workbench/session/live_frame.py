@@ -52,7 +52,7 @@ class LiveFrame:
         return cv2.imencode(".jpg", self._picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
-def reduced(picture: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+def reduced(picture: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "a b 3"]:
     """The picture no larger than `LIVE_SIZE` either way, in its own proportions."""
     height, width = picture.shape[:2]
     scale = min(LIVE_SIZE[0] / width, LIVE_SIZE[1] / height)
@@ -83,8 +83,8 @@ class FrameSource(Protocol):
         """Begin to deliver frames; returns at once."""
         ...
 
-    def taken(self, frame: LiveFrame) -> None:
-        """The frame is being worked on: the next one may come."""
+    def skipped(self, frame: LiveFrame) -> None:
+        """The frame was left without a fit; the next one may come."""
         ...
 
     def stop(self) -> None:

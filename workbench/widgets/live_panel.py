@@ -346,8 +346,11 @@ class LivePanel(widgets.VBox):
         if not self._warm:
             self.session.warm_up()
             self._warm = True
-        source.taken(frame)
-        live = self.session.step(frame)
+        try:
+            live = self.session.step(frame)
+        except Exception:
+            source.skipped(frame)
+            raise
         if self._source is not source:
             return
         self.fit = live.fit

@@ -3,7 +3,7 @@
 
 const BEFORE_WEIGHTS = 16, MARK = 6; // layout of the numbers of a fit: see `pack_fit`
 const FULL_SCALE = 4.0; // residual at the bright end of the colours, % of the outer-eye distance
-const AHEAD = 2; // frames that the kernel has not begun with: one on the way while one waits, never more
+const AHEAD = 2; // frames without an answer from the kernel: one on the way while one is fitted, never more
 const KEPT = 6; // frames that wait for their fit
 const JPEG_QUALITY = 0.85;
 const SLOW_MS = 3000, SILENT_MS = 60000; // without an answer from the kernel
@@ -32,9 +32,9 @@ const WHY = {
   NotReadableError: "busy", AbortError: "busy",
 };
 
-// Opens the browser's camera and hands out frames; each needs a leave, which `release` gives back.
+// Opens the browser's camera and hands out its newest frame whenever the kernel has few enough to answer.
 function makeCamera(onFrame, onTrouble) {
-  let stream = null, video = null, turn = 0, fresh = false, number = 0, taken = -1;
+  let stream = null, video = null, turn = 0, fresh = false, number = 0, answered = -1;
   let takeAgain = () => {};
 
   async function open([width, height]) {
@@ -58,7 +58,7 @@ function makeCamera(onFrame, onTrouble) {
       return onTrouble(WHY[error.name] || "failed", error.name);
     }
     if (mine !== turn) return;
-    taken = number - 1;
+    answered = number - 1;
     const scale = () => Math.min(1, width / video.videoWidth, height / video.videoHeight);
     const next = () => {
       if (mine !== turn) return;
@@ -70,14 +70,15 @@ function makeCamera(onFrame, onTrouble) {
     video.requestVideoFrameCallback(next);
   }
 
-  // The newest frame of the camera, if one has come since the last and the kernel has leave for it.
+  // Where the kernel is slower than the camera, frames are left out here and never queue up.
   function take(scale) {
-    if (number - 1 - taken >= AHEAD || !fresh || !video.videoWidth) return;
+    if (number - 1 - answered >= AHEAD || !fresh || !video.videoWidth) return;
     fresh = false;
     const grabbed = performance.now(), canvas = document.createElement("canvas");
     canvas.width = Math.round(video.videoWidth * scale());
     canvas.height = Math.round(video.videoHeight * scale());
-    canvas.getContext("2d", { alpha: false, willReadFrequently: true }).drawImage(video, 0, 0, canvas.width, canvas.height);
+    const context = canvas.getContext("2d", { alpha: false, willReadFrequently: true });
+    context.drawImage(video, 0, 0, canvas.width, canvas.height);
     // At once: browsers encode blobs when they are idle, which took 30 ms here instead of 4.
     const text = atob(canvas.toDataURL("image/jpeg", JPEG_QUALITY).split(",")[1]);
     const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0)).buffer;
@@ -91,9 +92,9 @@ function makeCamera(onFrame, onTrouble) {
     stream = video = null;
   }
 
-  // The kernel has begun with this frame; those before it have been taken or left out.
-  function release(begun) {
-    taken = Math.max(taken, begun);
+  // The kernel has answered this frame; those before it were left out.
+  function release(done) {
+    answered = Math.max(answered, done);
     if (stream) takeAgain();
   }
 
@@ -193,7 +194,6 @@ function projectionOf([fx, fy, cx, cy], [w, h], [sx, sy]) {
   ]);
 }
 
-const IDENTITY = [1, 0, 0, 0, 1, 0, 0, 0, 1];
 function multiplied(a, b) {
   return Array.from({ length: 9 }, (_, k) => {
     const row = 3 * Math.floor(k / 3), column = k % 3;
@@ -245,7 +245,6 @@ function makeAvatar(canvas, mesh, head) {
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, drawn, gl.STATIC_DRAW);
   gl.enable(gl.DEPTH_TEST);
   gl.enable(gl.CULL_FACE);
-  gl.cullFace(gl.FRONT); // the picture's y axis points down, which turns every triangle over
   let ready = false, stamp = -1;
   if (textured) {
     createImageBitmap(new Blob([bytesOf(mesh.texture)])).then((image) => {
@@ -349,7 +348,7 @@ export default () => {
     }
     if (content.kind === "open" && content.page !== page) camera.close();
     if (content.kind === "close") camera.close();
-    if (content.kind === "taken") camera.release(content.number);
+    if (content.kind === "skip" || content.kind === "fit") camera.release(content.number);
     if (content.kind === "fit") onFit(content, buffers);
   }
 
@@ -494,7 +493,8 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
   const avatar = makeAvatar(avatarCanvas, mesh, head);
   note.hidden = Boolean(avatar);
   note.textContent = "This browser has no WebGL: there is no avatar.";
-  let turned = [0, 0], last = null, context = picture.getContext("2d", { alpha: false }), written = 0;
+  let turned = [0, 0], last = null, posed = null, written = 0;
+  const context = picture.getContext("2d", { alpha: false });
 
   function fitted(canvas, ratio) {
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
@@ -519,10 +519,9 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
       shift: mesh.translation.map((value, k) => value + mesh.pivot[k]), pivot: mesh.pivot,
       camera: [mesh.focal * 1000, mesh.focal * 1000, 499.5, 499.5], size: [1000, 1000],
     };
-    if (!fit?.found || looking === "expression") return { ...front, turn: spin };
+    if (!fit || looking === "expression") return { ...front, turn: spin };
     if (looking === "head") return { ...front, turn: multiplied(spin, fit.turn) };
-    const back = multiplied(fit.turn, [...IDENTITY]);
-    const centre = [0, 1, 2].map((k) => fit.shift[k] + back.slice(3 * k, 3 * k + 3)
+    const centre = [0, 1, 2].map((k) => fit.shift[k] + fit.turn.slice(3 * k, 3 * k + 3)
       .reduce((sum, value, j) => sum + value * mesh.pivot[j], 0));
     return { turn: multiplied(spin, fit.turn), shift: centre, pivot: mesh.pivot, camera: fit.camera, size: fit.size };
   }
@@ -531,12 +530,9 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
     last = fit;
     root.classList.toggle("fw-mirror", model.get("mirror"));
     if (fit) paintPicture(fit);
-    if (avatar && fitted(avatarCanvas, Math.min(window.devicePixelRatio || 1, 2))) {
-      avatar.draw(poseOf(fit?.found ? fit : keptPose));
-      if (fit?.found) keptPose = fit;
-    }
+    if (fit?.found) posed = fit; // without a face the head stays as it was
+    if (avatar && fitted(avatarCanvas, Math.min(window.devicePixelRatio || 1, 2))) avatar.draw(poseOf(posed));
   }
-  let keptPose = null;
 
   function write(fit, log) {
     const now = performance.now(), running = model.get("running");
@@ -546,7 +542,7 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
     message.hidden = !said && !(running && recent.length && fit && !fit.found);
     message.textContent = said || "no face";
     message.classList.toggle("fw-alert", Boolean(said) && model.get("alert"));
-    message.classList.toggle("fw-middle", !running || !recent.length);
+    message.classList.toggle("fw-middle", !fit);
     if (now - written < 250 && running) return;
     written = now;
     const rate = recent.length / (WINDOW_MS / 1000);
@@ -556,9 +552,9 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
     const [yaw, pitch, roll] = fit.angles || [];
     const sign = (value) => (value < 0 ? "−" : "+") + Math.abs(value).toFixed(0) + "°";
     const parts = [`${rate.toFixed(0)} updates/s`];
-    if (!fit.fromKernel) parts.push(`${delay.toFixed(0)} ms from camera to screen`);
-    parts.push(`landmarks and fit ${fit.ms.toFixed(0)} ms (solve ${fit.solve.toFixed(1)})`);
-    if (fit.found) parts.push(`error ${fit.error.toFixed(2)} px`, `yaw ${sign(yaw)} pitch ${sign(pitch)} roll ${sign(roll)}`);
+    if (!fit.fromKernel) parts.push(`${delay.toFixed(0)} ms camera to screen`);
+    parts.push(`landmarks + fit ${fit.ms.toFixed(0)} ms`);
+    if (fit.found) parts.push(`error ${fit.error.toFixed(1)} px`, `yaw ${sign(yaw)} pitch ${sign(pitch)} roll ${sign(roll)}`);
     status.textContent = parts.join("  ·  ");
   }
 

@@ -126,9 +126,9 @@ class LiveView(anywidget.AnyWidget):
             self._on_frame = self._on_trouble = self._page = None
         self.send({"kind": "close"})
 
-    def taken(self, number: int) -> None:
-        """Tell the page that this frame is being worked on: it may send the next one."""
-        self.send({"kind": "taken", "number": number})
+    def skip(self, number: int) -> None:
+        """Tell the page that no fit of this frame will come: it may send the next one."""
+        self.send({"kind": "skip", "number": number})
 
     def on_left(self, callback: Callable[[], None]) -> None:
         """Call `callback()` when no page shows the view any more."""
@@ -153,7 +153,6 @@ class LiveView(anywidget.AnyWidget):
             "error": round(fit.errors[0], 3) if fit.found else None,
             "angles": [round(float(angle), 1) for angle in fit.angles_deg] if fit.found else None,
             "ms": round(float(milliseconds), 2),
-            "solve": round(float(fit.milliseconds[2]), 2),
         }
         self.send(content, [numbers.tobytes(), *([frame.jpeg] if with_picture else [])])
         return True
@@ -282,9 +281,9 @@ class BrowserCamera:
         """See `FrameSource.start`; a browser that shows the view later is asked then."""
         self._view.open_camera(deliver, trouble)
 
-    def taken(self, frame: LiveFrame) -> None:
-        """See `FrameSource.taken`."""
-        self._view.taken(frame.number)
+    def skipped(self, frame: LiveFrame) -> None:
+        """See `FrameSource.skipped`."""
+        self._view.skip(frame.number)
 
     def stop(self) -> None:
         """See `FrameSource.stop`."""
