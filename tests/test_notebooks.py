@@ -28,6 +28,8 @@ LEAST_PICTURES = {
     "10_workbench_app": 0,  # the panel alone
     "11_other_programs_other_faces": 4,
     "12_two_cameras": 6,
+    "13_optical_flow_and_infill": 11,
+    "15_live": 2,
 }
 TIMEOUT_S = 300
 

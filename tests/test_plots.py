@@ -106,6 +106,11 @@ def test_lines_of_one_figure_differ_in_more_than_colour():
     assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
 
 
+def test_curves_over_frames_have_no_ticks_between_frames():
+    axis = plots.curves(np.arange(222, 240), {"one": np.arange(18.0)}, "frame", "y").axes[0]
+    assert all(tick == int(tick) for tick in axis.get_xticks())
+
+
 def test_a_sweep_rings_the_least_value_and_shows_zero_on_a_logarithmic_axis():
     x = np.array([0.0, 1.0, 10.0, 100.0])
     error = {"quiet": np.array([3.0, 2.0, 1.0, 4.0]), "noisy": np.array([9.0, 8.0, 7.0, 6.0])}

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from workbench.arrays import AnyArray
 from workbench.energies import EnergyConstants, beta_curve, beta_slope
@@ -217,6 +217,7 @@ def track_curves(
         unit = ", °" if quantity in ANGLES else ", mm" if quantity in PLACES else ""
         axis.set_title(quantity + unit, fontsize=9)
         axis.tick_params(labelsize=8)
+        axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         _plain(axis)
     for axis in axes[len(quantities) :]:
         axis.axis("off")
@@ -288,7 +289,7 @@ def energy_over_iterations(curves: dict[str, np.ndarray], y_label: str = "energy
 
 
 def curves(
-    x: Float[np.ndarray, "n"],
+    x: Float[np.ndarray, "n"] | Int[np.ndarray, "n"],
     series: dict[str, Float[np.ndarray, "n"]],
     x_label: str,
     y_label: str,
@@ -297,7 +298,7 @@ def curves(
 ) -> Figure:
     """Lines over one axis; a series named "truth" is drawn thick and grey behind the others.
 
-    `log` names the logarithmic axes: "x", "y" or "xy".
+    `log` names the logarithmic axes: "x", "y" or "xy". Whole numbers `x` have ticks at whole numbers.
     """
     figure, axis = _axes(*size)
     styles = iter(LINES)
@@ -309,6 +310,8 @@ def curves(
         )
     for name in log:
         getattr(axis, f"set_{name}scale")("log")
+    if np.issubdtype(np.asarray(x).dtype, np.integer) and "x" not in log:
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel(x_label)
     axis.set_ylabel(y_label)
     if len(series) > 3:  # too many to find a free corner for
