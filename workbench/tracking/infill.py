@@ -159,7 +159,7 @@ def fill_by_flow(
                 else:
                     neighbour = ends[0 if other < 0 else 1]
                 sides.append((neighbour, fitter.links(neighbour, pictures[k], path[k], views)))
-            path[k] = fitter.solve(tuple(sides), path[k], path[k], views, appearance=appearance).parameters
+            path[k] = fitter.solve(tuple(sides), path[k], expected[k], views, appearance=appearance).parameters
             advanced(k)
         return path
 
@@ -168,6 +168,7 @@ def fill_by_flow(
         return along(forth if after is None else back, ends[0] or ends[1], None)
     forward, backward = along(forth, ends[0], None), along(back, ends[1], None)
     path = [between(forward[k], backward[k], (k + 1) / (count + 1)) for k in range(count)]
+    expected = fill_linearly(before.fit, after.fit, count)
     for turn in range(fitter.config.infill.rounds):
         path = polished(forth if turn % 2 == 0 else back, path)
     return path
