@@ -1,9 +1,11 @@
 """`workbench model show` and `workbench track --model`: another face model on the command line."""
 
+import csv
 import pickle
 
 import numpy as np
 import pytest
+from pygltflib import GLTF2
 
 from tests.face_files import Calls, flame_arrays, make_subject, python2_pickle
 from tests.scenes import make_scene
@@ -11,6 +13,7 @@ from workbench.face import load_face_model
 from workbench.frames import read_picture
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
+from workbench.samples import sample
 from workbench.tracking import Track
 
 
@@ -67,3 +70,34 @@ def test_track_takes_another_model(run, flame_file, tmp_path):
     track = Track.load(tmp_path / "out" / "points" / "track.npz")
     assert track.expression_names == model.expression_names
     assert track.expression[:, 0].max() < -0.3
+
+
+def test_export_takes_the_track_of_another_model(run, flame_file, tmp_path):
+    model = load_face_model(flame_file)
+    scene = make_scene(model, (4.0, 0, 0), {"jawOpen": 0.3, "expression_000": -1.0})
+    with LandmarkCsvWriter(tmp_path / "points.csv", confidence=False) as writer:
+        writer.write(LandmarkRecord(0, "", Landmarks2D(scene.points, np.ones(68), (640, 480)), None))
+    run("track", "points.csv", "--model", "flame.pkl", "--no-pictures", "--out", "made")
+    code, _, err = run("export", "made", "--to", "made.glb")
+    assert code == 2
+    assert "--model" in err
+    code, out, err = run("export", "made", "--model", "flame.pkl", "--to", "made.glb", "--to", "made.csv")
+    assert (code, err) == (0, "")
+    assert "note" not in out
+    with (tmp_path / "made.csv").open(newline="") as stream:
+        row = next(csv.DictReader(stream))
+    track = Track.load(tmp_path / "made" / "track.npz")
+    for name, weight in zip(model.expression_names, track.expression[0], strict=True):
+        assert float(row[name]) == pytest.approx(weight, abs=1e-4)
+    names = GLTF2().load(str(tmp_path / "made.glb")).meshes[0].extras["targetNames"]
+    assert set(model.expression_names) <= set(names)
+
+
+def test_export_with_a_wrong_model_is_one_sentence(run, flame_file, tmp_path):
+    run("track", str(sample("astronaut-landmarks")), "--no-pictures", "--out", "made")
+    for wrong, words in (("flame.pkl", "retarget"), ("missing.npz", "missing.npz")):
+        code, _, err = run("export", "made", "--model", wrong, "--to", "made.glb")
+        assert code == 2
+        assert err.count("\n") == 1
+        assert words in err
+    assert not (tmp_path / "made.glb").exists()

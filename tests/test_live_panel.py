@@ -312,7 +312,7 @@ def test_recording_ends_with_the_camera_and_is_saved(panel, camera, frames, tmp_
     panel.save_button.click()
     assert panel.wait_idle()
     assert sorted(path.name for path in (tmp_path / "take").iterdir()) == ["clip.mp4", "track.npz"]
-    assert "workbench export" in panel.saved.value
+    assert "(track.npz, clip.mp4)" in panel.saved.value
     assert panel.folder.value == str(tmp_path / "take-2")
     panel.folder.value = str(tmp_path / "take")
     panel.save_button.click()

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import workbench
 from workbench.cli import app
 from workbench.pipeline import OUTPUTS
 from workbench.samples import sample
@@ -49,8 +50,15 @@ def test_the_panel_snippet_runs():
     names["panel"].close()
 
 
+def test_the_live_snippet_runs():
+    names = {}
+    exec(compile(next(text for text in SNIPPETS if "LivePanel" in text), "README.md", "exec"), names)
+    assert not names["panel"].running
+    names["panel"].close()
+
+
 def test_the_tracking_snippet_runs(tmp_path):
-    snippet = SNIPPETS[1]
+    snippet = next(text for text in SNIPPETS if "smile" in text)
     snippet = snippet.replace('"talk.mp4", "out/talk"', f'r"{sample("astronaut-landmarks")}", r"{tmp_path}"')
     names = {}
     exec(compile(snippet, "README.md", "exec"), names)
@@ -67,6 +75,17 @@ def test_the_deep_energies_snippet_runs():
     assert names["fit"].failure == ""
     assert names["strip"].shape[2] == 3
     assert names["session"].config.deep.energy == "points"
+
+
+def test_the_infill_snippet_runs(tmp_path):
+    clip = sample("performance")
+    workbench.track(clip, tmp_path, workbench.load_default_head(), workbench.preset("joint"), pictures=False,
+                    landmarks=sample("performance-landmarks"), frames=(0, 8))  # fmt: skip
+    snippet = next(text for text in SNIPPETS if "work_over" in text)
+    snippet = snippet.replace('"out/talk/track.npz"', f'r"{tmp_path / "track.npz"}"').replace('"talk.mp4"', f'r"{clip}"')
+    names = {}
+    exec(compile(snippet, "README.md", "exec"), names)
+    assert [names["filled"][k].source for k in (3, 4, 5, 6)] == ["given", "filled", "filled", "given"]
 
 
 def test_every_output_file_is_described():

@@ -199,7 +199,7 @@ def _fits(writer: TrackWriter) -> Iterator[FrameFit]:
 OUTPUTS = {
     "track.npz": "everything, for the notebooks (`workbench.Track.load`)",
     "summary.json": "errors, times, camera",
-    "parameters.csv": "a row a frame: pose, 44 weights, errors",
+    "parameters.csv": "a row a frame: pose, every weight, errors",
     "landmarks.csv": "a row a frame: the 68 detected points",
     "config.toml": "the configuration used",
     "overlay.mp4": "the landmarks on the picture, the 3D face beside it (overlay/ with pictures for stills)",

@@ -99,23 +99,16 @@ class LivePanel(widgets.VBox):
         with self._lock:
             if self.running or self._closed:
                 return
-            self._source = self._cameras[self.camera.value]
-            self.view.mirror = self.mirror.value = self._source.mirrored
+            self._begin()
             self.view.running = True
-            self.session.start_anew()
-            self.say(READYING)
-            self._source.start(self._worker.submit, self._on_trouble)
 
     def stop(self) -> None:
         """Switch the camera off; a recording that is going on is kept."""
         with self._lock:
-            source, self._source = self._source, None
-            if source is None:
+            if not self.running:
                 return
-            source.stop()
+            self._end()
             self.view.running = False
-            self.view.forget_unseen()
-            self._end_recording()
             self.say(STOPPED)
 
     def calibrate(self) -> None:
@@ -193,7 +186,7 @@ class LivePanel(widgets.VBox):
         )  # fmt: skip
         self.run_button.observe(self._on_run_button, "value")
         # In the browser itself, so that the camera goes off even while the kernel is busy.
-        widgets.jslink((self.run_button, "value"), (self.view, "running"))
+        widgets.jsdlink((self.run_button, "value"), (self.view, "running"))
         self.camera = _menu(list(self._cameras), "150px", "where the pictures come from")
         self.camera.observe(self._on_camera, "value")
         names = list(FACE_IT_PRESETS)
@@ -205,7 +198,7 @@ class LivePanel(widgets.VBox):
             value=True, description="mirror", tooltip="show everything as in a mirror",
             layout=widgets.Layout(width="auto", flex="0 0 auto"),
         )  # fmt: skip
-        widgets.jslink((self.mirror, "value"), (self.view, "mirror"))
+        widgets.jsdlink((self.mirror, "value"), (self.view, "mirror"))
         self.neutral = small_button("☺ neutral face", "look into the camera with a neutral face, then press")
         self.neutral.on_click(lambda _button: self.calibrate())
         self.undo = small_button("↶ undo", "take back the last change or calibration")
@@ -217,7 +210,7 @@ class LivePanel(widgets.VBox):
         middle = widgets.Layout(align_items="center")
         buttons = [self.run_button, self.camera, self.neutral, self.preset, self.undo, self.defaults]
         self._camera_bar = widgets.HBox([*buttons, self.status], layout=middle)
-        self.controls = Controls(session.config, self._on_knob, height_px, PAGES)
+        self.controls = Controls(session.config, self._on_knob, height_px - 34, PAGES)
         self._main = widgets.GridBox(
             [self.controls.widget, self.view],
             layout=widgets.Layout(
@@ -244,6 +237,19 @@ class LivePanel(widgets.VBox):
 
     # --- what the user does ---
 
+    def _begin(self) -> None:
+        self._source = self._cameras[self.camera.value]
+        self.view.mirror = self.mirror.value = self._source.mirrored
+        self.session.start_anew()
+        self.say(READYING)
+        self._source.start(self._worker.submit, self._on_trouble)
+
+    def _end(self) -> None:
+        source, self._source = self._source, None
+        source.stop()
+        self.view.forget_unseen()
+        self._end_recording()
+
     def _on_run_button(self, change) -> None:
         self.start() if change["new"] else self.stop()
 
@@ -255,9 +261,10 @@ class LivePanel(widgets.VBox):
         self.start() if running else self.stop()
 
     def _on_camera(self, _change) -> None:
-        if self.running:
-            self.stop()
-            self.start()
+        with self._lock:
+            if self.running:
+                self._end()
+                self._begin()
 
     def _on_knob(self, path: str, value: Any) -> None:
         def change() -> None:
@@ -300,8 +307,8 @@ class LivePanel(widgets.VBox):
         except WorkbenchError:
             self.saved.value = ""
             raise
-        command = html.escape(f"workbench export {folder} --to face.glb")
-        self.saved.value = f"wrote {html.escape(str(folder))}; <code>{command}</code>"
+        files = "track.npz, clip.mp4" if self.recording.jpegs else "track.npz"
+        self.saved.value = f"wrote {html.escape(str(folder))} ({files})"
         self.folder.value = str(free_folder(folder))
 
     def _end_recording(self) -> None:

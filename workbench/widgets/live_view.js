@@ -98,7 +98,8 @@ function makeCamera(onFrame, onTrouble) {
     if (stream) takeAgain();
   }
 
-  return { open, close, release, isOpen: () => Boolean(stream) };
+  const ended = () => stream?.getVideoTracks()[0].dispatchEvent(new Event("ended"));
+  return { open, close, release, isOpen: () => Boolean(stream), unplug: ended };
 }
 
 // ---- the avatar -------------------------------------------------------------------------------------------------
@@ -456,7 +457,7 @@ export default () => {
 
   function render({ model: own, el }) {
     const display = makeDisplay(own, el, mesh, head, () => slow, draw);
-    display.root.live = { log, page, camera: camera.isOpen };
+    display.root.live = { log, page, camera: camera.isOpen, unplug: camera.unplug }; // for whoever measures and tests
     displays.add(display);
     clearTimeout(leaving);
     leaving = 0;

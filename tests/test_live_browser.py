@@ -1,0 +1,262 @@
+"""The live panel in a real browser: JupyterLab and Chromium with a clip as its camera, without one, without leave."""
+
+import os
+
+import numpy as np
+import pytest
+
+from tests import browser
+from tests.live_page import DISPLAY, PANEL, fake_camera, measured, state, wait_for_frames, write_camera_clip
+from tests.panel_page import press, tab, write_notebook
+from workbench.samples import sample
+from workbench.tracking import Track
+
+lacking = browser.missing()
+
+if lacking and os.environ.get("CI") != "true":
+    pytest.skip(f"browser tests: {lacking}", allow_module_level=True)
+
+SLOWEST_RATE, LONGEST_MS = 3.0, 1500.0
+"""Generous: software WebGL on a shared machine; `benchmarks/live.py` has the goals."""
+CELLS = (
+    PANEL,
+    "ready = [panel.session.warm_up()]",
+    """
+    import time
+
+    began, number = time.perf_counter(), 0
+    while time.perf_counter() - began < 2.0:
+        number += 1
+    print("fits meanwhile", panel.fit.index - first)
+    """,
+    "first = panel.fit.index",
+    """
+    import threading
+
+    print(panel.running, sorted(t.name for t in threading.enumerate() if t.name in ("live-fit", "kernel-camera")))
+    """,
+    "panel.close()",
+    """
+    import workbench
+
+    clip = LivePanel(workbench.sample("performance"))
+    clip.start()
+    clip
+    """,
+    "clip.stop()",
+)
+BUSY, FIRST, LEFT, CLOSE, CLIP, STOP_CLIP = 2, 3, 4, 5, 6, 7
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    assert not lacking, lacking
+    folder, settings = tmp_path_factory.mktemp("notebooks"), tmp_path_factory.mktemp("jupyter")
+    for name in ("live", "denied", "absent"):
+        write_notebook(folder / f"{name}.ipynb", CELLS)
+    with browser.lab_server(folder, settings) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    made = tmp_path_factory.mktemp("camera") / "camera.mjpeg"
+    write_camera_clip(sample("performance"), made)
+    return made
+
+
+def opened(page, notebook):
+    page.page.set_viewport_size({"width": 1366, "height": 768})
+    page.open(notebook)
+    page.run_cell(0)
+    page.run_cell(1)
+    page.page.wait_for_selector(DISPLAY)
+    to_top(page)
+    return page
+
+
+def to_top(page):
+    page.page.evaluate("() => [...document.querySelectorAll('.fw-panel')].at(-1).scrollIntoView({block: 'start'})")
+    page.page.wait_for_timeout(300)
+
+
+@pytest.fixture(scope="module")
+def live(server, clip, tmp_path_factory):
+    """The panel with the clip as the browser's camera, running."""
+    with browser.lab_page(server, tmp_path_factory.mktemp("profile"), fake_camera(clip)) as page:
+        page.page.add_init_script(browser.KEEP_PIXELS)
+        opened(page, "live.ipynb")
+        page.page.get_by_role("button", name="▶ start").click()
+        wait_for_frames(page, 40)
+        yield page
+
+
+def said(page):
+    return " ".join(output["text"] for output in page.outputs())
+
+
+def camera_is_open(page):
+    return page.page.evaluate("() => document.querySelector('.fw-live').live.camera()")
+
+
+def picture(page, selector):
+    data = page.page.evaluate("(s) => Array.from(window.readCanvas(s, 120))", selector)
+    return np.array(data, float).reshape(120, 120, 4)[..., :3]
+
+
+def moves(page, selector):
+    """The share of pixels that differ between two moments."""
+    shown = [picture(page, selector)]
+    for _ in range(6):
+        page.page.wait_for_timeout(400)
+        shown.append(picture(page, selector))
+    return max(float((np.abs(other - shown[0]).max(2) > 10).mean()) for other in shown[1:])
+
+
+def wait_for_words(page, words):
+    page.page.wait_for_function(
+        "(words) => document.querySelector('.fw-live .fw-seen .fw-message').innerText.includes(words)", arg=words
+    )
+
+
+def test_picture_and_avatar_follow_the_camera(live, screenshots, capsys):
+    frames = measured(live, 5.0)
+    rate = (len(frames) - 1) / (frames[-1]["drawn"] - frames[0]["drawn"]) * 1000
+    delay = float(np.median([frame["drawn"] - frame["grabbed"] for frame in frames]))
+    with capsys.disabled():
+        print(f"\nlive: {rate:.1f} updates/s, camera to screen {delay:.0f} ms (load {os.getloadavg()[0]:.1f})")
+    assert rate > SLOWEST_RATE
+    assert delay < LONGEST_MS
+    assert np.mean([frame["found"] for frame in frames]) > 0.9
+    numbers = [frame["number"] for frame in frames]
+    assert numbers == sorted(set(numbers))
+    assert moves(live, ".fw-live .fw-picture") > 0.005
+    assert moves(live, ".fw-live .fw-head") > 0.005
+    head = picture(live, ".fw-live .fw-head")
+    assert head.std() > 10
+    live.page.screenshot(path=screenshots / "live.png")
+
+
+def test_a_slider_changes_the_fit_while_it_runs(live, screenshots):
+    tab(live, "ω")
+    live.ask_kernel("before = panel.session.config.weights.sigma_smooth")
+    press(live, "ω_σ L1", "End")
+    live.page.wait_for_timeout(1500)
+    live.ask_kernel("open('sigma', 'w').write(repr((before, panel.session.config.weights.sigma_smooth)))")
+    before, after = eval_numbers(live.server.folder / "sigma")
+    assert (before, after) == (20.0, 1000.0)
+    live.page.screenshot(path=screenshots / "live-tied.png")
+    live.page.get_by_role("button", name="↶ undo").click()
+
+
+def eval_numbers(path):
+    return tuple(float(part) for part in path.read_text().strip("()").split(","))
+
+
+def test_cells_run_meanwhile_and_the_panel_goes_on(live):
+    idle = [live.ask_kernel("number = 1 + 1") for _ in range(5)]
+    assert np.median(idle) < 1000
+    live.run_cell(FIRST)
+    live.run_cell(BUSY)
+    assert int(said(live).split("fits meanwhile")[1].split()[0]) >= 3
+    to_top(live)
+
+
+def test_a_recording_is_saved_as_a_track(live, screenshots):
+    live.page.get_by_role("button", name="● record").click()
+    live.page.wait_for_timeout(2500)
+    live.page.screenshot(path=screenshots / "live-recording.png")
+    live.page.get_by_role("button", name="● record").click()
+    live.page.wait_for_function("() => document.querySelector('.fw-live-panel').innerText.includes('recorded')")
+    live.page.get_by_role("button", name="save", exact=True).click()
+    live.page.wait_for_function("() => document.querySelector('.fw-live-panel').innerText.includes('wrote recording')")
+    track = Track.load(live.server.folder / "recording" / "track.npz")
+    assert track.found.all()
+    assert track.meta["rate"] > SLOWEST_RATE
+    assert (live.server.folder / "recording" / "clip.mp4").stat().st_size > 10_000
+
+
+def test_the_avatar_is_turned_with_the_mouse(live):
+    live.page.get_by_role("button", name="■ stop").click()
+    wait_for_words(live, "the camera is off")
+    assert not camera_is_open(live)
+    before = picture(live, ".fw-live .fw-head")
+    box = live.page.locator(".fw-live .fw-avatar").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    live.page.mouse.move(x, y)
+    live.page.mouse.down()
+    live.page.mouse.move(x + 60, y, steps=4)
+    live.page.mouse.up()
+    live.page.wait_for_timeout(400)
+    assert (np.abs(picture(live, ".fw-live .fw-head") - before).max(2) > 10).mean() > 0.03
+    live.page.locator(".fw-live .fw-avatar").dblclick()
+    live.page.wait_for_timeout(400)
+    np.testing.assert_allclose(picture(live, ".fw-live .fw-head"), before, atol=3)
+
+
+def test_it_starts_again_and_an_unplugged_camera_is_said(live, screenshots):
+    count = state(live)["count"]
+    live.page.get_by_role("button", name="▶ start").click()
+    wait_for_frames(live, count + 5)
+    live.page.evaluate("() => document.querySelector('.fw-live').live.unplug()")
+    wait_for_words(live, "was unplugged or switched off")
+    assert not camera_is_open(live)
+    live.page.screenshot(path=screenshots / "live-unplugged.png")
+
+
+def test_the_kernels_camera_plays_in_the_same_panel(live, screenshots):
+    live.page.locator(".fw-live-panel select").first.select_option("sample clip")
+    count = state(live)["count"]
+    live.page.get_by_role("button", name="▶ start").click()
+    wait_for_frames(live, count + 10)
+    assert moves(live, ".fw-live .fw-head") > 0.005
+    live.page.screenshot(path=screenshots / "live-kernel.png")
+    live.page.locator(".fw-live-panel select").first.select_option("browser's camera")
+    live.page.wait_for_timeout(500)
+
+
+def test_closing_and_restarting_leave_nothing_running(live):
+    assert state(live)["running"]
+    live.page.evaluate("() => { window.kept = document.querySelector('.fw-live').live; }")
+    live.page.wait_for_function("() => window.kept.camera()")
+    live.page.evaluate("() => window.jupyterapp.shell.currentWidget.sessionContext.restartKernel()")
+    live.page.wait_for_function("() => !window.kept.camera()")
+    live.page.wait_for_timeout(1000)
+    live.open("live.ipynb")
+    live.run_cell(0)
+    live.page.get_by_role("button", name="▶ start").click()
+    wait_for_frames(live, 3)
+    live.page.evaluate("() => { window.kept = document.querySelector('.fw-live').live; }")
+    live.run_cell(CLOSE)
+    live.page.wait_for_function("() => !window.kept.camera()")
+    live.run_cell(LEFT)
+    assert "False []" in said(live)
+
+
+def test_nothing_came_from_another_host_and_nothing_failed(live):
+    assert live.foreign_requests == []
+    assert live.page_errors == []
+    assert [text for text in live.console_errors if "404" not in text] == []
+    assert [output for output in live.outputs() if output["type"] == "error" or output["name"] == "stderr"] == []
+
+
+@pytest.mark.parametrize(
+    ("notebook", "flags", "words"),
+    [
+        ("denied", ["--use-fake-device-for-media-stream", "--deny-permission-prompts"], "was not allowed to use"),
+        ("absent", ["--use-fake-ui-for-media-stream"], "found no camera"),
+    ],
+)
+def test_a_camera_that_is_denied_or_missing_is_said_plainly(
+    server, tmp_path_factory, screenshots, notebook, flags, words
+):
+    with browser.lab_page(server, tmp_path_factory.mktemp("profile"), flags) as page:
+        opened(page, f"{notebook}.ipynb")
+        page.page.get_by_role("button", name="▶ start").click()
+        wait_for_words(page, words)
+        page.page.wait_for_timeout(300)
+        page.page.screenshot(path=screenshots / f"live-{notebook}.png")
+        assert not state(page)["running"]
+        assert page.page.get_by_role("button", name="▶ start").is_visible()
+        assert page.page_errors == []
+        assert [output for output in page.outputs() if output["type"] == "error"] == []
