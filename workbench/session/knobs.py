@@ -95,7 +95,31 @@ DEEP = (
     Knob("deep.prior", "ω_prior", "stay near the pose before, in stages with that term, Sec. 5", "log", 1e-3, 1e3),
     Knob("deep.tolerance", "tolerance", "a stage stops when a step gains less than this part", "log", 1e-6, 1e-1),
 )  # fmt: skip
-KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP)
+METHODS = (
+    Knob("infill.method", "infill", "failed frames from their neighbours: along the pictures' flow, Sec. 6, 8.3; or "
+         "interpolated, App. A", "choice", choices=("none", "flow", "linear", "spline")),
+    Knob("refinement.method", "refine", "steadier: average of three (App. B), self flow, plate flow (Sec. 7); hybrid: "
+         "averaging, then plate", "choice", choices=("none", "averaging", "self", "plate", "hybrid")),
+)  # fmt: skip
+TIME = (
+    Knob("refinement.sweeps", "sweeps", "times that refinement solves every frame; hybrid averages once", "whole",
+         1, 20),
+    Knob("refinement.reestimate", "re-estimate", "times that the expression is fitted anew with the pose held, App. "
+         "B.1", "whole", 0, 10),
+    Knob("refinement.order", "order", "jacobi: from the neighbours before the sweep; gauss-seidel: from the newest",
+         "choice", choices=("jacobi", "gauss-seidel")),
+    Knob("refinement.prior", "prior", "flow: weight of staying at the pose before; mm, 1 rad as 100", "log",
+         1e-3, 1e3),
+    Knob("refinement.centre", "centre", "averaging: weight of the frame itself; its neighbours share the rest",
+         "linear", 0.05, 1.0, 0.05),
+    Knob("infill.rounds", "rounds", "flow infill: ways forth and back through a gap after the first", "whole", 1, 10),
+    Knob("infill.largest_error", "bad above", "a frame has failed above this mean error, % of the eye distance",
+         "linear", 0.5, 50.0, 0.5),
+    Knob("flow.estimator", "flow", "of the pictures: OpenCV's DIS or Farnebäck, or our network (slower)", "choice",
+         choices=("dis", "farneback", "network")),
+    Knob("flow.stay", "stay", "flow: weight of blendshapes and jaw staying where they are expected", "log", 1e-1, 1e4),
+)  # fmt: skip
+KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP, *METHODS, *TIME)
 
 
 def value_of(config: Config, path: str) -> Value:

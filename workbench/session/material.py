@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 
 from workbench.config import Config
 from workbench.errors import InputError
-from workbench.frames import Frame, Frames, open_frames
+from workbench.frames import Frame, FrameRange, Frames, open_frames
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import content_hash, is_landmark_file, open_source
 from workbench.tracking import FrameObservation, Track
@@ -37,6 +37,11 @@ class PictureStore:
     def real(self) -> bool:
         """Whether there are pictures and not only their sizes."""
         return self._frames is not None
+
+    @property
+    def frames(self) -> Frames | None:
+        """The pictures as a stream."""
+        return self._frames
 
     def __getitem__(self, index: int) -> UInt8[np.ndarray, "h w 3"]:
         with self._lock:
@@ -152,6 +157,8 @@ def material_of_track(track: Track) -> Material:
     frames = None
     if inputs and all(path.exists() and not is_landmark_file(path) for path in inputs):
         frames = open_frames(inputs if len(inputs) > 1 else inputs[0])
+        if track.meta.get("frames"):
+            frames = FrameRange(frames, *track.meta["frames"])
     sizes = [observation.image_size for observation in observations]
     name = inputs[0].stem if inputs else "track"
     file = None if stored is None else Path(stored["path"])

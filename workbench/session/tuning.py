@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, UInt8
 
 from workbench.config import DEFAULT_PRESET, Config, Difference, Stage, differences, parse_config, preset, write_config
 from workbench.diagnosis import Change, Diagnosis, FrameCase, ShotReference, diagnose_frame, reference_of
@@ -21,11 +21,13 @@ from workbench.face import FaceModel, load_default_head
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import software_versions
 from workbench.session.material import Material, Progress, load_material, material_of_track
+from workbench.session.metrics import metrics_of
+from workbench.session.temporal import TIME_SECTIONS, TemporalWork
 from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation, StageTrace, Track
 from workbench.tracking.deep_fitter import DeepFitter, DeepSolution
 from workbench.tracking.deep_target import energy_network, photo_landmarks
 from workbench.tracking.fitter import Calibrated, Continuation, corrected, running_stages
-from workbench.tracking.records import frame_errors, stack_fits
+from workbench.tracking.records import stack_fits
 from workbench.tracking.systems import Fitter, configured, make_fitter
 from workbench.tracking.tracker import calibration_window, jumped
 
@@ -82,6 +84,8 @@ class TuningSession:
         self._targets: dict[tuple[int, str], Landmarks2D] = {}
         self._solution: tuple[tuple, DeepSolution] | None = None
         self._reference: tuple[tuple[int, Config], ShotReference] | None = None
+        self.temporal = TemporalWork(self)
+        """Infill and refinement of the clip."""
 
     def __repr__(self) -> str:
         return f"TuningSession({self.material.name!r}, {len(self)} frames, preset {self._config.preset!r})"
@@ -116,7 +120,7 @@ class TuningSession:
             self._gesture = None if gesture is None else (gesture, now)
             self._redo = []
             self._config = config
-        self._tell("config")
+        self.tell("config")
         return config
 
     def undo(self) -> str | None:
@@ -142,7 +146,7 @@ class TuningSession:
         if not name.strip():
             raise ConfigError("A snapshot needs a name.")
         self._snapshots[name.strip()] = self._config
-        self._tell("snapshots")
+        self.tell("snapshots")
 
     def restore_snapshot(self, name: str) -> Config:
         """Return to a snapshot; one step of undo. Raises `ConfigError` for a name that was never taken."""
@@ -177,7 +181,7 @@ class TuningSession:
             step = source.pop()
             target.append(Step(self._config, step.label))
             self._config, self._gesture = step.config, None
-        self._tell("config")
+        self.tell("config")
         return step.label
 
     # --- landmarks and stages ---
@@ -343,12 +347,18 @@ class TuningSession:
             config = config.changed(landmarks=stored)
         return self.use(config, change.label)
 
-    def fit_clip(self, progress: Progress | None = None, cancelled: Callable[[], bool] = lambda: False) -> Track | None:
-        """Fit all frames under the present configuration, as `workbench track` does; None if cancelled.
+    def fit_clip(
+        self,
+        progress: Progress | None = None,
+        cancelled: Callable[[], bool] = lambda: False,
+        config: Config | None = None,
+    ) -> Track | None:
+        """Fit all frames under the present configuration, or another one; None if cancelled.
 
-        A cancelled run leaves the fits of the last whole one.
+        These are the fits of single frames, as `workbench track` makes them; `temporal` works on them over time. A
+        cancelled run leaves the fits of the last whole one.
         """
-        config = self._config
+        config = self._config if config is None else config
         fitter = make_fitter(self.model, config)
         fits, contexts = [], []
         for shot, frames in enumerate(self.material.shots):
@@ -367,7 +377,7 @@ class TuningSession:
             self._run = Run(config, tuple(fits), tuple(contexts))
             if config == self.base:
                 self._base_metrics = metrics_of(self._run.fits)
-        self._tell("run")
+        self.tell("run")
         return self.track
 
     @property
@@ -434,16 +444,19 @@ class TuningSession:
 
     # --- export ---
 
-    def export(self, path: str | Path, progress: Progress | None = None) -> Path:
+    def export(
+        self, path: str | Path, progress: Progress | None = None, cancelled: Callable[[], bool] = lambda: False
+    ) -> Path:
         """Write the configuration with its provenance; `workbench track --config` runs it to the same numbers.
 
-        All frames are fitted first if the last run belongs to another configuration, so that the metrics in the file
-        are those of the file.
+        All frames are fitted first if the last run belongs to another configuration, and worked on over time if it
+        asks for that, so that the metrics in the file are those of the file. Raises `InputError` if `cancelled`.
         """
-        path = Path(path)
-        if self.stale.any():
-            self.fit_clip(progress)
-        config, after = self._config, metrics_of(self._run.fits)
+        path, config = Path(path), self._config
+        fits = self.temporal.fits_by(config, progress, cancelled)
+        if fits is None:
+            raise InputError(f"The export was cancelled; {path} was not written.")
+        after = metrics_of(fits)
         before = self._base_metrics if self._base_metrics is not None else self._metrics_of_base(progress)
         provenance = {
             "exported": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -457,7 +470,7 @@ class TuningSession:
         }
         write_config(config.changed(provenance=provenance), path)
         self._exported = config
-        self._tell("export")
+        self.tell("export")
         return path
 
     def command(self, path: str | Path) -> str:
@@ -472,14 +485,16 @@ class TuningSession:
     # --- listeners ---
 
     def listen(self, callback: Callable[[str], None]) -> Callable[[], None]:
-        """Call `callback(what)` after each change of "config", "run", "snapshots", "export"; returns what ends it.
+        """Call `callback(what)` after each change of "config", "run", "time", "snapshots", "export"; returns what
+        ends it.
 
         Callbacks run in the thread that made the change.
         """
         self._listeners.append(callback)
         return lambda: self._listeners.remove(callback) if callback in self._listeners else None
 
-    def _tell(self, what: str) -> None:
+    def tell(self, what: str) -> None:
+        """Call every listener."""
         for callback in tuple(self._listeners):
             callback(what)
 
@@ -564,37 +579,6 @@ def open_session(
     return TuningSession(model, load_material(inputs, config, landmarks, stills, progress), config)
 
 
-def metrics_of(fits: Sequence[FrameFit]) -> dict[str, float]:
-    """Errors in % of the outer-eye distance over all frames with a face, and the jitter of the head pose.
-
-    Jitter is the mean length of the second difference of the rotation in degrees, within shots.
-    """
-    columns = stack_fits(list(fits))
-    found = columns["found"]
-    track = Track(meta={}, **columns)
-    errors = frame_errors(track)[found]
-    numbers = {"frames": float(len(fits)), "frames_with_face": float(found.sum())}
-    if not found.any():
-        return numbers
-    for name, column in (("inner_51_percent", 2), ("all_68_percent", 3)):
-        numbers[f"{name}_mean"] = round(float(errors[:, column].mean()), 4)
-        numbers[f"{name}_p95"] = round(float(np.percentile(errors[:, column], 95)), 4)
-    jitter = _jitter_deg(columns["rotation"], columns["shot"], found)
-    if jitter is not None:
-        numbers["jitter_deg"] = round(jitter, 4)
-    return numbers
-
-
-def _jitter_deg(rotation: Float[np.ndarray, "n 3"], shot: np.ndarray, found: np.ndarray) -> float | None:
-    if len(rotation) < 3:
-        return None
-    whole = found[:-2] & found[1:-1] & found[2:] & (shot[:-2] == shot[2:])
-    if not whole.any():
-        return None
-    second = np.linalg.norm(rotation[:-2] - 2.0 * rotation[1:-1] + rotation[2:], axis=1)[whole]
-    return float(np.degrees(second.mean()))
-
-
 def _context(
     shot: int, calibrated: Calibrated, observation: FrameObservation, last: Continuation | None
 ) -> FrameContext:
@@ -619,7 +603,9 @@ def _stopped(config: Config, start: bool, counts: Sequence[int], steps: int) -> 
 
 
 def _without_moves(config: Config) -> str:
-    return config.model_dump_json(exclude={"preset": True, "provenance": True, "landmarks": {"moved"}})
+    """What the fit of a single frame depends on, but for the points that were moved."""
+    left_out = dict.fromkeys(("preset", "provenance", *TIME_SECTIONS), True)
+    return config.model_dump_json(exclude={**left_out, "landmarks": {"moved"}})
 
 
 def _identity_key(config: Config, window: Sequence[FrameObservation]) -> str:

@@ -1,7 +1,7 @@
 """Controls for the knobs of a configuration: sliders, boxes and menus that call back with a path and a value."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import ipywidgets as widgets
 
@@ -97,6 +97,13 @@ class Controls:
             layout=widgets.Layout(width="100%"),
         )  # fmt: skip
         self.widget.add_class("fw-controls")
+        self.show(config)
+
+    def add(self, title: str, page: widgets.Widget, controls: Mapping[str, KnobControl], config: Config) -> None:
+        """One more page, with controls of its own."""
+        self.by_path |= controls
+        self.widget.children = (*self.widget.children, page)
+        self.widget.titles = (*self.widget.titles, title)
         self.show(config)
 
     def show(self, config: Config, but: str | None = None) -> None:

@@ -4,11 +4,12 @@ const GUTTER = 48, RIGHT = 8, FLAG_ROW = 13, AXIS = 17; // pixels around the str
 const POINTS = 68, NOTHING = 255;
 const FLAGGED = 1, STALE = 2, FOUND = 4, NEW_SHOT = 8;
 const SHORTEST = 8; // frames that zooming in leaves
-const FLAG_COLOR = "#d55e00", CURSOR_HALO = "rgba(0, 0, 0, 0.75)";
+const FLAG_COLOR = "#d55e00", MARK_COLOR = "#56b4e9", MARK_TINT = "rgba(86, 180, 233, 0.45)";
+const CURSOR_HALO = "rgba(0, 0, 0, 0.75)";
 const HELP = "click go to frame · scroll zoom · N P flagged";
 const HELP_MORE = `Click or drag: go to a frame. Wheel: zoom in time; with Shift: along the clip.
 Double-click: whole clip. Left and right: one frame, with Shift ten. Home, End. N, P: next and previous flagged frame.
-Orange: flagged. Hatched: out of date. Vertical lines: a new shot. Blank: no face.`;
+Orange: flagged. Blue: marked as failed. Hatched: out of date. Vertical lines: a new shot. Blank: no face.`;
 
 // A copy: the view may start anywhere in a larger buffer, and floats must start at a multiple of four.
 const bytesOf = (view) => view.buffer.slice(view.byteOffset, view.byteOffset + view.byteLength);
@@ -99,7 +100,16 @@ function render({ model, el }) {
     const span = clamp(end - start, Math.min(SHORTEST, track.count), track.count);
     from = clamp(start, 0, track.count - span);
     to = from + span;
+    tellView();
     draw(true);
+  }
+
+  function tellView() {
+    const shown = [track.first + Math.floor(from), track.first + Math.ceil(to) - 1];
+    if (shown.some((frame, k) => frame !== model.get("in_view")[k])) {
+      model.set("in_view", shown);
+      model.save_changes();
+    }
   }
 
   // ---- drawing ------------------------------------------------------------------------------------------------
@@ -147,8 +157,21 @@ function render({ model, el }) {
     context.drawImage(small, GUTTER, FLAG_ROW, width(), height);
     context.fillStyle = "rgba(255, 255, 255, 0.55)";
     lines.slice(1).forEach((y) => context.fillRect(GUTTER, Math.round(y), width(), 1));
+    paintMarked(context, height);
     paintFlags(context, columns, muted, height);
     paintAxis(context, muted);
+  }
+
+  function paintMarked(context, height) {
+    for (const [first, last] of model.get("marked")) {
+      const left = Math.max(toX(first - track.first), GUTTER);
+      const wide = Math.max(Math.min(toX(last + 1 - track.first), GUTTER + width()) - left, 0);
+      if (!wide) continue;
+      context.fillStyle = MARK_TINT;
+      context.fillRect(left, FLAG_ROW, Math.max(wide, 1), height);
+      context.fillStyle = MARK_COLOR;
+      context.fillRect(left, FLAG_ROW - 4, Math.max(wide, 2), 4);
+    }
   }
 
   // Flags, out-of-date frames and shots; of several frames in a column every mark is shown.
@@ -258,6 +281,8 @@ function render({ model, el }) {
         : "no face",
     );
     if (mark & FLAGGED) words.push("flagged");
+    const number = column + track.first;
+    if (model.get("marked").some(([first, last]) => first <= number && number <= last)) words.push("marked as failed");
     if (mark & STALE) words.push("out of date: a detection or setting has changed");
     if (mark & NEW_SHOT) words.push("a new shot begins");
     hoverBox.textContent = words.join("\n");
@@ -348,7 +373,10 @@ function render({ model, el }) {
       largest: new Float32Array(bytesOf(sent.largest)), worst: new Uint8Array(bytesOf(sent.worst)),
       marks: new Uint8Array(bytesOf(sent.marks)),
     };
-    if (resized) [from, to, hover] = [0, Math.max(track.count, 1), null];
+    if (resized) {
+      [from, to, hover] = [0, Math.max(track.count, 1), null];
+      tellView();
+    }
     draw(true);
   }
 
@@ -375,7 +403,7 @@ function render({ model, el }) {
   const redraw = () => draw(true);
   const watched = [
     ["change:_track", onTrack], ["change:frame", onFrame], ["change:_scale", redraw], ["change:unit", redraw],
-    ["change:height_px", onSize], ["msg:custom", onPart],
+    ["change:height_px", onSize], ["change:marked", redraw], ["msg:custom", onPart],
   ];
   watched.forEach(([name, callback]) => model.on(name, callback));
   const listeners = {

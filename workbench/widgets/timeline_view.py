@@ -73,6 +73,8 @@ class TimelineView(anywidget.AnyWidget):
     scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0 chooses it").tag(sync=True)
     unit = traitlets.Unicode("px", help="of the residuals").tag(sync=True)
     height_px = traitlets.Int(150, min=100).tag(sync=True)
+    marked = traitlets.List(help="first and last frame of each part that the user marked as failed").tag(sync=True)
+    in_view = traitlets.List([0, 0], help="first and last frame that the browser shows").tag(sync=True)
     _scale = traitlets.Float(SMALLEST_SCALE).tag(sync=True)
     _scheme = traitlets.Dict().tag(sync=True)
     # A counter here, the whole track in the message: a part of a track can then be sent alone, and a browser that

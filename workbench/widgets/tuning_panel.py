@@ -1,6 +1,7 @@
 """The panel: every knob of a session, the picture, the head, the clip and the diagnosis, all following each other."""
 
 import html
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.playground import jpeg
 from workbench.widgets.stage_editor import StageEditor
+from workbench.widgets.time_page import AFTER, TimePage
 
 CONTROLS_PX, HEAD_PX = 262, 304
 TABS_PX = 190
@@ -67,6 +69,7 @@ class TuningPanel(widgets.VBox):
 
     def __init__(self, session: TuningSession, backend: str = "auto", height_px: int = 372) -> None:
         self.session, self.frame = session, 0
+        self._stop_export = threading.Event()
         self._head = FittedHead(session.model)
         self._held: str | None = None
         self._steps: int | None = None
@@ -101,6 +104,7 @@ class TuningPanel(widgets.VBox):
             self.frame, self._steps = frame, None
             if self._is_clip:
                 self.clip.show_frame(frame)
+            self.time.show_frame(frame)
             self.diagnosis.clear()
             self._worker.submit(Show(frame))
 
@@ -114,7 +118,7 @@ class TuningPanel(widgets.VBox):
             self._slow.submit(int).result(timeout_s)
         except TimeoutError:
             return False
-        return all(worker.wait_idle(timeout_s) for worker in (self._clip_worker, self._worker))
+        return all(worker.wait_idle(timeout_s) for worker in (self.time, self._clip_worker, self._worker))
 
     def close(self) -> None:
         """Stop following the session, end the threads and free the views."""
@@ -122,7 +126,8 @@ class TuningPanel(widgets.VBox):
             return
         self._closed = True
         self._leave()
-        for worker in (self._worker, self._clip_worker):
+        self._stop_export.set()
+        for worker in (self.time, self._worker, self._clip_worker):
             worker.close()
         self._slow.shutdown(wait=False, cancel_futures=True)
         self.overlay.close()
@@ -148,6 +153,8 @@ class TuningPanel(widgets.VBox):
         size = (HEAD_PX, height_px - 64)
         self.head = HeadColumn(session, self._head, size, backend, self._uncertainty, self._redraw)
         self.clip = ClipViews(session, self.go)
+        self.time = TimePage(session, self._on_knob, self.go, self._redraw, self._in_view, height_px)
+        self.controls.add("time", self.time.widget, self.time.knobs, session.config)
         self.stages = StageEditor(self._on_stages, self._on_run, TABS_PX)
         self.diagnosis = DiagnosisView(self._on_why, self._on_apply, self._on_take_back, TABS_PX)
         self.energy = ChartView(height_px=TABS_PX - 20, y_log=True, title="energy per term against iteration")
@@ -162,6 +169,8 @@ class TuningPanel(widgets.VBox):
         pages = {"Energy": self.energy, "Stages": self.stages.widget, "Diagnosis": self.diagnosis.widget}
         if self._is_clip:
             pages["Curves"] = self.clip.curves
+        if self.time.is_clip:
+            pages["Methods"] = self.time.methods
         pages["Film strip"] = self.strip
         pages["Changes"] = self.changes
         self.tabs = widgets.Tab(children=list(pages.values()), titles=list(pages))
@@ -191,8 +200,8 @@ class TuningPanel(widgets.VBox):
     def _file_bar(self) -> widgets.Widget:
         self.run_clip = small_button("▶ run clip" if self._is_clip else "▶ run", "fit all frames")
         self.run_clip.on_click(lambda _button: self._clip_worker.submit("run"))
-        self.cancel = small_button("cancel", "stop the run; the last whole run stays")
-        self.cancel.on_click(lambda _button: self._clip_worker.submit("cancel"))
+        self.cancel = small_button("cancel", "stop the run or the export; the last whole run stays")
+        self.cancel.on_click(lambda _button: self._on_cancel())
         self.follow = widgets.ToggleButton(
             value=len(self.session) <= LIVE_CLIP_FRAMES, description="live",
             layout=widgets.Layout(width="auto", flex="0 0 auto"),
@@ -299,13 +308,31 @@ class TuningPanel(widgets.VBox):
         path = Path(self.file.value.strip() or "tuned.toml")
         if path.suffix != ".toml":
             path = path.with_name(path.name + ".toml")
-        self.session.export(path)
+        self._stop_export.clear()
+
+        def progress(step: str, done: int, total: int | None) -> None:
+            if done % 10 == 0 or done == total:
+                self.exported.value = f"{step} {done} of {total} …"
+
+        try:
+            self.session.export(path, progress, self._stop_export.is_set)
+        except WorkbenchError:
+            self.exported.value = ""
+            raise
         command = html.escape(self.session.command(path))
         self.exported.value = f"wrote {html.escape(str(path))}; the same numbers headless: <code>{command}</code>"
+
+    def _on_cancel(self) -> None:
+        self._stop_export.set()
+        self._clip_worker.submit("cancel")
 
     def _on_webgl(self, change) -> None:
         if change["new"] is False and self.head.view.note is None:
             self.head.use_pictures("This browser has no WebGL: the head comes as pictures from the kernel.")
+
+    def _in_view(self) -> tuple[int, int]:
+        first, last = self.clip.timeline.in_view
+        return (first, last) if last > first else (0, len(self.session) - 1)
 
     def _next_flagged(self) -> int:
         flagged = self.clip.timeline.flagged
@@ -323,6 +350,9 @@ class TuningPanel(widgets.VBox):
             self._clip_worker.submit("settle")
         elif what == "run":
             self._guarded(self._show_run)
+        elif what == "time":
+            self.time.show_result()
+            self._redraw()
         elif what == "snapshots":
             self.reset.options = self._resets()
             self.head.refresh_comparisons()
@@ -332,6 +362,8 @@ class TuningPanel(widgets.VBox):
         self.controls.show(config, but=self._held)
         self.stages.show(config)
         self.overlay.refresh_groups()
+        self.time.show_config()
+        self.clip.timeline.marked = [list(part) for part in config.infill.frames]
         self.undo.disabled, self.redo.disabled = not self.session.undo_label, not self.session.redo_label
         self.undo.tooltip = f"take back: {self.session.undo_label}" if self.session.undo_label else "nothing to undo"
         self.redo.tooltip = f"make again: {self.session.redo_label}" if self.session.redo_label else "nothing to redo"
@@ -341,14 +373,15 @@ class TuningPanel(widgets.VBox):
     def _refit(self, request: Show) -> None:
         session = self.session
         if request.steps is None:
-            fit = session.fit_frame(request.frame, request.coarse)
+            # A result over time holds the frame as it was fitted, too.
+            fit = self.time.fit(request.frame) or session.fit_frame(request.frame, request.coarse)
         else:
             fit = session.fit_steps(request.frame, request.steps)
         self._show(fit)
         # Numbers and curves wait for a pause: painting them would hold up the pictures of a drag.
         if self._worker.wait_newer(PAUSE_S):
             return
-        self.say(status_of(fit, len(self.session)))
+        self.say(self._status(fit))
         if fit.found:
             self._traces = session.explain_frame(request.frame)[1]
             self._show_energy(self._traces, request.steps)
@@ -361,7 +394,12 @@ class TuningPanel(widgets.VBox):
     def _show(self, fit: FrameFit) -> None:
         self.fit = fit
         self.overlay.show(fit)
+        if note := self.time.note_of(fit):
+            self.overlay.view.message = note
         self.head.show(fit)
+
+    def _status(self, fit: FrameFit) -> str:
+        return status_of(fit, len(self.session)) + ("  after" if self.time.side == AFTER else "")
 
     def _redraw(self) -> None:
         if self.fit is not None:
@@ -374,6 +412,10 @@ class TuningPanel(widgets.VBox):
             if self._clip_worker.wait_newer(SETTLED_S):
                 return
             if not self._is_clip:  # the fit that is shown is the whole run
+                self._show_changes()
+                return
+            if not self.session.stale.any():  # the fits are what they were: a setting of infill or refinement
+                self.clip.show_stale()
                 self._show_changes()
                 return
             if not self.follow.value or self._is_slow:
@@ -394,6 +436,7 @@ class TuningPanel(widgets.VBox):
     def _show_run(self) -> None:
         if self._is_clip:
             self.clip.show_run()
+            self.time.show_config()
         # The frame before may have another pose now, and the identity is the exact one.
         self._worker.submit(Show(self.frame, steps=self._steps))
         self._show_changes()
@@ -462,8 +505,10 @@ def status_of(fit: FrameFit, frames: int) -> str:
     if not fit.found:
         return f"{where}no face"
     failed = f"  FAILED: {fit.failure}" if fit.failure else ""
-    pixels, inner, every = fit.errors
     yaw, pitch, roll = fit.angles_deg
+    if fit.source == "filled":
+        return f"{where}filled from its neighbours  yaw {yaw:+.0f}° pitch {pitch:+.0f}° roll {roll:+.0f}°"
+    pixels, inner, every = fit.errors
     return (
         f"{where}{pixels:.2f} px = {every:.2f} % (inner {inner:.2f} %)  yaw {yaw:+.0f}° pitch {pitch:+.0f}° "
         f"roll {roll:+.0f}°  {fit.milliseconds[2]:.0f} ms{failed}"

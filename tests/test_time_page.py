@@ -1,0 +1,225 @@
+"""The panel's page of infill and refinement without a browser: every control reaches the session, results are shown."""
+
+import numpy as np
+import pytest
+
+from tests.test_session_temporal import COUNT, QUICK, fitted, material  # noqa: F401 - fixtures
+from workbench.config import preset, read_config
+from workbench.session import Material, TuningSession
+from workbench.session.knobs import METHODS, TIME, value_of
+from workbench.session.material import PictureStore
+from workbench.widgets import TuningPanel
+from workbench.widgets.time_page import chosen, colors_of, failed_html, longest_gap, numbers_html
+
+
+@pytest.fixture(scope="module")
+def shared_panel(head, material, fitted):  # noqa: F811 - fixtures
+    session = TuningSession(head, material, QUICK)
+    session._run = fitted.run
+    made = TuningPanel(session, backend="k3d")
+    assert made.wait_idle(300)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def panel(shared_panel, fitted):  # noqa: F811 - fixture
+    """One panel for all tests, brought back to the start and without results."""
+    yield shared_panel
+    session, page = shared_panel.session, shared_panel.time
+    session._run = fitted.run
+    session.temporal._kept.clear()
+    session.use(session.base)
+    page.part.value, page.sides.value, page.methods.shown.value = "", "before", "all"
+    assert shared_panel.wait_idle(60)
+
+
+def press(panel, button):
+    button.click()
+    assert panel.wait_idle(300)
+
+
+def test_the_shown_frame_and_ranges_are_marked_and_shown_on_the_strip(panel):
+    page = panel.time
+    panel.go(7)
+    press(panel, page.this)
+    page.range.value = "10-13"
+    press(panel, page.mark)
+    assert panel.session.temporal.marked == ((7, 7), (10, 13))
+    assert panel.clip.timeline.marked == [[7, 7], [10, 13]]
+    assert page.summary.value == "marked: 7, 10-13 (5 frames); 1 more without a good fit"
+    press(panel, page.this)
+    page.range.value = "12-13"
+    press(panel, page.unmark)
+    assert panel.session.temporal.marked == ((10, 11),)
+    press(panel, page.clear)
+    assert panel.session.temporal.marked == ()
+    panel.undo.click()
+    assert panel.clip.timeline.marked == [[10, 11]]
+
+
+def test_nonsense_in_a_field_is_said_and_changes_nothing(panel):
+    page = panel.time
+    page.range.value = "many"
+    press(panel, page.mark)
+    assert "Frames are given as 40-52 or 60" in page.result.value
+    page.range.value = ""
+    press(panel, page.mark)
+    assert "Name frames first" in page.result.value
+    page.part.value = "5-99"
+    panel.turn("refinement.method", "averaging")
+    press(panel, page.go)
+    assert "A part of this clip lies within 0-23" in page.result.value
+    assert panel.session.temporal.current is None
+
+
+def test_run_shows_the_result_and_the_toggle_goes_back(panel):
+    page = panel.time
+    panel.go(11)
+    panel.session.temporal.mark(range(10, 14))
+    panel.turn("infill.method", "linear")
+    press(panel, page.go)
+    assert page.side == "after", page.result.value
+    assert "linear</b>: frames 0-23, 5 filled" in page.result.value
+    assert panel.fit.source == "filled"
+    assert panel.overlay.view.message == "frame 11: filled"
+    assert "filled from its neighbours" in panel.status.value
+    filled = panel.head.view.widget, np.array(panel.fit.expression)
+    page.sides.value = "before"
+    assert panel.wait_idle(60)
+    assert panel.fit.source == "given"
+    assert panel.overlay.view.message == "frame 11: marked as failed"
+    assert not np.array_equal(panel.fit.expression, filled[1])
+
+
+def test_playing_goes_through_the_frames_of_the_chosen_side(panel):
+    page = panel.time
+    panel.turn("refinement.method", "averaging")
+    press(panel, page.go)
+    for frame in (3, 4, 5):
+        page.play.value = frame
+    assert panel.wait_idle(60)
+    assert panel.frame == panel.clip.timeline.frame == 5
+    after = panel.session.temporal.current.after[5]
+    np.testing.assert_array_equal(panel.fit.rotation, after.rotation)
+    panel.go(9)
+    assert page.play.value == 9
+
+
+def test_a_moved_setting_shows_the_frames_as_fitted_until_it_runs_again(panel):
+    page = panel.time
+    panel.turn("refinement.method", "averaging")
+    press(panel, page.go)
+    result = panel.fit
+    panel.turn("refinement.sweeps", 3)
+    assert panel.wait_idle(60)
+    assert "not run with these settings yet" in page.result.value
+    assert not np.array_equal(panel.fit.rotation, result.rotation)
+    panel.undo.click()
+    assert panel.wait_idle(60)
+    np.testing.assert_array_equal(panel.fit.rotation, result.rotation)
+    assert page.knobs["refinement.sweeps"].value == 1
+
+
+@pytest.mark.parametrize("knob", [*METHODS, *TIME], ids=lambda knob: knob.path)
+def test_turning_a_knob_changes_the_configuration_and_undo_turns_it_back(knob, panel):
+    for value in knob.choices or (knob.high, 1):
+        panel.turn(knob.path, value)
+        assert value_of(panel.session.config, knob.path) == value
+    panel.session.use(panel.session.base)
+    assert panel.time.knobs[knob.path].value == value_of(QUICK, knob.path)
+
+
+def test_settings_of_time_do_not_fit_the_clip_again(panel):
+    run = panel.session.run
+    panel.turn("refinement.method", "plate")
+    panel.turn("infill.method", "flow")
+    assert panel.wait_idle(60)
+    assert panel.session.run is run
+
+
+def test_cancel_stops_a_run_and_says_so(panel):
+    page, told = panel.time, []
+    panel.turn("refinement.method", "plate")
+    panel.turn("refinement.sweeps", 20)
+    say = page._told
+
+    def cancelling(*seen):
+        say(*seen)
+        told.append(seen)
+        if len(told) == 2:
+            page.cancel.click()
+
+    page._told = cancelling
+    press(panel, page.go)
+    assert len(told) == 2
+    assert panel.session.temporal.current is None
+    assert "Cancelled" in page.result.value
+    assert page.progress.layout.visibility == "hidden"
+
+
+def test_all_methods_are_compared_line_by_line(panel):
+    page, methods = panel.time, panel.time.methods
+    panel.session.temporal.mark([5, 6])
+    panel.turn("infill.method", "spline")
+    page.part.value = "2-10"
+    press(panel, page.compare)
+    names = methods.charts[0]._series["names"]
+    assert names[:4] == ["before", "flow", "linear", "spline"]
+    assert len(names) == 8
+    assert methods.charts[0]._series["selected"] == [4.5, 6.5]
+    assert methods.table.value.count("<tr>") == 9
+    methods.shown.value = "infill"
+    assert methods.charts[2]._series["names"] == ["before", "flow", "linear", "spline"]
+    methods.quantities[0].value = "pitch"
+    row = np.frombuffer(methods.charts[0]._series["data"], np.float32).reshape(5, 9)
+    pitch = [fit.angles_deg[1] for fit in panel.session.temporal.current.after]
+    np.testing.assert_allclose(row[4], pitch, atol=1e-4)
+
+
+def test_the_chosen_methods_are_exported(panel, tmp_path):
+    panel.session.temporal.mark([5, 6])
+    panel.turn("infill.method", "linear")
+    panel.turn("refinement.method", "averaging")
+    panel.turn("refinement.centre", 0.6)
+    panel.file.value = str(tmp_path / "tuned.toml")
+    press(panel, panel.export)
+    written = read_config(tmp_path / "tuned.toml")
+    assert (written.infill.method, written.infill.frames) == ("linear", ((5, 6),))
+    assert (written.refinement.method, written.refinement.centre) == ("averaging", 0.6)
+    assert "workbench track" in panel.exported.value
+
+
+def test_a_photo_is_told_that_it_needs_a_clip(head, material):  # noqa: F811 - fixture
+    pictures = PictureStore(None, [item.image_size for item in material.observations[:3]])
+    stills = Material("stills", material.observations[:3], pictures, stills=True)
+    made = TuningPanel(TuningSession(head, stills, QUICK), backend="k3d")
+    assert made.wait_idle(300)
+    assert "need a clip" in made.time.widget.children[0].value
+    assert "these are 3 unrelated photos" in made.time.widget.children[0].value
+    assert made.time.knobs == {}
+    made.close()
+
+
+def test_deep_energies_says_that_it_works_on_a_short_part(panel):
+    panel.session.use(preset("deep-energies"))
+    assert "Deep Energies takes seconds a frame" in panel.time.note.value
+    assert panel.time.part.value == f"0-{COUNT - 1}"
+
+
+# --- what is drawn ---
+
+
+def test_a_method_keeps_its_colour_whatever_is_shown(panel):
+    panel.session.temporal.mark([5])
+    for method in ("linear", "spline"):
+        panel.turn("infill.method", method)
+        panel.session.temporal.run((2, 9))
+    results = panel.session.temporal.comparable()
+    assert list(chosen(results, "infill")) == ["linear", "spline"]
+    assert chosen(results, "refinement") == {}
+    assert colors_of(results)["before"] == "ink"
+    assert len(set(colors_of(results).values())) == 3
+    assert longest_gap(results["linear"]) == (4.5, 5.5)
+    assert "<td>spline</td><td>1</td>" in numbers_html(results)
+    assert failed_html(panel.session, (2, 9)) == "marked: 5"

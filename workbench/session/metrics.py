@@ -1,0 +1,42 @@
+"""Numbers over the fits of a clip: errors, and how much the head's pose trembles."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench.tracking import FrameFit, Track
+from workbench.tracking.records import frame_errors, stack_fits
+
+
+def metrics_of(fits: Sequence[FrameFit]) -> dict[str, float]:
+    """Errors in % of the outer-eye distance over all frames with landmarks, and the jitter of the head pose.
+
+    Frames that infill made have none. Jitter is the mean length of the second difference of the rotation in degrees,
+    within shots.
+    """
+    columns = stack_fits(list(fits))
+    found = columns["found"]
+    track = Track(meta={}, **columns)
+    errors = frame_errors(track)
+    errors = errors[found & np.isfinite(errors).all(axis=1)]
+    numbers = {"frames": float(len(fits)), "frames_with_face": float(found.sum())}
+    if not found.any():
+        return numbers
+    for name, column in (("inner_51_percent", 2), ("all_68_percent", 3)) if len(errors) else ():
+        numbers[f"{name}_mean"] = round(float(errors[:, column].mean()), 4)
+        numbers[f"{name}_p95"] = round(float(np.percentile(errors[:, column], 95)), 4)
+    jitter = _jitter_deg(columns["rotation"], columns["shot"], found)
+    if jitter is not None:
+        numbers["jitter_deg"] = round(jitter, 4)
+    return numbers
+
+
+def _jitter_deg(rotation: Float[np.ndarray, "n 3"], shot: np.ndarray, found: np.ndarray) -> float | None:
+    if len(rotation) < 3:
+        return None
+    whole = found[:-2] & found[1:-1] & found[2:] & (shot[:-2] == shot[2:])
+    if not whole.any():
+        return None
+    second = np.linalg.norm(rotation[:-2] - 2.0 * rotation[1:-1] + rotation[2:], axis=1)[whole]
+    return float(np.degrees(second.mean()))
