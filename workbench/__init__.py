@@ -28,6 +28,7 @@ from workbench.landmarks.files import read_landmark_file as read_landmark_file  
 from workbench.landmarks.observations import Landmarks2D as Landmarks2D  # noqa: E402
 from workbench.landmarks.tracking import LandmarkTracker as LandmarkTracker  # noqa: E402
 from workbench.pipeline import track as track  # noqa: E402
+from workbench.pipeline import work_over as work_over  # noqa: E402
 from workbench.samples import sample as sample  # noqa: E402
 from workbench.session import TuningSession as TuningSession  # noqa: E402
 from workbench.session import open_session as open_session  # noqa: E402
