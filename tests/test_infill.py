@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.films import film_config, landmark_error_px, lost
+from tests.films import FOV_DEG, SIZE, FilmMaker, film_config, landmark_error_px, lost
+from tests.stereo_scenes import make_rig
 from workbench.errors import ConfigError, InputError
+from workbench.geometry import pose_in_view
+from workbench.geometry.rig_files import write_rig
 from workbench.tracking import moments as moments_module
-from workbench.tracking.flow_fitter import FlowFitter, parameters_of
+from workbench.tracking.flow_fitter import FlowFitter, Neighbour, parameters_of
 from workbench.tracking.infill import fill_by_flow, fill_linearly, infilled, usable
 from workbench.tracking.moments import Moment, PictureSpool, moments
 
@@ -26,7 +29,7 @@ def film(film_maker):
     return film_maker.film(10, snap)
 
 
-def fitter_with(film_maker, **infill):
+def fitter_of(film_maker, **infill):
     return FlowFitter(film_maker.head, film_config(infill={"method": "flow", **infill}))
 
 
@@ -40,8 +43,8 @@ def errors(result, film, frames):
 
 def test_a_gap_is_filled_far_better_than_by_a_straight_line(film_maker, film):
     gap = (3, 4, 5)
-    by_flow = list(infilled(fitter_with(film_maker), with_lost(film, gap)))
-    by_line = list(infilled(fitter_with(film_maker, method="linear"), with_lost(film, gap)))
+    by_flow = list(infilled(fitter_of(film_maker), with_lost(film, gap)))
+    by_line = list(infilled(fitter_of(film_maker, method="linear"), with_lost(film, gap)))
     assert errors(by_flow, film, gap).mean() < 0.5 * errors(by_line, film, gap).mean()
     jaw = film_maker.head.expression_names.index("jawOpen")
     assert by_flow[4].fit.expression[jaw] > 0.45
@@ -50,16 +53,16 @@ def test_a_gap_is_filled_far_better_than_by_a_straight_line(film_maker, film):
 
 def test_linear_and_spline_are_what_they_are_called(film_maker, film):
     gap = (3, 4)
-    line = [moment.fit for moment in infilled(fitter_with(film_maker, method="linear"), with_lost(film, gap))]
+    line = [moment.fit for moment in infilled(fitter_of(film_maker, method="linear"), with_lost(film, gap))]
     third = film.truth[2].translation + (film.truth[5].translation - film.truth[2].translation) / 3
     assert line[3].translation == pytest.approx(third)
-    curve = [moment.fit for moment in infilled(fitter_with(film_maker, method="spline"), with_lost(film, gap))]
+    curve = [moment.fit for moment in infilled(fitter_of(film_maker, method="spline"), with_lost(film, gap))]
     assert curve[3].rotation == pytest.approx(film.truth[3].rotation, abs=1e-6)
 
 
 def test_every_frame_comes_out_once_in_order_and_good_ones_untouched(film_maker, film):
     for method in ("flow", "linear", "spline"):
-        result = list(infilled(fitter_with(film_maker, method=method), with_lost(film, (0, 4, 6, 9))))
+        result = list(infilled(fitter_of(film_maker, method=method), with_lost(film, (0, 4, 6, 9))))
         assert [moment.fit.index for moment in result] == list(range(10))
         assert all(moment.fit.found for moment in result)
         for k in (1, 2, 3, 5, 7, 8):
@@ -70,14 +73,14 @@ def test_every_frame_comes_out_once_in_order_and_good_ones_untouched(film_maker,
 
 def test_at_the_ends_of_a_clip_one_anchor_is_enough(film_maker, film):
     ends = (0, 1, 8, 9)
-    result = list(infilled(fitter_with(film_maker), with_lost(film, ends)))
-    held = list(infilled(fitter_with(film_maker, method="linear"), with_lost(film, ends)))
+    result = list(infilled(fitter_of(film_maker), with_lost(film, ends)))
+    held = list(infilled(fitter_of(film_maker, method="linear"), with_lost(film, ends)))
     assert errors(result, film, ends).mean() < 0.5 * errors(held, film, ends).mean()
     assert held[9].fit.rotation == pytest.approx(film.truth[7].rotation)
 
 
 def test_a_filled_frame_says_that_it_was(film_maker, film):
-    result = list(infilled(fitter_with(film_maker), with_lost(film, (4,))))[4].fit
+    result = list(infilled(fitter_of(film_maker), with_lost(film, (4,))))[4].fit
     assert (result.source, result.failure, result.found) == ("filled", "", True)
     assert result.confidence.max() == 0.0
     assert np.array_equal(result.observed, result.projected)
@@ -95,21 +98,21 @@ def test_bad_fits_are_filled_too(film_maker, film, why):
         wrong = replace(wrong, projected=wrong.projected + 15.0)
     fits[4] = wrong
     named = {"frames": [(4, 4)]} if why == "named" else {}
-    result = [moment.fit for moment in infilled(fitter_with(film_maker, **named), film.moments(fits))]
+    result = [moment.fit for moment in infilled(fitter_of(film_maker, **named), film.moments(fits))]
     assert result[4].source == "filled"
     assert result[4].rotation == pytest.approx(film.truth[4].rotation, abs=0.02)
     assert all(result[k] is fits[k] for k in range(10) if k != 4)
 
 
 def test_gaps_longer_than_allowed_stay_empty(film_maker, film):
-    result = [m.fit for m in infilled(fitter_with(film_maker, longest=1), with_lost(film, (2, 5, 6)))]
+    result = [m.fit for m in infilled(fitter_of(film_maker, longest=1), with_lost(film, (2, 5, 6)))]
     assert [fit.found for fit in result] == [k not in (5, 6) for k in range(10)]
 
 
 def test_nothing_flows_over_a_cut(film_maker, film):
     fits = [replace(fit, shot=int(fit.index >= 5)) for fit in film.truth]
     fits = [lost(fit) if fit.index in (3, 4, 5) else fit for fit in fits]
-    result = [m.fit for m in infilled(fitter_with(film_maker, method="linear"), film.moments(fits))]
+    result = [m.fit for m in infilled(fitter_of(film_maker, method="linear"), film.moments(fits))]
     assert result[4].translation == pytest.approx(film.truth[2].translation)
     assert result[5].translation == pytest.approx(film.truth[6].translation)
     assert [fit.shot for fit in result] == [0] * 5 + [1] * 5
@@ -118,7 +121,7 @@ def test_nothing_flows_over_a_cut(film_maker, film):
 def test_a_shot_without_a_good_frame_stays_empty(film_maker, film):
     fits = [replace(fit, shot=int(fit.index >= 5)) for fit in film.truth]
     fits = [lost(fit) if fit.index >= 5 else fit for fit in fits]
-    result = [m.fit for m in infilled(fitter_with(film_maker), film.moments(fits))]
+    result = [m.fit for m in infilled(fitter_of(film_maker), film.moments(fits))]
     assert [fit.found for fit in result] == [True] * 5 + [False] * 5
     with pytest.raises(InputError, match="this shot has none"):
         fill_by_flow(film_maker.flow, None, None, [])
@@ -134,7 +137,7 @@ def test_frames_are_asked_for_as_they_are_needed(film_maker, film):
             asked.append(moment.fit.index)
             yield moment
 
-    result = infilled(fitter_with(film_maker, method="linear"), stream())
+    result = infilled(fitter_of(film_maker, method="linear"), stream())
     for _ in range(3):
         next(result)
     assert asked == [0, 1, 2]
@@ -146,13 +149,13 @@ def test_renders_may_go_through_the_estimator_of_the_photos(film_maker, film):
     config = film_config(infill={"method": "flow"}, flow={"renders": "estimated"})
     gap = (4, 5)
     result = list(infilled(FlowFitter(film_maker.head, config), with_lost(film, gap)))
-    line = list(infilled(fitter_with(film_maker, method="linear"), with_lost(film, gap)))
+    line = list(infilled(fitter_of(film_maker, method="linear"), with_lost(film, gap)))
     assert errors(result, film, gap).mean() < 0.7 * errors(line, film, gap).mean()
 
 
 def test_more_rounds_and_other_estimators_are_settings(film_maker, film):
     gap = (4, 5)
-    line = list(infilled(fitter_with(film_maker, method="linear"), with_lost(film, gap)))
+    line = list(infilled(fitter_of(film_maker, method="linear"), with_lost(film, gap)))
     for estimator, rounds in (("farneback", 1), ("network", 2)):
         config = film_config(infill={"method": "flow", "rounds": rounds}, flow={"estimator": estimator})
         result = list(infilled(FlowFitter(film_maker.head, config), with_lost(film, gap)))
@@ -174,11 +177,31 @@ def test_usable_fits_are_those_that_hit_their_landmarks(film, film_maker):
 def test_each_view_brings_one_picture(film_maker, film):
     neighbour = Moment(film.truth[0], film.pictures[:1])
     views = film_maker.flow.views(film.truth[0])
-    from workbench.tracking.flow_fitter import Neighbour
-
     known = Neighbour(parameters_of(neighbour.fit), neighbour.pictures)
     with pytest.raises(InputError, match="There are 1 views and pictures of 1 and 2"):
         film_maker.flow.links(known, film.pictures[:2], known.parameters, views)
+
+
+def test_two_cameras_fill_a_gap_together(head, tmp_path):
+    """The second camera sees depth; the first alone hardly does."""
+    rig = make_rig((0.0, 35.0), distance_mm=480.0, image_size=SIZE, fov_deg=FOV_DEG)
+    write_rig(rig, tmp_path / "rig.toml")
+    config = film_config(infill={"method": "flow"}, camera={"rig": str(tmp_path / "rig.toml")})
+    maker = FilmMaker(head)
+    nodding = lambda k: ({"jawOpen": 0.4}, (0.0, 0.0, 0.0), (0.0, -20.0, 6.0 * abs(k - 3)))  # noqa: E731
+    film = maker.film(7, nodding)
+    seen = []
+    for fit, picture in zip(film.truth, film.pictures, strict=True):
+        state = parameters_of(fit)
+        rotation, translation = pose_in_view(state.rotation, state.translation, rig.placed_view(1))
+        other = maker.picture(state._replace(rotation=rotation, translation=translation))
+        seen.append(Moment(lost(fit) if fit.index in (2, 3, 4) else fit, (picture, other)))
+    result = [moment.fit for moment in infilled(FlowFitter(head, config), seen)]
+    depth = [fit.translation[2] - truth.translation[2] for fit, truth in zip(result, film.truth, strict=True)]
+    assert np.abs(depth[2:5]).max() < 2.5
+    alone = [m._replace(pictures=m.pictures[:1]) for m in seen]
+    line = [m.fit for m in infilled(fitter_of(maker, method="linear"), alone)]
+    assert abs(line[3].translation[2] - film.truth[3].translation[2]) > 10.0
 
 
 def test_pictures_that_end_before_the_fits_are_told(film):

@@ -236,7 +236,8 @@ def _draw_mesh(canvas, fit: FrameFit, model: FaceModel, scale: float) -> None:
 def _numbers(fit: FrameFit) -> str:
     yaw, pitch, roll = np.rint(fit.angles_deg) + 0.0  # adding zero turns −0 into 0
     pixels, _, percent = fit.errors
-    text = f"frame {fit.index}   error {pixels:.1f} px ({percent:.1f} %)   "
+    error = "filled" if fit.source == "filled" else f"error {pixels:.1f} px ({percent:.1f} %)"
+    text = f"frame {fit.index}   {error}   "
     return (text + f"yaw {yaw:+.0f}°  pitch {pitch:+.0f}°  roll {roll:+.0f}°").replace("-", "\u2212")
 
 

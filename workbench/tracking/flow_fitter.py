@@ -199,11 +199,17 @@ class FlowFitter:
             return None
 
     def placed(self, like: FrameFit, parameters: FaceParameters) -> FrameFit:
-        """A fit moved to other parameters, its landmarks kept; what the stages reported is no longer true of it."""
+        """A fit moved to other parameters, its landmarks kept; what the stages reported is no longer true of it.
+
+        Where it has none of its own, the model's go on to stand for them.
+        """
         parts = {name: np.asarray(getattr(parameters, name), float) for name in MOVING}
+        projected = self.landmarks(like, parameters)
+        seen = np.nan_to_num(like.confidence).max() > 0.0
         return replace(
             like,
-            projected=self.landmarks(like, parameters),
+            projected=projected,
+            observed=like.observed if seen else projected,
             energies=np.full_like(like.energies, np.nan),
             status=np.full_like(like.status, -1),
             iterations=np.zeros_like(like.iterations),
