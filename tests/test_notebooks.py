@@ -29,6 +29,7 @@ LEAST_PICTURES = {
     "11_other_programs_other_faces": 4,
     "12_two_cameras": 6,
     "13_optical_flow_and_infill": 11,
+    "14_temporal_refinement": 11,
     "15_live": 2,
 }
 TIMEOUT_S = 300
