@@ -119,6 +119,28 @@ def wait_for_words(page, words):
     )
 
 
+@pytest.mark.parametrize(
+    ("notebook", "flags", "words"),
+    [
+        ("denied", ["--use-fake-device-for-media-stream", "--deny-permission-prompts"], "was not allowed to use"),
+        ("absent", ["--use-fake-ui-for-media-stream"], "found no camera"),
+    ],
+)
+def test_a_camera_that_is_denied_or_missing_is_said_plainly(
+    server, tmp_path_factory, screenshots, notebook, flags, words
+):
+    with browser.lab_page(server, tmp_path_factory.mktemp("profile"), flags) as page:
+        opened(page, f"{notebook}.ipynb")
+        page.page.get_by_role("button", name="▶ start").click()
+        wait_for_words(page, words)
+        page.page.wait_for_timeout(300)
+        page.page.screenshot(path=screenshots / f"live-{notebook}.png")
+        assert not state(page)["running"]
+        assert page.page.get_by_role("button", name="▶ start").is_visible()
+        assert page.page_errors == []
+        assert [output for output in page.outputs() if output["type"] == "error"] == []
+
+
 def test_picture_and_avatar_follow_the_camera(live, screenshots, capsys):
     frames = measured(live, 5.0)
     rate = (len(frames) - 1) / (frames[-1]["drawn"] - frames[0]["drawn"]) * 1000
@@ -238,25 +260,3 @@ def test_nothing_came_from_another_host_and_nothing_failed(live):
     assert live.page_errors == []
     assert [text for text in live.console_errors if "404" not in text] == []
     assert [output for output in live.outputs() if output["type"] == "error" or output["name"] == "stderr"] == []
-
-
-@pytest.mark.parametrize(
-    ("notebook", "flags", "words"),
-    [
-        ("denied", ["--use-fake-device-for-media-stream", "--deny-permission-prompts"], "was not allowed to use"),
-        ("absent", ["--use-fake-ui-for-media-stream"], "found no camera"),
-    ],
-)
-def test_a_camera_that_is_denied_or_missing_is_said_plainly(
-    server, tmp_path_factory, screenshots, notebook, flags, words
-):
-    with browser.lab_page(server, tmp_path_factory.mktemp("profile"), flags) as page:
-        opened(page, f"{notebook}.ipynb")
-        page.page.get_by_role("button", name="▶ start").click()
-        wait_for_words(page, words)
-        page.page.wait_for_timeout(300)
-        page.page.screenshot(path=screenshots / f"live-{notebook}.png")
-        assert not state(page)["running"]
-        assert page.page.get_by_role("button", name="▶ start").is_visible()
-        assert page.page_errors == []
-        assert [output for output in page.outputs() if output["type"] == "error"] == []

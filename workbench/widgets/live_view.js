@@ -505,10 +505,11 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
 
   function paintPicture(fit) {
     if (!fitted(picture, Math.min(window.devicePixelRatio || 1, 2))) return;
-    const [w, h] = fit.size, scale = Math.min(picture.width / w, picture.height / h);
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = "#1b1d21";
     context.fillRect(0, 0, picture.width, picture.height);
+    if (!fit) return;
+    const [w, h] = fit.size, scale = Math.min(picture.width / w, picture.height / h);
     context.setTransform(scale, 0, 0, scale, (picture.width - scale * w) / 2, (picture.height - scale * h) / 2);
     if (fit.picture) context.drawImage(fit.picture, 0, 0, w, h);
     context.translate(0.5, 0.5); // landmarks count from the centre of the first pixel
@@ -530,7 +531,7 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
   function paint(fit) {
     last = fit;
     root.classList.toggle("fw-mirror", model.get("mirror"));
-    if (fit) paintPicture(fit);
+    paintPicture(fit);
     if (fit?.found) posed = fit; // without a face the head stays as it was
     if (avatar && fitted(avatarCanvas, Math.min(window.devicePixelRatio || 1, 2))) avatar.draw(poseOf(posed));
   }
