@@ -497,14 +497,18 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
   let turned = [0, 0], last = null, posed = null, written = 0;
   const context = picture.getContext("2d", { alpha: false });
 
-  function fitted(canvas, ratio) {
-    const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+  // Sizes are kept: asking the page for them lays it out anew, at every frame.
+  const boxes = new Map();
+  function fitted(canvas) {
+    const ratio = Math.min(window.devicePixelRatio || 1, 2), box = boxes.get(canvas.parentElement);
+    if (!box) return false;
+    const width = Math.round(box.width * ratio), height = Math.round(box.height * ratio);
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     return width > 0 && height > 0;
   }
 
   function paintPicture(fit) {
-    if (!fitted(picture, Math.min(window.devicePixelRatio || 1, 2))) return;
+    if (!fitted(picture)) return;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = "#1b1d21";
     context.fillRect(0, 0, picture.width, picture.height);
@@ -533,7 +537,7 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
     root.classList.toggle("fw-mirror", model.get("mirror"));
     paintPicture(fit);
     if (fit?.found) posed = fit; // without a face the head stays as it was
-    if (avatar && fitted(avatarCanvas, Math.min(window.devicePixelRatio || 1, 2))) avatar.draw(poseOf(posed));
+    if (avatar && fitted(avatarCanvas)) avatar.draw(poseOf(posed));
   }
 
   function write(fit, log) {
@@ -542,7 +546,8 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
     const said = model.get("message") || (isSlow() ? "The kernel is busy …" : "");
     lamp.hidden = !running || !recent.length;
     message.hidden = !said && !(running && recent.length && fit && !fit.found);
-    message.textContent = said || "no face";
+    const words = said || "no face";
+    if (message.textContent !== words) message.textContent = words; // else the page is laid out at every frame
     message.classList.toggle("fw-alert", Boolean(said) && model.get("alert"));
     message.classList.toggle("fw-middle", !fit);
     if (now - written < 250 && running) return;
@@ -585,8 +590,12 @@ function makeDisplay(model, el, mesh, head, isSlow, redraw) {
   const watched = [["change:height_px", onSize], ["change:mirror", redraw], ["change:looking", redraw],
     ["change:message", onWords], ["change:alert", onWords]];
   watched.forEach(([name, callback]) => model.on(name, callback));
-  const sizes = new ResizeObserver(redraw);
-  sizes.observe(row);
+  const sizes = new ResizeObserver((entries) => {
+    entries.forEach((entry) => boxes.set(entry.target, entry.contentRect));
+    redraw();
+  });
+  sizes.observe(left);
+  sizes.observe(right);
   onSize();
   onWords();
 
