@@ -200,6 +200,23 @@ def test_nothing_compiles_when_settings_move(session):
     assert solve_flow._cache_size() == before
 
 
+def test_deep_energies_fits_the_frames_of_the_part_alone_and_once(session, fitted, monkeypatch):
+    asked = []
+
+    def fit_frame(frame, config):
+        asked.append(frame)
+        return fitted.run.fits[frame]
+
+    monkeypatch.setattr(session, "fit_frame", fit_frame)
+    session.use(preset("deep-energies").changed(refinement={"method": "averaging"}))
+    assert session.temporal.run((4, 9), cancelled=lambda: len(asked) == 3) is None
+    assert asked == [4, 5, 6]
+    assert session.temporal.run((4, 9)).name == "averaging"
+    session.set(refinement={"sweeps": 2})
+    assert session.temporal.run((4, 9)).name == "averaging ×2"
+    assert asked == [4, 5, 6, 7, 8, 9]
+
+
 # --- comparing ---
 
 
@@ -212,6 +229,10 @@ def test_all_methods_are_compared_and_kept(session):
     assert [worked.name for worked in made] == expected
     assert set(session.temporal.comparable()) == set(expected)
     assert session.temporal.current.name == "linear"
+    whole = session.temporal.run()
+    assert session.temporal.comparable() == {"linear": whole}
+    assert set(session.temporal.comparable((2, 10))) == set(expected)
+    assert session.temporal.result((2, 10)) is made[1]
     assert {"1 of 7", "7 of 7"} <= steps
     session.set(infill={"method": "spline"})
     assert session.temporal.current.name == "spline"

@@ -58,6 +58,20 @@ def test_the_shown_frame_and_ranges_are_marked_and_shown_on_the_strip(panel):
     assert panel.clip.timeline.marked == [[10, 11]]
 
 
+def test_the_panel_has_a_page_of_its_own_for_time_and_one_for_all_methods(panel):
+    assert panel.controls.widget.titles[-1] == "time"
+    assert "Methods" in panel.tabs.titles
+
+
+def test_the_part_is_what_the_strip_shows(panel):
+    panel.clip.timeline.in_view = [3, 12]
+    press(panel, panel.time.view)
+    assert panel.time.part.value == "3-12"
+    panel.clip.timeline.in_view = [0, COUNT - 1]
+    press(panel, panel.time.view)
+    assert panel.time.part.value == ""
+
+
 def test_nonsense_in_a_field_is_said_and_changes_nothing(panel):
     page = panel.time
     page.range.value = "many"
@@ -80,7 +94,7 @@ def test_run_shows_the_result_and_the_toggle_goes_back(panel):
     panel.turn("infill.method", "linear")
     press(panel, page.go)
     assert page.side == "after", page.result.value
-    assert "linear</b>: frames 0-23, 5 filled" in page.result.value
+    assert "linear</b> 0-23, 5 filled" in page.result.value
     assert panel.fit.source == "filled"
     assert panel.overlay.view.message == "frame 11: filled"
     assert "filled from its neighbours" in panel.status.value
@@ -104,6 +118,8 @@ def test_playing_goes_through_the_frames_of_the_chosen_side(panel):
     np.testing.assert_array_equal(panel.fit.rotation, after.rotation)
     panel.go(9)
     assert page.play.value == 9
+    page.part.value = "4-8"
+    assert (page.play.min, page.play.max, panel.frame) == (4, 8, 9)
 
 
 def test_a_moved_setting_shows_the_frames_as_fitted_until_it_runs_again(panel):
@@ -182,8 +198,12 @@ def test_the_chosen_methods_are_exported(panel, tmp_path):
     panel.turn("infill.method", "linear")
     panel.turn("refinement.method", "averaging")
     panel.turn("refinement.centre", 0.6)
+    page = panel.time
     panel.file.value = str(tmp_path / "tuned.toml")
+    page.part.value = "2-10"
+    press(panel, page.go)
     press(panel, panel.export)
+    assert "linear + averaging</b> 2-10" in page.result.value  # and not the whole clip, which the export ran
     written = read_config(tmp_path / "tuned.toml")
     assert (written.infill.method, written.infill.frames) == ("linear", ((5, 6),))
     assert (written.refinement.method, written.refinement.centre) == ("averaging", 0.6)

@@ -69,9 +69,7 @@ class Worked:
             if of in metrics:
                 numbers[name] = metrics[of]
         hidden = [
-            100.0
-            * np.linalg.norm(after.projected - before.observed, axis=1).mean()
-            / outer_eye_distance(before.observed)
+            np.linalg.norm(after.projected - before.observed, axis=1).mean() / outer_eye_distance(before.observed)
             for before, after in zip(self.before, self.after, strict=True)
             if after.source == "filled" and before.found and np.nan_to_num(before.confidence).max() > 0.0
         ]
@@ -224,20 +222,26 @@ class TemporalWork:
     @property
     def current(self) -> Worked | None:
         """The newest result under the present configuration; None if there is none."""
+        return self.result()
+
+    def result(self, part: Part | None = None) -> Worked | None:
+        """The result under the present configuration on a part, or else the newest on any."""
         key = time_key(self._session.config)
         with self._lock:
-            return next((kept for (of, _), kept in reversed(self._kept.items()) if of == key), None)
+            kept = [item for (of, _), item in reversed(self._kept.items()) if of == key]
+        return next((item for item in kept if item.part == part), kept[0] if kept else None)
 
-    def comparable(self) -> dict[str, Worked]:
-        """Results that differ from the current one by the methods alone, by name: same fits, failed frames and part."""
+    def comparable(self, part: Part | None = None) -> dict[str, Worked]:
+        """Results that differ from the present settings by the methods alone, by name.
+
+        They have their fits, failed frames and part in common: `part`, or else that of the newest.
+        """
         with self._lock:
             kept = list(self._kept.values())
-        config = self._session.config
-        kept = [item for item in kept if _setting(item.config) == _setting(config)]
-        if not kept:
-            return {}
-        current = self.current
-        part = kept[-1].part if current is None else current.part
+        setting = _setting(self._session.config)
+        kept = [item for item in kept if _setting(item.config) == setting]
+        if not any(item.part == part for item in kept):
+            part = kept[-1].part if kept else None
         return {item.name: item for item in sorted(kept, key=_order) if item.part == part}
 
     def fits_by(

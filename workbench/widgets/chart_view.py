@@ -16,7 +16,8 @@ from workbench.widgets.overlay_view import float_bytes
 Number = float | int
 INK = "ink"
 """Stands for the colour of the page's text, black or white."""
-COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", INK)
+YELLOW = "#F0E442"
+COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", YELLOW, INK)
 """Okabe and Ito's colours, readable with colour-blindness; their black follows the theme. Further series use them
 again with dashed lines."""
 

@@ -102,8 +102,9 @@ class Controls:
     def add(self, title: str, page: widgets.Widget, controls: Mapping[str, KnobControl], config: Config) -> None:
         """One more page, with controls of its own."""
         self.by_path |= controls
+        titles = (*self.widget.titles, title)
         self.widget.children = (*self.widget.children, page)
-        self.widget.titles = (*self.widget.titles, title)
+        self.widget.titles = titles
         self.show(config)
 
     def show(self, config: Config, but: str | None = None) -> None:

@@ -21,7 +21,7 @@ from workbench.session.temporal import (
     read_parts,
 )
 from workbench.tracking import FrameFit
-from workbench.widgets.chart_view import COLORS, INK, ChartView
+from workbench.widgets.chart_view import COLORS, INK, YELLOW, ChartView
 from workbench.widgets.controls import KnobControl, Turned, small_button
 from workbench.widgets.latest import LatestWins
 
@@ -30,6 +30,8 @@ DEEP_FRAMES = 24
 """Length of the part that Deep Energies begins with."""
 RATE = 25.0
 """Frames a second where the clip does not say."""
+ONE_LEGEND = "<style>.fw-methods .fw-chart .fw-top { display: none; }</style>"
+"""The charts of a row share the legend above them."""
 NO_CLIP = (
     "<b>Infill and refinement need a clip.</b><br>They look at frames that follow each other in time; {what}. Open a "
     "video, a folder with the frames of a clip, or a landmark file of one."
@@ -54,7 +56,7 @@ class TimePage:
         in_view: Callable[[], tuple[int, int]], height_px: int,
     ) -> None:  # fmt: skip
         self._session, self._turned, self._go, self._redraw, self._in_view = session, turned, go, redraw, in_view
-        self.frame, self._busy = 0, False
+        self.frame, self._busy, self._quiet = 0, False, False
         self.knobs: dict[str, KnobControl] = {}
         self.is_clip = len(session) > 1 and not session.material.stills
         layout = widgets.Layout(height=f"{height_px - 34}px", overflow="hidden auto")
@@ -97,7 +99,7 @@ class TimePage:
         """The fit of a frame on the chosen side; None where the present settings have no result for it."""
         if not self.is_clip:
             return None
-        worked = self._session.temporal.current
+        worked = self._session.temporal.result(self._worked_part())
         pair = None if worked is None else worked.pair(frame)
         return None if pair is None else pair[self.side == AFTER]
 
@@ -113,7 +115,7 @@ class TimePage:
         """Follow the shown frame."""
         self.frame = frame
         if self.is_clip:
-            if not self.play.playing and self.play.value != frame:
+            if not self.play.playing and self.play.min <= frame <= self.play.max:
                 self.play.value = frame
             self.methods.show_frame(frame)
 
@@ -131,26 +133,28 @@ class TimePage:
             first = max(min(self.frame, last - DEEP_FRAMES + 1), 0)
             self.part.value = f"{first}-{min(first + DEEP_FRAMES - 1, last)}"
         self.summary.value = failed_html(self._session, self._part_or_none())
+        self._limit_play()
         self.show_result()
 
     def show_result(self) -> None:
         """Follow the results."""
         if not self.is_clip:
             return
-        worked = self._session.temporal.current
+        part = self._worked_part()
+        worked = self._session.temporal.result(part)
         if not self._busy:
             self.result.value = result_html(worked)
         self.sides.tooltips = [
             "the fits of single frames",
             "after infill and refinement" if worked else "not run with these settings yet",
         ]
-        self.methods.show()
+        self.methods.show(part)
 
     # --- parts ---
 
     def _rows(self) -> list[widgets.Widget]:
         narrow = widgets.Layout(width="84px", flex="1 1 auto", min_width="0")
-        self.this = small_button("frame", "the shown frame has failed, or has not")
+        self.this = small_button("this frame", "the shown frame has failed, or has not")
         self.this.on_click(lambda _button: self._guarded(self._mark_this))
         self.flagged = small_button("⚑ flagged", "the frames that diagnosis flags have failed")
         self.flagged.on_click(lambda _button: self.run("flagged"))
@@ -186,16 +190,18 @@ class TimePage:
         self.sides.observe(lambda _change: self._redraw(), "value")
         rate = getattr(self._session.material.pictures.frames, "rate", None) or RATE
         self.play = widgets.Play(
-            min=0, max=len(self._session) - 1, interval=max(40, round(1000.0 / rate)), show_repeat=False,
+            min=0, max=len(self._session) - 1, interval=max(40, round(1000.0 / rate)), show_repeat=True,
             layout=widgets.Layout(width="auto"),
         )  # fmt: skip
-        self.play.observe(lambda change: self._go(change["new"]), "value")
+        self.play.observe(self._on_play, "value")
 
         def row(*children) -> widgets.Widget:
             return widgets.HBox(children, layout=widgets.Layout(align_items="center", flex="0 0 auto", width="auto"))
 
         label = widgets.HTML("<b>failed</b>", layout=widgets.Layout(width="38px", flex="0 0 auto"))
         part = widgets.HTML("<b>frames</b>", layout=widgets.Layout(width="44px", flex="0 0 auto"))
+        for knob in self.knobs.values():
+            knob.widget.layout.flex = "0 0 auto"  # else a short page presses them flat
         settings = [self.knobs[knob.path].widget for knob in TIME]
         return [
             row(label, self.this, self.flagged, self.clear),
@@ -246,6 +252,24 @@ class TimePage:
         except WorkbenchError:
             return None
         return part
+
+    def _worked_part(self) -> tuple[int, int]:
+        return self._part_or_none() or (0, len(self._session) - 1)
+
+    def _limit_play(self) -> None:
+        """Play the part that is worked on."""
+        first, last = self._worked_part()
+        if (first, last) != (self.play.min, self.play.max):
+            self._quiet = True  # the value moves into its range, the shown frame stays
+            try:
+                self.play.min, self.play.max = 0, last
+                self.play.min = first
+            finally:
+                self._quiet = False
+
+    def _on_play(self, change) -> None:
+        if not self._quiet:
+            self._go(change["new"])
 
     def _guarded(self, act: Callable, *arguments: object) -> None:
         try:
@@ -302,12 +326,14 @@ class Methods(widgets.VBox):
         self.charts = [ChartView(height_px=150, title="") for _ in range(4)]
         width = widgets.Layout(width="130px")
         first = names.index("jawOpen") if "jawOpen" in names else 0
-        options = [(ANGLES, "yaw"), (PLACES, "z"), (names, names[first]), (names, names[-1])]
+        turns = [(f"rotation: {name}", name) for name in ANGLES]
+        places = [(f"place: {name}", name) for name in PLACES]
+        options = [(turns, "yaw"), (places, "z"), (names, names[first]), (names, names[-1])]
         self.quantities = [
-            widgets.Dropdown(options=list(choices), value=chosen, layout=width, tooltip="what is drawn")
-            for choices, chosen in options
+            widgets.Dropdown(options=choices, value=value, layout=width, tooltip="what is drawn")
+            for choices, value in options
         ]
-        self._chosen = False
+        self._chosen, self._part = False, None
         for chart, quantity in zip(self.charts, self.quantities, strict=True):
             chart.on_pick(lambda x: go(round(x)))
             quantity.observe(lambda _change: self._draw(), "value")
@@ -316,12 +342,15 @@ class Methods(widgets.VBox):
             tooltips=["every result", "results of infill alone", "results with a refinement"],
         )  # fmt: skip
         self.shown.observe(lambda _change: self._draw(), "value")
+        self.legend = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 0"))
         self.table = widgets.HTML(layout=widgets.Layout(min_width="0"))
+        style = widgets.HTML(ONE_LEGEND, layout=widgets.Layout(display="none"))
+        head = widgets.HBox([self.shown, self.legend], layout=widgets.Layout(align_items="center", flex="0 0 auto"))
         cells = [
             widgets.VBox([quantity, chart], layout=widgets.Layout(width="25%", min_width="0"))
             for quantity, chart in zip(self.quantities, self.charts, strict=True)
         ]
-        super().__init__([self.shown, widgets.HBox(cells), self.table])
+        super().__init__([style, head, widgets.HBox(cells), self.table])
         self.add_class("fw-methods")
         self.show()
 
@@ -330,9 +359,10 @@ class Methods(widgets.VBox):
         for chart in self.charts:
             chart.cursor = float(frame)
 
-    def show(self) -> None:
-        """Show what the session keeps."""
-        results = self._session.temporal.comparable()
+    def show(self, part: tuple[int, int] | None = None) -> None:
+        """Show what the session keeps, on a part if there are results for it."""
+        self._part = part
+        results = self._session.temporal.comparable(part)
         self.table.value = numbers_html(results)
         if results and not self._chosen:
             self._chosen = True
@@ -343,8 +373,9 @@ class Methods(widgets.VBox):
         self._draw()
 
     def _draw(self) -> None:
-        results = self._session.temporal.comparable()
+        results = self._session.temporal.comparable(self._part)
         shown = chosen(results, self.shown.value)
+        self.legend.value = legend_html(shown, colors_of(results)) if shown else ""
         names = list(self._session.model.expression_names)
         for chart, quantity in zip(self.charts, self.quantities, strict=True):
             unit = "degrees" if quantity.value in ANGLES else "mm" if quantity.value in PLACES else "weight"
@@ -374,8 +405,15 @@ def chosen(results: dict[str, Worked], kind: str) -> dict[str, Worked]:
 
 def colors_of(results: Iterable[str]) -> dict[str, str]:
     """A colour a method, the same in every chart; the fits of single frames in the ink of the page."""
-    plain = [color for color in COLORS if color != INK]
-    return {BEFORE: INK} | {name: plain[k % len(plain)] for k, name in enumerate(results)}
+    return {BEFORE: INK} | {name: LINES[k % len(LINES)] for k, name in enumerate(results)}
+
+
+def legend_html(names: Iterable[str], colors: dict[str, str]) -> str:
+    """What the lines are, for all charts."""
+    line = "<i style='display:inline-block;width:16px;border-top:2px solid {};margin:0 4px 3px 10px'></i>{}"
+    inks = {name: "currentColor" if color == INK else color for name, color in colors.items()}
+    keys = [line.format(inks[name], html.escape(name)) for name in (BEFORE, *names)]
+    return "".join(f"<span style='white-space:nowrap'>{key}</span> " for key in keys)
 
 
 def longest_gap(worked: Worked) -> tuple[float, float] | None:
@@ -406,7 +444,7 @@ def result_html(worked: Worked | None) -> str:
         return "<span style='opacity:.7'>not run with these settings yet</span>"
     first, last = worked.part
     filled = f", {len(worked.filled)} filled" if worked.filled else ""
-    return f"<b>{html.escape(worked.name)}</b>: frames {first}-{last}{filled}, {worked.seconds:.1f} s"
+    return f"<b>{html.escape(worked.name)}</b> {first}-{last}{filled}, {worked.seconds:.1f} s"
 
 
 def numbers_html(results: dict[str, Worked]) -> str:
@@ -436,6 +474,8 @@ def numbers_html(results: dict[str, Worked]) -> str:
     return f"<table>{head}{''.join(rows)}</table>"
 
 
+LINES = (*(color for color in COLORS if color not in (INK, YELLOW)), "#7b52ab")
+"""A purple stands for the yellow, which is lost on a white page."""
 COLUMNS = (
     ("filled", ".0f"), ("jitter_deg", ".3f"), ("error_percent", ".2f"), ("hidden_percent", ".2f"), ("seconds", ".1f")
 )  # fmt: skip

@@ -1,0 +1,148 @@
+"""Infill and refinement in the tuning panel, in a real browser: mark, run, cancel, before and after, export."""
+
+import os
+
+import numpy as np
+import pytest
+
+from tests import browser
+from tests.panel_page import HEAD, MARKS, PANEL, READY, opened, tab, to_top, write_notebook
+from tests.test_panel_browser import changed, rested, wrong_outputs
+from workbench.config import read_config
+
+lacking = browser.missing()
+
+if lacking and os.environ.get("CI") != "true":
+    pytest.skip(f"browser tests: {lacking}", allow_module_level=True)
+
+CELLS = (
+    PANEL.format(name="performance"),
+    READY,
+    "print(session.temporal.marked, session.config.infill.method, session.temporal.current.name)",
+)
+PART = "120-136"
+"""Frames that are worked on."""
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The panel on the sample clip, shown and ready, at its page of infill and refinement."""
+    folder, settings = tmp_path_factory.mktemp("notebooks"), tmp_path_factory.mktemp("jupyter")
+    write_notebook(folder / "clip.ipynb", CELLS)
+    with (
+        browser.lab_server(folder, settings) as server,
+        browser.lab_page(server, tmp_path_factory.mktemp("profile")) as page,
+    ):
+        page.page.set_viewport_size({"width": 1366, "height": 768})
+        page.page.add_init_script(browser.KEEP_PIXELS)
+        opened(page, "clip.ipynb")
+        page.page.set_default_timeout(60_000)
+        yield page
+
+
+def says(page, text, timeout_s=120):
+    """Wait until the panel shows some text."""
+    page.page.wait_for_function(
+        "(text) => document.querySelector('.fw-panel').innerText.includes(text)", arg=text, timeout=1000 * timeout_s
+    )
+
+
+def press(page, name):
+    page.page.locator(".fw-panel").get_by_role("button", name=name, exact=True).last.click()
+
+
+def type_in(page, placeholder, text):
+    field = page.page.locator(f".fw-panel input[placeholder='{placeholder}']")
+    field.fill(text)
+    field.press("Enter")
+
+
+def choose(page, label, value):
+    row = page.page.locator(".fw-controls .widget-dropdown").filter(has=page.page.get_by_text(label, exact=True))
+    row.locator("select").select_option(value)
+
+
+def test_frames_are_marked_and_shown_on_the_strip(page, screenshots):
+    tab(page, "time")
+    type_in(page, "40-52, 60", "124-132")
+    press(page, "mark")
+    says(page, "marked: 124-132 (9 frames)")
+    page.page.screenshot(path=screenshots / "time-marked.png")
+
+
+def test_a_run_is_cancelled(page):
+    choose(page, "refine", "plate")
+    press(page, "▶ run")
+    says(page, "refine 1")
+    page.page.locator(".fw-controls").get_by_role("button", name="cancel").click()
+    says(page, "Cancelled; what was finished stays.")
+    choose(page, "refine", "none")
+
+
+def test_a_run_fills_the_gap_and_the_toggle_shows_both_sides(page, screenshots):
+    choose(page, "infill", "linear")
+    type_in(page, "whole clip", PART)
+    to_frame(page, 128)
+    before = rested(page, MARKS), rested(page, HEAD)
+    press(page, "▶ run")
+    says(page, "linear 120-136, 9 filled")
+    says(page, "filled from its neighbours")
+    assert changed(page, MARKS, before[0]) > 0.0
+    assert changed(page, HEAD, before[1]) > 0.0
+    page.page.screenshot(path=screenshots / "time-after.png")
+    after = rested(page, HEAD)
+    press(page, "before")
+    assert changed(page, HEAD, after) > 0.0
+    np.testing.assert_array_equal(rested(page, HEAD), before[1])
+    says(page, "frame 128: marked as failed")
+    page.page.screenshot(path=screenshots / "time-before.png")
+
+
+def to_frame(page, frame):
+    page.ask_kernel(f"panel.go({frame})")
+    says(page, f"frame {frame}/239")
+
+
+def test_the_part_plays(page):
+    press(page, "after")
+    to_frame(page, 120)
+    play = page.page.locator(".fw-controls .jupyter-widget-play button, .fw-controls .widget-play button").first
+    play.click()
+    page.page.wait_for_function("() => document.querySelector('.fw-status').innerText.includes('frame 136/')")
+
+
+def test_all_methods_are_compared(page, screenshots):
+    to_frame(page, 128)
+    press(page, "compare all")
+    tab(page, "Methods")
+    page.page.wait_for_function("() => document.querySelectorAll('.fw-methods td').length === 48", timeout=300_000)
+    page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
+    page.page.wait_for_timeout(800)
+    page.page.screenshot(path=screenshots / "time-methods.png")
+    assert page.page.locator(".fw-methods .fw-key").filter(has_text="spline").count() == 4
+    assert "linear + hybrid" in page.page.locator(".fw-methods").inner_text()
+    to_top(page)
+
+
+def test_the_choice_is_exported(page, screenshots):
+    press(page, "export")
+    says(page, "workbench track", 300)
+    written = read_config(page.server.folder / "tuned.toml")
+    assert written.infill.frames == ((124, 132),)
+    assert (written.infill.method, written.refinement.method) == ("linear", "none")
+    page.run_cell(2)
+    texts = [output["text"] for output in page.outputs()]
+    assert any(text.startswith("((124, 132),) linear linear") for text in texts), texts
+
+
+def test_in_the_dark_theme_all_of_it_can_be_read(page, screenshots):
+    page.page.evaluate("() => window.jupyterapp.commands.execute('apputils:change-theme', {theme: 'JupyterLab Dark'})")
+    to_top(page)
+    page.page.wait_for_timeout(1500)
+    page.page.screenshot(path=screenshots / "time-dark.png")
+    page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
+    page.page.wait_for_timeout(800)
+    page.page.screenshot(path=screenshots / "time-methods-dark.png")
+    assert page.foreign_requests == []
+    assert page.page_errors == []
+    assert wrong_outputs(page) == []
