@@ -86,7 +86,7 @@ def test_filled_frames_lie_on_the_way(run, talk, tmp_path, film_maker):
 
 
 def test_named_frames_are_filled_although_they_have_a_fit(run, talk, tmp_path):
-    code, _, err = run("infill", "talk", "--frames", "2-3", "--frames", "9-9", "--method", "linear", *QUICK)
+    code, _, err = run("infill", "talk", "--frames", "2-3", "--frames", "9", "--method", "linear", *QUICK)
     assert (code, err) == (0, "")
     after = Track.load(tmp_path / "talk-infill" / "track.npz")
     assert np.flatnonzero(after.source == SOURCES.index("filled")).tolist() == [2, 3, 5, 6, 9]

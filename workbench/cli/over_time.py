@@ -57,7 +57,8 @@ def infill(
     run: Run,
     out: Out = None,
     frames: Annotated[
-        list[str] | None, typer.Option(help="Fill these too, first and last as A-B; may be given more than once.")
+        list[str] | None,
+        typer.Option(help="Fill these too: a frame of the track, or first and last as A-B; may be repeated."),
     ] = None,
     method: Annotated[str, typer.Option(help=f"One of: {', '.join(INFILL_METHODS)}.")] = "flow",
     estimator: Estimator = None,

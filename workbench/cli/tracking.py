@@ -48,7 +48,7 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 DETECTOR_HELP = "auto (dlib where it is installed, else network), network, dlib, dlib-hog or dlib-cnn."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 ENERGY_HELP = "Deep Energies: deep (network on the render), points (on the mesh) or mixed."
-FRAMES_HELP = "Only a part, first and last frame as A-B."
+FRAMES_HELP = "Only a part, first and last frame as A-B (or one frame); the results count from its start."
 WORKERS_HELP = "Deep Energies: processes that fit frames."
 RIG_HELP = "Deep Energies: calibration of several cameras; INPUT is its first view."
 VIEW_HELP = "Clip of another view of the rig as NAME=CLIP; may be given more than once."
@@ -137,10 +137,11 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, r
 
 
 def frame_range(text: str | None) -> tuple[int, int] | None:
-    """First and last frame of A-B, None where it is left out; raises `ConfigError` for anything else."""
+    """First and last frame of A-B, or A alone; None where it is left out. Raises `ConfigError` for anything else."""
     if text is None:
         return None
-    first, _, last = text.partition("-")
+    first, dash, last = text.partition("-")
+    last = last if dash else first
     if not (first.isdigit() and last.isdigit() and int(first) <= int(last)):
         raise ConfigError(f"A part of a clip is its first and last frame as A-B, got {text!r}; for example 100-200.")
     return int(first), int(last)
