@@ -326,7 +326,13 @@ export default () => {
   let model = null, head = null, mesh = null, current = null, queued = null, frame = 0, shown = null;
   let sentAt = 0, heardAt = 0, beats = 0, leaving = 0, slow = false;
   const log = []; // {number, grabbed, drawn} of the newest frames
-  const tell = (content, buffers = []) => model.send({ ...content, page }, undefined, buffers);
+  function tell(content, buffers = []) {
+    try {
+      model.send({ ...content, page }, undefined, buffers);
+    } catch {
+      camera.close(); // the connection is gone, and with it whoever could ask for that
+    }
+  }
 
   const camera = makeCamera(
     (grab, bytes) => {
