@@ -474,7 +474,7 @@ def numbers_html(results: dict[str, Worked]) -> str:
     return f"<table>{head}{''.join(rows)}</table>"
 
 
-LINES = (*(color for color in COLORS if color not in (INK, YELLOW)), "#7b52ab")
+LINES = (*(color for color in COLORS if color not in (INK, YELLOW)), "#9467d6")
 """A purple stands for the yellow, which is lost on a white page."""
 COLUMNS = (
     ("filled", ".0f"), ("jitter_deg", ".3f"), ("error_percent", ".2f"), ("hidden_percent", ".2f"), ("seconds", ".1f")
