@@ -82,7 +82,9 @@ def test_the_infill_snippet_runs(tmp_path):
     workbench.track(clip, tmp_path, workbench.load_default_head(), workbench.preset("joint"), pictures=False,
                     landmarks=sample("performance-landmarks"), frames=(0, 8))  # fmt: skip
     snippet = next(text for text in SNIPPETS if "work_over" in text)
-    snippet = snippet.replace('"out/talk/track.npz"', f'r"{tmp_path / "track.npz"}"').replace('"talk.mp4"', f'r"{clip}"')
+    snippet = snippet.replace('"out/talk/track.npz"', f'r"{tmp_path / "track.npz"}"').replace(
+        '"talk.mp4"', f'r"{clip}"'
+    )
     names = {}
     exec(compile(snippet, "README.md", "exec"), names)
     assert [names["filled"][k].source for k in (3, 4, 5, 6)] == ["given", "filled", "filled", "given"]
