@@ -1,12 +1,10 @@
 """Peak resident memory of tracking 10,000 frames against 1,000: a long video must not need more."""
 
 import argparse
-import resource
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
+from fresh_process import in_fresh_process, peak_mib
 from result import print_result
 
 SHORT, LONG = 1_000, 10_000
@@ -25,19 +23,12 @@ def main() -> None:
     if arguments.track:
         return print(peak_of_tracking(arguments.track))
     with tempfile.TemporaryDirectory() as folder:
-        in_fresh_process("--write", folder)
-        short, long = (float(in_fresh_process("--track", f"{folder}/{frames}.csv")) for frames in (SHORT, LONG))
+        in_fresh_process(__file__, "--write", folder)
+        short, long = (
+            float(in_fresh_process(__file__, "--track", f"{folder}/{frames}.csv")) for frames in (SHORT, LONG)
+        )
     details = {f"mib_{SHORT}_frames": short, f"mib_{LONG}_frames": long}
     print_result("memory", long / short, "ratio", "<= 1.1", f"the peak of {SHORT} frames", details)
-
-
-def in_fresh_process(*arguments: str) -> str:
-    """Run this program again and return what it prints.
-
-    On Linux a process starts with its parent's peak, so this one imports nothing large before it.
-    """
-    command = [sys.executable, __file__, *arguments]
-    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
 def write_landmark_files(folder: Path) -> None:
@@ -64,8 +55,7 @@ def peak_of_tracking(landmarks: Path) -> float:
 
     with tempfile.TemporaryDirectory() as folder:
         track(landmarks, folder, load_default_head(), preset("calibrated"), pictures=False)
-    # Linux counts kibibytes, macOS bytes.
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024.0**2 if sys.platform == "darwin" else 1024.0)
+    return peak_mib()
 
 
 if __name__ == "__main__":

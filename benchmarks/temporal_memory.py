@@ -1,12 +1,10 @@
 """Peak resident memory of a run with infill and refinement on 600 frames against 100: it must not grow with a clip."""
 
 import argparse
-import resource
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
+from fresh_process import in_fresh_process, peak_mib
 from result import print_result
 
 SHORT, LONG = 100, 600
@@ -25,20 +23,13 @@ def main() -> None:
     if arguments.track:
         return print(peak_of_run(arguments.track))
     with tempfile.TemporaryDirectory() as folder:
-        in_fresh_process("--write", folder)
-        in_fresh_process("--track", f"{folder}/{SHORT}.mp4")  # fills the compilation cache
-        short, long = (float(in_fresh_process("--track", f"{folder}/{frames}.mp4")) for frames in (SHORT, LONG))
+        in_fresh_process(__file__, "--write", folder)
+        in_fresh_process(__file__, "--track", f"{folder}/{SHORT}.mp4")  # fills the compilation cache
+        short, long = (
+            float(in_fresh_process(__file__, "--track", f"{folder}/{frames}.mp4")) for frames in (SHORT, LONG)
+        )
     details = {f"mib_{SHORT}_frames": short, f"mib_{LONG}_frames": long}
     print_result("temporal_memory", long / short, "ratio", "<= 1.1", f"the peak of {SHORT} frames", details)
-
-
-def in_fresh_process(*arguments: str) -> str:
-    """Run this program again and return what it prints.
-
-    On Linux a process starts with its parent's peak, so this one imports nothing large before it.
-    """
-    command = [sys.executable, __file__, *arguments]
-    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
 def write_clips(folder: Path) -> None:
@@ -75,8 +66,7 @@ def peak_of_run(clip: Path) -> float:
     )
     with tempfile.TemporaryDirectory() as folder:
         track(clip, folder, load_default_head(), config, landmarks=clip.with_suffix(".csv"), pictures=False)
-    # Linux counts kibibytes, macOS bytes.
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024.0**2 if sys.platform == "darwin" else 1024.0)
+    return peak_mib()
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from rich.markup import escape
 from rich.padding import Padding
 
 from workbench.cli import diagnosis_files, screen
+from workbench.cli.tracking import track_file
 from workbench.errors import InputError
 from workbench.tracking import Track
 
@@ -43,7 +44,7 @@ def diagnose(
     """Frames of a track that stand out, or the reasons for one."""
     if frame is not None and every:
         raise InputError("Give --frame or --all, not both: --all lists the frames that stand out.")
-    track = Track.load(run / "track.npz" if run.is_dir() else run)
+    track = Track.load(track_file(run))
     if frame is None:
         record = _flags(track)
         _print_flags(record, run, every)

@@ -7,6 +7,7 @@ import typer
 from rich.markup import escape
 
 from workbench.cli import screen
+from workbench.cli.tracking import track_file
 from workbench.errors import InputError
 from workbench.export.formats import FORMATS, export_track, format_of
 from workbench.face import FaceModel
@@ -52,7 +53,7 @@ def export(
     pictures: Annotated[Path | None, typer.Option(help="The pictures, if they were moved since.")] = None,
 ) -> None:
     """Write a track as what other programs read."""
-    stored = run / "track.npz" if run.is_dir() else run
+    stored = track_file(run)
     for path in to:
         format_of(path)  # a wrong suffix is refused before anything is written
         if path.exists() and stored.exists() and path.samefile(stored):

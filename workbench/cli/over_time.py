@@ -6,7 +6,7 @@ from typing import Annotated, Any, get_args
 import typer
 
 from workbench.cli import screen
-from workbench.cli.tracking import frame_range, named_views, print_result
+from workbench.cli.tracking import face_model, frame_range, named_views, print_result, track_file
 from workbench.config import InfillConfig, RefinementConfig
 from workbench.errors import ConfigError
 
@@ -117,13 +117,12 @@ def _flow(estimator: str | None) -> dict[str, str]:
 
 
 def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, clip, view, pictures: bool) -> None:
-    from workbench.face import load_default_head, load_face_model
     from workbench.pipeline import config_of, retrack
     from workbench.tracking.track_reader import TrackReader
 
-    stored = run / "track.npz" if run.is_dir() else run
+    stored = track_file(run)
     config = config_of(TrackReader(stored).meta).changed(**changes)
-    model = load_default_head() if model_path is None else load_face_model(model_path)
+    model = face_model(model_path)
     folder = out or stored.parent.with_name(f"{stored.resolve().parent.name}-{name}")
     with screen.progress_bar() as progress:
         result = retrack(

@@ -169,11 +169,22 @@ def wanted_face(text: str | None) -> tuple[float, float] | None:
     return x, y
 
 
-def _run(inputs, folder, config, model_path: Path | None = None, **options) -> None:
+def track_file(run: Path) -> Path:
+    """The track of a run: of its folder, or the file itself."""
+    return run / "track.npz" if run.is_dir() else run
+
+
+def face_model(path: Path | None):
+    """The face model of a file or folder, the default head for None."""
     from workbench.face import load_default_head, load_face_model
+
+    return load_default_head() if path is None else load_face_model(path)
+
+
+def _run(inputs, folder, config, model_path: Path | None = None, **options) -> None:
     from workbench.pipeline import track
 
-    model = load_default_head() if model_path is None else load_face_model(model_path)
+    model = face_model(model_path)
     with screen.progress_bar() as progress:
         try:
             result = track(inputs, folder, model, config, progress=progress, **options)

@@ -126,11 +126,16 @@ def flow_of_seen(
     target = to_screen(camera, points.reshape(-1, 3)).pixels.reshape(height, width, 2)
     y, x = jnp.indices((height, width)).astype(jnp.float32)
     flow = jnp.where(here[..., None], target - jnp.stack([x, y], axis=-1), 0.0)
-    inside = ((target >= 0.0) & (target <= jnp.asarray([width - 1, height - 1], jnp.float32))).all(axis=-1)
-    rows, columns, _ = four_neighbours(lax.stop_gradient(target), (height, width))
+    return GeometricFlow(flow, here, here & shown_at(other, target, points[..., 2]))
+
+
+def shown_at(surface: SeenSurface, places: Float[AnyArray, "*n 2"], depth: Float[AnyArray, "*n"]) -> Bool[Array, "*n"]:
+    """Whether a picture shows points that lie at these places in it, this far from its camera (millimetres)."""
+    height, width = surface.depth.shape
+    inside = ((places >= 0.0) & (places <= jnp.asarray([width - 1, height - 1], jnp.float32))).all(axis=-1)
+    rows, columns, _ = four_neighbours(lax.stop_gradient(places), (height, width))
     # Of four pixels the farthest: a slanted surface does not hide itself.
-    shown = other.depth[rows, columns].max(axis=-1)
-    return GeometricFlow(flow, here, here & inside & (points[..., 2] <= shown + HIDDEN_MM))
+    return inside & (depth <= surface.depth[rows, columns].max(axis=-1) + HIDDEN_MM)
 
 
 def surface_points(

@@ -110,7 +110,7 @@ def views_of(
         return []
     missing = [path for path in looked_at if not path.exists()]
     if missing:
-        raise InputError(f"The pictures of this track are no longer at {missing[0]}; name them with --pictures.")
+        raise InputError(f"The pictures of this track are no longer at {missing[0]}; name them with --clip.")
     opened = [open_frames(group if len(group) > 1 else group[0]) for group in paths]
     part = meta.get("frames")
     return opened if part is None else [FrameRange(frames, *part) for frames in opened]

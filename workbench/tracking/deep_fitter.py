@@ -219,7 +219,7 @@ class DeepFitter:
         """What each camera brings to a stage; every landmark in full for None."""
         if stage is not None:
             return self._weighed(self.views(observation, context), stage)
-        light = _light(context.appearance)
+        light = light_of(context.appearance)
         if self.rig is None:
             camera = self._solver_camera(observation.image_size)
             return (self._view(camera, np.eye(3), np.zeros(3), observation.landmarks, light),)
@@ -419,7 +419,8 @@ def _points_config(config: Config) -> Config:
     return base.model_copy(update={**kept, "camera": camera})
 
 
-def _light(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
+def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
+    """The light of an appearance; a plain one from the front where none was estimated."""
     if appearance is not None:
         return appearance.light
     return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)

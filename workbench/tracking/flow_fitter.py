@@ -17,22 +17,20 @@ from workbench.energies.flow import FlowTargets, FlowView, FlowWeights, choose_s
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.flow import SurfacePoints, flow_estimator, points_in_camera, seen_surface, surface_points
-from workbench.flow.geometric import HIDDEN_MM
-from workbench.flow.sampling import four_neighbours
+from workbench.flow.geometric import shown_at
 from workbench.geometry import Camera, read_rig
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 from workbench.networks.crop import CropBox
 from workbench.rendering import (
     Appearance,
     RenderModel,
-    ambient_light,
-    directional_light,
     estimate_appearance,
     face_vertices,
     render,
 )
 from workbench.rendering.camera import CropCamera, to_screen
 from workbench.runtime import COMPUTING
+from workbench.tracking.deep_fitter import light_of
 from workbench.tracking.flow_solver import FlowLimits, FlowSolution, solve_flow
 from workbench.tracking.free_parameters import free_parameters, parameter_range
 from workbench.tracking.photo_flow import Cutout, cutout_about, photo_flow, read_at
@@ -43,7 +41,6 @@ VISIBILITY_SIDE = 128
 ESTIMATED_PASSES = 3
 """Solves with the estimator's word on the renders brought up to date in between."""
 RENDER_GREY = 0.45
-DEFAULT_LIGHT = ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
 TOLERANCE = 1e-4
 """A solve ends when a step lowers the energy by less than this part."""
 MOVING = ("rotation", "translation", "expression", "jaw")
@@ -298,7 +295,7 @@ class FlowFitter:
     ) -> UInt8[np.ndarray, "s s 3"]:
         camera, place = _view(views, view)
         albedo = self._render.colors if appearance is None else appearance.albedo
-        light = DEFAULT_LIGHT if appearance is None else appearance.light
+        light = light_of(appearance)
         with COMPUTING:
             seen = _look(
                 self._render,
@@ -358,11 +355,7 @@ def _shown(
     vertices = face_vertices(model, parameters) @ rotation.T + translation
     surface = seen_surface(vertices, model.topology.triangles, camera, size=size)
     at = points_in_camera(points, parameters) @ rotation.T + translation
-    pixels = to_screen(camera, at).pixels
-    inside = ((pixels >= 0.0) & (pixels <= jnp.asarray(size, pixels.dtype) - 1.0)).all(axis=-1)
-    rows, columns, _ = four_neighbours(pixels, (size[1], size[0]))
-    # Of four pixels the farthest: a slanted surface does not hide itself.
-    return inside & (at[:, 2] <= surface.depth[rows, columns].max(axis=-1) + HIDDEN_MM)
+    return shown_at(surface, to_screen(camera, at).pixels, at[:, 2])
 
 
 @partial(jax.jit, static_argnames=("size",))

@@ -4,7 +4,6 @@ What is free, weights, bounds, targets and cameras are data. Another number of s
 compiles anew.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -65,7 +64,7 @@ def placed(vector: Float[AnyArray, "n"], like: FaceParameters) -> FaceParameters
     return like._replace(rotation=rotation, translation=translation, expression=expression, jaw=jaw)
 
 
-@partial(jax.jit)
+@jax.jit
 def solve_flow(
     points: SurfacePoints,
     views: FlowView,
