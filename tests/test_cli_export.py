@@ -11,6 +11,7 @@ import trimesh
 from tests.performances import FRAMES, performance
 from workbench.errors import InputError
 from workbench.export import FORMATS, export_track, format_of, read_mapping
+from workbench.export.sources import pictures_of
 from workbench.frames import VideoWriter, open_frames
 from workbench.tracking import Track
 
@@ -181,3 +182,11 @@ def test_landmarks_alone_make_no_film(head, tmp_path):
 )
 def test_the_suffix_decides(name, kind):
     assert format_of(name) == kind
+
+
+def test_a_track_of_a_part_of_a_clip_is_shown_with_the_pictures_of_that_part(stored):
+    track = Track.load(stored / "track.npz")
+    part = Track(**{**vars(track), "meta": {**track.meta, "frames": [2, 4]}})
+    shades = [float(frame.picture.mean()) for frame in pictures_of(part).iterate()]
+    assert shades == pytest.approx([80, 90, 100], abs=3)
+    assert len(list(pictures_of(track).iterate())) == FRAMES

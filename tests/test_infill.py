@@ -85,6 +85,8 @@ def test_a_filled_frame_says_that_it_was(film_maker, film):
     assert result.confidence.max() == 0.0
     assert np.array_equal(result.observed, result.projected)
     assert np.isnan(result.energies).all()
+    assert result.landmarks is None
+    assert film.truth[4].landmarks is not None
     assert result.identity == pytest.approx(film.truth[3].identity)
 
 

@@ -19,7 +19,6 @@ from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.face import FaceModel
 from workbench.frames import Frames, ImageFrames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
-from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline.deep_run import track_independent_frames, write_strips
 from workbench.pipeline.sources import PictureSource as PictureSource
 from workbench.pipeline.sources import is_landmark_file as is_landmark_file
@@ -261,9 +260,7 @@ def _write_tables(writer, summary, model, config, folder: Path) -> tuple[Path, .
 
 def landmark_record(fit: FrameFit) -> LandmarkRecord:
     """The observed landmarks of a fit as a row of a landmark file."""
-    seen = fit.found and fit.source != "filled"
-    landmarks = Landmarks2D(fit.observed, fit.confidence, fit.image_size) if seen else None
-    return LandmarkRecord(fit.index, f"frame-{fit.index}", landmarks, fit.image_size)
+    return LandmarkRecord(fit.index, f"frame-{fit.index}", fit.landmarks, fit.image_size)
 
 
 def _write_pictures(frames, writer, model, stills, folder, progress, notes) -> tuple[Path, ...]:

@@ -7,8 +7,9 @@ from typing import Any, Literal
 
 from workbench.config import Config, parse_config
 from workbench.errors import InputError
+from workbench.export.sources import tracked_part
 from workbench.face import FaceModel
-from workbench.frames import IMAGE_SUFFIXES, VIDEO_SUFFIXES, FrameRange, Frames, open_frames
+from workbench.frames import IMAGE_SUFFIXES, VIDEO_SUFFIXES, Frames, open_frames
 from workbench.geometry import read_rig
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.infill import infilled
@@ -111,9 +112,7 @@ def views_of(
     missing = [path for path in looked_at if not path.exists()]
     if missing:
         raise InputError(f"The pictures of this track are no longer at {missing[0]}; name them with --clip.")
-    opened = [open_frames(group if len(group) > 1 else group[0]) for group in paths]
-    part = meta.get("frames")
-    return opened if part is None else [FrameRange(frames, *part) for frames in opened]
+    return [tracked_part(open_frames(group if len(group) > 1 else group[0]), meta) for group in paths]
 
 
 def _view_paths(meta: Mapping[str, Any], names: Sequence[str]) -> list[list[Path]]:

@@ -11,7 +11,8 @@ from jaxtyping import UInt8
 
 from workbench.config import Config
 from workbench.errors import InputError
-from workbench.frames import Frame, FrameRange, Frames, open_frames
+from workbench.export.sources import tracked_part
+from workbench.frames import Frame, Frames, open_frames
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import content_hash, is_landmark_file, open_source
 from workbench.tracking import FrameObservation, Track
@@ -150,15 +151,13 @@ def material_of_track(track: Track) -> Material:
     observations = []
     for k in range(len(track)):
         fit = track[k]
-        landmarks = Landmarks2D(fit.observed, fit.confidence, fit.image_size) if fit.found else None
+        landmarks = fit.landmarks
         cut = k > 0 and bool(track.shot[k] != track.shot[k - 1])
         source, times = SOURCES[int(track.source[k])], (float(fit.milliseconds[0]), float(fit.milliseconds[1]))
         observations.append(FrameObservation(fit.index, landmarks, fit.image_size, source, cut, times))
     frames = None
     if inputs and all(path.exists() and not is_landmark_file(path) for path in inputs):
-        frames = open_frames(inputs if len(inputs) > 1 else inputs[0])
-        if track.meta.get("frames"):
-            frames = FrameRange(frames, *track.meta["frames"])
+        frames = tracked_part(open_frames(inputs if len(inputs) > 1 else inputs[0]), track.meta)
     sizes = [observation.image_size for observation in observations]
     name = inputs[0].stem if inputs else "track"
     file = None if stored is None else Path(stored["path"])

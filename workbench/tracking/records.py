@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from workbench.errors import InputError
 from workbench.files import atomic_path
 from workbench.geometry import Camera, yaw_pitch_roll_deg
+from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 
 FORMAT = "face-energy-workbench-track"
@@ -63,6 +64,13 @@ class FrameFit:
     def errors(self) -> tuple[float, float, float]:
         """Mean error in px over all 68 landmarks, in % of the outer-eye distance over the inner 51 and over all."""
         return tuple(_errors(self.projected[None], self.observed[None])[0, 1:].tolist())
+
+    @property
+    def landmarks(self) -> Landmarks2D | None:
+        """What the detector saw; None where it found nothing, and in frames that infill made."""
+        if not self.found or self.source == "filled":
+            return None
+        return Landmarks2D(self.observed, self.confidence, self.image_size)
 
     @property
     def residuals_px(self) -> Float[np.ndarray, "68"]:
