@@ -15,6 +15,7 @@ ORDER = [
     "errors",
     "arrays",
     "files",
+    "reading",
     "inert_pickle",
     "runtime",
     "samples",
