@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.fuzzing import Tally
+
 # Set before anything imports JAX; notebooks' kernels inherit it.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).resolve().parent.parent / ".cache" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
@@ -18,6 +20,31 @@ sys.modules.setdefault("triton", None)
 # Hypothesis draws the same examples on every machine; compiled functions make the first call slow.
 settings.register_profile("workbench", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("workbench")
+
+TALLY = pytest.StashKey[Tally]()
+FUZZ_INPUTS = 2500
+"""Damaged files of a usual run, over all readers."""
+
+
+def pytest_addoption(parser):
+    parser.addoption("--fuzz-inputs", type=int, default=None, help=f"damaged files to try, {FUZZ_INPUTS} by default")
+
+
+def pytest_configure(config):
+    config.stash[TALLY] = Tally(config.getoption("--fuzz-inputs") or FUZZ_INPUTS)
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """The verdicts of a long run."""
+    if config.getoption("--fuzz-inputs") and config.stash[TALLY].counts:
+        terminalreporter.section("damaged files")
+        terminalreporter.write_line(config.stash[TALLY].table())
+
+
+@pytest.fixture(scope="session")
+def fuzz_tally(pytestconfig) -> Tally:
+    """Counts what readers make of damaged files."""
+    return pytestconfig.stash[TALLY]
 
 
 @pytest.fixture(scope="session")

@@ -2,12 +2,11 @@
 
 import difflib
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -16,12 +15,15 @@ from pydantic.json_schema import GenerateJsonSchema
 from workbench.errors import ConfigError
 from workbench.files import atomic_path
 from workbench.landmarks.scheme import GROUPS
+from workbench.reading import checked_file, reading, shortened, toml_tables
 
 VERSION = 2
 DEFAULT_PRESET = "joint"
 PARAMETER_BLOCKS = ("rotation", "translation", "expression", "identity", "jaw_open", "jaw", "scale")
 FACE_IT_BLOCKS = PARAMETER_BLOCKS[:3]
 System = Literal["face-it", "deep-energies"]
+LONGEST_PROBLEM = 400
+"""Characters of what is wrong with a configuration: names in it may be of any length."""
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
 PointKey = Annotated[str, Field(pattern=r"^([0-9]|[1-5][0-9]|6[0-7])$")]
@@ -30,7 +32,7 @@ Iterations = Annotated[int, Field(ge=0, le=500)]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class CameraConfig(_Section):
@@ -267,6 +269,9 @@ def _unknown_group(name: str, subsets: Mapping[str, Sequence[int]]) -> str | Non
 
 class Provenance(_Section):
     """Where an exported configuration comes from; a run does not read it."""
+
+    # Metrics of frames without a face are not finite.
+    model_config = ConfigDict(allow_inf_nan=True)
 
     exported: str = Field("", description="Date and time, UTC.")
     versions: dict[str, str] = Field({}, description="Software that the numbers below were computed with.")
@@ -505,7 +510,7 @@ def _short(value: Any) -> str:
 def preset(name: str) -> Config:
     """A named preset. Raises `ConfigError` for a name that does not exist."""
     if name not in PRESETS:
-        raise ConfigError(f"There is no preset {name!r}; the presets are {', '.join(PRESETS)}.")
+        raise ConfigError(f"There is no preset {_quoted(name)}; the presets are {', '.join(PRESETS)}.")
     return PRESETS[name]
 
 
@@ -514,15 +519,10 @@ def read_config(path: str | Path) -> Config:
 
     Raises `ConfigError` for a missing file, invalid TOML, unknown keys (with the nearest known one) and bad values.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise ConfigError(f"The configuration {path} does not exist; `workbench track` writes one as config.toml.")
-    try:
-        with path.open("rb") as stream:
-            stored = tomllib.load(stream)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}.") from error
-    return parse_config(stored, str(path))
+    absent = f"The configuration {path} does not exist; `workbench track` writes one as config.toml."
+    path = checked_file(path, "a configuration", ConfigError, absent, may_be_empty=True)
+    with reading(path, "a configuration", "begin with what `workbench config show` prints", ConfigError):
+        return parse_config(toml_tables(path, ConfigError), str(path))
 
 
 def parse_config(stored: Mapping[str, Any], origin: str) -> Config:
@@ -539,8 +539,8 @@ def parse_config(stored: Mapping[str, Any], origin: str) -> Config:
 
 def _migrated(stored: dict[str, Any], origin: str) -> dict[str, Any]:
     version = stored.get("version", VERSION)
-    if not isinstance(version, int) or not 1 <= version <= VERSION:
-        raise ConfigError(f"{origin}: version is {version!r}, this workbench reads 1 to {VERSION}; upgrade it.")
+    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
+        raise ConfigError(f"{origin}: version is {_quoted(version)}, this workbench reads 1 to {VERSION}; upgrade it.")
     for step in range(version, VERSION):
         stored = MIGRATIONS[step](stored)
     return {**stored, "version": VERSION}
@@ -548,11 +548,12 @@ def _migrated(stored: dict[str, Any], origin: str) -> dict[str, Any]:
 
 def _from_1(stored: dict[str, Any]) -> dict[str, Any]:
     """1 → 2: `contour.sliding` became `contour.mode`; what names no preset stands on the default of that time."""
-    contour = dict(stored.get("contour", {}))
     stored = {"preset": "calibrated", **stored}
-    if "sliding" in contour:
-        contour["mode"] = "sliding" if contour.pop("sliding") else "fixed"
-    return {**stored, "contour": contour}
+    contour = stored.get("contour")
+    if not isinstance(contour, dict) or "sliding" not in contour:
+        return stored
+    renamed = {key: value for key, value in contour.items() if key != "sliding"}
+    return {**stored, "contour": {**renamed, "mode": "sliding" if contour["sliding"] else "fixed"}}
 
 
 MIGRATIONS = {1: _from_1}
@@ -563,7 +564,7 @@ def _validated(stored: dict[str, Any], origin: str) -> Config:
     try:
         return Config.model_validate(stored)
     except ValidationError as error:
-        raise ConfigError(f"{origin}: {_first_problem(error)}") from error
+        raise ConfigError(f"{origin}: {shortened(_first_problem(error), LONGEST_PROBLEM)}") from error
 
 
 def write_config(config: Config, path: str | Path) -> None:
@@ -657,7 +658,7 @@ def _commented(value: Any, description: str | None):
 
 def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
-    place = ".".join(str(part) for part in problem["loc"])
+    place = shortened(".".join(str(part) for part in problem["loc"]))
     if problem["type"] == "value_error":
         return f"{place + ': ' if place else ''}{problem['ctx']['error']}."
     if problem["type"] == "extra_forbidden":
@@ -665,7 +666,11 @@ def _first_problem(error: ValidationError) -> str:
         near = difflib.get_close_matches(str(problem["loc"][-1]), known, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"the keys here are {', '.join(known)}."
         return f"there is no key {place!r}; {hint}"
-    return f"{place}: {problem['msg']} (got {problem.get('input')!r})."
+    return f"{place}: {problem['msg']} (got {_quoted(problem.get('input'))})."
+
+
+def _quoted(value: Any) -> str:
+    return shortened(repr(value))
 
 
 def _known_keys(location: tuple) -> list[str]:
@@ -674,5 +679,6 @@ def _known_keys(location: tuple) -> list[str]:
         if part == "stages":
             section = Stage
         elif isinstance(part, str) and part in section.model_fields:
-            section = section.model_fields[part].annotation
+            annotation = section.model_fields[part].annotation
+            section = next((kind for kind in get_args(annotation) if issubclass(kind, BaseModel)), annotation)
     return list(section.model_fields)

@@ -65,32 +65,34 @@ def reason_of(cause: BaseException) -> str:
     return line if len(line) <= LONGEST_REASON else f"{line[:LONGEST_REASON]} …"
 
 
-def checked_file(path: str | Path, kind: str, error: Kind = InputError) -> Path:
+def checked_file(
+    path: str | Path, kind: str, error: Kind = InputError, absent: str = "", may_be_empty: bool = False
+) -> Path:
     """The path of a regular file with something in it. Raises `error` for anything else, without opening it.
 
-    A pipe would wait for ever, and a device may be endless.
+    A pipe would wait for ever, and a device may be endless. `absent` is the sentence for a file that does not exist.
     """
     path = Path(path)
     try:
         status = os.stat(path)
     except FileNotFoundError:
-        raise error(f"{path} does not exist; check the name and the folder.") from None
+        raise error(absent or f"{path} does not exist; check the name and the folder.") from None
     except (OSError, ValueError) as cause:
         raise error(f"{shortened(path)} cannot be opened ({reason_of(cause)}); check the name.") from cause
     if stat.S_ISDIR(status.st_mode):
         raise error(f"{path} is a folder, expected {kind}; name a file.")
     if not stat.S_ISREG(status.st_mode):
         raise error(f"{path} is a pipe or device, expected {kind}; name a regular file.")
-    if status.st_size == 0:
+    if status.st_size == 0 and not may_be_empty:
         raise error(f"{path} is empty (0 bytes), expected {kind}; copy or download it again.")
     return path
 
 
-def shortened(value: object) -> str:
+def shortened(value: object, longest: int = LONGEST_REASON) -> str:
     """A value for a message: printable, and not longer than a line."""
     text = str(value)
     text = text if text.isprintable() else ascii(text)
-    return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]} …"
+    return text if len(text) <= longest else f"{text[:longest]} …"
 
 
 def checked_json(text: str | bytes) -> Any:
@@ -107,6 +109,14 @@ def checked_toml(text: str | bytes) -> dict[str, Any]:
     if _TOML_LONG_KEY.search(text):
         raise ValueError(f"a key has more than {MOST_NESTED} parts")
     return tomllib.loads(text)
+
+
+def toml_tables(path: Path, error: Kind = InputError) -> dict[str, Any]:
+    """The tables of a TOML file. Raises `error` with the line where it is damaged."""
+    try:
+        return checked_toml(path.read_bytes())
+    except ValueError as cause:
+        raise error(f"{path} is not valid TOML: {reason_of(cause)}.") from cause
 
 
 def _check_depth(tokens: re.Pattern[str], text: str) -> None:

@@ -1,6 +1,6 @@
 """`workbench config`: configurations shown, checked, compared, and the schema of their files."""
 
-import tomllib
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +24,7 @@ from workbench.config import (
 )
 from workbench.errors import ConfigError
 from workbench.files import atomic_path
+from workbench.reading import shortened, toml_tables
 
 GROUP_HELP = """Show, check and compare configurations: the TOML files that `track --config` runs.
 
@@ -149,7 +150,7 @@ def _print_text(text: str, language: str) -> None:
 def _described(file: Path) -> str:
     """Preset, version and distance from the preset. Raises `ConfigError` for a file that cannot be run."""
     config = read_config(file)
-    stored = tomllib.loads(file.read_text(encoding="utf-8")).get("version", VERSION)
+    stored = toml_tables(file, ConfigError).get("version", VERSION)
     version = f"version {stored}" if stored == VERSION else f"version {stored}, migrated to version {VERSION}"
     changed = len(differences(preset(config.preset), config))
     return f"preset {config.preset}, {version}, {_count(changed, 'difference')} from the preset"
@@ -162,8 +163,9 @@ def _count(number: int, noun: str) -> str:
 def _file_or_preset(name: str) -> Config:
     if name in PRESETS:
         return preset(name)
-    if not Path(name).is_file():
-        raise ConfigError(f"There is neither a file nor a preset {name!r}; the presets are {', '.join(PRESETS)}.")
+    if not os.path.exists(name):
+        told = shortened(repr(name))
+        raise ConfigError(f"There is neither a file nor a preset {told}; the presets are {', '.join(PRESETS)}.")
     return read_config(name)
 
 

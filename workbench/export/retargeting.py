@@ -4,7 +4,7 @@ Both give a `Track` whose weights are the character's, so that everything that r
 """
 
 import json
-import tomllib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +19,7 @@ from workbench.export.clip import main_identity, without_jaw
 from workbench.export.live_link import LIVE_LINK_SHAPES
 from workbench.face import FaceModel
 from workbench.face.formats.shape_names import arkit_name
+from workbench.reading import checked_file, reading, shortened, toml_tables
 from workbench.tracking import Track
 
 
@@ -70,24 +71,24 @@ def read_mapping(path: str | Path, source_names: tuple[str, ...], target_names: 
     Raises `InputError` for a file that cannot be read, and for names and factors that do not exist. ARKit's names are
     accepted where the track lacks them: they are 0.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"The mapping file {path} does not exist; it names the character's blendshapes.")
-    try:
-        shapes = tomllib.loads(path.read_text(encoding="utf-8")).get("shapes")
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not valid TOML: {error}.") from error
+    absent = f"The mapping file {path} does not exist; it names the character's blendshapes."
+    path = checked_file(path, "a mapping file", absent=absent)
+    with reading(path, "a mapping file", "name each of the character's blendshapes below [shapes]"):
+        return _mapping(path, toml_tables(path).get("shapes"), source_names, target_names)
+
+
+def _mapping(path: Path, shapes: Any, source_names: tuple[str, ...], target_names: tuple[str, ...]) -> ShapeMapping:
     if not isinstance(shapes, dict) or not shapes:
         raise InputError(f'{path} needs a table [shapes] with lines such as Mouth_Open = "jawOpen".')
     matrix = np.zeros((len(source_names), len(target_names)))
     for target, parts in shapes.items():
         if target not in target_names:
-            raise InputError(f"{path} names {target!r}, the character has {', '.join(target_names)}.")
+            raise InputError(f"{path} names {_quoted(target)}, the character has {_listed(target_names)}.")
         for source, factor in _parts(parts, target, path).items():
             if source in source_names:
                 matrix[source_names.index(source), target_names.index(target)] = factor
             elif source not in LIVE_LINK_SHAPES:
-                raise InputError(f"{path} names {source!r}, the track has {', '.join(source_names)}.")
+                raise InputError(f"{path} names {_quoted(source)}, the track has {_listed(source_names)}.")
     return ShapeMapping(source_names, target_names, matrix)
 
 
@@ -154,8 +155,17 @@ def _parts(parts: Any, target: str, path: Path) -> Mapping[str, float]:
     if isinstance(parts, str):
         return {parts: 1.0}
     numbers = isinstance(parts, dict) and all(
-        isinstance(factor, int | float) and not isinstance(factor, bool) for factor in parts.values()
+        isinstance(factor, int | float) and not isinstance(factor, bool) and math.isfinite(factor)
+        for factor in parts.values()
     )
     if not numbers:
-        raise InputError(f"{path}: {target} is a name or a table of names with factors, got {parts!r}.")
+        raise InputError(f"{path}: {target} is a name or a table of names with factors, got {_quoted(parts)}.")
     return {name: float(factor) for name, factor in parts.items()}
+
+
+def _quoted(value: Any) -> str:
+    return shortened(repr(value))
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return shortened(", ".join(names))

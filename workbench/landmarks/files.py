@@ -13,7 +13,7 @@ JSON: `{"format": "ibug68", "frames": [{"frame": 0, "name": "...", "width": 640,
 import csv
 import json
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -24,10 +24,14 @@ from workbench.errors import InputError
 from workbench.files import atomic_path
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import POINT_COUNT
+from workbench.reading import checked_file, checked_json, reading, shortened
 
 CSV_POINT_COLUMNS = [f"{axis}{i}" for i in range(POINT_COUNT) for axis in "xy"]
 CSV_COLUMNS = ["frame", "width", "height", *CSV_POINT_COLUMNS]
 CSV_CONFIDENCE_COLUMNS = [f"c{i}" for i in range(POINT_COUNT)]
+LARGEST_FRAME = 2**53
+LARGEST_SIDE = 10**6
+"""Pixels of a picture's side; more is a damaged number."""
 
 
 @dataclass(frozen=True)
@@ -51,17 +55,21 @@ def read_landmark_file(path: str | Path, image_size: tuple[int, int] | None = No
     points stands in. Raises `InputError` that names the line (or frame) and what to mend, for the header of a CSV at
     this call, for its rows while iterating.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"the landmark file {path} does not exist: check the name and the folder")
+    absent = f"the landmark file {path} does not exist: check the name and the folder"
+    path = checked_file(path, "landmarks", absent=absent, may_be_empty=True)
     suffix = path.suffix.lower()
-    if suffix == ".csv":
-        return _read_csv(path, _csv_has_confidence(path))
-    if suffix == ".json":
-        return iter(_read_json(path))
-    if suffix == ".pts":
-        return iter([_read_pts(path, image_size)])
+    with _door(path):
+        if suffix == ".csv":
+            return _read_csv(path, _csv_has_confidence(path))
+        if suffix == ".json":
+            return iter(_read_json(path))
+        if suffix == ".pts":
+            return iter([_read_pts(path, image_size)])
     raise InputError(f"landmark files are .csv, .json or .pts, got {path.name}")
+
+
+def _door(path: Path) -> AbstractContextManager[None]:
+    return reading(path, "landmarks", "export them again")
 
 
 def write_landmark_file(path: str | Path, records: Iterable[LandmarkRecord]) -> None:
@@ -96,8 +104,9 @@ def _landmarks(where: str, points: object, confidence: object, size: tuple[int, 
         return Landmarks2D(array, certainty, size)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
-    except (ValueError, TypeError) as error:
-        raise InputError(f"{where}: the points are not 68 pairs of numbers ({error}): write them as [x, y]") from error
+    except (ValueError, TypeError, OverflowError) as error:
+        told = shortened(error)
+        raise InputError(f"{where}: the points are not 68 pairs of numbers ({told}): write them as [x, y]") from error
 
 
 # --- CSV ---
@@ -151,7 +160,7 @@ def _csv_has_confidence(path: Path) -> bool:
     elif not missing:
         problem = "the columns are in another order, or there are others"
     elif len(missing) > 8:
-        problem = f"it begins with {','.join(header[:4])!r} and {len(missing)} columns are missing"
+        problem = f"it begins with {shortened(repr(','.join(header[:4])))} and {len(missing)} columns are missing"
     else:
         problem = f"missing: {', '.join(missing)}"
     raise InputError(f"{path}, line 1: expected the header {expected}; {problem}")
@@ -160,7 +169,8 @@ def _csv_has_confidence(path: Path) -> bool:
 def _read_csv(path: Path, has_confidence: bool) -> Iterator[LandmarkRecord]:
     width = len(CSV_COLUMNS) + (POINT_COUNT if has_confidence else 0)
     last = -1
-    with open(path, newline="", encoding="utf-8-sig", errors="replace") as file:
+    # Here as well as where the file is opened: the rows are read later.
+    with _door(path), open(path, newline="", encoding="utf-8-sig", errors="replace") as file:
         rows = csv.reader(file)
         next(rows)
         for row in rows:
@@ -180,10 +190,16 @@ def _integers(where: str, cells: list[str]) -> list[int]:
     try:
         frame, width, height = (int(cell) for cell in cells)
     except ValueError:
-        raise InputError(f"{where}: frame, width and height must be whole numbers, got {','.join(cells)}") from None
+        raise InputError(f"{where}: frame, width and height must be whole numbers, got {_listed(cells)}") from None
     if frame < 0 or width < 1 or height < 1:
-        raise InputError(f"{where}: frame counts from 0, width and height from 1, got {','.join(cells)}")
+        raise InputError(f"{where}: frame counts from 0, width and height from 1, got {_listed(cells)}")
+    if frame > LARGEST_FRAME or max(width, height) > LARGEST_SIDE:
+        raise InputError(f"{where}: frame, width and height are not those of a picture, got {_listed(cells)}")
     return [frame, width, height]
+
+
+def _listed(cells: list[str]) -> str:
+    return shortened(",".join(cells))
 
 
 def _csv_landmarks(where: str, row: list[str], size: tuple[int, int]) -> Landmarks2D | None:
@@ -205,7 +221,7 @@ def _floats(where: str, cells: list[str], names: list[str]) -> list[float]:
         try:
             numbers.append(float(cell))
         except ValueError:
-            raise InputError(f"{where}: {name} is {cell!r}, expected a number") from None
+            raise InputError(f"{where}: {name} is {shortened(repr(cell))}, expected a number") from None
     return numbers
 
 
@@ -225,7 +241,7 @@ def _json_frame(record: LandmarkRecord) -> dict[str, object]:
 
 def _read_json(path: Path) -> list[LandmarkRecord]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = checked_json(path.read_bytes())
     except json.JSONDecodeError as error:
         raise InputError(f"{path}, line {error.lineno}: this is not JSON ({error.msg})") from error
     except UnicodeDecodeError as error:
@@ -238,7 +254,8 @@ def _read_json(path: Path) -> list[LandmarkRecord]:
 
 def _json_record(where: str, entry: object, stem: str) -> LandmarkRecord:
     if not isinstance(entry, dict):
-        raise InputError(f"{where}: expected an object with frame, width, height and points, got {entry!r}")
+        told = shortened(repr(entry))
+        raise InputError(f"{where}: expected an object with frame, width, height and points, got {told}")
     missing = [key for key in ("frame", "width", "height", "points") if key not in entry]
     if missing:
         raise InputError(f"{where}: {', '.join(missing)} is missing: give points as null where there is no face")
@@ -272,7 +289,8 @@ def _read_pts(path: Path, image_size: tuple[int, int] | None) -> LandmarkRecord:
         try:
             x, y = (float(cell) for cell in cells)
         except ValueError:
-            raise InputError(f"{path}, line {number}: expected x and y, got {line.strip()!r}") from None
+            told = shortened(repr(line.strip()))
+            raise InputError(f"{path}, line {number}: expected x and y, got {told}") from None
         rows.append((x - 1, y - 1))
     points = np.array(rows, np.float64).reshape(-1, 2)
     size = image_size or tuple(int(v) + 1 for v in np.nan_to_num(points).max(axis=0, initial=0))
