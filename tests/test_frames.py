@@ -1,6 +1,9 @@
 """Streams of pictures: what is opened, in which order, upright, complete, the same at every pass; atomic writing."""
 
+import os
+import resource
 import struct
+import zlib
 from pathlib import Path
 
 import av
@@ -9,7 +12,7 @@ import numpy as np
 import pytest
 
 from workbench.errors import InputError
-from workbench.frames import Frames, VideoWriter, open_frames, read_picture, write_picture
+from workbench.frames import IMAGE_SUFFIXES, Frames, VideoWriter, open_frames, read_picture, write_picture
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -91,6 +94,46 @@ def test_exif_orientation_is_applied(tmp_path):
     np.testing.assert_array_equal(turned, np.rot90(read_picture(tmp_path / "plain.jpg"), -1))
 
 
+def png_of(width: int, height: int) -> bytes:
+    """A PNG whose header declares a size, and whose few bytes unpack to black."""
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    parts = [(b"IHDR", header), (b"IDAT", zlib.compress(bytes(1000))), (b"IEND", b"")]
+    chunks = [
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def test_a_picture_beyond_a_hundred_megapixels_is_refused_by_its_header(tmp_path):
+    (tmp_path / "bomb.png").write_bytes(png_of(30_000, 30_000))
+    (tmp_path / "bomb.pgm").write_bytes(b"P5 30000 30000 255\n" + bytes(1000))
+    for name in ("bomb.png", "bomb.pgm"):
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        with pytest.raises(InputError, match="30000×30000 pixels, the limit is 100 megapixels"):
+            read_picture(tmp_path / name)
+        assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
+
+
+@pytest.mark.parametrize("suffix", IMAGE_SUFFIXES)
+def test_every_format_of_pictures_is_read(suffix, tmp_path):
+    stored = picture_with_number(3) if suffix not in (".pgm", ".pbm") else np.full((48, 64), 255, np.uint8)
+    (tmp_path / f"p{suffix}").write_bytes(cv2.imencode(suffix, stored)[1].tobytes())
+    assert read_picture(tmp_path / f"p{suffix}").shape == (48, 64, 3)
+
+
+def test_a_format_that_is_not_offered_is_not_decoded_under_another_name(tmp_path):
+    (tmp_path / "p.png").write_bytes(cv2.imencode(".hdr", np.ones((8, 8, 3), np.float32))[1].tobytes())
+    with pytest.raises(InputError, match="does not contain a readable picture"):
+        read_picture(tmp_path / "p.png")
+
+
+@pytest.mark.parametrize("name", ["pipe.png", "pipe.mp4"])
+def test_pipes_are_refused_without_waiting(name, tmp_path):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match="pipe or device"):
+        open_frames(tmp_path / name)
+
+
 def test_tiny_and_huge_pictures_are_pictures(tmp_path):
     write_picture(tmp_path / "tiny.png", np.zeros((1, 1, 3), np.uint8))
     assert open_frames(tmp_path / "tiny.png").image_size == (1, 1)
@@ -111,6 +154,17 @@ def test_video_delivers_frames_with_index_time_and_colour(tmp_path):
     assert delivered[4].name == "clip#4"
     assert np.abs(delivered[4].picture.astype(int) - picture_with_number(4)).mean() < 4
     assert frames.notes == []
+
+
+def test_a_video_of_pictures_beyond_the_limit_is_refused(tmp_path, monkeypatch):
+    path = write_clip(tmp_path / "clip.mp4", 3)
+    monkeypatch.setattr("workbench.frames.DECODER_LIMITS", {"max_pixels": "1000"})
+    with pytest.raises(InputError, match=r"without a size or of more than 100 megapixels"):
+        open_frames(path)
+    monkeypatch.undo()
+    monkeypatch.setattr("workbench.frames.MOST_PIXELS", 1000)
+    with pytest.raises(InputError, match="more than"):
+        open_frames(path)
 
 
 def test_a_second_pass_from_any_frame_gives_identical_pictures(tmp_path):

@@ -6,9 +6,10 @@ video needs no more memory than a second, and `iterate(start)` delivers identica
 
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from io import BytesIO
 from itertools import chain
 from pathlib import Path
 from types import TracebackType
@@ -21,15 +22,34 @@ from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from jaxtyping import UInt8
+from PIL import (
+    BmpImagePlugin,
+    Jpeg2KImagePlugin,
+    JpegImagePlugin,
+    PngImagePlugin,
+    PpmImagePlugin,
+    TiffImagePlugin,
+    WebPImagePlugin,
+)
 
 from workbench.errors import InputError
 from workbench.files import atomic_path
+from workbench.reading import MOST_PIXELS, checked_content, checked_file, reading
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".pbm", ".jp2")
 VIDEO_SUFFIXES = (
     *(".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts"),
     *(".ogv", ".wmv", ".flv", ".3gp", ".mjpeg", ".y4m", ".gif"),
 )
+
+HEADERS = (
+    *(JpegImagePlugin.JpegImageFile, PngImagePlugin.PngImageFile, TiffImagePlugin.TiffImageFile),
+    *(WebPImagePlugin.WebPImageFile, BmpImagePlugin.BmpImageFile, PpmImagePlugin.PpmImageFile),
+    Jpeg2KImagePlugin.Jpeg2KImageFile,
+)
+"""Readers of the headers of these formats; OpenCV decodes."""
+DECODER_LIMITS = {"max_pixels": str(MOST_PIXELS)}
+"""FFmpeg's own: frames may also grow in the middle of a video."""
 
 KEY_FRAME_SPACING = 100
 """Frames between remembered seek points: a few numbers per four seconds of video, instead of one per key frame."""
@@ -111,7 +131,7 @@ def _open_file(path: Path) -> Frames:
     suffix = path.suffix.lower()
     if suffix in IMAGE_SUFFIXES:
         return ImageFrames([path], name=path.stem)
-    _check_file(path)
+    checked_file(path, "a picture or video")
     if suffix in VIDEO_SUFFIXES:
         return VideoFrames(path)
     raise InputError(
@@ -120,33 +140,43 @@ def _open_file(path: Path) -> Frames:
     )
 
 
-def _check_file(path: Path) -> None:
-    if not path.exists():
-        raise InputError(f"{path} does not exist: check the name and the folder")
-    if path.is_dir():
-        raise InputError(f"expected a file, got the folder {path}")
-    if path.stat().st_size == 0:
-        raise InputError(f"{path} is empty (0 bytes): copy or download it again")
-
-
 def read_picture(path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
     """Read one image file as upright 8-bit RGB.
 
     Grey becomes three equal channels. Transparency is dropped, and the stored colours are kept. 16 bits are scaled to
     8 (the high byte). The EXIF orientation is applied. A colour profile is not: the values are taken as sRGB.
-    Raises `InputError` for a missing, empty or undecodable file.
+    Raises `InputError` for a missing, empty or undecodable file, and beyond `MOST_PIXELS`.
     """
-    path = Path(path)
-    _check_file(path)
-    try:
-        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR_RGB)
-    except (cv2.error, OSError) as error:
-        raise InputError(f"{path} cannot be read as a picture ({error}): convert it to PNG or JPEG") from error
+    return decoded_picture(checked_content(path, "a picture"), path)
+
+
+def decoded_picture(content: bytes, name: object) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture that the bytes of an image file hold, as `read_picture` gives it; `name` stands in errors.
+
+    The size is read from the header before anything is decoded. Raises `InputError` as `read_picture` does.
+    """
+    with reading(str(name), "a picture", "convert it to PNG or JPEG"):
+        width, height = _declared_size(content)
+        if width * height > MOST_PIXELS:
+            raise InputError(
+                f"{name} has {width}×{height} pixels, the limit is {MOST_PIXELS / 1e6:.0f} megapixels; reduce it first"
+            )
+        # A header that Pillow does not know is none of the formats above.
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR_RGB) if width else None
     if picture is None:
         raise InputError(
-            f"{path} does not contain a readable picture: it may be damaged, or another kind of file renamed"
+            f"{name} does not contain a readable picture: it may be damaged, or another kind of file renamed"
         )
     return picture
+
+
+def _declared_size(content: bytes) -> tuple[int, int]:
+    """(width, height) that a picture's header declares; (0, 0) for what is no picture."""
+    for kind in HEADERS:
+        # `Image.open` does the same with a limit of its own, which it tells by a warning.
+        with suppress(Exception), kind(BytesIO(content)) as header:
+            return header.size
+    return 0, 0
 
 
 class ImageFrames:
@@ -157,7 +187,7 @@ class ImageFrames:
 
     def __init__(self, paths: Sequence[Path], name: str) -> None:
         for path in paths:
-            _check_file(path)
+            checked_file(path, "a picture")
         self.paths = list(paths)
         self.name = name
         self.announced_count = len(self.paths)
@@ -207,7 +237,7 @@ class VideoFrames:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        _check_file(self.path)
+        checked_file(self.path, "a video")
         self.name = self.path.stem
         self.notes: list[str] = []
         self._key_frames: dict[int, int] = {}  # frame index -> presentation time stamp
@@ -248,7 +278,8 @@ class VideoFrames:
     def _open(self) -> InputContainer:
         try:
             # Only this file is read: a playlist under a video's name cannot reach for other files or the network.
-            container = av.open(str(self.path.absolute()), options={"protocol_whitelist": "file"})
+            options = {"protocol_whitelist": "file", **DECODER_LIMITS}
+            container = av.open(str(self.path.absolute()), options=options)
         except (av.error.FFmpegError, ValueError) as error:
             raise InputError(
                 f"{self.path} cannot be opened as a video ({error}): it may be damaged, or another kind of file renamed"
@@ -256,6 +287,15 @@ class VideoFrames:
         if not container.streams.video:
             container.close()
             raise InputError(f"{self.path} has no video stream: it may hold sound only")
+        decoder = container.streams.video[0].codec_context
+        decoder.options = DECODER_LIMITS
+        # FFmpeg tells no size of what is beyond the limit.
+        if not 0 < decoder.width * decoder.height <= MOST_PIXELS:
+            container.close()
+            raise InputError(
+                f"{self.path} declares pictures without a size or of more than {MOST_PIXELS / 1e6:.0f} megapixels: "
+                "it may be damaged; convert it to MP4 (H.264) of a common size"
+            )
         return container
 
     def _decoded(self, container: InputContainer) -> Iterator[VideoFrame]:

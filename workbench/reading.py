@@ -7,6 +7,7 @@ file declares are compared with its own size and the limits below before anythin
 """
 
 import json
+import math
 import os
 import re
 import stat
@@ -88,6 +89,18 @@ def checked_file(
     return path
 
 
+def checked_content(path: str | Path, kind: str, error: Kind = InputError) -> bytes:
+    """The bytes of a regular file of at most `MOST_UNPACKED_BYTES`. Raises `error` for anything else."""
+    path = checked_file(path, kind, error)
+    size = path.stat().st_size
+    if size > MOST_UNPACKED_BYTES:
+        raise error(
+            f"{path} has {size / 1e9:.1f} GB, the limit for {kind} is {MOST_UNPACKED_BYTES / 1e9:.1f} GB; "
+            "supply the file as it was published."
+        )
+    return path.read_bytes()
+
+
 def shortened(value: object, longest: int = LONGEST_REASON) -> str:
     """A value for a message: printable, and not longer than a line."""
     text = str(value)
@@ -143,11 +156,7 @@ def checked_arrays(stream: IO[bytes], most_bytes: int = MOST_UNPACKED_BYTES) -> 
     together unpack to more than `most_bytes`, or an array holds Python objects.
     """
     with zipfile.ZipFile(stream) as archive:
-        members = archive.infolist()
-        total = sum(member.file_size for member in members)
-        if total > most_bytes:
-            raise ValueError(f"its arrays unpack to {total / 1e9:.1f} GB, the limit is {most_bytes / 1e9:.1f} GB")
-        for member in members:
+        for member in checked_members(archive, most_bytes):
             with archive.open(member) as content:
                 _check_header(member.filename, content, member.file_size)
     stream.seek(0)
@@ -155,11 +164,25 @@ def checked_arrays(stream: IO[bytes], most_bytes: int = MOST_UNPACKED_BYTES) -> 
         yield stored
 
 
+def checked_members(archive: zipfile.ZipFile, most_bytes: int = MOST_UNPACKED_BYTES) -> list[zipfile.ZipInfo]:
+    """What an archive holds. Raises ValueError where all together unpack to more than `most_bytes`."""
+    members = archive.infolist()
+    total = sum(member.file_size for member in members)
+    if total > most_bytes:
+        raise ValueError(f"its arrays unpack to {total / 1e9:.1f} GB, the limit is {most_bytes / 1e9:.1f} GB")
+    return members
+
+
 def _check_header(name: str, content: IO[bytes], size: int) -> None:
     shape, dtype = array_header(content)
     if dtype.hasobject:
         raise ValueError(f"{name} holds Python objects")
-    count = int(np.prod([int(length) for length in shape], dtype=object)) if shape else 1
+    check_numbers_held(name, shape, dtype, size)
+
+
+def check_numbers_held(name: str, shape: tuple[int, ...], dtype: np.dtype, size: int) -> None:
+    """Raise ValueError where an array of this shape and type has more numbers than `size` bytes hold."""
+    count = math.prod(shape)
     if count * dtype.itemsize > size:
         raise ValueError(f"{name} declares {count} numbers and holds {size} bytes")
 

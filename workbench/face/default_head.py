@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from workbench.errors import ModelError
+from workbench.face.checking import check_face_model, check_names, whole_numbers
 from workbench.face.model import Embedding, FaceModel
+from workbench.reading import checked_arrays, checked_file, reading
 from workbench.samples import sample
 
 GAZE_NAMES = tuple(f"eyeLook{way}{side}" for way in ("Down", "In", "Out", "Up") for side in ("Left", "Right"))
@@ -17,12 +19,17 @@ GAZE_NAMES = tuple(f"eyeLook{way}{side}" for way in ("Down", "In", "Out", "Up") 
 def load_default_head(path: Path | None = None, gaze: bool = False) -> FaceModel:
     """The default head with FACE IT!'s 44 blendshapes, or all 52 with `gaze`.
 
-    Raises `ModelError` if the file is missing a part.
+    Raises `ModelError` if the file is missing a part or damaged.
     """
-    path = sample("head") if path is None else path
-    with np.load(path, allow_pickle=False) as stored:
+    path = checked_file(sample("head") if path is None else path, "a baked head", ModelError)
+    with (
+        reading(path, "a baked head", "bake it again or reinstall", ModelError),
+        path.open("rb") as stream,
+        checked_arrays(stream) as stored,
+    ):
+        arrays = {name: stored[name] for name in stored.files}
         try:
-            model = _from_arrays({name: stored[name] for name in stored.files})
+            model = check_face_model(path, _from_arrays(path, arrays))
         except KeyError as error:
             raise ModelError(f"The head file {path} has no {error.args[0]}; bake it again or reinstall.") from error
     if gaze:
@@ -30,26 +37,32 @@ def load_default_head(path: Path | None = None, gaze: bool = False) -> FaceModel
     return model.with_expressions(tuple(name for name in model.expression_names if name not in GAZE_NAMES))
 
 
-def _from_arrays(arrays: dict[str, np.ndarray]) -> FaceModel:
+def _from_arrays(path: Path, arrays: dict[str, np.ndarray]) -> FaceModel:
     region_names = arrays["region_names"].tolist()
     joint_names = arrays["joint_names"].tolist()
+    check_names(path, "region_names", region_names)
+    check_names(path, "joint_names", joint_names)
+
+    def indices(name: str) -> np.ndarray:
+        return whole_numbers(path, name, arrays[name]).astype(np.int32)
+
     return FaceModel(
         name="default-head",
         neutral=arrays["neutral"].astype(float),
-        triangles=arrays["triangles"].astype(np.int32),
+        triangles=indices("triangles"),
         expression_names=tuple(arrays["expression_names"].tolist()),
         expression_deltas=arrays["expression_deltas"] * float(arrays["expression_step_mm"]),
         identity_deltas=arrays["identity_deltas"] * float(arrays["identity_step_mm"]),
-        landmarks=Embedding(arrays["landmark_vertices"].astype(np.int32), arrays["landmark_barycentric"].astype(float)),
+        landmarks=Embedding(indices("landmark_vertices"), arrays["landmark_barycentric"].astype(float)),
         contour_yaw_deg=arrays["contour_yaw_deg"].astype(float),
-        contour=Embedding(arrays["contour_vertices"].astype(np.int32), arrays["contour_barycentric"].astype(float)),
+        contour=Embedding(indices("contour_vertices"), arrays["contour_barycentric"].astype(float)),
         colors=arrays["colors"],
         regions={name: np.flatnonzero(arrays["regions"] == k) for k, name in enumerate(region_names)},
         joints=dict(zip(joint_names, arrays["joints"].astype(float), strict=True)),
         jaw_weights=arrays["jaw_weights"].astype(float),
         uv=arrays["uv"].astype(float),
-        triangles_uv=arrays["triangles_uv"].astype(np.int32),
-        mirror=arrays["mirror"].astype(np.int32),
+        triangles_uv=indices("triangles_uv"),
+        mirror=indices("mirror"),
         identity_joint_deltas={
             name: arrays["identity_joint_deltas"][:, k].astype(float) for k, name in enumerate(joint_names)
         },

@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 from workbench.face.alignment import align_targets
 from workbench.face.formats.obj import LANDMARKS_FILE, read_landmarks_toml, read_obj_targets
-from workbench.face.formats.raw import embedding_of
+from workbench.face.formats.raw import check_raw, embedding_of
 from workbench.face.model import Embedding, FaceModel
 
 
@@ -29,6 +29,7 @@ def read_obj_folder(
     if align_on is not None:
         aligned = align_targets(raw.vertices, raw.vertices + raw.expression_deltas, align_on)
         raw = replace(raw, expression_deltas=aligned - raw.vertices)
+    check_raw(folder, raw)
     model = linear_model(
         name=raw.name,
         neutral=raw.vertices,

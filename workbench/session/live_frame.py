@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from workbench.errors import InputError
+from workbench.frames import decoded_picture
 
 LIVE_SIZE = (640, 480)
 """What cameras are asked for, (width, height); larger pictures are reduced to it before anything is done with them."""
@@ -39,10 +40,10 @@ class LiveFrame:
         """RGB. Raises `InputError` for bytes that are no JPEG."""
         if self._picture is not None:
             return self._picture
-        decoded = cv2.imdecode(np.frombuffer(self._jpeg, np.uint8), cv2.IMREAD_COLOR_RGB)
-        if decoded is None:
-            raise InputError(f"Frame {self.number} of the camera is no readable JPEG; it was left out.")
-        return decoded
+        try:
+            return decoded_picture(self._jpeg, f"frame {self.number}")
+        except InputError as error:
+            raise InputError(f"Frame {self.number} of the camera is no readable JPEG; it was left out.") from error
 
     @cached_property
     def jpeg(self) -> bytes:

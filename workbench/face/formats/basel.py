@@ -7,15 +7,16 @@ and `color`, each with `model/mean` (3V), `model/pcaBasis` (3V, n) orthonormal a
 subject's left, +y up, +z out of the face.
 """
 
-import json
+from collections.abc import Mapping
 from pathlib import Path
 
-import h5py
 import numpy as np
-import scipy.io
 from scipy.spatial import cKDTree
 
 from workbench.errors import ModelError
+from workbench.face.checking import whole_numbers
+from workbench.face.formats.hdf5 import hdf5_arrays
+from workbench.face.formats.matlab import is_level_73, matlab_arrays
 from workbench.face.formats.raw import (
     STATISTICAL_RANGE,
     Y_UP,
@@ -26,8 +27,17 @@ from workbench.face.formats.raw import (
     statistical_names,
     vertex_place,
 )
+from workbench.reading import checked_content, checked_file, checked_json, reading
 
+REMEDY = "supply the file as it was published"
 MAT_KEYS = ("shapeMU", "shapePC", "shapeEV", "tl")
+COLOR_KEY = "texMU"
+H5_PARTS = ("shape", "expression")
+H5_KEYS = (
+    *(f"{part}/model/{key}" for part in H5_PARTS for key in ("mean", "pcaBasis", "pcaVariance")),
+    *("shape/representer/cells", "shape/representer/points", "color/model/mean"),
+)
+LANDMARKS_KEY = "metadata/landmarks/json"
 VERTICES_2009 = 53490
 LANDMARKS_2009 = {
     **{17: 38792, 19: 40087, 21: 40514, 22: 41091, 24: 41511, 26: 42825, 30: 8319, 33: 8334, 36: 2088, 39: 5959},
@@ -53,7 +63,15 @@ LANDMARK_NAMES = {
 
 def read_basel_mat(path: Path, identity: int | None) -> RawModel:
     """The model of 2009. Raises `ModelError` for another file."""
-    stored = _mat(path)
+    content = checked_content(path, "a Basel Face Model", ModelError)
+    with reading(path, "a MATLAB file", REMEDY, ModelError):
+        keys = (*MAT_KEYS, COLOR_KEY)
+        if is_level_73(content):  # HDF5, with transposed arrays
+            return _from_mat(path, {key: array.T for key, array in hdf5_arrays(path, keys).items()}, identity)
+        return _from_mat(path, matlab_arrays(content, keys), identity)
+
+
+def _from_mat(path: Path, stored: Mapping[str, np.ndarray], identity: int | None) -> RawModel:
     missing = [key for key in MAT_KEYS if key not in stored]
     if missing:
         raise ModelError(
@@ -61,7 +79,7 @@ def read_basel_mat(path: Path, identity: int | None) -> RawModel:
         )
     vertices = _points(path, "shapeMU", stored["shapeMU"])
     basis = _basis(path, "shapePC", stored["shapePC"], np.ravel(stored["shapeEV"]), len(vertices), identity)
-    triangles = np.asarray(stored["tl"], np.int64)[:, ::-1] - 1
+    triangles = np.atleast_2d(whole_numbers(path, "tl", stored["tl"]))[:, ::-1] - 1
     check_mesh(path, vertices, triangles, {"shapePC": basis})
     known = {point: vertex_place(vertex) for point, vertex in LANDMARKS_2009.items()}
     return RawModel(
@@ -73,7 +91,7 @@ def read_basel_mat(path: Path, identity: int | None) -> RawModel:
         expression_range=ranges(0),
         identity_deltas=basis,
         landmarks=known if len(vertices) == VERTICES_2009 else {},
-        colors=_colors(path, stored["texMU"], len(vertices)) if "texMU" in stored else None,
+        colors=_colors(path, stored[COLOR_KEY], len(vertices)) if COLOR_KEY in stored else None,
         axes=Y_UP,
         notes=("The Basel Face Model of 2009 has no expressions: only pose and identity can be fitted.",),
     )
@@ -81,27 +99,25 @@ def read_basel_mat(path: Path, identity: int | None) -> RawModel:
 
 def read_basel_h5(path: Path, identity: int | None, expressions: int | None) -> RawModel:
     """A model of 2017 or 2019. Raises `ModelError` for another file."""
-    try:
-        with h5py.File(path, "r") as stored:
-            return _from_h5(path, stored, identity, expressions)
-    except OSError as error:
-        raise ModelError(f"{path} cannot be read as HDF5 ({error}); download it again.") from error
+    checked_file(path, "a Basel Face Model", ModelError)
+    with reading(path, "HDF5", REMEDY, ModelError):
+        return _from_h5(path, hdf5_arrays(path, (*H5_KEYS, LANDMARKS_KEY)), identity, expressions)
 
 
-def _from_h5(path: Path, stored: h5py.File, identity: int | None, expressions: int | None) -> RawModel:
-    vertices = _points(path, "shape/model/mean", _dataset(path, stored, "shape/model/mean"))
+def _from_h5(path: Path, stored: Mapping[str, np.ndarray], identity: int | None, expressions: int | None) -> RawModel:
+    vertices = _points(path, "shape/model/mean", _stored(path, stored, "shape/model/mean"))
     count = len(vertices)
     basis = _h5_basis(path, stored, "shape", count, identity)
     deltas = np.zeros((0, count, 3))
-    if "expression" in stored:
+    if any(key.startswith("expression/") for key in stored):
         deltas = _h5_basis(path, stored, "expression", count, expressions)
         # The mean expression of the scans is an offset; the neutral face of the fit holds it.
-        offset = _points(path, "expression/model/mean", _dataset(path, stored, "expression/model/mean"))
+        offset = _points(path, "expression/model/mean", _stored(path, stored, "expression/model/mean"))
         vertices = vertices + offset
-    cells = np.asarray(_dataset(path, stored, "shape/representer/cells"), np.int64)
-    triangles = cells.T if cells.shape[0] == 3 and cells.shape[1:] != (3,) else cells
+    cells = whole_numbers(path, "shape/representer/cells", _stored(path, stored, "shape/representer/cells"))
+    triangles = cells.T if len(np.atleast_1d(cells)) == 3 and cells.shape[1:] != (3,) else cells
     check_mesh(path, vertices, triangles, {"shape basis": basis, "expression basis": deltas})
-    colors = _colors(path, stored["color/model/mean"][()], count) if "color/model/mean" in stored else None
+    colors = _colors(path, stored["color/model/mean"], count) if "color/model/mean" in stored else None
     return RawModel(
         name=path.stem,
         vertices=vertices,
@@ -110,32 +126,21 @@ def _from_h5(path: Path, stored: h5py.File, identity: int | None, expressions: i
         expression_deltas=deltas,
         expression_range=ranges(len(deltas), STATISTICAL_RANGE),
         identity_deltas=basis,
-        landmarks=_named_points(path, stored, vertices),
+        landmarks=_named_points(path, stored, vertices) if LANDMARKS_KEY in stored else {},
         colors=colors,
         axes=Y_UP,
     )
 
 
-def _mat(path: Path) -> dict[str, np.ndarray]:
-    try:
-        stored = scipy.io.loadmat(path, variable_names=[*MAT_KEYS, "texMU"])
-        return {key: value for key, value in stored.items() if isinstance(value, np.ndarray)}
-    except NotImplementedError:  # MATLAB 7.3 is HDF5, with transposed arrays
-        with h5py.File(path, "r") as stored:
-            return {key: np.asarray(stored[key]).T for key in (*MAT_KEYS, "texMU") if key in stored}
-    except Exception as error:
-        raise ModelError(f"{path} cannot be read as a MATLAB file ({error}); download it again.") from error
-
-
-def _dataset(path: Path, stored: h5py.File, key: str) -> np.ndarray:
-    if key not in stored or not isinstance(stored[key], h5py.Dataset):
+def _stored(path: Path, stored: Mapping[str, np.ndarray], key: str) -> np.ndarray:
+    if key not in stored:
         raise ModelError(f"{path} is no Basel Face Model of 2017 or 2019: {key} is missing.")
-    return stored[key][()]
+    return stored[key]
 
 
-def _h5_basis(path: Path, stored: h5py.File, part: str, count: int, most: int | None) -> np.ndarray:
-    variance = np.ravel(_dataset(path, stored, f"{part}/model/pcaVariance"))
-    basis = _dataset(path, stored, f"{part}/model/pcaBasis")
+def _h5_basis(path: Path, stored: Mapping[str, np.ndarray], part: str, count: int, most: int | None) -> np.ndarray:
+    variance = np.ravel(_stored(path, stored, f"{part}/model/pcaVariance"))
+    basis = _stored(path, stored, f"{part}/model/pcaBasis")
     return _basis(path, f"{part}/model/pcaBasis", basis, np.sqrt(np.maximum(variance, 0.0)), count, most)
 
 
@@ -156,26 +161,21 @@ def _basis(path: Path, key: str, basis: np.ndarray, deviation: np.ndarray, count
 
 def _colors(path: Path, mean: np.ndarray, count: int) -> np.ndarray:
     colors = _points(path, "the mean colour", mean)
-    if len(colors) != count:
-        raise ModelError(f"{path}: {len(colors)} colours for {count} vertices; the file is damaged.")
+    if len(colors) != count or not np.isfinite(colors).all():
+        raise ModelError(f"{path}: {len(colors)} colours for {count} vertices, or not finite; the file is damaged.")
     scale = 255.0 if colors.max() <= 1.5 else 1.0
     return np.clip(np.round(colors * scale), 0, 255).astype(np.uint8)
 
 
-def _named_points(path: Path, stored: h5py.File, vertices: np.ndarray) -> dict[int, Place]:
-    if "metadata/landmarks/json" not in stored:
-        return {}
-    text = np.ravel(np.asarray(stored["metadata/landmarks/json"][()], object))[0]
+def _named_points(path: Path, stored: Mapping[str, np.ndarray], vertices: np.ndarray) -> dict[int, Place]:
     try:
-        points = json.loads(text)
-        found = {point["id"]: np.array(point["coordinates"], float) for point in points}
+        points = checked_json(stored[LANDMARKS_KEY].tobytes())
+        found = {str(point["id"]): np.array(point["coordinates"], float).reshape(3) for point in points}
     except (ValueError, TypeError, KeyError) as error:
-        raise ModelError(f"{path}: metadata/landmarks/json is not the list of points of the publication.") from error
+        raise ModelError(f"{path}: {LANDMARKS_KEY} is not the list of points of the publication.") from error
     # The points lie on the reference mesh, whose vertices correspond to the mean's.
-    reference = vertices
-    if "shape/representer/points" in stored:
-        reference = np.asarray(stored["shape/representer/points"][()], float)
-        reference = reference.T if reference.shape[0] == 3 and reference.shape[1:] != (3,) else reference
+    reference = np.asarray(stored.get("shape/representer/points", vertices), float)
+    reference = reference.T if len(reference) == 3 and reference.shape[1:] != (3,) else reference
     if reference.shape != vertices.shape:
         raise ModelError(f"{path}: the reference has {len(reference)} vertices, the mean {len(vertices)}.")
     tree = cKDTree(reference)

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from workbench.errors import ModelError
+from workbench.face.checking import check_embedding, check_numbers, whole_numbers
 from workbench.face.formats.pickled_arrays import array_of, read_arrays
 from workbench.face.formats.raw import (
     STATISTICAL_RANGE,
@@ -49,7 +50,7 @@ def flame_model(
 ) -> RawModel:
     """FLAME as it is stored, with at most so many components. Raises `ModelError` where parts are missing."""
     vertices = array_of(arrays, "v_template", path).astype(float)
-    triangles = array_of(arrays, "f", path).astype(np.int64)
+    triangles = whole_numbers(path, "f", array_of(arrays, "f", path))
     directions = array_of(arrays, "shapedirs", path)
     if directions.ndim != 3 or directions.shape[-1] not in BASES:
         raise ModelError(
@@ -105,6 +106,7 @@ def _regressor(path: Path, arrays: dict[str, Any], count: int) -> np.ndarray:
     regressor = array_of(arrays, "J_regressor", path).astype(float)
     if regressor.shape != (len(JOINTS), count):
         raise ModelError(f"{path}: J_regressor has shape {regressor.shape}, expected ({len(JOINTS)}, {count}).")
+    check_numbers(path, "J_regressor", regressor, regressor.shape)
     return regressor
 
 
@@ -112,6 +114,7 @@ def _skinning(path: Path, arrays: dict[str, Any], count: int) -> np.ndarray:
     weights = array_of(arrays, "weights", path).astype(float)
     if weights.shape != (count, len(JOINTS)):
         raise ModelError(f"{path}: weights has shape {weights.shape}, expected ({count}, {len(JOINTS)}).")
+    check_numbers(path, "weights", weights, weights.shape)
     return weights
 
 
@@ -123,6 +126,7 @@ def _jaw_shapes(path, arrays, vertices, joint, weights) -> dict[str, np.ndarray]
         stored = array_of(arrays, "posedirs", path).astype(float)
         if stored.shape != (count, 3, 9 * (len(JOINTS) - 1)):
             raise ModelError(f"{path}: posedirs has shape {stored.shape}, expected ({count}, 3, 36).")
+        check_numbers(path, "posedirs", stored, stored.shape)
         # Nine numbers R − I a joint, the root left out.
         correctives = stored[:, :, 9 * (JAW - 1) : 9 * JAW]
     shapes = {}
@@ -145,7 +149,8 @@ def _embeddings(
         weight_key = next((key for key in WEIGHT_KEYS if isinstance(stored.get(key), np.ndarray)), None)
         if index_key is None or weight_key is None:
             raise ModelError(f"{path} holds no landmark embedding (lmk_face_idx, lmk_b_coords); remove or replace it.")
-        embedding = _embedding(path, stored[index_key], stored[weight_key], triangles)
+        embedding = _embedding(path, array_of(stored, index_key, path), array_of(stored, weight_key, path), triangles)
+        check_embedding(path, "the embedding", embedding, embedding.vertices.shape[:-1], len(vertices))
         count = len(embedding.vertices)
         if embedding.vertices.ndim == 3 and embedding.vertices.shape[:2] == (79, 17):
             yaws, contour = _contour(embedding, vertices)
@@ -160,7 +165,7 @@ def _embeddings(
 
 
 def _embedding(path: Path, faces: np.ndarray, weights: np.ndarray, triangles: np.ndarray) -> Embedding:
-    faces = np.asarray(faces, np.int64)
+    faces = whole_numbers(path, "the list of triangles", faces)
     faces, weights = (faces[0], weights[0]) if faces.ndim == 2 and len(faces) == 1 else (faces, weights)
     if weights.shape != (*faces.shape, 3) or faces.min(initial=0) < 0 or faces.max(initial=0) >= len(triangles):
         raise ModelError(

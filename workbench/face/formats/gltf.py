@@ -5,8 +5,8 @@ ones that have some (eyes, teeth); a body is left out. Compressed geometry is re
 """
 
 import base64
-import json
 import struct
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +16,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from workbench.errors import ModelError
+from workbench.face.checking import FARTHEST
 from workbench.face.formats.raw import RawModel, check_mesh, ranges
+from workbench.reading import MOST_UNPACKED_BYTES, checked_content, checked_json, reading, shortened
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -29,8 +31,8 @@ EYE_NODES = {
 """Names of nodes at the eyes' centres, letters only, lower case."""
 
 
-_BROKEN = (KeyError, IndexError, TypeError, ValueError, AttributeError, struct.error, OverflowError, OSError)
-"""What goes wrong where a broken file is followed."""
+MOST_READ = 20_000
+"""Arrays that are read, of one accessor or many: a face has hundreds."""
 
 
 class _Part(NamedTuple):
@@ -45,13 +47,13 @@ class _Part(NamedTuple):
 
 def read_gltf(path: Path) -> RawModel:
     """The face of a .glb or .gltf file. Raises `ModelError` for damaged files and files without morph targets."""
-    try:
-        document = _Document(path)
-        parts = list(document.parts())
-    except ModelError:
-        raise
-    except _BROKEN as error:
-        raise ModelError(f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {error}).") from error
+    content = checked_content(path, "glTF 2.0", ModelError)
+    with reading(path, "glTF 2.0", "export it again", ModelError):
+        return _face(path, _Document(path, content))
+
+
+def _face(path: Path, document: "_Document") -> RawModel:
+    parts = list(document.parts())
     moving = [part for part in parts if part.targets]
     if not moving:
         raise ModelError(f"{path} has no morph targets; export the face with its shape keys.")
@@ -70,6 +72,8 @@ def _joined(path: Path, parts: list[_Part], eyes: dict[str, np.ndarray]) -> RawM
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     vertices = np.concatenate([part.vertices for part in parts])
     triangles = np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)])
+    if len(names) * vertices.nbytes > MOST_UNPACKED_BYTES:
+        raise ModelError(f"{path}: {len(names)} morph targets of {len(vertices)} vertices are beyond 2 GB; cut them.")
     deltas = np.zeros((len(names), len(vertices), 3))
     for part, start in zip(parts, starts, strict=False):
         for name, target in part.targets.items():
@@ -94,13 +98,13 @@ def _joined(path: Path, parts: list[_Part], eyes: dict[str, np.ndarray]) -> RawM
 class _Document:
     """The JSON of a glTF file with its buffers."""
 
-    def __init__(self, path: Path) -> None:
-        content = path.read_bytes()
+    def __init__(self, path: Path, content: bytes) -> None:
         self._path, self._blob = path, b""
+        self._read_bytes = self._read_count = 0
         text = content
         if content[:4] == b"glTF":
             text, self._blob = _chunks(path, content)
-        self.json: dict[str, Any] = json.loads(text)
+        self.json: dict[str, Any] = checked_json(text)
         compressed = [name for name in COMPRESSED if name in self.json.get("extensionsRequired", [])]
         if compressed:
             raise ModelError(f"{path} is compressed ({compressed[0]}); export it without compression.")
@@ -111,9 +115,10 @@ class _Document:
         """Centres of the eyes, where nodes are named after them."""
         found = {}
         for index, matrix in self._matrices.items():
-            letters = "".join(
-                letter for letter in self.json["nodes"][index].get("name", "").lower() if letter.isalpha()
-            )
+            name = self.json["nodes"][index].get("name", "")
+            if not isinstance(name, str):
+                raise ValueError(f"node {index} has a name that is no text")
+            letters = "".join(letter for letter in name.lower() if letter.isalpha())
             if letters in EYE_NODES and np.any(matrix[:3, 3]):
                 found[EYE_NODES[letters]] = matrix[:3, 3]
         return found
@@ -121,105 +126,137 @@ class _Document:
     def parts(self) -> Iterator[_Part]:
         """The triangle primitives of the scene."""
         for index, matrix in self._matrices.items():
-            node = self.json["nodes"][index]
+            node = self._entry("nodes", index)
             if "mesh" not in node:
                 continue
-            mesh = self.json["meshes"][node["mesh"]]
+            mesh = self._entry("meshes", node["mesh"])
             for primitive in mesh["primitives"]:
                 if primitive.get("mode", TRIANGLES) == TRIANGLES:
-                    yield self._part(mesh, primitive, self._placing(primitive, node, matrix))
+                    yield self._part(mesh, primitive, node, matrix)
 
-    def _part(self, mesh: dict, primitive: dict, placing: np.ndarray) -> _Part:
+    def _entry(self, kind: str, index: Any) -> dict[str, Any]:
+        """One entry of a list of the document."""
+        entries = self.json.get(kind)
+        if not isinstance(entries, list) or type(index) is not int or not 0 <= index < len(entries):
+            raise ValueError(f"{kind} has no entry {shortened(index)}")
+        return entries[index]
+
+    def _part(self, mesh: dict, primitive: dict, node: dict, matrix: np.ndarray) -> _Part:
         attributes = primitive["attributes"]
-        positions = self._accessor(attributes["POSITION"])
-        indices = self._accessor(primitive["indices"]) if "indices" in primitive else np.arange(len(positions))
+        positions = self._vectors(attributes["POSITION"], None, 3)
+        count = len(positions)
+        placing = self._placing(attributes, node, matrix, count)
+        indices = self._accessor(primitive["indices"]) if "indices" in primitive else np.arange(count)
+        if indices.ndim != 1 or indices.dtype.kind not in "iu":
+            raise ValueError("the corners of its triangles are no whole numbers")
         names = (mesh.get("extras") or {}).get("targetNames", [])
         targets = {}
         for k, target in enumerate(primitive.get("targets", [])):
-            name = str(names[k]) if k < len(names) else f"target_{k:03d}"
+            named = isinstance(names, list) and k < len(names) and isinstance(names[k], str) and names[k]
             if "POSITION" in target:
-                offsets = self._accessor(target["POSITION"])
-                targets[name] = np.einsum("vij,vj->vi", placing[:, :3, :3], offsets)
+                offsets = self._vectors(target["POSITION"], count, 3)
+                targets[names[k] if named else f"target_{k:03d}"] = np.einsum("vij,vj->vi", placing[:, :3, :3], offsets)
         return _Part(
             vertices=np.einsum("vij,vj->vi", placing[:, :3, :3], positions) + placing[:, :3, 3],
             triangles=np.asarray(indices, np.int64).reshape(-1, 3),
             targets=targets,
             color=self._color(primitive),
-            uv=self._accessor(attributes["TEXCOORD_0"]) if "TEXCOORD_0" in attributes else None,
+            uv=self._vectors(attributes["TEXCOORD_0"], count, 2) if "TEXCOORD_0" in attributes else None,
         )
 
-    def _placing(self, primitive: dict, node: dict, matrix: np.ndarray) -> np.ndarray:
+    def _placing(self, attributes: dict, node: dict, matrix: np.ndarray, count: int) -> np.ndarray:
         """A matrix a vertex, from the mesh to the scene: the node's, or the skin's at rest."""
-        attributes = primitive["attributes"]
-        count = self.json["accessors"][attributes["POSITION"]]["count"]
         if "skin" not in node or "JOINTS_0" not in attributes:
             return np.broadcast_to(matrix, (count, 4, 4))
-        skin = self.json["skins"][node["skin"]]
+        skin = self._entry("skins", node["skin"])
         joints = np.stack([self._matrices.get(joint, np.eye(4)) for joint in skin["joints"]])
         if "inverseBindMatrices" in skin:
-            joints = joints @ self._accessor(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
-        weights = self._accessor(attributes["WEIGHTS_0"])
-        chosen = self._accessor(attributes["JOINTS_0"]).astype(int)
-        return np.einsum("vk,vkij->vij", weights / weights.sum(1, keepdims=True), joints[chosen])
+            inverse = self._vectors(skin["inverseBindMatrices"], len(joints), 16)
+            joints = joints @ inverse.reshape(-1, 4, 4).transpose(0, 2, 1)
+        weights = self._vectors(attributes["WEIGHTS_0"], count, 4)
+        chosen = self._vectors(attributes["JOINTS_0"], count, 4)
+        if chosen.dtype.kind not in "iu" or np.any(chosen < 0):
+            raise ValueError("the joints of its skin are no whole numbers")
+        sums = weights.sum(1, keepdims=True)
+        if not np.all(sums > 0.0):
+            raise ValueError("vertices of its skin have no weight")
+        return np.einsum("vk,vkij->vij", weights / sums, joints[chosen])
+
+    def _vectors(self, index: Any, count: int | None, width: int) -> np.ndarray:
+        """An accessor of `count` vectors. Raises ValueError for others."""
+        vectors = self._accessor(index)
+        if vectors.ndim != 2 or vectors.shape[1] != width or (count is not None and len(vectors) != count):
+            raise ValueError(f"accessor {index} holds {vectors.shape}, expected ({count or 'n'}, {width})")
+        return vectors
 
     def _color(self, primitive: dict) -> np.ndarray:
-        material = self.json["materials"][primitive["material"]] if "material" in primitive else {}
+        material = self._entry("materials", primitive["material"]) if "material" in primitive else {}
         rough = material.get("pbrMetallicRoughness", {})
         # A texture is not read: its factor is mostly white, which would glare.
         plain = "baseColorTexture" not in rough and "baseColorFactor" in rough
-        linear = np.array(rough["baseColorFactor"][:3] if plain else [0.52, 0.52, 0.52], float)
+        linear = _finite(rough["baseColorFactor"][:3] if plain else [0.52, 0.52, 0.52], 3)
         return np.round(255.0 * np.clip(linear, 0.0, 1.0) ** (1.0 / 2.2)).astype(np.uint8)
 
     def _global_matrices(self) -> dict[int, np.ndarray]:
         """Node to scene, by node, for the nodes of the scene."""
         nodes = self.json.get("nodes", [])
         scenes = self.json.get("scenes", [])
-        roots = scenes[self.json.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
+        roots = self._entry("scenes", self.json.get("scene", 0)).get("nodes", []) if scenes else range(len(nodes))
         found: dict[int, np.ndarray] = {}
-        waiting = [(root, np.eye(4)) for root in roots]
+        waiting = deque((root, np.eye(4)) for root in roots)
         while waiting:
-            index, parent = waiting.pop(0)
+            index, parent = waiting.popleft()
+            node = self._entry("nodes", index)
             if index in found:
                 raise ModelError(f"{self._path}: node {index} hangs below two nodes; the file is damaged.")
-            found[index] = parent @ _local_matrix(nodes[index])
-            waiting += [(child, found[index]) for child in nodes[index].get("children", [])]
+            found[index] = parent @ _local_matrix(node)
+            waiting.extend((child, found[index]) for child in node.get("children", []))
         return found
 
-    def _accessor(self, index: int) -> np.ndarray:
+    def _accessor(self, index: Any) -> np.ndarray:
         """The numbers of an accessor, (count, width) or (count,); normalised integers as fractions."""
-        accessor = self.json["accessors"][index]
-        dtype, width, count = (
-            np.dtype(COMPONENTS[accessor["componentType"]]),
-            WIDTHS[accessor["type"]],
-            accessor["count"],
-        )
+        accessor = self._entry("accessors", index)
+        dtype, width = np.dtype(COMPONENTS[accessor["componentType"]]), WIDTHS[accessor["type"]]
+        count = _natural(accessor["count"])
+        self._spend(count * width * np.dtype(float).itemsize)
         if "bufferView" in accessor:
             values = self._view(accessor["bufferView"], accessor.get("byteOffset", 0), dtype, width, count)
+        elif count > sum(map(len, self._buffers)):
+            raise ModelError(f"{self._path}: an accessor declares {count} entries that no buffer holds.")
         else:
             values = np.zeros((count, width), dtype)
         if "sparse" in accessor:
             sparse = accessor["sparse"]
             where, new = sparse["indices"], sparse["values"]
-            kind = np.dtype(COMPONENTS[where["componentType"]])
-            rows = self._view(where["bufferView"], where.get("byteOffset", 0), kind, 1, sparse["count"])
-            values[rows[:, 0]] = self._view(new["bufferView"], new.get("byteOffset", 0), dtype, width, sparse["count"])
+            kind, changed = np.dtype(COMPONENTS[where["componentType"]]), _natural(sparse["count"])
+            rows = self._view(where["bufferView"], where.get("byteOffset", 0), kind, 1, changed)[:, 0]
+            if kind.kind != "u" or np.any(rows >= count):
+                raise ValueError(f"the sparse accessor {index} changes entries that it does not have")
+            values[rows] = self._view(new["bufferView"], new.get("byteOffset", 0), dtype, width, changed)
         if accessor.get("normalized") and dtype.kind in "iu":
             values = np.maximum(values / np.iinfo(dtype).max, -1.0)
         values = values.astype(float) if values.dtype.kind == "f" else values
         return values[:, 0] if width == 1 else values
 
-    def _view(self, index: int, offset: int, dtype: np.dtype, width: int, count: int) -> np.ndarray:
-        view = self.json["bufferViews"][index]
-        data = self._buffers[view["buffer"]]
-        start, length = view.get("byteOffset", 0), view["byteLength"]
+    def _spend(self, size: int) -> None:
+        """Count what is read: a few bytes of JSON may ask for the same array again and again."""
+        self._read_bytes, self._read_count = self._read_bytes + size, self._read_count + 1
+        if self._read_bytes > MOST_UNPACKED_BYTES or self._read_count > MOST_READ:
+            raise ModelError(f"{self._path}: its accessors ask for more than 2 GB or {MOST_READ} arrays; cut the file.")
+
+    def _view(self, index: Any, offset: Any, dtype: np.dtype, width: int, count: int) -> np.ndarray:
+        view = self._entry("bufferViews", index)
+        buffer = _natural(view["buffer"])
+        data = self._buffers[buffer]
+        start, length, offset = _natural(view.get("byteOffset", 0)), _natural(view["byteLength"]), _natural(offset)
         size = dtype.itemsize * width
-        stride = view.get("byteStride", size)
-        if min(start, offset, count) < 0 or (
-            count and (offset + (count - 1) * stride + size > length or start + length > len(data))
-        ):
+        stride = _natural(view.get("byteStride", size))
+        if stride < size:
+            raise ValueError(f"entries of {size} bytes stand {stride} bytes apart")
+        if count and (offset + (count - 1) * stride + size > length or start + length > len(data)):
             raise ModelError(f"{self._path}: an accessor reaches beyond its buffer; the file is cut off or damaged.")
-        rows = np.frombuffer(data, np.uint8, count=(count - 1) * stride + size if count else 0, offset=start + offset)
-        strided = np.lib.stride_tricks.as_strided(rows, (count, size), (stride, 1))
+        rows = np.frombuffer(data, np.uint8, count=(count - 1) * stride + size, offset=start + offset) if count else b""
+        strided = np.lib.stride_tricks.as_strided(np.frombuffer(rows, np.uint8), (count, size), (stride, 1))
         return np.ascontiguousarray(strided).view(dtype).reshape(count, width).copy()
 
     def _buffer(self, buffer: dict) -> bytes:
@@ -230,8 +267,8 @@ class _Document:
             return base64.b64decode(uri.split(",", 1)[1])
         path = (self._path.parent / unquote(uri)).resolve()
         if not path.is_relative_to(self._path.parent.resolve()) or not path.is_file():
-            raise ModelError(f"{self._path} needs {uri} beside it; copy the whole folder, or export a .glb.")
-        return path.read_bytes()
+            raise ModelError(f"{self._path} needs {shortened(uri)} beside it; copy the whole folder, or export a .glb.")
+        return checked_content(path, "a buffer of glTF", ModelError)
 
 
 def _chunks(path: Path, content: bytes) -> tuple[bytes, bytes]:
@@ -251,9 +288,24 @@ def _chunks(path: Path, content: bytes) -> tuple[bytes, bytes]:
 
 def _local_matrix(node: dict) -> np.ndarray:
     if "matrix" in node:
-        return np.array(node["matrix"], float).reshape(4, 4).T
+        return _finite(node["matrix"], 16).reshape(4, 4).T
     matrix = np.eye(4)
-    rotation = Rotation.from_quat(node.get("rotation", [0.0, 0.0, 0.0, 1.0])).as_matrix()
-    matrix[:3, :3] = rotation * np.array(node.get("scale", [1.0, 1.0, 1.0]), float)
-    matrix[:3, 3] = node.get("translation", [0.0, 0.0, 0.0])
+    rotation = Rotation.from_quat(_finite(node.get("rotation", [0.0, 0.0, 0.0, 1.0]), 4)).as_matrix()
+    matrix[:3, :3] = rotation * _finite(node.get("scale", [1.0, 1.0, 1.0]), 3)
+    matrix[:3, 3] = _finite(node.get("translation", [0.0, 0.0, 0.0]), 3)
     return matrix
+
+
+def _finite(values: Any, count: int) -> np.ndarray:
+    """So many numbers. Raises ValueError for anything else."""
+    numbers = np.array(values, float)
+    if numbers.shape != (count,) or not np.all(np.abs(numbers) <= FARTHEST):
+        raise ValueError(f"expected {count} numbers, got {shortened(values)}")
+    return numbers
+
+
+def _natural(value: Any) -> int:
+    """A count or place in the file. Raises ValueError for anything else."""
+    if type(value) is not int or value < 0:
+        raise ValueError(f"expected a whole number from 0, got {shortened(value)}")
+    return value

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from workbench.errors import ModelError
+from workbench.face.checking import check_indices, check_numbers, whole_numbers
 from workbench.face.formats.pickled_arrays import array_of
 from workbench.face.formats.raw import STATISTICAL_RANGE, RawModel, check_mesh, ranges
 
@@ -25,7 +26,7 @@ def is_gnm(arrays: dict[str, Any]) -> bool:
 def gnm_model(path: Path, arrays: dict[str, Any], identity: int | None, expressions: int | None) -> RawModel:
     """GNM Head with at most so many components. Raises `ModelError` where parts are missing."""
     vertices = array_of(arrays, "template_vertex_positions", path).astype(float)
-    triangles = array_of(arrays, "triangles", path).astype(np.int64)
+    triangles = whole_numbers(path, "triangles", array_of(arrays, "triangles", path))
     people = array_of(arrays, "vertex_identity_basis", path)
     faces = array_of(arrays, "expression_basis", path)
     check_mesh(path, vertices, triangles, {"vertex_identity_basis": people, "expression_basis": faces})
@@ -33,7 +34,8 @@ def gnm_model(path: Path, arrays: dict[str, Any], identity: int | None, expressi
     kept_people, kept_faces = _largest(people, identity), _largest(faces, expressions)
     joints, joint_deltas = _joints(path, arrays, kept_people, len(people))
     mirror = arrays.get("mirror_indices")
-    fits = isinstance(mirror, np.ndarray) and mirror.shape == (len(vertices),) and mirror.max() < len(vertices)
+    if mirror is not None:
+        check_indices(path, "mirror_indices", mirror, (len(vertices),), len(vertices))
     return RawModel(
         name=path.stem,
         vertices=vertices,
@@ -45,7 +47,7 @@ def gnm_model(path: Path, arrays: dict[str, Any], identity: int | None, expressi
         joints=joints,
         identity_joint_deltas=joint_deltas,
         regions=_groups(path, arrays, len(vertices)),
-        mirror=mirror.astype(np.int32) if fits else None,
+        mirror=None if mirror is None else mirror.astype(np.int32),
     )
 
 
@@ -56,15 +58,16 @@ def _largest(basis: np.ndarray, most: int | None) -> np.ndarray:
 
 
 def _texts(path: Path, arrays: dict[str, Any], key: str, count: int) -> list[str]:
-    texts = arrays.get(key)
-    if not isinstance(texts, np.ndarray | list) or len(texts) != count:
+    texts = np.ravel(arrays[key]).tolist() if isinstance(arrays.get(key), np.ndarray) else arrays.get(key)
+    if not isinstance(texts, list) or len(texts) != count or not all(isinstance(text, str) for text in texts):
         raise ModelError(f"{path}: {key} needs {count} names; supply gnm_head.npz as it was published.")
-    return [str(text) for text in texts]
+    return texts
 
 
 def _joints(path: Path, arrays: dict[str, Any], kept: np.ndarray, people: int):
     places = array_of(arrays, "template_joint_positions", path).astype(float)
     moved = array_of(arrays, "joint_identity_basis", path).astype(float)
+    check_numbers(path, "template_joint_positions", places, (None, 3))
     names = _texts(path, arrays, "joint_names", len(places))
     if moved.shape != (people, len(places), 3):
         raise ModelError(

@@ -5,12 +5,14 @@
 centimetres; +x subject's left, +y up, +z out of the face. Names are ARKit's with `_L` and `_R`.
 """
 
-import json
+import operator
 from pathlib import Path
 
 from workbench.errors import ModelError
+from workbench.face.checking import check_names
 from workbench.face.formats.obj import read_obj, read_targets
 from workbench.face.formats.raw import Y_UP, RawModel, ranges, vertex_place
+from workbench.reading import checked_content, checked_json, reading, shortened
 
 NEUTRAL, INDICES = "generic_neutral_mesh.obj", "vertex_indices.json"
 
@@ -25,12 +27,12 @@ def read_ict_facekit(folder: Path, identity: int | None) -> RawModel:
     for name in (NEUTRAL, INDICES):
         if not (folder / name).is_file():
             raise ModelError(f"ICT-FaceKit needs {name}, none in {folder}; copy the whole folder FaceXModel.")
-    try:
-        stored = json.loads((folder / INDICES).read_text(encoding="utf-8"))
-        names = [str(name) for name in stored["expressions"]]
-        landmarks = [int(vertex) for vertex in stored["idx_to_landmark_verts"]]
-    except (ValueError, TypeError, KeyError) as error:
-        raise ModelError(f"{folder / INDICES} has no {error}; download ICT-FaceKit again.") from error
+    content = checked_content(folder / INDICES, "ICT-FaceKit's list", ModelError)
+    with reading(folder / INDICES, "ICT-FaceKit's list", "download ICT-FaceKit again", ModelError):
+        stored = checked_json(content)
+        names = [_file_stem(name) for name in stored["expressions"]]
+        check_names(folder / INDICES, "expressions", names)
+        landmarks = [operator.index(vertex) for vertex in stored["idx_to_landmark_verts"]]
     neutral = read_obj(folder / NEUTRAL)
     if len(landmarks) != 68 or not 0 <= min(landmarks) <= max(landmarks) < len(neutral.vertices):
         raise ModelError(f"{folder / INDICES} needs 68 landmark vertices of the mesh, got {len(landmarks)}.")
@@ -52,3 +54,10 @@ def read_ict_facekit(folder: Path, identity: int | None) -> RawModel:
         triangles_uv=neutral.triangles_uv,
         axes=Y_UP,
     )
+
+
+def _file_stem(name: object) -> str:
+    """The name of a file in the folder itself."""
+    if not isinstance(name, str) or not name or Path(name).name != name:
+        raise ValueError(f"{shortened(name)!r} is no name of an expression")
+    return name

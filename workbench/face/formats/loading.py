@@ -1,5 +1,6 @@
 """One function for every format: what lies at a path becomes a face model in the workbench's conventions."""
 
+import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from workbench.errors import ModelError
+from workbench.face.checking import check_face_model
 from workbench.face.default_head import load_default_head
 from workbench.face.formats.basel import read_basel_h5, read_basel_mat
 from workbench.face.formats.flame import companions, flame_model, is_flame
@@ -19,9 +21,10 @@ from workbench.face.formats.landmark_fit import LandmarkFit, centre_of_motion, f
 from workbench.face.formats.obj import read_landmarks_toml, read_obj_targets
 from workbench.face.formats.pickled_arrays import read_arrays
 from workbench.face.formats.placing import Placement, axes_of_joints, correspondences, place
-from workbench.face.formats.raw import RawModel, embedding_of, places_of
+from workbench.face.formats.raw import RawModel, check_raw, embedding_of, places_of
 from workbench.face.formats.shape_names import arkit_name, arkit_shapes
 from workbench.face.model import Embedding, FaceModel
+from workbench.reading import checked_file, reading, shortened
 
 COMPONENTS = 50
 """Identity and expression components of a statistical model that are kept, as many as the default head has."""
@@ -59,32 +62,33 @@ def load_face_model(
     are kept, all with None. Raises `ModelError` where parts are missing or do not belong together.
     """
     path = Path(path)
-    if path.is_file() and _is_own(path):
-        return load_default_head(path)
-    given = Path(landmarks) if landmarks is not None else None
-    if given is not None and not given.is_file():
-        raise ModelError(f"There is no landmark file {given}.")
-    raw = _read(path, given, identity, expressions)
-    if given is not None and given.suffix == ".toml":
-        raw = replace(raw, landmarks=read_landmarks_toml(given, len(raw.vertices)), contour=None, contour_yaw_deg=None)
-    return _placed(raw, unit, path)
+    if not os.path.exists(path):
+        raise ModelError(f"There is no face model at {shortened(path)}.")
+    if not os.path.isdir(path):
+        checked_file(path, "a face model", ModelError)
+    with reading(path, "a face model", "supply the file as it was published", ModelError):
+        if _is_own(path):
+            return load_default_head(path)
+        given = Path(landmarks) if landmarks is not None else None
+        if given is not None and not os.path.isfile(given):
+            raise ModelError(f"There is no landmark file {shortened(given)}.")
+        raw = _read(path, given, identity, expressions)
+        if given is not None and given.suffix == ".toml":
+            places = read_landmarks_toml(given, len(raw.vertices))
+            raw = replace(raw, landmarks=places, contour=None, contour_yaw_deg=None)
+        return check_face_model(path, _placed(check_raw(path, raw), unit, path))
 
 
 def _is_own(path: Path) -> bool:
-    if path.suffix != ".npz":
+    if path.suffix != ".npz" or not zipfile.is_zipfile(path):
         return False
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return {"neutral.npy", "expression_step_mm.npy"} <= set(archive.namelist())
-    except zipfile.BadZipFile:
-        return False
+    with zipfile.ZipFile(path) as archive:
+        return {"neutral.npy", "expression_step_mm.npy"} <= set(archive.namelist())
 
 
 def _read(path: Path, landmarks: Path | None, identity: int | None, expressions: int | None) -> RawModel:
     if path.is_dir():
         return read_ict_facekit(path, identity) if is_ict_facekit(path) else read_obj_targets(path)
-    if not path.is_file():
-        raise ModelError(f"There is no face model at {path}.")
     suffix = path.suffix.lower()
     if suffix in CONVERTED:
         raise ModelError(f"{path} is not read: {CONVERTED[suffix]}.")
@@ -111,7 +115,7 @@ def _read_named_arrays(path: Path, landmarks: Path | None, identity: int | None,
         return flame_model(path, arrays, identity, expressions, [landmarks] if own else companions(path))
     if is_gnm(arrays):
         return gnm_model(path, arrays, identity, expressions)
-    held = ", ".join(sorted(map(str, arrays))[:8])
+    held = shortened(", ".join(sorted(map(str, arrays))[:8]))
     raise ModelError(
         f"{path} is neither FLAME (v_template, shapedirs) nor GNM Head (template_vertex_positions); it holds {held}."
     )

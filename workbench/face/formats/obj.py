@@ -1,18 +1,20 @@
 """Wavefront OBJ, read in the file's own order, and folders of OBJ targets."""
 
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
 
 from workbench.errors import ModelError
+from workbench.face.checking import check_embedding, check_numbers
 from workbench.face.formats.raw import Place, RawModel, check_mesh, places_of, ranges, vertex_place
 from workbench.face.model import Embedding
+from workbench.reading import checked_content, checked_toml, reading
 
 LANDMARKS_FILE = "landmarks.toml"
+REMEDY = "export it again"
 
 
 class ObjMesh(NamedTuple):
@@ -28,32 +30,37 @@ class ObjMesh(NamedTuple):
 
 def read_obj(path: Path) -> ObjMesh:
     """The mesh of an OBJ file. Raises `ModelError` for a file without one."""
-    vertices, faces_text = read_obj_vertices(path)
-    try:
-        uv = _numbers(path.read_bytes().splitlines(), b"vt ", 2)
+    content = checked_content(path, "OBJ", ModelError)
+    with reading(path, "OBJ", REMEDY, ModelError):
+        vertices, faces_text = _vertices_and_faces(path, content)
+        uv = _numbers(content.splitlines(), b"vt ", 2)
         corners = [
             [corner.split(b"/") for corner in line.split()[1:]] for line in faces_text.splitlines() if line[:2] == b"f "
         ]
         triangles = _fans([[_index(corner[0], len(vertices)) for corner in face] for face in corners])
         textured = len(uv) > 0 and all(len(corner) > 1 and corner[1] for face in corners for corner in face)
         triangles_uv = _fans([[_index(c[1], len(uv)) for c in face] for face in corners]) if textured else None
-    except (ValueError, IndexError) as error:
-        raise ModelError(f"{path} cannot be read as OBJ ({error}); export it again.") from error
-    if len(triangles) == 0:
-        raise ModelError(f"{path} holds no mesh; export it again with its faces.")
-    check_mesh(path, vertices, triangles, {})
-    return ObjMesh(vertices, triangles, uv if textured else None, triangles_uv, faces_text)
+        if len(triangles) == 0:
+            raise ModelError(f"{path} holds no mesh; export it again with its faces.")
+        check_mesh(path, vertices, triangles, {})
+        if textured:
+            check_numbers(path, "vt", uv, (len(uv), 2))
+        return ObjMesh(vertices, triangles, uv if textured else None, triangles_uv, faces_text)
 
 
 def read_obj_vertices(path: Path) -> tuple[Float[np.ndarray, "v 3"], bytes]:
     """Positions and the text of the faces: all that a target needs beside its neutral."""
-    try:
-        lines = path.read_bytes().splitlines()
-        vertices = _numbers(lines, b"v ", 3)
-    except (OSError, ValueError) as error:
-        raise ModelError(f"{path} cannot be read as OBJ ({error}); export it again.") from error
+    content = checked_content(path, "OBJ", ModelError)
+    with reading(path, "OBJ", REMEDY, ModelError):
+        return _vertices_and_faces(path, content)
+
+
+def _vertices_and_faces(path: Path, content: bytes) -> tuple[Float[np.ndarray, "v 3"], bytes]:
+    lines = content.splitlines()
+    vertices = _numbers(lines, b"v ", 3)
     if len(vertices) == 0:
         raise ModelError(f"{path} holds no mesh; export it again with its faces.")
+    check_numbers(path, "v", vertices, (len(vertices), 3))
     return vertices, b"\n".join(line.strip() for line in lines if line[:2] == b"f ")
 
 
@@ -104,22 +111,29 @@ def read_landmarks_toml(path: Path, vertex_count: int) -> dict[int, Place]:
     """The 68 landmarks of a `landmarks.toml`: 68 vertex numbers from 0, or 68 triples with `barycentric`."""
     if not path.is_file():
         raise ModelError(f"A model folder needs {LANDMARKS_FILE} with the 68 points, none at {path}.")
+    content = checked_content(path, LANDMARKS_FILE, ModelError)
+    with reading(path, LANDMARKS_FILE, "write it as the documentation of load_face_model says", ModelError):
+        return _landmarks(path, checked_toml(content), vertex_count)
+
+
+def _landmarks(path: Path, stored: dict[str, Any], vertex_count: int) -> dict[int, Place]:
     try:
-        stored = tomllib.loads(path.read_text(encoding="utf-8"))
-        vertices = np.asarray(stored.get("vertices", []), int)
+        vertices = np.asarray(stored.get("vertices", []))
         barycentric = np.asarray(stored.get("barycentric", []), float)
-    except tomllib.TOMLDecodeError as error:
-        raise ModelError(f"{path} is not valid TOML: {error}.") from error
-    except (ValueError, TypeError, OverflowError) as error:
-        raise ModelError(f"{path} needs 68 vertex numbers, or 68 triples with barycentric ({error}).") from error
+    except (ValueError, TypeError) as error:
+        raise ModelError(f"{path} needs 68 vertex numbers, or 68 triples with barycentric.") from error
     single = vertices.shape == (68,)
     if not single and (vertices.shape != (68, 3) or barycentric.shape != (68, 3)):
         raise ModelError(f"{path} needs 68 vertex numbers, or 68 triples with barycentric, got {vertices.shape}.")
+    if vertices.dtype.kind != "i":
+        raise ModelError(f"{path} needs whole numbers of vertices, counted from 0.")
     if vertices.min() < 0 or vertices.max() >= vertex_count:
         raise ModelError(f"{path} names vertex {vertices.max()}, the mesh has {vertex_count}, counted from 0.")
     if single:
         return {point: vertex_place(int(vertex)) for point, vertex in enumerate(vertices)}
-    return places_of(Embedding(vertices.astype(np.int32), barycentric))
+    embedding = Embedding(vertices.astype(np.int32), barycentric)
+    check_embedding(path, "barycentric", embedding, (68,), vertex_count)
+    return places_of(embedding)
 
 
 def _numbers(lines: list[bytes], keyword: bytes, count: int) -> np.ndarray:
@@ -128,8 +142,12 @@ def _numbers(lines: list[bytes], keyword: bytes, count: int) -> np.ndarray:
 
 
 def _index(text: bytes, count: int) -> int:
+    """From 0. OBJ counts from 1, and backwards from the end with negative numbers."""
     number = int(text)
-    return number - 1 if number > 0 else count + number
+    index = number - 1 if number > 0 else count + number
+    if not 0 <= index < count:
+        raise ValueError(f"a face names number {number} of {count}")
+    return index
 
 
 def _fans(faces: list[list[int]]) -> np.ndarray:

@@ -6,15 +6,16 @@ that only hold, select or reshape an array. A call of anything else is refused b
 
 import re
 import zipfile
-from io import BufferedIOBase, BytesIO
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import scipy.sparse
 
 from workbench.errors import ModelError
-from workbench.inert_pickle import UNREADABLE, Name, Record, UnreadableError, named, unpickled
+from workbench.inert_pickle import Name, Record, UnreadableError, named, unpickled
+from workbench.reading import array_header, check_numbers_held, checked_content, checked_members, reading
 
 DEEPEST = 30
 """Levels beyond which a structure is no model but a trap."""
@@ -34,15 +35,14 @@ def read_arrays(path: str | Path) -> dict[str, Any]:
     Raises `ModelError` for a file that is damaged, holds no dictionary, or calls what no model needs.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as stream:
-            start = stream.read(6)
-            stream.seek(0)
-            if start.startswith(b"PK"):
-                return _read_npz(stream)
-            loaded = _read_npy(stream) if start.startswith(b"\x93NUMPY") else _values(unpickled(stream, _made))
-    except UNREADABLE as error:
-        raise ModelError(f"{path} cannot be read as arrays: {_sentence(error)}.") from error
+    content = checked_content(path, "arrays", ModelError)
+    with reading(path, "arrays", "supply the file as it was published", ModelError):
+        if content.startswith(b"PK"):
+            return _read_npz(BytesIO(content))
+        if content.startswith(b"\x93NUMPY"):
+            loaded = _read_npy(BytesIO(content), "it", len(content))
+        else:
+            loaded = _values(unpickled(BytesIO(content), _made))
     # np.save keeps a dictionary as an array of one object.
     loaded = loaded[0] if isinstance(loaded, list) and len(loaded) == 1 else loaded
     if not isinstance(loaded, dict):
@@ -63,28 +63,26 @@ def _kind(value: Any) -> str:
     return ".".join(value.name) if isinstance(value, Record) and isinstance(value.name, Name) else type(value).__name__
 
 
-def _sentence(error: BaseException) -> str:
-    return str(error).strip().rstrip(".") or type(error).__name__
-
-
-def _read_npz(stream: BufferedIOBase) -> dict[str, Any]:
+def _read_npz(stream: IO[bytes]) -> dict[str, Any]:
     with zipfile.ZipFile(stream) as archive:
-        members = [name for name in archive.namelist() if name.endswith(".npy")]
-        arrays = {name.removesuffix(".npy"): _read_npy(BytesIO(archive.read(name))) for name in members}
+        members = [member for member in checked_members(archive) if member.filename.endswith(".npy")]
+        arrays = {}
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            with archive.open(member) as content:
+                arrays[name] = _read_npy(content, name, member.file_size)
     if not arrays:
         raise UnreadableError("it is a zip file without arrays")
     # An array of one object is the object.
     return {name: value[0] if isinstance(value, list) and len(value) == 1 else value for name, value in arrays.items()}
 
 
-def _read_npy(stream: BufferedIOBase) -> Any:
-    start = stream.tell()
-    version = np.lib.format.read_magic(stream)
-    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    _, _, dtype = header(stream)
+def _read_npy(stream: IO[bytes], name: str, size: int) -> Any:
+    shape, dtype = array_header(stream)
     if dtype.hasobject:
-        return _values(unpickled(stream, _made))
-    stream.seek(start)
+        return _values(unpickled(BytesIO(stream.read()), _made))
+    check_numbers_held(name, shape, dtype, size)
+    stream.seek(0)
     return np.lib.format.read_array(stream, allow_pickle=False)
 
 

@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float, Integer, UInt8
 
 from workbench.errors import ModelError
+from workbench.face.checking import Shape, check_embedding, check_indices, check_names, check_numbers
 from workbench.face.model import Embedding
+from workbench.reading import shortened
 
 Y_UP = np.diag([1.0, -1.0, -1.0])
 """From +x subject's left, +y up, +z out of the face (FLAME, Basel, ICT, glTF) to the head frame."""
@@ -85,7 +87,7 @@ def ranges(count: int, bounds: tuple[float, float] = (0.0, 1.0)) -> Float[np.nda
 
 def check_mesh(path: object, vertices: np.ndarray, triangles: np.ndarray, deltas: Mapping[str, np.ndarray]) -> None:
     """Raise `ModelError` where arrays of a file do not belong together."""
-    count = len(vertices)
+    count = len(vertices) if vertices.ndim == 2 else 0
     if vertices.shape != (count, 3) or count == 0 or triangles.ndim != 2 or triangles.shape[1:] != (3,):
         raise ModelError(f"{path} holds no triangle mesh: vertices {vertices.shape}, triangles {triangles.shape}.")
     if triangles.size and (triangles.min() < 0 or triangles.max() >= count):
@@ -96,5 +98,44 @@ def check_mesh(path: object, vertices: np.ndarray, triangles: np.ndarray, deltas
         if basis.ndim != 3 or basis.shape[1:] != (count, 3):
             raise ModelError(f"{path}: {label} has shape {basis.shape}, expected (n, {count}, 3); the file is damaged.")
     for label, array in {"vertices": vertices, **deltas}.items():
-        if not np.isfinite(array).all():
-            raise ModelError(f"{path}: {label} holds numbers that are not finite; the file is damaged.")
+        check_numbers(path, label, array, array.shape)
+
+
+def check_raw(path: object, raw: RawModel) -> RawModel:
+    """What a reader hands over, as it is. Raises `ModelError` where parts are damaged or do not belong together."""
+    people, count = raw.people(), len(raw.vertices)
+    check_mesh(path, raw.vertices, raw.triangles, {"blendshapes": raw.expression_deltas, "identity basis": people})
+    check_names(path, "the list of blendshapes", raw.expression_names)
+    shapes = len(raw.expression_deltas)
+    numbers: dict[str, tuple[np.ndarray | None, Shape]] = {
+        "the list of blendshapes": (np.arange(len(raw.expression_names)), (shapes,)),
+        "the range of weights": (raw.expression_range, (shapes, 2)),
+        "the jaw's weights": (raw.jaw_weights, (count,)),
+        "the colours": (raw.colors, (count, 3)),
+        "texture coordinates": (raw.uv, (None, 2)),
+        **{f"joint {shortened(name)}": (joint, (3,)) for name, joint in raw.joints.items()},
+        **{
+            f"offsets of joint {shortened(name)}": (moved, (len(people), 3))
+            for name, moved in raw.identity_joint_deltas.items()
+        },
+    }
+    for label, (array, shape) in numbers.items():
+        if array is not None:
+            check_numbers(path, label, array, shape)
+    indices: dict[str, tuple[np.ndarray | None, Shape, int]] = {
+        "the mirror": (raw.mirror, (count,), count),
+        "texture triangles": (
+            raw.triangles_uv,
+            (len(raw.triangles), 3),
+            0 if raw.uv is None else len(raw.uv),
+        ),
+        **{f"region {shortened(name)}": (region, (None,), count) for name, region in (raw.regions or {}).items()},
+    }
+    for label, (array, shape, most) in indices.items():
+        if array is not None:
+            check_indices(path, label, array, shape, most)
+    for point, (vertices, weights) in raw.landmarks.items():
+        check_embedding(path, f"landmark {point}", Embedding(np.asarray(vertices), np.asarray(weights)), (), count)
+    if raw.contour is not None and raw.contour_yaw_deg is not None:
+        check_embedding(path, "the jaw contour", raw.contour, (len(raw.contour_yaw_deg), 17), count)
+    return raw
