@@ -254,6 +254,12 @@ def test_damage_of_the_workbenchs_own_head_is_told(changes, message, tmp_path):
     refused(load_default_head, tmp_path / "head.npz", message)
 
 
+def test_a_head_that_was_baked_anew_is_read_anew(tmp_path):
+    for shift in (0.0, 1.0):
+        np.savez(tmp_path / "head.npz", **(OWN | {"neutral": OWN["neutral"] + shift}))
+        np.testing.assert_allclose(load_default_head(tmp_path / "head.npz").neutral, OWN["neutral"] + shift)
+
+
 def test_a_cut_head_is_told(tmp_path):
     content = sample("head").read_bytes()
     middle = len(content) // 2

@@ -390,7 +390,7 @@ def test_a_payload_inside_an_npz_or_npy_is_refused_as_well(flame_file, tmp_path)
         (b"cos\nsystem\n(S'touch trap'\ntR.", "calls os.system"),
         (b"S'touch trap'\ncos\nsystem\n\x81.", "no name|broken|cannot be read"),
         (b"hello", "no opcode|cannot be read"),
-        (b"", "no end"),
+        (b"", "is empty"),
         (b"}.", "neither FLAME"),
         (b"]q\x00h\x00a.", "nested without end"),
         (b"(dp0\nS'again\nI1\ns.", "no quotes"),

@@ -15,13 +15,21 @@ GAZE_NAMES = tuple(f"eyeLook{way}{side}" for way in ("Down", "In", "Out", "Up") 
 """The eight units that turn the eyes: no landmark sees them, so FACE IT!'s D = 44 leaves them out."""
 
 
-@lru_cache(maxsize=4)
 def load_default_head(path: Path | None = None, gaze: bool = False) -> FaceModel:
-    """The default head with FACE IT!'s 44 blendshapes, or all 52 with `gaze`.
+    """The default head with FACE IT!'s 44 blendshapes, or all 52 with `gaze`; `path` is another baked head.
 
     Raises `ModelError` if the file is missing a part or damaged.
     """
-    path = checked_file(sample("head") if path is None else path, "a baked head", ModelError)
+    return _bundled_head(gaze) if path is None else _read_head(path, gaze)
+
+
+@lru_cache(maxsize=2)
+def _bundled_head(gaze: bool) -> FaceModel:
+    return _read_head(sample("head"), gaze)
+
+
+def _read_head(path: Path, gaze: bool) -> FaceModel:
+    path = checked_file(path, "a baked head", ModelError)
     with (
         reading(path, "a baked head", "bake it again or reinstall", ModelError),
         path.open("rb") as stream,

@@ -37,6 +37,7 @@ CONVERTED = {
     ".blend": "open it in Blender and export glTF (.glb) with shape keys",
     ".vrm": "it is glTF; rename it to .glb",
 }
+REMEDY = "supply the file as it was published"
 WORST_MM, LEAST_COVERED = 4.0, 0.4
 """A fit of the default head that is worse than this found no face."""
 IN_PLACE_MM = 15.0
@@ -62,25 +63,41 @@ def load_face_model(
     are kept, all with None. Raises `ModelError` where parts are missing or do not belong together.
     """
     path = Path(path)
-    if not os.path.exists(path):
-        raise ModelError(f"There is no face model at {shortened(path)}.")
-    if not os.path.isdir(path):
-        checked_file(path, "a face model", ModelError)
-    with reading(path, "a face model", "supply the file as it was published", ModelError):
+    with reading(shortened(path), "a face model", REMEDY, ModelError):
         if _is_own(path):
             return load_default_head(path)
-        given = Path(landmarks) if landmarks is not None else None
-        if given is not None and not os.path.isfile(given):
-            raise ModelError(f"There is no landmark file {shortened(given)}.")
+        raw = read_raw_model(path, landmarks=landmarks, identity=identity, expressions=expressions)
+        return check_face_model(path, _placed(raw, unit, path))
+
+
+def read_raw_model(
+    path: str | Path,
+    *,
+    landmarks: str | Path | None = None,
+    identity: int | None = COMPONENTS,
+    expressions: int | None = COMPONENTS,
+) -> RawModel:
+    """What a file or folder holds, checked: its own unit, axes and names, and the landmarks that it tells.
+
+    Arguments and errors are those of `load_face_model`, which lays the default head on it.
+    """
+    path, given = Path(path), Path(landmarks) if landmarks is not None else None
+    if not os.path.exists(path):
+        raise ModelError(f"There is no face model at {shortened(path)}.")
+    if given is not None and not os.path.isfile(given):
+        raise ModelError(f"There is no landmark file {shortened(given)}.")
+    if not path.is_dir():
+        checked_file(path, "a face model", ModelError)
+    with reading(path, "a face model", REMEDY, ModelError):
         raw = _read(path, given, identity, expressions)
         if given is not None and given.suffix == ".toml":
             places = read_landmarks_toml(given, len(raw.vertices))
             raw = replace(raw, landmarks=places, contour=None, contour_yaw_deg=None)
-        return check_face_model(path, _placed(check_raw(path, raw), unit, path))
+        return check_raw(path, raw)
 
 
 def _is_own(path: Path) -> bool:
-    if path.suffix != ".npz" or not zipfile.is_zipfile(path):
+    if path.suffix != ".npz" or not os.path.isfile(path) or not zipfile.is_zipfile(path):
         return False
     with zipfile.ZipFile(path) as archive:
         return {"neutral.npy", "expression_step_mm.npy"} <= set(archive.namelist())
