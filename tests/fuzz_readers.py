@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.fuzz_face_readers import FACE_READERS
 from tests.fuzzing import Reader
 from workbench import config as configuration
 from workbench.export import retargeting
@@ -84,4 +85,5 @@ READERS = (
     Reader("landmarks csv", make_landmarks_csv, read_landmarks),
     Reader("landmarks json", make_landmarks_json, read_landmarks),
     Reader("landmarks pts", make_landmarks_pts, read_landmarks),
+    *FACE_READERS,
 )

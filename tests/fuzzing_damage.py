@@ -7,15 +7,19 @@ other shapes, types and numbers, headers lie. Any bytes are changed, cut and dou
 import io
 import json
 import math
+import struct
 import tomllib
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
+import scipy.io
 import tomlkit
 from hypothesis import strategies as st
 
@@ -262,7 +266,7 @@ def damaged_arrays(draw: st.DrawFn, content: bytes) -> bytes:
         name = draw(st.sampled_from(sorted(members)))
         try:
             array = np.load(io.BytesIO(members[name]), allow_pickle=False)
-        except (ValueError, EOFError, OSError):
+        except (ValueError, TypeError, EOFError, OSError):
             continue
         members[name] = draw(damaged_array(array))
     return archive_of(members)
@@ -273,16 +277,23 @@ def damaged_array(draw: st.DrawFn, array: np.ndarray) -> bytes:
     """The .npy bytes of an array that was changed, or whose header lies about it."""
     if array.dtype.kind == "U" and array.ndim == 0 and array.item()[:1] == "{" and draw(st.integers(0, 9)):
         return npy(np.array(draw(damaged_json(array.item().encode())).decode()))
-    change = draw(st.sampled_from(("number", "number", "shape", "shape", "type", "header", "objects")))
+    change = draw(st.sampled_from((*("array",) * 5, "header", "objects")))
     if change == "objects":
         return npy(np.array([{"a": 1}, None], object))
     if change == "header":
         return _lying(draw, array)
+    return npy(draw(other_array(array)))
+
+
+@st.composite
+def other_array(draw: st.DrawFn, array: np.ndarray) -> np.ndarray:
+    """An array of another shape or type, or with an odd number in it."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
+        change = draw(st.sampled_from(("number", "number", "shape", "shape", "type")))
         if change == "number":
-            return npy(_with_odd_number(draw, array))
-        return npy(_reshaped(draw, array) if change == "shape" else _retyped(draw, array))
+            return _with_odd_number(draw, array)
+        return _reshaped(draw, array) if change == "shape" else _retyped(draw, array)
 
 
 def npy(array: np.ndarray, shape: tuple | None = None, descr: str | None = None, order: bool = False) -> bytes:
@@ -362,6 +373,63 @@ def _lying(draw: st.DrawFn, array: np.ndarray) -> bytes:
     return npy(array, shape, descr, draw(st.booleans()))
 
 
+# --- face models ---
+
+
+@st.composite
+def damaged_glb(draw: st.DrawFn, content: bytes) -> bytes:
+    """A .glb whose JSON stays JSON, and whose chunks have their lengths."""
+    size = struct.unpack_from("<I", content, 12)[0]
+    text = draw(damaged_json(content[20 : 20 + size]))
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + content[20 + size :]
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+@st.composite
+def damaged_matlab(draw: st.DrawFn, content: bytes) -> bytes:
+    """A .mat with another array, or something else, under one of its names."""
+    variables = {name: array for name, array in scipy.io.loadmat(io.BytesIO(content)).items() if name[0] != "_"}
+    name = draw(st.sampled_from(sorted(variables)))
+    array = draw(other_array(variables[name]))
+    odd = (
+        array
+        if array.dtype.kind in "biufc"
+        else draw(st.sampled_from(("text", {"a": 1.0}, np.array([1, "a"], object))))
+    )
+    stream = io.BytesIO()
+    scipy.io.savemat(stream, variables | {name: odd}, do_compression=draw(st.booleans()))
+    return stream.getvalue()
+
+
+@st.composite
+def damaged_hdf5(draw: st.DrawFn, content: bytes) -> bytes:
+    """An HDF5 file with another array or another kind of entry under one of its names."""
+    stream = io.BytesIO(content)
+    with h5py.File(stream, "a") as stored:
+        names: list[str] = []
+        stored.visit(names.append)
+        name = draw(st.sampled_from(names))
+        array = stored[name][()] if isinstance(stored[name], h5py.Dataset) else np.zeros(3)
+        del stored[name]
+        change = draw(
+            st.sampled_from(("array", "array", "array", "removed", "group", "link", "text", "lengths", "far"))
+        )
+        if change == "array" and array.dtype.kind in "iuf":
+            array = draw(other_array(array))
+            stored[name] = array if array.dtype.kind in "iufb" else np.zeros(2, "S3")
+        elif change == "group":
+            stored.create_group(name)
+        elif change == "link":
+            stored[name] = h5py.SoftLink(f"/{draw(st.sampled_from(names))}")
+        elif change == "far":
+            stored[name] = h5py.ExternalLink("/etc/passwd", "/a")
+        elif change == "text":
+            stored[name] = draw(st.sampled_from(("", "text", "[" * 5000)))
+        elif change == "lengths":
+            stored.create_dataset(name, shape=(2**20, 2**20), dtype="f4", chunks=draw(st.sampled_from((None, True))))
+    return stream.getvalue()
+
+
 # --- by suffix ---
 
 BY_SUFFIX: dict[str, tuple[Damage, ...]] = {
@@ -369,6 +437,10 @@ BY_SUFFIX: dict[str, tuple[Damage, ...]] = {
     ".toml": (damaged_toml, damaged_toml),
     ".csv": (damaged_rows, damaged_rows),
     ".npz": (damaged_arrays, damaged_arrays, damaged_members),
+    ".glb": (damaged_glb, damaged_glb),
+    ".mat": (damaged_matlab,),
+    ".h5": (damaged_hdf5,),
+    ".obj": (partial(damaged_rows, separator=" "),),
 }
 """Beside damage of any bytes; twice is twice as often."""
 
