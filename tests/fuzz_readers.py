@@ -5,12 +5,15 @@ Everything here may be imported by the judge's process: functions of the module,
 
 from pathlib import Path
 
+import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tests.fuzz_face_readers import FACE_READERS
 from tests.fuzzing import Reader
 from workbench import config as configuration
 from workbench.export import retargeting
+from workbench.geometry import Camera, Rig, View, project_to_view, rig_files
 from workbench.landmarks import files as landmark_files
 from workbench.landmarks.observations import Landmarks2D
 
@@ -79,11 +82,69 @@ def read_landmarks(folder: Path) -> None:
             assert np.isfinite(record.landmarks.points).all()
 
 
+def _rig() -> Rig:
+    camera = Camera(np.array([770.0, 765.0]), np.array([319.5, 239.5]), np.zeros(8))
+    turned = Rotation.from_rotvec([0.0, 0.5, 0.0]).as_matrix()
+    moved = np.array([0.0, 0.0, 600.0]) - turned @ [0.0, 0.0, 600.0]
+    return Rig(
+        (
+            View("front", (640, 480), camera, np.eye(3), np.zeros(3)),
+            View("side", (640, 480), camera, turned, moved),
+        )
+    )
+
+
+def make_rig_toml(folder: Path) -> None:
+    rig_files.write_rig(_rig(), folder / "rig.toml")
+
+
+def _make_opencv(path: Path) -> None:
+    left, right = _rig().views
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 640)
+    storage.write("image_height", 480)
+    storage.write("unit", "mm")
+    for number, view in enumerate((left, right), 1):
+        (fx, fy), (cx, cy) = view.camera.focal_px, view.camera.principal_point_px
+        storage.write(f"K{number}", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]))
+        storage.write(f"D{number}", view.camera.distortion[None, :5])
+    storage.write("R", right.rotation_view_world)
+    storage.write("T", right.translation_view_world_mm[:, None])
+    storage.release()
+
+
+def make_rig_yaml(folder: Path) -> None:
+    _make_opencv(folder / "rig.yml")
+
+
+def make_rig_json(folder: Path) -> None:
+    _make_opencv(folder / "rig.json")
+
+
+def make_rig_xml(folder: Path) -> None:
+    _make_opencv(folder / "rig.xml")
+
+
+def read_rig(folder: Path) -> None:
+    (path,) = folder.iterdir()
+    rig = rig_files.read_rig(path)
+    point = np.array([[0.0, 0.0, 600.0]])
+    for view in rig.names:
+        assert np.isfinite(rig.view(view).position_world_mm).all()
+        assert np.isfinite(np.asarray(rig.placed_view(view).rotation_view_reference)).all()
+    assert np.isfinite(np.asarray(project_to_view(point, rig.placed_view(0)))).all()
+    assert rig_files.rig_toml(rig)
+
+
 READERS = (
     Reader("configuration", make_config, read_config),
     Reader("retargeting", make_mapping, read_mapping),
     Reader("landmarks csv", make_landmarks_csv, read_landmarks),
     Reader("landmarks json", make_landmarks_json, read_landmarks),
     Reader("landmarks pts", make_landmarks_pts, read_landmarks),
+    Reader("rig toml", make_rig_toml, read_rig),
+    Reader("rig yaml", make_rig_yaml, read_rig),
+    Reader("rig json", make_rig_json, read_rig),
+    Reader("rig xml", make_rig_xml, read_rig),
     *FACE_READERS,
 )

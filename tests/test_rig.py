@@ -1,5 +1,6 @@
 """Calibrated rigs: laws of their poses, their files, and what is refused."""
 
+import json
 import re
 import textwrap
 from dataclasses import replace
@@ -10,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -43,6 +44,7 @@ from workbench.geometry import (
     write_rig,
     yaw_pitch_roll_deg,
 )
+from workbench.geometry.opencv_files import read_opencv_file
 
 SIZE = (640, 480)
 CAMERA = camera_from_fov(SIZE, 45.0)
@@ -559,6 +561,10 @@ LONE = {"K1": None, "K2": None, "K": MATRIX}
         (edited("translation = ", "translaton = "), "view 1: unknown key 'translaton'; did you mean translation"),
         (edited("name = ", "# name = "), "view 1: name is missing"),
         (edited('name = "side"', "name = 2"), "view 2: name is 2"),
+        (edited('name = "side"', f'name = "{"s" * 101}"'), "view 2: name is .* at most 100 letters"),
+        (edited('unit = "mm"', "unit = []"), r"unit is \[\]"),
+        (edited('unit = "mm"', "unit = " + "[" * 200 + "]" * 200), "nested more than 100 deep"),
+        (edited("[0.0, 0.0, 600.0]", "[0.0, 0.0, 1e12]"), "beyond 1e[+]09"),
         (edited("image_size = [640, 480]", "image_size = [640.5, 480]"), "whole pixels"),
         (edited("image_size = [640, 480]", "image_size = [640]"), "image_size has 1 entries, expected 2"),
         (edited("[0.0, 0.0, 600.0]", '"far"'), "translation is 'far', expected 3 numbers"),
@@ -596,6 +602,92 @@ def test_damaged_files_are_refused_in_one_sentence_that_names_them(tmp_path, cap
     assert "\n" not in str(refusal.value)
     assert not paths or paths[0].name in str(refusal.value)
     assert capfd.readouterr().err == ""
+
+
+MATRIX_TYPES = {"d": np.float64, "f": np.float32, "i": np.int32, "u": np.uint8}
+
+
+@pytest.mark.parametrize("suffix", ["yml", "json", "xml"])
+@settings(max_examples=15)
+@given(data=st.data())
+def test_matrices_are_those_that_opencv_reads(tmp_path_factory, suffix, data):
+    rows, cols = data.draw(st.integers(1, 4)), data.draw(st.integers(1, 5))
+    dtype = MATRIX_TYPES[data.draw(st.sampled_from(sorted(MATRIX_TYPES)))]
+    shape = (rows, cols, data.draw(st.sampled_from((1, 3))))
+    matrix = np.random.default_rng(data.draw(seeds)).uniform(0, 200, shape).astype(dtype)
+    comment, size = "written after a calibration", {"image_width": 640, "unit": "mm"}
+    path = tmp_path_factory.mktemp("matrix") / f"file.{suffix}"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in {"points": np.full((50, 2), np.nan), "K1": matrix, **size}.items():
+        storage.write(name, value)
+        storage.writeComment(comment)
+    storage.release()
+    found = read_opencv_file(path, re.compile("K1|image_width|unit"))
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    expected = storage.getNode("K1").mat()
+    np.testing.assert_array_equal(found.pop("K1").astype(expected.dtype), expected)
+    assert found == {"points": None, **size}
+
+
+def stored_matrix(**changed) -> dict[str, object]:
+    entry = {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": MATRIX.ravel().tolist(), **changed}
+    return {key: value for key, value in entry.items() if value is not None}
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"cols": None},
+        {"cols": -1},
+        {"rows": 0},
+        {"rows": 1.5},
+        {"rows": [3]},
+        {"cols": 10**12},
+        {"dt": "nonsense"},
+        {"dt": "9d"},
+        {"data": [1.0] * 8},
+        {"data": [1.0] * 8 + ["a"]},
+        {"data": [[1.0, 2.0, 3.0]] * 3},
+        {"data": "text"},
+        {"sizes": [2, 2]},
+        {"sizes": [3, 3, 10**9]},
+    ],
+)
+@pytest.mark.parametrize("suffix", ["json", "yml", "xml"])
+def test_a_matrix_whose_sizes_do_not_fit_is_refused(tmp_path, suffix, changed):
+    # OpenCV's own reader writes beyond its memory here.
+    path, entry = tmp_path / f"rig.{suffix}", stored_matrix(**changed)
+    if suffix == "xml":
+        data = " ".join(map(str, np.ravel(entry["data"]).tolist()[: -2 if np.ndim(entry["data"]) == 2 else None]))
+        fields = "".join(f"<{key}>{value}</{key}>" for key, value in {**entry, "data": data}.items())
+        path.write_text(f"<?xml version='1.0'?><opencv_storage><K1>{fields}</K1></opencv_storage>")
+    else:
+        tag = "" if suffix == "json" else "%YAML 1.2\n---\n"
+        path.write_text(tag + (json.dumps({"K1": entry}) if suffix == "json" else f"K1: {json.dumps(entry)}\n"))
+    with pytest.raises(InputError, match=r"cannot be read as an OpenCV file \(.+\); it may be cut off"):
+        read_rig(path, image_size=SIZE)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("rig.yml", "K1: &a [*a, *a]\n", "refers from one entry to another"),
+        ("rig.xml", '<!DOCTYPE a [<!ENTITY b "c">]><opencv_storage><K1>&b;</K1></opencv_storage>', "defines entities"),
+        ("rig.yml", "K1: [" + "1, " * 20_000 + "1]\n", "K1 has 60008 characters"),
+        ("rig.json", "[" + "1," * 2_500_000 + "1]", "more than 4 MB"),
+    ],
+    ids=["references", "entities", "a long matrix", "a long file"],
+)
+def test_files_that_would_take_all_memory_or_time_are_refused(tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(InputError, match=message):
+        read_rig(tmp_path / name)
+
+
+def test_calibrations_with_many_picture_points_are_read(tmp_path):
+    points = {"image_points": np.random.default_rng(2).uniform(0, 600, (3000, 2))}
+    rig = read_rig(save_opencv(tmp_path / "stereo.yml", **points, **PAIR, **WIDTH_HEIGHT))
+    assert rig.names == ("camera1", "camera2")
 
 
 def test_what_a_file_says_is_not_said_again(tmp_path):

@@ -23,12 +23,10 @@ does not say is OpenCV's: its pose convention, and `unit` and picture size must 
 
 import difflib
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import tomlkit
 from jaxtyping import Float
@@ -37,21 +35,35 @@ from scipy.spatial.transform import Rotation
 from workbench.errors import InputError
 from workbench.files import atomic_path
 from workbench.geometry.camera import camera_from_matrix
+from workbench.geometry.opencv_files import SUFFIXES as OPENCV_SUFFIXES
+from workbench.geometry.opencv_files import read_opencv_file
 from workbench.geometry.rig import Rig, View
+from workbench.reading import checked_file, reading, shortened, toml_tables
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 POSES = ("view_from_world", "world_from_view")
-OPENCV_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
 TOP_KEYS = ("version", "unit", "pose", "views")
 VIEW_KEYS = ("name", "image_size", "matrix", "distortion", "rotation", "translation")
 VERSION = 1
-MOST_NESTED = 16
+LARGEST = 1e9
+"""Of all numbers of a calibration; more is a damaged one."""
+LONGEST_NAME = 100
 
 MATRIX_NAMES = ("camera_matrix", "cameraMatrix", "K", "M")
 DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D")
 ROTATION_NAMES = ("rvec", "R", "rotation")
 TRANSLATION_NAMES = ("tvec", "T", "t", "translation")
 SIZE_NAMES = ("image_size", "imageSize")
+_WANTED = re.compile(
+    "|".join(
+        [
+            *(f"{name}[12]?" for name in (*MATRIX_NAMES, *DISTORTION_NAMES, "name")),
+            *(*ROTATION_NAMES, *TRANSLATION_NAMES, *SIZE_NAMES),
+            *("image_width", "image_height", "unit", "pose"),
+        ]
+    )
+)
+"""Entries of OpenCV's files that are read."""
 
 
 def read_rig(
@@ -66,17 +78,18 @@ def read_rig(
     if not paths:
         raise InputError("A rig is read from at least one file, got none.")
     for path in paths:
-        if not path.is_file():
-            raise InputError(f"The rig file {path} does not exist; check the name and the folder.")
+        absent = f"The rig file {path} does not exist; check the name and the folder."
+        checked_file(path, "a rig", absent=absent, may_be_empty=True)
         if path.suffix.lower() not in (".toml", *OPENCV_SUFFIXES):
             raise InputError(f"Rig files are .toml, or OpenCV's {', '.join(OPENCV_SUFFIXES)}; got {path.name}.")
-    if any(path.suffix.lower() == ".toml" for path in paths):
+    toml = any(path.suffix.lower() == ".toml" for path in paths)
+    if toml:
         if len(paths) > 1:
             raise InputError(f"A rig.toml holds all views, got {len(paths)} files; name it alone.")
         if unit is not None or image_size is not None:
             raise InputError(f"{paths[0]} says its unit and picture sizes itself; change them there.")
-        return _read_toml(paths[0])
-    return _read_opencv(paths, unit, image_size)
+    with reading(" and ".join(map(str, paths)), "a rig", "calibrate again or compare with `workbench rig --help`"):
+        return _read_toml(paths[0]) if toml else _read_opencv(paths, unit, image_size)
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
@@ -124,13 +137,11 @@ def _rows(matrix: list[list[float]]) -> tomlkit.items.Array:
 
 
 def _read_toml(path: Path) -> Rig:
-    try:
-        stored = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not valid TOML: {error}.") from error
+    stored = toml_tables(path)
     _check_keys(str(path), stored, TOP_KEYS, ("unit", "views"))
     if stored.get("version", VERSION) != VERSION:
-        raise InputError(f"{path}: version is {stored['version']!r}, this workbench reads {VERSION}; upgrade it.")
+        version = _shortened(stored["version"])
+        raise InputError(f"{path}: version is {version}, this workbench reads {VERSION}; upgrade it.")
     views = stored["views"]
     if not isinstance(views, list) or not all(isinstance(view, dict) for view in views):
         raise InputError(f"{path}: views must be tables; begin each with a line [[views]].")
@@ -141,7 +152,7 @@ def _read_toml(path: Path) -> Rig:
 def _toml_view(where: str, view: Mapping[str, Any], mm: float, pose: str) -> View:
     _check_keys(where, view, VIEW_KEYS, tuple(key for key in VIEW_KEYS if key != "distortion"))
     if not isinstance(view["name"], str):
-        raise InputError(f"{where}: name is {view['name']!r}, expected text in quotes.")
+        raise InputError(f"{where}: name is {_shortened(view['name'])}, expected text in quotes.")
     return _view(where, view["name"], _image_size(where, view["image_size"]), view, mm, pose)
 
 
@@ -149,7 +160,8 @@ def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str], need
     for key in table:
         if key not in known:
             near = difflib.get_close_matches(key, known, 1)
-            raise InputError(f"{where}: unknown key {key!r}; did you mean {near[0] if near else ', '.join(known)}?")
+            hint = near[0] if near else ", ".join(known)
+            raise InputError(f"{where}: unknown key {_shortened(key)}; did you mean {hint}?")
     missing = [key for key in needed if key not in table]
     if missing:
         raise InputError(f"{where}: {', '.join(missing)} is missing; a rig.toml needs {', '.join(needed)} there.")
@@ -159,7 +171,7 @@ def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str], need
 
 
 def _read_opencv(paths: Sequence[Path], unit: str | None, image_size: tuple[int, int] | None) -> Rig:
-    files = [_file_storage(path) for path in paths]
+    files = [read_opencv_file(path, _WANTED) for path in paths]
     merged: dict[str, Any] = {}
     for file in files:
         merged |= file
@@ -204,42 +216,6 @@ def _stereo(where: str, file: Mapping[str, Any], unit: str | None, image_size: t
     return _built(where, views)
 
 
-def _file_storage(path: Path) -> dict[str, Any]:
-    """The file's top level: arrays for matrices and lists, else numbers and text."""
-    text = path.read_text(encoding="utf-8", errors="replace")
-    _check_nesting(path, text)
-    try:
-        # From memory: OpenCV would print its own complaint about a file that it cannot open.
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY, "utf-8")
-        root = storage.root()
-        return {key: _node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118 (not a dict)
-    except (cv2.error, SystemError, ValueError) as error:
-        raise InputError(f"{path} cannot be read as an OpenCV file (cv2.FileStorage); it may be cut off.") from error
-
-
-def _check_nesting(path: Path, text: str) -> None:
-    """Refuse what would overflow the stack of OpenCV's parser, which takes the whole process with it."""
-    depth = deepest = 0
-    for token in re.finditer(r"(?P<opening>[\[{]|<\w)|[\]}]|</|/>", text):
-        depth += 1 if token["opening"] else -1
-        deepest = max(deepest, depth)
-    # YAML's lists nest by dashes too.
-    if deepest > MOST_NESTED or re.search(rf"(?:-\s+){{{MOST_NESTED}}}", text):
-        raise InputError(f"{path} nests its entries more than {MOST_NESTED} deep; that is no calibration.")
-
-
-def _node(node: "cv2.FileNode") -> Any:
-    if node.isString():
-        return node.string()
-    if node.isInt() or node.isReal():
-        return node.real()
-    if node.isSeq():
-        return [_node(node.at(i)) for i in range(node.size())]
-    if node.isMap() and "data" in node.keys():  # noqa: SIM118 (not a dict)
-        return node.mat()
-    return None
-
-
 def _named(file: Mapping[str, Any], names: Sequence[str], number: str = "") -> Any:
     """The first entry by any of its names, None if there is none."""
     return next((file[name + number] for name in names if file.get(name + number) is not None), None)
@@ -248,7 +224,8 @@ def _named(file: Mapping[str, Any], names: Sequence[str], number: str = "") -> A
 def _opencv_unit(where: str | Path, file: Mapping[str, Any], unit: str | None) -> float:
     stored = file.get("unit")
     if unit is not None and stored is not None and unit != stored:
-        raise InputError(f"{where} says that its unit is {stored!r}, and {unit!r} was asked for; leave one out.")
+        told = _shortened(stored)
+        raise InputError(f"{where} says that its unit is {told}, and {unit!r} was asked for; leave one out.")
     return _scale(where, unit or stored or "mm")
 
 
@@ -265,6 +242,8 @@ def _opencv_size(where: str | Path, file: Mapping[str, Any], image_size: tuple[i
 
 
 def _view(where: str, name: str, image_size: tuple[int, int], fields: Mapping[str, Any], mm: float, pose: str) -> View:
+    if not name.isprintable() or len(name) > LONGEST_NAME:
+        raise InputError(f"{where}: name is {_shortened(name)}, expected at most {LONGEST_NAME} letters on one line.")
     matrix = _numbers(where, "matrix", fields["matrix"], (9,)).reshape(3, 3)
     distortion = fields.get("distortion")
     coefficients = np.zeros(0) if distortion is None else _numbers(where, "distortion", distortion, None)
@@ -292,12 +271,14 @@ def _numbers(where: str, key: str, value: Any, counts: tuple[int, ...] | None) -
     expected = f"expected {' or '.join(map(str, counts))} numbers" if counts else "expected numbers"
     try:
         numbers = np.asarray(value, float).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{where}: {key} is {_shortened(value)}, {expected}.") from None
     if counts is not None and numbers.size not in counts:
         raise InputError(f"{where}: {key} has {numbers.size} entries, {expected}.")
     if not np.isfinite(numbers).all():
         raise InputError(f"{where}: {key} holds a number that is not finite; calibrate again.")
+    if (np.abs(numbers) > LARGEST).any():
+        raise InputError(f"{where}: {key} holds a number beyond {LARGEST:g}; calibrate again.")
     return numbers
 
 
@@ -309,21 +290,23 @@ def _image_size(where: str, value: Any) -> tuple[int, int]:
 
 
 def _scale(where: str | Path, unit: Any) -> float:
-    if unit not in MM_PER_UNIT:
-        raise InputError(f"{where}: unit is {unit!r}; say what lengths are measured in: {', '.join(MM_PER_UNIT)}.")
+    if not isinstance(unit, str) or unit not in MM_PER_UNIT:
+        raise InputError(
+            f"{where}: unit is {_shortened(unit)}; say what lengths are measured in: {', '.join(MM_PER_UNIT)}."
+        )
     return MM_PER_UNIT[unit]
 
 
 def _pose(where: str | Path, pose: Any) -> str:
     if pose not in POSES:
         raise InputError(
-            f"{where}: pose is {pose!r}; it is {POSES[0]} (OpenCV's x_view = R·x_world + t) or {POSES[1]}."
+            f"{where}: pose is {_shortened(pose)}; it is {POSES[0]} (OpenCV's x_view = R·x_world + t) or {POSES[1]}."
         )
     return pose
 
 
 def _keys(file: Mapping[str, Any]) -> str:
-    return ", ".join(file) or "none"
+    return shortened(", ".join(file)) or "none"
 
 
 def _shortened(value: Any) -> str:
