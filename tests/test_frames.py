@@ -265,6 +265,10 @@ def header_only(folder: Path) -> Path:
         pytest.param(header_only, "video", id="no frames"),
         pytest.param(lambda folder: folder, "found none", id="folder without pictures"),
         pytest.param(lambda folder: [], "empty list", id="nothing"),
+        pytest.param(lambda folder: "n" * 5000, "cannot be opened", id="endless name"),
+        pytest.param(lambda folder: "n" * 5000 + ".png", "cannot be opened", id="endless name of a picture"),
+        pytest.param(lambda folder: "a\0b.mp4", "cannot be opened", id="name with NUL"),
+        pytest.param(lambda folder: ["n" * 5000, "b.png"], "cannot be opened", id="endless name among others"),
         pytest.param(lambda folder: [folder / "a.png", folder / "b.mp4"], "must all be images", id="mixture"),
     ],
 )

@@ -4,6 +4,7 @@ Every picture is UInt8 (height, width, 3) RGB. A stream never holds more than th
 video needs no more memory than a second, and `iterate(start)` delivers identical pictures whenever it is called again.
 """
 
+import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
@@ -50,6 +51,8 @@ HEADERS = (
 """Readers of the headers of these formats; OpenCV decodes."""
 DECODER_LIMITS = {"max_pixels": str(MOST_PIXELS)}
 """FFmpeg's own: frames may also grow in the middle of a video."""
+
+AS_VIDEO = ("a video", "convert it to MP4 (H.264)")
 
 KEY_FRAME_SPACING = 100
 """Frames between remembered seek points: a few numbers per four seconds of video, instead of one per key frame."""
@@ -99,7 +102,7 @@ def open_frames(inputs: str | Path | Sequence[str | Path]) -> Frames:
     """
     if isinstance(inputs, str | Path):
         path = Path(inputs)
-        if path.is_dir():
+        if os.path.isdir(path):
             return ImageFrames(images_in_folder(path), name=path.resolve().name)
         return _open_file(path)
     paths = [Path(item) for item in inputs]
@@ -108,14 +111,16 @@ def open_frames(inputs: str | Path | Sequence[str | Path]) -> Frames:
     if len(paths) == 1:
         return open_frames(paths[0])
     for path in paths:
-        if path.suffix.lower() in VIDEO_SUFFIXES or path.is_dir():
+        if path.suffix.lower() in VIDEO_SUFFIXES or os.path.isdir(path):
             raise InputError(f"several inputs must all be images, got {path}: open a video or a folder on its own")
     return ImageFrames(paths, name=paths[0].stem)
 
 
 def images_in_folder(folder: Path) -> list[Path]:
     """The images directly inside `folder` in natural order; hidden files are left out. Raises `InputError` if none."""
-    files = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
+    with reading(folder, "a folder of pictures", "check that you may read it"):
+        listed = list(folder.iterdir())
+    files = [p for p in listed if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
     if not files:
         raise InputError(f"expected pictures ({', '.join(IMAGE_SUFFIXES)}) in the folder {folder}, found none")
     return sorted(files, key=_natural_key)
@@ -242,7 +247,7 @@ class VideoFrames:
         self.notes: list[str] = []
         self._key_frames: dict[int, int] = {}  # frame index -> presentation time stamp
         self._damaged = False
-        with self._open() as container:
+        with reading(self.path, *AS_VIDEO), self._open() as container:
             stream = container.streams.video[0]
             rate = stream.average_rate or stream.guessed_rate
             self.rate = float(rate) if rate else None
@@ -262,7 +267,7 @@ class VideoFrames:
         """Yield the frames from index `start` on."""
         start = _checked_start(start)
         origin = max((index for index in self._key_frames if index <= start), default=0)
-        with ExitStack() as stack:
+        with reading(self.path, *AS_VIDEO), ExitStack() as stack:
             decoded = self._decoded_after_seek(stack.enter_context(self._open()), origin) if origin else None
             if decoded is None:
                 origin, decoded = 0, self._decoded(stack.enter_context(self._open()))

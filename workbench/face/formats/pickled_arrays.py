@@ -15,7 +15,7 @@ import scipy.sparse
 
 from workbench.errors import ModelError
 from workbench.inert_pickle import Name, Record, UnreadableError, named, unpickled
-from workbench.reading import array_header, check_numbers_held, checked_content, checked_members, reading
+from workbench.reading import array_header, check_numbers_held, checked_content, checked_members, reading, shortened
 
 DEEPEST = 30
 """Levels beyond which a structure is no model but a trap."""
@@ -60,7 +60,8 @@ def array_of(arrays: dict[str, Any], key: str, path: object) -> np.ndarray:
 
 
 def _kind(value: Any) -> str:
-    return ".".join(value.name) if isinstance(value, Record) and isinstance(value.name, Name) else type(value).__name__
+    called = isinstance(value, Record) and isinstance(value.name, Name)
+    return shortened(".".join(value.name)) if called else type(value).__name__
 
 
 def _read_npz(stream: IO[bytes]) -> dict[str, Any]:
