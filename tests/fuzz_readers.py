@@ -3,6 +3,7 @@
 Everything here may be imported by the judge's process: functions of the module, nothing but the package behind them.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,9 +14,14 @@ from tests.fuzz_face_readers import FACE_READERS
 from tests.fuzzing import Reader
 from workbench import config as configuration
 from workbench.export import retargeting
-from workbench.geometry import Camera, Rig, View, project_to_view, rig_files
+from workbench.export.clip import main_identity
+from workbench.geometry import Camera, Rig, View, project, project_to_view, rig_files
 from workbench.landmarks import files as landmark_files
 from workbench.landmarks.observations import Landmarks2D
+from workbench.session.material import material_of_track
+from workbench.tracking import FrameFit, Track
+from workbench.tracking.records import frame_errors, stack_fits
+from workbench.tracking.track_reader import TrackReader
 
 NAMES = ("jawOpen", "mouthSmileLeft", "mouthSmileRight")
 CHARACTER = ("Mouth_Open", "Smile")
@@ -136,6 +142,85 @@ def read_rig(folder: Path) -> None:
     assert rig_files.rig_toml(rig)
 
 
+EXPRESSION = ("jawOpen", "mouthSmileLeft", "mouthSmileRight", "browInnerUp")
+
+
+def make_track(folder: Path) -> None:
+    rng, size = np.random.default_rng(4), (640, 480)
+    fits = []
+    for index in range(5):
+        unknown = np.nan if index == 2 else 1.0
+        points = rng.uniform(0, 400, (68, 2))
+        fits.append(
+            FrameFit(
+                index=index,
+                found=index != 2,
+                shot=0,
+                source="none" if index == 2 else "detected",
+                image_size=size,
+                camera=Camera(np.full(2, 700.0), np.array([319.5, 239.5]), np.zeros(8)),
+                rotation=rng.normal(0, 0.1, 3) * unknown,
+                translation=np.array([0.0, 0.0, 600.0]) * unknown,
+                expression=rng.uniform(0, 1, len(EXPRESSION)) * unknown,
+                identity=rng.normal(0, 1, 3) * unknown,
+                observed=points * unknown,
+                confidence=np.ones(68) * unknown,
+                projected=(points + 1.0) * unknown,
+                energies=np.zeros((2, 7)),
+                status=np.zeros(2, int),
+                iterations=np.ones(2, int),
+                milliseconds=np.zeros(3),
+            )
+        )
+    meta = {
+        "expression_names": list(EXPRESSION),
+        "stages": ["pose", "expression"],
+        "config": configuration.preset("joint").model_dump(mode="json"),
+        "inputs": [{"path": "clip.mp4", "sha256": "0" * 64}],
+        "landmarks": None,
+        "names": [],
+        "stills": False,
+        "frames": [0, 4],
+        "rate": 25.0,
+        "model": {"name": "default-head", "sha256": "0" * 64},
+        "versions": {"workbench": "0.2.0"},
+    }
+    Track(meta=meta, **stack_fits(fits)).save(folder / "track.npz")
+
+
+def _use_frame(fit: FrameFit, names: tuple[str, ...]) -> None:
+    assert len(fit.expression) == len(names)
+    if fit.found and fit.failure != "not finite":
+        assert all(np.isfinite(values).all() for values in (fit.rotation, fit.translation, fit.expression, fit.jaw))
+        assert np.isfinite(fit.angles_deg).all()
+        assert np.isfinite(fit.residuals_px).all()
+        assert np.isfinite(np.asarray(project(fit.camera, np.array([[0.0, 0.0, 600.0]])))).all()
+    if fit.landmarks is not None:
+        assert np.isfinite(fit.landmarks.points).all()
+
+
+def _use_track(track: Track) -> None:
+    for position in (0, len(track) // 2, len(track) - 1):
+        _use_frame(track[position], track.expression_names)
+    assert frame_errors(track).shape == (len(track), 4)
+    assert main_identity(track)[0].shape == track.identity.shape[1:]
+    material_of_track(replace(track, meta={**track.meta, "inputs": []}))
+    if track.meta.get("config"):
+        configuration.parse_config(track.meta["config"], "track")
+
+
+def read_track(folder: Path) -> None:
+    _use_track(Track.load(folder / "track.npz"))
+
+
+def read_track_by_frames(folder: Path) -> None:
+    reader = TrackReader(folder / "track.npz")
+    fits = list(reader)
+    assert len(fits) == len(reader)
+    for fit in fits:
+        _use_frame(fit, tuple(reader.meta["expression_names"]))
+
+
 READERS = (
     Reader("configuration", make_config, read_config),
     Reader("retargeting", make_mapping, read_mapping),
@@ -146,5 +231,7 @@ READERS = (
     Reader("rig yaml", make_rig_yaml, read_rig),
     Reader("rig json", make_rig_json, read_rig),
     Reader("rig xml", make_rig_xml, read_rig),
+    Reader("track", make_track, read_track),
+    Reader("track by frames", make_track, read_track_by_frames),
     *FACE_READERS,
 )

@@ -586,7 +586,8 @@ def tracked(head, points, truth):
 
 
 def test_a_track_keeps_jaw_scale_and_failure(head, tracked, tmp_path):
-    meta = {"format": "face-energy-workbench-track", "format_version": 2, "expression_names": []}
+    names = list(head.expression_names)
+    meta = {"format": "face-energy-workbench-track", "format_version": 2, "expression_names": names}
     Track(**stack_fits(tracked), meta=meta).save(tmp_path / "track.npz")
     loaded = Track.load(tmp_path / "track.npz")
     for before, after in zip(tracked, loaded, strict=False):
@@ -596,11 +597,11 @@ def test_a_track_keeps_jaw_scale_and_failure(head, tracked, tmp_path):
     assert np.isnan(loaded[1].jaw).all()
 
 
-def test_a_track_from_before_the_jaw_loads(tracked, tmp_path):
+def test_a_track_from_before_the_jaw_loads(head, tracked, tmp_path):
     arrays = stack_fits(tracked)
     for name in ("jaw", "scale", "failure"):
         del arrays[name]
-    meta = meta_array({"expression_names": []})
+    meta = meta_array({"expression_names": list(head.expression_names)})
     np.savez_compressed(tmp_path / "old.npz", meta=meta, **arrays)
     loaded = Track.load(tmp_path / "old.npz")
     assert not loaded.jaw.any()

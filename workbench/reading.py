@@ -187,8 +187,11 @@ def check_numbers_held(name: str, shape: tuple[int, ...], dtype: np.dtype, size:
         raise ValueError(f"{name} declares {count} numbers and holds {size} bytes")
 
 
-def array_header(content: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
-    """Shape and type that an .npy stream declares, which then stands at its numbers. Raises ValueError for damage."""
+def array_header(content: IO[bytes], by_rows: bool = False) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type that an .npy stream declares, which then stands at its numbers.
+
+    Raises ValueError for damage and, if asked for an array `by_rows`, for one that is stored by columns.
+    """
     version = np.lib.format.read_magic(content)
     readers: dict[tuple[int, int], Callable[..., Any]] = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -196,7 +199,9 @@ def array_header(content: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     }
     if version not in readers:
         raise ValueError(f"it holds an array of the unknown layout {version}")
-    shape, _, dtype = readers[version](content)
+    shape, by_columns, dtype = readers[version](content)
+    if by_rows and by_columns and len(shape) > 1:
+        raise ValueError("it holds an array that is stored by columns")
     if any(not isinstance(length, int) or length < 0 for length in shape):
         raise ValueError(f"it holds an array of the shape {shape}")
     return shape, dtype

@@ -1,27 +1,29 @@
 """What a fit leaves: one frame (`FrameFit`) and a whole run (`Track`)."""
 
-import json
-import zipfile
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from workbench.errors import InputError
 from workbench.files import atomic_path
 from workbench.geometry import Camera, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
+from workbench.reading import checked_arrays, checked_file, reading
+from workbench.tracking.track_layout import (
+    FAILURES,
+    LAYOUT,
+    SOURCES,
+    checked_columns,
+    checked_meta,
+    in_todays_layout,
+    meta_array,
+)
 
-FORMAT = "face-energy-workbench-track"
-FORMAT_VERSION = 3
-FAILURES = ("", "jaw and face disagree", "large error", "not finite")
-"""Why a fit is no good although there was a face (Deep Energies Sec. 8.2); stored as an index."""
-SOURCES = ("none", "detected", "tracked", "given", "filled")
-"""Where the landmarks of a frame came from (filled: from its neighbours, by infill); stored as an index."""
+DAMAGED = "a track, it is damaged or no workbench track", "run the tracking again"
+"""What is said of a file that cannot be read, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -137,47 +139,27 @@ class Track:
     def save(self, path: str | Path) -> None:
         """Write the track as one .npz file, whole or not at all."""
         with atomic_path(path) as temporary, temporary.open("wb") as stream:
-            arrays = {name: getattr(self, name) for name in ARRAYS}
+            # By rows, as `TrackReader` reads them.
+            arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in ARRAYS}
             np.savez_compressed(stream, meta=meta_array(self.meta), **arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> "Track":
-        """Read a track. Raises `InputError` for a missing, truncated or foreign file."""
-        path = Path(path)
-        if not path.is_file():
-            raise InputError(f"The track {path} does not exist; `workbench track INPUT` writes track.npz.")
-        try:
-            # Opened here, because NumPy leaves a damaged archive open.
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-                return cls(meta=checked_meta(stored, path), **in_todays_layout(stored, len(stored["index"])))
-        except (zipfile.BadZipFile, KeyError, ValueError, OSError, EOFError, AttributeError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"{path} is damaged or no workbench track ({error}); run the tracking again.") from error
+        """Read a track of any version. Raises `InputError` for a missing, damaged or foreign file."""
+        path = checked_track_file(path)
+        with reading(path, *DAMAGED), path.open("rb") as stream, checked_arrays(stream) as stored:
+            meta = checked_meta(stored, path)
+            columns = in_todays_layout(stored, len(stored["index"]))
+            return cls(meta=meta, **checked_columns(columns, meta["expression_names"]))
 
 
-ARRAYS = tuple(entry.name for entry in fields(Track) if entry.name != "meta")
+ARRAYS = tuple(LAYOUT)
 
 
-def checked_meta(stored: Mapping[str, np.ndarray], path: Path) -> dict[str, Any]:
-    """The metadata of a track's arrays. Raises `InputError` for a foreign file and one of a newer workbench."""
-    meta = json.loads(stored["meta"].item())
-    if meta.get("format") != FORMAT:
-        raise InputError(f"{path} is no workbench track; pass the track.npz of a run.")
-    if meta.get("format_version", 0) > FORMAT_VERSION:
-        raise InputError(f"{path} was written by a newer workbench; upgrade to read it.")
-    return meta
-
-
-def in_todays_layout(stored: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    """All arrays of a track of `count` frames; those that older versions did not write as they were then."""
-    old = {"jaw": np.zeros((count, 6)), "scale": np.ones(count), "failure": np.zeros(count, np.int8)}
-    return {name: stored[name] if name in stored or name not in old else old[name] for name in ARRAYS}
-
-
-def meta_array(meta: dict[str, Any]) -> np.ndarray:
-    """The metadata as the scalar text array that is stored in the file."""
-    return np.array(json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION, **meta}))
+def checked_track_file(path: str | Path) -> Path:
+    """The path of what may be a track. Raises `InputError` for what is no file."""
+    absent = f"The track {path} does not exist; `workbench track INPUT` writes track.npz."
+    return checked_file(path, "a track", absent=absent)
 
 
 def stack_fits(fits: list[FrameFit]) -> dict[str, np.ndarray]:

@@ -4,14 +4,17 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
-from workbench.errors import InputError
-from workbench.tracking.records import ARRAYS, FrameFit, Track, checked_meta, in_todays_layout
+from workbench.reading import array_header, checked_arrays, reading
+from workbench.tracking.records import DAMAGED, FrameFit, Track, checked_track_file
+from workbench.tracking.track_layout import LAYOUT, check_layout, checked_columns, checked_meta, in_todays_layout
 
 BLOCK_FRAMES = 256
+MOST_BYTES = 2**40
+"""Of all frames: they are never in memory at once."""
 
 
 class TrackReader:
@@ -19,21 +22,14 @@ class TrackReader:
 
     def __init__(self, path: str | Path):
         """Raises `InputError` for a missing, damaged or foreign file."""
-        self.path = Path(path)
-        if not self.path.is_file():
-            raise InputError(f"The track {self.path} does not exist; `workbench track INPUT` writes track.npz.")
-        try:
-            # Opened here, because NumPy leaves a damaged archive open.
-            with self.path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+        self.path = checked_track_file(path)
+        with reading(self.path, *DAMAGED):
+            with self.path.open("rb") as stream, checked_arrays(stream, MOST_BYTES) as stored:
                 self.meta: dict[str, Any] = checked_meta(stored, self.path)
-            with zipfile.ZipFile(self.path) as archive, archive.open("index.npy") as member:
-                self._count = _header(member)[0][0]
-        except (zipfile.BadZipFile, KeyError, ValueError, OSError, EOFError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(
-                f"{self.path} is damaged or no workbench track ({error}); run the tracking again."
-            ) from error
+            with ExitStack() as stack:
+                layouts = {name: layout for name, (_, *layout) in self._members(stack).items()}
+                (self._count,) = layouts["index"][0]
+                check_layout(layouts, self._count, self.meta["expression_names"])
 
     def __len__(self) -> int:
         return self._count
@@ -44,24 +40,31 @@ class TrackReader:
                 yield block[position]
 
     def blocks(self) -> Iterator[Track]:
-        """Consecutive pieces as tracks of their own."""
+        """Consecutive pieces as tracks of their own. Raises `InputError` where the file turns out to be damaged."""
+        last = -1
         with ExitStack() as stack:
-            archive = stack.enter_context(zipfile.ZipFile(self.path))
-            names = [name for name in ARRAYS if f"{name}.npy" in archive.namelist()]
-            members = {name: stack.enter_context(archive.open(f"{name}.npy")) for name in names}
-            layouts = {name: _header(member) for name, member in members.items()}
+            with reading(self.path, *DAMAGED):
+                members = self._members(stack)
             for first in range(0, self._count, BLOCK_FRAMES):
-                rows = min(BLOCK_FRAMES, self._count - first)
-                arrays = {}
-                for name, member in members.items():
-                    (_, *shape), dtype = layouts[name]
-                    size = rows * int(np.prod(shape, dtype=int)) * dtype.itemsize
-                    arrays[name] = np.frombuffer(member.read(size), dtype).reshape(rows, *shape)
-                yield Track(meta=self.meta, **in_todays_layout(arrays, rows))
+                with reading(self.path, *DAMAGED):
+                    rows = min(BLOCK_FRAMES, self._count - first)
+                    arrays = {name: _rows(rows, *member) for name, member in members.items()}
+                    columns = checked_columns(in_todays_layout(arrays, rows), self.meta["expression_names"])
+                    if columns["index"][0] <= last:
+                        raise ValueError("its frames do not ascend")
+                    last = columns["index"][-1]
+                # Outside: what a user of the frames raises is no damage of the file.
+                yield Track(meta=self.meta, **columns)
+
+    def _members(self, stack: ExitStack) -> dict[str, tuple[IO[bytes], tuple[int, ...], np.dtype]]:
+        """Each array as a stream that stands at its first row, its shape and type."""
+        archive = stack.enter_context(zipfile.ZipFile(self.path))
+        names = [name for name in LAYOUT if f"{name}.npy" in archive.namelist()]
+        members = {name: stack.enter_context(archive.open(f"{name}.npy")) for name in names}
+        return {name: (member, *array_header(member, by_rows=True)) for name, member in members.items()}
 
 
-def _header(member) -> tuple[tuple[int, ...], np.dtype]:
-    version = np.lib.format.read_magic(member)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(member)
-    return shape, dtype
+def _rows(rows: int, member: IO[bytes], shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """The next rows of an array."""
+    size = rows * int(np.prod(shape[1:], dtype=int)) * dtype.itemsize
+    return np.frombuffer(member.read(size), dtype).reshape(rows, *shape[1:])

@@ -1,0 +1,179 @@
+"""What a stored track must hold: names, types and sizes of its arrays, and the keys of its metadata."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from workbench.errors import InputError
+from workbench.reading import checked_json, shortened
+
+FORMAT = "face-energy-workbench-track"
+FORMAT_VERSION = 3
+FAILURES = ("", "jaw and face disagree", "large error", "not finite")
+"""Why a fit is no good although there was a face (Deep Energies Sec. 8.2); stored as an index."""
+SOURCES = ("none", "detected", "tracked", "given", "filled")
+"""Where the landmarks of a frame came from (filled: from its neighbours, by infill); stored as an index."""
+
+LAYOUT: Mapping[str, tuple[str, tuple[int | str, ...]]] = {
+    "index": ("iu", ()),
+    "found": ("b", ()),
+    "shot": ("iu", ()),
+    "source": ("iu", ()),
+    "image_size": ("iu", (2,)),
+    "focal_px": ("f", (2,)),
+    "principal_point_px": ("f", (2,)),
+    "distortion": ("f", (8,)),
+    "rotation": ("f", (3,)),
+    "translation": ("f", (3,)),
+    "expression": ("f", ("blendshapes",)),
+    "identity": ("f", ("identity components",)),
+    "observed": ("f", (68, 2)),
+    "confidence": ("f", (68,)),
+    "projected": ("f", (68, 2)),
+    "energies": ("f", ("stages", "energies")),
+    "status": ("iu", ("stages",)),
+    "iterations": ("iu", ("stages",)),
+    "milliseconds": ("f", (3,)),
+    "jaw": ("f", (6,)),
+    "scale": ("f", ()),
+    "failure": ("iu", ()),
+}
+"""Kind of numbers (NumPy's letters) and sizes of one frame; a named size is the same wherever its name stands."""
+LATER = ("jaw", "scale", "failure")
+"""What the first version did not write."""
+MOST_NAMED = 10_000
+"""Of blendshapes, identity components, stages, energies."""
+LARGEST = 1e30
+"""Of all numbers of a fit: they are computed with as 32 bits, too."""
+FITTED = (
+    *("focal_px", "principal_point_px", "distortion", "rotation", "translation", "expression", "identity"),
+    *("observed", "confidence", "projected", "jaw", "scale"),
+)
+"""What must be finite in a frame with a face."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
+
+
+class _File(_Section):
+    path: Annotated[str, Field(min_length=1, pattern=r"^[^\x00]*$")]
+    sha256: str = ""
+
+
+class _Model(_Section):
+    name: str = ""
+    sha256: str | None = None
+
+
+class _Metadata(_Section):
+    """What is used of the metadata; there may be more."""
+
+    expression_names: list[str]
+    stages: list[str] = []
+    steps: list[str] = []
+    config: dict[str, Any] | None = None
+    inputs: list[_File] = []
+    views: dict[str, str] | None = None
+    landmarks: _File | None = None
+    detector: str | None = None
+    names: list[str] = []
+    stills: bool = False
+    frames: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)] | None = None
+    rate: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
+    camera_guessed: bool = True
+    model: _Model | None = None
+    retargeted_from: _Model | None = None
+    versions: dict[str, Any] = {}
+    live: dict[str, Any] | None = None
+
+
+def checked_meta(stored: Mapping[str, np.ndarray], path: Path) -> dict[str, Any]:
+    """The metadata of a track's arrays.
+
+    Raises `InputError` for a foreign file, one of a newer workbench, and keys that are not as they are written.
+    """
+    text = stored["meta"].item()
+    meta = checked_json(text) if isinstance(text, str) else None
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        raise InputError(f"{path} is no workbench track; pass the track.npz of a run.")
+    version = meta.get("format_version", 0)
+    if not isinstance(version, int) or version > FORMAT_VERSION:
+        raise InputError(f"{path} was written by a newer workbench; upgrade to read it.")
+    try:
+        _Metadata.model_validate(meta)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        place = shortened(".".join(str(part) for part in problem["loc"]))
+        told = f"{place}: {problem['msg']}, got {shortened(repr(problem['input']))}"
+        raise InputError(f"{path} has damaged metadata ({told}); run the tracking again.") from error
+    return meta
+
+
+def meta_array(meta: dict[str, Any]) -> np.ndarray:
+    """The metadata as the scalar text array that is stored in the file."""
+    return np.array(json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION, **meta}))
+
+
+def in_todays_layout(stored: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+    """All arrays of a track of `count` frames; those that older versions did not write as they were then."""
+    old = {"jaw": np.zeros((count, 6)), "scale": np.ones(count), "failure": np.zeros(count, np.int8)}
+    return {name: stored[name] if name in stored or name not in LATER else old[name] for name in LAYOUT}
+
+
+def checked_columns(columns: Mapping[str, np.ndarray], names: list[str]) -> dict[str, np.ndarray]:
+    """The arrays of a track (or of consecutive frames of one) with these blendshapes, as they are.
+
+    Raises ValueError where types, sizes or numbers are none of a track: lengths that differ, frames out of order,
+    sources that do not exist, numbers of a fitted face that are not finite.
+    """
+    count = len(columns["index"])
+    check_layout({name: (columns[name].shape, columns[name].dtype) for name in LAYOUT}, count, names)
+    _check_numbers(columns)
+    return {name: columns[name] for name in LAYOUT}
+
+
+def check_layout(layouts: Mapping[str, tuple[tuple[int, ...], np.dtype]], count: int, names: list[str]) -> None:
+    """Raise ValueError unless arrays of these shapes and types are those of a track of `count` frames."""
+    if not count:
+        raise ValueError("it holds no frame")
+    named = {"blendshapes": len(names)}
+    for name, (kinds, expected) in LAYOUT.items():
+        if name not in layouts and name in LATER:
+            continue
+        shape, dtype = layouts[name]
+        if dtype.kind not in kinds or (dtype.kind == "f" and dtype.itemsize not in (4, 8)):
+            raise ValueError(f"{name} holds {dtype} numbers")
+        if len(shape) == 1 + len(expected):
+            for size, length in zip(expected, shape[1:], strict=True):
+                if isinstance(size, str):
+                    named.setdefault(size, length)
+        wanted = (count, *(named.get(size, 0) if isinstance(size, str) else size for size in expected))
+        if shape != wanted or max(named.values()) > MOST_NAMED:
+            raise ValueError(f"{name} has the shape {shape}, expected {wanted}")
+
+
+def _check_numbers(columns: Mapping[str, np.ndarray]) -> None:
+    index, found = columns["index"], columns["found"]
+    if index[0] < 0 or (np.diff(index.astype(float)) <= 0).any():
+        raise ValueError("its frames do not ascend")
+    for name, entries in (("source", SOURCES), ("failure", FAILURES)):
+        if not ((columns[name] >= 0) & (columns[name] < len(entries))).all():
+            raise ValueError(f"{name} goes beyond the {len(entries)} there are")
+    if (columns["image_size"] < 1).any():
+        raise ValueError("a picture has no pixels")
+    fitted = found & (columns["failure"] != FAILURES.index("not finite"))
+    for name in FITTED:
+        if not _usable(columns[name][fitted]).all():
+            raise ValueError(f"{name} of a frame with a face is not finite")
+    if (columns["focal_px"][fitted] <= 0).any() or (columns["scale"][fitted] <= 0).any():
+        raise ValueError("a focal length or scale is not positive")
+
+
+def _usable(numbers: Float[np.ndarray, "..."]) -> Bool[np.ndarray, "..."]:
+    return np.abs(numbers) < LARGEST  # False for NaN
