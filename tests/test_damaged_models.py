@@ -129,9 +129,20 @@ def a_link_out(stored):
     stored["shape/model/mean"] = h5py.ExternalLink("/etc/passwd", "/x")
 
 
-def a_soft_link(stored):
+def a_link_to_itself(stored):
     del stored["shape/model/mean"]
-    stored["shape/model/mean"] = h5py.SoftLink("/color/model/mean")
+    stored["shape/model/mean"] = h5py.SoftLink("mean")
+
+
+def a_way_out(stored):
+    stored["out"] = h5py.ExternalLink("/etc/passwd", "/x")
+    del stored["shape/model/mean"]
+    stored["shape/model/mean"] = h5py.SoftLink("/out/mean")
+
+
+def moved_behind_a_link(stored):
+    stored.move("shape/representer", "common")
+    stored["shape/representer"] = h5py.SoftLink("/common")
 
 
 def numbers_of_another_file(stored):
@@ -151,7 +162,8 @@ def endless(stored):
     [
         (with_entry(a_group), "no data set"),
         (with_entry(a_link_out), "is a link"),
-        (with_entry(a_soft_link), "is a link"),
+        (with_entry(a_link_to_itself), "is a link"),
+        (with_entry(a_way_out), "is a link"),
         (with_entry(numbers_of_another_file), "another file"),
         (with_entry(endless), "declares 4398046511104 bytes"),
         (replaced("shape/model/mean", data="text"), "holds|expected"),
@@ -166,6 +178,12 @@ def endless(stored):
 )
 def test_entries_of_another_kind_are_refused(damage, message, tmp_path):
     refused(lambda path: read_basel_h5(path, None, None), damage(tmp_path), message)
+
+
+def test_links_within_the_file_are_followed(tmp_path):
+    linked = read_basel_h5(with_entry(moved_behind_a_link)(tmp_path), None, None)
+    np.testing.assert_array_equal(linked.triangles, SUBJECT.triangles)
+    assert list(linked.landmarks) == [30]
 
 
 def test_a_crash_of_the_hdf5_library_is_a_sentence(tmp_path, monkeypatch):
@@ -215,7 +233,7 @@ def as_gnm(folder, **changes):
         (as_gnm, {"template_joint_positions": np.float64(1.0)}, "template_joint_positions"),
         (as_gnm, {"joint_identity_basis": np.full((10, 3, 3), np.nan)}, "not finite"),
         (as_gnm, {"mirror_indices": np.full(72, -1)}, "names number -1"),
-        (as_gnm, {"mirror_indices": np.arange(3)}, "mirror_indices has shape"),
+        (as_gnm, {"mirror_indices": np.linspace(0.0, 71.0, 72)}, "mirror_indices holds float64"),
     ],
 )
 def test_arrays_that_are_no_parts_of_a_face_are_refused(write, changes, message, tmp_path):

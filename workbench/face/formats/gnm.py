@@ -34,8 +34,10 @@ def gnm_model(path: Path, arrays: dict[str, Any], identity: int | None, expressi
     kept_people, kept_faces = _largest(people, identity), _largest(faces, expressions)
     joints, joint_deltas = _joints(path, arrays, kept_people, len(people))
     mirror = arrays.get("mirror_indices")
-    if mirror is not None:
-        check_indices(path, "mirror_indices", mirror, (len(vertices),), len(vertices))
+    if not isinstance(mirror, np.ndarray) or mirror.shape != (len(vertices),):
+        mirror = None
+    else:
+        check_indices(path, "mirror_indices", mirror, mirror.shape, len(vertices))
     return RawModel(
         name=path.stem,
         vertices=vertices,

@@ -21,6 +21,8 @@ import numpy as np
 REFUSED = 3
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
 """What may have packed the numbers; the HDF5 library would load code from outside for others."""
+MOST_LINKS = 10
+"""Links within the file on the way to one data set."""
 MOST_PACKED = 1100
 """Bytes of numbers for each byte in the file: gzip cannot pack more than 1032 into one."""
 
@@ -41,15 +43,22 @@ def read(path: str, wanted: list[str], most_bytes: int) -> dict[str, np.ndarray]
 def _entry(stored: h5py.File, key: str) -> h5py.Dataset | None:
     """A data set that lies in groups of this very file; None where there is none."""
     entry: Any = stored
-    for name in key.split("/"):
+    steps, followed = key.split("/"), 0
+    while steps:
         if not isinstance(entry, h5py.Group):
             raise ValueError(f"{key} lies in something that is no group")
+        name = steps.pop(0)
         link = entry.get(name, getlink=True)
         if link is None:
             return None
-        if not isinstance(link, h5py.HardLink):
-            raise ValueError(f"{key} is a link to something else")
-        entry = entry[name]
+        if isinstance(link, h5py.SoftLink) and followed < MOST_LINKS:
+            followed += 1
+            entry = stored if link.path.startswith("/") else entry
+            steps = [step for step in link.path.split("/") if step not in ("", ".")] + steps
+        elif isinstance(link, h5py.HardLink):
+            entry = entry[name]
+        else:
+            raise ValueError(f"{key} is a link out of the file or to itself")
     if not isinstance(entry, h5py.Dataset):
         raise ValueError(f"{key} is no data set")
     return entry
@@ -58,7 +67,7 @@ def _entry(stored: h5py.File, key: str) -> h5py.Dataset | None:
 def _value(key: str, entry: h5py.Dataset, most_bytes: int, file_size: int) -> np.ndarray:
     _check_origin(key, entry)
     text = h5py.check_string_dtype(entry.dtype)
-    if text is not None and entry.shape in ((), (1,)) and (text.length or 0) <= file_size:
+    if text is not None and entry.shape is not None and math.prod(entry.shape) == 1 and (text.length or 0) <= file_size:
         value = np.ravel(np.asarray(entry[()], object))[0]
         return np.frombuffer(value.encode() if isinstance(value, str) else value, np.uint8)
     if entry.shape is None or entry.dtype.kind not in "biuf" or entry.dtype.subdtype is not None:
