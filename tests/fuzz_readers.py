@@ -5,6 +5,7 @@ Everything here may be imported by the judge's process: functions of the module,
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,12 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from tests.fuzz_face_readers import FACE_READERS
 from tests.fuzzing import Reader
+from tests.networks import random_landmark_network
 from workbench import config as configuration
 from workbench.export import retargeting
 from workbench.export.clip import main_identity
 from workbench.geometry import Camera, Rig, View, project, project_to_view, rig_files
 from workbench.landmarks import files as landmark_files
 from workbench.landmarks.observations import Landmarks2D
+from workbench.networks import torch_checkpoints
+from workbench.networks.landmark_network import read_landmark_network, save_landmark_network
+from workbench.networks.weights import named_arrays
+from workbench.rendering.appearance import Appearance, load_appearance
 from workbench.session.material import material_of_track
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import frame_errors, stack_fits
@@ -221,6 +227,55 @@ def read_track_by_frames(folder: Path) -> None:
         _use_frame(fit, tuple(reader.meta["expression_names"]))
 
 
+VERTICES = 20
+MODEL = SimpleNamespace(neutral=np.zeros((VERTICES, 3)))
+"""Of a face model, a stored appearance needs the number of vertices."""
+
+
+def make_appearance(folder: Path) -> None:
+    rng = np.random.default_rng(5)
+    numbers = (rng.uniform(0, 1, shape).astype(np.float32) for shape in ((VERTICES, 3), (9, 3), VERTICES))
+    Appearance(*numbers, 0.01).save(folder / "actor.npz")
+
+
+def read_appearance(folder: Path) -> None:
+    appearance = load_appearance(folder / "actor.npz", MODEL)
+    assert appearance.albedo.shape == (VERTICES, 3)
+    for values in (appearance.albedo, appearance.light, appearance.seen, appearance.residual):
+        assert np.isfinite(values).all()
+
+
+def make_network(folder: Path) -> None:
+    save_landmark_network(folder / "network.safetensors", random_landmark_network((2, 2, 2, 2), 1))
+
+
+def read_network(folder: Path) -> None:
+    network = read_landmark_network(folder / "network.safetensors")
+    assert all(np.isfinite(array).all() for array in named_arrays(network).values())
+
+
+def make_checkpoint(folder: Path) -> None:
+    _save_checkpoint(folder / "network.pth", zipped=True)
+
+
+def make_old_checkpoint(folder: Path) -> None:
+    _save_checkpoint(folder / "network.pth", zipped=False)
+
+
+def _save_checkpoint(path: Path, zipped: bool) -> None:
+    import torch  # not in the judge's process, which only reads
+
+    state = {"conv.weight": torch.ones(2, 3), "conv.bias": torch.arange(2), "half": torch.ones(2, dtype=torch.half)}
+    torch.save({"state_dict": state, "epoch": 3}, path, _use_new_zipfile_serialization=zipped)
+
+
+def read_checkpoint(folder: Path) -> None:
+    weights = torch_checkpoints.read_checkpoint(folder / "network.pth")
+    assert weights.arrays
+    for array in weights.arrays.values():
+        array.sum()
+
+
 READERS = (
     Reader("configuration", make_config, read_config),
     Reader("retargeting", make_mapping, read_mapping),
@@ -233,5 +288,9 @@ READERS = (
     Reader("rig xml", make_rig_xml, read_rig),
     Reader("track", make_track, read_track),
     Reader("track by frames", make_track, read_track_by_frames),
+    Reader("appearance", make_appearance, read_appearance),
+    Reader("safetensors", make_network, read_network),
+    Reader("checkpoint", make_checkpoint, read_checkpoint),
+    Reader("checkpoint before 1.6", make_old_checkpoint, read_checkpoint),
     *FACE_READERS,
 )

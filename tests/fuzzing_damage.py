@@ -430,6 +430,23 @@ def damaged_hdf5(draw: st.DrawFn, content: bytes) -> bytes:
     return stream.getvalue()
 
 
+# --- weights of networks ---
+
+
+@st.composite
+def damaged_safetensors(draw: st.DrawFn, content: bytes) -> bytes:
+    """A file whose table of arrays says something else, of the length that the file says it has or of another."""
+    length = int.from_bytes(content[:8], "little")
+    table = draw(damaged_json(content[8 : 8 + length]))
+    told = draw(st.sampled_from((len(table), len(table), len(table), *WORDS)))
+    return (told % 2**64).to_bytes(8, "little") + table + content[8 + length :]
+
+
+def damaged_checkpoint(content: bytes) -> st.SearchStrategy[bytes]:
+    """A checkpoint of PyTorch: a zip archive, or a stream of pickles."""
+    return damaged_members(content) if content.startswith(b"PK") else damaged_bytes(content)
+
+
 # --- by suffix ---
 
 BY_SUFFIX: dict[str, tuple[Damage, ...]] = {
@@ -440,6 +457,8 @@ BY_SUFFIX: dict[str, tuple[Damage, ...]] = {
     ".glb": (damaged_glb, damaged_glb),
     ".mat": (damaged_matlab,),
     ".h5": (damaged_hdf5,),
+    ".safetensors": (damaged_safetensors, damaged_safetensors),
+    ".pth": (damaged_checkpoint, damaged_checkpoint),
     ".obj": (partial(damaged_rows, separator=" "),),
 }
 """Beside damage of any bytes; twice is twice as often."""

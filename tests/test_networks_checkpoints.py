@@ -5,6 +5,7 @@ import warnings
 import zipfile
 from collections import OrderedDict
 from contextlib import suppress
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -256,6 +257,18 @@ def test_a_zip_file_without_a_checkpoint_is_told(tmp_path):
         archive.writestr("readme.txt", "hello")
     with pytest.raises(InputError, match=r"a zip file without the data\.pkl of PyTorch"):
         read_checkpoint(tmp_path / "c.zip")
+
+
+def test_entries_on_top_of_each_other_are_told(tmp_path):
+    path = zip_of(tmp_path / "c.zip", tensor_pickle(0, pair(2, 2), pair(2, 1)), {"0": b"\0" * 10_000})
+    with zipfile.ZipFile(path) as archive:
+        listed = archive.infolist()
+    with zipfile.ZipFile(path, "a") as archive:
+        # Many names for one storage: a small file may stand for more than there is memory.
+        archive.filelist += [copy(listed[-1]) for _ in range(100)]
+        archive._didModify = True
+    with pytest.raises(InputError, match="on top of each other"):
+        read_checkpoint(path)
 
 
 def test_a_big_endian_checkpoint_is_told(tmp_path):

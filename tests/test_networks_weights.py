@@ -208,6 +208,9 @@ def test_widths_are_read_from_the_weights(weights, save):
         {"widths": '[4, 6, 8, "10"]'},
         {"blocks": "0"},
         {"blocks": "[2]"},
+        {"blocks": "1000000000"},
+        {"widths": "[4, 6, 8, 1000000000]"},
+        {"widths": "[" * 50_000},
     ],
     ids=lambda metadata: str(*metadata.values()),
 )

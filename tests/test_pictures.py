@@ -295,6 +295,15 @@ def test_without_gl_the_renderer_names_the_remedy(head, monkeypatch):
         HeadRenderer(head, SIZE)
 
 
+@pytest.mark.parametrize("content", ['{"window": 3}', '{"window": "other"}', "[]", '{"a":' * 50_000, "", "{"])
+def test_a_damaged_answer_of_an_earlier_process_is_asked_for_again(tmp_path, content):
+    path = tmp_path / "gl.json"
+    gl_probe._write_answer(path, gl_probe._candidates()[0])
+    assert gl_probe._read_answer(path) == gl_probe._candidates()[0]
+    path.write_text(content)
+    assert gl_probe._read_answer(path) is None
+
+
 def test_the_probe_survives_a_crash_and_remembers_only_success(tmp_path, monkeypatch):
     monkeypatch.delenv(gl_probe.NO_GL_VARIABLE, raising=False)
     monkeypatch.setenv("WORKBENCH_CACHE", str(tmp_path))

@@ -1,5 +1,6 @@
 """Albedo and light from one picture: what is found again, what is left out, what is stored."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -159,6 +160,12 @@ def test_files_that_are_no_appearance_are_refused(scene, estimate, tmp_path):
     with pytest.raises(InputError, match=r"\.npz"):
         estimate.save(tmp_path / "actor.txt")
     replace(estimate, albedo=estimate.albedo[:-1], seen=estimate.seen[:-1]).save(tmp_path / "other.npz")
+    replace(estimate, light=np.full_like(estimate.light, np.nan)).save(tmp_path / "dark.npz")
+    with pytest.raises(InputError, match="light holds something else than finite numbers"):
+        load_appearance(tmp_path / "dark.npz", head)
+    os.mkfifo(tmp_path / "pipe.npz")
+    with pytest.raises(InputError, match="pipe or device"):
+        load_appearance(tmp_path / "pipe.npz", head)
     with pytest.raises(InputError, match="vertices"):
         load_appearance(tmp_path / "other.npz", head)
 

@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 from workbench.errors import ModelError
 from workbench.networks.landmark_network import LandmarkNetwork, empty_landmark_network, network_size
 from workbench.networks.weights import Weights, fill, read_weights
+from workbench.reading import shortened
 
 NAME = "face-energy-finder-1"
 """Value of the metadata key `architecture`."""
@@ -69,7 +70,8 @@ def face_finder_from(weights: Weights) -> FaceFinder:
     """As `read_face_finder`, of weights in memory."""
     if weights.architecture != NAME:
         raise ModelError(
-            f"{weights.origin} should hold the weights of {NAME}, but its metadata names {weights.architecture}"
+            f"{weights.origin} should hold the weights of {NAME}, but its metadata names "
+            f"{shortened(weights.architecture)}"
         )
     widths, blocks = network_size(weights)
     return FaceFinder(fill(lambda: empty_landmark_network(widths, blocks, outputs=OUTPUTS), weights))

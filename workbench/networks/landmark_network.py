@@ -18,6 +18,7 @@ from workbench.errors import ModelError
 from workbench.networks.layers import Conv, empty_conv, enlarge
 from workbench.networks.soft_argmax import patch_mass
 from workbench.networks.weights import ARCHITECTURE, Weights, fill, read_weights, save_module
+from workbench.reading import checked_json, shortened
 
 NAME = "face-energy-landmarks-1"
 """Value of the metadata key `architecture`."""
@@ -27,6 +28,8 @@ WIDTHS, BLOCKS = "widths", "blocks"
 MIDDLE, SPREAD = 0.5, 0.25
 """The network sees (picture − 0.5) / 0.25."""
 LANDMARKS = 68
+MOST_CHANNELS, MOST_BLOCKS = 8192, 256
+"""A file that names more is damaged; the network is built before its arrays are compared."""
 
 
 class Calibration(eqx.Module):
@@ -127,7 +130,8 @@ def landmark_network_from(weights: Weights) -> LandmarkNetwork:
     """As `read_landmark_network`, of weights in memory."""
     if weights.architecture != NAME:
         raise ModelError(
-            f"{weights.origin} should hold the weights of {NAME}, but its metadata names {weights.architecture}"
+            f"{weights.origin} should hold the weights of {NAME}, but its metadata names "
+            f"{shortened(weights.architecture)}"
         )
     widths, blocks = network_size(weights)
     mass = weights.arrays.get("calibration.mass")
@@ -155,19 +159,20 @@ def _residual(x: Float[Array, "h w c"], *convs: Conv) -> Float[Array, "h w c"]:
 
 def network_size(weights: Weights) -> tuple[tuple[int, int, int, int], int]:
     try:
-        widths, blocks = json.loads(weights.metadata[WIDTHS]), json.loads(weights.metadata[BLOCKS])
-        c0, c1, c2, c3 = (_positive(width) for width in widths)
-        return (c0, c1, c2, c3), _positive(blocks)
+        widths, blocks = checked_json(weights.metadata[WIDTHS]), checked_json(weights.metadata[BLOCKS])
+        c0, c1, c2, c3 = (_counted(width, MOST_CHANNELS) for width in widths)
+        return (c0, c1, c2, c3), _counted(blocks, MOST_BLOCKS)
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(
             f"the metadata of {weights.origin} should hold {WIDTHS} (four numbers, as [32, 64, 128, 192]) and {BLOCKS} "
-            f"(one number), got {weights.metadata.get(WIDTHS)} and {weights.metadata.get(BLOCKS)}"
+            f"(one number), got {shortened(weights.metadata.get(WIDTHS))} and "
+            f"{shortened(weights.metadata.get(BLOCKS))}"
         ) from error
 
 
-def _positive(number: object) -> int:
-    if not isinstance(number, int) or number < 1:
-        raise ValueError(f"{number!r} is no count")
+def _counted(number: object, most: int) -> int:
+    if not isinstance(number, int) or isinstance(number, bool) or not 1 <= number <= most:
+        raise ValueError(f"{number!r} is no count of at most {most}")
     return number
 
 

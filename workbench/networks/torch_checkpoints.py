@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from workbench.errors import InputError
 from workbench.inert_pickle import UNREADABLE, Name, Record, UnreadableError, named, unpickled
 from workbench.networks.weights import Weights, read_weights
+from workbench.reading import MOST_UNPACKED_BYTES, checked_file, reading
 
 STORAGE_TYPES = {
     "DoubleStorage": np.dtype("<f8"),
@@ -45,20 +45,19 @@ def read_checkpoint(path: str | Path) -> Weights:
     `path` is a state dict (also one under the key "state_dict", also with names behind "module."), a TorchScript
     archive, or a safetensors file, which comes back as it is. Raises `InputError` for anything else.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"there is no weights file {path}")
-    content = path.read_bytes()
-    if content[8:9] == b"{":  # safetensors: eight bytes of length, then JSON
-        return read_weights(path)
-    try:
+    path = checked_file(path, "weights", absent=f"there is no weights file {path}", may_be_empty=True)
+    remedy = (
+        "supply a state dict (.pth, .pth.tar) or TorchScript archive (.zip, .pt) as it was published, whole, or a "
+        "converted .safetensors file"
+    )
+    with reading(path, "a PyTorch checkpoint", remedy):
+        if (size := path.stat().st_size) > MOST_UNPACKED_BYTES:
+            raise UnreadableError(f"it has {size / 1e9:.1f} GB, the limit is {MOST_UNPACKED_BYTES / 1e9:.1f} GB")
+        content = path.read_bytes()
+        if content[8:9] == b"{":  # safetensors: eight bytes of length, then JSON
+            return read_weights(path)
         loaded, storages = _read_zip(content) if content.startswith(b"PK") else _read_stream(content)
         arrays = {name: _array(tensor, storages) for name, tensor in _tensors(loaded).items()}
-    except UNREADABLE as error:
-        raise InputError(
-            f"{path} cannot be read as a PyTorch checkpoint ({error}): supply a state dict (.pth, .pth.tar) or "
-            "TorchScript archive (.zip, .pt) as it was published, whole, or a converted .safetensors file"
-        ) from error
     return Weights(arrays, {"source": path.name, "source_sha256": hashlib.sha256(content).hexdigest()}, str(path))
 
 
@@ -80,6 +79,8 @@ def _read_zip(content: bytes) -> tuple[Any, Mapping[str, bytes]]:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         # What PyTorch stores without compression; a TorchScript archive's code is compressed, and left alone.
         listed = [info for info in archive.infolist() if info.compress_type == zipfile.ZIP_STORED]
+        if sum(info.file_size for info in listed) > len(content):
+            raise UnreadableError("its entries lie on top of each other")
         entries = {info.filename: archive.read(info) for info in listed}
     roots = [name.removesuffix("data.pkl") for name in entries if name.endswith("/data.pkl") and name.count("/") == 1]
     if len(roots) != 1:

@@ -13,11 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import DictKey, KeyEntry, SequenceKey
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from workbench.errors import InputError, ModelError
+from workbench.errors import ModelError
 from workbench.files import atomic_path
+from workbench.reading import checked_file, reading, shortened
 
 Module = TypeVar("Module", bound=eqx.Module)
 
@@ -51,18 +52,14 @@ def read_weights(path: str | Path) -> Weights:
 
     Raises `InputError` for a file that is absent, cut off or not safetensors.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"there is no weights file {path}")
-    try:
-        with safe_open(path, framework="numpy") as file:
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (safe_open is no mapping)
-            return Weights(arrays, dict(file.metadata() or {}), str(path))
-    except (SafetensorError, OSError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"{path} cannot be read as a safetensors file ({error}): it is cut off or of another kind; get it again, "
-            "or make one of a PyTorch checkpoint by: workbench weights convert FILE"
-        ) from error
+    path = checked_file(path, "weights", absent=f"there is no weights file {path}", may_be_empty=True)
+    remedy = (
+        "it is cut off or of another kind; get it again, or make one of a PyTorch checkpoint by: "
+        "workbench weights convert FILE"
+    )
+    with reading(path, "a safetensors file", remedy), safe_open(path, framework="numpy") as file:
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (safe_open is no mapping)
+        return Weights(arrays, dict(file.metadata() or {}), str(path))
 
 
 def write_weights(path: str | Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
@@ -121,7 +118,7 @@ def _check(shapes: Mapping[str, tuple[int, ...]], weights: Weights) -> None:
 
 
 def _listed(names: list[str]) -> str:
-    shown = ", ".join(names[:NAMED_IN_ERRORS])
+    shown = shortened(", ".join(names[:NAMED_IN_ERRORS]))
     more = len(names) - NAMED_IN_ERRORS
     return f"{shown} and {more} more" if more > 0 else shown
 

@@ -10,7 +10,9 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from workbench.errors import InputError
 from workbench.files import atomic_path
+from workbench.reading import checked_file, checked_json, reading
 from workbench.runtime import cache_folder
 
 NO_GL_VARIABLE = "WORKBENCH_NO_GL"
@@ -95,10 +97,13 @@ def _draws(window: str) -> bool:
 
 def _read_answer(path: Path) -> str | None:
     try:
-        window = json.loads(path.read_text(encoding="utf-8"))["window"]
-    except (OSError, ValueError, KeyError, TypeError):
+        path = checked_file(path, "an answer")
+        with reading(path, "an answer", "it is asked for again"):
+            window = checked_json(path.read_bytes())["window"]
+    except InputError:
         return None
-    return window if isinstance(window, str) else None
+    # Only what would have been tried: it goes into this process's environment.
+    return window if window in _candidates() else None
 
 
 def _write_answer(path: Path, window: str) -> None:

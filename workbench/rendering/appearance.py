@@ -10,7 +10,7 @@ and on the other side of the face. Eyes, teeth, the mouth's inside and the hair 
 and hair are not fitted, so that single vertices would take on the colours of something else.
 """
 
-import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from scipy.sparse.linalg import spsolve
 from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.files import atomic_path
+from workbench.reading import checked_arrays, checked_file, reading
 from workbench.rendering.camera import AnyCamera
 from workbench.rendering.lighting import LAMBERT, spherical_harmonics
 from workbench.rendering.renderer import render
@@ -47,6 +48,8 @@ SMOOTH, MIRROR, PRIOR = 1.0, 0.5, 0.002
 """Weights of neighbours, mirror image and the model's colours against one pixel."""
 TINT_PRIOR, TINT_RANGE = 20.0, (0.1, 1.5)
 """Pixels of the model's own colours that count in a tint, and its bounds."""
+LARGEST = 1e9
+"""Of a stored appearance's numbers: colours and light are near one, pixels are counted."""
 RIDGE = 1e-3
 """Weight of small light coefficients, as a share of the pixels."""
 
@@ -78,21 +81,26 @@ def load_appearance(path: str | Path, model: FaceModel) -> Appearance:
 
     Raises `InputError` for a missing or damaged file and for another model's.
     """
-    if not Path(path).is_file():
-        raise InputError(f"There is no appearance {path}; estimate one with estimate_appearance and save it.")
-    try:
-        # Opened here, because NumPy leaves a damaged archive open.
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            albedo, light, seen = (np.asarray(stored[name], np.float32) for name in ("albedo", "light", "seen"))
-            residual = float(stored["residual"])
-    except (zipfile.BadZipFile, OSError, ValueError, KeyError, EOFError, AttributeError) as error:
-        raise InputError(f"{path} is damaged or no stored appearance; estimate it again.") from error
+    absent = f"There is no appearance {path}; estimate one with estimate_appearance and save it."
+    path = checked_file(path, "an appearance", absent=absent)
+    kind = "an appearance, it is damaged or of another kind"
+    with reading(path, kind, "estimate it again"), path.open("rb") as stream, checked_arrays(stream) as stored:
+        albedo, light, seen = (_numbers(stored, name) for name in ("albedo", "light", "seen"))
+        residual = float(_numbers(stored, "residual"))
     if albedo.shape != model.neutral.shape or light.shape != (9, 3) or seen.shape != albedo.shape[:1]:
         raise InputError(
             f"{path} holds the colours of {len(albedo)} vertices, the model has {len(model.neutral)}; "
             "estimate the appearance with this model."
         )
     return Appearance(albedo, light, seen, residual)
+
+
+def _numbers(stored: Mapping[str, np.ndarray], name: str) -> Float[np.ndarray, "..."]:
+    """An array as 32-bit numbers. Raises ValueError unless it holds numbers of colours, light or pixels."""
+    array = stored[name]
+    if array.dtype not in (np.float32, np.float64) or not (np.abs(array) < LARGEST).all():
+        raise ValueError(f"{name} holds something else than finite numbers")
+    return array if name == "residual" else array.astype(np.float32)
 
 
 def estimate_appearance(
