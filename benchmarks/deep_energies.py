@@ -42,8 +42,8 @@ Row = dict[str, Any]
 class Bench:
     """Solves of the same frames under different configurations."""
 
-    def __init__(self, frames: int, log: Callable[[str], None]):
-        self.frames, self.log = frames, log
+    def __init__(self, frames: int, log: Callable[[str], None], apart_deg: float = STEREO_DEG):
+        self.frames, self.log, self.apart_deg = frames, log, apart_deg
         self.scenes = DeepScenes(load_default_head())
         self._made: dict[tuple, DeepTruth] = {}
 
@@ -160,8 +160,8 @@ def derivatives(bench: Bench) -> None:
 
 
 def stereo(bench: Bench) -> None:
-    """Two cameras 30° apart against the first of them."""
-    angles = (0.0, STEREO_DEG)
+    """Two cameras (30° apart unless asked otherwise) against the first of them."""
+    angles = (0.0, bench.apart_deg)
     with tempfile.TemporaryDirectory() as folder:
         rig = Path(folder) / "rig.toml"
         write_rig(make_rig(angles), rig)
@@ -175,7 +175,13 @@ def stereo(bench: Bench) -> None:
         unit="× the translation error",
         goal="<= 0.333",
         against="one camera",
-        details={"two": _accuracy(two), "one": _accuracy(one), "frames": len(one)},
+        details={
+            "two": _accuracy(two),
+            "one": _accuracy(one),
+            "frames": len(one),
+            "apart_deg": bench.apart_deg,
+            "seen_by_both": sum(None not in truth.landmarks for truth in bench.truths(bench.frames, views_deg=angles)),
+        },
     )
 
 
@@ -219,9 +225,10 @@ def main() -> None:
     arguments.add_argument("--frames", type=int, default=12)
     arguments.add_argument("--only", choices=[*TABLES, "all"], action="append", help="default: convergence")
     arguments.add_argument("--verbose", action="store_true", help="every frame's errors, on stderr")
+    arguments.add_argument("--apart", type=float, default=STEREO_DEG, help="stereo: angle between the cameras, degrees")
     options = arguments.parse_args()
     log = (lambda line: print(line, file=sys.stderr, flush=True)) if options.verbose else lambda _: None
-    bench = Bench(options.frames, log)
+    bench = Bench(options.frames, log, options.apart)
     asked = options.only or ["convergence"]
     for name in TABLES if "all" in asked else asked:
         TABLES[name](bench)

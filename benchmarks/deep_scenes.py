@@ -27,6 +27,7 @@ from workbench.rendering import (
     face_vertices,
     render,
     render_model,
+    turned_light,
 )
 from workbench.tracking import FrameContext, FrameObservation
 from workbench.tracking.deep_target import photo_landmarks
@@ -82,14 +83,14 @@ class DeepScenes:
         parameters = self._parameters(rng, jaw_deg)
         albedo = np.clip(np.asarray(self._model.colors) * rng.uniform(0.85, 1.1, 3), 0.0, 1.0)
         direction, strength, ambient = _light_of(rng)
+        light = ambient_light(ambient) + directional_light(tuple(direction), strength)
         pictures = []
         for view in make_rig(views_deg).views if len(views_deg) > 1 else (None,):
             vertices, turned = face_vertices(self._model, parameters), np.eye(3)
             if view is not None:
                 turned = view.rotation_view_world
                 vertices = vertices @ turned.T.astype(np.float32) + view.translation_view_world_mm.astype(np.float32)
-            light = ambient_light(ambient) + directional_light(tuple(turned @ direction), strength)
-            pictures.append(self._photo(vertices, albedo, light, rng))
+            pictures.append(self._photo(vertices, albedo, turned_light(light, turned), rng))
         believed = Appearance(
             (albedo * rng.normal(1.0, 0.03, 3)).clip(0.0, 1.0).astype(np.float32),
             _believed_light(direction, strength, ambient, rng),

@@ -26,7 +26,16 @@ from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
 from workbench.geometry import project, rotation_matrix, write_rig
 from workbench.landmarks.observations import Landmarks2D
 from workbench.networks import landmarks_of, soft_argmax, to_picture
-from workbench.rendering import CropCamera, OrthographicCamera, render
+from workbench.pictures.mesh import corner_sum, vertex_normals
+from workbench.rendering import (
+    Appearance,
+    CropCamera,
+    OrthographicCamera,
+    ambient_light,
+    directional_light,
+    render,
+    shading,
+)
 from workbench.solvers.dogleg import dogleg_step, judge_step
 from workbench.tracking import FaceTracker, Track
 from workbench.tracking.deep_fitter import FAR_MM, DeepFitter
@@ -87,8 +96,9 @@ def derivative_of(function, parameters, column, step):
 # The energy.
 
 
-def test_the_energy_is_the_papers(head, truth):
-    """E_1 + E_2 (Sec. 8.1) in units of the view, λ‖w‖² (Sec. 8.2) with the jaw counted in blendshapes, the prior."""
+def test_the_energy_is_the_sum_of_its_terms_as_written_out_here(head, truth):
+    """After Sec. 8.1 and 8.2: W on squared errors in units of the view, edges by the lesser W, λ‖w‖² with the jaw
+    counted in blendshapes, and the prior."""
     rng = np.random.default_rng(0)
     target, predicted = rng.normal(size=(2, 2, 68, 2)) * 30.0
     importance, unit = rng.uniform(0.0, 2.0, (2, 68)), np.array([1.4, 0.7])
@@ -482,6 +492,22 @@ def test_a_rig_wants_landmarks_of_every_view(shared, head, rig_file):
     scene = _stereo_scene(fitter, head)
     with pytest.raises(InputError, match="one clip for each view"):
         fitter.fit(replace(scene.observation(), others=()), scene.context())
+
+
+def test_a_rigs_views_are_lit_by_one_light(shared, head, tmp_path):
+    """What a white face would show at each vertex is the same in all views, wherever a view has its axes."""
+    write_rig(make_rig((0.0, 60.0, -35.0), 650.0, IMAGE_SIZE, 40.0), tmp_path / "rig.toml")
+    fitter = fitter_with(shared, POINTS.changed(camera={"rig": str(tmp_path / "rig.toml")}))
+    lamp = ambient_light(0.3) + directional_light((-1.0, -0.7, -0.4), 0.7)
+    appearance = Appearance(np.asarray(fitter.scene(None).albedo), lamp, np.ones(len(head.neutral)), 0.0)
+    seen = make_deep_scene(fitter, make_parameters(head))
+    views = fitter.views(seen.observation(), seen.context()._replace(appearance=appearance))
+    sums = corner_sum(head.triangles, len(head.neutral))
+    normals = vertex_normals(head.neutral, head.triangles, sums)
+    shown = [np.stack(shading(view.light, tuple((normals @ np.asarray(view.rotation).T).T))) for view in views]
+    assert shown[0].std() > 0.1
+    for other in shown[1:]:
+        np.testing.assert_allclose(other, shown[0], atol=1e-4)
 
 
 # Views without perspective.

@@ -8,7 +8,8 @@ import pytest
 from tests.films import FOV_DEG, SIZE, FilmMaker, film_config, landmark_error_px, lost
 from tests.stereo_scenes import make_rig
 from workbench.errors import ConfigError, InputError
-from workbench.geometry import pose_in_view
+from workbench.flow import DisFlow
+from workbench.geometry import Rig, pose_in_view
 from workbench.geometry.rig_files import write_rig
 from workbench.tracking import moments as moments_module
 from workbench.tracking.flow_fitter import FlowFitter, Neighbour, parameters_of
@@ -204,6 +205,41 @@ def test_two_cameras_fill_a_gap_together(head, tmp_path):
     alone = [m._replace(pictures=m.pictures[:1]) for m in seen]
     line = [m.fit for m in infilled(fitter_of(maker, method="linear"), alone)]
     assert abs(line[3].translation[2] - film.truth[3].translation[2]) > 10.0
+
+
+class Watching:
+    """An estimator that keeps the pairs of pictures it was given."""
+
+    name = "watching"
+
+    def __init__(self):
+        self.pairs = []
+
+    def __call__(self, first, second):
+        self.pairs.append((first, second))
+        return DisFlow()(first, second)
+
+
+def test_renders_for_the_estimator_are_lit_by_one_light_in_all_views(film_maker, film, tmp_path):
+    """A second camera beside the first, upside down, sees nearly the same renders upside down."""
+    first = make_rig((0.0,), image_size=SIZE, fov_deg=FOV_DEG).views[0]
+    over = np.diag([-1.0, -1.0, 1.0])
+    aside = np.array([5.0, 0.0, 0.0])  # two cameras of a rig may not stand in one place
+    turned = over @ first.rotation_view_world, over @ first.translation_view_world_mm + aside
+    second = replace(first, name="over", rotation_view_world=turned[0], translation_view_world_mm=turned[1])
+    write_rig(Rig((first, second)), tmp_path / "rig.toml")
+    config = film_config(camera={"rig": str(tmp_path / "rig.toml")}, flow={"renders": "estimated"})
+    fitter = FlowFitter(film_maker.head, config)
+    fitter.estimator = watching = Watching()
+    known, wanted = (parameters_of(film.truth[k]) for k in (0, 1))
+    pictures = [(film.pictures[k], film.pictures[k][::-1, ::-1]) for k in (0, 1)]
+    views, neighbour = fitter.views(film.truth[0]), Neighbour(known, pictures[0])
+    links = fitter.links(neighbour, pictures[1], wanted, views)
+    of_photos = len(watching.pairs)
+    fitter.solve(((neighbour, links), None), wanted, known, views)
+    upright, upside_down = (np.asarray(pair[0], float) for pair in watching.pairs[of_photos : of_photos + 2])
+    assert upright.std() > 10.0
+    assert np.abs(upright - upside_down[::-1, ::-1]).mean() < 1.0
 
 
 def test_pictures_that_end_before_the_fits_are_told(film):

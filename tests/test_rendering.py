@@ -4,6 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
 from workbench.face import FaceParameters, load_default_head
@@ -24,6 +28,7 @@ from workbench.rendering import (
     render_model,
     shading,
     spherical_harmonics,
+    turned_light,
 )
 from workbench.rendering.head import lip_sides
 from workbench.rendering.renderer import _render
@@ -311,6 +316,36 @@ def test_a_directional_light_is_the_cosine_within_the_bounds_of_nine_functions()
 def test_a_light_needs_a_direction():
     with pytest.raises(InputError, match="direction"):
         directional_light((0.0, 0.0, 0.0))
+
+
+def vectors(*shape):
+    return hnp.arrays(float, shape, elements=st.floats(-2.0, 2.0))
+
+
+UNIT = (
+    vectors(3).filter(lambda vector: np.linalg.norm(vector) > 0.1).map(lambda vector: vector / np.linalg.norm(vector))
+)
+
+
+@settings(max_examples=15)
+@given(vectors(9, 3), vectors(3))
+def test_a_turned_light_shades_a_turned_surface_as_before(light, turn):
+    normals = np.random.default_rng(0).normal(size=(40, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    rotation = Rotation.from_rotvec(turn).as_matrix()
+    before, after = (
+        np.stack(shading(shown, tuple(np.float32(facing).T)))
+        for shown, facing in ((light, normals), (turned_light(light, rotation), normals @ rotation.T))
+    )
+    np.testing.assert_allclose(after, before, atol=1e-5)
+
+
+@given(UNIT, vectors(3))
+def test_a_lamp_that_is_turned_shines_from_the_turned_direction(direction, turn):
+    rotation = Rotation.from_rotvec(turn)
+    lamp = ambient_light(0.3) + directional_light(tuple(direction), 0.7)
+    expected = ambient_light(0.3) + directional_light(tuple(rotation.apply(direction)), 0.7)
+    np.testing.assert_allclose(turned_light(lamp, rotation.as_matrix()), expected, atol=1e-9)
 
 
 def test_a_picture_is_linear_in_light_albedo_and_background(model, parameters, camera):

@@ -14,6 +14,7 @@ from workbench.rendering.lighting import ambient_light as ambient_light
 from workbench.rendering.lighting import directional_light as directional_light
 from workbench.rendering.lighting import shading as shading
 from workbench.rendering.lighting import spherical_harmonics as spherical_harmonics
+from workbench.rendering.lighting import turned_light as turned_light
 from workbench.rendering.renderer import Rendering as Rendering
 from workbench.rendering.renderer import render as render
 from workbench.rendering.texture import Texture as Texture

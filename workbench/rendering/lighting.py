@@ -6,6 +6,8 @@ keeps bands 0 to 2 only, so nine numbers per channel are enough. Colours are in 
 from a picture, in that picture's own values.
 """
 
+from itertools import product
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +20,9 @@ BANDS = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2])
 LAMBERT = np.array([1.0, 2.0 / 3.0, 1.0 / 4.0])[BANDS]
 """A_l/π: what a matte surface keeps of each function."""
 Numbers = Float[AnyArray, "*n"] | float
+SAMPLED = np.array([direction for direction in product((-1.0, 0.0, 1.0), repeat=3) if any(direction)])
+SAMPLED /= np.linalg.norm(SAMPLED, axis=1, keepdims=True)
+"""26 unit directions. What a light sends from them fixes all of its nine coefficients."""
 
 
 def spherical_harmonics(x: Numbers, y: Numbers, z: Numbers) -> tuple[Numbers, ...]:
@@ -37,6 +42,15 @@ def shading(light: Float[AnyArray, "9 c"], normal: tuple[Numbers, Numbers, Numbe
         sum(kept[k, channel] * functions[k] for k in range(1, 9)) + kept[0, channel] * functions[0]
         for channel in range(kept.shape[1])
     )
+
+
+def turned_light(light: Float[AnyArray, "9 c"], rotation: Float[AnyArray, "3 3"]) -> Float[np.ndarray, "9 c"]:
+    """The same light in the frame of another camera, x_other = rotation · x: what a rig's other views are lit by.
+
+    Exact, as a rotation mixes the functions of a band among themselves only.
+    """
+    there, here = (_functions(directions) for directions in (SAMPLED, SAMPLED @ np.asarray(rotation, float)))
+    return np.linalg.lstsq(there, here @ np.asarray(light, float))[0]
 
 
 def ambient_light(color: tuple[float, float, float] | float = 1.0) -> Float[np.ndarray, "9 3"]:
@@ -59,3 +73,7 @@ def directional_light(
         raise InputError("A light comes from a direction other than (0, 0, 0).")
     functions = np.array(spherical_harmonics(*(towards / np.linalg.norm(towards))))
     return np.pi * functions[:, None] * np.broadcast_to(np.asarray(color, float), 3)
+
+
+def _functions(directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 9"]:
+    return np.stack(spherical_harmonics(*directions.T), axis=1)

@@ -22,7 +22,14 @@ from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera, Rig, read_rig, yaw_pitch_roll_deg
 from workbench.landmarks.network_detector import CROP_BOXES
 from workbench.landmarks.observations import Landmarks2D
-from workbench.rendering import Appearance, ambient_light, directional_light, estimate_appearance, orthographic_camera
+from workbench.rendering import (
+    Appearance,
+    ambient_light,
+    directional_light,
+    estimate_appearance,
+    orthographic_camera,
+    turned_light,
+)
 from workbench.rendering.camera import OrthographicCamera
 from workbench.solvers import Status
 from workbench.tracking.deep_programs import DeepScene
@@ -231,7 +238,7 @@ class DeepFitter:
             )
         places = zip(self.rig.rotation_view_reference, self.rig.translation_view_reference_mm, strict=True)
         return tuple(
-            self._view(view.camera, rotation, translation, landmarks, light)
+            self._view(view.camera, rotation, translation, landmarks, turned_light(light, rotation))
             for view, (rotation, translation), landmarks in zip(self.rig.views, places, seen, strict=True)
         )
 
@@ -420,7 +427,8 @@ def _points_config(config: Config) -> Config:
 
 
 def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
-    """The light of an appearance; a plain one from the front where none was estimated."""
+    """The light of an appearance, in the reference camera's frame; a plain one from the front where none was
+    estimated."""
     if appearance is not None:
         return appearance.light
     return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)

@@ -27,6 +27,7 @@ from workbench.rendering import (
     estimate_appearance,
     face_vertices,
     render,
+    turned_light,
 )
 from workbench.rendering.camera import CropCamera, to_screen
 from workbench.runtime import COMPUTING
@@ -295,7 +296,7 @@ class FlowFitter:
     ) -> UInt8[np.ndarray, "s s 3"]:
         camera, place = _view(views, view)
         albedo = self._render.colors if appearance is None else appearance.albedo
-        light = light_of(appearance)
+        light = turned_light(light_of(appearance), views.rotation[view])
         with COMPUTING:
             seen = _look(
                 self._render,
