@@ -21,6 +21,7 @@ from workbench.face.landmark_model import PointModel as PointModel
 from workbench.face.landmark_model import contour_blend as contour_blend
 from workbench.face.landmark_model import landmark_model as landmark_model
 from workbench.face.landmark_model import model_landmarks as model_landmarks
+from workbench.face.landmark_model import seen_shapes as seen_shapes
 from workbench.face.model import Embedding as Embedding
 from workbench.face.model import FaceModel as FaceModel
 from workbench.face.obj_folder import read_obj_folder as read_obj_folder

@@ -15,9 +15,10 @@ from workbench.face.model import FaceModel
 from workbench.geometry import rotation_matrix
 
 OPEN_DEG = 26.5
-"""Angle about +x (head frame) at which the joint is `jawOpen` at weight 1: the best hinge for that shape."""
+"""Angle about +x (head frame) at which the joint is `jawOpen` at weight 1: the best hinge for that shape of the default
+head, taken for every model."""
 TRAVEL_MM = 8.0
-"""What `jawForward`, `jawLeft` and `jawRight` at weight 1 move the lower teeth by."""
+"""What `jawForward`, `jawLeft` and `jawRight` at weight 1 move the default head's lower teeth by."""
 JAW_SHAPES = ("jawOpen", "jawForward", "jawLeft", "jawRight")
 """Blendshapes that the joint replaces."""
 

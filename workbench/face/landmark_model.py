@@ -4,10 +4,14 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from workbench.arrays import AnyArray, Scalar
 from workbench.face.model import BLINK_SCALE_RANGE, BLINKS, Embedding, FaceModel
+
+LEAST_SEEN_MM = 0.1
+"""A blendshape is seen if its largest weight moves a landmark this far; detectors err by ten times as much. Of the
+default head's, `tongueOut` moves none at all, the next ones (`eyeSquint…`) 3.5 mm, the gaze 1 mm."""
 
 
 class LandmarkModel(NamedTuple):
@@ -28,6 +32,7 @@ class LandmarkModel(NamedTuple):
     expression_lower: Float[AnyArray, "k"]
     """Least weight of each blendshape where weights are bounded."""
     expression_upper: Float[AnyArray, "k"]
+    """Largest one; both are 0 for a blendshape that no landmark sees, which a fit holds there, bounded or not."""
 
     def personal(self, identity: Float[np.ndarray, "i"]) -> "LandmarkModel":
         """The landmarks of one person: identity and blink travel baked in, no identity basis left."""
@@ -59,6 +64,16 @@ class PointModel(NamedTuple):
     identity: Float[AnyArray, "i 68 3"]
 
 
+def seen_shapes(model: FaceModel) -> Bool[np.ndarray, "k"]:
+    """Which blendshapes move one of the 68 landmarks, wherever the jaw contour lies, by `LEAST_SEEN_MM` or more.
+
+    Nothing in the landmarks says what the others do: fits leave them at 0.
+    """
+    moved = [model.landmarks.of(model.expression_deltas), model.contour.of(model.expression_deltas)]
+    farthest = [np.linalg.norm(part, axis=-1).reshape(len(part), -1).max(axis=1, initial=0.0) for part in moved]
+    return np.maximum(*farthest) * np.abs(model.weight_range()).max(axis=1) >= LEAST_SEEN_MM
+
+
 def landmark_model(model: FaceModel) -> LandmarkModel:
     """The 68 landmarks of a face model with their expression and identity offsets."""
     jaw = Embedding(model.landmarks.vertices[:17], model.landmarks.barycentric[:17])
@@ -67,6 +82,7 @@ def landmark_model(model: FaceModel) -> LandmarkModel:
         Embedding(vertices, barycentric)
         for vertices, barycentric in zip(model.contour.vertices, model.contour.barycentric, strict=True)
     ]
+    bounds = np.where(seen_shapes(model)[:, None], model.weight_range(), 0.0)
     scale = np.ones(len(model.expression_names))
     scale_identity = np.zeros((len(model.identity_deltas), len(model.expression_names)))
     for side, name in enumerate(BLINKS):
@@ -84,8 +100,8 @@ def landmark_model(model: FaceModel) -> LandmarkModel:
         contour_yaw=np.radians(np.concatenate([[0.0], model.contour_yaw_deg])),
         expression_scale=scale,
         expression_scale_identity=scale_identity,
-        expression_lower=model.weight_range()[:, 0],
-        expression_upper=model.weight_range()[:, 1],
+        expression_lower=bounds[:, 0],
+        expression_upper=bounds[:, 1],
     )
 
 

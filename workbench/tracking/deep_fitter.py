@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from workbench.config import Config, Stage, preset
 from workbench.energies.deep import DEEP_TERMS, DeepView, DeepWeights, crop_of, deep_model
 from workbench.errors import ConfigError, InputError
-from workbench.face import FaceModel, FaceParameters
+from workbench.face import FaceModel, FaceParameters, seen_shapes
 from workbench.geometry import Camera, Rig, read_rig, yaw_pitch_roll_deg
 from workbench.landmarks.network_detector import CROP_BOXES
 from workbench.landmarks.observations import Landmarks2D
@@ -94,6 +94,7 @@ class DeepFitter:
         self.model = model
         self._deep_model = deep_model(model)
         self._points = FrameFitter(model, _points_config(config))
+        self._seen = jnp.asarray(seen_shapes(model), float)
         self.configure(config)
 
     def configure(self, config: Config) -> None:
@@ -302,7 +303,7 @@ class DeepFitter:
             return start._replace(
                 rotation=jnp.asarray(given.rotation, float),
                 translation=jnp.asarray(given.translation, float),
-                expression=jnp.asarray(given.expression, float) if len(given.expression) == count else start.expression,
+                expression=self._seen * given.expression if len(given.expression) == count else start.expression,
                 jaw=jnp.asarray(given.jaw, float) if len(given.jaw) else start.jaw,
             )
         if self.config.deep.start == "frontal" or observation.landmarks is None:

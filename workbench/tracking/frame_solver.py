@@ -69,7 +69,8 @@ class SolveSettings(NamedTuple):
     weights: EnergyWeights
     constants: EnergyConstants
     lower: Float[AnyArray, "*k"]
-    """Lowest blendshape weight, −∞ for none; finite bounds give way to the model's own of each weight."""
+    """Lowest blendshape weight, −∞ for none; gives way to the model's own bounds of each weight where it is finite, and
+    where the model holds the weight because no landmark sees it."""
     upper: Float[AnyArray, "*k"]
     tolerance: Float[AnyArray, ""]
     percent: Float[AnyArray, ""]
@@ -145,6 +146,7 @@ def solve_frame(
         trace = (jnp.zeros((slots, trace_length + 1, len(TERMS))), jnp.zeros((slots, trace_length + 1, 68)))
     rows = (jnp.full((slots, len(TERMS)), jnp.nan), jnp.full(slots, -1), jnp.zeros(slots, int), trace)
     parameters = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), frame.start)
+    parameters = parameters._replace(expression=jnp.where(_held(settings), settings.lower, parameters.expression))
     start = (jnp.asarray(0), parameters, jnp.zeros((68, 2)), rows)
     _, parameters, projected, rows = jax.lax.while_loop(lambda carry: carry[0] < program.count, body, start)
     pose = jnp.concatenate([parameters.rotation, parameters.translation])
@@ -154,11 +156,18 @@ def solve_frame(
 
 
 def _within_range(settings: SolveSettings, model: LandmarkModel) -> SolveSettings:
-    """The settings with the model's own bounds of each weight, where weights are bounded."""
-    lower = jnp.where(jnp.isfinite(settings.lower), model.expression_lower, settings.lower)
+    """The settings with the model's own bounds of each weight; where weights are unbounded, of those only that it
+    holds."""
+    held = model.expression_lower == model.expression_upper
     return settings._replace(
-        lower=lower, upper=jnp.where(jnp.isfinite(settings.upper), model.expression_upper, settings.upper)
+        lower=jnp.where(held | jnp.isfinite(settings.lower), model.expression_lower, settings.lower),
+        upper=jnp.where(held | jnp.isfinite(settings.upper), model.expression_upper, settings.upper),
     )
+
+
+def _held(settings: SolveSettings):
+    """Weights without any room between their bounds."""
+    return settings.lower == settings.upper
 
 
 def read_report(solution: FrameSolution) -> FrameSolution:
@@ -218,7 +227,7 @@ def _solve_stage(problem, parameters, settings, limit, free, method: Method, tra
     if method != "lm":
         kind = method.removeprefix("optimistix-")
         return minimise_with_optimistix(
-            lambda x: _residual_vector(problem, unpack(x, parameters, free), free),
+            lambda x: _residual_holding(problem, unpack(x, parameters, free), settings, free),
             start, _scale(parameters, free), limit, settings.tolerance, kind, *recorded,
         )  # fmt: skip
     upper = jnp.full(start.shape, jnp.inf)
@@ -232,8 +241,11 @@ def _solve_stage(problem, parameters, settings, limit, free, method: Method, tra
     )  # fmt: skip
 
 
-def _residual_vector(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]):
-    return jnp.concatenate(list(residuals(problem, parameters, free).values()))
+def _residual_holding(problem: EnergyProblem, parameters: FaceParameters, settings: SolveSettings, free):
+    """All residuals for solvers without bounds: weights that are held change none of them but their own."""
+    moved = jnp.where(_held(settings), parameters.expression - settings.lower, 0.0)
+    found = residuals(problem, parameters._replace(expression=parameters.expression - moved), free)
+    return jnp.concatenate([*found.values(), moved])
 
 
 def _scale(parameters: FaceParameters, free: tuple[str, ...]):

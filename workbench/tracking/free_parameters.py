@@ -7,15 +7,17 @@ from jaxtyping import Bool
 
 from workbench.config import Config, Stage
 from workbench.errors import ConfigError
-from workbench.face import FaceModel, FaceParameters
+from workbench.face import FaceModel, FaceParameters, seen_shapes
 
 JAW_LOWER = (-0.05, -0.25, -0.15, -12.0, -6.0, -12.0)
 JAW_UPPER = (0.70, 0.25, 0.15, 12.0, 12.0, 12.0)
-"""Range of the jaw joint: radians about x (opening), y, z, then millimetres."""
+"""Range of the jaw joint: radians about x (opening), y, z, then millimetres. It suits the default head and is taken for
+every model."""
 
 
 def free_parameters(model: FaceModel, config: Config, stages: Iterable[Stage]) -> FaceParameters:
-    """True for what any of the stages frees, shaped like the parameters of a fit.
+    """True for what any of the stages frees, shaped like the parameters of a fit; never a blendshape that no landmark
+    sees.
 
     Raises `ConfigError` for blendshapes that the model lacks.
     """
@@ -38,6 +40,7 @@ def free_parameters(model: FaceModel, config: Config, stages: Iterable[Stage]) -
             else:
                 names = model.expression_names if name == "expression" else [""] * len(model.identity_deltas)
                 getattr(free, name)[:] |= _chosen_shapes(stage, tuple(names))
+    free.expression[:] &= seen_shapes(model)
     if config.camera.projection == "orthographic":
         free.translation[2] = False
     return free
