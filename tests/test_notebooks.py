@@ -1,12 +1,16 @@
 """Every notebook runs from top to bottom in a fresh kernel, shows its pictures, and leaves the repository alone."""
 
 import asyncio
+import base64
+import io
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 import zmq
 from nbclient import NotebookClient
+from PIL import Image
 
 from workbench.config import preset
 from workbench.samples import sample
@@ -33,6 +37,25 @@ LEAST_PICTURES = {
     "15_live": 2,
 }
 TIMEOUT_S = 300
+
+
+def bounds_hold_and_the_step_does_not(rows):
+    """Notebook 03: where the fit starts outside, E_β leaves weights there, bounds none."""
+    assert int(rows["bounds"][0]) == 0
+    assert int(rows["ω_β = 1"][0]) > 5
+
+
+def a_second_camera_places_the_head(rows):
+    """Notebook 12: the error of the place falls to less than half."""
+    one, two = (float(cell) for cell in rows["place, mm"][:2])
+    assert two < 0.5 * one
+
+
+CONCLUSIONS = {
+    "03_the_beta_trap": ("from outside", bounds_hold_and_the_step_does_not),
+    "12_two_cameras": ("mean error of six frames", a_second_camera_places_the_head),
+}
+"""What the text around a table concludes: the head of its first column, and the check of its rows."""
 
 
 @pytest.fixture
@@ -63,6 +86,20 @@ async def executed(client: NotebookClient) -> None:
         asking.cancel()
 
 
+def is_blank(output) -> bool:
+    """Whether a picture is of one colour."""
+    picture = Image.open(io.BytesIO(base64.b64decode(output["data"]["image/png"])))
+    return len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0)) < 2
+
+
+def table(outputs, title: str) -> dict[str, list[str]]:
+    """The other cells of each row by its first one, of the table whose first column is called so."""
+    texts = [output["data"]["text/markdown"] for output in outputs if "text/markdown" in output.get("data", {})]
+    lines = next(text for text in texts if text.split("|")[1].strip() == title).splitlines()
+    rows = [[cell.strip() for cell in line.strip("| ").split("|")] for line in lines[2:] if line.strip()]
+    return {row[0]: row[1:] for row in rows}
+
+
 def test_the_learning_path_has_its_notebooks():
     assert set(LEAST_PICTURES) == {path.stem for path in NOTEBOOKS}
 
@@ -72,12 +109,20 @@ def test_the_failing_frame_of_the_sixth_notebook_is_mended_by_its_first_reason()
     session = open_session(sample("speech-landmarks"), config)
     before = session.fit_clip()
     frame = int((before.expression > 0.999).sum(axis=1).argmax())
-    reason = session.diagnose(frame).reasons[0]
-    assert reason.code == "wrong_identity"
-    session.apply(reason.change, frame)
+    reasons = session.diagnose(frame).reasons
+    assert reasons[0].code == "wrong_identity"
+    session.apply(reasons[0].change, frame)
     after = session.fit_clip()
     assert after[frame].errors[2] < 0.7 * before[frame].errors[2]
     assert (after.expression > 0.5).sum() < 0.8 * (before.expression > 0.5).sum()
+    # No landmark sees the tongue, so no remedy sticks it out.
+    tongue = session.model.expression_names.index("tongueOut")
+    assert not before.expression[:, tongue].any()
+    assert not after.expression[:, tongue].any()
+    for change in (reason.change for reason in reasons[1:] if reason.change is not None):
+        session.undo()
+        session.apply(change, frame)
+        assert session.fit_frame(frame).expression[tongue] == 0.0, change.label
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -91,6 +136,10 @@ def test_a_notebook_runs_without_errors_and_shows_pictures(path, tmp_path, kerne
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     pictures = [output for output in outputs if "image/png" in output.get("data", {})]
     assert len(pictures) >= LEAST_PICTURES[path.stem]
+    assert [number for number, picture in enumerate(pictures) if is_blank(picture)] == []
+    if path.stem in CONCLUSIONS:
+        title, holds = CONCLUSIONS[path.stem]
+        holds(table(outputs, title))
     assert [output.text for output in outputs if output.get("name") == "stderr"] == []
     assert path.read_bytes() == stored
 

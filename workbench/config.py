@@ -146,7 +146,7 @@ class DeepConfig(_Section):
     network: str = Field("", description="Weights of the landmark network (.safetensors); empty: the bundled one.")
     edges: NonNegative = Field(0.5, description="Weight of the edge-preserving term E_2 (Sec. 8.1).")
     regularisation: NonNegative = Field(
-        30.0, description="λ of ‖w‖², blendshapes and jaw (Sec. 8.2); the paper's 100 stands beside squared pixels."
+        30.0, description="λ of ‖w‖², blendshapes and jaw (Sec. 8.2); ours, in other units than the paper's 100."
     )
     tolerance: NonNegative = Field(1e-3, description="A stage stops when a step gains less than this part.")
     identity: NonNegative = Field(10.0, description="Weight of ‖identity‖² in stages that free it.")
@@ -317,7 +317,8 @@ DEEP_STAGES = (
         enabled=False,
     ),
 )
-"""Deep Energies Sec. 8.1 and 8.2; the last one is B.1's, for after a temporal refinement."""
+"""After Deep Energies Sec. 8.1 and 8.2; limits and the mouth's weight of 3 are ours. The last one is B.1's, for after a
+temporal refinement."""
 
 FIRST_10 = ("first:10",)
 PARALLEL_STAGES = (
@@ -326,7 +327,8 @@ PARALLEL_STAGES = (
     Stage(name="shape", free=(*POSE, "identity"), shapes=FIRST_10, limit=12),
     Stage(name="expression", free=(*POSE, "expression"), shapes=FIRST_10, limit=12, terms=("regularisation",)),
 )
-"""Deep Energies Appendix C.2."""
+"""After Deep Energies Appendix C.2; the priors on shape and expression are ours. The first ten are the largest of a
+statistical basis. The default head's blendshapes are in alphabetical order: no jaw, no mouth among the first ten."""
 
 
 class Config(_Section):
@@ -418,8 +420,9 @@ PRESET_STAGES: dict[str, tuple[Stage, ...]] = {
 }
 
 PRESETS: dict[str, Config] = {
-    # The paper: residuals in pixels, E_β and E_σ as single residuals, no bounds, one fixed contour, no identity. It
-    # prints no values of ω; these leave E_fit in charge on a 640-pixel picture.
+    # The paper's terms and schedule: residuals in pixels, E_β and E_σ as single residuals, no bounds, one fixed
+    # contour, no identity. It prints no values of ω; these leave E_fit in charge on a 640-pixel picture, while weights
+    # run far beyond [0, 1]. That points count with their confidence is ours.
     "face-it": Config(
         preset="face-it",
         weights=WeightsConfig(tau=0.01, beta=0.01, sigma=0.01),
@@ -434,14 +437,15 @@ PRESETS: dict[str, Config] = {
     ),
     # Ours: pose and expression as one problem of 50 unknowns, where the alternation sticks.
     "joint": Config(preset="joint", weights=WeightsConfig(sigma_smooth=20.0), stages=PRESET_STAGES["joint"]),
-    # Deep Energies, its stages as printed. λ is the paper's 100 in our unit: a percent of the eye distance is about 1.8
-    # of its pixels. It prints neither W nor the weight of its edge term.
+    # Deep Energies: the order of the stages and what each frees are the paper's. It prints no iteration limits, no
+    # bounds, neither W nor the weight of its edge term: these are ours. So is λ: the paper's 100 stands beside errors
+    # in pixels, and in a residual λw that would be squared with it.
     "deep-energies": Config(preset="deep-energies", system="deep-energies", stages=DEEP_STAGES),
     # The same with the energy of Appendix C.1.
     "preselected-points": Config(
         preset="preselected-points", system="deep-energies", deep=DeepConfig(energy="points"), stages=DEEP_STAGES
     ),
-    # Appendix C.2: parallel projection with a scale, the mean face and 10 + 10 components.
+    # Appendix C.2: parallel projection with a scale, the mean face and the first 10 + 10 components.
     "orthographic": Config(
         preset="orthographic",
         system="deep-energies",

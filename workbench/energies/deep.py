@@ -159,11 +159,14 @@ def deep_residuals(
 ) -> dict[str, Float[Array, "_"]]:
     """Residuals by term, weighted: the energy is the sum of their squares.
 
+    Other than in the paper, W (with the detections' confidence) multiplies squared errors and weighs E_2 too, and
+    errors count in `unit_px`.
+
     `views` is stacked. `predicted` are landmarks in each view, pixels; `start` holds the pose that the prior keeps to.
     """
     error = (predicted - views.target) / jnp.asarray(views.unit_px)[:, None, None]
     root = jnp.sqrt(jnp.asarray(views.weights))[..., None]
-    # Consecutive landmarks, as in the paper; a difference counts as its less certain end.
+    # Consecutive landmarks, as in the paper; ours is that a difference counts as its less certain end.
     ends = jnp.minimum(root[:, 1:], root[:, :-1])
     shapes = [parameters.expression]
     if len(parameters.jaw):

@@ -3,7 +3,8 @@
 A neighbouring frame whose parameters are known gives every visible point of the face a place in its picture, and the
 flow from there to the frame a place in the frame. ‖N(F*₁, F*₂) − N(F₁, F₂)‖ at these points is the distance of the
 face's points from these places. N(F₁, F₂) is the exact flow of the moving mesh, or that plus what an estimator says
-beside it on the rendered pair (`bias_px`), which is then the paper's energy with the same estimator on both sides.
+beside it on the rendered pair (`bias_px`): then the same estimator is on both sides, as in the paper. The paper also
+takes the estimator's derivative; here `bias_px` is a constant, and the derivative is the mesh's.
 """
 
 from typing import NamedTuple

@@ -10,7 +10,7 @@ Weights = Float[AnyArray, "k"]
 
 
 def sigma_residual(weights: Weights) -> Float[AnyArray, "1"]:
-    """E_σ as the paper's single residual Σ|w| (Eq. 11).
+    """E_σ as a single residual Σ|w|: Eq. 11 without the factor n that its sum over ‖w‖ brings; ω_σ takes that up.
 
     A least-squares solver squares it: what is minimised is (Σ|w|)².
     """
@@ -36,7 +36,10 @@ def beta_curve(weights: Weights, constants: EnergyConstants) -> Weights:
 
 
 def beta_slope(weights: Weights, constants: EnergyConstants) -> Weights:
-    """Derivative of `beta_curve`: 39,000 on the bound, 0.0016 a tenth outside; a Gauss–Newton step hardly feels it."""
+    """Derivative of `beta_curve`: 39,000 where it rises (1 − a and a), 4 at 0 and 1, 0.0016 a tenth outside.
+
+    A Gauss–Newton step hardly feels it.
+    """
     upper = (weights - constants.a) / constants.b
     lower = (weights + constants.a - 1.0) / constants.b
     return 0.25 * jnp.pi / constants.b * (1.0 / (1.0 + upper * upper) - 1.0 / (1.0 + lower * lower))

@@ -90,7 +90,7 @@ DEEP = (
     Knob("deep.start", "start", "frontal in the middle of the picture, or the pose that the landmarks give", "choice",
          choices=("frontal", "landmarks")),
     Knob("deep.edges", "ω_edges", "E_2 of Sec. 8.1: differences of consecutive landmarks", "log", 1e-3, 1e2),
-    Knob("deep.regularisation", "λ", "λ‖w‖², blendshapes and jaw; the paper: 100 beside squared pixels, Sec. 8.2",
+    Knob("deep.regularisation", "λ", "λ‖w‖², blendshapes and jaw, Sec. 8.2; our unit, the paper prints 100",
          "log", 1e-2, 1e4),
     Knob("deep.prior", "ω_prior", "stay near the pose before, in stages with that term, Sec. 5", "log", 1e-3, 1e3),
     Knob("deep.tolerance", "tolerance", "a stage stops when a step gains less than this part", "log", 1e-6, 1e-1),

@@ -2,7 +2,8 @@
 
 Forward from the good frame before the gap, backward from the one behind it; then both ways are joined, each weighed by
 how near its anchor is (flow's errors add up on the way), and every frame is solved once more between its two
-neighbours. At the ends of a clip there is one anchor and one way.
+neighbours. At the ends of a clip there is one anchor and one way. The paper's second way begins at the frames that the
+first has filled, and both may be repeated.
 """
 
 from collections import deque

@@ -61,7 +61,8 @@ def averaging_pass(
 def self_flow_pass(
     fitter: FlowFitter, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
 ) -> Iterator[Moment]:
-    """Each frame where ‖N(F₁, F₂) − N(F₂, F₃)‖ is least: the points midway between the neighbours' (Sec. 7)."""
+    """Each frame where ‖N(F₁, F₂) − N(F₂, F₃)‖ (Sec. 7) is least for the exact flow of the mesh: the points midway
+    between the neighbours'."""
 
     def midway(before: Moment, here: Moment, after: Moment) -> FrameFit:
         views = fitter.views(here.fit)
@@ -74,7 +75,10 @@ def self_flow_pass(
 def plate_flow_pass(
     fitter: FlowFitter, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
 ) -> Iterator[Moment]:
-    """Each frame where the renders' flow from and to its neighbours is that of the pictures (Sec. 7)."""
+    """Each frame where the renders' flow from both neighbours to it is that of the pictures.
+
+    Sec. 7 has the flow from the frame to the later neighbour in its second term.
+    """
 
     def between(before: Moment, here: Moment, after: Moment) -> FrameFit:
         views, guess = fitter.views(here.fit), parameters_of(here.fit)
