@@ -1,4 +1,4 @@
-"""FACE IT! solve per frame against Ceres: same clip, same energies, ρ = ε = 15, 68 points and 44 shapes."""
+"""FACE IT! solve per frame against Ceres: same clip, same energies, ρ = ε = 15, 68 points and 43 shapes."""
 
 import hashlib
 import json

@@ -23,7 +23,7 @@
 namespace {
 
 constexpr int kPoints = 68;
-constexpr int kShapes = 44;
+constexpr int kShapes = 43;
 
 using Points3 = Eigen::Matrix<double, kPoints, 3, Eigen::RowMajor>;
 using Points2 = Eigen::Matrix<double, kPoints, 2, Eigen::RowMajor>;
@@ -220,7 +220,7 @@ Clip ReadClip(const std::string& path) {
     if (!(file >> value)) throw std::runtime_error(path + " ends early or holds something that is no number");
     return value;
   };
-  if (next() != kPoints || next() != kShapes) throw std::runtime_error(path + " is not of 68 points and 44 shapes");
+  if (next() != kPoints || next() != kShapes) throw std::runtime_error(path + " is not of 68 points and 43 shapes");
   Clip clip;
   clip.observed.resize(static_cast<std::size_t>(next()));
   clip.pose_iterations = static_cast<int>(next());
