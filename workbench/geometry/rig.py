@@ -25,6 +25,8 @@ LEAST_BASELINE_MM, MOST_BASELINE_MM = 5.0, 20_000.0
 ROTATION_TOLERANCE = 1e-3
 """Error of RᵀR that is put down to rounded digits and repaired."""
 ASPECT_TOLERANCE = 0.01
+LEAST_FOCAL_PX = 1e-3
+"""Less is a damaged number: no picture has room for what such a lens sees."""
 FARTHEST_MM = 20_000.0
 LEAST_SHARED_MM = 10.0
 """Radius of a ball, up to so far from the reference camera, that all pictures must be able to show whole."""
@@ -212,7 +214,7 @@ def _check_intrinsics(name: str, camera: Camera, image_size: tuple[int, int]) ->
         raise InputError(f"The pictures of view {name!r} are {_size(image_size)} pixels; give (width, height).")
     if not all(np.isfinite(values).all() for values in camera):
         raise InputError(f"The camera of view {name!r} holds a number that is not finite; calibrate it again.")
-    if not (camera.focal_px > 0).all():
+    if not (camera.focal_px >= LEAST_FOCAL_PX).all():
         raise InputError(f"The focal lengths of view {name!r} are {camera.focal_px.tolist()}; both must be positive.")
     x, y = camera.principal_point_px
     if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):

@@ -310,5 +310,5 @@ def _keys(file: Mapping[str, Any]) -> str:
 
 
 def _shortened(value: Any) -> str:
-    text = repr(value)
+    text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."
