@@ -29,6 +29,7 @@ from workbench.widgets.head_view import (
     value_colors,
     viewpoint_of,
 )
+from workbench.widgets.k3d_plot import ReadyPlot
 from workbench.widgets.viewpoint import Viewpoint, front_viewpoint
 
 WORLD = np.array([1.0, -1.0, -1.0])
@@ -79,7 +80,7 @@ class K3dHeadView:
         self._lock = threading.RLock()
         self._shown = Shown(model.neutral.astype(np.float32))
         viewpoint = front_viewpoint(model, size)
-        self.plot = k3d.plot(
+        self.plot = ReadyPlot(
             height=size[1], antialias=ANTIALIAS, logarithmic_depth_buffer=False, lighting=LIGHTING,
             background_color=_packed(np.array([SLATE]))[0].item(),
             menu_visibility=False, grid_visible=False, grid_auto_fit=False, camera_auto_fit=False, axes_helper=0,
