@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from collections.abc import Callable
 
@@ -33,20 +34,21 @@ ipywidgets.VBox([slider, shown, ipywidgets.Button(icon="undo", description="back
 def notebook(tmp_path_factory):
     """The app's notebook with one slider."""
     path = tmp_path_factory.mktemp("app") / servers.APP_NOTEBOOK
-    cells = [nbformat.v4.new_markdown_cell("# Tuning $E_\\tau$"), nbformat.v4.new_code_cell(SLIDER)]
+    texts = "# Tuning $E_\\tau$", "The [tour](02_the_workbench.ipynb) explains it."
+    cells = [*map(nbformat.v4.new_markdown_cell, texts), nbformat.v4.new_code_cell(SLIDER)]
     kernel = {"name": "python3", "display_name": "Python 3"}
     nbformat.write(nbformat.v4.new_notebook(cells=cells, metadata={"kernelspec": kernel}), path)
     return path
 
 
 @pytest.fixture(scope="module")
-def server(notebook):
+def server(notebook, tmp_path_factory):
     """The running app: its address with the token, and its process."""
     pytest.importorskip("voila")
-    port, token = free_port(), secrets.token_hex(8)
-    process = subprocess.Popen(
-        servers.app_command(notebook, port), env=servers.app_environment(token), stderr=subprocess.DEVNULL
-    )
+    port, token, pages = free_port(), secrets.token_hex(8), tmp_path_factory.mktemp("pages")
+    servers.write_app_pages(servers.notebooks_folder(), pages)
+    environment = servers.app_environment(token, pages)
+    process = subprocess.Popen(servers.app_command(notebook, port), env=environment, stderr=subprocess.DEVNULL)
     try:
         wait_until(lambda: servers.answers(port) or process.poll() is not None)
         yield f"http://127.0.0.1:{port}/?token={token}", psutil.Process(process.pid)
@@ -82,6 +84,18 @@ def test_the_page_has_the_results_without_code_and_names_no_other_host(address):
     assert "vnd.jupyter.widget-view" in page
     assert not re.search("(href|src)=[\"']https?:", page)
     assert "default-src 'self'" in policy
+
+
+def test_the_tour_opens_as_a_page_to_read_that_names_no_other_host_and_no_notebook(address):
+    with urllib.request.urlopen(address) as answer:
+        (link,) = re.findall('<a [^>]*href="([^"]+)"[^>]*>tour</a>', answer.read().decode())
+    with urllib.request.urlopen(urllib.parse.urljoin(address, link)) as answer:
+        assert "text/html" in answer.headers["Content-Type"]
+        tour = answer.read().decode()
+    assert "<h1" in tour
+    assert "Drag a wrong landmark to its place" in tour
+    assert "<i>E</i><sub>&beta;</sub>" in tour
+    assert not re.search("(href|src)=[\"'](https?:|[^\"'#]*ipynb)", tour)
 
 
 def test_without_the_token_there_is_a_login_page_only(address):

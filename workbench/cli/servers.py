@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import webbrowser
 from collections.abc import Callable, Mapping
@@ -18,10 +19,14 @@ import typer
 
 import workbench
 from workbench.cli import screen
+from workbench.cli.tour_page import write_tour_page
 from workbench.errors import InputError, MissingDependencyError
 
 PACKAGE = Path(workbench.__file__).resolve().parent
 APP_NOTEBOOK = "10_workbench_app.ipynb"
+TOUR_NOTEBOOK = "02_the_workbench.ipynb"
+TOUR_PAGE = Path("nbconvert", "templates", "workbench", "static", "tour.html")
+"""Where Voilà looks for files of the app's template, below a folder of `JUPYTER_PATH`; the template links to it."""
 APP_PAGE = Path(__file__).resolve().parent / "app_page"
 """Voilà's settings (voila.json) and the page's template.
 
@@ -81,7 +86,10 @@ def serve_app(
         if browser and _has_browser():
             webbrowser.open(address)
 
-    raise typer.Exit(serve(app_command(notebook, port), app_environment(token), lambda: answers(port), ready))
+    with tempfile.TemporaryDirectory(prefix="workbench-app-") as pages:
+        write_app_pages(notebook.parent, Path(pages))
+        environment = app_environment(token, Path(pages))
+        raise typer.Exit(serve(app_command(notebook, port), environment, lambda: answers(port), ready))
 
 
 def app_command(notebook: Path, port: int) -> list[str]:
@@ -89,9 +97,19 @@ def app_command(notebook: Path, port: int) -> list[str]:
     return [sys.executable, "-m", "voila", str(notebook), f"--port={port}", f"--Voila.config_file_paths={APP_PAGE}"]
 
 
-def app_environment(token: str) -> dict[str, str]:
-    """Environment of `app_command`. The token goes here because command lines can be read by every user."""
-    paths = [str(APP_PAGE), *filter(None, [os.environ.get("JUPYTER_PATH")])]
+def write_app_pages(notebooks: Path, folder: Path) -> None:
+    """Write the pages that the app links to, for `app_environment`: the tour as a page to read."""
+    if (notebooks / TOUR_NOTEBOOK).is_file():
+        (folder / TOUR_PAGE).parent.mkdir(parents=True)
+        write_tour_page(notebooks / TOUR_NOTEBOOK, folder / TOUR_PAGE)
+
+
+def app_environment(token: str, pages: Path | None = None) -> dict[str, str]:
+    """Environment of `app_command`; `pages`: the folder of `write_app_pages`.
+
+    The token goes here because command lines can be read by every user.
+    """
+    paths = [str(APP_PAGE), *([] if pages is None else [str(pages)]), *filter(None, [os.environ.get("JUPYTER_PATH")])]
     return {**os.environ, "JUPYTER_TOKEN": token, "JUPYTER_PATH": os.pathsep.join(paths)}
 
 
