@@ -6,6 +6,7 @@ import pytest
 
 from tests import browser
 from tests.panel_page import MARKS, PANEL, READY, opened, tab, write_notebook
+from workbench.config import preset
 
 lacking = browser.missing()
 
@@ -57,6 +58,22 @@ def test_the_film_strip_shows_the_stages_and_follows_the_choice_of_energy(page, 
     page.page.wait_for_timeout(500)
     page.page.screenshot(path=screenshots / "deep-panel-stages.png")
     assert page.page.locator(MARKS).is_visible()
+
+
+def test_every_stage_can_be_reached(page, screenshots):
+    tab(page, "Stages")
+    wanted = [stage.name for stage in preset("deep-energies").stages]
+    hidden = page.page.locator(".fw-stages").evaluate("(e) => e.scrollHeight - e.clientHeight")
+    rows = page.page.locator(".fw-stages > .widget-hbox:visible").filter(has=page.page.locator("input[type=checkbox]"))
+    found = [rows.nth(k).locator("input[type=text]").first.input_value() for k in range(rows.count())]
+    assert found == wanted
+    assert hidden <= 1
+    for width in (1366, 1920):
+        page.page.set_viewport_size({"width": width, "height": 768})
+        page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
+        page.page.wait_for_timeout(500)
+        page.page.screenshot(path=screenshots / f"deep-panel-stages-{width}.png")
+    rows.last.get_by_role("button", name="✕", exact=True).hover()
 
 
 def test_the_kernel_has_the_chosen_energy_and_nothing_went_wrong(page):

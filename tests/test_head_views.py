@@ -1,5 +1,6 @@
 """The live 3D head without a browser: both back ends show the same head from the same place, from any thread."""
 
+import gzip
 import sys
 import threading
 import types
@@ -15,6 +16,7 @@ from workbench.pictures import HeadRenderer, gl_available, gl_probe
 from workbench.pictures.extras import Extras, marks_mesh, outer_triangles
 from workbench.pictures.mesh import face_normals, to_camera
 from workbench.widgets.head_view import VSCODE_VARIABLES, chosen_backend, make_head_view, value_colors
+from workbench.widgets.k3d_plot import PROGRAM
 from workbench.widgets.viewpoint import (
     FURTHEST_MM,
     NEAREST_MM,
@@ -242,6 +244,19 @@ def test_what_does_not_change_is_not_sent(webgl, head, sent):
     assert sent == []
 
 
+def test_the_browser_has_the_program_of_k3d_without_asking_the_kernel(webgl, head):
+    program = webgl.plot._program
+    assert gzip.decompress(program._packed) == PROGRAM.read_bytes()
+    assert program.comm is not None
+    other = make_head_view(head, SIZE, "k3d")
+    assert other.plot._program is program  # not once more for every view
+    other.close()
+    program.close()
+    later = make_head_view(head, SIZE, "k3d")
+    assert later.plot._program.comm is not None
+    later.close()
+
+
 def test_values_colour_a_second_mesh_that_follows(webgl, head):
     webgl.set_values(np.linspace(0.0, 1.0, len(head.neutral)), 0.0, 1.0, "a < b")
     first = webgl.mesh
@@ -361,6 +376,18 @@ def test_new_vertices_leave_the_mouse_s_view_alone(view, head):
     assert np.array_equal(pixels_of(view, head.neutral), before)
 
 
+def test_the_legend_comes_and_goes_with_the_picture(pictures, head, monkeypatch):
+    pictures.wait_idle()
+    go_on, draw = threading.Event(), pictures._painter.render
+    monkeypatch.setattr(pictures._painter, "render", lambda *args, **options: go_on.wait(30) and draw(*args, **options))
+    pictures.set_values(np.linspace(0.0, 1.0, len(head.neutral)), 0.0, 1.0, "height")
+    assert pictures._legend.layout.display == "none"
+    go_on.set()
+    pictures.wait_idle()
+    assert pictures._legend.layout.display is None
+    assert "height" in pictures._legend.value
+
+
 def test_only_the_newest_state_is_drawn(pictures, head, monkeypatch):
     pictures.wait_idle()
     go, drawn, draw = threading.Event(), [], pictures._draw
@@ -468,10 +495,12 @@ def test_values_take_the_place_of_the_skin_until_they_are_taken_away(painted, he
     top, bottom = colored[forehead[1] - 20, forehead[0]], colored[chin[1] - 6, chin[0]]
     assert top[2] > top[0]
     assert bottom[1] > bottom[2] + 20
+    painted.wait_idle()
     assert "height &lt;mm&gt;" in painted._legend.value
     assert painted._legend.layout.display is None
     painted.set_values(None, 0.0, 1.0, "")
     assert np.abs(painted.snapshot() - before).mean() < 1
+    painted.wait_idle()
     assert painted._legend.layout.display == "none"
 
 

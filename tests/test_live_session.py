@@ -16,6 +16,7 @@ from workbench.errors import InputError
 from workbench.export import export_track
 from workbench.frames import open_frames
 from workbench.samples import sample
+from workbench.session.gesture import Gesture
 from workbench.session.kernel_camera import KernelCamera
 from workbench.session.knobs import changed_by
 from workbench.session.live import FIRST_FRAMES, NEUTRAL_FRAMES, LiveSession
@@ -132,6 +133,18 @@ def test_undo_goes_back_one_gesture_at_a_time(session):
     assert session.undo()
     assert session.config == start
     assert not session.undo()
+
+
+def test_a_slow_drag_is_one_step_of_undo(session, monkeypatch):
+    monkeypatch.setattr("workbench.session.gesture.GESTURE_S", 0.0)
+    start = session.config
+    for value in (1.0, 2.0, 3.0):
+        session.use(session.config.changed(weights={"tau": value}), Gesture("weights.tau", drag=1))
+    session.use(session.config.changed(weights={"tau": 4.0}), Gesture("weights.tau", drag=2))
+    assert session.undo()
+    assert session.config.weights.tau == 3.0
+    assert session.undo()
+    assert session.config == start
 
 
 def test_another_lens_is_calibrated_again_on_the_same_frames(head, seen, frames):

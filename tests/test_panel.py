@@ -1,5 +1,6 @@
 """The tuning panel without a browser: every control reaches the session, every change reaches the views."""
 
+import re
 import threading
 import time
 
@@ -8,21 +9,33 @@ import numpy as np
 import pytest
 
 from tests.scenes import IMAGE_SIZE, make_scene
-from workbench.config import PRESETS, preset, read_config
+from workbench.config import FACE_IT_PRESETS, PRESETS, differences, preset, read_config
 from workbench.diagnosis import Change
 from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.samples import sample
-from workbench.session import FittedHead, Material, TuningSession, material_of_photo
-from workbench.session.knobs import KNOBS, METHODS, TIME, changed_by, effective_weights, value_of
+from workbench.session import FittedHead, Material, TuningSession, gesture, material_of_photo, open_session
+from workbench.session.knobs import (
+    DEEP,
+    FACE_IT_ALONE,
+    KNOBS,
+    METHODS,
+    TIME,
+    changed_by,
+    effective_weights,
+    is_inert,
+    value_of,
+)
 from workbench.session.material import PictureStore
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
-from workbench.widgets import TuningPanel
+from workbench.widgets import FitPlayground, LivePanel, SessionOpener, TuningPanel
 from workbench.widgets.controls import KnobControl, place_of, value_at
+from workbench.widgets.film_strip import FilmStrip
 from workbench.widgets.latest import LatestWins
+from workbench.widgets.light_panel import LightPanel
 from workbench.widgets.overlay_view import OverlayEvent
-from workbench.widgets.stage_editor import landmarks_text, read_landmarks
+from workbench.widgets.stage_editor import BLOCKS, DEEP_BLOCKS, StageEditor, landmarks_text, read_landmarks
 
 BY_PATH = {knob.path: knob for knob in KNOBS}
 
@@ -187,6 +200,63 @@ def test_stages_are_reordered_switched_and_freed_without_compiling(panel):
     assert solve_frame._cache_size() == before
 
 
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_stage_table_shows_every_stage_and_what_its_system_can_free(name):
+    config = preset(name)
+    editor = StageEditor(lambda stages, label: None, lambda what, number: None, 190)
+    editor.show(config)
+    assert [row.name.value for row in shown_in(editor)] == [stage.name for stage in config.stages]
+    deep = set(DEEP_BLOCKS) if config.system == "deep-energies" else set()
+    for row in shown_in(editor):
+        assert {block for block, toggle in row.free.items() if is_shown(toggle)} == set(BLOCKS) | deep
+        assert all(is_shown(button) for button in row.buttons.values())
+
+
+def test_a_stage_can_be_added_to_the_longest_schedule_and_taken_away_again():
+    config = preset("deep-energies")
+    handed = []
+    editor = StageEditor(lambda stages, label: handed.append(stages), lambda what, number: None, 190)
+    editor.show(config)
+    editor.add.click()
+    editor.show(config.changed(stages=handed[-1]))
+    assert [row.name.value for row in shown_in(editor)][-1] == "stage 1"
+    shown_in(editor)[-1].buttons["drop"].click()
+    assert [stage["name"] for stage in handed[-1]] == [stage.name for stage in config.stages]
+
+
+def shown_in(editor):
+    return [row for row in editor._rows if is_shown(row.widget)]
+
+
+def is_shown(widget):
+    return widget.layout.display != "none"
+
+
+def test_no_two_widgets_share_a_layout_so_that_hiding_one_hides_no_other(panel, clip_panel, head, photo):
+    deep = StageEditor(lambda stages, label: None, lambda what, number: None, 190)
+    deep.show(preset("deep-energies"))
+    landmarks = photo.observations[0].landmarks
+    roots = (
+        panel, clip_panel, deep.widget, SessionOpener(), LivePanel(sample("performance"), head),
+        LightPanel(lambda light: np.zeros((8, 8, 3))), FitPlayground(photo.pictures[0], landmarks, head),
+    )  # fmt: skip
+    for root in roots:
+        owners = {}
+        for widget in within(root):
+            owners.setdefault(id(widget.layout), []).append(widget)
+        assert len(owners) > 5
+        assert [shared for shared in owners.values() if len(shared) > 1] == []
+    for root in roots[3:]:
+        root.close()
+
+
+def within(widget):
+    """A widget and all that it holds, hidden pages too."""
+    yield widget
+    for child in getattr(widget, "children", ()):
+        yield from within(child)
+
+
 def test_a_stage_that_cannot_be_is_explained_and_put_back(panel):
     shown = panel.stages._rows[: len(panel.session.config.stages)]
     for row in shown:
@@ -301,6 +371,162 @@ def test_without_a_picture_there_is_no_heat(clip_panel):
     clip_panel.overlay.layers["heat"].value = False
     assert clip_panel.wait_idle()
     assert clip_panel.overlay.view.message == ""
+
+
+def test_colours_and_legend_of_the_head_change_together_while_the_uncertainty_is_worked_out(panel, monkeypatch):
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slow(fit):
+        begun.set()
+        go_on.wait(60)
+        return np.linspace(0.0, 1.0, len(panel.head.view._model.neutral))
+
+    monkeypatch.setattr(panel.head, "_uncertainty", slow)
+    panel.head.color.value = "residual"
+    assert panel.wait_idle()
+    assert shown_colors(panel) == ("values", "residual, % of eye distance")
+    panel.head.color.value = "uncertainty"
+    assert begun.wait(60)
+    assert panel._worker.wait_idle()
+    assert shown_colors(panel) == ("skin", "")
+    assert "how certain frame" in panel.head.working.value
+    panel.turn("weights.sigma_smooth", 3.0)
+    assert panel._worker.wait_idle()
+    assert panel.fit.expression.tolist() == panel.session.fit_frame(0).expression.tolist()
+    panel.head.color.value = "residual"
+    assert panel._worker.wait_idle()
+    assert shown_colors(panel) == ("values", "residual, % of eye distance")
+    assert panel.head.working.value == ""
+    panel.head.color.value = "uncertainty"
+    go_on.set()
+    assert panel.wait_idle()
+    assert shown_colors(panel) == ("values", "standard deviation, mm")
+    assert panel.head.working.value == ""
+    panel.head.color.value = "skin"
+    assert panel.wait_idle()
+    assert shown_colors(panel) == ("skin", "")
+
+
+def shown_colors(panel):
+    """Whether the head has its skin or the colours of values, and the label of its legend."""
+    view = panel.head.view
+    label = re.search("<span>(.*?)</span>", view._legend.value) if view._legend.layout.display is None else None
+    return ("skin" if view.mesh is view._textured else "values"), label[1] if label else ""
+
+
+def test_the_head_and_the_fits_do_not_wait_for_a_slow_layer_of_the_picture(panel, monkeypatch):
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slow(fit):
+        begun.set()
+        go_on.wait(60)
+        return np.zeros((4, 4, 4), np.uint8)
+
+    monkeypatch.setattr(panel.overlay, "_face", slow)
+    panel.overlay.layers["layer"].value = False
+    panel.overlay.layers["layer"].value = True
+    assert begun.wait(60)
+    assert "face" in panel.overlay.working.value
+    panel.head.color.value = "residual"
+    assert panel._worker.wait_idle()
+    assert shown_colors(panel)[0] == "values"
+    go_on.set()
+    assert panel.wait_idle()
+    assert panel.overlay.working.value == ""
+    panel.overlay.layers["layer"].value = False
+    panel.head.color.value = "skin"
+
+
+@pytest.mark.parametrize("name", FACE_IT_PRESETS)
+def test_without_stages_to_draw_the_film_strip_is_a_sentence_and_no_broken_picture(name, panel):
+    panel.session.use(preset(name))
+    assert panel.wait_idle()
+    assert "stages of Deep Energies" in panel.strip.note.value
+    assert not is_shown(panel.strip.image)
+
+
+def test_the_film_strip_of_landmarks_alone_says_that_it_needs_pictures(head, clip):
+    strip = FilmStrip(TuningSession(head, clip, preset("deep-energies")))
+    strip.show_frame(0)
+    assert "drawn on the picture" in strip.note.value
+    assert not is_shown(strip.image)
+
+
+def test_the_film_strip_shows_the_stages_and_says_meanwhile_what_it_does(head, monkeypatch):
+    config = preset("deep-energies")
+    session = open_session(sample("astronaut"), config, landmarks=sample("astronaut-landmarks"), model=head)
+    strip, said = FilmStrip(session), []
+
+    def drawn(frame):
+        said.append(strip.note.value)
+        return np.zeros((40, 60, 3), np.uint8)
+
+    monkeypatch.setattr(session, "stage_strip", drawn)
+    strip.show_frame(0)
+    assert "Fitting the stages" in said[0]
+    assert is_shown(strip.image)
+    assert strip.note.value == ""
+    assert len(strip.image.value) > 100
+    session.use(preset("joint"))
+    strip.show_config()
+    assert not is_shown(strip.image)
+
+
+def test_a_drag_of_a_slider_is_one_step_however_slow_and_the_next_drag_another(panel, monkeypatch):
+    monkeypatch.setattr(gesture, "GESTURE_S", 0.0)
+    for drag, values in ((1, (15.0, 9.0, 4.0)), (2, (3.0, 2.0))):
+        panel.drags.drag = drag
+        for value in values:
+            panel.turn("weights.sigma_smooth", value)
+    panel.drags.drag = 0
+    panel.turn("weights.sigma_smooth", 1.0)
+    found = []
+    while panel.session.undo():
+        found.append(panel.session.config.weights.sigma_smooth)
+    assert found[:3] == [2.0, 4.0, 20.0]
+
+
+def test_a_drag_of_a_landmark_is_one_step_and_an_arrow_key_after_it_another(panel, monkeypatch):
+    monkeypatch.setattr(gesture, "GESTURE_S", 0.0)
+    for kind, x in (
+        ("drag", 260.0),
+        ("drag", 261.0),
+        ("drop", 262.0),
+        ("drop", 263.0),
+        ("drag", 264.0),
+        ("drop", 265.0),
+    ):
+        panel.overlay._on_event(OverlayEvent(kind, (30,), float(x), 140.0))
+    found = []
+    while panel.session.undo() and panel.session.config.landmarks.moved:
+        found.append(panel.session.config.landmarks.moved["0"]["30"][0])
+    assert found == [263.0, 262.0]
+
+
+def test_settings_of_the_other_system_are_greyed_out_and_a_sentence_says_why(panel):
+    assert controls_of(panel, enabled=False) == {knob.path for knob in DEEP}
+    assert "Deep Energies" in panel.controls.notes["deep"].value
+    assert [title for title, note in panel.controls.notes.items() if is_shown(note)] == ["deep"]
+    panel.controls.show(preset("deep-energies"))
+    assert controls_of(panel, enabled=False) == FACE_IT_ALONE
+    assert [title for title, note in panel.controls.notes.items() if is_shown(note)] == ["ω", "ρ ε", "a b c"]
+    panel.controls.show(panel.session.config)
+    assert not is_shown(panel.controls.notes["ω"])
+
+
+def controls_of(panel, enabled):
+    return {path for path, control in panel.controls.by_path.items() if control.input.disabled != enabled}
+
+
+def test_what_is_greyed_out_changes_no_fit(head, photo):
+    config = other = preset("joint")
+    for path in filter(lambda path: is_inert(config, path), BY_PATH):
+        knob = BY_PATH[path]
+        other = other.changed(**changed_by(other, path, knob.choices[-1] if knob.kind == "choice" else 0.7))
+    before, after = (TuningSession(head, photo, made).fit_frame(0) for made in (config, other))
+    assert len(differences(config, other)) == len(DEEP)
+    np.testing.assert_array_equal(after.expression, before.expression)
+    np.testing.assert_array_equal(after.rotation, before.rotation)
 
 
 def test_a_clip_is_run_again_after_a_change_and_the_frame_follows_the_timeline(clip_panel):

@@ -10,6 +10,7 @@ import pytest
 
 from tests import browser
 from tests.panel_page import HEAD, MARKS, PANEL, READY, latencies, opened, press, tab, to_top, write_notebook
+from workbench.config import preset as read_preset
 from workbench.config import read_config
 
 lacking = browser.missing()
@@ -21,6 +22,7 @@ STRIP = ".fw-timeline canvas"
 SAMPLES = 50
 SLOWEST_MS = 600.0
 """Generous: software WebGL on a shared machine; `benchmarks/panel_latency.py` has the goals."""
+BUSY_S = 90
 PHOTO = (
     PANEL.format(name="astronaut"),
     READY,
@@ -43,6 +45,7 @@ PHOTO = (
     print("sigma", session.config.weights.sigma_smooth)
     """,
 )
+BUSY = (PANEL.format(name="astronaut"), f"time.sleep({BUSY_S})")
 CLIP = (PANEL.format(name="performance"), READY)
 
 
@@ -50,7 +53,7 @@ CLIP = (PANEL.format(name="performance"), READY)
 def server(tmp_path_factory):
     assert not lacking, lacking
     folder, settings = tmp_path_factory.mktemp("notebooks"), tmp_path_factory.mktemp("jupyter")
-    for name, cells in (("photo", PHOTO), ("clip", CLIP)):
+    for name, cells in (("photo", PHOTO), ("clip", CLIP), ("busy", BUSY)):
         write_notebook(folder / f"{name}.ipynb", cells)
     with browser.lab_server(folder, settings) as running:
         yield running
@@ -139,6 +142,66 @@ def test_the_mouse_drags_a_slider(photo):
     photo.page.mouse.move(box["x"] - 30, box["y"] + box["height"] / 2, steps=8)
     photo.page.mouse.up()
     assert changed(photo, HEAD, before) > 0.005
+
+
+def test_a_slow_drag_is_one_step_of_undo(photo):
+    photo.page.locator(".fw-panel select").first.select_option("the start")
+    rested(photo, HEAD)
+    handle = photo.slider("ω_σ L1")
+    number = photo.page.locator(".fw-controls .widget-hbox").filter(has_text="ω_σ L1").locator("input[type=text]")
+    before = rested(photo, HEAD)
+    box, seen = handle.bounding_box(), [number.input_value()]
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    photo.page.mouse.move(x, y)
+    photo.page.mouse.down()
+    for k in range(1, 4):
+        photo.page.mouse.move(x - 6 * k, y, steps=3)
+        photo.page.wait_for_timeout(1200)  # longer than changes are taken for one by their time alone
+        seen.append(number.input_value())
+    photo.page.mouse.up()
+    assert len(set(seen)) == 4
+    rested(photo, HEAD, before)
+    photo.page.get_by_role("button", name="↶ undo").click()
+    photo.page.wait_for_function("([input, value]) => input.value === value", arg=[number.element_handle(), seen[0]])
+
+
+@pytest.mark.parametrize("preset", ["face-it", "calibrated", "joint"])
+def test_every_stage_can_be_freed_moved_run_and_removed(photo, screenshots, preset):
+    photo.page.locator(".fw-panel select").first.select_option(f"preset {preset}")
+    tab(photo, "Stages")
+    stages = read_preset(preset).stages
+    rows = photo.page.locator(".fw-stages > .widget-hbox:visible").filter(has=photo.page.locator("input[type=text]"))
+    photo.page.wait_for_function(
+        "([s, count]) => [...document.querySelectorAll(s)].filter((row) => row.offsetHeight).length === count",
+        arg=[".fw-stages > .widget-hbox:has(input[type=text])", len(stages)],
+    )
+    for k in range(len(stages)):
+        for name in ("R", "t", "w", "↑", "↓", "▶|", "✕"):
+            box = rows.nth(k).get_by_role("button", name=name, exact=True).bounding_box()
+            assert box is not None, name
+            assert box["width"] >= 24
+        assert rows.nth(k).locator("select").bounding_box()["width"] > 80
+        assert rows.nth(k).get_by_role("button", name="j6", exact=True).count() == 0
+    for width in (1366, 1920):
+        photo.page.set_viewport_size({"width": width, "height": 768})
+        photo.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
+        photo.page.wait_for_timeout(500)
+        photo.page.screenshot(path=screenshots / f"panel-stages-{preset}-{width}.png")
+    photo.page.set_viewport_size({"width": 1366, "height": 768})
+    photo.page.locator(".fw-panel select").first.select_option("the start")
+
+
+def test_pages_without_content_say_what_would_be_there(photo, screenshots):
+    to_top(photo)
+    tab(photo, "Film strip")
+    photo.page.get_by_text("The film strip shows the stages of Deep Energies.").wait_for()
+    assert photo.page.locator(".fw-film-strip:visible").count() == 0
+    photo.page.screenshot(path=screenshots / "panel-film-strip-empty.png")
+    tab(photo, "deep")
+    photo.page.get_by_text("These are settings of").wait_for()
+    assert photo.page.locator(".fw-controls select:visible").first.is_disabled()
+    photo.page.screenshot(path=screenshots / "panel-deep-greyed.png")
+    tab(photo, "Energy")
 
 
 def test_a_landmark_is_clicked_and_muted(photo, screenshots):
@@ -271,3 +334,16 @@ def test_nothing_came_from_another_host_and_nothing_failed(clip, screenshots):
     assert clip.page_errors == []
     assert [text for text in clip.console_errors if "404" not in text] == []
     assert wrong_outputs(clip) == []
+
+
+def test_the_head_is_there_while_the_cell_below_still_runs(clip, screenshots):
+    """In a page that has seen no 3D view: of k3d's program, nothing is left of the notebooks before."""
+    clip.open("busy.ipynb")
+    clip.page.evaluate("() => { window.jupyterapp.commands.execute('notebook:run-all-cells'); }")
+    clip.page.wait_for_selector(MARKS)
+    clip.page.wait_for_function("(s) => new Set(window.readCanvas(s, 100)).size > 60", arg=HEAD)
+    assert clip.execution_counts() == [1, None]
+    to_top(clip)
+    clip.page.screenshot(path=screenshots / "panel-busy.png")
+    assert clip.page_errors == []
+    assert clip.foreign_requests == []

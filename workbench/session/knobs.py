@@ -121,6 +121,16 @@ TIME = (
 )  # fmt: skip
 KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP, *METHODS, *TIME)
 
+FACE_IT_ALONE = frozenset({*(knob.path for knob in (*OMEGA, *CONSTANTS)), "solver.method", "solver.tolerance"})
+"""Knobs that Deep Energies does not read: it has its own weights and tolerance."""
+
+
+def is_inert(config: Config, path: str) -> bool:
+    """Whether a knob changes nothing under the system of this configuration."""
+    if config.system == "deep-energies":
+        return path in FACE_IT_ALONE
+    return path.startswith("deep.")
+
 
 def value_of(config: Config, path: str) -> Value:
     """What a knob shows for this configuration."""

@@ -12,6 +12,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.landmarks.detectors import LandmarkDetector, make_detector
 from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
+from workbench.session.gesture import Gesture, Gestures
 from workbench.session.live_frame import LIVE_SIZE, LiveFrame
 from workbench.session.recording import Recorder, Recording
 from workbench.tracking import FrameFit, FrameObservation
@@ -27,8 +28,6 @@ NEUTRAL_EXPRESSION = 1e4
 STEADY_FACE = 0.02
 """Motion of the face from frame to frame, in outer-eye distances, up to which a neutral frame is sharp enough."""
 HISTORY = 100
-GESTURE_S = 0.8
-"""Changes of one control within this time are one step of undo."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class LiveSession:
         self._state = LiveState(config, None)
         self._lock = threading.RLock()
         self._undo: list[LiveState] = []
-        self._gesture: tuple[str, float] | None = None
+        self._gestures = Gestures()
         self._detector = detector
         self._landmarks: LandmarkTracker | None = None
         self._fitter = FrameFitter(model, config)
@@ -117,8 +116,8 @@ class LiveSession:
         with self._lock:
             return (len(self._gathered), NEUTRAL_FRAMES) if self._gathering == "neutral" else None
 
-    def use(self, config: Config, gesture: str | None = None) -> None:
-        """Change the configuration; one step of undo, or part of one with the same `gesture` shortly before.
+    def use(self, config: Config, gesture: Gesture | str | None = None) -> None:
+        """Change the configuration; one step of undo, or part of one: of the same drag, or shortly after.
 
         Raises `InputError` for Deep Energies, and while recording for other stages.
         """
@@ -129,10 +128,8 @@ class LiveSession:
             names = [stage.name for stage in config.stages]
             if self._recorder is not None and names != [stage.name for stage in self.config.stages]:
                 raise InputError("Another preset has other stages; stop the recording first.")
-            now = time.monotonic()
-            if self._gesture is None or gesture != self._gesture[0] or now - self._gesture[1] > GESTURE_S:
+            if not self._gestures.goes_on(gesture):
                 self._remember()
-            self._gesture = None if gesture is None else (gesture, now)
             self._state = replace(self._state, config=config)
 
     def undo(self) -> bool:
@@ -140,7 +137,8 @@ class LiveSession:
         with self._lock:
             if not self._undo:
                 return False
-            self._state, self._gesture = self._undo.pop(), None
+            self._state = self._undo.pop()
+            self._gestures.end()
             self._gathering = ""
             return True
 

@@ -2,7 +2,6 @@
 
 import shlex
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -20,6 +19,7 @@ from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, load_default_head
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import software_versions
+from workbench.session.gesture import Gesture, Gestures
 from workbench.session.material import Material, Progress, load_material, material_of_track
 from workbench.session.metrics import metrics_of
 from workbench.session.temporal import TIME_SECTIONS, TemporalWork
@@ -31,8 +31,6 @@ from workbench.tracking.records import stack_fits
 from workbench.tracking.systems import Fitter, configured, make_fitter
 from workbench.tracking.tracker import calibration_window, jumped
 
-GESTURE_S = 0.8
-"""Changes of one control that follow each other within this time are one step of undo."""
 HISTORY = 200
 """Steps that can be taken back."""
 
@@ -68,7 +66,7 @@ class TuningSession:
         self._config = self.base
         self._undo: list[Step] = []
         self._redo: list[Step] = []
-        self._gesture: tuple[str, float] | None = None
+        self._gestures = Gestures()
         self._snapshots: dict[str, Config] = {}
         self._exported: Config | None = None
         self._run: Run | None = None
@@ -100,24 +98,22 @@ class TuningSession:
         """The present configuration."""
         return self._config
 
-    def set(self, label: str = "", gesture: str | None = None, **sections: Any) -> Config:
+    def set(self, label: str = "", gesture: Gesture | str | None = None, **sections: Any) -> Config:
         """Change keys of sections, as `Config.changed`; one step of undo.
 
-        Changes with the same `gesture` that follow each other within 0.8 s are one step: a dragged slider. Raises
-        `ConfigError` for what a configuration cannot hold, and leaves everything as it was.
+        Changes with the same `gesture` are one step: those of one drag of a slider however slow, others if they follow
+        each other within 0.8 s. Raises `ConfigError` for what a configuration cannot hold, and leaves everything as it
+        was.
         """
         return self.use(self._config.changed(**sections), label or ", ".join(sections), gesture)
 
-    def use(self, config: Config, label: str = "configuration", gesture: str | None = None) -> Config:
+    def use(self, config: Config, label: str = "configuration", gesture: Gesture | str | None = None) -> Config:
         """Replace the whole configuration; one step of undo."""
         with self._lock:
             if config == self._config:
                 return config
-            now = time.monotonic()
-            same = gesture is not None and self._gesture is not None and self._gesture[0] == gesture
-            if not (same and now - self._gesture[1] < GESTURE_S):
+            if not self._gestures.goes_on(gesture):
                 self._undo = [*self._undo[-HISTORY + 1 :], Step(self._config, label)]
-            self._gesture = None if gesture is None else (gesture, now)
             self._redo = []
             self._config = config
         self.tell("config")
@@ -180,7 +176,8 @@ class TuningSession:
                 return None
             step = source.pop()
             target.append(Step(self._config, step.label))
-            self._config, self._gesture = step.config, None
+            self._config = step.config
+            self._gestures.end()
         self.tell("config")
         return step.label
 
@@ -197,7 +194,7 @@ class TuningSession:
         singles = {name: value for name, value in stored.items() if name.isdigit() and (value != 1.0 or groups)}
         return self._set_landmarks("weights", groups | singles, label or "landmark weight")
 
-    def move(self, frame: int, point: int, place: tuple[float, float], gesture: str | None = None) -> Config:
+    def move(self, frame: int, point: int, place: tuple[float, float], gesture: Gesture | str | None = None) -> Config:
         """Put a detection of one frame where it belongs, pixels."""
         self.observation(frame)
         moved = {key: dict(points) for key, points in self._config.landmarks.moved.items()}
@@ -219,11 +216,13 @@ class TuningSession:
             raise ConfigError("A landmark subset needs at least one point; select some first.")
         return self.set(f"subset {name}", subsets={name: points})
 
-    def set_stages(self, stages: Sequence[Stage], label: str = "stages", gesture: str | None = None) -> Config:
+    def set_stages(
+        self, stages: Sequence[Stage], label: str = "stages", gesture: Gesture | str | None = None
+    ) -> Config:
         """Replace the schedule."""
         return self.set(label, gesture, stages=[stage.model_dump() for stage in stages])
 
-    def _set_landmarks(self, key: str, value: dict, label: str, gesture: str | None = None) -> Config:
+    def _set_landmarks(self, key: str, value: dict, label: str, gesture: Gesture | str | None = None) -> Config:
         stored = self._config.landmarks.model_dump()
         stored[key] = value
         return self.set(label, gesture, landmarks=stored)

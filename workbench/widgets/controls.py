@@ -6,7 +6,19 @@ from collections.abc import Callable, Mapping, Sequence
 import ipywidgets as widgets
 
 from workbench.config import Config
-from workbench.session.knobs import CAMERA, CONSTANTS, DEEP, IDENTITY, LANDMARKS, OMEGA, SOLVE, Knob, Value, value_of
+from workbench.session.knobs import (
+    CAMERA,
+    CONSTANTS,
+    DEEP,
+    IDENTITY,
+    LANDMARKS,
+    OMEGA,
+    SOLVE,
+    Knob,
+    Value,
+    is_inert,
+    value_of,
+)
 from workbench.session.knobs import effective_weights as effective_weights_of
 
 Turned = Callable[[str, Value], None]
@@ -45,6 +57,10 @@ class KnobControl:
             self._read_out(value)
         finally:
             self._quiet = False
+
+    def enable(self, on: bool) -> None:
+        """Let it be turned, or grey it out."""
+        self.input.disabled = self.readout.disabled = not on
 
     def turn(self, value: Value) -> None:
         """Set a value as a user would who types it."""
@@ -85,13 +101,17 @@ class Controls:
     def __init__(self, config: Config, turned: Turned, height_px: int, titles: Sequence[str] | None = None) -> None:
         """`titles`: the pages of `PAGES` that are wanted; None: all."""
         self.by_path: dict[str, KnobControl] = {}
+        self.notes: dict[str, widgets.HTML] = {}
+        """The sentence of each page about knobs that do nothing now."""
         pages = []
         for title in PAGES if titles is None else titles:
             knobs = PAGES[title]
             controls = [KnobControl(knob, turned) for knob in knobs]
             self.by_path |= {control.knob.path: control for control in controls}
+            self.notes[title] = widgets.HTML(layout=widgets.Layout(display="none"))
             layout = widgets.Layout(height=f"{height_px - 34}px", overflow="hidden auto")
-            pages.append((title, widgets.VBox([control.widget for control in controls], layout=layout)))
+            held = [self.notes[title], *(control.widget for control in controls)]
+            pages.append((title, widgets.VBox(held, layout=layout)))
         self.widget = widgets.Tab(
             children=[page for _, page in pages], titles=[title for title, _ in pages],
             layout=widgets.Layout(width="100%"),
@@ -113,8 +133,30 @@ class Controls:
             value = value_of(config, path)
             if path != but and value != control.value:
                 control.show(value)
+            control.enable(not is_inert(config, path))
+        for title, note in self.notes.items():
+            inert = [is_inert(config, knob.path) for knob in PAGES[title]]
+            note.value = "" if not any(inert) else _why_inert(config, all(inert))
+            note.layout.display = None if any(inert) else "none"
         for path, product in effective_weights_of(config).items():
             self.by_path[path].effective.value = f"={product:.3g}"
+
+
+OF_DEEP = (
+    "These are settings of <b>Deep Energies</b>. This configuration fits by FACE IT!; choose <i>preset "
+    "deep-energies</i> under <i>go to…</i> to use them."
+)
+OF_FACE_IT = (
+    "These are settings of <b>FACE IT!</b>. This configuration fits by Deep Energies, whose own are on the page "
+    "<b>deep</b>."
+)
+SOME_OF_FACE_IT = "What is greyed out belongs to <b>FACE IT!</b>; Deep Energies has its own on the page <b>deep</b>."
+
+
+def _why_inert(config: Config, every: bool) -> str:
+    if config.system != "deep-energies":
+        return OF_DEEP
+    return OF_FACE_IT if every else SOME_OF_FACE_IT
 
 
 PAGES = {

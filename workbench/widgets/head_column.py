@@ -1,25 +1,33 @@
 """The 3D head with what it is coloured by, from where it is seen, and what it is compared with."""
 
+import html
 from collections.abc import Callable
 
 import ipywidgets as widgets
 import numpy as np
 
+from workbench.errors import WorkbenchError
 from workbench.face import posed_vertices
 from workbench.pictures.overlay import residual_colors
 from workbench.session import FittedHead, TuningSession
 from workbench.tracking import FrameFit
 from workbench.widgets.head_view import HeadView, make_head_view
+from workbench.widgets.latest import LatestWins
 
 COLORINGS = ("skin", "residual", "blendshape", "uncertainty")
 START = "the start"
 BEHIND_MM = np.array([0.0, 0.0, 1.5])
 """A ghost stands a little behind, so that it shows where it differs and equal surfaces do not flicker."""
+WORKING = "working out how certain frame {frame} is …"
 BESIDE_MM = np.array([170.0, 0.0, 0.0])
 
 
 class HeadColumn:
-    """A `HeadView` and its controls. `uncertainty(fit)` gives a standard deviation in mm for every vertex."""
+    """A `HeadView` and its controls. `uncertainty(fit)` gives a standard deviation in mm for every vertex.
+
+    It takes seconds, so it is worked out in a thread of its own; meanwhile the head has its skin and no legend, and a
+    note says what is going on.
+    """
 
     def __init__(
         self, session: TuningSession, head: FittedHead, size: tuple[int, int], backend: str,
@@ -28,6 +36,8 @@ class HeadColumn:
         self._session, self._head, self._size = session, head, size
         self._uncertainty, self._redraw = uncertainty, redraw
         self._compared: tuple | None = None
+        self._worker: LatestWins[FrameFit] = LatestWins(self._work_out, self._failed, "panel-uncertainty")
+        self._spread: tuple[tuple, np.ndarray | str] | None = None
         self._colored = self._marked = False
         self.view: HeadView = make_head_view(head.model, size, backend)
         self.look = widgets.ToggleButtons(
@@ -58,10 +68,13 @@ class HeadColumn:
         for control in (self.color, self.shape, self.points, self.compare, self.beside):
             control.observe(self._on_choice, "value")
         self.note = widgets.Label(self.view.note or "")
-        wrap = widgets.Layout(flex_flow="row wrap")
-        more = widgets.HBox([self.color, self.shape, self.points, self.compare, self.beside], layout=wrap)
+        self.working = widgets.HTML(layout=widgets.Layout(display="none"))
+        more = widgets.HBox(
+            [self.color, self.shape, self.points, self.compare, self.beside],
+            layout=widgets.Layout(flex_flow="row wrap"),
+        )
         self._holder = widgets.VBox([self.view.widget])
-        self.widget = widgets.VBox([self.look, self._holder, more, self.note])
+        self.widget = widgets.VBox([self.look, self._holder, self.working, more, self.note])
         if not self.view.note:
             self.note.layout.display = "none"
 
@@ -93,24 +106,59 @@ class HeadColumn:
                 self.compare.value = chosen
 
     def close(self) -> None:
-        """Free the view."""
+        """End the thread and free the view."""
+        self._worker.close()
         self.view.close()
 
+    def wait_idle(self, timeout_s: float | int) -> bool:
+        """Wait until the colours are worked out; False if that takes longer."""
+        return self._worker.wait_idle(timeout_s)
+
     def _color(self, fit: FrameFit) -> None:
-        kind = self.color.value
+        kind, spread = self.color.value, None
+        if kind == "uncertainty":
+            spread = self._spread_of(fit)
+        self._say(spread if isinstance(spread, str) else "")
         if kind == "residual":
             percent = 100.0 * fit.residuals_px / np.linalg.norm(fit.observed[45] - fit.observed[36])
             self.view.set_values(self._head.surface_values(percent), 0.0, 10.0, "residual, % of eye distance")
         elif kind == "blendshape":
             moved = self._head.displacement(fit, self.shape.value)
             self.view.set_values(moved, 0.0, max(float(moved.max()), 0.1), f"{self.shape.value} at 1, mm")
-        elif kind == "uncertainty":
-            spread = self._uncertainty(fit)
+        elif isinstance(spread, np.ndarray):
             high = max(float(np.nanpercentile(spread, 99)), 0.01)
             self.view.set_values(spread, 0.0, high, "standard deviation, mm")
         elif self._colored:
             self.view.set_values(None, 0.0, 1.0, "")
-        self._colored = kind != "skin"
+        self._colored = kind in ("residual", "blendshape") or isinstance(spread, np.ndarray)
+
+    def _spread_of(self, fit: FrameFit) -> np.ndarray | str:
+        """Standard deviations of the vertices, or what to say while there are none."""
+        known = self._spread
+        if known is not None and known[0] == self._key(fit):
+            return known[1]
+        self._worker.submit(fit)
+        return WORKING.format(frame=fit.index)
+
+    def _work_out(self, fit: FrameFit) -> None:
+        key = self._key(fit)
+        if self._spread is None or self._spread[0] != key:
+            try:
+                found = self._uncertainty(fit)
+            except WorkbenchError as error:
+                found = str(error)
+            self._spread = key, found
+        if not self._worker.newer():
+            self._redraw()
+
+    def _failed(self, error: Exception) -> None:
+        self._say(f"{type(error).__name__}: {error}")
+
+    def _key(self, fit: FrameFit) -> tuple:
+        return fit.index, fit.expression.tobytes(), fit.rotation.tobytes(), self._session.config
+
+    def _say(self, text: str) -> None:
+        self.working.value, self.working.layout.display = html.escape(text), None if text else "none"
 
     def _mark(self, fit: FrameFit) -> None:
         if self.points.value:

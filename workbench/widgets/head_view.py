@@ -121,6 +121,8 @@ class Shown:
     view: str = "front"
     pose: Viewpoint | None = None
     """The input camera's point of view."""
+    scale: tuple[str | None, float, float] = (None, 0.0, 1.0)
+    """What the colours mean, as `Legend.show` takes it."""
 
     def with_extras(self, **changes: object) -> "Shown":
         """A copy with these extras changed."""

@@ -11,9 +11,11 @@ from workbench.landmarks.scheme import GROUPS, outer_eye_distance
 from workbench.pictures import HeadRenderer, gl_available
 from workbench.pictures.heat import heat_layer
 from workbench.session import FittedHead, TuningSession
+from workbench.session.gesture import Gesture
 from workbench.tracking import FrameFit
 from workbench.tracking.fitter import running_stages
 from workbench.widgets.controls import small_button
+from workbench.widgets.latest import LatestWins
 from workbench.widgets.overlay_view import OverlayEvent, OverlayView
 
 UNITS = {"%": "% of eye distance", "px": "px"}
@@ -32,6 +34,9 @@ class LandmarkTools:
         self._network: NetworkDetector | None = None
         self._seen: tuple[bytes, NetworkLook] | None = None
         self.frame = 0
+        self._drags, self._dragging = 0, False
+        # The first picture of the face, and of the network's view, takes many seconds; fits do not wait for it.
+        self._worker: LatestWins[FrameFit] = LatestWins(self._draw, self._failed, "panel-layers")
         self.view = OverlayView(height_px=height_px, unit=UNITS["%"], at_face=True)
         self.view.on_event(self._on_event)
         self.tool = widgets.ToggleButtons(
@@ -89,18 +94,27 @@ class LandmarkTools:
             layout=widgets.Layout(width="42px"),
         )  # fmt: skip
         widgets.link((self.scale, "value"), (self.view, "scale_max"))
-        wrap = widgets.Layout(flex_flow="row wrap", align_items="center")
         tools = widgets.HBox(
-            [self.tool, self.mute, self.up, self.down, self.back, self.group, self.name, self.save], layout=wrap
+            [self.tool, self.mute, self.up, self.down, self.back, self.group, self.name, self.save], layout=_wrapped()
         )
-        more = widgets.HBox([*self.layers.values(), self.opacity, self.unit, self.scale], layout=wrap)
+        self.working = widgets.Label()
+        more = widgets.HBox(
+            [*self.layers.values(), self.opacity, self.unit, self.scale, self.working], layout=_wrapped()
+        )
         self._on_layers()
         self.widget = widgets.VBox([tools, self.view, more], layout=widgets.Layout(min_width="0"))
 
+    def show_picture(self, frame: int) -> None:
+        """Show a frame before there is a fit of it; layers of another frame go."""
+        if frame != self.frame:
+            self.frame = frame
+            self.view.set_layer(None)
+            self.view.set_heat(None)
+        self.view.set_picture(self._session.picture(frame))
+
     def show(self, fit: FrameFit) -> None:
         """Show the fit of a frame on its picture."""
-        self.frame = fit.index if len(self._session) > 1 else 0
-        self.view.set_picture(self._session.picture(self.frame))
+        self.show_picture(self._frame_of(fit))
         if not fit.found:
             self.view.message = f"frame {self.frame}: no face"
             self.view.set_fit(None)
@@ -111,10 +125,12 @@ class LandmarkTools:
         self.view.set_fit(fit.observed, fit.projected, values, fit.confidence, self._weights())
         if self.layers["wire"].value:
             self.view.set_wire(self._head.wire(fit))
-        if self.layers["layer"].value:
-            self.view.set_layer(self._face(fit))
-        if self.layers["heat"].value:
-            self.view.set_heat(self._heat(fit))
+        if self.layers["layer"].value or self.layers["heat"].value:
+            self._worker.submit(fit)
+
+    def wait_idle(self, timeout_s: float | int) -> bool:
+        """Wait until the layers are drawn; False if that takes longer."""
+        return self._worker.wait_idle(timeout_s)
 
     def residuals(self, fit: FrameFit) -> np.ndarray:
         """Residuals in the chosen unit."""
@@ -128,9 +144,34 @@ class LandmarkTools:
             self.group.options = options
 
     def close(self) -> None:
-        """End the renderer of the face layer."""
+        """End the thread and the renderer of the face layer."""
+        self._worker.close()
+        self._close_renderer()
+
+    def _draw(self, fit: FrameFit) -> None:
+        try:
+            for name, what, make, set_layer in (
+                ("layer", "drawing the face …", self._face, self.view.set_layer),
+                ("heat", "looking through the network …", self._heat, self.view.set_heat),
+            ):
+                if self.layers[name].value:
+                    self.working.value = what
+                    picture = make(fit)
+                    if self._worker.newer():
+                        return
+                    set_layer(picture)
+        finally:
+            self.working.value = ""
+
+    def _failed(self, error: Exception) -> None:
+        self._said(str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}")
+
+    def _close_renderer(self) -> None:
         if self._renderer is not None:
             self._renderer.close()
+
+    def _frame_of(self, fit: FrameFit) -> int:
+        return fit.index if len(self._session) > 1 else 0
 
     def _weights(self) -> np.ndarray:
         """What each landmark counts in the last stage."""
@@ -143,7 +184,7 @@ class LandmarkTools:
             self._said("The face layer needs OpenGL; the mesh works without.")
             return None
         if self._renderer is None or self._renderer.size != fit.image_size:
-            self.close()
+            self._close_renderer()
             self._renderer = HeadRenderer(self._head.model, fit.image_size, supersampling=1.0)
         picture, mask = self._renderer.render_with_mask(
             self._head.vertices(fit), fit.camera, fit.rotation, fit.translation
@@ -151,7 +192,7 @@ class LandmarkTools:
         return np.dstack([picture, mask])
 
     def _heat(self, fit: FrameFit) -> np.ndarray | None:
-        picture, key = self._session.picture(self.frame), fit.observed.tobytes()
+        picture, key = self._session.picture(self._frame_of(fit)), fit.observed.tobytes()
         if not np.ptp(picture):
             self.view.message = "no picture, no heat map"
             return None
@@ -184,9 +225,18 @@ class LandmarkTools:
             step = WEIGHT_STEP if event.kind == "weight_up" else 1.0 / WEIGHT_STEP
             session.weigh(points, max(factors[points[0]], 1.0 / 64) * step, "landmark weight")
         elif event.kind in ("drag", "drop"):
-            session.move(self.frame, points[0], (event.x, event.y), gesture=f"move {self.frame} {points[0]}")
+            session.move(self.frame, points[0], (event.x, event.y), self._gesture(event))
         elif event.kind == "reset":
             session.put_back(self.frame, points)
+
+    def _gesture(self, event: OverlayEvent) -> Gesture:
+        """A drop that follows a drag ends it; one by itself is an arrow key."""
+        name = f"move {self.frame} {event.points[0]}"
+        if event.kind == "drag" and not self._dragging:
+            self._drags, self._dragging = self._drags + 1, True
+        gesture = Gesture(name, self._drags if self._dragging else 0)
+        self._dragging = event.kind == "drag"
+        return gesture
 
     def _on_group(self, change) -> None:
         name = change["new"]
@@ -216,5 +266,5 @@ class LandmarkTools:
         self._redraw()
 
 
-def _fixed() -> widgets.Layout:
-    return widgets.Layout(width="auto", flex="0 0 auto")
+def _wrapped() -> widgets.Layout:
+    return widgets.Layout(flex_flow="row wrap", align_items="center")

@@ -71,11 +71,11 @@ class LightPanel(widgets.VBox):
             slider.observe(self._on_lamp, "value")
         for slider in self.coefficients:
             slider.observe(self._on_coefficient, "value")
-        layout = widgets.Layout(grid_template_columns="repeat(2, minmax(260px, 1fr))", max_width=WIDTH)
+        two = widgets.Layout(grid_template_columns="repeat(2, minmax(260px, 1fr))", max_width=WIDTH)
         nine = widgets.Layout(grid_template_columns="repeat(3, minmax(200px, 1fr))", max_width=WIDTH)
         super().__init__(
             [
-                widgets.GridBox(list(self.lamp.values()), layout=layout),
+                widgets.GridBox(list(self.lamp.values()), layout=two),
                 self.image,
                 widgets.HTML("The nine coefficients"),
                 widgets.GridBox(self.coefficients, layout=nine),

@@ -14,6 +14,7 @@ from workbench.config import FACE_IT_PRESETS, Config, preset
 from workbench.errors import InputError, WorkbenchError
 from workbench.face import FaceModel, load_default_head
 from workbench.samples import sample
+from workbench.session.gesture import Gesture
 from workbench.session.kernel_camera import KernelCamera
 from workbench.session.knobs import changed_by
 from workbench.session.live import LiveFit, LiveSession
@@ -21,6 +22,7 @@ from workbench.session.live_frame import FrameSource, LiveFrame
 from workbench.session.recording import Recording
 from workbench.tracking import FrameFit, Track
 from workbench.widgets.controls import Controls, small_button
+from workbench.widgets.drag_watch import DragWatch
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.live_view import BrowserCamera, LiveView
 from workbench.widgets.tuning_panel import CONTROLS_PX, STYLE
@@ -71,7 +73,8 @@ class LivePanel(widgets.VBox):
         self.view.on_left(self.stop)
         self.view.observe(self._on_running, "running")
         style = widgets.HTML(STYLE, layout=widgets.Layout(display="none"))
-        super().__init__([style, self._camera_bar, self._main, self._record_bar])
+        self.drags = DragWatch()
+        super().__init__([style, self.drags, self._camera_bar, self._main, self._record_bar])
         self.add_class("fw-panel")
         self.add_class("fw-live-panel")
         self._closed = False
@@ -207,9 +210,8 @@ class LivePanel(widgets.VBox):
         self.defaults.on_click(lambda _button: self._guarded(self._use, session.base))
         self.status = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 0", overflow="hidden"))
         self.status.add_class("fw-status")
-        middle = widgets.Layout(align_items="center")
         buttons = [self.run_button, self.camera, self.neutral, self.preset, self.undo, self.defaults]
-        self._camera_bar = widgets.HBox([*buttons, self.status], layout=middle)
+        self._camera_bar = widgets.HBox([*buttons, self.status], layout=widgets.Layout(align_items="center"))
         self.controls = Controls(session.config, self._on_knob, height_px - 34, PAGES)
         self._main = widgets.GridBox(
             [self.controls.widget, self.view],
@@ -233,7 +235,9 @@ class LivePanel(widgets.VBox):
         self.save_button.on_click(lambda _button: self._slow.submit(self._guarded, self._on_save))
         self.saved = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
         parts = [self.record_button, self.pictures, self.folder, self.save_button, self.saved]
-        self._record_bar = widgets.HBox([*parts, self.mirror, self.looking], layout=middle)
+        self._record_bar = widgets.HBox(
+            [*parts, self.mirror, self.looking], layout=widgets.Layout(align_items="center")
+        )
 
     # --- what the user does ---
 
@@ -268,7 +272,8 @@ class LivePanel(widgets.VBox):
 
     def _on_knob(self, path: str, value: Any) -> None:
         def change() -> None:
-            self.session.use(self.session.config.changed(**changed_by(self.session.config, path, value)), path)
+            config = self.session.config.changed(**changed_by(self.session.config, path, value))
+            self.session.use(config, Gesture(path, self.drags.drag))
             self._show_config(but=path)
 
         self._guarded(change)

@@ -67,11 +67,8 @@ class SessionOpener(widgets.VBox):
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="140px", display="none"))
         self.message = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
         self.place = widgets.VBox()
-        row = widgets.Layout(flex_flow="row wrap", align_items="center")
         choices = [*self.samples.values(), self.path, self.landmarks, self.open_button]
-        super().__init__(
-            [widgets.HBox(choices, layout=row), widgets.HBox([self.progress, self.message], layout=row), self.place]
-        )
+        super().__init__([_row(choices), _row([self.progress, self.message]), self.place])
 
     def __repr__(self) -> str:
         return f"SessionOpener({self.session!r})"
@@ -144,6 +141,10 @@ class SessionOpener(widgets.VBox):
 def _path(text: str | Path) -> Path:
     """A path as users paste it: with quotes, blanks around it, or ~."""
     return Path(str(text).strip().strip("'\"")).expanduser()
+
+
+def _row(children: list[widgets.Widget]) -> widgets.HBox:
+    return widgets.HBox(children, layout=widgets.Layout(flex_flow="row wrap", align_items="center"))
 
 
 def _text(placeholder: str, tip: str, width: str) -> widgets.Text:

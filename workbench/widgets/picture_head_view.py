@@ -112,8 +112,8 @@ class PictureHeadView:
         """See `HeadView.set_values`."""
         colors = value_colors(values, low, high, len(self._model.neutral))
         with self._changed:
-            self._show(self._scene.shown.with_extras(colors=colors))
-            self._legend.show(None if colors is None else label, low, high)
+            scale = (None if colors is None else label, float(low), float(high))
+            self._show(replace(self._scene.shown.with_extras(colors=colors), scale=scale))
 
     def set_points(
         self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None, size_mm: Number = 2.0
@@ -186,6 +186,7 @@ class PictureHeadView:
             state = {"_done": scene.move, "_message": ""}
             try:
                 state["_jpeg"] = _jpeg(self._draw(scene))
+                self._legend.show(*scene.shown.scale)  # with the picture, not before it
             except Exception as error:
                 # A thread has nobody to raise to; the browser shows it in place of the picture.
                 state["_message"] = f"The head could not be drawn: {error}"

@@ -1,5 +1,6 @@
 """The schedule as a table: reorder, switch, free parameters, landmark groups, limits; run, run to here, step."""
 
+import itertools
 from collections.abc import Callable
 
 import ipywidgets as widgets
@@ -11,8 +12,6 @@ from workbench.widgets.controls import small_button
 BLOCKS = {"rotation": "R", "translation": "t", "expression": "w"}
 DEEP_BLOCKS = {"jaw_open": "j1", "jaw": "j6", "identity": "i", "scale": "s"}
 """What only Deep Energies frees: the jaw's opening, all of its joint, the face's shape, one scale."""
-LONGEST = 8
-"""Stages that the table shows."""
 HEADER = "<b style='display:inline-block;width:{}px'>{}</b>"
 
 
@@ -21,28 +20,29 @@ class StageRow:
 
     def __init__(self, number: int, changed: Callable[[int, dict], None], act: Callable[[str, int], None]) -> None:
         self._number, self._changed, self._quiet = number, changed, False
-        narrow, tiny = widgets.Layout(width="86px"), widgets.Layout(width="30px", padding="0")
         self.enabled = widgets.Checkbox(indent=False, tooltip="run this stage", layout=widgets.Layout(width="24px"))
         self.name = widgets.Text(continuous_update=False, tooltip="name", layout=widgets.Layout(width="128px"))
         self.free = {
-            block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=tiny)
+            block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=_tiny())
             for block, letter in (BLOCKS | DEEP_BLOCKS).items()
         }
         self.landmarks = widgets.Text(
             continuous_update=False, layout=widgets.Layout(width="190px"),
             tooltip="groups, subsets or point numbers with their weights, later ones win: all 1, jaw 0.25, 30 2",
         )  # fmt: skip
-        self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=narrow)
-        self.limit.layout.width = "58px"
-        self.when = widgets.Dropdown(
-            options=["always", "start"], tooltip="start: on the first frame of a shot only", layout=narrow
+        self.limit = widgets.BoundedIntText(
+            min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=widgets.Layout(width="58px")
         )
+        self.when = widgets.Dropdown(
+            options=["always", "start"], tooltip="start: on the first frame of a shot only",
+            layout=widgets.Layout(width="86px"),
+        )  # fmt: skip
         self.result = widgets.Label(layout=widgets.Layout(width="150px"))
         buttons = {"up": ("↑", "earlier"), "down": ("↓", "later"), "here": ("▶|", "run to here and stop"),
                    "drop": ("✕", "remove this stage")}  # fmt: skip
         self.buttons = {}
         for action, (text, tip) in buttons.items():
-            button = widgets.Button(description=text, tooltip=tip, layout=tiny)
+            button = widgets.Button(description=text, tooltip=tip, layout=_tiny())
             button.on_click(lambda _button, action=action: act(action, number))
             self.buttons[action] = button
         for name in ("enabled", "name", "landmarks", "limit", "when"):
@@ -95,7 +95,7 @@ class StageEditor:
         self, changed: Callable[[list[dict], str], None], run: Callable[[str, int], None], height_px: int
     ) -> None:
         self._changed, self._run, self._stages = changed, run, ()
-        self._rows = [StageRow(k, self._on_row, self._on_action) for k in range(LONGEST)]
+        self._rows: list[StageRow] = []
         self.add = small_button("+ stage", "add a stage that frees the weights")
         self.all = small_button("▶ all", "run all stages")
         self.back = small_button("◀ one back", "one iteration fewer")
@@ -104,12 +104,13 @@ class StageEditor:
         self.add.on_click(lambda _button: self._add())
         for button, what in ((self.all, "all"), (self.back, "back"), (self.step, "step")):
             button.on_click(lambda _button, what=what: self._run(what, -1))
-        fixed = widgets.Layout(flex="0 0 auto")
-        self._header = widgets.HTML(_header(deep=False), layout=fixed)
-        bar = widgets.HBox([self.all, self.back, self.step, self.place, self.add], layout=fixed)
+        self._header = widgets.HTML(_header(deep=False), layout=widgets.Layout(flex="0 0 auto"))
+        self._bar = widgets.HBox(
+            [self.all, self.back, self.step, self.place, self.add], layout=widgets.Layout(flex="0 0 auto")
+        )
+        # As high as its stages: a table that scrolls inside its page hides the last of them.
         self.widget = widgets.VBox(
-            [bar, self._header, *(row.widget for row in self._rows)],
-            layout=widgets.Layout(height=f"{height_px}px", overflow="auto"),
+            [self._bar, self._header], layout=widgets.Layout(min_height=f"{height_px}px", overflow="auto hidden")
         )
         self.widget.add_class("fw-stages")
 
@@ -117,6 +118,10 @@ class StageEditor:
         """Show the stages of a configuration."""
         self._stages, deep = config.stages, config.system == "deep-energies"
         self._header.value = _header(deep)
+        if len(self._rows) < len(config.stages):
+            more = range(len(self._rows), len(config.stages))
+            self._rows += [StageRow(k, self._on_row, self._on_action) for k in more]
+            self.widget.children = (self._bar, self._header, *(row.widget for row in self._rows))
         for k, row in enumerate(self._rows):
             row.widget.layout.display = None if k < len(config.stages) else "none"
             if k < len(config.stages):
@@ -149,11 +154,15 @@ class StageEditor:
         self._changed(stages, f"{'remove' if action == 'drop' else 'move'} stage {name}")
 
     def _add(self) -> None:
-        if len(self._stages) < LONGEST:
-            names = {stage.name for stage in self._stages}
-            name = next(f"stage {k}" for k in range(1, 99) if f"stage {k}" not in names)
-            added = Stage(name=name, free=("expression",)).model_dump()
-            self._changed([*(stage.model_dump() for stage in self._stages), added], f"add {name}")
+        names = {stage.name for stage in self._stages}
+        name = next(f"stage {k}" for k in itertools.count(1) if f"stage {k}" not in names)
+        added = Stage(name=name, free=("expression",)).model_dump()
+        self._changed([*(stage.model_dump() for stage in self._stages), added], f"add {name}")
+
+
+def _tiny() -> widgets.Layout:
+    """For a button with a letter; one each, for a layout that is hidden hides all that have it."""
+    return widgets.Layout(width="30px", padding="0")
 
 
 def _header(deep: bool) -> str:

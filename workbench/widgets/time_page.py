@@ -153,7 +153,6 @@ class TimePage:
     # --- parts ---
 
     def _rows(self) -> list[widgets.Widget]:
-        narrow = widgets.Layout(width="84px", flex="1 1 auto", min_width="0")
         self.this = small_button("this frame", "the shown frame has failed, or has not")
         self.this.on_click(lambda _button: self._guarded(self._mark_this))
         self.flagged = small_button("⚑ flagged", "the frames that diagnosis flags have failed")
@@ -161,7 +160,7 @@ class TimePage:
         self.clear = small_button("clear", "no frame is marked")
         self.clear.on_click(lambda _button: self._guarded(self._clear))
         self.range = widgets.Text(
-            placeholder="40-52, 60", tooltip="frames, first and last", layout=narrow, continuous_update=False
+            placeholder="40-52, 60", tooltip="frames, first and last", layout=_narrow(), continuous_update=False
         )
         self.mark = small_button("mark", "these frames have failed, whatever their fit")
         self.mark.on_click(lambda _button: self._guarded(self._mark_range, self._session.temporal.mark))
@@ -170,7 +169,7 @@ class TimePage:
         self.summary = widgets.HTML()
         self.part = widgets.Text(
             placeholder="whole clip", tooltip="frames that are worked on, first and last; empty: the whole clip",
-            layout=narrow, continuous_update=False,
+            layout=_narrow(), continuous_update=False,
         )  # fmt: skip
         self.part.observe(lambda _change: self.show_config(), "value")
         self.view = small_button("in view", "the frames that the strip shows")
@@ -324,13 +323,14 @@ class Methods(widgets.VBox):
         self._session = session
         names = list(session.model.expression_names)
         self.charts = [ChartView(height_px=150, title="") for _ in range(4)]
-        width = widgets.Layout(width="130px")
         first = names.index("jawOpen") if "jawOpen" in names else 0
         turns = [(f"rotation: {name}", name) for name in ANGLES]
         places = [(f"place: {name}", name) for name in PLACES]
         options = [(turns, "yaw"), (places, "z"), (names, names[first]), (names, names[-1])]
         self.quantities = [
-            widgets.Dropdown(options=choices, value=value, layout=width, tooltip="what is drawn")
+            widgets.Dropdown(
+                options=choices, value=value, layout=widgets.Layout(width="130px"), tooltip="what is drawn"
+            )
             for choices, value in options
         ]
         self._chosen, self._part = False, None
@@ -389,6 +389,10 @@ class Methods(widgets.VBox):
             chart.set_series(
                 frames, lines, colors=colors_of(results), y_label=unit, x_label="frame", selected=longest_gap(worked)
             )
+
+
+def _narrow() -> widgets.Layout:
+    return widgets.Layout(width="84px", flex="1 1 auto", min_width="0")
 
 
 def chosen(results: dict[str, Worked], kind: str) -> dict[str, Worked]:

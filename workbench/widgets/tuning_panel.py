@@ -15,16 +15,18 @@ from workbench.config import PRESETS, preset
 from workbench.diagnosis import Change, vertex_uncertainty
 from workbench.errors import WorkbenchError
 from workbench.session import FittedHead, TuningSession
+from workbench.session.gesture import Gesture
 from workbench.session.knobs import changed_by
 from workbench.tracking import FrameFit, StageTrace
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.clip_views import ClipViews
 from workbench.widgets.controls import Controls, small_button
 from workbench.widgets.diagnosis_view import DiagnosisView
+from workbench.widgets.drag_watch import DragWatch
+from workbench.widgets.film_strip import FilmStrip
 from workbench.widgets.head_column import HeadColumn
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.playground import jpeg
 from workbench.widgets.stage_editor import StageEditor
 from workbench.widgets.time_page import AFTER, TimePage
 
@@ -85,9 +87,11 @@ class TuningPanel(widgets.VBox):
         self._leave = session.listen(self._on_session)
         style = widgets.HTML(STYLE, layout=widgets.Layout(display="none"))
         strip = [self.clip.timeline] if self._is_clip else []
-        super().__init__([style, self._history_bar(), self._file_bar(), self._main, *strip, self.tabs])
+        self.drags = DragWatch()
+        super().__init__([style, self.drags, self._history_bar(), self._file_bar(), self._main, *strip, self.tabs])
         self.add_class("fw-panel")
         self._show_session()
+        self.overlay.show_picture(0)
         self._worker.submit(Show(0))
         self._clip_worker.submit("settle" if self._is_slow else "run")
         self._later(self._warm_up)
@@ -118,7 +122,9 @@ class TuningPanel(widgets.VBox):
             self._slow.submit(int).result(timeout_s)
         except TimeoutError:
             return False
-        return all(worker.wait_idle(timeout_s) for worker in (self.time, self._clip_worker, self._worker))
+        # A fit asks for layers and colours, and finished colours for the fit to be shown again.
+        workers = (self.time, self._clip_worker, self._worker, self.overlay, self.head, self._worker)
+        return all(worker.wait_idle(timeout_s) for worker in workers)
 
     def close(self) -> None:
         """Stop following the session, end the threads and free the views."""
@@ -158,8 +164,7 @@ class TuningPanel(widgets.VBox):
         self.stages = StageEditor(self._on_stages, self._on_run, TABS_PX)
         self.diagnosis = DiagnosisView(self._on_why, self._on_apply, self._on_take_back, TABS_PX)
         self.energy = ChartView(height_px=TABS_PX - 20, y_log=True, title="energy per term against iteration")
-        self.strip = widgets.Image(format="jpeg", layout=widgets.Layout(max_width="100%", object_fit="contain"))
-        self.strip.add_class("fw-film-strip")
+        self.strip = FilmStrip(session)
         self.changes = widgets.HTML(layout=widgets.Layout(height=f"{TABS_PX}px", overflow="auto"))
         columns = f"{CONTROLS_PX}px minmax(240px, 1fr) {HEAD_PX + 6}px"
         self._main = widgets.GridBox(
@@ -249,7 +254,8 @@ class TuningPanel(widgets.VBox):
     def _on_knob(self, path: str, value: Any) -> None:
         self._held = path
         try:
-            self._guarded(lambda: self.session.set(path, gesture=path, **changed_by(self.session.config, path, value)))
+            gesture = Gesture(path, self.drags.drag)
+            self._guarded(lambda: self.session.set(path, gesture, **changed_by(self.session.config, path, value)))
         finally:
             self._held = None
 
@@ -361,6 +367,7 @@ class TuningPanel(widgets.VBox):
         config = self.session.config
         self.controls.show(config, but=self._held)
         self.stages.show(config)
+        self.strip.show_config()
         self.overlay.refresh_groups()
         self.time.show_config()
         self.clip.timeline.marked = [list(part) for part in config.infill.frames]
@@ -385,11 +392,7 @@ class TuningPanel(widgets.VBox):
         if fit.found:
             self._traces = session.explain_frame(request.frame)[1]
             self._show_energy(self._traces, request.steps)
-            self._show_strip(request.frame)
-
-    def _show_strip(self, frame: int) -> None:
-        strip = self.session.stage_strip(frame)
-        self.strip.value = b"" if strip is None else jpeg(strip)
+            self.strip.show_frame(request.frame)
 
     def _show(self, fit: FrameFit) -> None:
         self.fit = fit
