@@ -1,5 +1,6 @@
 """JupyterLab in a real Chromium: a server with a token, a page that runs notebooks, and what the page shows."""
 
+import json
 import os
 import secrets
 import shutil
@@ -8,7 +9,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,8 +25,14 @@ FLAGS = [
     *("--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader"),
     "--enable-unsafe-swiftshader",
 ]
-NO_NEWS = '{"@jupyterlab/apputils-extension:notification": {"checkForUpdates": false, "fetchNews": "false"}}'
-START_S, RUN_S = 90.0, 300.0
+OVERRIDES = {
+    "@jupyterlab/apputils-extension:notification": {"checkForUpdates": False, "fetchNews": "false"},
+    # Saved after two minutes, on a busy machine the notebook would be opened again with widgets of an ended kernel.
+    "@jupyterlab/docmanager-extension:plugin": {"autosave": False},
+}
+START_S, RUN_S = 240.0, 300.0
+SETTLED_MS = 300
+"""Time without a change after which something counts as at rest."""
 
 
 def missing() -> str | None:
@@ -55,7 +62,7 @@ def lab_server(folder: Path, settings: Path) -> Iterator[LabServer]:
     token = secrets.token_hex(16)
     overrides = settings / "lab" / "settings"
     overrides.mkdir(parents=True)
-    (overrides / "overrides.json").write_text(NO_NEWS, encoding="utf-8")
+    (overrides / "overrides.json").write_text(json.dumps(OVERRIDES), encoding="utf-8")
     environment = {
         **{name: value for name, value in os.environ.items() if name != "MPLBACKEND"},
         "PYTHONPATH": str(ROOT),
@@ -98,6 +105,14 @@ def _wait_for(url: str, process: subprocess.Popen, log: Path) -> None:
     raise RuntimeError(f"JupyterLab did not start:\n{log.read_text(errors='replace')[-2000:]}")
 
 
+def wait_until(look: Callable[[], bool], what: str, timeout_s: float = RUN_S, pause: Callable[[], None] | None = None):
+    """Look again and again until it is so. Raises `AssertionError` that says `what` did not happen in time."""
+    deadline = time.monotonic() + timeout_s
+    while not look():
+        assert time.monotonic() < deadline, f"{what}: not within {timeout_s:.0f} s"
+        (pause or (lambda: time.sleep(0.1)))()
+
+
 class LabPage:
     """One browser page on a server, with everything that went wrong in it."""
 
@@ -137,6 +152,16 @@ class LabPage:
     def ask_kernel(self, code: str) -> float:
         """Milliseconds until the kernel has run some code that no cell shows."""
         return self.page.evaluate(_ASK, code)
+
+    def kernel_value(self, expression: str) -> str:
+        """The `repr` of an expression in the kernel, through a file beside the notebook."""
+        file = self.server.folder / "kernel-value"
+        self.ask_kernel(f"open({str(file)!r}, 'w').write(repr({expression}))")
+        return file.read_text()
+
+    def wait_at_rest(self, selector: str) -> None:
+        """Wait until the last element of this kind has stopped moving on the screen."""
+        self.page.wait_for_function(_AT_REST, arg=[selector, SETTLED_MS])
 
     def outputs(self) -> list[dict]:
         """Output type, MIME types and text of every output of every code cell."""
@@ -205,6 +230,17 @@ _KERNEL_IDLE = """() => {
   const session = panel && panel.sessionContext && panel.sessionContext.session;
   return Boolean(session && session.kernel && session.kernel.status === 'idle');
 }"""
+_AT_REST = """([selector, pause]) => new Promise((resolve) => {
+  let last = "", since = performance.now();
+  const look = () => {
+    const box = [...document.querySelectorAll(selector)].at(-1)?.getBoundingClientRect();
+    const now = JSON.stringify(box), time = performance.now();
+    if (!box || now !== last) [last, since] = [now, time];
+    if (time - since >= pause) resolve(true);
+    else requestAnimationFrame(look);
+  };
+  look();
+})"""
 _OUTPUTS = """() => {
   const found = [], cells = window.jupyterapp.shell.currentWidget.content.model.cells;
   for (let k = 0; k < cells.length; k++) {

@@ -36,15 +36,15 @@ def fake_camera(clip: Path) -> list[str]:
     ]
 
 
-def state(page) -> dict:
-    """What the display says of itself: rate, delay, running, found, said."""
-    return page.page.evaluate("() => JSON.parse(document.querySelector('.fw-live').dataset.state)")
-
-
-def wait_for_frames(page, count: int, timeout_s: float = 120.0) -> None:
-    """Wait until so many frames have been drawn in all."""
+def wait_for_frames(page, more: int, timeout_s: float = 300.0) -> None:
+    """Wait until so many frames have been drawn from now on."""
     page.page.wait_for_function(
-        "(count) => document.querySelector('.fw-live').live.log.length >= count", arg=count, timeout=1000 * timeout_s
+        """([more, since]) => {
+          const log = document.querySelector('.fw-live').live.log;
+          return log.filter((entry) => entry.drawn > since).length >= more;
+        }""",
+        arg=[more, page.page.evaluate("() => performance.now()")],
+        timeout=1000 * timeout_s,
     )
 
 
