@@ -15,6 +15,7 @@ from workbench.diagnosis import flag_frames
 from workbench.export.report import worst_frames, write_report
 from workbench.export.report_charts import line_chart, nice_ticks, residual_picture
 from workbench.frames import VideoWriter, open_frames
+from workbench.tracking.records import SOURCES
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +74,54 @@ def test_neighbours_of_a_worst_frame_are_not_listed_again(head):
     assert np.diff(sorted(worst)).min() >= 8
 
 
+@pytest.fixture(scope="module")
+def filled(track):
+    """The track with its gap filled, as infill leaves a frame: the model's own landmarks, none observed."""
+    source = track.source.copy()
+    source[GAP] = SOURCES.index("filled")
+    columns = {name: getattr(track, name).copy() for name in ("rotation", "translation", "expression", "projected")}
+    for column in columns.values():
+        column[GAP] = column[GAP - 1]
+    identity, observed, confidence = track.identity.copy(), track.observed.copy(), track.confidence.copy()
+    identity[GAP], observed[GAP], confidence[GAP] = identity[GAP - 1], columns["projected"][GAP], 0.0
+    found = np.ones(FRAMES, bool)
+    given = {"identity": identity, "observed": observed, "confidence": confidence, "found": found, "source": source}
+    return replace(track, **columns, **given)
+
+
+def test_a_filled_frame_has_no_error_of_its_own_in_the_report(filled, head, tmp_path):
+    write_report(filled, head, tmp_path / "report.html", None)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert ">nan<" not in text
+    assert GAP not in worst_frames(filled, flag_frames(filled))
+    assert "grey: no face, or filled from its neighbours" in text
+    assert "1 of them filled" in text
+
+
+def test_a_filled_frame_that_stands_out_is_listed_with_what_it_is(filled, head, tmp_path):
+    translation = filled.translation.copy()
+    translation[GAP, 0] += 200.0
+    jumping = replace(filled, translation=translation)
+    write_report(jumping, head, tmp_path / "report.html", None)
+    row = listed((tmp_path / "report.html").read_text(encoding="utf-8"), GAP)
+    assert "the pose jumps" in row
+    assert "filled from its neighbours" in row
+    assert "largest at" not in row
+    assert row.count('<td class="number">–</td>') == 2  # neither error
+
+
+def listed(text, frame):
+    """The row of a frame in the table of the worst."""
+    rows = text.split("<h2>Worst frames</h2>")[1].split("</table>")[0].split("<tr>")
+    return next(row for row in rows if f'<td class="number">{frame}</td>' in row)
+
+
+def test_the_mark_of_a_flagged_frame_says_why(page, track):
+    why = html.escape(flag_frames(track).text[9])
+    assert why
+    assert f"<title>frame 9: {why}</title>" in page.read_text(encoding="utf-8")
+
+
 def test_a_track_without_pictures_gets_grey_ones(track, head, tmp_path):
     write_report(track, head, tmp_path / "report.html", None)
     assert (tmp_path / "report.html").read_text(encoding="utf-8").count("data:image/jpeg") >= 6
@@ -124,6 +173,12 @@ def test_long_curves_are_thinned():
 )
 def test_ticks_are_round_numbers(low, high, ticks):
     assert nice_ticks(low, high) == pytest.approx(ticks, abs=1e-6)
+
+
+def test_the_strip_is_grey_where_a_frame_was_filled(filled):
+    picture = residual_picture(filled)
+    assert (picture[:, GAP] == 128).all()
+    assert (picture[:, GAP + 1] != 128).any()
 
 
 def test_the_strip_has_a_row_a_landmark_and_is_grey_without_a_face(track):

@@ -48,7 +48,8 @@ def flag_frames(track: Track, config: Config | None = None) -> FrameFlags:
 
     Robust outliers of the residual within the shot that also exceed an absolute floor, pose jumps, frozen landmarks,
     stages that end at their limit where the shot's others do not, weights at their bounds en masse, faces cut off.
-    Frames without a face are not flagged. `config` is the run's (for its bounds), if known.
+    Frames without a face are not flagged, and residuals are compared among frames with landmarks. `config` is the run's
+    (for its bounds), if known.
     """
     screens = [_residual(track), _jump(track), _frozen(track), _limit(track), _bounds(track, config), _outside(track)]
     severity = np.stack([np.where(track.found, screen.severity, 0.0) for screen in screens])
@@ -74,14 +75,15 @@ def _residual(track: Track) -> _Screen:
 
 def _jump(track: Track) -> _Screen:
     degrees, millimetres = np.zeros(len(track)), np.zeros(len(track))
-    rotations = Rotation.from_rotvec(np.nan_to_num(track.rotation))
-    for k in range(1, len(track) - 1):
-        near = slice(k - 1, k + 2)
-        if track.found[near].all() and len(set(track.shot[near])) == 1 and (np.diff(track.index[near]) == 1).all():
-            first, second = rotations[k] * rotations[k - 1].inv(), rotations[k + 1] * rotations[k].inv()
-            degrees[k] = min(np.degrees(np.linalg.norm(second.as_rotvec() - first.as_rotvec())), 180.0)
-            step = np.diff(track.translation[near], axis=0)
-            millimetres[k] = np.linalg.norm((step[1] - step[0])[:2])
+    if len(track) > 2:
+        rotations = Rotation.from_rotvec(np.nan_to_num(track.rotation))
+        turns = (rotations[1:] * rotations[:-1].inv()).as_rotvec()
+        beside = track.found[1:] & track.found[:-1] & (np.diff(track.shot) == 0) & (np.diff(track.index) == 1)
+        whole = beside[1:] & beside[:-1]
+        turned = np.degrees(np.linalg.norm(np.diff(turns, axis=0), axis=1))
+        moved = np.linalg.norm(np.diff(track.translation, n=2, axis=0)[:, :2], axis=1)
+        degrees[1:-1] = np.where(whole, np.minimum(turned, 180.0), 0.0)
+        millimetres[1:-1] = np.where(whole, moved, 0.0)
     above = np.maximum(degrees / JUMP_DEG, millimetres / JUMP_MM)
     return _Screen(_ramp(above), lambda frame: f"the pose jumps ({degrees[frame]:.0f}°, {millimetres[frame]:.0f} mm)")
 
@@ -132,4 +134,6 @@ def _ramp(above: np.ndarray) -> np.ndarray:
 
 
 def _shots(track: Track) -> list[Bool[np.ndarray, "n"]]:
-    return [(track.shot == shot) & track.found for shot in np.unique(track.shot[track.found])]
+    """The frames of each shot that have landmarks of their own."""
+    seen = track.found & track.seen
+    return [(track.shot == shot) & seen for shot in np.unique(track.shot[seen])]

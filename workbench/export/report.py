@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, UInt8
 
 from workbench.config import Config, config_toml, differences, parse_config, preset
 from workbench.diagnosis import flag_frames
@@ -26,7 +26,7 @@ from workbench.landmarks.scheme import GROUPS, outer_eye_distance
 from workbench.pictures import HeadPanel, OverlayParts, draw_overlay, side_by_side
 from workbench.plots import STRIP_ROWS, close_up
 from workbench.tracking import Track
-from workbench.tracking.records import FAILURES, frame_errors
+from workbench.tracking.records import FAILURES, SOURCES, frame_errors
 
 PICTURES = 6
 """Frames that are shown from all over the clip."""
@@ -95,14 +95,16 @@ def write_report(
 def worst_frames(track: Track, flags: FrameFlags) -> list[int]:
     """Positions of the frames to look at first: those that stand out by severity, then those with the largest error.
 
-    Of frames next to each other only the worst is taken.
+    Of frames next to each other only the worst is taken. A frame that infill made has no error of its own: it is
+    listed only where it stands out.
     """
     error = np.nan_to_num(frame_errors(track)[:, 2], nan=-1.0)
     apart = 1 if track.meta.get("stills") else APART
     chosen: list[int] = []
     failed = (track.failure != 0).astype(float)
     for position in np.lexsort((-error, -np.maximum(flags.severity, failed))).tolist():
-        if track.found[position] and all(abs(position - other) >= apart for other in chosen):
+        listed = track.found[position] and (flags.flagged[position] or error[position] >= 0.0)
+        if listed and all(abs(position - other) >= apart for other in chosen):
             chosen.append(position)
         if len(chosen) == WORST:
             break
@@ -148,8 +150,9 @@ def _cards(track: Track, flags: FrameFlags) -> str:
     every = summary["reprojection_error"]["all_68_percent_of_eye_distance"]["mean"]
     solve = summary["milliseconds_per_frame"]["solve"]["p50"]
     camera = summary["camera"]
+    filled = f", {summary['frames_filled']} of them filled" if summary["frames_filled"] else ""
     cards = [
-        (f"{summary['frames_with_face']} of {summary['frames']}", "frames with a face"),
+        (f"{summary['frames_with_face']} of {summary['frames']}", f"frames with a face{filled}"),
         ("–" if inner is None else f"{inner:.2f} %", "error of the inner 51, of the eye distance"),
         ("–" if every is None else f"{every:.2f} %", "error of all 68"),
         (str(int(flags.flagged.sum())), "frames stand out"),
@@ -178,11 +181,12 @@ def _errors(track: Track, flags: FrameFlags) -> str:
     curves = {"inner 51": errors[:, 2], "all 68": errors[:, 3]}
     rows = "".join(f'<li style="flex:{count}">{html.escape(group)}</li>' for group, count in strip_rows())
     strip = data_address(residual_picture(track), ".png")
+    grey = "no face, or filled from its neighbours" if _filled(track).any() else "no face"
     scale = f'0 <span class="scale" style="background:{scale_gradient()}"></span> 10 % and more'
     return (
         line_chart(track.index.astype(float), curves, "error, % of the eye distance", _marked(track, flags))
         + f'<div class="strip"><ol>{rows}</ol><img src="{strip}" alt="error of every landmark over the frames"></div>'
-        + f'<p class="soft">Every landmark over the frames; grey: no face. {scale}</p>'
+        + f'<p class="soft">Every landmark over the frames; grey: {grey}. {scale}</p>'
     )
 
 
@@ -196,12 +200,15 @@ def _worst(track: Track, positions: list[int], flags: FrameFlags, pictures) -> s
         why = flags.text[position] or "does not stand out; one of the largest errors of this clip"
         if track.failure[position]:
             why = f"the fit failed: {FAILURES[int(track.failure[position])]}; {why}"
-        why += f"; largest at {_largest_parts(track, position)}"
+        if _filled(track)[position]:
+            why += "; filled from its neighbours"
+        elif np.isfinite(errors[position, 3]):
+            why += f"; largest at {_largest_parts(track, position)}"
         severity = f"{flags.severity[position]:.2f}" if flags.flagged[position] else "–"
         rows.append(
             f'<tr><td><img src="{data_address(pictures[position])}" alt="frame {frame}"></td>'
-            f'<td class="number">{frame}</td><td class="number">{errors[position, 2]:.2f}</td>'
-            f'<td class="number">{errors[position, 3]:.2f}</td>'
+            f'<td class="number">{frame}</td><td class="number">{_number(errors[position, 2])}</td>'
+            f'<td class="number">{_number(errors[position, 3])}</td>'
             f'<td class="number">{severity}</td><td class="why">{html.escape(why)}</td></tr>'
         )
     heads = ("", "frame", "inner 51, %", "all 68, %", "severity", "why")
@@ -294,8 +301,18 @@ def _name(track: Track) -> str:
     return Path(inputs[0]["path"]).name if inputs else "Track"
 
 
-def _marked(track: Track, flags: FrameFlags) -> list[int]:
-    return [int(frame) for frame in track.index[flags.flagged]]
+def _marked(track: Track, flags: FrameFlags) -> dict[int, str]:
+    """The frames that stand out, and why."""
+    return {int(track.index[k]): flags.text[k] for k in np.flatnonzero(flags.flagged)}
+
+
+def _filled(track: Track) -> Bool[np.ndarray, "n"]:
+    """Frames that infill made."""
+    return track.source == SOURCES.index("filled")
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if np.isfinite(value) else "–"
 
 
 def _table(heads: Iterable[str], rows: Iterable[Iterable[Any]], numbers: bool = True) -> str:

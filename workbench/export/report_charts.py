@@ -2,7 +2,8 @@
 
 import base64
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -27,9 +28,9 @@ def line_chart(
     frames: Float[np.ndarray, "n"],
     series: Mapping[str, Float[np.ndarray, "n"]],
     unit: str,
-    marked: Sequence[int] = (),
+    marked: Mapping[int, str] = MappingProxyType({}),
 ) -> str:
-    """Curves over frames with a legend; gaps where there is no number, ticks at the `marked` frames."""
+    """Curves over frames with a legend; gaps where there is no number, ticks at the `marked` frames that say why."""
     step = -(-len(frames) // MOST_POINTS)
     values = np.stack([np.asarray(curve, float) for curve in series.values()])
     finite = values[np.isfinite(values)]
@@ -52,9 +53,9 @@ def line_chart(
     for tick in nice_ticks(first, last, 8):
         if first <= tick <= last:
             parts.append(f'<text x="{x_of(tick):.1f}" y="{HEIGHT - 6}" text-anchor="middle">{tick:g}</text>')
-    for frame in marked:
-        x = x_of(float(frame))
-        parts.append(f'<path class="mark" d="M{x:.1f} {TOP - 2} l-4 -7 h8 z"><title>frame {frame}</title></path>')
+    for frame, why in marked.items():
+        x, title = x_of(float(frame)), html.escape(f"frame {frame}: {why}")
+        parts.append(f'<path class="mark" d="M{x:.1f} {TOP - 2} l-4 -7 h8 z"><title>{title}</title></path>')
     for number, curve in enumerate(values):
         path = _path(x_of(frames[::step]), y_of(curve[::step]))
         parts.append(f'<path class="curve c{number % 8}" d="{path}"/>')
@@ -66,10 +67,11 @@ def line_chart(
 
 
 def residual_picture(track: Track) -> UInt8[np.ndarray, "h n 3"]:
-    """A row a landmark by parts of the face, a column a frame: errors in colour, grey without a face."""
+    """A row a landmark by parts of the face, a column a frame: errors in colour, grey without landmarks."""
     order = [point for group in STRIP_ROWS for point in GROUPS[group]]
     eyes = np.linalg.norm(track.observed[:, LEFT_EYE_OUTER_CORNER] - track.observed[:, RIGHT_EYE_OUTER_CORNER], axis=1)
     percent = 100.0 * np.linalg.norm(track.projected - track.observed, axis=2) / eyes[:, None]
+    percent[~track.seen] = np.nan
     percent = percent[:: -(-len(track) // MOST_POINTS)]
     picture = np.array(residual_colors(percent.ravel()), np.uint8).reshape(*percent.shape, 3)
     picture[np.isnan(percent).any(1)] = NO_FACE

@@ -1,11 +1,12 @@
 """What a fit leaves: one frame (`FrameFit`) and a whole run (`Track`)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from workbench.files import atomic_path
 from workbench.geometry import Camera, yaw_pitch_roll_deg
@@ -132,6 +133,11 @@ class Track:
         return tuple(self.meta["expression_names"])
 
     @property
+    def seen(self) -> Bool[np.ndarray, "n"]:
+        """Frames with landmarks that this view saw: neither without a face nor filled."""
+        return np.nan_to_num(self.confidence).max(axis=1, initial=0.0) > 0.0
+
+    @property
     def angles_deg(self) -> Float[np.ndarray, "n 3"]:
         """Yaw, pitch, roll of each frame."""
         return yaw_pitch_roll_deg(self.rotation)
@@ -181,13 +187,27 @@ def stack_fits(fits: list[FrameFit]) -> dict[str, np.ndarray]:
     return {name: columns[name] for name in ARRAYS}
 
 
+@dataclass(frozen=True, eq=False)
+class Fits(Sequence):
+    """The frames of a track as a sequence of fits, each made when it is asked for; a slice is a tuple."""
+
+    track: Track
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def __getitem__(self, place: int | slice) -> FrameFit | tuple[FrameFit, ...]:
+        if isinstance(place, slice):
+            return tuple(self.track[k] for k in range(*place.indices(len(self))))
+        return self.track[range(len(self))[place]]
+
+
 def frame_errors(track: Track) -> Float[np.ndarray, "n 4"]:
     """Mean error of every frame in px over the inner 51 and over all 68, then both in % of the outer-eye distance.
 
     NaN without a face in this view. The last three are `FrameFit.errors`.
     """
-    seen = np.nan_to_num(track.confidence).max(axis=1, initial=0.0) > 0.0
-    return np.where(seen[:, None], _errors(track.projected, track.observed), np.nan)
+    return np.where(track.seen[:, None], _errors(track.projected, track.observed), np.nan)
 
 
 def _errors(projected: Float[np.ndarray, "n 68 2"], observed: Float[np.ndarray, "n 68 2"]) -> Float[np.ndarray, "n 4"]:
