@@ -42,8 +42,6 @@ def check_face_model(path: object, model: FaceModel) -> FaceModel:
     }
     for label, (array, shape) in numbers.items():
         check_numbers(path, label, array, shape)
-    if model.colors.dtype != np.uint8:
-        raise ModelError(f"{path}: colors holds {model.colors.dtype}, expected uint8; the file is damaged.")
     indices: dict[str, tuple[np.ndarray, Shape, int]] = {
         "triangles": (model.triangles, (None, 3), count),
         "triangles_uv": (model.triangles_uv, (len(model.triangles), 3), len(model.uv)),
@@ -73,7 +71,7 @@ def check_names(path: object, label: str, names: Sequence[object]) -> None:
         raise ModelError(f"{path}: {label} holds {shortened(twice)!r} twice; give every one a name of its own.")
 
 
-def check_numbers(path: object, label: str, array: object, shape: Shape, largest: float = FARTHEST) -> None:
+def check_numbers(path: object, label: str, array: object, shape: Shape, largest: float | int = FARTHEST) -> None:
     """Raise `ModelError` for an array of another shape, and for numbers that are not finite or beyond `largest`."""
     array = _shaped(path, label, array, shape, "biuf")
     # A comparison with NaN is false.

@@ -50,6 +50,8 @@ def _from_arrays(path: Path, arrays: dict[str, np.ndarray]) -> FaceModel:
     joint_names = arrays["joint_names"].tolist()
     check_names(path, "region_names", region_names)
     check_names(path, "joint_names", joint_names)
+    if arrays["colors"].dtype != np.uint8:
+        raise ModelError(f"{path}: colors holds {arrays['colors'].dtype}, expected uint8; the file is damaged.")
 
     def indices(name: str) -> np.ndarray:
         return whole_numbers(path, name, arrays[name]).astype(np.int32)

@@ -6,9 +6,9 @@ that only hold, select or reshape an array. A call of anything else is refused b
 
 import re
 import zipfile
-from io import BytesIO
+from io import BufferedIOBase, BytesIO
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse
@@ -64,7 +64,7 @@ def _kind(value: Any) -> str:
     return shortened(".".join(value.name)) if called else type(value).__name__
 
 
-def _read_npz(stream: IO[bytes]) -> dict[str, Any]:
+def _read_npz(stream: BufferedIOBase) -> dict[str, Any]:
     with zipfile.ZipFile(stream) as archive:
         members = [member for member in checked_members(archive) if member.filename.endswith(".npy")]
         arrays = {}
@@ -78,7 +78,7 @@ def _read_npz(stream: IO[bytes]) -> dict[str, Any]:
     return {name: value[0] if isinstance(value, list) and len(value) == 1 else value for name, value in arrays.items()}
 
 
-def _read_npy(stream: IO[bytes], name: str, size: int) -> Any:
+def _read_npy(stream: BufferedIOBase, name: str, size: int) -> Any:
     shape, dtype = array_header(stream)
     if dtype.hasobject:
         return _values(unpickled(BytesIO(stream.read()), _made))
