@@ -1,6 +1,7 @@
 """Configuration files: round trips, defaults, and errors that name the key and the nearest known one."""
 
 import json
+import os
 import tomllib
 
 import pytest
@@ -65,14 +66,32 @@ def test_a_short_file_takes_the_rest_from_its_preset(tmp_path):
         ("[landmarks.moved]\n12 = {70 = [1.0, 2.0]}\n", "landmarks.moved.12.70"),
         ("[subsets]\njaw = [1, 2]\n", "cannot be called 'jaw'"),
         ("[subsets]\nmine = [68]\n", "subsets.mine.0"),
+        ("version = 1\ncontour = 1\n", "contour: "),
+        ("version = true\n", "version is True"),
+        ("[provenance]\na = 1\n", "there is no key 'provenance.a'; the keys here are exported"),
+        ("[camera]\nfov_deg = nan\n", "camera.fov_deg: "),
+        ("[constants]\na = inf\n", "constants.a: "),
+        ("[weights]\ntau = 1" + "0" * 5000, "more than 20 digits"),
+        ("a." * 50_000 + "a = 1", "more than 100 parts"),
+        ("a = " + "[" * 5000 + "]" * 5000, "nested more than 100 deep"),
+        (f'preset = "{"x" * 5000}"\n', "There is no preset 'x+ …"),
+        (f'[[stages]]\nname = "{"x" * 5000}"\nfree = ["jaw"]\n', "stage 'x+ …"),
         ('[[stages]]\nname = "a"\nfree = ["rotation"]\nwhen = "start"\n', "no enabled stage runs on every frame"),
     ],
 )
 def test_wrong_files_are_refused_with_a_hint(text, message, tmp_path):
     path = tmp_path / "wrong.toml"
     path.write_text(text)
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(ConfigError, match=message) as refusal:
         read_config(path)
+    assert len(str(refusal.value)) < 600
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_pipe_is_no_configuration(tmp_path):
+    os.mkfifo(tmp_path / "config.toml")
+    with pytest.raises(ConfigError, match="pipe or device"):
+        read_config(tmp_path / "config.toml")
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -120,6 +120,9 @@ def row(frame: object = 0, cells: list[str] = CELLS) -> str:
         (f"{HEADER}\n{row('first')}\n", "line 2: frame, width and height must be whole numbers"),
         (f"{HEADER}\n{row(-1)}\n", "line 2: frame counts from 0"),
         (f"{HEADER}\n{row(3)}\n{row(3)}\n", "line 3: frame indices must ascend, got 3 after 3"),
+        (f"{HEADER}\n{row('9' * 30)}\n", "line 2: frame, width and height are not those of a picture"),
+        (f"{HEADER}\n{row(0, ['x' * 5000, *CELLS[1:]])}\n", "line 2: x0 is 'x+ …, expected a number"),
+        (f"{HEADER}\n{row(0, ['x' * 140_000, *CELLS[1:]])}\n", r"cannot be read as landmarks \(field larger"),
     ],
 )
 def test_a_wrong_csv_is_refused_with_its_line(tmp_path, content, message):
@@ -143,6 +146,10 @@ def entry(**changes: object) -> dict[str, object]:
         (json.dumps({"frames": [{"frame": 0, "width": 9, "height": 9}]}), "points is missing"),
         (json.dumps({"frames": [3]}), "expected an object"),
         (json.dumps({"frames": [entry(width="wide")]}), "whole numbers"),
+        (json.dumps({"frames": ["x" * 5000]}), "expected an object .* got 'x+ …"),
+        ('{"a":' * 100_000, "nested more than 100 deep"),
+        ('{"frames": [' + "9" * 5000 + "]}", "more than 20 digits"),
+        (json.dumps({"frames": [entry(points=[[1e300, 2]] * 68)]}), "entry 0 of frames: landmark 0 lies at .* outside"),
     ],
 )
 def test_a_wrong_json_is_refused_with_its_entry(tmp_path, content, message):

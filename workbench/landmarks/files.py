@@ -101,7 +101,11 @@ def _landmarks(where: str, points: object, confidence: object, size: tuple[int, 
     try:
         array = np.asarray(points, np.float64)
         certainty = np.ones(POINT_COUNT) if confidence is None else np.asarray(confidence, np.float64)
-        return Landmarks2D(array, certainty, size)
+        landmarks = Landmarks2D(array, certainty, size)
+        far = np.flatnonzero((np.abs(landmarks.points) > LARGEST_SIDE).any(axis=1))
+        if far.size:
+            raise InputError(f"landmark {far[0]} lies at {landmarks.points[far[0]].tolist()}: outside of any picture")
+        return landmarks
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
     except (ValueError, TypeError, OverflowError) as error:
