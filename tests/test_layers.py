@@ -14,8 +14,8 @@ PACKAGE = ROOT / "workbench"
 ORDER = [
     "errors",
     "arrays",
-    "files",
     "reading",
+    "files",
     "inert_pickle",
     "runtime",
     "samples",

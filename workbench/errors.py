@@ -17,5 +17,9 @@ class ConfigError(WorkbenchError, ValueError):
     """A configuration with unknown keys or values out of range."""
 
 
+class OutputError(WorkbenchError, OSError):
+    """A file or folder that cannot be written, or that must not be: it is an input, or holds another run."""
+
+
 class MissingDependencyError(WorkbenchError, ImportError):
     """An optional package that is needed for what was asked."""

@@ -10,6 +10,8 @@ from rich.padding import Padding
 from workbench.cli import diagnosis_files, screen
 from workbench.cli.tracking import track_file
 from workbench.errors import InputError
+from workbench.export.sources import input_files
+from workbench.files import check_not_inputs
 from workbench.tracking import Track
 
 MOST_FRAMES = 20
@@ -45,6 +47,7 @@ def diagnose(
     if frame is not None and every:
         raise InputError("Give --frame or --all, not both: --all lists the frames that stand out.")
     track = Track.load(track_file(run))
+    check_not_inputs(filter(None, (json_file, csv_file)), [track_file(run), *input_files(track.meta)])
     if frame is None:
         record = _flags(track)
         _print_flags(record, run, every)

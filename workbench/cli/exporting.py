@@ -10,7 +10,9 @@ from workbench.cli import screen
 from workbench.cli.tracking import track_file
 from workbench.errors import InputError
 from workbench.export.formats import FORMATS, export_track, format_of
+from workbench.export.sources import input_files
 from workbench.face import FaceModel
+from workbench.files import check_not_inputs
 from workbench.tracking import Track
 
 EXPORT_HELP = (
@@ -58,7 +60,9 @@ def export(
         format_of(path)  # a wrong suffix is refused before anything is written
         if path.exists() and stored.exists() and path.samefile(stored):
             raise InputError(f"{path} is the track itself; name another file.")
+    given = [path for path in (model, character, mapping) if path is not None]
     track = Track.load(stored)
+    check_not_inputs(to, [stored, *given, *input_files(track.meta)])
     head, notes = model_of_track(track, model)
     if character is not None:
         other = load_model(character)

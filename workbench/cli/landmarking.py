@@ -16,6 +16,7 @@ from workbench.cli import screen
 from workbench.cli.tracking import DETECTOR_HELP, FACE_HELP, print_licence_notice, wanted_face
 from workbench.config import DEFAULT_PRESET, preset
 from workbench.errors import InputError
+from workbench.files import check_not_inputs
 from workbench.frames import Frame, Frames, VideoWriter, write_picture
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
@@ -86,6 +87,7 @@ def landmarks(
     settings = preset(DEFAULT_PRESET).changed(landmarks={"detector": detector, "face": wanted_face(face)})
     source = open_source(inputs, settings, None)
     drawn = _drawings(source.frames, out) if pictures else None
+    check_not_inputs([out] if drawn is None else [out, drawn, *_drawn_there(drawn)], inputs)
     with screen.progress_bar() as progress:
         try:
             found = _find(source, out, drawn, progress)
@@ -98,6 +100,10 @@ def landmarks(
 def _drawings(frames: Frames, out: Path) -> Path:
     """Where the drawn pictures go: a video for a video, else a folder."""
     return out.with_suffix(".mp4") if frames.kind == "video" else out.with_suffix("")
+
+
+def _drawn_there(drawn: Path) -> list[Path]:
+    return list(drawn.iterdir()) if drawn.is_dir() else []
 
 
 def _find(source: "PictureSource", out: Path, drawn: Path | None, progress: Progress) -> list[Found]:

@@ -7,6 +7,7 @@ import typer
 from rich.markup import escape
 
 from workbench.cli import screen
+from workbench.files import check_not_inputs
 
 GROUP_HELP = """Face models of other people: FLAME, Basel, GNM Head, ICT-FaceKit, glTF, OBJ folders.
 
@@ -49,6 +50,8 @@ def show(
     """Tell what a face model holds."""
     from workbench.face import load_face_model  # with JAX's start-up: only when it is asked for
 
+    if picture is not None:
+        check_not_inputs([picture], [path, *([] if landmarks is None else [landmarks])])
     model = load_face_model(path, landmarks=landmarks, unit=unit, identity=identity, expressions=expressions)
     table = screen.table("", "")
     table.show_header = False

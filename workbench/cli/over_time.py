@@ -6,7 +6,7 @@ from typing import Annotated, Any, get_args
 import typer
 
 from workbench.cli import screen
-from workbench.cli.tracking import face_model, frame_range, named_views, print_result, track_file
+from workbench.cli.tracking import OVERWRITE_HELP, face_model, frame_range, named_views, print_result, track_file
 from workbench.config import InfillConfig, RefinementConfig
 from workbench.errors import ConfigError
 
@@ -51,6 +51,7 @@ Clip = Annotated[Path | None, typer.Option("--clip", help="The pictures, if they
 View = Annotated[list[str] | None, typer.Option(help="Clip of another view, if moved, as NAME=CLIP.")]
 Estimator = Annotated[str | None, typer.Option(help="dis, farneback, network, or a file of weights.")]
 Pictures = Annotated[bool, typer.Option(help="Write the overlay video.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP)]
 
 
 def infill(
@@ -67,13 +68,15 @@ def infill(
     clip: Clip = None,
     view: View = None,
     pictures: Pictures = True,
+    overwrite: Overwrite = False,
 ) -> None:
     """Fill frames without a usable fit from their neighbours, into a new track."""
     _check(method, INFILL_METHODS)
     section: dict[str, Any] = {"method": method, "frames": [frame_range(text) for text in frames or []]}
     if longest is not None:
         section["longest"] = longest
-    _work(run, out, "infill", {"infill": section, "flow": _flow(estimator)}, ["infill"], model, clip, view, pictures)
+    changes = {"infill": section, "flow": _flow(estimator)}
+    _work(run, out, "infill", changes, ["infill"], model, view, clip=clip, pictures=pictures, overwrite=overwrite)
 
 
 def refine(
@@ -89,6 +92,7 @@ def refine(
     clip: Clip = None,
     view: View = None,
     pictures: Pictures = True,
+    overwrite: Overwrite = False,
 ) -> None:
     """Steady a track, into a new one."""
     _check(method, REFINEMENT_METHODS)
@@ -96,15 +100,23 @@ def refine(
     section = {"method": method, "reestimate": reestimate} | {k: v for k, v in given.items() if v is not None}
     steps = ["refine", *(["reestimate"] if reestimate else [])]
     changes = {"refinement": section, "flow": _flow(estimator)}
-    _work(run, out, "refine", changes, steps, model, clip, view, pictures)
+    _work(run, out, "refine", changes, steps, model, view, clip=clip, pictures=pictures, overwrite=overwrite)
 
 
 def reestimate(
-    run: Run, out: Out = None, model: Model = None, clip: Clip = None, view: View = None, pictures: Pictures = True
+    run: Run,
+    out: Out = None,
+    model: Model = None,
+    clip: Clip = None,
+    view: View = None,
+    pictures: Pictures = True,
+    overwrite: Overwrite = False,
 ) -> None:
     """Fit the expressions of a track anew with its poses held, into a new track."""
     changes = {"refinement": {"reestimate": 1}}
-    _work(run, out, "reestimate", changes, ["reestimate"], model, clip, view, pictures)
+    _work(
+        run, out, "reestimate", changes, ["reestimate"], model, view, clip=clip, pictures=pictures, overwrite=overwrite
+    )
 
 
 def _check(method: str, known: list[str]) -> None:
@@ -116,14 +128,15 @@ def _flow(estimator: str | None) -> dict[str, str]:
     return {} if estimator is None else {"estimator": estimator}
 
 
-def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, clip, view, pictures: bool) -> None:
-    from workbench.pipeline import config_of, retrack
+def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, view, **options) -> None:
+    from workbench.pipeline import check_inputs_kept, config_of, retrack
     from workbench.tracking.track_reader import TrackReader
 
     stored = track_file(run)
     config = config_of(TrackReader(stored).meta).changed(**changes)
     model = face_model(model_path)
     folder = out or stored.parent.with_name(f"{stored.resolve().parent.name}-{name}")
+    check_inputs_kept(folder, [] if model_path is None else [model_path])
     with screen.progress_bar() as progress:
         result = retrack(
             stored,
@@ -131,9 +144,8 @@ def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, cl
             model,
             config,
             steps,
-            pictures=pictures,
-            clip=clip,
             views=named_views(view or []),
             progress=progress,
+            **options,
         )
     print_result(result)

@@ -9,6 +9,7 @@ from rich.markup import escape
 
 from workbench.cli import screen
 from workbench.errors import InputError
+from workbench.files import atomic_path, check_not_inputs
 from workbench.geometry import Rig, RigReport, ViewReport, read_rig, rig_report, write_rig
 from workbench.landmarks.epipolar import MOST_OFFSET, RigCheck, check_rig
 from workbench.landmarks.files import read_landmark_file
@@ -76,6 +77,7 @@ def show(
     rig = read_rig(files, unit, _image_size(size))
     _print_report(rig_report(rig))
     if picture is not None:
+        check_not_inputs([picture], files)
         _draw(rig, picture)
         screen.console.print(f"wrote {escape(str(picture))}", soft_wrap=True)
 
@@ -103,6 +105,7 @@ def convert(
 ) -> None:
     """Write a rig as rig.toml."""
     rig = read_rig(files, unit, _image_size(size))
+    check_not_inputs([out], files)
     write_rig(rig, out)
     _print_report(rig_report(rig))
     screen.console.print(f"wrote {escape(str(out))}", soft_wrap=True)
@@ -118,7 +121,6 @@ def _image_size(text: str | None) -> tuple[int, int] | None:
 
 
 def _draw(rig: Rig, path: Path) -> None:
-    from workbench.files import atomic_path
     from workbench.pictures.rig_drawing import rig_figure  # matplotlib: only when it is asked for
 
     with atomic_path(path) as temporary:

@@ -21,6 +21,7 @@ import workbench
 from workbench.cli import screen
 from workbench.cli.tour_page import write_tour_page
 from workbench.errors import InputError, MissingDependencyError
+from workbench.files import make_folder
 
 PACKAGE = Path(workbench.__file__).resolve().parent
 APP_NOTEBOOK = "10_workbench_app.ipynb"
@@ -152,7 +153,7 @@ def working_copies(folder: Path, package: Path = PACKAGE) -> Path:
     if not folder.is_relative_to(package):
         return folder
     copies = Path.cwd() / "workbench_notebooks"
-    copies.mkdir(exist_ok=True)
+    make_folder(copies)
     for notebook in folder.glob("*.ipynb"):
         if not (copies / notebook.name).exists():
             shutil.copyfile(notebook, copies / notebook.name)

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from workbench.cli import screen
 from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset, read_config
-from workbench.errors import ConfigError
+from workbench.errors import ConfigError, OutputError
 from workbench.samples import sample
 
 DEMO = {"astronaut": {}, "performance": {"camera": {"fov_deg": 33.0}}}
@@ -54,6 +54,7 @@ RIG_HELP = "Deep Energies: calibration of several cameras; INPUT is its first vi
 VIEW_HELP = "Clip of another view of the rig as NAME=CLIP; may be given more than once."
 INFILL_HELP = "Fill failed frames: flow, linear or spline (none: leave them)."
 REFINE_HELP = "Steady the result: averaging, self, plate or hybrid (none: leave it)."
+OVERWRITE_HELP = "Replace what an earlier run left in the folder."
 FACE_HELP = "A point X,Y in the wanted face, pixels."
 
 
@@ -80,10 +81,14 @@ def track(
     refine: Annotated[str | None, typer.Option(help=REFINE_HELP)] = None,
     pictures: Annotated[bool, typer.Option(help="Write the overlay video or pictures.")] = True,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP)] = False,
 ) -> None:
     """Track faces in pictures, a video or landmark files."""
+    from workbench.pipeline import check_inputs_kept
+
     settings = _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine)
     folder = out or Path("out") / (inputs[0].stem or "run")
+    check_inputs_kept(folder, [path for path in (config, model) if path is not None])
     _run(
         inputs,
         folder,
@@ -92,6 +97,7 @@ def track(
         stills=stills,
         pictures=pictures,
         resume=resume,
+        overwrite=overwrite,
         landmarks=landmarks,
         frames=frame_range(frames),
         views=named_views(view or []),
@@ -107,7 +113,8 @@ def demo(
     for name, changes in DEMO.items():
         screen.console.print(f"[bold]{name}[/bold]")
         config = preset(DEFAULT_PRESET).changed(**changes)
-        _run([sample(name)], out / name, config, pictures=pictures, landmarks=sample(f"{name}-landmarks"))
+        given = sample(f"{name}-landmarks")
+        _run([sample(name)], out / name, config, pictures=pictures, overwrite=True, landmarks=given)
 
 
 def _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine) -> Config:
@@ -182,7 +189,7 @@ def face_model(path: Path | None):
 
 
 def _run(inputs, folder, config, model_path: Path | None = None, **options) -> None:
-    from workbench.pipeline import track
+    from workbench.pipeline import holds_parts, track
 
     model = face_model(model_path)
     with screen.progress_bar() as progress:
@@ -191,6 +198,10 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
         except KeyboardInterrupt:
             screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept, --resume goes on from there")
             raise typer.Exit(130) from None
+        except OutputError as error:
+            if not holds_parts(folder):
+                raise
+            raise OutputError(f"{error} Finished parts are kept, --resume goes on from there.") from error
     print_result(result)
 
 

@@ -8,10 +8,11 @@ from workbench.errors import InputError
 from workbench.export.clip import RATE_OF_IMAGES, check_model, make_clip, track_of_shot
 from workbench.export.live_link import write_live_link_csv
 from workbench.export.meshes import write_arrays, write_meshes
-from workbench.export.sources import pictures_of
+from workbench.export.sources import input_files, pictures_of
 from workbench.export.tables import write_curves, write_parquet
 from workbench.export.usd import write_usd
 from workbench.face import FaceModel
+from workbench.files import check_not_inputs
 from workbench.frames import Frames
 from workbench.tracking import Track
 
@@ -67,10 +68,13 @@ def export_track(
 
     `model` is the model that it was fitted with, or the character that it was retargeted to. `shot` takes the frames
     of one shot, `rate` replaces the frames per second, `pictures` stands for an input that was moved. The meshes of
-    .obj and .ply go into a folder of that name without the suffix. Raises `InputError` for what cannot be written and
-    `MissingDependencyError` where a format needs a package that is not installed.
+    .obj and .ply go into a folder of that name without the suffix. Raises `InputError` for what cannot be exported,
+    `OutputError` for a file that cannot be written or is an input, and `MissingDependencyError` where a format needs a
+    package that is not installed.
     """
     path, kind, progress = Path(path), format_of(path), progress or _silent
+    given = [] if pictures is None else [Path(pictures)]
+    check_not_inputs([path], [*given, *input_files(track.meta)])
     check_model(track, model)
     if shot is not None:
         track = track_of_shot(track, shot)

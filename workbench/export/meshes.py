@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from workbench.errors import InputError
 from workbench.export.clip import Clip
 from workbench.face import FaceModel
-from workbench.files import atomic_path
+from workbench.files import atomic_path, make_folder, writing
 
 KINDS = ("obj", "ply")
 FIRST_LINE = "face where it stands before the camera: metres, +y up, +z towards the viewer"
@@ -24,25 +24,29 @@ def write_meshes(
     """Write `folder`/000012.obj (or .ply) for every frame with a face: the same vertices in the same order.
 
     The folder appears when all are written. Raises `InputError` where it already exists: it may hold frames of
-    another export.
+    another export, and `OutputError` where it cannot be written.
     """
     folder = Path(folder)
     if kind not in KINDS:
         raise InputError(f"Meshes are written as {' or '.join(KINDS)}, got {kind!r}.")
     if folder.exists():
         raise InputError(f"{folder} already exists; name another folder for the meshes or remove it.")
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(folder.parent)
     found = np.flatnonzero(clip.track.found).tolist()
     names = [f"{clip.track.index[position]:06d}.{kind}" for position in found]
-    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
+    with writing(folder):
+        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name[:40]}-"))
     try:
         write = _obj_writer(clip.person) if kind == "obj" else _ply_writer(clip.person)
         for done, (position, name) in enumerate(zip(found, names, strict=True), 1):
-            (temporary / name).write_bytes(write(clip.vertices_world(position)))
+            content = write(clip.vertices_world(position))
+            with writing(folder):
+                (temporary / name).write_bytes(content)
             if progress is not None:
                 progress(done, len(found))
-        temporary.chmod(0o755)
-        temporary.replace(folder)
+        with writing(folder):
+            temporary.chmod(0o755)
+            temporary.replace(folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return tuple(folder / name for name in names)

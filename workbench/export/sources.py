@@ -25,6 +25,12 @@ def pictures_of(track: Track, pictures: str | Path | None = None) -> Frames:
     return tracked_part(open_frames(paths if len(paths) > 1 else paths[0]), track.meta)
 
 
+def input_files(meta: Mapping[str, Any]) -> list[Path]:
+    """What a track was made from, by its metadata: files and folders that nothing may be written over."""
+    named = [*meta.get("inputs", []), *filter(None, [meta.get("landmarks")])]
+    return [*(Path(item["path"]) for item in named), *(Path(path) for path in (meta.get("views") or {}).values())]
+
+
 def tracked_part(frames: Frames, meta: Mapping[str, Any]) -> Frames:
     """The frames of an input that a track holds, by its metadata: all of them, or those of `track --frames`."""
     part = meta.get("frames")

@@ -23,7 +23,7 @@ def write_usd(clip: Clip, path: str | Path) -> None:
     without usd-core.
     """
     try:
-        from pxr import Sdf, Usd, UsdGeom, UsdSkel
+        from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel
     except ImportError as error:
         raise MissingDependencyError(
             "USD needs usd-core; pip install 'face-energy-workbench[usd]', or write .glb."
@@ -48,7 +48,10 @@ def write_usd(clip: Clip, path: str | Path) -> None:
         # The layer is made under a name that USD has not seen: it keeps layers by name for as long as a program runs.
         layer = Sdf.Layer.CreateAnonymous(path.suffix if isinstance(path, Path) else Path(path).suffix)
         layer.TransferContent(stage.GetRootLayer())
-        layer.Export(str(temporary))
+        try:
+            layer.Export(str(temporary))
+        except Tf.ErrorException as error:  # USD's own way to say that the disk is full
+            raise OSError(f"USD could not write it: {error}") from error
 
 
 def _skeleton(stage, clip: Clip):

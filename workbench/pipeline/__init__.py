@@ -3,6 +3,7 @@
 import hashlib
 import importlib.metadata
 import json
+import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,12 +15,19 @@ import numpy as np
 
 from workbench import __version__
 from workbench.config import Config, write_config
-from workbench.errors import InputError
+from workbench.errors import InputError, OutputError
 from workbench.export import summary_of, write_parameter_table, write_summary
+from workbench.export.sources import input_files
 from workbench.face import FaceModel
 from workbench.frames import Frames, ImageFrames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.pipeline.deep_run import track_independent_frames, write_strips
+from workbench.pipeline.output_folder import DEEP_OUTPUTS as DEEP_OUTPUTS
+from workbench.pipeline.output_folder import FILES, PARTS, PICTURE_FOLDERS, UNREFINED, run_folder
+from workbench.pipeline.output_folder import OUTPUTS as OUTPUTS
+from workbench.pipeline.output_folder import TIME_OUTPUTS as TIME_OUTPUTS
+from workbench.pipeline.output_folder import check_inputs_kept as check_inputs_kept
+from workbench.pipeline.output_folder import holds_parts as holds_parts
 from workbench.pipeline.sources import PictureSource as PictureSource
 from workbench.pipeline.sources import is_landmark_file as is_landmark_file
 from workbench.pipeline.sources import open_deep_source, open_source
@@ -29,7 +37,7 @@ from workbench.pipeline.temporal_run import over_time, views_of, wanted_steps, w
 from workbench.pipeline.temporal_run import work_over as work_over
 from workbench.tracking import FaceTracker, FrameFit, Track
 from workbench.tracking.track_reader import TrackReader
-from workbench.tracking.track_writer import TrackWriter
+from workbench.tracking.track_writer import TrackWriter, has_parts
 
 PACKAGES = ("jax", "optimistix", "numpy", "scipy", "opencv-contrib-python-headless", "pyvista")
 
@@ -62,6 +70,7 @@ def track(
     stills: bool = False,
     pictures: bool = True,
     resume: bool = False,
+    overwrite: bool = False,
     landmarks: Path | None = None,
     frames: tuple[int, int] | None = None,
     views: Mapping[str, Path] = MappingProxyType({}),
@@ -73,44 +82,101 @@ def track(
     `stills` treats every picture on its own. `landmarks` is a file with the landmarks of the pictures: no detector
     runs. `frames` are the first and last one of a part. `views` are the clips of a rig's other cameras by the views'
     names, `workers` the processes that fit (both Deep Energies). `resume` goes on with an interrupted run of the same
-    input and configuration. An interrupted run (Ctrl-C) keeps its finished parts for that. Raises `InputError` for an
-    input that cannot be used.
+    input and configuration, `overwrite` replaces what an earlier run left. A run that was interrupted, however, keeps
+    its finished parts for that. Raises `InputError` for an input that cannot be used, and `OutputError` for a folder
+    that cannot be written, holds another run, or whose files are inputs.
     """
     paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     if not paths:
         raise InputError("There is nothing to track; name a photo, a folder, a video or a landmark file.")
-    folder, progress = Path(folder), progress or _silent
-    deep = config.system == "deep-energies"
-    if not deep and (views or workers > 1):
+    if config.system != "deep-energies" and (views or workers > 1):
         raise InputError("Several views and several processes belong to Deep Energies; add --preset deep-energies.")
-    if deep:
-        source = open_deep_source(paths, config, landmarks, frames, views)
-    else:
-        source = open_source(paths, config, landmarks, frames)
-    stills = stills or source.single_picture
-    tracker = FaceTracker(model, config, stills=stills)
-    tracker.warm_up(source.image_size)
-    folder.mkdir(parents=True, exist_ok=True)
-    meta = _meta([*paths, *views.values()], landmarks, model, config, stills, source)
-    meta["frames"] = None if frames is None else list(frames)
-    meta["views"] = {name: str(path) for name, path in views.items()}
-    steps = wanted_steps(config)
+    files = [*paths, *views.values(), *_given(landmarks), *_given(config.camera.rig)]
+    job = _Job(Path(folder), model, config, pictures, resume, overwrite, workers, progress or _silent)
+    with run_folder(job.folder, files, resume, overwrite):
+        if config.system == "deep-energies":
+            source = open_deep_source(paths, config, landmarks, frames, views)
+        else:
+            source = open_source(paths, config, landmarks, frames)
+        stills = stills or source.single_picture
+        meta = _meta([*paths, *views.values()], landmarks, model, config, stills, source)
+        meta["frames"] = None if frames is None else list(frames)
+        meta["views"] = {name: str(path) for name, path in views.items()}
+        return _finished(job, meta) or _run(job, source, meta, stills)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What a call of `track` asks for, beside its input."""
+
+    folder: Path
+    model: FaceModel
+    config: Config
+    pictures: bool
+    resume: bool
+    overwrite: bool
+    workers: int
+    progress: Progress
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        return wanted_steps(self.config)
+
+    @property
+    def fits_path(self) -> Path:
+        """Where the fits of single frames go."""
+        return self.folder / (UNREFINED if self.steps else "track.npz")
+
+
+def _given(path: str | Path | None) -> tuple[Path, ...]:
+    return (Path(path),) if path else ()
+
+
+def _finished(job: _Job, meta: dict[str, Any]) -> RunResult | None:
+    """The result of a run to be resumed that has nothing left to do; None for others.
+
+    Raises `OutputError` where the folder holds a finished run of something else.
+    """
+    stored = job.folder / "track.npz"
+    if not job.resume or not stored.exists() or has_parts(job.fits_path, _fingerprint(meta)):
+        return None
+    reader = TrackReader(stored)
+    made = {name: value for name, value in reader.meta.items() if name not in ("format", "format_version")}
+    if _fingerprint(made) == _fingerprint(worked_meta(meta, job.config, job.steps) if job.steps else meta):
+        files = [path for path in map(job.folder.joinpath, FILES) if path.exists()]
+        drawn = [path for name in PICTURE_FOLDERS for path in sorted((job.folder / name).glob("*.jpg"))]
+        for name in PARTS:
+            shutil.rmtree(job.folder / name, ignore_errors=True)
+        note = "This run was finished before, and nothing was left to do; --overwrite repeats it."
+        return RunResult(job.folder, summary_of(reader.blocks(), None), (*files, *drawn), (note,))
+    if job.overwrite:
+        return None
+    raise OutputError(
+        f"{job.folder} holds a finished run of another input or configuration; name another folder, or replace it by "
+        "--overwrite."
+    )
+
+
+def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
+    folder, model, config, progress, steps = job.folder, job.model, job.config, job.progress, job.steps
     if steps and stills:
         raise InputError("Unrelated photos have no neighbours in time; leave infill and refinement out, or --stills.")
-    name = UNREFINED if steps else "track.npz"
-    writer = TrackWriter(folder / name, meta, _fingerprint(meta), resume)
+    tracker = FaceTracker(model, config, stills=stills)
+    tracker.warm_up(source.image_size)
+    writer = TrackWriter(job.fits_path, meta, _fingerprint(meta), job.resume)
     began, already, strips = time.perf_counter(), len(writer), []
+    deep = config.system == "deep-energies"
     try:
         if deep:
-            strips = track_independent_frames(source, tracker, writer, stills, workers, progress)
+            strips = track_independent_frames(source, tracker, writer, stills, job.workers, progress)
         else:
             _track_frames(source, tracker, writer, stills, progress)
+        if not len(writer):
+            raise InputError(f"{meta['inputs'][0]['path']} holds no frame to track; check that it plays.")
     except InputError:
-        writer.discard()
+        if not len(writer):
+            writer.discard()
         raise
-    if not len(writer):
-        writer.discard()
-        raise InputError(f"{paths[0]} holds no frame to track; check that it plays.")
     written = writer
     if steps:
         written = _over_time(_fits(writer), source.views, model, config, steps, meta, folder, progress, len(writer))
@@ -118,11 +184,11 @@ def track(
     summary = summary_of(written.tracks(), seconds if not already else None)
     notes = [*source.notes()]
     files = _write_tables(written, summary, model, config, folder)
-    if pictures and deep:
+    if job.pictures and deep:
         files += write_strips(strips, tracker.fitter, folder, progress)
-    if pictures:
+    if job.pictures:
         files += _write_pictures(source.frames, written, model, stills, folder, progress, notes)
-    for finished in dict.fromkeys((written, writer)):
+    for finished in dict.fromkeys((writer, written)):  # track.npz comes last: with it a run is finished
         finished.close()
     kept = (folder / UNREFINED,) if steps else ()
     return RunResult(folder, summary, (folder / "track.npz", *kept, *files), tuple(notes))
@@ -136,6 +202,7 @@ def retrack(
     steps: Sequence[Step],
     *,
     pictures: bool = True,
+    overwrite: bool = False,
     clip: Path | None = None,
     views: Mapping[str, Path] = MappingProxyType({}),
     progress: Progress | None = None,
@@ -143,7 +210,8 @@ def retrack(
     """Infill, refine or re-estimate a stored track into `folder`: a new track and the tables of `track`.
 
     `config` is the track's own (`config_of`) with changes; `clip` and `views` say where the pictures are now, where
-    they were moved. Raises `InputError` for a track, model or pictures that cannot be used.
+    they were moved. `overwrite` replaces what an earlier run left. Raises `InputError` for a track, model or pictures
+    that cannot be used, and `OutputError` as `track` does.
     """
     folder, progress = Path(folder), progress or _silent
     reader = TrackReader(stored)
@@ -151,18 +219,19 @@ def retrack(
     if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
         raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
     opened = views_of(reader.meta, config, clip, views)
-    folder.mkdir(parents=True, exist_ok=True)
-    began = time.perf_counter()
-    origin = {"path": str(reader.path), "sha256": content_hash(reader.path)}
-    meta = {**reader.meta, "track": origin}
-    writer = _over_time(reader, opened, model, config, steps, meta, folder, progress, len(reader))
-    summary = summary_of(writer.tracks(), time.perf_counter() - began)
-    files = _write_tables(writer, summary, model, config, folder)
-    notes = [note for frames in opened for note in frames.notes]
-    if pictures and opened:
-        files += _write_pictures(opened[0], writer, model, False, folder, progress, notes)
-    writer.close()
-    return RunResult(folder, summary, (folder / "track.npz", *files), tuple(notes))
+    inputs = [reader.path, *_given(clip), *views.values(), *_given(config.camera.rig), *input_files(reader.meta)]
+    with run_folder(folder, inputs, False, overwrite):
+        began = time.perf_counter()
+        origin = {"path": str(reader.path), "sha256": content_hash(reader.path)}
+        meta = {**reader.meta, "track": origin}
+        writer = _over_time(reader, opened, model, config, steps, meta, folder, progress, len(reader))
+        summary = summary_of(writer.tracks(), time.perf_counter() - began)
+        files = _write_tables(writer, summary, model, config, folder)
+        notes = [note for frames in opened for note in frames.notes]
+        if pictures and opened:
+            files += _write_pictures(opened[0], writer, model, False, folder, progress, notes)
+        writer.close()
+        return RunResult(folder, summary, (folder / "track.npz", *files), tuple(notes))
 
 
 def check_model(meta: Mapping[str, Any], model: FaceModel) -> None:
@@ -193,21 +262,6 @@ def _over_time(
 def _fits(writer: TrackWriter) -> Iterator[FrameFit]:
     for part in writer.tracks():
         yield from (part[position] for position in range(len(part)))
-
-
-OUTPUTS = {
-    "track.npz": "everything, for the notebooks (`workbench.Track.load`)",
-    "summary.json": "errors, times, camera",
-    "parameters.csv": "a row a frame: pose, every weight, errors",
-    "landmarks.csv": "a row a frame: the 68 detected points",
-    "config.toml": "the configuration used",
-    "overlay.mp4": "the landmarks on the picture, the 3D face beside it (overlay/ with pictures for stills)",
-}
-UNREFINED = "unrefined.npz"
-DEEP_OUTPUTS = {"stages": "what each stage made of some frames, and of those that failed"}
-"""What a Deep Energies run leaves besides."""
-TIME_OUTPUTS = {UNREFINED: "the fits of single frames, before infill and refinement"}
-"""What a run with infill or refinement leaves besides."""
 
 
 def _silent(step: str, done: int, total: int | None) -> None:

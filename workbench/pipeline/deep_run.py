@@ -60,7 +60,6 @@ def write_strips(pairs: list[Pair], fitter: DeepFitter, folder: Path, progress) 
     for observation, context in pictured:
         solution = fitter.solve(observation, context)
         path = folder / "stages" / f"{observation.index:04d}.jpg"
-        path.parent.mkdir(exist_ok=True)
         write_stage_strip(path, observation.picture, fitter, observation, context, solution)
         made.append(path)
         progress("stages", len(made), len(pictured))

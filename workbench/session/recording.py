@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel
+from workbench.files import make_folder
 from workbench.frames import VideoWriter
 from workbench.pipeline import content_hash, software_versions
 from workbench.session.live_frame import LiveFrame
@@ -64,7 +65,7 @@ class Recording:
     def save(self, folder: str | Path) -> Path:
         """Write track.npz into a folder, and clip.mp4 if pictures were kept; returns the path of the track."""
         folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         track = self.track
         if self.jpegs:
             clip = folder / "clip.mp4"

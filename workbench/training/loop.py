@@ -17,7 +17,7 @@ from safetensors.numpy import save_file
 from torch import Tensor, nn
 
 from workbench.errors import InputError
-from workbench.files import atomic_path
+from workbench.files import atomic_path, make_folder
 from workbench.networks.landmark_network import BLOCKS, WIDTHS
 from workbench.networks.weights import ARCHITECTURE
 from workbench.training.pool import Pool, open_pool
@@ -155,7 +155,7 @@ def train(
     its last checkpoint when it is called again. The training pictures depend on the plan's seed and the step alone, so
     an interruption changes them not. Raises `InputError` where the folder belongs to another plan.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     _claim(folder / "plan.json", plan)
     torch.manual_seed(plan.seed)
     network = task.network(plan).to(device).to(memory_format=torch.channels_last)

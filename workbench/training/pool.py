@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 
 from workbench.errors import InputError
 from workbench.face import load_default_head
-from workbench.files import atomic_path
+from workbench.files import atomic_path, make_folder
 from workbench.training.scenes import FaceStudio
 from workbench.training.skin import skin_painter
 
@@ -91,7 +91,7 @@ def make_shards(
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """`make(folder, seed, shard)` for each shard of `size` entries, over processes; progress counts entries."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     # A fresh process now and then: a GL context does not survive a fork, and nothing piles up in memory.
     with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=4) as processes:
         for done, _ in enumerate(processes.imap(partial(make, folder, seed), range(count)), 1):

@@ -1,0 +1,349 @@
+"""Killed runs, full disks, outputs that are inputs: nothing that was there or was done is lost."""
+
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.killed_runs import FRAMES, StubModel, StubTracker, make_fit
+from tests.performances import performance
+from tests.stereo_scenes import make_rig
+from workbench.config import preset
+from workbench.errors import OutputError
+from workbench.export import FORMATS, export_track
+from workbench.files import atomic_path
+from workbench.frames import VideoWriter
+from workbench.geometry import write_rig
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, write_landmark_file
+from workbench.landmarks.observations import Landmarks2D
+from workbench.pipeline import track
+from workbench.samples import sample
+from workbench.tracking.track_writer import TrackWriter
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def points(tmp_path):
+    """A landmark file of some frames."""
+    path = tmp_path / "points.csv"
+    with LandmarkCsvWriter(path, confidence=False) as writer:
+        for index in range(FRAMES):
+            places = np.random.default_rng(index).uniform(100.0, 400.0, (68, 2))
+            writer.write(LandmarkRecord(index, "", Landmarks2D(places, np.ones(68), (640, 480)), None))
+    return path
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Runs with a stub for tracker and model: all that they write is real."""
+    monkeypatch.setattr("workbench.pipeline.FaceTracker", StubTracker)
+
+    def run(points, folder, **options):
+        return track(points, folder, StubModel(), preset("calibrated"), pictures=False, **options)
+
+    return run
+
+
+def content(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_run_killed_at_any_write_resumes_to_the_same_numbers_and_leaves_nothing_behind(points, tmp_path):
+    command = [sys.executable, "-m", "tests.killed_runs", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    found = json.loads(done.stdout)
+    assert found["writes"] > 50
+    assert found["unequal"] == []
+    assert found["left"] == {}
+
+
+class TestPartsOfATrack:
+    @pytest.fixture
+    def parts(self, tmp_path):
+        """The folder with three parts of two frames each."""
+        writer = TrackWriter(tmp_path / "track.npz", {}, "a run")
+        for index in range(6):
+            writer.add(make_fit(index, [index, index]))
+            if index % 2:
+                writer.write_part({"frame": np.array(index)})
+        return writer.parts_folder
+
+    def resumed(self, parts):
+        return TrackWriter(parts.with_name("track.npz"), {}, "a run", resume=True)
+
+    @pytest.mark.parametrize("damage", ["cut", "empty", "flipped", "missing", "another's"])
+    def test_a_damaged_part_is_dropped_with_all_behind_it(self, parts, damage):
+        part = parts / "000001.npz"
+        content = bytearray(part.read_bytes())
+        if damage == "cut":
+            part.write_bytes(content[: len(content) // 2])
+        elif damage == "empty":
+            part.write_bytes(b"")
+        elif damage == "flipped":
+            content[len(content) // 2] ^= 0xFF
+            part.write_bytes(content)
+        elif damage == "another's":
+            part.write_bytes((parts / "000002.npz").read_bytes())
+        else:
+            part.unlink()
+        writer = self.resumed(parts)
+        assert len(writer) == 2
+        assert writer.state()["frame"] == 1
+        assert sorted(path.name for path in parts.iterdir()) == ["000000.npz", "fingerprint"]
+
+    def test_what_a_killed_write_left_is_no_part(self, parts):
+        (parts / ".000003.partial-a1b2c3d4.npz").write_bytes(b"half of a part")
+        assert len(self.resumed(parts)) == 6
+        assert len(list(parts.iterdir())) == 4
+
+    def test_a_part_is_written_when_frames_take_long(self, parts, monkeypatch):
+        writer = self.resumed(parts)
+        assert not writer.wants_part()
+        writer.add(make_fit(6, [6, 6]))
+        assert not writer.wants_part()
+        monkeypatch.setattr("workbench.tracking.track_writer.PART_SECONDS", 0.0)
+        assert writer.wants_part()
+
+    def test_frames_are_read_in_any_order(self, parts):
+        writer = self.resumed(parts)
+        for position in (5, 0, 3, 2, 4, 1):
+            assert writer[position].index == position
+
+
+class TestInputsAreNotWrittenOver:
+    @pytest.mark.parametrize("how", ["path", "symbolic link", "hard link", "link to it"])
+    @pytest.mark.parametrize("options", [{}, {"overwrite": True}, {"resume": True}], ids=str)
+    def test_a_run_whose_output_is_its_input_is_refused(self, quick, points, tmp_path, how, options):
+        folder = tmp_path / "out"
+        folder.mkdir()
+        named = points
+        if how == "path":
+            named = Path(shutil.move(points, folder / "landmarks.csv"))
+        elif how == "symbolic link":
+            (folder / "landmarks.csv").symlink_to(points)
+        elif how == "hard link":
+            os.link(points, folder / "landmarks.csv")
+        else:
+            shutil.move(points, folder / "landmarks.csv")
+            points.symlink_to(folder / "landmarks.csv")
+        before = content(folder)
+        with pytest.raises(OutputError, match=r"landmarks.csv is an input.*would be written over; name another output"):
+            quick(named, folder, **options)
+        assert content(folder) == before
+
+    def test_results_do_not_go_among_the_pictures(self, head, tmp_path):
+        shutil.copy(sample("astronaut"), tmp_path)
+        with pytest.raises(OutputError, match="is an input"):
+            track(tmp_path, tmp_path, head, preset("calibrated"))
+        assert len(list(tmp_path.iterdir())) == 1
+
+    @pytest.mark.parametrize(
+        "arguments",
+        [
+            ["track", "points.csv", "--out", "out", "--config", "out/config.toml"],
+            ["track", "points.csv", "--out", "out", "--model", "out/track.npz"],
+            ["landmarks", "talk.mp4", "--out", "talk.csv"],
+            ["landmarks", "photos", "--out", "photos.csv"],
+            ["export", "made", "--to", "talk.mp4"],
+            ["export", "made", "--to", "talk.csv", "--to", "hero.glb", "--character", "hero.glb"],
+            ["rig", "convert", "rig.toml"],
+            ["rig", "show", "rig.toml", "--picture", "rig.png"],
+            ["model", "show", "hero.glb", "--picture", "hero.png"],
+            ["diagnose", "made", "--json", "talk.mp4"],
+        ],
+        ids=" ".join,
+    )
+    def test_every_command_that_writes_refuses_to_write_over_what_it_reads(
+        self, run, quick, points, tmp_path, arguments
+    ):
+        for name in ("talk.mp4", "hero.glb"):
+            shutil.copy(sample("performance"), tmp_path / name)
+        (tmp_path / "rig.png").symlink_to("rig.toml")
+        (tmp_path / "hero.png").symlink_to("hero.glb")
+        (tmp_path / "photos").mkdir()
+        shutil.copy(sample("astronaut"), tmp_path / "photos")
+        quick(points, tmp_path / "out")
+        made = quick(points, tmp_path / "made").track
+        made.meta["inputs"] = [{"path": "talk.mp4", "sha256": ""}]
+        made.save(tmp_path / "made" / "track.npz")
+        write_rig(make_rig((-15.0, 15.0)), tmp_path / "rig.toml")
+        before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+        code, _, err = run(*arguments)
+        assert code == 2
+        assert "would be written over; name another output" in err.replace("\n", " ")
+        assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+class TestFinishedRuns:
+    def test_a_finished_run_is_replaced_only_on_demand(self, quick, points, tmp_path):
+        quick(points, tmp_path / "out")
+        before = content(tmp_path / "out")
+        with pytest.raises(OutputError, match="already holds a finished run; name another folder, or replace it by"):
+            quick(points, tmp_path / "out")
+        assert content(tmp_path / "out") == before
+        assert len(quick(points, tmp_path / "out", overwrite=True, frames=(0, 2)).track) == 3
+
+    def test_a_finished_run_that_is_resumed_has_nothing_left_to_do(self, quick, points, tmp_path):
+        whole = quick(points, tmp_path / "out")
+        before = content(tmp_path / "out")
+        again = quick(points, tmp_path / "out", resume=True)
+        assert content(tmp_path / "out") == before
+        assert "finished before" in again.notes[0]
+        assert again.summary["frames"] == FRAMES
+        assert set(again.files) == set(whole.files)
+
+    def test_a_finished_run_of_something_else_is_not_resumed(self, quick, points, tmp_path):
+        quick(points, tmp_path / "out")
+        with pytest.raises(OutputError, match="a finished run of another input or configuration"):
+            quick(points, tmp_path / "out", resume=True, frames=(0, 2))
+
+    def test_an_interrupted_run_is_not_thrown_away_unasked(self, quick, points, tmp_path):
+        def interrupt(step, done, total):
+            if done == 3:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            quick(points, tmp_path / "out", progress=interrupt)
+        with pytest.raises(OutputError, match="holds an interrupted run; go on with it by --resume"):
+            quick(points, tmp_path / "out")
+        assert len(quick(points, tmp_path / "out", resume=True).track) == FRAMES
+
+    def test_other_files_of_the_same_names_are_not_replaced_unasked(self, quick, points, tmp_path):
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "config.toml").write_text("mine")
+        with pytest.raises(OutputError, match=r"already holds a file config.toml"):
+            quick(points, tmp_path / "out")
+
+    def test_the_command_line_has_the_same_choice(self, run, quick, points, monkeypatch):
+        monkeypatch.setattr("workbench.cli.tracking.face_model", lambda path: StubModel())
+        assert run("track", "points.csv", "--no-pictures")[0] == 0
+        code, _, err = run("track", "points.csv", "--no-pictures")
+        assert code == 2
+        assert "already holds a finished run" in err
+        assert run("track", "points.csv", "--no-pictures", "--overwrite")[0] == 0
+        assert "nothing was left to do" in run("track", "points.csv", "--no-pictures", "--resume")[1]
+
+
+class TestTwoRunsInOneFolder:
+    def test_the_second_is_refused_and_the_first_is_not_disturbed(self, quick, points, tmp_path):
+        refused = []
+
+        def second(step, done, total):
+            if done == 3:
+                assert f"process {os.getpid()} on " in (tmp_path / "out" / "run.lock").read_text()
+                with pytest.raises(OutputError, match=rf"Another run writes into .*process {os.getpid()} on") as error:
+                    quick(points, tmp_path / "out", overwrite=True)
+                refused.append(error)
+
+        assert len(quick(points, tmp_path / "out", progress=second).track) == FRAMES
+        assert refused
+        assert not (tmp_path / "out" / "run.lock").exists()
+
+    def test_a_lock_that_a_killed_run_left_holds_nobody_up(self, quick, points, tmp_path):
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "run.lock").write_text("process 1 on here since 2001-01-01 00:00")
+        quick(points, tmp_path / "out")
+        assert not (tmp_path / "out" / "run.lock").exists()
+
+    def test_a_run_that_fails_at_once_leaves_no_folder(self, quick, tmp_path):
+        with pytest.raises(ValueError, match=r"nowhere.csv"):
+            quick(tmp_path / "nowhere.csv", tmp_path / "a" / "b")
+        assert not (tmp_path / "a").exists()
+
+
+@contextmanager
+def small_disk(most_bytes):
+    """No file can grow above this: the system's answer is that of a full disk in another word."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+IN_THE_WAY = {
+    "a file": (lambda home: (home / "out").write_text("mine"), "out", "a file is in the way"),
+    "below a file": (lambda home: (home / "file").write_text("mine"), "file/out", "a file is in the way"),
+    "a device": (lambda home: None, "/dev/null", "a file is in the way"),
+    "a link to nothing": (lambda home: (home / "out").symlink_to("nowhere"), "out", "a file is in the way"),
+    "a long name": (lambda home: None, "x" * 300, "name a shorter one"),
+    "NUL": (lambda home: None, "a\0b", "null byte"),
+    "no folder to write to": (lambda home: None, "/proc/x", "name another place"),
+    "a folder for a file": (lambda home: (home / "out/track.npz").mkdir(parents=True), "out", "track.npz is a folder"),
+}
+
+
+class TestPlacesThatCannotBeWritten:
+    @pytest.mark.parametrize("place", IN_THE_WAY)
+    def test_a_run_tells_so_in_a_sentence(self, quick, points, tmp_path, place):
+        prepare, name, sentence = IN_THE_WAY[place]
+        prepare(tmp_path)
+        with pytest.raises(OutputError, match=sentence) as error:
+            quick(points, tmp_path / name)
+        assert "\n" not in str(error.value)
+        assert Path(name).parts[-1][:20].replace("\0", r"\x00") in str(error.value)
+
+    @pytest.mark.parametrize("place", [place for place in IN_THE_WAY if place != "a folder for a file"])
+    def test_single_files_tell_so_too(self, tmp_path, place):
+        prepare, name, _ = IN_THE_WAY[place]
+        prepare(tmp_path)
+        with pytest.raises(OutputError, match=r"cannot be written"):
+            write_landmark_file(tmp_path / name / "points.csv", [])
+
+    def test_a_device_is_not_replaced_by_a_file(self):
+        with pytest.raises(OutputError, match="/dev/null is a pipe or device"), atomic_path("/dev/null"):
+            pass
+        assert Path("/dev/null").is_char_device()
+
+    def test_errors_of_what_is_read_meanwhile_are_not_laid_to_the_file(self, tmp_path):
+        with pytest.raises(FileNotFoundError, match="another"), atomic_path(tmp_path / "a.txt"):
+            (tmp_path / "another").read_text()
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize("suffix", [*FORMATS, ".usda"])
+    def test_an_export_to_a_full_disk_leaves_nothing(self, head, tmp_path, suffix):
+        track = performance(head)
+        if suffix == ".mp4":
+            with VideoWriter(tmp_path / "clip.mp4") as writer:
+                for _ in range(len(track)):
+                    writer.write(np.full((480, 640, 3), 60, np.uint8))
+            track.meta["inputs"] = [{"path": str(tmp_path / "clip.mp4"), "sha256": ""}]
+        # Once with room: what JAX compiles then must not be cut off in its cache.
+        export_track(track, head, tmp_path / f"x{suffix}")
+        (tmp_path / "made").mkdir()
+        with pytest.raises(OutputError, match=r"x.* cannot be written .*; "), small_disk(1000):
+            export_track(track, head, tmp_path / "made" / f"x{suffix}")
+        assert list((tmp_path / "made").iterdir()) == []
+
+    @pytest.mark.parametrize("most_bytes", [100, 3_000, 5_000, 6_500])
+    def test_a_run_that_filled_the_disk_goes_on_when_there_is_room(
+        self, quick, points, tmp_path, most_bytes, monkeypatch
+    ):
+        monkeypatch.setattr("workbench.tracking.track_writer.PART_FRAMES", 2)
+        whole = quick(points, tmp_path / "whole").track
+        with pytest.raises(OutputError, match=r"cannot be written .* larger file"), small_disk(most_bytes):
+            quick(points, tmp_path / "cut")
+        resumed = quick(points, tmp_path / "cut", resume=True).track
+        assert np.array_equal(resumed.expression, whole.expression)
+        assert {path.name for path in (tmp_path / "cut").iterdir()} == {
+            path.name for path in (tmp_path / "whole").iterdir()
+        }
+
+    def test_the_command_line_says_that_finished_parts_are_kept(self, run, quick, points, tmp_path, monkeypatch):
+        monkeypatch.setattr("workbench.cli.tracking.face_model", lambda path: StubModel())
+        with small_disk(3_000):
+            code, _, err = run("track", "points.csv", "--no-pictures")
+        assert code == 2
+        assert "cannot be written" in err
+        assert "--resume goes on from there" in err
+        assert "Traceback" not in err

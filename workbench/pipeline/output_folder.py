@@ -1,0 +1,142 @@
+"""The folder of a run: what lies in it afterwards, who writes in it now, and that nothing in it is lost."""
+
+import errno
+import os
+import socket
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from datetime import datetime
+from pathlib import Path
+from typing import IO
+
+from workbench.errors import OutputError
+from workbench.files import check_not_inputs, check_target, make_folder, remove_partial_files, writing
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+    import msvcrt
+
+OUTPUTS = {
+    "track.npz": "everything, for the notebooks (`workbench.Track.load`)",
+    "summary.json": "errors, times, camera",
+    "parameters.csv": "a row a frame: pose, every weight, errors",
+    "landmarks.csv": "a row a frame: the 68 detected points",
+    "config.toml": "the configuration used",
+    "overlay.mp4": "the landmarks on the picture, the 3D face beside it (overlay/ with pictures for stills)",
+}
+UNREFINED = "unrefined.npz"
+DEEP_OUTPUTS = {"stages": "what each stage made of some frames, and of those that failed"}
+"""What a Deep Energies run leaves besides."""
+TIME_OUTPUTS = {UNREFINED: "the fits of single frames, before infill and refinement"}
+"""What a run with infill or refinement leaves besides."""
+LOCK = "run.lock"
+FILES = (*OUTPUTS, *TIME_OUTPUTS, "overlay.png")
+PICTURE_FOLDERS = ("overlay", *DEEP_OUTPUTS)
+PARTS = tuple(f"{name}.parts" for name in ("track.npz", UNREFINED))
+LOCKED_BYTE = 4096
+"""Windows locks single bytes, which then cannot be read: one behind the owner's name."""
+
+
+@contextmanager
+def run_folder(folder: Path, inputs: Iterable[Path], resume: bool, overwrite: bool) -> Iterator[None]:
+    """Make a folder and keep it for one run; what killed runs left half written in it is removed.
+
+    Raises `OutputError`, before anything is written, where an output is one of the `inputs`, where another run is at
+    work, and where results would be replaced without `overwrite` or `resume`. A folder that stays empty is removed.
+    """
+    check_inputs_kept(folder, inputs)
+    for name in FILES:
+        check_target(folder / name)
+    with _locked(folder):
+        _check_free(folder, resume, overwrite)
+        remove_partial_files(folder, FILES)
+        for name in PICTURE_FOLDERS:
+            remove_partial_files(folder / name)
+        yield
+
+
+def check_inputs_kept(folder: Path, inputs: Iterable[Path]) -> None:
+    """Raise `OutputError` where a run into this folder would write over one of these files or folders."""
+    # os.path answers about any name, also about one that cannot be.
+    subfolders = [folder / name for name in PICTURE_FOLDERS if os.path.isdir(folder / name)]
+    drawn = [path for subfolder in subfolders for path in subfolder.iterdir()]
+    check_not_inputs([folder, *(folder / name for name in FILES), *drawn], inputs)
+
+
+def holds_parts(folder: Path) -> bool:
+    """Whether an interrupted run left parts in a folder."""
+    return any((folder / name).is_dir() for name in PARTS)
+
+
+def _check_free(folder: Path, resume: bool, overwrite: bool) -> None:
+    there = [name for name in FILES if (folder / name).exists()]
+    begun = holds_parts(folder)
+    if overwrite or (resume and (begun or "track.npz" in there)) or not (there or begun):
+        return
+    if begun:
+        raise OutputError(
+            f"{folder} holds an interrupted run; go on with it by --resume, or replace it by --overwrite."
+        )
+    what = "a finished run" if "track.npz" in there else f"a file {there[0]}"
+    raise OutputError(f"{folder} already holds {what}; name another folder, or replace it by --overwrite.")
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold a folder, which is made for it, against other runs.
+
+    The system lets go of the lock when a process ends, however it ends: a lock file that was left says nothing.
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    make_folder(folder)
+    stream = _lock(folder / LOCK)
+    try:
+        yield
+    finally:
+        _unlock(folder / LOCK, stream)
+        with suppress(OSError):  # not empty
+            for path in made:
+                path.rmdir()
+
+
+def _lock(path: Path) -> IO[str]:
+    while True:
+        with writing(path):
+            stream = path.open("a+", encoding="utf-8")
+        if not _taken(stream):
+            stream.seek(0)
+            owner = stream.read(LOCKED_BYTE).strip()
+            stream.close()
+            raise OutputError(f"Another run writes into {path.parent} ({owner}); wait for it or name another folder.")
+        if path.exists() and os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+            break
+        stream.close()  # the run that held it removed it in between
+    owner = f"process {os.getpid()} on {socket.gethostname()} since {datetime.now():%Y-%m-%d %H:%M}\n"
+    with suppress(OSError):  # a full disk: the lock holds without a name
+        os.truncate(stream.fileno(), 0)
+        os.write(stream.fileno(), owner.encode())
+    return stream
+
+
+def _taken(stream: IO[str]) -> bool:
+    """Take the lock of an open file; False where another process or thread has it."""
+    try:
+        if fcntl is None:
+            stream.seek(LOCKED_BYTE)
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        # Some network folders know no locks: a run in one of them has to do without.
+        return error.errno not in (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
+    return True
+
+
+def _unlock(path: Path, stream: IO[str]) -> None:
+    if fcntl is None:
+        stream.close()  # Windows removes no open file
+    with suppress(OSError):
+        path.unlink()  # while it is held: afterwards it might be another run's
+    stream.close()
