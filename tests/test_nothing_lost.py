@@ -347,3 +347,67 @@ class TestPlacesThatCannotBeWritten:
         assert "cannot be written" in err
         assert "--resume goes on from there" in err
         assert "Traceback" not in err
+
+
+class PicturesOfPaper:
+    """Stands for the overlay pictures: writes which frame it was given."""
+
+    note = None
+
+    def __init__(self, model):
+        self._waiting = None
+
+    def add(self, path, picture, fit):
+        self.flush()
+        self._waiting = path, f"{fit.index} {picture.shape}"
+
+    def flush(self):
+        if self._waiting is not None:
+            path, text = self._waiting
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        self._waiting = None
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+
+class TestPicturesOfStills:
+    @pytest.fixture
+    def stills(self, quick, points, monkeypatch):
+        monkeypatch.setattr("workbench.pictures.overlay_files.OverlayPictures", PicturesOfPaper)
+
+        def run(folder, **options):
+            return track(points, folder, StubModel(), preset("calibrated"), stills=True, **options)
+
+        return run
+
+    def test_they_come_with_the_fits(self, stills, tmp_path):
+        seen = []
+        result = stills(tmp_path / "out", progress=lambda *_: seen.append(len(list(tmp_path.glob("out/overlay/*")))))
+        assert seen == list(range(FRAMES))
+        drawn = sorted((tmp_path / "out" / "overlay").iterdir())
+        assert [path.name for path in drawn] == [f"{index:04d}-points-{index}.jpg" for index in range(FRAMES)]
+        assert [path.read_text() for path in drawn] == [f"{index} (480, 640, 3)" for index in range(FRAMES)]
+        assert set(drawn) < set(result.files)
+
+    @pytest.mark.parametrize("lost", [False, True])
+    def test_an_interrupted_run_draws_only_what_is_missing(self, stills, tmp_path, lost):
+        def interrupt(step, done, total):
+            if done == 3:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            stills(tmp_path / "out", progress=interrupt)
+        drawn = sorted((tmp_path / "out" / "overlay").iterdir())
+        assert len(drawn) == 3
+        for path in drawn:
+            path.write_text("drawn before")
+        if lost:
+            drawn[1].unlink()
+        stills(tmp_path / "out", resume=True)
+        texts = [path.read_text()[:5] for path in sorted((tmp_path / "out" / "overlay").iterdir())]
+        assert texts == ["drawn", "1 (48" if lost else "drawn", "drawn", "3 (48", "4 (48"]

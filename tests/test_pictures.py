@@ -460,6 +460,26 @@ def test_the_overlay_still_shows_frame_and_head(head, tmp_path):
     assert still[:, 640:].std() > 15
 
 
+@pytest.mark.parametrize("first", [(480, 640), (300, 200)])
+def test_pictures_of_any_size_are_drawn_by_one_renderer_as_each_would_be_alone(head, tmp_path, monkeypatch, first):
+    from workbench.pictures import overlay_files
+
+    made, panel = [], overlay_files.HeadPanel
+    monkeypatch.setattr(overlay_files, "HeadPanel", lambda *arguments: made.append(arguments) or panel(*arguments))
+    sizes = [first, (480, 640), (640, 360)]
+    fits = [fit_of(head, noise_px=2.0), fit_of(head, found=False), fit_of(head, noise_px=1.0)]
+    pictures = [np.full((*size, 3), 90, np.uint8) for size in sizes]
+    with overlay_files.OverlayPictures(head) as together:
+        for k in range(3):
+            together.add(tmp_path / f"{k}.png", pictures[k], fits[k])
+        assert (tmp_path / "1.png").exists()
+        together.flush()
+    assert len(made) == 1
+    for k in range(3):
+        write_overlay_picture(tmp_path / "alone.png", pictures[k], fits[k], head)
+        assert np.array_equal(read_picture(tmp_path / f"{k}.png"), read_picture(tmp_path / "alone.png"))
+
+
 # --- the sample clip ---
 
 

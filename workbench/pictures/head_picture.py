@@ -79,7 +79,8 @@ class HeadRenderer:
         fade_neck: bool = False,
     ) -> None:
         _check_size(size)
-        supersampling = min(max(supersampling, 1.0), 4.0, max(1.0, LARGEST_PX / max(size)))
+        self._supersampling = supersampling
+        drawn = self._drawn_larger(size)
         if not gl_available():
             raise MissingDependencyError(
                 "The 3D renderer needs OpenGL without a screen, and VTK cannot use it here; "
@@ -89,7 +90,7 @@ class HeadRenderer:
         self._vertex_count = len(model.neutral)
         albedo = _albedo(model, texture)
         self._thread = RenderThread(
-            lambda: _make_scene(model, size, albedo, supersampling, fade_neck), lambda scene: scene.close()
+            lambda: _make_scene(model, size, albedo, drawn, fade_neck), lambda scene: scene.close()
         )
 
     def render(
@@ -140,6 +141,15 @@ class HeadRenderer:
         points_camera = to_camera(vertices, rotation, translation)
         return self._thread.submit(_draw, points_camera, camera, lighting, behind, extras, (rotation, translation))
 
+    def resize(self, size: tuple[int, int]) -> None:
+        """Draw pictures of another size (width, height) from now on."""
+        _check_size(size)
+        self._thread.submit(_resize, size, self._drawn_larger(size))
+        self.size = size
+
+    def _drawn_larger(self, size: tuple[int, int]) -> float:
+        return min(max(self._supersampling, 1.0), 4.0, max(1.0, LARGEST_PX / max(size)))
+
     def close(self) -> None:
         """End the render thread and free the GL context; closing twice is fine."""
         self._thread.stop()
@@ -187,6 +197,11 @@ class PlainPainter:
         future: Future = Future()
         future.set_result(self._draw(vertices, camera, rotation, translation, background, lighting, extras))
         return future
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Draw pictures of another size (width, height) from now on."""
+        _check_size(size)
+        self.size = size
 
     def close(self) -> None:
         """Nothing to free."""
@@ -267,6 +282,10 @@ def _make_scene(
 def _draw(scene, points_camera, camera: Camera, lighting: Lighting, behind: np.ndarray, extras: Extras, pose):
     rgba = scene.render(points_camera, camera, lighting, extras, pose)
     return composite(rgba, behind), rgba[..., 3].copy()
+
+
+def _resize(scene, size: tuple[int, int], supersampling: float) -> None:
+    scene.resize(size, supersampling)
 
 
 def _check_size(size: tuple[int, int]) -> None:

@@ -38,7 +38,6 @@ class HeadScene:
         supersampling: float,
         fade_neck: bool,
     ) -> None:
-        self.size = size
         self.triangles = model.triangles
         self.corner_sum = corner_sum(model.triangles, len(model.neutral))
         self.lighting: Lighting | None = None
@@ -87,8 +86,7 @@ class HeadScene:
         # Rendered larger and reduced: as fast as multisampling in a software GL, and textures are smoothed too.
         self.window.SetMultiSamples(0)
         self.window.SetAlphaBitPlanes(1)
-        self.drawn_size = (math.ceil(size[0] * supersampling), math.ceil(size[1] * supersampling))
-        self.window.SetSize(*self.drawn_size)
+        self.resize(size, supersampling)
         self.window.AddRenderer(self.renderer)
         self.pixels = vtkUnsignedCharArray()
 
@@ -121,6 +119,12 @@ class HeadScene:
         return (
             rgba.copy() if self.drawn_size == self.size else cv2.resize(rgba, self.size, interpolation=cv2.INTER_AREA)
         )
+
+    def resize(self, size: tuple[int, int], supersampling: float) -> None:
+        """Draw pictures of another size from now on: much cheaper than another window."""
+        self.size = size
+        self.drawn_size = (math.ceil(size[0] * supersampling), math.ceil(size[1] * supersampling))
+        self.window.SetSize(*self.drawn_size)
 
     def set_texture(self, texture: UInt8[np.ndarray, "th tw 3"]) -> None:
         """Another albedo for a head that was made with one."""

@@ -81,11 +81,55 @@ def write_overlay_picture(
     parts: OverlayParts = ALL_BUT_MESH,
 ) -> str | None:
     """Write one frame with its fit and the head in 3D beside it, as PNG or JPEG; returns a note as the video does."""
-    overlay = draw_overlay(picture, fit, model, parts)
-    height, width = overlay.shape[:2]
-    with HeadPanel(model, (width, height), view) as panel:
-        write_picture(path, side_by_side(overlay, panel.submit(fit).result()[0]))
-        return panel.note
+    with OverlayPictures(model, view, parts) as pictures:
+        pictures.add(path, picture, fit)
+        pictures.flush()
+        return pictures.note
+
+
+class OverlayPictures:
+    """Overlay pictures of frames of any sizes, one after the other, all by one renderer; used in a `with` block.
+
+    The head of one frame is rendered while the caller is busy with the next.
+    """
+
+    def __init__(self, model: FaceModel, view: str = "pose", parts: OverlayParts = ALL_BUT_MESH) -> None:
+        self.model, self.view, self.parts = model, view, parts
+        self._panel: HeadPanel | None = None
+        self._waiting: tuple[str | Path, np.ndarray, Future] | None = None
+
+    @property
+    def note(self) -> str | None:
+        """What a user should know about the quality of the pictures, once there is one."""
+        return None if self._panel is None else self._panel.note
+
+    def add(self, path: str | Path, picture: UInt8[np.ndarray, "h w 3"], fit: FrameFit) -> None:
+        """Take the next frame, to be written as PNG or JPEG; it may be written only with the next one or by `flush`."""
+        overlay = draw_overlay(picture, fit, self.model, self.parts)
+        head = self._panel_beside(overlay).submit(fit)
+        self.flush()
+        self._waiting = path, overlay, head
+
+    def flush(self) -> None:
+        """Write what is still to be written."""
+        if self._waiting is not None:
+            path, overlay, head = self._waiting
+            self._waiting = None
+            write_picture(path, side_by_side(overlay, head.result()[0]))
+
+    def _panel_beside(self, overlay: UInt8[np.ndarray, "h w 3"]) -> "HeadPanel":
+        height, width = overlay.shape[:2]
+        if self._panel is None:
+            self._panel = HeadPanel(self.model, (width, height), self.view)
+        self._panel.resize((width, height))
+        return self._panel
+
+    def __enter__(self) -> "OverlayPictures":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._panel is not None:
+            self._panel.painter.close()
 
 
 class HeadPanel:
@@ -99,9 +143,7 @@ class HeadPanel:
     ) -> None:
         if view not in HEAD_VIEWS:
             raise InputError(f'The view of the head is "pose" or "front", got {view!r}.')
-        width, height = min(frame_size), frame_size[1]
-        scale = min(1.0, LARGEST_HEAD_PX / height)
-        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        size = _size_beside(frame_size)
         self.model, self.view = model, view
         self.camera, self.translation = portrait_view(model, size)
         self.painter: HeadRenderer | PlainPainter = head_painter(
@@ -110,6 +152,13 @@ class HeadPanel:
         self.note = self.painter.note
         self._identity: np.ndarray | None = None
         self._person = model
+
+    def resize(self, frame_size: tuple[int, int]) -> None:
+        """Stand beside frames of another (width, height) from now on."""
+        size = _size_beside(frame_size)
+        if size != self.painter.size:
+            self.painter.resize(size)
+            self.camera, self.translation = portrait_view(self.model, size)
 
     def submit(self, fit: FrameFit) -> Future:
         """A future of (picture, mask); the picture of a frame without a face is empty."""
@@ -131,6 +180,12 @@ class HeadPanel:
 
     def __exit__(self, *_: object) -> None:
         self.painter.close()
+
+
+def _size_beside(frame_size: tuple[int, int]) -> tuple[int, int]:
+    width, height = min(frame_size), frame_size[1]
+    scale = min(1.0, LARGEST_HEAD_PX / height)
+    return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def _matched(frames: Frames, track: Fits) -> Iterator[tuple[Frame, FrameFit]]:

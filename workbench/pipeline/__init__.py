@@ -6,6 +6,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -31,6 +32,7 @@ from workbench.pipeline.output_folder import holds_parts as holds_parts
 from workbench.pipeline.sources import PictureSource as PictureSource
 from workbench.pipeline.sources import is_landmark_file as is_landmark_file
 from workbench.pipeline.sources import open_deep_source, open_source
+from workbench.pipeline.still_pictures import StillPictures
 from workbench.pipeline.temporal_run import Step as Step
 from workbench.pipeline.temporal_run import config_of as config_of
 from workbench.pipeline.temporal_run import over_time, views_of, wanted_steps, worked_meta
@@ -97,7 +99,7 @@ def track(
         if config.system == "deep-energies":
             source = open_deep_source(paths, config, landmarks, frames, views)
         else:
-            source = open_source(paths, config, landmarks, frames)
+            source = open_source(paths, config, landmarks, frames, keep_pictures=stills and pictures)
         stills = stills or source.single_picture
         meta = _meta([*paths, *views.values()], landmarks, model, config, stills, source)
         meta["frames"] = None if frames is None else list(frames)
@@ -166,28 +168,36 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     writer = TrackWriter(job.fits_path, meta, _fingerprint(meta), job.resume)
     began, already, strips = time.perf_counter(), len(writer), []
     deep = config.system == "deep-energies"
-    try:
-        if deep:
-            strips = track_independent_frames(source, tracker, writer, stills, job.workers, progress)
-        else:
-            _track_frames(source, tracker, writer, stills, progress)
-        if not len(writer):
-            raise InputError(f"{meta['inputs'][0]['path']} holds no frame to track; check that it plays.")
-    except InputError:
-        if not len(writer):
-            writer.discard()
-        raise
+    notes, files = [], ()
+    with ExitStack() as stack:
+        drawn = None
+        if stills and job.pictures:
+            drawn = stack.enter_context(StillPictures(source, model, meta["names"], folder))
+            drawn.add_missing(writer)
+        try:
+            if deep:
+                strips = track_independent_frames(source, tracker, writer, stills, job.workers, progress, drawn)
+            else:
+                _track_frames(source, tracker, writer, stills, progress, drawn)
+            if not len(writer):
+                raise InputError(f"{meta['inputs'][0]['path']} holds no frame to track; check that it plays.")
+        except InputError:
+            if not len(writer):
+                writer.discard()
+            raise
+        if drawn is not None:
+            files, notes = drawn.files(len(writer)), drawn.notes()
     written = writer
     if steps:
         written = _over_time(_fits(writer), source.views, model, config, steps, meta, folder, progress, len(writer))
     seconds = time.perf_counter() - began
     summary = summary_of(written.tracks(), seconds if not already else None)
-    notes = [*source.notes()]
-    files = _write_tables(written, summary, model, config, folder)
+    notes = [*source.notes(), *notes]
+    files = _write_tables(written, summary, model, config, folder) + files
     if job.pictures and deep:
         files += write_strips(strips, tracker.fitter, folder, progress)
-    if job.pictures:
-        files += _write_pictures(source.frames, written, model, stills, folder, progress, notes)
+    if job.pictures and not stills:
+        files += _write_film(source.frames, written, model, folder, progress, notes)
     for finished in dict.fromkeys((writer, written)):  # track.npz comes last: with it a run is finished
         finished.close()
     kept = (folder / UNREFINED,) if steps else ()
@@ -229,7 +239,7 @@ def retrack(
         files = _write_tables(writer, summary, model, config, folder)
         notes = [note for frames in opened for note in frames.notes]
         if pictures and opened:
-            files += _write_pictures(opened[0], writer, model, False, folder, progress, notes)
+            files += _write_film(opened[0], writer, model, folder, progress, notes)
         writer.close()
         return RunResult(folder, summary, (folder / "track.npz", *files), tuple(notes))
 
@@ -268,7 +278,14 @@ def _silent(step: str, done: int, total: int | None) -> None:
     """No progress is shown."""
 
 
-def _track_frames(source, tracker: FaceTracker, writer: TrackWriter, stills: bool, progress: Progress) -> None:
+def _track_frames(
+    source,
+    tracker: FaceTracker,
+    writer: TrackWriter,
+    stills: bool,
+    progress: Progress,
+    drawn: StillPictures | None = None,
+) -> None:
     state = writer.state()
     if len(writer):
         tracker.restore(_prefixed(state, "tracker/"))
@@ -278,6 +295,8 @@ def _track_frames(source, tracker: FaceTracker, writer: TrackWriter, stills: boo
     def store() -> None:
         # Only between frames that are all fitted do tracker, landmarks and written frames stand at one place.
         of_tracker = tracker.state()
+        if drawn is not None:
+            drawn.flush()  # the frames of a part have their pictures
         if of_tracker is not None:
             of_landmarks = {f"landmarks/{name}": value for name, value in source.state().items()}
             writer.write_part({f"tracker/{name}": value for name, value in of_tracker.items()} | of_landmarks)
@@ -285,6 +304,8 @@ def _track_frames(source, tracker: FaceTracker, writer: TrackWriter, stills: boo
     try:
         for observation in observations:
             for fit in tracker.push(observation):
+                if drawn is not None:
+                    drawn.add(observation, fit)  # a still is fitted as soon as it comes
                 writer.add(fit)
             done += 1
             progress("track", done, source.count)
@@ -317,26 +338,15 @@ def landmark_record(fit: FrameFit) -> LandmarkRecord:
     return LandmarkRecord(fit.index, f"frame-{fit.index}", fit.landmarks, fit.image_size)
 
 
-def _write_pictures(frames, writer, model, stills, folder, progress, notes) -> tuple[Path, ...]:
-    from workbench.pictures.overlay_files import write_overlay_picture, write_overlay_video  # VTK: a second to import
+def _write_film(frames, writer, model, folder, progress, notes) -> tuple[Path, ...]:
+    from workbench.pictures.overlay_files import write_overlay_video  # VTK: a second to import
 
-    total = len(writer)
-    if not stills:
-        path = folder / "overlay.mp4"
-        note = write_overlay_video(
-            frames, writer, model, path, progress=lambda done, total: progress("overlay", done, total)
-        )
-        notes += [note] if note else []
-        return (path,)
-    made = []
-    for frame in frames.iterate():
-        name = "overlay.png" if total == 1 else f"overlay/{frame.index:04d}-{Path(frame.name).stem}.jpg"
-        note = write_overlay_picture(folder / name, frame.picture, writer[frame.index], model)
-        if note and note not in notes:
-            notes.append(note)
-        made.append(folder / name)
-        progress("overlay", len(made), total)
-    return tuple(made)
+    path = folder / "overlay.mp4"
+    note = write_overlay_video(
+        frames, writer, model, path, progress=lambda done, total: progress("overlay", done, total)
+    )
+    notes += [note] if note else []
+    return (path,)
 
 
 def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, stills: bool, source) -> dict[str, Any]:

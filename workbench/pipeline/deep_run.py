@@ -11,6 +11,7 @@ from pathlib import Path
 from workbench.config import Config
 from workbench.face import FaceModel
 from workbench.pipeline.sources import DeepSource, RigSource
+from workbench.pipeline.still_pictures import StillPictures
 from workbench.tracking import FaceTracker, FrameContext, FrameFit, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.track_writer import TrackWriter
@@ -24,7 +25,13 @@ Pair = tuple[FrameObservation, FrameContext]
 
 
 def track_independent_frames(
-    source: DeepSource | RigSource, tracker: FaceTracker, writer: TrackWriter, stills: bool, workers: int, progress
+    source: DeepSource | RigSource,
+    tracker: FaceTracker,
+    writer: TrackWriter,
+    stills: bool,
+    workers: int,
+    progress,
+    drawn: StillPictures | None = None,
 ) -> list[Pair]:
     """Fit what the writer does not hold yet, in order; return the frames whose stages are worth a picture.
 
@@ -40,6 +47,8 @@ def track_independent_frames(
         pairs = islice(_pairs(source, tracker, stills), done, None)
         while batch := list(islice(pairs, BATCH)):
             for (observation, context), result in zip(batch, fit(batch), strict=True):
+                if drawn is not None:
+                    drawn.add(observation, result)
                 writer.add(result)
                 done += 1
                 progress("track", done, source.count)
@@ -47,6 +56,8 @@ def track_independent_frames(
                     chosen.append((observation, context))
                 elif result.failure and len(failed) < STRIPS:
                     failed.append((observation, context))
+            if drawn is not None:
+                drawn.flush()  # the frames of a part have their pictures
             writer.write_part({})
     return [*chosen, *failed]
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from jaxtyping import UInt8
 
 from workbench.config import Config
 from workbench.errors import InputError
@@ -136,9 +137,13 @@ class _Canvas:
 
     def iterate(self, start: int = 0) -> Iterator[Frame]:
         for observation in self._source.observations(start, {}, False):
-            width, height = observation.image_size
-            picture = np.full((height, width, 3), CANVAS, np.uint8)
-            yield Frame(observation.index, picture, 0.0, f"{self.name}-{observation.index}")
+            name = f"{self.name}-{observation.index}"
+            yield Frame(observation.index, canvas(observation.image_size), 0.0, name)
+
+
+def canvas(size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
+    """A plain picture of this (width, height)."""
+    return np.full((size[1], size[0], 3), CANVAS, np.uint8)
 
 
 def _size(record: LandmarkRecord) -> tuple[int, int]:
