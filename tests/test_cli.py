@@ -1,7 +1,14 @@
 """The command line: what a user types and reads."""
 
 import json
+import os
+import re
+import signal
+import socket
+import subprocess
 import sys
+import urllib.error
+import urllib.request
 
 import numpy as np
 import pytest
@@ -137,11 +144,13 @@ def test_the_demo_clip_is_tracked_close_to_its_truth(head):
     assert np.mean([fit.errors[1] for fit in fits]) < 2.5
 
 
-def test_lab_serves_the_notebooks_and_keeps_its_token(monkeypatch):
+def test_lab_serves_the_notebooks_and_keeps_its_token(monkeypatch, capsys):
     commands = []
 
-    def remember(command):
+    def remember(command, environment, is_up, ready):
         commands.append(command)
+        ready()
+        assert environment["JUPYTER_TOKEN"] in capsys.readouterr().out
         return 0
 
     monkeypatch.setattr(servers, "serve", remember)
@@ -153,6 +162,55 @@ def test_lab_serves_the_notebooks_and_keeps_its_token(monkeypatch):
     assert "--no-browser" in text
     assert "00_" in text
     assert "token" not in text
+
+
+def test_lab_prints_one_address_and_no_log_and_ends(tmp_path):
+    """A real server, on the first free port."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        command = [sys.executable, "-c", "from workbench.cli import main; main()", "lab", "--no-browser"]
+        lab = subprocess.Popen(
+            [*command, "--port", str(port)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            env={**os.environ, "JUPYTER_CONFIG_DIR": str(tmp_path), "JUPYTER_DATA_DIR": str(tmp_path)},
+        )  # fmt: skip
+        try:
+            first = lab.stdout.readline()
+            address = re.search(r"http://127.0.0.1:(\d+)/lab/tree/00_quickstart.ipynb\?token=(\w+)", first)
+            assert int(address[1]) != port
+            status = f"http://127.0.0.1:{address[1]}/api/status"
+            with urllib.request.urlopen(f"{status}?token={address[2]}") as answer:
+                assert answer.status == 200
+            with pytest.raises(urllib.error.HTTPError, match="403"):
+                urllib.request.urlopen(status)
+        finally:
+            lab.send_signal(signal.SIGINT)
+            rest = lab.communicate(timeout=60)[0]
+    assert rest.startswith("Ctrl-C ends it.\n")
+    assert "http" not in rest
+    assert len(rest.splitlines()) <= 4  # and the server's farewell
+
+
+def test_flags_of_the_help_have_no_type_and_options_of_track_stand_in_groups(run):
+    out = run("track", "--help")[1]
+    assert "<bool>" not in out + run("config", "show", "--help")[1] + run("--help")[1]
+    assert re.findall(r"╭─ ([A-Z][\w ]+) ─", out) == [
+        "Arguments",
+        "Options",
+        "Input",
+        "Fit",
+        "Deep Energies",
+        "Results",
+    ]
+
+
+def test_a_run_without_any_face_ends_with_what_to_try(run, tmp_path):
+    with LandmarkCsvWriter(tmp_path / "none.csv", confidence=False) as writer:
+        writer.write(LandmarkRecord(0, "", None, (640, 480)))
+    code, out, err = run("track", "none.csv", "--no-pictures")
+    assert code == 1
+    assert "0 of 1 with a face" in out
+    assert err.startswith("error: No face was found in any frame; ")
+    assert "--detector" in err
 
 
 def test_notebooks_of_an_installed_package_are_opened_as_copies(monkeypatch, tmp_path):

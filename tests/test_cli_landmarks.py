@@ -197,7 +197,7 @@ def test_the_detector_is_auto_unless_one_is_named(run, detector):
 @pytest.mark.parametrize("command", ["landmarks", "track"])
 def test_who_gets_the_network_for_lack_of_dlib_reads_it_once_and_who_asked_for_it_does_not(run, command):
     note = "dlib is not installed"
-    options = ["--no-pictures", *(["--stills"] if command == "track" else [])]
+    options = ["--no-pictures", *(["--stills", "--overwrite"] if command == "track" else [])]
     assert run(command, "photos", *options)[1].count(note) == 1
     assert note not in run(command, "photos", *options, "--detector", "network")[1]
 
@@ -206,7 +206,7 @@ def test_who_gets_the_network_for_lack_of_dlib_reads_it_once_and_who_asked_for_i
 @pytest.mark.parametrize("command", ["landmarks", "track"])
 def test_dlibs_licence_is_told_where_dlib_ran_and_only_there(run, command, monkeypatch):
     monkeypatch.setattr(dlib_detector, "_notice_given", False)
-    options = ["--no-pictures", *(["--stills"] if command == "track" else [])]
+    options = ["--no-pictures", *(["--stills", "--overwrite"] if command == "track" else [])]
     assert "300-W" not in run(command, "photos", *options, "--detector", "network")[1]
     assert run(command, "photos", *options, "--detector", "dlib")[1].count("300-W") == 1
 

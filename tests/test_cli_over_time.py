@@ -149,6 +149,7 @@ def test_a_track_of_landmarks_alone_needs_methods_that_look_at_none(run, clip, h
         (("infill", "none"), "The track none does not exist"),
         (("infill", "talk", "--method", "magic"), "The method is one of flow, linear, spline, got 'magic'"),
         (("refine", "talk", "--method", "flow"), "averaging, self, plate, hybrid, got 'flow'"),
+        (("infill", "talk", "--frames", "300-310"), "The track has frames 0 to 11, got --frames 300-310"),
         (("infill", "talk", "--frames", "9-2"), "first and last frame as A-B"),
         (("infill", "talk", "--out", "talk"), "holds the track itself"),
         (("infill", "talk", "--view", "right=x.mp4"), "The rig has no view 'right'"),
@@ -161,6 +162,13 @@ def test_mistakes_are_told_in_a_sentence(run, talk, arguments, sentence):
     assert code == 2
     assert sentence in err.replace("\n", " ")
     assert "Traceback" not in err
+
+
+def test_where_nothing_was_filled_it_says_what_to_try(run, talk):
+    code, _, err = run("infill", "talk", "--method", "linear", "--longest", "1", *QUICK)
+    assert code == 1
+    assert "Nothing was filled" in err
+    assert "--longest" in err
 
 
 def test_another_face_model_is_noticed(run, talk):

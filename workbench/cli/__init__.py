@@ -44,6 +44,7 @@ app.add_typer(train_app, name="train")
 app.command()(lab)
 app.command("app", help=APP_HELP)(serve_app)
 app.command()(info)
+screen.with_plain_flags(app)
 
 
 def main() -> None:

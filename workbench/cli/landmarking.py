@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from workbench.cli import screen
-from workbench.cli.tracking import DETECTOR_HELP, FACE_HELP, print_licence_notice, wanted_face
+from workbench.cli.tracking import DETECTOR_HELP, FACE_HELP, NO_FACE, print_licence_notice, wanted_face
 from workbench.config import DEFAULT_PRESET, preset
 from workbench.errors import InputError
 from workbench.files import check_not_inputs
@@ -95,6 +95,9 @@ def landmarks(
             screen.errors.print(f"[yellow]interrupted[/yellow]: {escape(str(out))} was not written")
             raise typer.Exit(130) from None
     _tell(found, source, inputs, out, drawn)
+    if all(item.landmarks is None for item in found):
+        screen.print_error(NO_FACE)
+        raise typer.Exit(1)
 
 
 def _drawings(frames: Frames, out: Path) -> Path:

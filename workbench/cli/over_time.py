@@ -42,6 +42,8 @@ def _choices(section: type, key: str) -> list[str]:
     return [choice for choice in get_args(section.model_fields[key].annotation) if choice != "none"]
 
 
+NO_GAP = "every frame has a usable fit; --frames A-B names frames that look wrong."
+TOO_LONG = "there is no gap, or none is short enough; try a larger --longest, or name frames by --frames A-B."
 INFILL_METHODS, REFINEMENT_METHODS = _choices(InfillConfig, "method"), _choices(RefinementConfig, "method")
 
 Run = Annotated[Path, typer.Argument(metavar="TRACK", help="Folder of a run, or its track.npz.")]
@@ -72,11 +74,17 @@ def infill(
 ) -> None:
     """Fill frames without a usable fit from their neighbours, into a new track."""
     _check(method, INFILL_METHODS)
-    section: dict[str, Any] = {"method": method, "frames": [frame_range(text) for text in frames or []]}
+    wanted = [frame_range(text) for text in frames or []]
+    _check_range(wanted, run)
+    section: dict[str, Any] = {"method": method, "frames": wanted}
     if longest is not None:
         section["longest"] = longest
     changes = {"infill": section, "flow": _flow(estimator)}
-    _work(run, out, "infill", changes, ["infill"], model, view, clip=clip, pictures=pictures, overwrite=overwrite)
+    options = {"clip": clip, "pictures": pictures, "overwrite": overwrite}
+    result = _work(run, out, "infill", changes, ["infill"], model, view, **options)
+    if not result.summary["frames_filled"]:
+        screen.print_error("Nothing was filled: " + (TOO_LONG if longest else NO_GAP))
+        raise typer.Exit(1)
 
 
 def refine(
@@ -124,11 +132,22 @@ def _check(method: str, known: list[str]) -> None:
         raise ConfigError(f"The method is one of {', '.join(known)}, got {method!r}.")
 
 
+def _check_range(wanted: list[tuple[int, int]], run: Path) -> None:
+    from workbench.tracking.track_reader import TrackReader
+
+    count = len(TrackReader(track_file(run)))
+    for first, last in wanted:
+        if first >= count:
+            asked = f"{first}" if first == last else f"{first}-{last}"
+            raise ConfigError(f"The track has frames 0 to {count - 1}, got --frames {asked}; name frames of the track.")
+
+
 def _flow(estimator: str | None) -> dict[str, str]:
     return {} if estimator is None else {"estimator": estimator}
 
 
-def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, view, **options) -> None:
+def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, view, **options):
+    """The result of these steps on a run's track, told."""
     from workbench.pipeline import check_inputs_kept, config_of, retrack
     from workbench.tracking.track_reader import TrackReader
 
@@ -149,3 +168,4 @@ def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, vi
             **options,
         )
     print_result(result)
+    return result

@@ -3,10 +3,42 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from typer.core import TyperCommand, TyperGroup
+
+
+class _PlainFlags:
+    """Help without "<bool>" at every flag."""
+
+    def get_params(self, ctx):
+        params = super().get_params(ctx)
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+        return params
+
+
+class Command(_PlainFlags, TyperCommand):
+    """A command of the workbench."""
+
+
+class Group(_PlainFlags, TyperGroup):
+    """Commands under one name."""
+
+
+def with_plain_flags(app: typer.Typer) -> None:
+    """Let all commands of an app, and of the groups in it, print their help so."""
+    app.info.cls = Group
+    for command in app.registered_commands:
+        command.cls = Command
+    for group in app.registered_groups:
+        group.cls = Group
+        with_plain_flags(group.typer_instance)
+
 
 console = Console(highlight=False)
 errors = Console(stderr=True, highlight=False)

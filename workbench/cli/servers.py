@@ -37,6 +37,7 @@ Voilà sends no token with that request. Its origin is checked all the same. Pro
 minutes.
 """
 LOCALHOST = "127.0.0.1"
+PORTS_TRIED = 50
 
 APP_HELP = """Tune in the browser without seeing code: the workbench as an app, served by Voilà on this machine only.
 
@@ -55,14 +56,34 @@ def lab(
     port: Annotated[int, typer.Option(help="Port of the server.")] = 8888,
     browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
 ) -> None:
-    """Open JupyterLab on the first notebook; prints its address where there is no browser."""
+    """Open JupyterLab on the first notebook; prints its address. Ctrl-C ends it."""
     folder = working_copies(notebooks_folder())
-    command = [sys.executable, "-m", "jupyterlab", f"--notebook-dir={folder}", f"--port={port}"]
-    command += [f"--LabApp.default_url=/lab/tree/{sorted(folder.glob('*.ipynb'))[0].name}"]
-    command += [] if browser and _has_browser() else ["--no-browser"]
+    page = sorted(folder.glob("*.ipynb"))[0].name
+    port = next((free for free in range(port, port + PORTS_TRIED) if not answers(free)), port)
+    # Jupyter's own use of its old settings is no news for a user.
+    command = [
+        sys.executable,
+        "-W",
+        "ignore::DeprecationWarning",
+        "-m",
+        "jupyterlab",
+        f"--notebook-dir={folder}",
+        f"--port={port}",
+    ]
+    # Its many lines on starting have several addresses and hide the one to open; what goes wrong is still printed.
+    command += [
+        f"--LabApp.default_url=/lab/tree/{page}",
+        "--no-browser",
+        "--ServerApp.port_retries=0",
+        "--Application.log_level=ERROR",
+    ]
     # Jupyter refuses to start as root, which is who one is in a container.
     command += ["--allow-root"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-    raise typer.Exit(serve(command))
+    token = secrets.token_hex(24)
+    address = f"http://{LOCALHOST}:{port}/lab/tree/{page}?token={token}"
+    # In the environment, because command lines can be read by every user.
+    environment = {**os.environ, "JUPYTER_TOKEN": token}
+    raise typer.Exit(serve(command, environment, lambda: answers(port), _teller("JupyterLab", address, browser)))
 
 
 def serve_app(
@@ -81,16 +102,22 @@ def serve_app(
         raise InputError(f"Port {port} is taken by another program; choose another one with --port.")
     token = secrets.token_hex(24)
     address = f"http://{LOCALHOST}:{port}/?token={token}"
-
-    def ready() -> None:
-        screen.console.print(f"The workbench app runs at [bold]{address}[/bold]\nCtrl-C ends it.", soft_wrap=True)
-        if browser and _has_browser():
-            webbrowser.open(address)
-
+    ready = _teller("The workbench app", address, browser)
     with tempfile.TemporaryDirectory(prefix="workbench-app-") as pages:
         write_app_pages(notebook.parent, Path(pages))
         environment = app_environment(token, Path(pages))
         raise typer.Exit(serve(app_command(notebook, port), environment, lambda: answers(port), ready))
+
+
+def _teller(name: str, address: str, browser: bool) -> Callable[[], None]:
+    """What prints a server's address, and opens it where there is a browser."""
+
+    def ready() -> None:
+        screen.console.print(f"{name} runs at [bold]{address}[/bold]\nCtrl-C ends it.", soft_wrap=True)
+        if browser and _has_browser():
+            webbrowser.open(address)
+
+    return ready
 
 
 def app_command(notebook: Path, port: int) -> list[str]:

@@ -45,43 +45,57 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
   workbench track talk.mp4 --resume                 go on with an interrupted run
 """
 
+INPUT, FIT, DEEP, RESULTS = "Input", "Fit", "Deep Energies", "Results"
+"""Groups of the options."""
+OUT_HELP = "Folder for the results (default: out/NAME)."
+STILLS_HELP = "Unrelated photos: nothing links one to the next."
+GIVEN_HELP = "Stored landmarks of the pictures: no detector."
+FOV_HELP = "Field of view over the longer side, degrees."
+PRESET_HELP = f"One of: {', '.join(PRESETS)}."
+IDENTITY_HELP = "Calibrate the subject's face shape first."
+PICTURES_HELP = "Write the overlay video or pictures."
+RESUME_HELP = "Go on with an interrupted run."
 DETECTOR_HELP = "auto (dlib where it is installed, else network), network, dlib, dlib-hog or dlib-cnn."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
-ENERGY_HELP = "Deep Energies: deep (network on the render), points (on the mesh) or mixed."
+ENERGY_HELP = "deep (network on the render), points (on the mesh) or mixed."
 FRAMES_HELP = "Only a part, first and last frame as A-B (or one frame); the results count from its start."
-WORKERS_HELP = "Deep Energies: processes that fit frames."
-RIG_HELP = "Deep Energies: calibration of several cameras; INPUT is its first view."
+WORKERS_HELP = "Processes that fit frames."
+RIG_HELP = "Calibration of several cameras; INPUT is its first view."
 VIEW_HELP = "Clip of another view of the rig as NAME=CLIP; may be given more than once."
 INFILL_HELP = "Fill failed frames: flow, linear or spline (none: leave them)."
 REFINE_HELP = "Steady the result: averaging, self, plate or hybrid (none: leave it)."
+NO_FACE = (
+    "No face was found in any frame; look at the pictures, try another --detector, or enlarge or turn the pictures so "
+    "that the face is upright and at least 60 pixels wide."
+)
 OVERWRITE_HELP = "Replace what an earlier run left in the folder."
 FACE_HELP = "A point X,Y in the wanted face, pixels."
 
 
 def track(
     inputs: Annotated[list[Path], typer.Argument(help="Photos, a folder, a video, or .csv/.json/.pts landmarks.")],
-    out: Annotated[Path | None, typer.Option(help="Folder for the results (default: out/NAME).")] = None,
-    config: Annotated[Path | None, typer.Option(help="Configuration file (TOML).")] = None,
-    preset_name: Annotated[str | None, typer.Option("--preset", help=f"One of: {', '.join(PRESETS)}.")] = None,
-    stills: Annotated[bool, typer.Option("--stills", help="Unrelated photos: nothing links one to the next.")] = False,
-    detector: Annotated[str | None, typer.Option(help=DETECTOR_HELP)] = None,
-    fov: Annotated[float | None, typer.Option(help="Field of view over the longer side, degrees.")] = None,
-    face: Annotated[str | None, typer.Option(help=FACE_HELP)] = None,
+    frames: Annotated[str | None, typer.Option(help=FRAMES_HELP, rich_help_panel=INPUT)] = None,
+    stills: Annotated[bool, typer.Option("--stills", help=STILLS_HELP, rich_help_panel=INPUT)] = False,
+    detector: Annotated[str | None, typer.Option(help=DETECTOR_HELP, rich_help_panel=INPUT)] = None,
+    face: Annotated[str | None, typer.Option(help=FACE_HELP, rich_help_panel=INPUT)] = None,
+    landmarks: Annotated[Path | None, typer.Option(help=GIVEN_HELP, rich_help_panel=INPUT)] = None,
+    fov: Annotated[float | None, typer.Option(help=FOV_HELP, rich_help_panel=INPUT)] = None,
+    preset_name: Annotated[str | None, typer.Option("--preset", help=PRESET_HELP, rich_help_panel=FIT)] = None,
+    config: Annotated[Path | None, typer.Option(help="Configuration file (TOML).", rich_help_panel=FIT)] = None,
+    model: Annotated[Path | None, typer.Option(help=MODEL_HELP, rich_help_panel=FIT)] = None,
     identity: Annotated[
-        bool | None, typer.Option("--identity/--no-identity", help="Calibrate the subject's face shape first.")
+        bool | None, typer.Option("--identity/--no-identity", help=IDENTITY_HELP, rich_help_panel=FIT)
     ] = None,
-    model: Annotated[Path | None, typer.Option(help=MODEL_HELP)] = None,
-    energy: Annotated[str | None, typer.Option(help=ENERGY_HELP)] = None,
-    frames: Annotated[str | None, typer.Option(help=FRAMES_HELP)] = None,
-    workers: Annotated[int, typer.Option(min=1, max=64, help=WORKERS_HELP)] = 1,
-    rig: Annotated[Path | None, typer.Option(help=RIG_HELP)] = None,
-    view: Annotated[list[str] | None, typer.Option(help=VIEW_HELP)] = None,
-    landmarks: Annotated[Path | None, typer.Option(help="Stored landmarks of the pictures: no detector.")] = None,
-    infill: Annotated[str | None, typer.Option(help=INFILL_HELP)] = None,
-    refine: Annotated[str | None, typer.Option(help=REFINE_HELP)] = None,
-    pictures: Annotated[bool, typer.Option(help="Write the overlay video or pictures.")] = True,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP)] = False,
+    infill: Annotated[str | None, typer.Option(help=INFILL_HELP, rich_help_panel=FIT)] = None,
+    refine: Annotated[str | None, typer.Option(help=REFINE_HELP, rich_help_panel=FIT)] = None,
+    energy: Annotated[str | None, typer.Option(help=ENERGY_HELP, rich_help_panel=DEEP)] = None,
+    rig: Annotated[Path | None, typer.Option(help=RIG_HELP, rich_help_panel=DEEP)] = None,
+    view: Annotated[list[str] | None, typer.Option(help=VIEW_HELP, rich_help_panel=DEEP)] = None,
+    workers: Annotated[int, typer.Option(min=1, max=64, help=WORKERS_HELP, rich_help_panel=DEEP)] = 1,
+    out: Annotated[Path | None, typer.Option(help=OUT_HELP, rich_help_panel=RESULTS)] = None,
+    pictures: Annotated[bool, typer.Option(help=PICTURES_HELP, rich_help_panel=RESULTS)] = True,
+    resume: Annotated[bool, typer.Option("--resume", help=RESUME_HELP, rich_help_panel=RESULTS)] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP, rich_help_panel=RESULTS)] = False,
 ) -> None:
     """Track faces in pictures, a video or landmark files."""
     from workbench.pipeline import check_inputs_kept
@@ -203,6 +217,9 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
                 raise
             raise OutputError(f"{error} Finished parts are kept, --resume goes on from there.") from error
     print_result(result)
+    if not result.summary["frames_with_face"]:
+        screen.print_error(NO_FACE)
+        raise typer.Exit(1)
 
 
 def print_result(result) -> None:

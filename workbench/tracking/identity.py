@@ -16,7 +16,7 @@ from workbench.arrays import AnyArray, Count, Scalar
 from workbench.energies import EnergyConstants, EnergyWeights, normal_system, pack, unpack
 from workbench.face import FaceParameters, LandmarkModel
 from workbench.geometry import Camera
-from workbench.solvers import ArrowheadSystem, minimise
+from workbench.solvers import ArrowheadSystem, DenseSystem, minimise
 from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem
 
 PASSES = (("rotation", "translation", "expression"), ("expression",))
@@ -86,6 +86,17 @@ def _solve_pass(cameras, model, settings, k, frames, points, weights):
     def split(x):
         return x[: packed.size].reshape(packed.shape), x[packed.size :]
 
+    def evaluate_alone(x):
+        # A single frame needs no Schur complement: one dense system is solved several times as fast.
+        problem, frame = jax.tree.map(lambda stacked: stacked[0], (problems, frames))
+        system = normal_system(problem, unpack(x, frame, free), free)
+        identity, weight = x[common], jnp.zeros(len(x)).at[common].set(settings.identity)
+        return DenseSystem(
+            system.cost + settings.identity * identity @ identity,
+            system.gradient + weight * x,
+            system.matrix + jnp.diag(weight),
+        )
+
     def evaluate(x):
         locals_, identity = split(x)
         systems = jax.vmap(
@@ -105,7 +116,12 @@ def _solve_pass(cameras, model, settings, k, frames, points, weights):
 
     lower, upper = _bounds(frames, PASSES[k], model)
     solution = minimise(
-        evaluate, jnp.concatenate([packed.ravel(), frames.identity[0]]), lower, upper, settings.limits[k], 1e-6
+        evaluate if len(packed) > 1 else evaluate_alone,
+        jnp.concatenate([packed.ravel(), frames.identity[0]]),
+        lower,
+        upper,
+        settings.limits[k],
+        1e-6,
     )
     locals_, identity = split(solution.x)
     moved = jax.vmap(lambda local, frame: unpack(local, frame, PASSES[k]))(locals_, frames)
