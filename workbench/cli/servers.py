@@ -60,16 +60,7 @@ def lab(
     folder = working_copies(notebooks_folder())
     page = sorted(folder.glob("*.ipynb"))[0].name
     port = next((free for free in range(port, port + PORTS_TRIED) if not answers(free)), port)
-    # Jupyter's own use of its old settings is no news for a user.
-    command = [
-        sys.executable,
-        "-W",
-        "ignore::DeprecationWarning",
-        "-m",
-        "jupyterlab",
-        f"--notebook-dir={folder}",
-        f"--port={port}",
-    ]
+    command = [sys.executable, "-m", "jupyterlab", f"--notebook-dir={folder}", f"--port={port}"]
     # Its many lines on starting have several addresses and hide the one to open; what goes wrong is still printed.
     command += [
         f"--LabApp.default_url=/lab/tree/{page}",
