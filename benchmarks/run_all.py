@@ -12,7 +12,7 @@ from rich.table import Table
 BENCHMARKS = (
     *("solve_time", "video_rate", "memory", "compile_time", "head_pose", "panel_latency", "live", "diagnosis"),
     *("rendering", "rendering_gradient", "rendering_peers", "appearance", "landmark_network", "landmark_photos"),
-    *("deep_energies", "flow", "infill", "refinement", "temporal_memory", "stills"),
+    *("blinks", "deep_energies", "flow", "infill", "refinement", "temporal_memory", "stills"),
 )
 
 

@@ -204,11 +204,12 @@ def test_who_gets_the_network_for_lack_of_dlib_reads_it_once_and_who_asked_for_i
 
 @pytest.mark.usefixtures("detector", "photos")
 @pytest.mark.parametrize("command", ["landmarks", "track"])
-def test_dlibs_licence_is_told_where_dlib_ran_and_only_there(run, command, monkeypatch):
+@pytest.mark.parametrize("name", ["dlib", "dlib+network"])
+def test_dlibs_licence_is_told_where_dlib_ran_and_only_there(run, command, name, monkeypatch):
     monkeypatch.setattr(dlib_detector, "_notice_given", False)
     options = ["--no-pictures", *(["--stills", "--overwrite"] if command == "track" else [])]
     assert "300-W" not in run(command, "photos", *options, "--detector", "network")[1]
-    assert run(command, "photos", *options, "--detector", "dlib")[1].count("300-W") == 1
+    assert run(command, "photos", *options, "--detector", name)[1].count("300-W") == 1
 
 
 @pytest.mark.usefixtures("detector", "photos")
@@ -334,6 +335,6 @@ def test_info_tells_the_bundled_networks_and_the_detector_that_auto_means(run, m
 
 
 @needs_dlib
-def test_where_dlib_is_installed_auto_is_dlib(run):
+def test_where_dlib_is_installed_auto_is_dlib_with_the_networks_lids(run):
     line = next(line for line in run("info")[1].splitlines() if "auto detector" in line)
-    assert line.split()[-1] == "dlib"
+    assert line.split()[-1] == "dlib+network"

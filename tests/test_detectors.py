@@ -58,7 +58,7 @@ def detector():
 
 def test_unknown_names_list_the_detectors():
     for function in (make_detector, chosen_detector):
-        with pytest.raises(ConfigError, match=r"'dlb'.*auto, network, dlib, dlib-hog, dlib-cnn"):
+        with pytest.raises(ConfigError, match=r"'dlb'.*auto, dlib\+network, network, dlib, dlib-hog, dlib-cnn"):
             function("dlb")
 
 
@@ -71,7 +71,7 @@ def test_importing_the_workbench_imports_no_dlib_and_reads_no_weights():
 
 def test_without_dlib_the_error_gives_the_line_that_installs_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "dlib", None)
-    for name in ("dlib", "dlib-hog", "dlib-cnn"):
+    for name in ("dlib+network", "dlib", "dlib-hog", "dlib-cnn"):
         with pytest.raises(MissingDependencyError, match=r'needs dlib: pip install "face-energy-workbench\[dlib\]"'):
             make_detector(name)
 
@@ -83,9 +83,9 @@ def test_without_the_model_files_the_error_gives_the_line_that_installs_them(mon
 
 
 @needs_dlib
-def test_auto_is_dlib_where_it_is_installed_with_its_models():
-    assert chosen_detector() == "dlib"
-    assert make_detector("auto").name == "dlib"
+def test_auto_is_dlib_with_the_networks_lids_where_dlib_is_installed_with_its_models():
+    assert chosen_detector() == "dlib+network"
+    assert make_detector("auto").name == "dlib+network"
 
 
 @pytest.mark.parametrize("missing", ["dlib", "its model files"])
@@ -105,7 +105,7 @@ def test_without_dlib_auto_makes_the_network_detector(monkeypatch):
 
 def test_only_who_asked_for_auto_and_got_the_network_is_told_why():
     assert "dlib is not installed" in fallback_note("auto", "network")
-    for asked, runs in (("auto", "dlib"), ("network", "network"), ("dlib", "dlib")):
+    for asked, runs in (("auto", "dlib+network"), ("network", "network"), ("dlib", "dlib")):
         assert fallback_note(asked, runs) is None
 
 

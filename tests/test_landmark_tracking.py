@@ -305,6 +305,21 @@ def test_options_out_of_range_are_refused(options, message):
         replace(TrackerOptions(), **options)
 
 
+def test_a_blink_passes_at_once_though_flow_does_not_see_it():
+    upper, lower = [37, 38, 43, 44], [41, 40, 47, 46]
+    shut = FACE_IN_ASTRONAUT.to_image(MEAN_SHAPE)
+    shut[upper] = shut[lower]
+    scenes = [scene(t, shut if t in (10, 11) else None) for t in range(14)]
+    results, _ = run(scenes)
+    side = frame_from_points(results[0].landmarks.points).side
+    gaps = [np.linalg.norm(r.landmarks.points[upper] - r.landmarks.points[lower], axis=1).mean() for r in results]
+    opened = np.mean(gaps[5:9])
+    assert max(gaps[10:12]) < 0.25 * opened
+    assert min(gaps[12:]) > 0.75 * opened
+    assert opened > 0.03 * side
+    assert min(results[10].landmarks.confidence[upper]) > 0.8
+
+
 # --- with dlib ---
 
 

@@ -115,8 +115,8 @@ class IdentityConfig(_Section):
 class LandmarksConfig(_Section):
     """Detection and tracking of the 68 points."""
 
-    detector: Literal["auto", "network", "dlib", "dlib-hog", "dlib-cnn"] = Field(
-        "auto", description="Face detector and predictor; auto: dlib where it is installed, else our network."
+    detector: Literal["auto", "dlib+network", "network", "dlib", "dlib-hog", "dlib-cnn"] = Field(
+        "auto", description="Face detector and predictor; auto: dlib+network where dlib is installed, else network."
     )
     face: tuple[float, float] | None = Field(None, description="A point in the wanted face, pixels; else the largest.")
     weights: dict[str, NonNegative] = Field(

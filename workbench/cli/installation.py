@@ -31,8 +31,10 @@ def info() -> None:
         "workbench": __version__,
         "Python": platform.python_version(),
         **{name: _version(name) for name in PACKAGES},
-        "dlib detector": "installed" if automatic == "dlib" else 'missing: pip install "face-energy-workbench[dlib]"',
-        "auto detector": automatic if automatic == "dlib" else f"{automatic}, as the dlib detector is missing",
+        "dlib detector": "installed"
+        if automatic != "network"
+        else 'missing: pip install "face-energy-workbench[dlib]"',
+        "auto detector": automatic if automatic != "network" else f"{automatic}, as the dlib detector is missing",
         **{f"network {path.stem}": _network(path) for path in sorted(BUNDLED.glob("*.safetensors"))},
         "app": "installed" if _has("voila") else 'missing: pip install "face-energy-workbench[app]"',
         "3D pictures": "VTK off screen" if gl_available() else "plain (VTK found no usable OpenGL library)",

@@ -69,6 +69,12 @@ def _network() -> LandmarkDetector:
     return NetworkDetector()
 
 
+def _mixed() -> LandmarkDetector:
+    from workbench.landmarks.mixed_detector import MixedDetector
+
+    return MixedDetector(_dlib("hog-then-cnn"), _network())
+
+
 def _auto() -> LandmarkDetector:
     return DETECTORS[chosen_detector(AUTO)]()
 
@@ -76,6 +82,7 @@ def _auto() -> LandmarkDetector:
 DETECTORS: Mapping[str, Callable[[], LandmarkDetector]] = MappingProxyType(
     {
         AUTO: _auto,
+        "dlib+network": _mixed,
         "network": _network,
         "dlib": partial(_dlib, "hog-then-cnn"),
         "dlib-hog": partial(_dlib, "hog"),
@@ -95,7 +102,7 @@ def make_detector(name: str) -> LandmarkDetector:
 
 
 def chosen_detector(name: str = AUTO) -> str:
-    """The detector that runs under a name: "auto" is dlib where it is installed with its models, else "network".
+    """The detector that runs under a name: "auto" is "dlib+network" where dlib is installed, else "network".
 
     Raises `ConfigError` for an unknown name.
     """
@@ -110,7 +117,7 @@ def _automatic() -> str:
         check_installed()
     except MissingDependencyError:
         return "network"
-    return "dlib"
+    return "dlib+network"
 
 
 def fallback_note(asked: str, runs: str) -> str | None:

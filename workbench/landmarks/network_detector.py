@@ -16,6 +16,7 @@ from jaxtyping import Float, UInt8
 from workbench.arrays import AnyArray
 from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame, frame_from_box, frame_from_points, sampled
 from workbench.landmarks.detectors import Box, Effort, FaceDetection
+from workbench.landmarks.lids import true_lids
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS, MIRROR
 from workbench.networks import BETA, CropBox, LandmarkNetwork, read_landmark_network, soft_argmax
@@ -98,7 +99,7 @@ class NetworkDetector:
         return self._look(picture, frame_from_points(points))
 
     def look(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> NetworkLook:
-        """What `refine` sees in the crop around `points`."""
+        """What the network sees in the crop around `points`, before `refine` lowers the lids of narrow eyes."""
         to_image = crop_frame(frame_from_points(points))
         landmarks, heat_maps = self._answer(picture, to_image, mirrored=False)
         return NetworkLook(landmarks, _probability(heat_maps), to_image)
@@ -124,7 +125,8 @@ class NetworkDetector:
         return best
 
     def _look(self, picture: np.ndarray, face: FaceFrame, mirrored: bool = False) -> Landmarks2D:
-        return self._answer(picture, crop_frame(face), mirrored)[0]
+        landmarks, _ = self._answer(picture, crop_frame(face), mirrored)
+        return replace(landmarks, points=true_lids(landmarks.points))
 
     def _answer(self, picture: np.ndarray, to_image: FaceFrame, mirrored: bool) -> tuple[Landmarks2D, np.ndarray]:
         """Landmarks in the picture, and the network's heat maps (of the mirrored crop if it was)."""

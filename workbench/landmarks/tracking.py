@@ -31,6 +31,10 @@ FLOW_BOX, FLOW_MARGIN = 128, 64
 THUMBNAIL = 32
 LONGEST_RETRY = 8
 """Times the retry interval: how rare thorough searches become in a long shot without a face."""
+LIDS = np.isin(np.arange(68), (37, 38, 40, 41, 43, 44, 46, 47))
+LID_NOISE = 10.0
+"""Times the flow's noise on the lids: in a blink the lid runs over the eye, whose texture flow follows instead."""
+FLOW_NOISE = np.where(LIDS, LID_NOISE, 1.0)
 CANDIDATES = 5
 """Faces aligned, at most, when one is chosen."""
 
@@ -243,7 +247,9 @@ class LandmarkTracker:
         """A Kalman step for each point, in box sides: flow predicts, the predictor measures."""
         options = self.options
         lost = np.where(flow.valid, 0.0, 10 * options.predictor_noise_sides)
-        variance = self._variance + options.flow_noise_sides**2 + flow.round_trip.clip(max=1) ** 2 + lost**2
+        variance = (
+            self._variance + (options.flow_noise_sides * FLOW_NOISE) ** 2 + flow.round_trip.clip(max=1) ** 2 + lost**2
+        )
         noise = options.predictor_noise_sides**2 * (1 - 2 * np.log(refined.confidence.clip(1e-3)))
         # What flow and predictor cannot both explain is real motion that the flow missed, as a blink: open the gate.
         surplus = difference**2 - options.surprise**2 * (variance + noise)
@@ -252,6 +258,7 @@ class LandmarkTracker:
         points = flow.points + gain[:, None] * (refined.points - flow.points)
         self._variance = (1 - gain) * variance
         agreement = np.exp(-0.5 * (difference / (10 * options.predictor_noise_sides)) ** 2)
+        agreement[LIDS] = 1.0  # flow is no witness of them
         return Landmarks2D(points, refined.confidence * agreement * self._trust, refined.image_size)
 
     # --- finding ---
