@@ -3,8 +3,9 @@
 import zipfile
 from collections.abc import Iterator
 from contextlib import ExitStack
+from io import BufferedIOBase
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class TrackReader:
                 # Outside: what a user of the frames raises is no damage of the file.
                 yield Track(meta=self.meta, **columns)
 
-    def _members(self, stack: ExitStack) -> dict[str, tuple[IO[bytes], tuple[int, ...], np.dtype]]:
+    def _members(self, stack: ExitStack) -> dict[str, tuple[BufferedIOBase, tuple[int, ...], np.dtype]]:
         """Each array as a stream that stands at its first row, its shape and type."""
         archive = stack.enter_context(zipfile.ZipFile(self.path))
         names = [name for name in LAYOUT if f"{name}.npy" in archive.namelist()]
@@ -64,7 +65,7 @@ class TrackReader:
         return {name: (member, *array_header(member, by_rows=True)) for name, member in members.items()}
 
 
-def _rows(rows: int, member: IO[bytes], shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+def _rows(rows: int, member: BufferedIOBase, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """The next rows of an array."""
     size = rows * int(np.prod(shape[1:], dtype=int)) * dtype.itemsize
     return np.frombuffer(member.read(size), dtype).reshape(rows, *shape[1:])
