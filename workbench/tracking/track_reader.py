@@ -28,7 +28,7 @@ class TrackReader:
             with self.path.open("rb") as stream, checked_arrays(stream, MOST_BYTES) as stored:
                 self.meta: dict[str, Any] = checked_meta(stored, self.path)
             with ExitStack() as stack:
-                layouts = {name: layout for name, (_, *layout) in self._members(stack).items()}
+                layouts = {name: (shape, dtype) for name, (_, shape, dtype) in self._members(stack).items()}
                 (self._count,) = layouts["index"][0]
                 check_layout(layouts, self._count, self.meta["expression_names"])
 
