@@ -141,8 +141,8 @@ def test_an_eye_without_width_is_left_alone():
 SHUT = {"performance": ((50, 68), (61, 62)), "carphone": ((0, 95), (42, 92)), "obama": ((0, 45), (39, 40))}
 """Frames to track, and those in it in which both eyes are shut: by the clip's exact weights, and by looking.
 
-Not every blink comes out as clearly. Of the bundled clip's 15 frames with shut eyes the worst has 0.46, where the head is
-turned; frame 38 of obama, shut and blurred, has 0.23 on the left. `benchmarks/blinks.py` measures all of them.
+Not every blink comes out as clearly. Of the bundled clip's 15 frames with shut eyes the worst has 0.46, where the head
+is turned; frame 38 of obama, shut and blurred, has 0.23 on the left. `benchmarks/blinks.py` measures all of them.
 """
 
 
