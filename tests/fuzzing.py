@@ -20,6 +20,7 @@ from workbench.errors import WorkbenchError
 LONGEST_S = 10.0
 MOST_BYTES = 2 * 1024**3
 LONGEST_MESSAGE = 600
+LARGE_PACKAGES = ["jax", "equinox", "scipy.optimize", "scipy.sparse.linalg", "scipy.spatial.transform", "cv2"]
 
 ACCEPTED, CLEAR = "accepted", "clear error"
 UNCLEAR, LEAKED, GARBAGE = "unclear error", "leaked", "garbage"
@@ -116,9 +117,10 @@ class Judge:
             return Verdict(CRASH, f"exit code {process.exitcode}")
 
     def _start(self) -> None:
-        # A process that has imported everything stands ready to be forked when one dies.
+        # A process that has imported the large packages stands ready to be forked when one dies. Not the workbench: it
+        # starts the threads of JAX, and those are lost in a fork.
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(["tests.fuzz_readers"])
+        context.set_forkserver_preload(LARGE_PACKAGES)
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
         self._process.start()
