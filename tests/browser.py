@@ -35,6 +35,17 @@ SETTLED_MS = 300
 """Time without a change after which something counts as at rest."""
 
 
+BUSY_CELL = """
+    import pathlib
+    import time
+
+    deadline = time.monotonic() + 300
+    while not pathlib.Path("seen").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    """
+"""A cell that is busy until the test has seen what it wants to see, and writes the file `seen`."""
+
+
 def missing() -> str | None:
     """What this machine lacks for browser tests, None if nothing."""
     try:
@@ -158,6 +169,12 @@ class LabPage:
         file = self.server.folder / "kernel-value"
         self.ask_kernel(f"open({str(file)!r}, 'w').write(repr({expression}))")
         return file.read_text()
+
+    def wait_drawn(self) -> None:
+        """Wait until the browser has drawn what came before: views draw in the next animation frame."""
+        self.page.evaluate(
+            "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done))))"
+        )
 
     def wait_at_rest(self, selector: str) -> None:
         """Wait until the last element of this kind has stopped moving on the screen."""

@@ -40,7 +40,7 @@ def opened(page, notebook):
 def to_top(page):
     """Scroll to the panel."""
     page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'start'})")
-    page.page.wait_for_timeout(300)
+    page.wait_at_rest(".fw-panel")
 
 
 def tab(page, title):

@@ -56,6 +56,19 @@ def test_the_picture_of_the_playground_is_a_picture(lab):
         assert np.abs(np.diff(half, axis=1)).mean() < 12
 
 
+def rested(lab):
+    """The picture once it shows the same three times: a moved slider brings several."""
+    shown = []
+
+    def same():
+        shown.append(lab.picture(IMAGE))
+        lab.page.wait_for_timeout(200)
+        return len(shown) > 2 and all(np.array_equal(shown[-1], other) for other in shown[-3:-1])
+
+    browser.wait_until(same, "the picture rests")
+    return shown[-1]
+
+
 @pytest.mark.parametrize(("label", "keys"), [("expression steps ε", ["Home"]), ("field of view, °", ["End"])])
 def test_a_moved_slider_changes_the_picture(lab, screenshots, label, keys):
     before = lab.picture(IMAGE).astype(float)
@@ -64,8 +77,7 @@ def test_a_moved_slider_changes_the_picture(lab, screenshots, label, keys):
     for key in keys:
         handle.press(key)
     lab.page.wait_for_function("([s, old]) => document.querySelector(s).src !== old", arg=[IMAGE, source])
-    lab.page.wait_for_timeout(500)
-    after = lab.picture(IMAGE).astype(float)
+    after = rested(lab).astype(float)
     lab.page.screenshot(path=screenshots / f"moved-{label.split()[0]}.png")
     changed = np.mean(np.abs(after - before).max(axis=2) > 8)
     assert 0.02 < changed < 0.60

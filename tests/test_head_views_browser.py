@@ -3,6 +3,7 @@
 import base64
 import os
 import statistics
+import time
 
 import cv2
 import nbformat
@@ -55,9 +56,7 @@ CELLS = (
     thread.start()
     thread.join()
     """,
-    """
-    time.sleep(10)
-    """,
+    browser.BUSY_CELL,
     """
     values = np.linalg.norm(head.expression_deltas[jaw], axis=1)
     for view in views.values():
@@ -100,7 +99,8 @@ def pixels(lab, backend):
 def settled(lab, backend, before=None):
     """The canvas once it shows twice the same, and something else than `before`."""
     last = None
-    for _ in range(100):
+    deadline = time.monotonic() + browser.RUN_S
+    while time.monotonic() < deadline:
         now = pixels(lab, backend)
         if last is not None and np.array_equal(now, last) and (before is None or not np.array_equal(now, before)):
             return now
@@ -166,6 +166,7 @@ def test_a_slider_moves_the_face_while_a_cell_is_busy(lab):
         check_plausible(*changed_pixels(lab, backend, before))
         assert "subshell" in callback_thread(lab, backend)  # neither of the main thread nor of its GL context
     assert not lab.page.evaluate("() => window.ran")
+    (lab.server.folder / "seen").touch()
     lab.page.wait_for_function("() => window.ran")
 
 

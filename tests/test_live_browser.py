@@ -28,7 +28,7 @@ CELLS = (
     import time
 
     began, number = time.perf_counter(), 0
-    while (passed := time.perf_counter() - began) < 2.0 or (panel.fit.index < first + 3 and passed < 60.0):
+    while (passed := time.perf_counter() - began) < 2.0 or (panel.fit.index < first + 3 and passed < 240.0):
         number += 1
     print("fits meanwhile", panel.fit.index - first)
     """,
@@ -214,8 +214,8 @@ def test_a_slider_changes_the_fit_while_it_runs(live, screenshots):
 
 
 def test_cells_run_meanwhile_and_the_panel_goes_on(live):
-    idle = [live.ask_kernel("number = 1 + 1") for _ in range(5)]
-    assert np.median(idle) < 1000
+    # Other work on the machine only delays an answer; a kernel that fits would always do.
+    wait_until(lambda: live.ask_kernel("number = 1 + 1") < 1000, "an answer of the kernel within a second")
     live.run_cell(FIRST)
     live.run_cell(BUSY)
     assert int(said(live).split("fits meanwhile")[1].split()[0]) >= 3
