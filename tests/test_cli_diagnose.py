@@ -79,6 +79,11 @@ def test_one_frame_is_explained_with_what_mends_it(run, runs, tmp_path):
     code, out, err = run("diagnose", str(runs / "broken"), *arguments)
     assert (code, err) == (0, "")
     assert out.startswith(f"frame {BROKEN} of {COUNT}, error inner 51: ")
+    listed = run("diagnose", str(runs / "broken"))[1]
+    record = json.loads((tmp_path / "why.json").read_text())
+    assert record["flagged"]
+    assert f"flagged: {record['flagged']}\n" in out
+    assert record["flagged"] in listed
     assert "from the landmarks alone" in out
     for title in ("left out", "What is least certain", "pitch ±", "depth ±"):
         assert title in out

@@ -13,8 +13,9 @@ from workbench.geometry import Rig, pose_in_view
 from workbench.geometry.rig_files import write_rig
 from workbench.tracking import moments as moments_module
 from workbench.tracking.flow_fitter import FlowFitter, Neighbour, parameters_of
-from workbench.tracking.infill import fill_by_flow, fill_linearly, infilled, usable
+from workbench.tracking.infill import fill_by_flow, fill_linearly, infilled, usable, usable_frames
 from workbench.tracking.moments import Moment, PictureSpool, moments
+from workbench.tracking.records import Track, stack_fits
 
 OPEN_UNTIL = 4
 
@@ -175,6 +176,15 @@ def test_usable_fits_are_those_that_hit_their_landmarks(film, film_maker):
     assert not usable(replace(fit, failure="not finite"), infill)
     # Without landmarks of its own (another view saw the face) nothing speaks against it.
     assert usable(replace(fit, confidence=np.zeros(68), projected=fit.projected + 50.0), infill)
+
+
+def test_the_usable_frames_of_a_track_are_its_usable_fits(film):
+    fit, other = film.truth[0], film.truth[1]
+    far = replace(fit, projected=fit.projected + 50.0)
+    fits = [fit, lost(fit), replace(fit, failure="not finite"), replace(far, confidence=np.zeros(68)), far, other]
+    infill = film_config(infill={"frames": ((other.index, other.index),)}).infill
+    found = usable_frames(Track(meta={}, **stack_fits(fits)), infill).tolist()
+    assert found == [usable(each, infill) for each in fits] == [True, False, False, True, False, False]
 
 
 def test_each_view_brings_one_picture(film_maker, film):

@@ -3,6 +3,7 @@
 import re
 import threading
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -31,6 +32,7 @@ from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
 from workbench.widgets import FitPlayground, LivePanel, SessionOpener, TuningPanel
 from workbench.widgets.controls import KnobControl, place_of, value_at
+from workbench.widgets.diagnosis_view import found_text
 from workbench.widgets.film_strip import FilmStrip
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.light_panel import LightPanel
@@ -558,6 +560,68 @@ def test_the_export_of_the_panel_is_the_configuration_of_the_session(clip_panel,
     stored = read_config(tmp_path / "mine.toml")
     assert stored.changed(provenance=None) == clip_panel.session.config
     assert "workbench track" in clip_panel.exported.value
+
+
+@pytest.fixture
+def jumping_panel(head, clip, monkeypatch):
+    """A clip whose head jumps aside in one frame, in a panel that compiles what it needs only when it needs it."""
+    monkeypatch.setattr(TuningSession, "warm_up", lambda session: None)
+    observations = list(clip.observations)
+    landmarks = observations[JUMP].landmarks
+    moved = replace(landmarks, points=landmarks.points + np.array([60.0, 0.0]))
+    observations[JUMP] = replace(observations[JUMP], landmarks=moved)
+    made = TuningPanel(TuningSession(head, replace(clip, observations=tuple(observations))), backend="k3d")
+    assert made.wait_idle(300)
+    yield made
+    made.close()
+
+
+JUMP = 4
+
+
+def test_the_export_offers_a_free_name_or_to_overwrite_what_is_there(jumping_panel, tmp_path):
+    panel, taken = jumping_panel, tmp_path / "tuned.toml"
+    taken.write_text("of another clip")
+    panel.file.value = str(taken)
+    panel.export.click()
+    assert panel.wait_idle()
+    assert taken.read_text() == "of another clip"
+    assert "tuned.toml is there already: export again writes clip-tuned.toml." in panel.exported.value
+    assert panel.overwrite.description == "overwrite tuned.toml"
+    assert panel.overwrite.layout.display is None
+    panel.export.click()
+    assert panel.wait_idle()
+    assert (tmp_path / "clip-tuned.toml").exists()
+    assert panel.overwrite.layout.display == "none"
+    panel.file.value = str(taken)
+    panel.export.click()
+    panel.overwrite.click()
+    assert panel.wait_idle()
+    assert read_config(taken).changed(provenance=None) == panel.session.config
+
+
+def test_a_flagged_frame_says_why_in_the_diagnosis_and_on_the_strip(jumping_panel):
+    panel = jumping_panel
+    why = panel.session.run.flags.text[JUMP]
+    assert "the pose jumps" in why
+    assert panel.clip.timeline.get_state("_why")["_why"][str(JUMP)] == why
+    panel.go(JUMP)
+    panel.diagnosis.ask.click()
+    assert panel.wait_idle(300)
+    assert f"Frame {JUMP}: flagged, {why}" in panel.diagnosis.status.value
+
+
+@pytest.mark.parametrize(
+    ("reasons", "flag", "said"),
+    [
+        (2, "", "2 found, the likeliest first."),
+        (0, "", "no reason found: nothing stands out."),
+        (0, "the pose jumps", "flagged, the pose jumps; none of the causes that were tried explains it."),
+        (1, "the pose jumps", "flagged, the pose jumps; 1 found, the likeliest first."),
+    ],
+)
+def test_a_diagnosis_never_says_that_a_flagged_frame_does_not_stand_out(reasons, flag, said):
+    assert found_text(reasons, flag) == said
 
 
 def test_a_diagnosis_is_shown_and_its_change_applied_and_taken_back(panel):

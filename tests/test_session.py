@@ -2,7 +2,9 @@
 
 import shlex
 import threading
+from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -17,11 +19,13 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import track as run_track
 from workbench.samples import sample
 from workbench.session import Material, TuningSession, material_of_photo, material_of_track, open_session
+from workbench.session.exports import free_file
 from workbench.session.material import PictureStore
 from workbench.tracking import FaceTracker, FrameObservation, Track
 from workbench.tracking.fitter import FrameFitter
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
+from workbench.tracking.records import ARRAYS, stack_fits
 
 QUICK = preset("calibrated").changed(identity={"window": 6, "frames": 12})
 
@@ -314,6 +318,82 @@ def test_a_track_whose_pictures_are_gone_is_tuned_on_a_blank_canvas(head, tmp_pa
     assert np.ptp(material.pictures[0]) == 0
 
 
+# --- long clips ---
+
+
+class Watched(tuple):
+    """Observations that note which of them were looked at."""
+
+    def __new__(cls, items, looked=None):
+        made = super().__new__(cls, items)
+        made.looked = set() if looked is None else looked
+        return made
+
+    def __iter__(self):
+        for item in super().__iter__():
+            self.looked.add(item.index)
+            yield item
+
+    def __getitem__(self, place):
+        if isinstance(place, slice):
+            return Watched(super().__getitem__(place), self.looked)
+        item = super().__getitem__(place)
+        self.looked.add(item.index)
+        return item
+
+
+def long_clip(clip, frames):
+    """The first shot back and forth, so that the head never jumps."""
+    shot = clip.observations[:10]
+    there_and_back = [*shot, *shot[-2:0:-1]]
+    observations = [replace(there_and_back[k % len(there_and_back)], index=k, cut=False) for k in range(frames)]
+    return Material("long", Watched(observations), PictureStore(None, [IMAGE_SIZE] * frames), stills=False)
+
+
+def test_a_fit_in_a_long_clip_looks_at_its_frame_and_at_those_of_the_calibration_alone(head, clip):
+    material = long_clip(clip, 400)
+    session = TuningSession(head, material, QUICK)
+    session.fit_frame(3)  # finds the shots, once
+    material.observations.looked.clear()
+    session.set(identity={"expression": 0.5})  # another identity
+    session.fit_frame(200)
+    assert material.observations.looked <= {*range(QUICK.identity.window), 200}
+
+
+def test_a_run_is_stacked_once_for_all_that_is_shown_of_it(head, clip, monkeypatch):
+    stacked = []
+
+    def counted(fits):
+        stacked.append(len(fits))
+        return stack_fits(fits)
+
+    for module in ("tuning", "metrics", "temporal"):
+        monkeypatch.setattr(f"workbench.session.{module}.stack_fits", counted)
+    session = TuningSession(head, clip, QUICK)
+    session.fit_clip()
+    assert (len(session.track), len(session.run.flags.text)) == (22, 22)
+    assert session.metrics()["frames"] == 22
+    assert session.temporal.failed() == (15,)
+    assert stacked == [22]
+
+
+def test_a_run_keeps_a_few_kilobytes_of_each_frame(session):
+    session.fit_clip()
+    kept = [getattr(session.run.track, name) for name in ARRAYS]
+    kept += jax.tree.leaves((session.run.before,))
+    assert not any(isinstance(leaf, jax.Array) for leaf in kept)  # each takes a kilobyte besides its numbers
+    assert sum(np.asarray(leaf).nbytes for leaf in kept) < 8_000 * len(session)
+
+
+def test_the_fits_of_a_run_are_a_sequence_like_any_other(session):
+    session.fit_clip()
+    fits = session.run.fits
+    assert [fit.index for fit in fits] == list(range(22))
+    assert (fits[-1].index, [fit.index for fit in fits[3:5]]) == (21, [3, 4])
+    with pytest.raises(IndexError):
+        fits[22]
+
+
 # --- export ---
 
 SETUPS = {
@@ -376,6 +456,57 @@ def test_the_exported_file_says_where_it_comes_from(session, tmp_path):
     assert provenance.versions["jax"]
     assert provenance.after["jitter_deg"] < provenance.before["jitter_deg"]
     assert provenance.before["frames_with_face"] == 21
+
+
+def test_an_export_leaves_a_file_that_it_did_not_write(session, head, clip, tmp_path):
+    other = TuningSession(head, replace(clip, name="other", inputs=(_short_clip(tmp_path),)), QUICK)
+    path = other.export(tmp_path / "tuned.toml")
+    before = path.read_bytes()
+    with pytest.raises(
+        InputError, match=r"exported for clip\.csv; export to clip-tuned\.toml instead, or pass overwrite"
+    ):
+        session.export(path)
+    assert path.read_bytes() == before
+    (tmp_path / "notes.toml").write_text("mine")
+    with pytest.raises(InputError, match=r"notes\.toml is there already; export to"):
+        session.export(tmp_path / "notes.toml")
+    assert (tmp_path / "notes.toml").read_text() == "mine"
+
+
+def test_an_export_may_follow_another_one_of_the_same_session_or_overwrite_when_told(session, tmp_path):
+    (tmp_path / "old.toml").write_text("mine")
+    session.export(tmp_path / "old.toml", overwrite=True)
+    session.set(weights={"tau": 3.0})
+    session.export(tmp_path / "old.toml")
+    assert read_config(tmp_path / "old.toml").weights.tau == 3.0
+
+
+def test_the_proposed_name_is_free(tmp_path):
+    for name in ("clip-tuned.toml", "clip-tuned-2.toml"):
+        (tmp_path / name).touch()
+    assert free_file(tmp_path, "clip") == tmp_path / "clip-tuned-3.toml"
+
+
+def test_a_diagnosis_repeats_why_the_run_flags_the_frame(head, clip):
+    observations = list(clip.observations)
+    landmarks = observations[6].landmarks
+    observations[6] = replace(
+        observations[6], landmarks=replace(landmarks, points=landmarks.points + np.array([60.0, 0.0]))
+    )
+    session = TuningSession(head, replace(clip, observations=tuple(observations)), QUICK)
+    assert session.diagnose(6).flag == ""  # no run that could flag it
+    session.fit_clip()
+    assert "the pose jumps" in session.run.flags.text[6]
+    assert session.diagnose(6).flag == session.run.flags.text[6]
+    assert session.diagnose(12).flag == ""
+
+
+def test_the_summary_of_a_flagged_frame_without_a_reason_says_why_it_was_flagged(session):
+    session.fit_clip()
+    found = replace(session.diagnose(3), reasons=(), flag="the pose jumps (10°, 10 mm)")
+    assert "flagged: the pose jumps (10°, 10 mm)" in found.summary
+    assert "unremarkable" not in found.summary
+    assert "unremarkable" in replace(found, flag="").summary
 
 
 def test_what_changed_since_the_export_is_known(session, tmp_path):

@@ -331,6 +331,15 @@ class TestTimeline:
         assert "_track" in sent.updates[0]
         assert timeline.frame == 10
 
+    def test_a_flagged_frame_carries_why_it_is_flagged(self, timeline):
+        flagged = np.arange(50) == 7
+        timeline.set_track(self.VALUES, flagged, why=["the pose jumps" if flag else "" for flag in flagged])
+        assert timeline.get_state("_why")["_why"] == {"7": "the pose jumps"}
+        timeline.set_track(self.VALUES, flagged)
+        assert timeline.get_state("_why")["_why"] == {}
+        with pytest.raises(InputError, match="one text for each of the 50 frames; got 1"):
+            timeline.set_track(self.VALUES, flagged, why=["the pose jumps"])
+
     def test_frames_without_numbers_have_no_face(self, timeline):
         values = self.VALUES.copy()
         values[5:7] = np.nan

@@ -110,8 +110,10 @@ def _print_diagnosis(record: dict) -> None:
     screen.console.print(f"[bold]frame {record['frame']}[/bold] of {record['frames']}, {errors}")
     if not record["pictures"]:
         screen.console.print("[yellow]note:[/yellow] from the landmarks alone; the pictures are not where they were")
+    if record["flagged"]:
+        screen.console.print(f"flagged: {escape(record['flagged'])}")
     if not record["reasons"]:
-        screen.console.print(f"\n{record['summary']}")
+        screen.console.print(f"\n{escape(record['summary'])}")
     for number, reason in enumerate(record["reasons"], 1):
         screen.console.print(f"\n[bold]{number}. {escape(reason['title'])}[/bold]  (score {reason['score']:.2f})")
         change = reason["change"]

@@ -36,6 +36,7 @@ def diagnosis_record(diagnosis: Diagnosis, names: Sequence[str], frames: int, pi
         "frame": diagnosis.fit.index,
         "frames": frames,
         "pictures": pictures,
+        "flagged": diagnosis.flag,
         "summary": diagnosis.summary,
         "error": {"all_68_px": pixels, "inner_51_percent": inner, "all_68_percent": every},
         "reasons": [_reason(reason) for reason in diagnosis.reasons],

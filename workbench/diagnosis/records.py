@@ -178,11 +178,17 @@ class Diagnosis:
     uncertainty: Uncertainty
     fit: FrameFit
     """The fit under diagnosis."""
+    flag: str = ""
+    """Why `flag_frames` flagged the frame in its clip, in a few words; empty if it did not, or if none was run."""
 
     @property
     def summary(self) -> str:
         """One line."""
-        return self.reasons[0].title if self.reasons else "No reason found: the frame is unremarkable"
+        if self.reasons:
+            return self.reasons[0].title
+        if self.flag:
+            return f"None of the causes that were tried explains why the frame was flagged: {self.flag}"
+        return "No reason found: the frame is unremarkable"
 
 
 @dataclass(frozen=True, eq=False)

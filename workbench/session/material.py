@@ -4,6 +4,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +84,7 @@ class Material:
     inputs: tuple[Path, ...] = ()
     landmark_file: Path | None = None
 
-    @property
+    @cached_property
     def shots(self) -> tuple[range, ...]:
         """The frames of each shot, as the tracker divides them."""
         starts = [k for k, item in enumerate(self.observations) if k == 0 or item.cut or self.stills]

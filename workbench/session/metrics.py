@@ -10,23 +10,26 @@ from workbench.tracking.records import frame_errors, stack_fits
 
 
 def metrics_of(fits: Sequence[FrameFit]) -> dict[str, float]:
+    """`metrics_of_track` of these fits."""
+    return metrics_of_track(Track(meta={}, **stack_fits(list(fits))))
+
+
+def metrics_of_track(track: Track) -> dict[str, float]:
     """Errors in % of the outer-eye distance over all frames with landmarks, and the jitter of the head pose.
 
     Frames that infill made have none. Jitter is the mean length of the second difference of the rotation in degrees,
     within shots.
     """
-    columns = stack_fits(list(fits))
-    found = columns["found"]
-    track = Track(meta={}, **columns)
+    found = track.found
     errors = frame_errors(track)
     errors = errors[found & np.isfinite(errors).all(axis=1)]
-    numbers = {"frames": float(len(fits)), "frames_with_face": float(found.sum())}
+    numbers = {"frames": float(len(track)), "frames_with_face": float(found.sum())}
     if not found.any():
         return numbers
     for name, column in (("inner_51_percent", 2), ("all_68_percent", 3)) if len(errors) else ():
         numbers[f"{name}_mean"] = round(float(errors[:, column].mean()), 4)
         numbers[f"{name}_p95"] = round(float(np.percentile(errors[:, column], 95)), 4)
-    jitter = _jitter_deg(columns["rotation"], columns["shot"], found)
+    jitter = _jitter_deg(track.rotation, track.shot, found)
     if jitter is not None:
         numbers["jitter_deg"] = round(jitter, 4)
     return numbers

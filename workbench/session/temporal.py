@@ -18,7 +18,7 @@ from workbench.landmarks.scheme import outer_eye_distance
 from workbench.pipeline.temporal_run import STEPS, Step, needs_pictures, over_time, wanted_steps
 from workbench.session.metrics import metrics_of
 from workbench.tracking import FrameFit, Track
-from workbench.tracking.infill import usable
+from workbench.tracking.infill import usable, usable_frames
 from workbench.tracking.records import stack_fits
 from workbench.tracking.refinement import passes
 
@@ -135,13 +135,12 @@ class TemporalWork:
         """Frames that infill would fill, as far as they are fitted: marked, without a face, or with a bad fit."""
         first, last = self._part(part)
         config = self._session.config
-        known = self._known(config)
-        marked = self._marked()
-        return tuple(
-            frame
-            for frame in range(first, last + 1)
-            if frame in marked or (frame in known and not usable(known[frame], config.infill))
-        )
+        if self._ran(config):
+            bad = set(np.flatnonzero(~usable_frames(self._session.run.track, config.infill)).tolist())
+        else:
+            bad = {frame for frame, fit in self._singles(config).items() if not usable(fit, config.infill)}
+        bad |= self._marked()
+        return tuple(frame for frame in range(first, last + 1) if frame in bad)
 
     # --- work ---
 
@@ -321,11 +320,6 @@ class TemporalWork:
     def _ran(self, config: Config) -> bool:
         run = self._session.run
         return run is not None and fits_key(run.config) == fits_key(config)
-
-    def _known(self, config: Config) -> dict[int, FrameFit]:
-        if self._ran(config):
-            return dict(enumerate(self._session.run.fits))
-        return dict(self._singles(config))
 
     def _singles(self, config: Config) -> dict[int, FrameFit]:
         with self._lock:

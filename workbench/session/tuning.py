@@ -5,29 +5,42 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, UInt8
 
 from workbench.config import DEFAULT_PRESET, Config, Difference, Stage, differences, parse_config, preset, write_config
-from workbench.diagnosis import Change, Diagnosis, FrameCase, ShotReference, diagnose_frame, reference_of
+from workbench.diagnosis import (
+    Change,
+    Diagnosis,
+    FrameCase,
+    FrameFlags,
+    ShotReference,
+    diagnose_frame,
+    flag_frames,
+    reference_of,
+)
 from workbench.energies import TERMS
 from workbench.energies.deep import DEEP_TERMS
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, load_default_head
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import software_versions
+from workbench.session.exports import taken_text
 from workbench.session.gesture import Gesture, Gestures
 from workbench.session.material import Material, Progress, load_material, material_of_track
-from workbench.session.metrics import metrics_of
+from workbench.session.metrics import metrics_of, metrics_of_track
 from workbench.session.temporal import TIME_SECTIONS, TemporalWork
 from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation, StageTrace, Track
 from workbench.tracking.deep_fitter import DeepFitter, DeepSolution
 from workbench.tracking.deep_target import energy_network, photo_landmarks
 from workbench.tracking.fitter import Calibrated, Continuation, corrected, running_stages
-from workbench.tracking.records import stack_fits
+from workbench.tracking.records import Fits, stack_fits
 from workbench.tracking.systems import Fitter, configured, make_fitter
 from workbench.tracking.tracker import calibration_window, jumped
 
@@ -43,13 +56,31 @@ class Step:
     label: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """The fits of all frames under one configuration."""
 
     config: Config
-    fits: tuple[FrameFit, ...]
-    contexts: tuple[FrameContext, ...]
+    track: Track
+    """The fits, without metadata: thousands of frames as a few arrays."""
+    before: tuple[Continuation | None, ...]
+    """What each frame was continued from, in NumPy's arrays: JAX's own take twenty times the memory of such few
+    numbers."""
+
+    @property
+    def fits(self) -> Sequence[FrameFit]:
+        """The fit of each frame."""
+        return Fits(self.track)
+
+    @cached_property
+    def flags(self) -> FrameFlags:
+        """Frames that stand out."""
+        return flag_frames(self.track, self.config)
+
+    @cached_property
+    def metrics(self) -> dict[str, float]:
+        """Errors and jitter."""
+        return metrics_of_track(self.track)
 
 
 class TuningSession:
@@ -69,6 +100,7 @@ class TuningSession:
         self._gestures = Gestures()
         self._snapshots: dict[str, Config] = {}
         self._exported: Config | None = None
+        self._written: set[Path] = set()
         self._run: Run | None = None
         self._base_metrics: dict[str, float] | None = None
         self._calibrations: dict[tuple, Calibrated] = {}
@@ -315,7 +347,10 @@ class TuningSession:
             return self._prepared(frame, coarse=False)[2]
 
     def diagnose(self, frame: int) -> Diagnosis:
-        """Reasons why the fit of a frame may be bad. Raises `InputError` for a frame without landmarks."""
+        """Reasons why the fit of a frame may be bad, and why the last whole run flags it if it does.
+
+        Raises `InputError` for a frame without landmarks.
+        """
         if self._config.system == "deep-energies":
             raise InputError(
                 "The diagnosis tries changes to FACE IT!; go to a FACE IT! preset for it. What failed under Deep "
@@ -333,7 +368,8 @@ class TuningSession:
             key = (context.shot, config)
             if self._reference is None or self._reference[0] != key:
                 self._reference = (key, reference_of(self.model, config, shot, self._diagnostic_fitter))
-            return diagnose_frame(self.model, case, self._diagnostic_fitter, self._reference[1])
+            found = diagnose_frame(self.model, case, self._diagnostic_fitter, self._reference[1])
+        return replace(found, flag="" if self._run is None else self._run.flags.text[frame])
 
     def apply(self, change: Change, frame: int) -> Config:
         """Make a change that a diagnosis of a frame proposes; one step of undo."""
@@ -359,7 +395,7 @@ class TuningSession:
         """
         config = self._config if config is None else config
         fitter = make_fitter(self.model, config)
-        fits, contexts = [], []
+        fits, before = [], []
         for shot, frames in enumerate(self.material.shots):
             calibrated, last = self._calibrated(shot, config, fitter), None
             for frame in frames:
@@ -369,13 +405,14 @@ class TuningSession:
                 context = _context(shot, calibrated, observation, last)
                 fit, last = fitter.fit(observation, context)
                 fits.append(fit)
-                contexts.append(context)
+                before.append(_on_host(context.last))
                 if progress is not None:
                     progress("fit", len(fits), len(self))
+        run = Run(config, Track(meta={}, **stack_fits(fits)), tuple(before))
         with self._lock:
-            self._run = Run(config, tuple(fits), tuple(contexts))
+            self._run = run
             if config == self.base:
-                self._base_metrics = metrics_of(self._run.fits)
+                self._base_metrics = run.metrics
         self.tell("run")
         return self.track
 
@@ -397,7 +434,7 @@ class TuningSession:
             "camera_guessed": run.config.camera.matrix is None,
             "config": run.config.model_dump(mode="json"),
         }
-        return Track(meta=meta, **stack_fits(list(run.fits)))
+        return replace(run.track, meta=meta)
 
     @property
     def stale(self) -> Bool[np.ndarray, "n"]:
@@ -418,13 +455,9 @@ class TuningSession:
 
     def metrics(self) -> dict[str, float]:
         """Errors and jitter of the last whole run."""
-        return metrics_of(self.track_fits())
-
-    def track_fits(self) -> tuple[FrameFit, ...]:
-        """The fits of the last whole run; runs all frames if there was none."""
         if self._run is None:
             self.fit_clip()
-        return self._run.fits
+        return self._run.metrics
 
     def warm_up(self) -> None:
         """Compile all that a panel can ask for: every solver, with and without its trace, and a diagnosis."""
@@ -444,14 +477,21 @@ class TuningSession:
     # --- export ---
 
     def export(
-        self, path: str | Path, progress: Progress | None = None, cancelled: Callable[[], bool] = lambda: False
+        self,
+        path: str | Path,
+        progress: Progress | None = None,
+        cancelled: Callable[[], bool] = lambda: False,
+        overwrite: bool = False,
     ) -> Path:
         """Write the configuration with its provenance; `workbench track --config` runs it to the same numbers.
 
         All frames are fitted first if the last run belongs to another configuration, and worked on over time if it
-        asks for that, so that the metrics in the file are those of the file. Raises `InputError` if `cancelled`.
+        asks for that, so that the metrics in the file are those of the file. Raises `InputError` if `cancelled`, and
+        for a file that is there already, unless this session wrote it or `overwrite` is set.
         """
         path, config = Path(path), self._config
+        if not overwrite and not self.may_write(path):
+            raise InputError(taken_text(path, self.material.name))
         fits = self.temporal.fits_by(config, progress, cancelled)
         if fits is None:
             raise InputError(f"The export was cancelled; {path} was not written.")
@@ -469,8 +509,13 @@ class TuningSession:
         }
         write_config(config.changed(provenance=provenance), path)
         self._exported = config
+        self._written.add(path.absolute())
         self.tell("export")
         return path
+
+    def may_write(self, path: str | Path) -> bool:
+        """Whether an export overwrites nothing but what this session exported before."""
+        return not Path(path).exists() or Path(path).absolute() in self._written
 
     def command(self, path: str | Path) -> str:
         """The command line that runs an exported configuration on this material."""
@@ -520,7 +565,7 @@ class TuningSession:
         shot = next(number for number, frames in enumerate(self.material.shots) if frame in frames)
         self._configure(config)
         calibrated = self._calibrated(shot, config, self._fitter, coarse)
-        last = self._run.contexts[frame].last if self._run is not None else None
+        last = _on_device(self._run.before[frame]) if self._run is not None else None
         return config, observation, _context(shot, calibrated, observation, last)
 
     def _calibrated(self, shot: int, config: Config, fitter: Fitter, coarse: bool = False) -> Calibrated:
@@ -528,7 +573,7 @@ class TuningSession:
             return Calibrated(fitter.mean_identity(), {})
         stills = self.material.stills
         frames = self.material.shots[shot]
-        seen = [self.material.observations[frame] for frame in frames]
+        seen = self.material.observations[frames.start : frames.stop]
         window = calibration_window(seen, 1 if stills else config.identity.window)
         window = [corrected(self._detected(item.index, config, pictured=True), config) for item in window]
         if not any(observation.landmarks is not None for observation in window):
@@ -548,7 +593,7 @@ class TuningSession:
     def _metrics_of_base(self, progress: Progress | None) -> dict[str, float]:
         other = TuningSession(self.model, self.material, self.base)
         other.fit_clip(progress)
-        self._base_metrics = metrics_of(other._run.fits)
+        self._base_metrics = other.run.metrics
         return self._base_metrics
 
 
@@ -585,6 +630,18 @@ def _context(
         last = None
     start = calibrated.starts.get(observation.index)
     return FrameContext(shot, calibrated.identity, start, last, calibrated.appearance)
+
+
+def _on_host(last: Continuation | None) -> Continuation | None:
+    return jax.tree.map(lambda leaf: np.array(leaf) if isinstance(leaf, jax.Array) else leaf, last)
+
+
+def _on_device(last: Continuation | None) -> Continuation | None:
+    """The continuation as the frame before left it, so that nothing compiles anew."""
+    if last is None:
+        return None
+    numbers = jax.tree.map(jnp.asarray, (last.parameters, last.pose, last.last_pose))
+    return Continuation(*numbers, last.frames, last.points)
 
 
 def _stopped(config: Config, start: bool, counts: Sequence[int], steps: int) -> Config:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Bool
 
 from workbench.config import InfillConfig
 from workbench.errors import InputError
@@ -18,7 +19,7 @@ from workbench.face import FaceParameters
 from workbench.tracking.flow_fitter import FlowFitter, Neighbour, Pictures, parameters_of
 from workbench.tracking.interpolation import SPLINE_FRAMES, between, splined
 from workbench.tracking.moments import Moment, PictureSpool
-from workbench.tracking.records import FrameFit
+from workbench.tracking.records import FrameFit, Track, frame_errors
 
 Advanced = Callable[[FrameFit], None]
 """Called with each frame as it was before, when it is solved (by flow several times)."""
@@ -66,6 +67,13 @@ def usable(fit: FrameFit, infill: InfillConfig) -> bool:
         return False
     unseen = not np.nan_to_num(fit.confidence).max() > 0.0
     return unseen or fit.errors[2] <= infill.largest_error
+
+
+def usable_frames(track: Track, infill: InfillConfig) -> Bool[np.ndarray, "n"]:
+    """`usable` for every frame of a track at once."""
+    named = np.array([infill.named(int(index)) for index in track.index], bool)
+    small = ~track.seen | (frame_errors(track)[:, 3] <= infill.largest_error)
+    return track.found & (track.failure == 0) & ~named & small
 
 
 @dataclass

@@ -5,7 +5,6 @@ from collections.abc import Callable
 import ipywidgets as widgets
 import numpy as np
 
-from workbench.diagnosis.flags import flag_frames
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 from workbench.session import TuningSession
@@ -32,7 +31,6 @@ class ClipViews:
             [widgets.VBox([chart], layout=widgets.Layout(width="50%", min_width="0"))
              for chart in (self.pose, self.weights)]
         )  # fmt: skip
-        self.flags: tuple[str, ...] = ()
 
     def show_frame(self, frame: int) -> None:
         """Move the cursors."""
@@ -54,10 +52,9 @@ class ClipViews:
             track.observed[:, LEFT_EYE_OUTER_CORNER] - track.observed[:, RIGHT_EYE_OUTER_CORNER], axis=1
         )
         self._values = 100.0 * np.linalg.norm(track.projected - track.observed, axis=2) / eyes[:, None]
-        flags = flag_frames(track, self._session.run.config)
-        self.flags = flags.text
+        flags = self._session.run.flags
         self.timeline.set_track(
-            self._values, flagged=flags.flagged, stale=self._session.stale, found=track.found, shots=track.shot
+            self._values, flags.flagged, self._session.stale, track.found, track.shot, why=flags.text
         )
         frames = np.arange(len(track), dtype=float)
         angles = yaw_pitch_roll_deg(track.rotation)

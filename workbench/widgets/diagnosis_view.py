@@ -46,8 +46,7 @@ class DiagnosisView:
     def show(self, frame: int, diagnosis: Diagnosis) -> None:
         """Show what was found about a frame."""
         reasons = diagnosis.reasons[:MOST_REASONS]
-        found = f"{len(reasons)} found, the likeliest first" if reasons else "no reason found: nothing stands out"
-        self.say(f"Frame {frame}: {found}.")
+        self.say(f"Frame {frame}: {found_text(len(reasons), diagnosis.flag)}")
         self.apply_buttons = []
         self.reasons.layout.display = None if reasons else "none"
         self.reasons.children = tuple(self._row(k, reason) for k, reason in enumerate(reasons, 1))
@@ -87,6 +86,17 @@ class DiagnosisView:
         row = widgets.VBox([text, widgets.HBox([apply, back])], layout=widgets.Layout(margin="0 0 6px 0"))
         row.add_class("fw-reason")
         return row
+
+
+def found_text(reasons: int, flag: str) -> str:
+    """Why a frame was flagged, if it was, and how many reasons were found."""
+    if reasons:
+        found = f"{reasons} found, the likeliest first."
+    elif flag:
+        found = "none of the causes that were tried explains it."
+    else:
+        found = "no reason found: nothing stands out."
+    return f"flagged, {flag}; {found}" if flag else found
 
 
 def pulls_table(diagnosis: Diagnosis) -> str:

@@ -280,7 +280,8 @@ function render({ model, el }) {
         ? `worst: ${worst} ${scheme.names[worst]}\n${+track.largest[column].toPrecision(3)} ${model.get("unit")}`
         : "no face",
     );
-    if (mark & FLAGGED) words.push("flagged");
+    const why = model.get("_why")[column];
+    if (mark & FLAGGED) words.push(why ? `flagged: ${why}` : "flagged");
     const number = column + track.first;
     if (model.get("marked").some(([first, last]) => first <= number && number <= last)) words.push("marked as failed");
     if (mark & STALE) words.push("out of date: a detection or setting has changed");

@@ -1,6 +1,7 @@
 """A strip of landmark errors over all frames of a clip: where to look, and the way to go there."""
 
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 
 import anywidget
@@ -77,6 +78,7 @@ class TimelineView(anywidget.AnyWidget):
     in_view = traitlets.List([0, 0], help="first and last frame that the browser shows").tag(sync=True)
     _scale = traitlets.Float(SMALLEST_SCALE).tag(sync=True)
     _scheme = traitlets.Dict().tag(sync=True)
+    _why = traitlets.Dict(help="why a frame is flagged, by its place in the track").tag(sync=True)
     # A counter here, the whole track in the message: a part of a track can then be sent alone, and a browser that
     # comes later still gets everything.
     _track = traitlets.Int(0).tag(sync=True, to_json=lambda _counter, view: view._packed())
@@ -115,14 +117,18 @@ class TimelineView(anywidget.AnyWidget):
         found: Bool[np.ndarray, "..."] | None = None,
         shots: Int[np.ndarray, "..."] | None = None,
         first_index: int = 0,
+        why: Sequence[str] = (),
     ) -> None:
         """Show residuals (frames, 68) in `unit`, NaN where there is no face; the first frame is number `first_index`.
 
-        The others are (frames,). Without `found` a face is where any residual is; without `shots` the clip is one shot.
-        `frame` is kept if the track has it. Raises `InputError` for arrays that do not fit together.
+        The others are (frames,); `why` says of each flagged frame why it is. Without `found` a face is where any
+        residual is; without `shots` the clip is one shot. `frame` is kept if the track has it. Raises `InputError` for
+        arrays that do not fit together.
         """
         values = _checked_values(values)
         count = len(values)
+        if len(why) not in (0, count):
+            raise InputError(f"why has one text for each of the {count} frames; got {len(why)}")
         shots = np.zeros(count, int) if shots is None else _per_frame("shots", shots, count, int)
         marks = [
             np.zeros(count, bool) if given is None else _per_frame(name, given, count, bool)
@@ -133,6 +139,7 @@ class TimelineView(anywidget.AnyWidget):
             self._first, self._values, self._shots, self._found = int(first_index), values, shots, found
             self._flagged, self._stale = marks
             with self.hold_sync():
+                self._why = {str(k): why[k] for k in np.flatnonzero(marks[0]).tolist()} if len(why) else {}
                 self._scale = self._chosen_scale()
                 self._send_all()
         # Outside the lock: who observes the frame may wait for another thread that wants this view.

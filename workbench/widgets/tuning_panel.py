@@ -15,6 +15,7 @@ from workbench.config import PRESETS, preset
 from workbench.diagnosis import Change, vertex_uncertainty
 from workbench.errors import WorkbenchError
 from workbench.session import FittedHead, TuningSession
+from workbench.session.exports import exported_for, free_file
 from workbench.session.gesture import Gesture
 from workbench.session.knobs import changed_by
 from workbench.tracking import FrameFit, StageTrace
@@ -72,6 +73,7 @@ class TuningPanel(widgets.VBox):
     def __init__(self, session: TuningSession, backend: str = "auto", height_px: int = 372) -> None:
         self.session, self.frame = session, 0
         self._stop_export = threading.Event()
+        self._taken = Path()
         self._head = FittedHead(session.model)
         self._held: str | None = None
         self._steps: int | None = None
@@ -228,9 +230,14 @@ class TuningPanel(widgets.VBox):
         )  # fmt: skip
         self.export = small_button("export", "write the configuration with its provenance")
         self.export.on_click(lambda _button: self._later(self._on_export))
+        self.overwrite = small_button("overwrite", "write over the file that is there")
+        self.overwrite.layout.display = "none"
+        self.overwrite.on_click(lambda _button: self._later(self._on_overwrite))
         self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
         clip = [*self.step_buttons, self.run_clip, self.follow, self.cancel, self.progress] if self._is_clip else []
-        return widgets.HBox([*clip, self.file, self.export, self.exported], layout=widgets.Layout(align_items="center"))
+        return widgets.HBox(
+            [*clip, self.file, self.export, self.overwrite, self.exported], layout=widgets.Layout(align_items="center")
+        )
 
     # --- what the user does ---
 
@@ -314,14 +321,36 @@ class TuningPanel(widgets.VBox):
         path = Path(self.file.value.strip() or "tuned.toml")
         if path.suffix != ".toml":
             path = path.with_name(path.name + ".toml")
+        if self.session.may_write(path):
+            self._export(path)
+        else:
+            self._offer(path)
+
+    def _offer(self, taken: Path) -> None:
+        """A choice between a free name, which stands in the field now, and the file that is there."""
+        free = free_file(taken.parent, self.session.material.name)
+        whose = exported_for(taken)
+        self._taken, self.file.value = taken, str(free)
+        self.overwrite.description, self.overwrite.layout.display = f"overwrite {taken.name}", None
+        self.exported.value = html.escape(
+            f"{taken.name} is there already{f', exported for {whose}' if whose else ''}: "
+            f"export again writes {free.name}."
+        )
+
+    def _on_overwrite(self) -> None:
+        self.file.value = str(self._taken)
+        self._export(self._taken)
+
+    def _export(self, path: Path) -> None:
         self._stop_export.clear()
+        self.overwrite.layout.display = "none"
 
         def progress(step: str, done: int, total: int | None) -> None:
             if done % 10 == 0 or done == total:
                 self.exported.value = f"{step} {done} of {total} …"
 
         try:
-            self.session.export(path, progress, self._stop_export.is_set)
+            self.session.export(path, progress, self._stop_export.is_set, overwrite=True)
         except WorkbenchError:
             self.exported.value = ""
             raise
