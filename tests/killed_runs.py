@@ -14,25 +14,29 @@ from pathlib import Path
 import numpy as np
 
 from workbench.config import preset
+from workbench.face import FaceModel
 from workbench.geometry import Camera
 from workbench.pipeline import track
-from workbench.tracking import FrameFit, Track, track_writer
+from workbench.tracking import FaceTracker, FrameFit, Track, track_writer
 
 FRAMES = 5
 WRITES = {"os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.chmod", "shutil.rmtree"}
 """Events of Python's audit hooks that change the folder; files opened for writing count too."""
 
 
-class StubModel:
+class StubModel(FaceModel):
     """As much of a face model as a run without pictures looks at."""
 
     name, expression_names = "stub", ("smile", "frown")
+
+    def __init__(self):
+        """Nothing of a real model."""
 
     def fingerprint(self) -> str:
         return "stub"
 
 
-class StubTracker:
+class StubTracker(FaceTracker):
     """Numbers that depend on all frames before, so that a run that goes on from a wrong place shows it."""
 
     def __init__(self, model, config, stills=False):
