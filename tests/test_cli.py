@@ -168,7 +168,9 @@ def test_lab_prints_one_address_and_hardly_anything_else(tmp_path):
     """A real server, on the first free port."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        command = [sys.executable, "-c", "from workbench.cli import main; main()", "lab", "--no-browser"]
+        # Where the tests run in the background, Ctrl-C is ignored, and programs that they start inherit that.
+        heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+        command = [sys.executable, "-c", f"{heard}; from workbench.cli import main; main()", "lab", "--no-browser"]
         lab = subprocess.Popen(
             [*command, "--port", str(port)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             env={**os.environ, "JUPYTER_CONFIG_DIR": str(tmp_path), "JUPYTER_DATA_DIR": str(tmp_path)},

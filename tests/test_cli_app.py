@@ -141,6 +141,8 @@ def test_the_command_tells_its_address_and_ends_with_its_server(ended_by, notebo
     pytest.importorskip("voila")
     port = free_port()
     code = (
+        # Where the tests run in the background, Ctrl-C is ignored, and programs that they start inherit that.
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
         "from pathlib import Path; from workbench import cli; from workbench.cli import servers; "
         f"servers.notebooks_folder = lambda: Path({str(notebook.parent)!r}); cli.main()"
     )

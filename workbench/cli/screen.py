@@ -44,8 +44,8 @@ console = Console(highlight=False)
 errors = Console(stderr=True, highlight=False)
 
 
-def print_error(error: Exception) -> None:
-    """An error as one line on standard error."""
+def print_error(error: Exception | str) -> None:
+    """An error, or a sentence of its own, as one line on standard error."""
     errors.print(f"[red]error:[/red] {escape(str(error))}", soft_wrap=True)
 
 
