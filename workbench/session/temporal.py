@@ -245,7 +245,7 @@ class TemporalWork:
 
     def fits_by(
         self, config: Config, progress: Progress | None = None, cancelled: Cancelled = lambda: False
-    ) -> tuple[FrameFit, ...] | None:
+    ) -> Sequence[FrameFit] | None:
         """The clip's fits as `workbench track` leaves them: worked on over time if the configuration asks for it."""
         progress = progress or (lambda *_: None)
         if self._session.material.stills or not wanted_steps(config):
@@ -311,7 +311,7 @@ class TemporalWork:
         fits = self._whole(config, progress, cancelled)
         return None if fits is None else fits[first : last + 1]
 
-    def _whole(self, config: Config, progress: Progress, cancelled: Cancelled) -> tuple[FrameFit, ...] | None:
+    def _whole(self, config: Config, progress: Progress, cancelled: Cancelled) -> Sequence[FrameFit] | None:
         """The last whole run's fits if they are this configuration's; a whole run otherwise."""
         if not self._ran(config) and self._session.fit_clip(progress, cancelled, config) is None:
             return None
