@@ -433,7 +433,7 @@ def test_an_exported_configuration_gives_the_same_bits_on_the_command_line(name,
     text = file.read_text(encoding="utf-8").replace("sigma_smooth = 7.0", "sigma_smooth = 9.0")
     text = text.replace("range = 2.0", "range = 0.5").replace("tau = 2.0", "tau = 0.0")
     file.write_text(text, encoding="utf-8")
-    done = CliRunner().invoke(app, command)
+    done = CliRunner().invoke(app, [*command, "--overwrite"])
     assert done.exit_code == 0, done.output
     other = Track.load(tmp_path / "again" / "track.npz")
     assert not all(same(other[k], fit) for k, fit in enumerate(session.run.fits))

@@ -63,7 +63,7 @@ def curve_columns(track: Track, rate: float) -> dict[str, np.ndarray]:
 
 
 def write_curves(track: Track, path: str | Path, rate: float) -> None:
-    """`curve_columns` as CSV with a row a frame; cells without a number are empty."""
+    """`curve_columns` as CSV with one row per frame; cells without a number are empty."""
     columns = curve_columns(track, rate)
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")

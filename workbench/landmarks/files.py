@@ -1,4 +1,4 @@
-"""Landmark files: CSV (a row a frame, streamed), JSON and iBUG .pts.
+"""Landmark files: CSV (one row per frame, streamed), JSON and iBUG .pts.
 
 All of them hold what `Landmarks2D` holds: 0-based pixel-centre coordinates, (0, 0) the centre of the top-left pixel.
 Only .pts files count pixels from 1, as iBUG's annotations do; reading subtracts 1, writing adds 1.

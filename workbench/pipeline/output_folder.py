@@ -21,8 +21,8 @@ except ImportError:  # Windows
 OUTPUTS = {
     "track.npz": "everything, for the notebooks (`workbench.Track.load`)",
     "summary.json": "errors, times, camera",
-    "parameters.csv": "a row a frame: pose, every weight, errors",
-    "landmarks.csv": "a row a frame: the 68 detected points",
+    "parameters.csv": "one row per frame: pose, every weight, errors",
+    "landmarks.csv": "one row per frame: the 68 detected points",
     "config.toml": "the configuration used",
     "overlay.mp4": "the landmarks on the picture, the 3D face beside it (overlay/ with pictures for stills)",
 }
