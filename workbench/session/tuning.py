@@ -424,9 +424,7 @@ class TuningSession:
     @property
     def track(self) -> Track:
         """The last whole run as a track; runs all frames if there was none."""
-        if self._run is None:
-            self.fit_clip()
-        run = self._run
+        run = self._whole_run()
         meta = {
             "expression_names": list(self.model.expression_names),
             "stages": [stage.name for stage in run.config.stages if stage.enabled],
@@ -454,10 +452,17 @@ class TuningSession:
         return stale
 
     def metrics(self) -> dict[str, float]:
-        """Errors and jitter of the last whole run."""
+        """Errors and jitter of the last whole run; runs all frames if there was none."""
+        return self._whole_run().metrics
+
+    def track_fits(self) -> Sequence[FrameFit]:
+        """The fits of the last whole run; runs all frames if there was none."""
+        return self._whole_run().fits
+
+    def _whole_run(self) -> Run:
         if self._run is None:
             self.fit_clip()
-        return self._run.metrics
+        return self._run
 
     def warm_up(self) -> None:
         """Compile all that a panel can ask for: every solver, with and without its trace, and a diagnosis."""
