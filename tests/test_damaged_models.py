@@ -435,7 +435,7 @@ def test_the_list_of_ict_facekit_is_checked(change, message, tmp_path):
         ("vertices = [" + "[0, 1, 2], " * 68 + "]\nbarycentric = [" + "[1, 1, 1], " * 68 + "]", "sum to 1"),
         ("vertices = [" + "[0, 1, 2], " * 68 + "]\nbarycentric = [" + "[9, -8, 0], " * 68 + "]", "sum to 1"),
         ("vertices = [[1], 2]", "68 vertex numbers"),
-        ("vertices = \xff", "cannot be read"),
+        ("vertices = \xff", "not valid TOML"),
     ],
 )
 def test_landmarks_toml_is_checked(text, message, tmp_path):

@@ -11,7 +11,7 @@ from workbench.errors import ModelError
 from workbench.face.checking import check_embedding, check_numbers
 from workbench.face.formats.raw import Place, RawModel, check_mesh, places_of, ranges, vertex_place
 from workbench.face.model import Embedding
-from workbench.reading import checked_content, checked_toml, reading
+from workbench.reading import checked_content, checked_file, reading, toml_tables
 
 LANDMARKS_FILE = "landmarks.toml"
 REMEDY = "export it again"
@@ -111,9 +111,9 @@ def read_landmarks_toml(path: Path, vertex_count: int) -> dict[int, Place]:
     """The 68 landmarks of a `landmarks.toml`: 68 vertex numbers from 0, or 68 triples with `barycentric`."""
     if not path.is_file():
         raise ModelError(f"A model folder needs {LANDMARKS_FILE} with the 68 points, none at {path}.")
-    content = checked_content(path, LANDMARKS_FILE, ModelError)
+    stored = toml_tables(checked_file(path, LANDMARKS_FILE, ModelError), ModelError)
     with reading(path, LANDMARKS_FILE, "write it as the documentation of load_face_model says", ModelError):
-        return _landmarks(path, checked_toml(content), vertex_count)
+        return _landmarks(path, stored, vertex_count)
 
 
 def _landmarks(path: Path, stored: dict[str, Any], vertex_count: int) -> dict[int, Place]:
