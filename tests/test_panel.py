@@ -58,7 +58,7 @@ def clip(head):
 @pytest.fixture(scope="module")
 def shared_panel(head, photo):
     made = TuningPanel(TuningSession(head, photo), backend="k3d")
-    assert made.wait_idle(300)
+    assert made.wait_idle(550)
     yield made
     made.close()
 
@@ -76,7 +76,7 @@ def panel(shared_panel):
 def fresh_panel(head, photo):
     """A panel without history, to be spoiled."""
     made = TuningPanel(TuningSession(head, photo), backend="k3d")
-    assert made.wait_idle(300)
+    assert made.wait_idle(550)
     yield made
     made.close()
 
@@ -84,7 +84,7 @@ def fresh_panel(head, photo):
 @pytest.fixture
 def clip_panel(head, clip):
     made = TuningPanel(TuningSession(head, clip), backend="k3d")
-    assert made.wait_idle(300)
+    assert made.wait_idle(550)
     yield made
     made.close()
 
