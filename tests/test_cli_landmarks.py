@@ -12,7 +12,7 @@ from workbench.cli import screen
 from workbench.frames import VideoWriter, open_frames, read_picture
 from workbench.landmarks import dlib_detector
 from workbench.landmarks.alignment import MEAN_SHAPE, frame_from_box, frame_from_points
-from workbench.landmarks.detectors import FaceDetection
+from workbench.landmarks.detection import FaceDetection
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.network_detector import BUNDLED
 from workbench.landmarks.observations import Landmarks2D

@@ -16,14 +16,8 @@ from workbench.errors import ConfigError, InputError, MissingDependencyError
 from workbench.frames import read_picture
 from workbench.landmarks import dlib_detector
 from workbench.landmarks.alignment import frame_from_points, grey_face_crop
-from workbench.landmarks.detectors import (
-    DETECTORS,
-    FaceDetection,
-    LandmarkDetector,
-    chosen_detector,
-    fallback_note,
-    make_detector,
-)
+from workbench.landmarks.detection import FaceDetection, LandmarkDetector
+from workbench.landmarks.detectors import DETECTORS, chosen_detector, fallback_note, make_detector
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.network_detector import CROP_SIDE, NetworkDetector, crop_frame, network_box
 from workbench.landmarks.scheme import MIRROR, outer_eye_distance

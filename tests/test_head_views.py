@@ -15,7 +15,8 @@ from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_fr
 from workbench.pictures import HeadRenderer, gl_available, gl_probe
 from workbench.pictures.extras import Extras, marks_mesh, outer_triangles
 from workbench.pictures.mesh import face_normals, to_camera
-from workbench.widgets.head_view import VSCODE_VARIABLES, chosen_backend, make_head_view, value_colors
+from workbench.widgets.head_backends import VSCODE_VARIABLES, chosen_backend, make_head_view
+from workbench.widgets.head_view import value_colors
 from workbench.widgets.k3d_plot import PROGRAM
 from workbench.widgets.viewpoint import (
     FURTHEST_MM,

@@ -26,7 +26,7 @@ CELLS = (
     import ipywidgets as widgets
     import numpy as np
     from workbench.face import load_default_head
-    from workbench.widgets.head_view import make_head_view
+    from workbench.widgets.head_backends import make_head_view
 
     head = load_default_head()
     jaw, smile = (head.expression_names.index(name) for name in ("jawOpen", "mouthSmileLeft"))

@@ -11,7 +11,8 @@ import pytest
 from workbench.errors import ConfigError, InputError
 from workbench.frames import open_frames, read_picture
 from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame, frame_from_points
-from workbench.landmarks.detectors import FaceDetection, make_detector
+from workbench.landmarks.detection import FaceDetection
+from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
 

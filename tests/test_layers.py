@@ -2,6 +2,8 @@
 
 import ast
 import json
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -43,7 +45,8 @@ ORDER = [
 
 
 def modules() -> list[Path]:
-    return sorted(PACKAGE.rglob("*.py"))
+    """The modules, and the stubs that say what packages load when it is used."""
+    return sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.pyi")])
 
 
 def layer(path: Path) -> str:
@@ -51,24 +54,99 @@ def layer(path: Path) -> str:
     return part.removesuffix(".py")
 
 
-def imported_layers(path: Path) -> set[str]:
+def dotted(path: Path) -> str:
+    """The module that a file holds, or speaks for."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(source: str, package: str) -> set[tuple[str, str]]:
+    """(module, name) of everything of ours that a source text imports, at its top or late; no name: all of a module.
+
+    What is reached through the front door, as `workbench.face.FaceModel`, counts as imported from `workbench.face`.
+    `package` is where relative imports begin.
+    """
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        names = []
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module] if node.module != "workbench" else [f"workbench.{name.name}" for name in node.names]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom):
+            module = ".".join(filter(None, [package, node.module])) if node.level else node.module
+            found |= {(module, name.name) for name in node.names}
         elif isinstance(node, ast.Import):
-            names = [name.name for name in node.names]
-        found |= {name.split(".")[1] for name in names if name.startswith("workbench.")}
-    return found
+            found |= {(name.name, "") for name in node.names}
+        elif isinstance(node, ast.Attribute):
+            module, _, name = ast.unparse(node).rpartition(".")
+            found |= {(module, name)} if module in module_files() else set()
+    return {(module, name) for module, name in found if module.split(".")[0] == "workbench"}
+
+
+def imports_of_file(path: Path) -> set[tuple[str, str]]:
+    return imports(path.read_text(encoding="utf-8"), dotted(path.parent / "__init__.py"))
+
+
+@cache
+def module_files() -> dict[str, Path]:
+    return {dotted(path): path for path in PACKAGE.rglob("*.py")}
+
+
+@cache
+def package_names() -> dict[tuple[str, str], tuple[str, str]]:
+    """(package, name) -> (module, name): where packages take the names from that they offer."""
+    offering = [*PACKAGE.rglob("__init__.pyi"), *PACKAGE.rglob("__init__.py")]
+    return {(dotted(path), name): (module, name) for path in offering for module, name in imports_of_file(path)}
+
+
+def home(module: str, name: str) -> str:
+    """The module in which an imported name is written."""
+    while True:
+        if f"{module}.{name}" in module_files():
+            return f"{module}.{name}"
+        if (module, name) not in package_names() or package_names()[module, name] == (module, name):
+            return module
+        module, name = package_names()[module, name]
+
+
+def imported_modules(path: Path) -> set[str]:
+    """The modules that a file needs, with packages looked through."""
+    return {home(module, name) for module, name in imports_of_file(path)}
+
+
+def imported_layers(path: Path) -> set[str]:
+    return {module.split(".")[1] for module in imported_modules(path) if module != "workbench"}
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Modules that import one another in turn; empty if there are none."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_a_module_imports_only_what_stands_before_it(path):
-    if path == PACKAGE / "__init__.py":
+    if path.parent == PACKAGE and path.stem == "__init__":
         return
-    allowed = set(ORDER[: ORDER.index(layer(path)) + 1]) | {"__version__"}
-    assert imported_layers(path) <= allowed
+    assert imported_layers(path) <= set(ORDER[: ORDER.index(layer(path)) + 1])
+
+
+def test_no_modules_import_one_another_in_a_circle_not_even_inside_functions():
+    files = [path for path in modules() if path.name != "__init__.pyi"]
+    graph = {dotted(path): imported_modules(path) - {dotted(path), "workbench"} for path in files}
+    assert circle(graph) == []
+
+
+def test_imports_through_stubs_and_the_front_door_and_late_ones_are_seen():
+    assert "workbench.face.formats.loading" in imported_modules(PACKAGE / "face" / "__init__.pyi")
+    assert home("workbench", "TuningSession") == "workbench.session.tuning"
+    late = "import workbench\ndef late():\n    from workbench import plots\n    return workbench.face.FaceModel"
+    seen = {home(module, name) for module, name in imports(late, "workbench")}
+    assert {"workbench.plots", "workbench.face.model"} <= seen
+
+
+def test_a_circle_is_told_by_its_modules():
+    assert set(circle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}})) == {"a", "b", "c"}
+    assert circle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
 
 
 def test_solvers_know_nothing_of_faces():

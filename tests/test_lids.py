@@ -9,7 +9,7 @@ import pytest
 from workbench.config import preset
 from workbench.face import load_default_head
 from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame
-from workbench.landmarks.detectors import FaceDetection, LandmarkDetector
+from workbench.landmarks.detection import FaceDetection, LandmarkDetector
 from workbench.landmarks.lids import true_lids, with_lids
 from workbench.landmarks.mixed_detector import MixedDetector
 from workbench.landmarks.observations import Landmarks2D

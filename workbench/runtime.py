@@ -1,10 +1,13 @@
 """How JAX runs here: double precision for the solves, and compiled programs kept between sessions."""
 
 import os
+import sys
 import threading
+from collections.abc import Callable
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
 from pathlib import Path
-
-import jax
+from types import ModuleType
 
 COMPUTING = threading.RLock()
 """Held while a large compiled program runs. XLA splits such a program over a pool of one thread a core; two programs
@@ -17,7 +20,18 @@ def cache_folder() -> Path:
     return Path(base) / "face-energy-workbench"
 
 
-def configure_jax() -> None:
+def prepare_jax() -> None:
+    """Configure JAX before anybody makes an array: at once where it is loaded, else as soon as anything imports it.
+
+    Precision cannot be changed for arrays that exist, and JAX alone takes a second and 160 MB to import.
+    """
+    if "jax" in sys.modules:
+        configure_jax(sys.modules["jax"])
+    elif not any(isinstance(finder, JaxFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, JaxFinder())
+
+
+def configure_jax(jax: ModuleType) -> None:
     """Switch on float64 and the persistent compilation cache, leaving what the user has set himself.
 
     A float32 Levenberg–Marquardt diverges on E_β, whose slope at the bounds is about 40,000. The cache keeps even
@@ -30,3 +44,24 @@ def configure_jax() -> None:
         jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+class JaxFinder(MetaPathFinder):
+    """Finds JAX where Python does, and configures it at the end of its import; everything else it leaves alone."""
+
+    def find_spec(self, fullname: str, path=None, target=None) -> ModuleSpec | None:
+        if fullname != "jax":
+            return None
+        others = (finder for finder in sys.meta_path if finder is not self)
+        spec = next(filter(None, (finder.find_spec(fullname, path, target) for finder in others)), None)
+        if spec is not None and spec.loader is not None:
+            spec.loader.exec_module = _then_configured(spec.loader.exec_module)
+        return spec
+
+
+def _then_configured(load: Callable[[ModuleType], None]) -> Callable[[ModuleType], None]:
+    def exec_module(module: ModuleType) -> None:
+        load(module)
+        configure_jax(module)
+
+    return exec_module

@@ -1,78 +1,21 @@
-"""Finding faces and their 68 landmarks: what a detector offers, and detectors by name."""
+"""Landmark detectors by name."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import Literal, Protocol, runtime_checkable
-
-import numpy as np
-from jaxtyping import Float, UInt8
 
 from workbench.errors import ConfigError, MissingDependencyError
-from workbench.landmarks.observations import Landmarks2D
-
-Effort = Literal["quick", "thorough", "full"]
-"""How hard to look for faces: at every frame, now and then, once a shot."""
-Box = tuple[float, float, float, float]
-"""(left, top, right, bottom): the edges of a face box in pixels; (0, 0) is the centre of the top-left pixel."""
-
-
-@dataclass(frozen=True)
-class FaceDetection:
-    """One face found in a picture."""
-
-    box: Box
-    """Roughly square: from above the brows to the chin, cheek to cheek."""
-    score: float
-    """The detector's own measure; larger is surer."""
-
-    @property
-    def area(self) -> float:
-        """Area of the box in square pixels."""
-        left, top, right, bottom = self.box
-        return (right - left) * (bottom - top)
-
-
-@runtime_checkable
-class LandmarkDetector(Protocol):
-    """What the tracker and the panels need of a detector."""
-
-    name: str
-
-    def detect_faces(self, picture: UInt8[np.ndarray, "h w 3"], effort: Effort = "full") -> list[FaceDetection]:
-        """Faces, the largest first; less effort may miss faces for the sake of speed."""
-        ...
-
-    def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
-        """The landmarks of the face in `box`, as well as this detector can on one picture."""
-        ...
-
-    def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> Landmarks2D:
-        """The landmarks of the face near `points` (a frame ago, or carried by optical flow), quickly."""
-        ...
-
+from workbench.landmarks.detection import LandmarkDetector
+from workbench.landmarks.dlib_detector import DlibDetector, check_installed
+from workbench.landmarks.mixed_detector import MixedDetector
+from workbench.landmarks.network_detector import NetworkDetector
 
 AUTO = "auto"
 """Not a detector but a choice: see `chosen_detector`."""
 
 
-def _dlib(faces: str) -> LandmarkDetector:
-    from workbench.landmarks.dlib_detector import DlibDetector  # dlib is optional: imported when it is asked for
-
-    return DlibDetector(faces)
-
-
-def _network() -> LandmarkDetector:
-    from workbench.landmarks.network_detector import NetworkDetector  # reads the weights: when it is asked for
-
-    return NetworkDetector()
-
-
 def _mixed() -> LandmarkDetector:
-    from workbench.landmarks.mixed_detector import MixedDetector
-
-    return MixedDetector(_dlib("hog-then-cnn"), _network())
+    return MixedDetector(DlibDetector("hog-then-cnn"), NetworkDetector())
 
 
 def _auto() -> LandmarkDetector:
@@ -83,10 +26,10 @@ DETECTORS: Mapping[str, Callable[[], LandmarkDetector]] = MappingProxyType(
     {
         AUTO: _auto,
         "dlib+network": _mixed,
-        "network": _network,
-        "dlib": partial(_dlib, "hog-then-cnn"),
-        "dlib-hog": partial(_dlib, "hog"),
-        "dlib-cnn": partial(_dlib, "cnn"),
+        "network": NetworkDetector,
+        "dlib": partial(DlibDetector, "hog-then-cnn"),
+        "dlib-hog": partial(DlibDetector, "hog"),
+        "dlib-cnn": partial(DlibDetector, "cnn"),
     }
 )
 """Detector name -> factory."""
@@ -111,8 +54,6 @@ def chosen_detector(name: str = AUTO) -> str:
 
 
 def _automatic() -> str:
-    from workbench.landmarks.dlib_detector import check_installed
-
     try:
         check_installed()
     except MissingDependencyError:

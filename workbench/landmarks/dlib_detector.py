@@ -21,7 +21,7 @@ from jaxtyping import Float, UInt8
 
 from workbench.errors import ConfigError, MissingDependencyError
 from workbench.landmarks.alignment import FaceFrame, frame_from_box, frame_from_points, grey_face_crop
-from workbench.landmarks.detectors import Box, Effort, FaceDetection
+from workbench.landmarks.detection import Box, Effort, FaceDetection
 from workbench.landmarks.observations import Landmarks2D
 
 FACE_DETECTORS = ("hog", "cnn", "hog-then-cnn")

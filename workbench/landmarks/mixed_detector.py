@@ -6,7 +6,7 @@ Lips stay dlib's: on two real clips the network's inner lips made the errors of 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from workbench.landmarks.detectors import Box, Effort, FaceDetection, LandmarkDetector
+from workbench.landmarks.detection import Box, Effort, FaceDetection, LandmarkDetector
 from workbench.landmarks.lids import with_lids
 from workbench.landmarks.observations import Landmarks2D
 

@@ -15,7 +15,7 @@ from jaxtyping import Float, UInt8
 
 from workbench.arrays import AnyArray
 from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame, frame_from_box, frame_from_points, sampled
-from workbench.landmarks.detectors import Box, Effort, FaceDetection
+from workbench.landmarks.detection import Box, Effort, FaceDetection
 from workbench.landmarks.lids import true_lids
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS, MIRROR

@@ -22,7 +22,7 @@ from workbench.landmarks.alignment import (
     grey_face_crop,
     shape_deviation,
 )
-from workbench.landmarks.detectors import Box, Effort, FaceDetection, LandmarkDetector
+from workbench.landmarks.detection import Box, Effort, FaceDetection, LandmarkDetector
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS
 

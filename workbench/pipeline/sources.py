@@ -13,7 +13,8 @@ from workbench.config import Config
 from workbench.errors import InputError
 from workbench.frames import Frame, FrameRange, Frames, open_frames
 from workbench.geometry import read_rig
-from workbench.landmarks.detectors import LandmarkDetector, fallback_note, make_detector
+from workbench.landmarks.detection import LandmarkDetector
+from workbench.landmarks.detectors import fallback_note, make_detector
 from workbench.landmarks.files import LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions

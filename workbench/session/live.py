@@ -10,7 +10,8 @@ from jaxtyping import Float
 from workbench.config import DEFAULT_PRESET, FACE_IT_PRESETS, Config, preset
 from workbench.errors import InputError
 from workbench.face import FaceModel
-from workbench.landmarks.detectors import LandmarkDetector, make_detector
+from workbench.landmarks.detection import LandmarkDetector
+from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
 from workbench.session.gesture import Gesture, Gestures
 from workbench.session.live_frame import LIVE_SIZE, LiveFrame

@@ -1,9 +1,5 @@
 """What a user runs: the FACE IT! tracker, identity calibration, and the records of a run."""
 
-from workbench.tracking.fitter import FrameContext as FrameContext
-from workbench.tracking.fitter import FrameFitter as FrameFitter
-from workbench.tracking.fitter import FrameObservation as FrameObservation
-from workbench.tracking.fitter import StageTrace as StageTrace
-from workbench.tracking.records import FrameFit as FrameFit
-from workbench.tracking.records import Track as Track
-from workbench.tracking.tracker import FaceTracker as FaceTracker
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

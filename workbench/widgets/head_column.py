@@ -11,7 +11,8 @@ from workbench.face import posed_vertices
 from workbench.pictures.overlay import residual_colors
 from workbench.session import FittedHead, TuningSession
 from workbench.tracking import FrameFit
-from workbench.widgets.head_view import HeadView, make_head_view
+from workbench.widgets.head_backends import make_head_view
+from workbench.widgets.head_view import HeadView
 from workbench.widgets.latest import LatestWins
 
 COLORINGS = ("skin", "residual", "blendshape", "uncertainty")

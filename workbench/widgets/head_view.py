@@ -1,9 +1,6 @@
-"""A live 3D head in the notebook: one interface, drawn by the browser (k3d) or as pictures from the kernel."""
+"""A live 3D head in the notebook: the interface of its back ends, and what they share."""
 
 import html
-import importlib.util
-import os
-import sys
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol, runtime_checkable
@@ -13,17 +10,14 @@ import ipywidgets as widgets
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from workbench.errors import InputError, MissingDependencyError
+from workbench.errors import InputError
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.pictures.extras import NOTHING, Extras
 from workbench.widgets.viewpoint import Viewpoint, camera_viewpoint, front_viewpoint
 
 Number = float | int
-BACKENDS = ("auto", "k3d", "pictures")
 VIEWS = ("free", "front", "camera")
-VSCODE_VARIABLES = ("VSCODE_PID", "VSCODE_CWD", "VSCODE_HANDLES_UNCAUGHT_ERRORS")
-"""Set where VS Code starts a kernel; its terminal does not pass them on to a JupyterLab."""
 DARKEST = 42
 """First step of viridis that is used, of 256: the darker ones are lost in shadow."""
 
@@ -73,43 +67,6 @@ class HeadView(Protocol):
 
     def close(self) -> None:
         """Free the browser's and the kernel's resources; closing twice is fine."""
-
-
-def make_head_view(model: FaceModel, size: tuple[int, int] = (440, 440), backend: str = "auto") -> HeadView:
-    """A live view of the model's head, (width, height) in pixels.
-
-    "k3d" draws in the browser, "pictures" in the kernel; "auto" takes k3d unless the notebook runs where it is known
-    to fail. Raises `InputError` for an unknown back end or size, `MissingDependencyError` for k3d without the package.
-    """
-    if not all(64 <= side <= 4096 for side in size):
-        raise InputError(f"A 3D view has sides of 64 to 4096 pixels, got {size[0]} × {size[1]}.")
-    chosen, note = chosen_backend(backend)
-    # Each back end is imported only where it is used: either may be missing a package.
-    if chosen == "k3d":
-        from workbench.widgets.k3d_head_view import K3dHeadView
-
-        return K3dHeadView(model, size)
-    from workbench.widgets.picture_head_view import PictureHeadView
-
-    return PictureHeadView(model, size, note)
-
-
-def chosen_backend(backend: str = "auto") -> tuple[str, str | None]:
-    """The back end to use here, and why it is not k3d. Raises as `make_head_view`."""
-    if backend not in BACKENDS:
-        raise InputError(f"The back end of a 3D view is one of {', '.join(BACKENDS)}, got {backend!r}.")
-    installed = "k3d" in sys.modules or importlib.util.find_spec("k3d") is not None
-    if backend == "k3d" and not installed:
-        raise MissingDependencyError("The 3D view in the browser needs k3d; pip install k3d, or use 'pictures'.")
-    if backend != "auto":
-        return backend, None
-    if "google.colab" in sys.modules:
-        return "pictures", "3D view as pictures from the kernel: k3d needs code from other sites in Colab."
-    if any(os.environ.get(name) for name in VSCODE_VARIABLES):
-        return "pictures", "3D view as pictures from the kernel, as in all notebooks of VS Code; JupyterLab has k3d."
-    if not installed:
-        return "pictures", "3D view as pictures from the kernel; pip install k3d for one drawn by the browser."
-    return "k3d", None
 
 
 @dataclass(frozen=True)

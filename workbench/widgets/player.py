@@ -15,7 +15,7 @@ from workbench.pictures.overlay import draw_overlay
 from workbench.session import FittedHead
 from workbench.session.material import PictureStore
 from workbench.tracking import Track
-from workbench.widgets.head_view import make_head_view
+from workbench.widgets.head_backends import make_head_view
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.playground import jpeg
 
