@@ -19,10 +19,9 @@ from workbench.diagnosis import (
 )
 from workbench.diagnosis.causes.order import exchanged_pairs, turning
 from workbench.diagnosis.causes.person import best_factor, fov_with
-from workbench.diagnosis.flags import face_size
 from workbench.diagnosis.picture_evidence import carried_by_flow, directional_blur, gradient_energy
 from workbench.errors import InputError
-from workbench.landmarks.scheme import GROUPS, MIRROR
+from workbench.landmarks.scheme import GROUPS, MIRROR, face_size
 from workbench.tracking import FrameFitter, Track
 from workbench.tracking.records import stack_fits
 

@@ -22,7 +22,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.face.jaw import posed_vertices
 from workbench.geometry import Camera
-from workbench.landmarks.scheme import GROUPS, outer_eye_distance
+from workbench.landmarks.scheme import GROUPS
 from workbench.pictures import HeadPanel, OverlayParts, draw_overlay, head_painter
 from workbench.tracking import FrameFit, Track
 
@@ -498,7 +498,7 @@ def residual_strip(fits: Sequence[FrameFit], flagged: Sequence[bool] | None = No
     values = np.full((68, len(fits)), np.nan)
     for column, fit in enumerate(fits):
         if fit.found:
-            values[:, column] = (100.0 * fit.residuals_px / outer_eye_distance(fit.observed))[order]
+            values[:, column] = fit.residuals_percent[order]
     figure, axis = _axes(8.4, 2.5)
     axis.set_facecolor("0.8")
     shown = axis.imshow(

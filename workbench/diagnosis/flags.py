@@ -9,8 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from workbench.config import Config
 from workbench.diagnosis.records import FrameFlags
+from workbench.landmarks.scheme import face_size
 from workbench.solvers import Status
 from workbench.tracking import Track
+from workbench.tracking.failures import failures_of
+from workbench.tracking.records import frame_errors
 
 FLOOR_PERCENT = 2.5
 """Mean error over the inner points, % of the face's size, below which no frame is flagged for its residual."""
@@ -23,8 +26,6 @@ MOST_AT_BOUND = 0.25
 FEWEST_OUTSIDE = 6
 """Landmarks outside the picture that make a face cut off; fewer are a chin that touches the edge."""
 STILL_PX = 1e-3
-EYE_PER_SPREAD = 1.48
-"""Outer-eye distance of a frontal face in units of the root mean square distance of its 68 points from their centre."""
 
 
 class _Screen(NamedTuple):
@@ -34,24 +35,16 @@ class _Screen(NamedTuple):
     text: Callable[[int], str]
 
 
-def face_size(points: Float[np.ndarray, "*n 68 2"]) -> Float[np.ndarray, "*n"]:
-    """What the outer-eye distance of the face would be from the front, pixels: from the spread of all points.
-
-    Turning the head, exchanging points or losing one eye hardly changes it, unlike the distance itself.
-    """
-    centred = points - points.mean(axis=-2, keepdims=True)
-    return np.asarray(EYE_PER_SPREAD * np.sqrt((centred**2).sum(-1).mean(-1)))
-
-
 def flag_frames(track: Track, config: Config | None = None) -> FrameFlags:
     """Frames of a track that stand out, with a severity and a short text each; a clean clip flags none.
 
-    Robust outliers of the residual within the shot that also exceed an absolute floor, pose jumps, frozen landmarks,
-    stages that end at their limit where the shot's others do not, weights at their bounds en masse, faces cut off.
-    Frames without a face are not flagged, and residuals are compared among frames with landmarks. `config` is the run's
-    (for its bounds), if known.
+    Fits that failed (`failures_of`), robust outliers of the residual within the shot that also exceed an absolute
+    floor, pose jumps, frozen landmarks, stages that end at their limit where the shot's others do not, weights at their
+    bounds en masse, faces cut off. Frames without a face are not flagged, and residuals are compared among frames with
+    landmarks. `config` is the run's (for its bounds), if known.
     """
-    screens = [_residual(track), _jump(track), _frozen(track), _limit(track), _bounds(track, config), _outside(track)]
+    screens = [test(track) for test in (_failed, _residual, _jump, _frozen, _limit)]
+    screens += [_bounds(track, config), _outside(track)]
     severity = np.stack([np.where(track.found, screen.severity, 0.0) for screen in screens])
     worst = severity.max(axis=0)
     texts = []
@@ -61,16 +54,22 @@ def flag_frames(track: Track, config: Config | None = None) -> FrameFlags:
     return FrameFlags(worst > 0.0, worst, tuple(texts))
 
 
+def _failed(track: Track) -> _Screen:
+    why = failures_of(track)
+    return _Screen(np.where(why == "", 0.0, 1.0), lambda frame: f"the fit failed: {why[frame]}")
+
+
 def _residual(track: Track) -> _Screen:
     residual = np.linalg.norm(track.projected - track.observed, axis=2)
     percent = 100.0 * residual[:, 17:].mean(1) / face_size(track.observed)
+    shown = frame_errors(track)[:, 2]  # the error that tables and charts have
     above = np.zeros(len(track))
     for shot in _shots(track):
         usual = np.median(percent[shot])
         spread = max(1.4826 * np.median(np.abs(percent[shot] - usual)), 0.1 * usual)
         limit = max(usual + DEVIATIONS * spread, FLOOR_PERCENT) if shot.sum() >= 5 else 2.0 * FLOOR_PERCENT
         above[shot] = percent[shot] / limit
-    return _Screen(_ramp(above), lambda frame: f"error {percent[frame]:.1f} % of the eye distance")
+    return _Screen(_ramp(above), lambda frame: f"error {shown[frame]:.1f} % of the eye distance")
 
 
 def _jump(track: Track) -> _Screen:

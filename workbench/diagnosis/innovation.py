@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from workbench.diagnosis.flags import face_size
 from workbench.diagnosis.reference import ShotReference, robust_similarity
 from workbench.face import FaceModel, landmark_model
-from workbench.landmarks.scheme import GROUPS, LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER, group_mask
+from workbench.landmarks.scheme import GROUPS, LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER, face_size, group_mask
 from workbench.tracking import FrameObservation
 
 INNOVATION_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "right_eye", "left_eye", "mouth")

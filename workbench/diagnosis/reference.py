@@ -9,13 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench.config import POSE, ROBUST_START, Config, Stage
-from workbench.diagnosis.flags import face_size
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, landmark_model
 from workbench.geometry import Camera
 from workbench.landmarks.alignment import fit_similarity
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import GROUPS
+from workbench.landmarks.scheme import GROUPS, face_size
 from workbench.runtime import COMPUTING
 from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation
 from workbench.tracking.identity import CalibrationSettings, calibrate_identity

@@ -15,12 +15,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from workbench.config import Config
-from workbench.diagnosis.flags import face_size
 from workbench.diagnosis.innovation import UsualOffset, jump_of, usual_offsets
 from workbench.diagnosis.picture_evidence import Blur, carried_by_flow, directional_blur, gradient_energy
 from workbench.diagnosis.records import Change, FrameCase
 from workbench.diagnosis.reference import ShotReference, between
-from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.scheme import face_size
 from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation
 
 DOUBTED = 3.0
@@ -178,7 +177,7 @@ class Trial:
     def error_percent(self, fit: FrameFit, doubted: Bool[np.ndarray, "68"] | None = None) -> float:
         """Mean error over the landmarks that are not doubted, % of the outer-eye distance (as `FrameFit.errors`)."""
         believed = np.ones(68, bool) if doubted is None or doubted.all() else ~doubted
-        return float(100.0 * fit.residuals_px[believed].mean() / outer_eye_distance(fit.observed))
+        return float(fit.residuals_percent[believed].mean())
 
     # --- evidence beside the fit ---
 

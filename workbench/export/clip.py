@@ -16,6 +16,7 @@ from workbench.face import FaceModel, JawJoint, jaw_joint, posed_vertices, weigh
 from workbench.geometry import Camera
 from workbench.pictures.mesh import to_camera
 from workbench.tracking import Track
+from workbench.tracking.failures import failures_of
 from workbench.tracking.records import ARRAYS
 
 RATE_OF_IMAGES = 25.0
@@ -114,7 +115,7 @@ def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: flo
 
 def without_failures(track: Track) -> Track:
     """The track with frames whose fit failed counted as frames without a face; unchanged if that leaves none."""
-    good = track.found & (track.failure == 0)
+    good = failures_of(track) == ""
     return replace(track, found=good) if good.any() and (good != track.found).any() else track
 
 

@@ -22,11 +22,11 @@ from workbench.export.summary import summary_of
 from workbench.face import FaceModel
 from workbench.files import atomic_path
 from workbench.frames import Frames
-from workbench.landmarks.scheme import GROUPS, outer_eye_distance
+from workbench.landmarks.scheme import GROUPS
 from workbench.pictures import HeadPanel, OverlayParts, draw_overlay, side_by_side
 from workbench.plots import STRIP_ROWS, close_up
 from workbench.tracking import Track
-from workbench.tracking.records import FAILURES, SOURCES, frame_errors
+from workbench.tracking.records import SOURCES, frame_errors
 
 PICTURES = 6
 """Frames that are shown from all over the clip."""
@@ -101,8 +101,7 @@ def worst_frames(track: Track, flags: FrameFlags) -> list[int]:
     error = np.nan_to_num(frame_errors(track)[:, 2], nan=-1.0)
     apart = 1 if track.meta.get("stills") else APART
     chosen: list[int] = []
-    failed = (track.failure != 0).astype(float)
-    for position in np.lexsort((-error, -np.maximum(flags.severity, failed))).tolist():
+    for position in np.lexsort((-error, -flags.severity)).tolist():
         listed = track.found[position] and (flags.flagged[position] or error[position] >= 0.0)
         if listed and all(abs(position - other) >= apart for other in chosen):
             chosen.append(position)
@@ -198,8 +197,6 @@ def _worst(track: Track, positions: list[int], flags: FrameFlags, pictures) -> s
     for position in positions:
         frame = int(track.index[position])
         why = flags.text[position] or "does not stand out; one of the largest errors of this clip"
-        if track.failure[position]:
-            why = f"the fit failed: {FAILURES[int(track.failure[position])]}; {why}"
         if _filled(track)[position]:
             why += "; filled from its neighbours"
         elif np.isfinite(errors[position, 3]):
@@ -220,8 +217,7 @@ def _worst(track: Track, positions: list[int], flags: FrameFlags, pictures) -> s
 def _largest_parts(track: Track, position: int) -> str:
     """The two parts of the face with the largest mean errors."""
     fit = track[position]
-    percent = 100.0 * fit.residuals_px / outer_eye_distance(fit.observed)
-    means = {group: float(percent[list(GROUPS[group])].mean()) for group in STRIP_ROWS}
+    means = {group: float(fit.residuals_percent[list(GROUPS[group])].mean()) for group in STRIP_ROWS}
     worst = sorted(means, key=means.get, reverse=True)[:2]
     return " and ".join(f"{group} ({means[group]:.1f} %)" for group in worst)
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from workbench.landmarks.scheme import GROUPS, LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
+from workbench.landmarks.scheme import GROUPS
 from workbench.pictures.overlay import WORST_PERCENT, residual_colors
 from workbench.plots import STRIP_ROWS
 from workbench.tracking import Track
@@ -69,9 +69,7 @@ def line_chart(
 def residual_picture(track: Track) -> UInt8[np.ndarray, "h n 3"]:
     """A row a landmark by parts of the face, a column a frame: errors in colour, grey without landmarks."""
     order = [point for group in STRIP_ROWS for point in GROUPS[group]]
-    eyes = np.linalg.norm(track.observed[:, LEFT_EYE_OUTER_CORNER] - track.observed[:, RIGHT_EYE_OUTER_CORNER], axis=1)
-    percent = 100.0 * np.linalg.norm(track.projected - track.observed, axis=2) / eyes[:, None]
-    percent[~track.seen] = np.nan
+    percent = np.where(track.seen[:, None], track.residuals_percent, np.nan)
     percent = percent[:: -(-len(track) // MOST_POINTS)]
     picture = np.array(residual_colors(percent.ravel()), np.uint8).reshape(*percent.shape, 3)
     picture[np.isnan(percent).any(1)] = NO_FACE

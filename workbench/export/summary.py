@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Shaped
 
 from workbench.files import atomic_path
 from workbench.geometry import Camera, horizontal_fov_deg
 from workbench.tracking import Track
+from workbench.tracking.failures import failures_of
 from workbench.tracking.records import FAILURES, SOURCES, frame_errors
 
 TIMES = ("detect", "landmarks", "solve")
@@ -28,7 +30,7 @@ def summary_of(tracks: Iterable[Track], seconds: float | None = None) -> dict[st
         milliseconds.append(track.milliseconds)
         found.append(track.found)
         iterations.append(track.iterations)
-        failure.append(track.failure)
+        failure.append(failures_of(track))
         filled += int((track.source == SOURCES.index("filled")).sum())
         shots = int(track.shot.max()) + 1
         camera = camera or _camera(track)
@@ -63,9 +65,9 @@ def write_summary(summary: dict[str, Any], path: str | Path) -> None:
         temporary.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _failures(failure: np.ndarray) -> dict[str, int]:
+def _failures(failure: Shaped[np.ndarray, "n"]) -> dict[str, int]:
     """Frames whose fit should not be used, by reason."""
-    return {FAILURES[k]: int((failure == k).sum()) for k in range(1, len(FAILURES)) if (failure == k).any()}
+    return {name: int((failure == name).sum()) for name in FAILURES if name and (failure == name).any()}
 
 
 def _camera(track: Track) -> dict[str, Any]:

@@ -130,6 +130,8 @@ MIRROR: tuple[int, ...] = (
 
 RIGHT_EYE_OUTER_CORNER = 36
 LEFT_EYE_OUTER_CORNER = 45
+EYE_PER_SPREAD = 1.48
+"""Outer-eye distance of a frontal face in units of the root mean square distance of its 68 points from their centre."""
 
 
 def check_68(points: Num[np.ndarray, "..."]) -> Float[np.ndarray, "68 2"]:
@@ -164,10 +166,24 @@ def mirror_points(points: Float[np.ndarray, "68 2"], width: int) -> Float[np.nda
     return mirrored
 
 
-def outer_eye_distance(points: Float[np.ndarray, "68 2"]) -> float:
-    """Pixels between the outer corners of the eyes (36 to 45), the unit of landmark errors in the literature."""
-    points = check_68(points)
-    return float(np.linalg.norm(points[LEFT_EYE_OUTER_CORNER] - points[RIGHT_EYE_OUTER_CORNER]))
+def outer_eye_distance(points: Float[np.ndarray, "*n 68 2"]) -> Float[np.ndarray, "*n"] | float:
+    """Pixels between the outer corners of the eyes (36 to 45), the unit of landmark errors in the literature.
+
+    Every error in percent is one of this distance between the observed landmarks, in the picture: it shrinks as the
+    head turns. What must not shrink is measured by `face_size`.
+    """
+    corners = points[..., LEFT_EYE_OUTER_CORNER, :], points[..., RIGHT_EYE_OUTER_CORNER, :]
+    return np.linalg.norm(corners[0] - corners[1], axis=-1)
+
+
+def face_size(points: Float[np.ndarray, "*n 68 2"]) -> Float[np.ndarray, "*n"]:
+    """What the outer-eye distance of the face would be from the front, pixels: from the spread of all points.
+
+    Turning the head, exchanging points or losing one eye hardly changes it, unlike the distance itself. Diagnosis
+    compares frames in this unit.
+    """
+    centred = points - points.mean(axis=-2, keepdims=True)
+    return np.asarray(EYE_PER_SPREAD * np.sqrt((centred**2).sum(-1).mean(-1)))
 
 
 def polyline_segments() -> Int[np.ndarray, "n 2"]:

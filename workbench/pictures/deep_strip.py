@@ -21,6 +21,7 @@ from workbench.rendering import CropCamera, render
 from workbench.runtime import COMPUTING
 from workbench.tracking.deep_fitter import DeepFitter, DeepSolution
 from workbench.tracking.deep_solver import StageResult
+from workbench.tracking.failures import why_failed
 from workbench.tracking.fitter import FrameContext, FrameObservation
 
 PANEL, COLUMNS, GAP = 260, 5, 6
@@ -78,7 +79,7 @@ def stage_strip(
         if target is not None:
             note = f"{note}   {np.linalg.norm(points - target, axis=1).mean():.1f} px apart".strip()
         panels.append(_panel(drawn, name, note))
-    failure = fitter.recorded(observation, context, solution).failure
+    failure = why_failed(fitter.recorded(observation, context, solution))
     looks = sum(result.evaluations for result in solution.results)
     said = f"failed: {failure}" if failure else f"{looks} renders seen by the network" if _looks(solution) else ""
     panels.append(

@@ -11,6 +11,7 @@ from workbench.face import FaceModel, posed_vertices
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import POLYLINES, outer_eye_distance
 from workbench.pictures.mesh import scaled_camera, to_camera, to_pixels
+from workbench.tracking.failures import why_failed
 from workbench.tracking.records import FrameFit
 
 SMALLEST_SIDE, LARGEST_SIDE = 320, 1920
@@ -66,10 +67,8 @@ def draw_overlay(
         _label(canvas, f"frame {fit.index}   no face", unit)
         return canvas
     observed, projected = _resized(fit.observed, scale), _resized(fit.projected, scale)
-    residuals = np.linalg.norm(projected - observed, axis=1)
-    eyes = max(outer_eye_distance(observed), 1e-6)
-    colors = residual_colors(100.0 * residuals / eyes)
-    fine = float(np.clip(eyes / 90.0, 0.35, unit))
+    colors = residual_colors(fit.residuals_percent)
+    fine = float(np.clip(outer_eye_distance(observed) / 90.0, 0.35, unit))
     if parts.mesh and model is not None:
         _draw_mesh(canvas, fit, model, scale)
     if parts.lines:
@@ -237,7 +236,8 @@ def _numbers(fit: FrameFit) -> str:
     yaw, pitch, roll = np.rint(fit.angles_deg) + 0.0  # adding zero turns −0 into 0
     pixels, _, percent = fit.errors
     error = "filled" if fit.source == "filled" else f"error {pixels:.1f} px ({percent:.1f} %)"
-    text = f"frame {fit.index}   {error}   "
+    why = why_failed(fit)
+    text = f"frame {fit.index}   {error}   " + (f"failed: {why}   " if why else "")
     return (text + f"yaw {yaw:+.0f}°  pitch {pitch:+.0f}°  roll {roll:+.0f}°").replace("-", "\u2212")
 
 

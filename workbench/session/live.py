@@ -12,6 +12,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import make_detector
+from workbench.landmarks.scheme import outer_eye_distance
 from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
 from workbench.session.gesture import Gesture, Gestures
 from workbench.session.live_frame import LIVE_SIZE, LiveFrame
@@ -299,4 +300,4 @@ def _identity_key(config: Config) -> str:
 def _motion(last: Continuation, observation: FrameObservation) -> float:
     """Mean way of the landmarks since the last frame, in outer-eye distances."""
     before, now = last.points, observation.landmarks.points
-    return float(np.linalg.norm(now - before, axis=1).mean() / np.linalg.norm(before[36] - before[45]))
+    return float(np.linalg.norm(now - before, axis=1).mean() / outer_eye_distance(before))

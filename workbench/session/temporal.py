@@ -4,7 +4,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +14,6 @@ from workbench.diagnosis import flag_frames
 from workbench.errors import InputError
 from workbench.frames import FrameRange, Frames
 from workbench.geometry import yaw_pitch_roll_deg
-from workbench.landmarks.scheme import outer_eye_distance
 from workbench.pipeline.temporal_run import STEPS, Step, needs_pictures, over_time, wanted_steps
 from workbench.session.metrics import metrics_of
 from workbench.tracking import FrameFit, Track
@@ -69,12 +68,12 @@ class Worked:
             if of in metrics:
                 numbers[name] = metrics[of]
         hidden = [
-            np.linalg.norm(after.projected - before.observed, axis=1).mean() / outer_eye_distance(before.observed)
+            replace(after, observed=before.observed).errors[2]
             for before, after in zip(self.before, self.after, strict=True)
             if after.source == "filled" and before.found and np.nan_to_num(before.confidence).max() > 0.0
         ]
         if hidden:
-            numbers["hidden_percent"] = 100.0 * float(np.mean(hidden))
+            numbers["hidden_percent"] = float(np.mean(hidden))
         return numbers
 
 

@@ -16,10 +16,11 @@ from jaxtyping import Bool
 from workbench.config import InfillConfig
 from workbench.errors import InputError
 from workbench.face import FaceParameters
+from workbench.tracking.failures import failures_of, why_failed
 from workbench.tracking.flow_fitter import FlowFitter, Neighbour, Pictures, parameters_of
 from workbench.tracking.interpolation import SPLINE_FRAMES, between, splined
 from workbench.tracking.moments import Moment, PictureSpool
-from workbench.tracking.records import FrameFit, Track, frame_errors
+from workbench.tracking.records import FrameFit, Track
 
 Advanced = Callable[[FrameFit], None]
 """Called with each frame as it was before, when it is solved (by flow several times)."""
@@ -62,18 +63,14 @@ def infilled(
 
 
 def usable(fit: FrameFit, infill: InfillConfig) -> bool:
-    """Whether a fit stays and may be an anchor: found, not failed, not named, its landmark error small enough."""
-    if not fit.found or fit.failure or infill.named(fit.index):
-        return False
-    unseen = not np.nan_to_num(fit.confidence).max() > 0.0
-    return unseen or fit.errors[2] <= infill.largest_error
+    """Whether a fit stays and may be an anchor: not named by the configuration, and not failed (`why_failed`)."""
+    return not infill.named(fit.index) and not why_failed(fit, infill.largest_error)
 
 
 def usable_frames(track: Track, infill: InfillConfig) -> Bool[np.ndarray, "n"]:
     """`usable` for every frame of a track at once."""
     named = np.array([infill.named(int(index)) for index in track.index], bool)
-    small = ~track.seen | (frame_errors(track)[:, 3] <= infill.largest_error)
-    return track.found & (track.failure == 0) & ~named & small
+    return ~named & (failures_of(track, infill.largest_error) == "")
 
 
 @dataclass

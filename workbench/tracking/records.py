@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from workbench.files import atomic_path
 from workbench.geometry import Camera, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
+from workbench.landmarks.scheme import outer_eye_distance
 from workbench.reading import checked_arrays, checked_file, reading
 from workbench.tracking.track_layout import (
     FAILURES,
@@ -81,6 +81,11 @@ class FrameFit:
         return np.linalg.norm(self.projected - self.observed, axis=1)
 
     @property
+    def residuals_percent(self) -> Float[np.ndarray, "68"]:
+        """`residuals_px` in % of the outer-eye distance between the observed landmarks, as every error in percent."""
+        return 100.0 * self.residuals_px / outer_eye_distance(self.observed)
+
+    @property
     def angles_deg(self) -> Float[np.ndarray, "3"]:
         """Yaw, pitch, roll (`geometry.rotations` has the convention)."""
         return yaw_pitch_roll_deg(self.rotation)
@@ -136,6 +141,12 @@ class Track:
     def seen(self) -> Bool[np.ndarray, "n"]:
         """Frames with landmarks that this view saw: neither without a face nor filled."""
         return np.nan_to_num(self.confidence).max(axis=1, initial=0.0) > 0.0
+
+    @property
+    def residuals_percent(self) -> Float[np.ndarray, "n 68"]:
+        """`FrameFit.residuals_percent` of each frame; NaN without a face."""
+        residuals = np.linalg.norm(self.projected - self.observed, axis=2)
+        return 100.0 * residuals / outer_eye_distance(self.observed)[:, None]
 
     @property
     def angles_deg(self) -> Float[np.ndarray, "n 3"]:
@@ -212,6 +223,5 @@ def frame_errors(track: Track) -> Float[np.ndarray, "n 4"]:
 
 def _errors(projected: Float[np.ndarray, "n 68 2"], observed: Float[np.ndarray, "n 68 2"]) -> Float[np.ndarray, "n 4"]:
     residuals = np.linalg.norm(projected - observed, axis=2)
-    eye_distance = np.linalg.norm(observed[:, LEFT_EYE_OUTER_CORNER] - observed[:, RIGHT_EYE_OUTER_CORNER], axis=1)
     pixels = np.stack([residuals[:, 17:].mean(1), residuals.mean(1)], axis=1)
-    return np.concatenate([pixels, 100.0 * pixels / eye_distance[:, None]], axis=1)
+    return np.concatenate([pixels, 100.0 * pixels / outer_eye_distance(observed)[:, None]], axis=1)

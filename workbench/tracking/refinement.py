@@ -10,10 +10,9 @@ averaging goes first in the hybrid: weights of ¼, ½, ¼ take out exactly that 
 
 from collections.abc import Callable, Iterable, Iterator
 
-import numpy as np
-
 from workbench.config import Config
 from workbench.energies.flow import FlowTargets
+from workbench.tracking.failures import why_failed
 from workbench.tracking.flow_fitter import FlowFitter, Neighbour, parameters_of
 from workbench.tracking.interpolation import averaged
 from workbench.tracking.moments import Moment
@@ -125,5 +124,4 @@ def _windowed(
 
 def _joined(first: FrameFit, second: FrameFit) -> bool:
     """Whether two frames that follow each other show the same shot and both have a fit to use."""
-    usable = all(fit.found and not fit.failure and np.isfinite(fit.rotation).all() for fit in (first, second))
-    return usable and first.shot == second.shot
+    return first.shot == second.shot and not any(why_failed(fit) for fit in (first, second))

@@ -26,9 +26,10 @@ PART_SECONDS = 10.0
 class TrackWriter:
     """Collects fits in parts under `<path>.parts/` and joins them to one .npz at the end.
 
-    Each part is one file, whole or absent, and carries the tracker's state behind its last frame, so that an
-    interrupted run goes on from there. `fingerprint` says what the run depends on; parts of another run are discarded,
-    and so are damaged ones with all behind them. Raises `OutputError` for what cannot be written.
+    Each part is one file with checksums, whole or absent (of one growing HDF5 file, a cut or a flipped bit may lose all
+    frames or go unnoticed), and carries the tracker's state behind its last frame, so that an interrupted run goes on
+    from there. `fingerprint` says what the run depends on; parts of another run are discarded, and so are damaged ones
+    with all behind them. Raises `OutputError` for what cannot be written.
     """
 
     def __init__(self, path: str | Path, meta: dict[str, Any], fingerprint: str, resume: bool = False):

@@ -6,7 +6,6 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.geometry import yaw_pitch_roll_deg
-from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 from workbench.session import TuningSession
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.timeline_view import TimelineView
@@ -48,10 +47,7 @@ class ClipViews:
     def show_run(self) -> None:
         """Show the last run."""
         track = self._session.track
-        eyes = np.linalg.norm(
-            track.observed[:, LEFT_EYE_OUTER_CORNER] - track.observed[:, RIGHT_EYE_OUTER_CORNER], axis=1
-        )
-        self._values = 100.0 * np.linalg.norm(track.projected - track.observed, axis=2) / eyes[:, None]
+        self._values = track.residuals_percent
         flags = self._session.run.flags
         self.timeline.set_track(
             self._values, flags.flagged, self._session.stale, track.found, track.shot, why=flags.text

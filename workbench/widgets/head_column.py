@@ -121,8 +121,9 @@ class HeadColumn:
             spread = self._spread_of(fit)
         self._say(spread if isinstance(spread, str) else "")
         if kind == "residual":
-            percent = 100.0 * fit.residuals_px / np.linalg.norm(fit.observed[45] - fit.observed[36])
-            self.view.set_values(self._head.surface_values(percent), 0.0, 10.0, "residual, % of eye distance")
+            self.view.set_values(
+                self._head.surface_values(fit.residuals_percent), 0.0, 10.0, "residual, % of eye distance"
+            )
         elif kind == "blendshape":
             moved = self._head.displacement(fit, self.shape.value)
             self.view.set_values(moved, 0.0, max(float(moved.max()), 0.1), f"{self.shape.value} at 1, mm")
@@ -164,8 +165,7 @@ class HeadColumn:
     def _mark(self, fit: FrameFit) -> None:
         if self.points.value:
             landmarks = self._head.landmarks(fit)
-            percent = 100.0 * fit.residuals_px / np.linalg.norm(fit.observed[45] - fit.observed[36])
-            colors = np.array(residual_colors(percent), np.uint8)
+            colors = np.array(residual_colors(fit.residuals_percent), np.uint8)
             self.view.set_points(landmarks, colors, 2.5)
             self.view.set_segments(np.stack([landmarks, self._head.observed(fit, landmarks)], axis=1), colors)
         elif self._marked:

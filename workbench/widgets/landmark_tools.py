@@ -7,7 +7,7 @@ import numpy as np
 
 from workbench.errors import WorkbenchError
 from workbench.landmarks.network_detector import NetworkDetector, NetworkLook
-from workbench.landmarks.scheme import GROUPS, outer_eye_distance
+from workbench.landmarks.scheme import GROUPS
 from workbench.pictures import HeadRenderer, gl_available
 from workbench.pictures.heat import heat_layer
 from workbench.session import FittedHead, TuningSession
@@ -134,9 +134,7 @@ class LandmarkTools:
 
     def residuals(self, fit: FrameFit) -> np.ndarray:
         """Residuals in the chosen unit."""
-        if self.unit.value == "px":
-            return fit.residuals_px
-        return 100.0 * fit.residuals_px / outer_eye_distance(fit.observed)
+        return fit.residuals_px if self.unit.value == "px" else fit.residuals_percent
 
     def refresh_groups(self) -> None:
         """List the saved subsets behind the groups."""

@@ -19,6 +19,7 @@ from workbench.session.exports import exported_for, free_file
 from workbench.session.gesture import Gesture
 from workbench.session.knobs import changed_by
 from workbench.tracking import FrameFit, StageTrace
+from workbench.tracking.failures import why_failed
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.clip_views import ClipViews
 from workbench.widgets.controls import Controls, small_button
@@ -536,7 +537,8 @@ def status_of(fit: FrameFit, frames: int) -> str:
     where = f"frame {fit.index}/{frames - 1}  " if frames > 1 else ""
     if not fit.found:
         return f"{where}no face"
-    failed = f"  FAILED: {fit.failure}" if fit.failure else ""
+    why = why_failed(fit)
+    failed = f"  FAILED: {why}" if why else ""
     yaw, pitch, roll = fit.angles_deg
     if fit.source == "filled":
         return f"{where}filled from its neighbours  yaw {yaw:+.0f}° pitch {pitch:+.0f}° roll {roll:+.0f}°"

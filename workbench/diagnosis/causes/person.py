@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from workbench.diagnosis.flags import face_size
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial
+from workbench.landmarks.scheme import face_size
 from workbench.tracking import FrameFit
 from workbench.tracking.fitter import camera_of
 

@@ -1,0 +1,42 @@
+"""Why a fit should not be used: the one definition, for infill and refinement, reports, pictures and the panel."""
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from workbench.tracking.records import FrameFit, Track, stack_fits
+from workbench.tracking.track_layout import FAILURES
+
+NO_FACE = "no face"
+_NUMBERS = ("rotation", "translation", "expression", "identity", "projected")
+
+
+def failure_of_residuals(
+    percent: Float[np.ndarray, "n 68"], largest_error: float, largest_disagreement: float = np.inf
+) -> Int[np.ndarray, "n"]:
+    """Which of `FAILURES` the residuals of each frame (or view) show, 0 for none (Deep Energies Sec. 8.2).
+
+    Both limits are in the unit of `percent`: on the mean over all points, and on the difference between the means over
+    the jaw line and over the inner points.
+    """
+    disagreement = np.abs(percent[:, :17].mean(1) - percent[:, 17:].mean(1))
+    shown = [~np.isfinite(percent).all(1), disagreement > largest_disagreement, percent.mean(1) > largest_error]
+    codes = [FAILURES.index(name) for name in ("not finite", "jaw and face disagree", "large error")]
+    return np.select(shown, codes, 0)
+
+
+def failures_of(track: Track, largest_error: float = np.inf) -> Shaped[np.ndarray, "n"]:
+    """Why the fit of each frame should not be used: `NO_FACE` or one of `FAILURES`, empty if it may.
+
+    What the fit itself has recorded comes first. A mean error over all landmarks of more than `largest_error` % of the
+    outer-eye distance is a large one; frames that this view did not see have none.
+    """
+    percent = np.where(track.seen[:, None], track.residuals_percent, 0.0)
+    finite = np.stack([np.isfinite(getattr(track, name)).reshape(len(track), -1).all(1) for name in _NUMBERS]).all(0)
+    shown = np.where(finite, failure_of_residuals(percent, largest_error), FAILURES.index("not finite"))
+    codes = np.where(track.failure != 0, track.failure, shown)
+    return np.where(track.found, np.array(FAILURES)[codes], NO_FACE)
+
+
+def why_failed(fit: FrameFit, largest_error: float = np.inf) -> str:
+    """`failures_of` for one frame."""
+    return str(failures_of(Track(meta={}, **stack_fits([fit])), largest_error)[0])
