@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from workbench.errors import InputError
-from workbench.frames import IMAGE_SUFFIXES, Frames, VideoWriter, open_frames, read_picture, write_picture
+from workbench.frames import (
+    IMAGE_SUFFIXES,
+    FrameRange,
+    Frames,
+    VideoWriter,
+    open_frames,
+    read_picture,
+    write_picture,
+)
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -352,3 +360,23 @@ def test_pictures_are_written_losslessly_as_png_and_nothing_else_is_written(tmp_
     with pytest.raises(InputError, match="are written as"):
         write_picture(tmp_path / "p.tiff", picture)
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
+
+
+# --- a part of a stream ---
+
+
+def test_a_range_says_where_the_stream_ends_before_it_does(tmp_path):
+    clip = open_frames(write_clip(tmp_path / "talk.mp4", 12))
+    part = FrameRange(clip, 8, 20)
+    assert indices(part) == [0, 1, 2, 3]
+    assert part.notes == ["Frames 8 to 20 were asked for; talk ends with frame 11, and the run with it."]
+    assert FrameRange(clip, 8, 11).notes == []
+
+
+def test_a_range_of_a_stream_of_unknown_length_says_so_when_it_has_ended(tmp_path):
+    clip = open_frames(write_clip(tmp_path / "talk.mp4", 12))
+    clip.announced_count = None
+    part = FrameRange(clip, 8, 20)
+    assert part.notes == []
+    assert indices(part, 2) == [2, 3]
+    assert part.notes == ["Frames 8 to 20 were asked for; talk ends with frame 11, and the run with it."]

@@ -317,7 +317,7 @@ def test_recording_ends_with_the_camera_and_is_saved(panel, camera, frames, tmp_
     panel.folder.value = str(tmp_path / "take")
     panel.save_button.click()
     assert panel.wait_idle()
-    assert "holds a track already" in panel.view.message
+    assert "already holds a recording or a run; name another folder" in panel.view.message
 
 
 def test_nothing_recorded_is_said(panel, tmp_path):

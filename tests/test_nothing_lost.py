@@ -15,6 +15,7 @@ import pytest
 from tests.killed_runs import FRAMES, StubModel, StubTracker, make_fit
 from tests.performances import performance
 from tests.stereo_scenes import make_rig
+from workbench.cli.training import training_folder
 from workbench.config import preset
 from workbench.errors import OutputError
 from workbench.export import FORMATS, export_track
@@ -25,6 +26,7 @@ from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, write_l
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import track
 from workbench.samples import sample
+from workbench.session.recording import Recording
 from workbench.tracking.track_writer import TrackWriter
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -233,6 +235,16 @@ class TestFinishedRuns:
         assert "nothing was left to do" in run("track", "points.csv", "--no-pictures", "--resume")[1]
 
 
+class TestPartsOfAnInput:
+    def test_a_part_that_goes_beyond_the_end_is_told(self, quick, points, tmp_path):
+        result = quick(points, tmp_path / "out", frames=(2, 9))
+        assert len(result.track) == FRAMES - 2
+        assert "Frames 2 to 9 were asked for; points.csv ends with frame 4, and the run with it." in result.notes
+
+    def test_a_part_within_it_is_not(self, quick, points, tmp_path):
+        assert quick(points, tmp_path / "out", frames=(2, 4)).notes == ()
+
+
 class TestTwoRunsInOneFolder:
     def test_the_second_is_refused_and_the_first_is_not_disturbed(self, quick, points, tmp_path):
         refused = []
@@ -411,3 +423,57 @@ class TestPicturesOfStills:
         stills(tmp_path / "out", resume=True)
         texts = [path.read_text()[:5] for path in sorted((tmp_path / "out" / "overlay").iterdir())]
         assert texts == ["drawn", "1 (48" if lost else "drawn", "drawn", "3 (48", "4 (48"]
+
+
+class TestTrainings:
+    """`workbench train`, its trainings replaced by what they leave."""
+
+    @pytest.fixture
+    def begun(self, tmp_path):
+        """A folder with the checkpoints of an interrupted training."""
+        (tmp_path / "nets" / "landmarks").mkdir(parents=True)
+        (tmp_path / "nets" / "landmarks" / "checkpoint.pt").write_text("half way")
+        return tmp_path / "nets"
+
+    def finish(self, folder):
+        for name in ("landmarks.safetensors", "tables.md"):
+            (folder / name).write_text("hours of work")
+
+    def test_an_interrupted_one_goes_on(self, begun):
+        with training_folder(begun, "landmarks"):
+            (begun / "landmarks.safetensors").write_text("not measured yet")
+        with training_folder(begun, "landmarks"):
+            assert (begun / "landmarks" / "checkpoint.pt").read_text() == "half way"
+
+    def test_a_finished_one_is_repeated_only_on_demand(self, begun):
+        self.finish(begun)
+        with pytest.raises(OutputError, match="already holds a finished training; name another folder, or replace it"):
+            training_folder(begun, "landmarks").__enter__()
+        assert (begun / "landmarks" / "checkpoint.pt").exists()
+        with training_folder(begun, "landmarks", overwrite=True):
+            assert not (begun / "landmarks").exists()
+
+    def test_weights_of_somebody_else_are_not_replaced_unasked(self, tmp_path):
+        (tmp_path / "finder.safetensors").write_text("mine")
+        with pytest.raises(OutputError, match=r"already holds a file finder.safetensors; name another folder"):
+            training_folder(tmp_path, "finder").__enter__()
+
+    def test_two_at_once_are_refused(self, tmp_path):
+        with (
+            training_folder(tmp_path, "flow"),
+            pytest.raises(OutputError, match="Another run writes into"),
+            training_folder(tmp_path, "landmarks"),
+        ):
+            pass
+
+
+def test_a_recording_is_not_written_over_unasked(head, tmp_path):
+    recording = Recording(performance(head), ())
+    recording.save(tmp_path / "take")
+    with pytest.raises(OutputError, match="already holds a recording or a run; name another folder, or replace it by"):
+        recording.save(tmp_path / "take")
+    (tmp_path / "clips").mkdir()
+    (tmp_path / "clips" / "clip.mp4").write_text("mine")
+    with pytest.raises(OutputError, match="already holds a recording"):
+        recording.save(tmp_path / "clips")
+    assert recording.save(tmp_path / "take", overwrite=True) == tmp_path / "take" / "track.npz"

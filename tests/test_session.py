@@ -57,6 +57,13 @@ def session(head, clip):
     return TuningSession(head, clip, QUICK)
 
 
+def test_a_photo_in_memory_has_a_picture_and_landmarks_alone_have_none(photo, clip):
+    np.testing.assert_array_equal(photo.pictures[0], read_picture(sample("astronaut")))
+    assert photo.pictures.real
+    assert not clip.pictures.real
+    assert (clip.pictures[0] == clip.pictures[0][0, 0]).all()
+
+
 def same(first, second):
     """Whether two fits agree to the bit."""
     names = ("rotation", "translation", "expression", "identity", "projected", "observed")

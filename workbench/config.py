@@ -519,7 +519,7 @@ def preset(name: str) -> Config:
 
 
 def read_config(path: str | Path) -> Config:
-    """Configuration of a TOML file; what it leaves out comes from its `preset` (default: calibrated).
+    """Configuration of a TOML file; what it leaves out comes from its `preset` (default: `DEFAULT_PRESET`).
 
     Raises `ConfigError` for a missing file, invalid TOML, unknown keys (with the nearest known one) and bad values.
     """

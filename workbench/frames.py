@@ -215,10 +215,15 @@ class FrameRange:
         if not 0 <= first <= last or (count is not None and first >= count):
             known = "" if count is None else f"; {frames.name} has frames 0 to {count - 1}"
             raise InputError(f"Frames {first} to {last} were asked for{known}.")
-        self._frames, self._first = frames, first
+        self._frames, self._first, self._last = frames, first, last
+        self._count = count
         self.kind, self.name, self.rate, self.image_size = frames.kind, frames.name, frames.rate, frames.image_size
         self.announced_count = last - first + 1 if count is None else min(last + 1, count) - first
-        self.notes = frames.notes
+
+    @property
+    def notes(self) -> list[str]:
+        """Those of the stream, and where it ends before the range does."""
+        return [*self._frames.notes, *range_notes(self.name, self._first, self._last, self._count)]
 
     def iterate(self, start: int = 0) -> Iterator[Frame]:
         """Yield the frames from index `start` of the range on."""
@@ -226,8 +231,16 @@ class FrameRange:
         for index in range(start, self.announced_count):
             frame = next(stream, None)
             if frame is None:
+                self._count = self._first + index
                 return
             yield replace(frame, index=index)
+
+
+def range_notes(name: str, first: int, last: int, count: int | None) -> list[str]:
+    """One sentence where frames `first` to `last` were asked for and there are fewer; none where they are all there."""
+    if count is None or last < count:
+        return []
+    return [f"Frames {first} to {last} were asked for; {name} ends with frame {count - 1}, and the run with it."]
 
 
 class VideoFrames:

@@ -43,7 +43,7 @@ SHOW_HELP = f"""Print a whole configuration with a comment at each value; what a
 
 [bold]Examples[/bold]
 
-  workbench config show                                the preset calibrated
+  workbench config show                                the preset joint, the default
 
   workbench config show tuned.toml
 

@@ -1,6 +1,9 @@
 """`workbench train`: the recipes of the bundled networks."""
 
 import importlib.util
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +15,8 @@ from workbench.errors import MissingDependencyError
 TRAIN_HELP = """Train the networks that come with the package, from nothing but the default head.
 
 Renders a pool of heads, trains, measures, calibrates, and writes weights with a report. Ctrl-C stops it; the same \
-command goes on. Needs PyTorch: pip install "face-energy-workbench\\[train]".
+command goes on. A finished training is kept, unless you --overwrite it. \
+Needs PyTorch: pip install "face-energy-workbench\\[train]".
 
 [bold]Examples[/bold]
 
@@ -30,38 +34,74 @@ Folder = Annotated[Path, typer.Argument(help="Folder for the pool, the checkpoin
 Quick = Annotated[bool, typer.Option("--quick", help="A tiny training, to see that it works.")]
 Workers = Annotated[int, typer.Option(min=1, help="Processes that render and augment.")]
 Device = Annotated[str, typer.Option(help="Where PyTorch computes: cpu or cuda.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Train again, from the start; the pool is kept.")]
+
+RESULTS = {
+    "landmarks": ("landmarks.safetensors", "tables.md"),
+    "finder": ("finder.safetensors",),
+    "flow": ("flow.safetensors", "flow_tables.md"),
+}
+"""What each training leaves at its end. Its checkpoints are in a folder of its name."""
 
 
 @train_app.command(help="Train the landmark network.")
-def landmarks(folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu") -> None:
+def landmarks(
+    folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu", overwrite: Overwrite = False
+) -> None:
     """Train the landmark network."""
     _check_torch()
     from workbench.training.recipe import QUICK, Recipe, train_landmark_network
 
     recipe = QUICK if quick else Recipe()
-    screen.console.print(train_landmark_network(folder, recipe, workers, device, screen.console.print))
+    with training_folder(folder, "landmarks", overwrite):
+        screen.console.print(train_landmark_network(folder, recipe, workers, device, screen.console.print))
     screen.console.print((folder / "tables.md").read_text(encoding="utf-8"), markup=False)
 
 
 @train_app.command(help="Train the face finder.")
-def finder(folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu") -> None:
+def finder(
+    folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu", overwrite: Overwrite = False
+) -> None:
     """Train the face finder."""
     _check_torch()
     from workbench.training.recipe import FINDER_PLAN, QUICK, Recipe, train_face_finder
 
     recipe = QUICK if quick else Recipe(plan=FINDER_PLAN)
-    screen.console.print(train_face_finder(folder, recipe, workers, device, screen.console.print))
+    with training_folder(folder, "finder", overwrite):
+        screen.console.print(train_face_finder(folder, recipe, workers, device, screen.console.print))
 
 
 @train_app.command(help="Train the flow network.")
-def flow(folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu") -> None:
+def flow(
+    folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu", overwrite: Overwrite = False
+) -> None:
     """Train the flow network."""
     _check_torch()
     from workbench.training.flow_recipe import QUICK_FLOW, FlowRecipe, train_flow_network
 
     recipe = QUICK_FLOW if quick else FlowRecipe()
-    screen.console.print(train_flow_network(folder, recipe, workers, device, screen.console.print))
+    with training_folder(folder, "flow", overwrite):
+        screen.console.print(train_flow_network(folder, recipe, workers, device, screen.console.print))
     screen.console.print((folder / "flow_tables.md").read_text(encoding="utf-8"), markup=False)
+
+
+@contextmanager
+def training_folder(folder: Path, name: str, overwrite: bool = False) -> Iterator[None]:
+    """Keep a folder for one training, which may be an interrupted one that goes on.
+
+    Raises `OutputError` where another one is at work, and for a finished training or files of somebody else, unless
+    told to `overwrite` them.
+    """
+    from workbench.pipeline.output_folder import check_no_results, locked
+
+    with locked(folder):
+        begun = (folder / name).is_dir()
+        there = [result for result in RESULTS[name] if (folder / result).exists()]
+        if overwrite:
+            shutil.rmtree(folder / name, ignore_errors=True)
+        elif not begun or len(there) == len(RESULTS[name]):
+            check_no_results(folder, there, "a finished training" if begun else f"a file {there[0]}" if there else "")
+        yield
 
 
 def _check_torch() -> None:

@@ -7,7 +7,6 @@ So hypotheses of all kinds compare: what they explain, less what they cost.
 """
 
 import copy
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -53,9 +52,6 @@ class Finding:
     doubted: Bool[np.ndarray, "68"] | None = None
     outranks: tuple[str, ...] = ()
     """Codes that say the same less specifically."""
-
-
-Cause = Callable[["Trial"], Iterable[Finding]]
 
 
 class Trial:

@@ -21,8 +21,6 @@ from workbench.networks.weights import ARCHITECTURE, Weights, fill, write_weight
 
 NAME = "fan"
 """Value of the metadata key `architecture`."""
-SOURCE, SOURCE_SHA256 = "source", "source_sha256"
-"""Metadata keys of a converted file: the name of the checkpoint that it was made of, and its SHA-256."""
 
 FEATURES, LANDMARKS, DEPTH = 256, 68, 4
 """Channels of the hourglasses, heat maps, halvings in each hourglass."""

@@ -49,7 +49,7 @@ def run_folder(folder: Path, inputs: Iterable[Path], resume: bool, overwrite: bo
     check_inputs_kept(folder, inputs)
     for name in FILES:
         check_target(folder / name)
-    with _locked(folder):
+    with locked(folder):
         _check_free(folder, resume, overwrite)
         remove_partial_files(folder, FILES)
         for name in PICTURE_FOLDERS:
@@ -63,6 +63,12 @@ def check_inputs_kept(folder: Path, inputs: Iterable[Path]) -> None:
     subfolders = [folder / name for name in PICTURE_FOLDERS if os.path.isdir(folder / name)]
     drawn = [path for subfolder in subfolders for path in subfolder.iterdir()]
     check_not_inputs([folder, *(folder / name for name in FILES), *drawn], inputs)
+
+
+def check_no_results(folder: Path, names: Iterable[str], what: str, remedy: str = "--overwrite") -> None:
+    """Raise `OutputError` where one of these files is in a folder already: `what` is, and `remedy` would replace it."""
+    if any((folder / name).exists() for name in names):
+        raise OutputError(f"{folder} already holds {what}; name another folder, or replace it by {remedy}.")
 
 
 def holds_parts(folder: Path) -> bool:
@@ -79,13 +85,12 @@ def _check_free(folder: Path, resume: bool, overwrite: bool) -> None:
         raise OutputError(
             f"{folder} holds an interrupted run; go on with it by --resume, or replace it by --overwrite."
         )
-    what = "a finished run" if "track.npz" in there else f"a file {there[0]}"
-    raise OutputError(f"{folder} already holds {what}; name another folder, or replace it by --overwrite.")
+    check_no_results(folder, there, "a finished run" if "track.npz" in there else f"a file {there[0]}")
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold a folder, which is made for it, against other runs.
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder, which is made for it, against other runs and trainings.
 
     The system lets go of the lock when a process ends, however it ends: a lock file that was left says nothing.
     """

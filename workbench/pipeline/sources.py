@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 
 from workbench.config import Config
 from workbench.errors import InputError
-from workbench.frames import Frame, FrameRange, Frames, open_frames
+from workbench.frames import Frame, FrameRange, Frames, open_frames, range_notes
 from workbench.geometry import read_rig
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import fallback_note, make_detector
@@ -98,9 +98,10 @@ class FileSource:
     ):
         """`rows`: the part of the file that counts. `keep_pictures` hands the pictures on with the observations."""
         self._paths, self._rows, self._keep = paths, rows, keep_pictures and frames is not None
+        self._count: int | None = None
         first = next(iter(self._records()), None)
         if first is None:
-            raise InputError(f"{paths[0]} holds no frame; a landmark file has a row or an entry a frame.")
+            raise InputError(f"{paths[0]} holds no frame; a landmark file has one row or entry per frame.")
         self.image_size = _size(first)
         self.frames = frames or _Canvas(self)
         self.count = self.frames.announced_count
@@ -108,7 +109,9 @@ class FileSource:
         self.views: list[Frames] = [] if frames is None else [frames]
 
     def notes(self) -> list[str]:
-        return list(self.frames.notes)
+        rows = self._rows
+        ends = [] if rows is None else range_notes(self._paths[-1].name, rows.start, rows.stop - 1, self._count)
+        return list(self.frames.notes) or ends
 
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
         pictures = self.frames.iterate(start) if self._keep else repeat(None)
@@ -122,7 +125,14 @@ class FileSource:
 
     def _records(self) -> Iterator[LandmarkRecord]:
         records = chain.from_iterable(read_landmark_file(path) for path in self._paths)
-        yield from records if self._rows is None else islice(records, self._rows.start, self._rows.stop)
+        if self._rows is None:
+            yield from records
+            return
+        count = self._rows.start
+        for record in islice(records, self._rows.start, self._rows.stop):
+            count += 1
+            yield record
+        self._count = count
 
 
 class _Canvas:

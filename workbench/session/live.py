@@ -144,11 +144,6 @@ class LiveSession:
             self._gathering = ""
             return True
 
-    @property
-    def can_undo(self) -> bool:
-        """Whether there is something to take back."""
-        return bool(self._undo)
-
     def calibrate_neutral(self) -> None:
         """Take the next frames with a steady face as a neutral one: all that is seen in them becomes identity."""
         with self._lock:

@@ -28,9 +28,18 @@ CANVAS = 235
 class PictureStore:
     """Pictures by frame index, decoded when asked for; the latest ones are kept. Calls may come from any thread."""
 
-    def __init__(self, frames: Frames | None, sizes: Sequence[tuple[int, int]], kept_bytes: int = KEPT_BYTES):
-        """`sizes`: (width, height) of each frame, for blank pictures where `frames` is None or ends early."""
-        self._frames, self._sizes, self._kept_bytes = frames, sizes, kept_bytes
+    def __init__(
+        self,
+        frames: Frames | None,
+        sizes: Sequence[tuple[int, int]],
+        kept_bytes: int = KEPT_BYTES,
+        given: Sequence[UInt8[np.ndarray, "h w 3"]] = (),
+    ):
+        """`sizes`: (width, height) of each frame, for blank pictures where `frames` is None or ends early.
+
+        `given` are pictures that are in memory already, in place of `frames`.
+        """
+        self._frames, self._sizes, self._kept_bytes, self._given = frames, sizes, kept_bytes, given
         self._kept: OrderedDict[int, np.ndarray] = OrderedDict()
         self._next, self._stream = -1, iter(())
         self._lock = threading.Lock()
@@ -38,7 +47,7 @@ class PictureStore:
     @property
     def real(self) -> bool:
         """Whether there are pictures and not only their sizes."""
-        return self._frames is not None
+        return self._frames is not None or bool(self._given)
 
     @property
     def frames(self) -> Frames | None:
@@ -54,7 +63,7 @@ class PictureStore:
 
     def _read(self, index: int) -> np.ndarray:
         if self._frames is None:
-            return self._blank(index)
+            return self._given[index] if index < len(self._given) else self._blank(index)
         if index != self._next:
             self._stream = self._frames.iterate(index)
         frame: Frame | None = next(self._stream, None)
@@ -137,8 +146,7 @@ def load_material(
 def material_of_photo(picture: UInt8[np.ndarray, "h w 3"], landmarks: Landmarks2D, name: str = "photo") -> Material:
     """A picture that is already in memory, with its landmarks."""
     observation = FrameObservation(0, landmarks, landmarks.image_size)
-    store = PictureStore(None, [landmarks.image_size])
-    store._keep(0, np.array(picture))
+    store = PictureStore(None, [landmarks.image_size], given=[np.array(picture)])
     return Material(name, (observation,), store, stills=True)
 
 

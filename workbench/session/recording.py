@@ -16,6 +16,7 @@ from workbench.face import FaceModel
 from workbench.files import make_folder
 from workbench.frames import VideoWriter
 from workbench.pipeline import content_hash, software_versions
+from workbench.pipeline.output_folder import check_no_results
 from workbench.session.live_frame import LiveFrame
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import stack_fits
@@ -62,9 +63,14 @@ class Recording:
         """How long it plays."""
         return len(self) / self.track.meta["rate"]
 
-    def save(self, folder: str | Path) -> Path:
-        """Write track.npz into a folder, and clip.mp4 if pictures were kept; returns the path of the track."""
+    def save(self, folder: str | Path, overwrite: bool = False) -> Path:
+        """Write track.npz into a folder, and clip.mp4 if pictures were kept; returns the path of the track.
+
+        Raises `OutputError` for a folder that holds one of them already, unless told to `overwrite`.
+        """
         folder = Path(folder)
+        if not overwrite:
+            check_no_results(folder, ("track.npz", "clip.mp4"), "a recording or a run", "overwrite=True")
         make_folder(folder)
         track = self.track
         if self.jpegs:

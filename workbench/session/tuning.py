@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from workbench.config import DEFAULT_PRESET, Config, Difference, Stage, differences, parse_config, preset, write_config
+from workbench.config import DEFAULT_PRESET, Config, Difference, differences, parse_config, preset, write_config
 from workbench.diagnosis import (
     Change,
     Diagnosis,
@@ -247,12 +247,6 @@ class TuningSession:
         if not points:
             raise ConfigError("A landmark subset needs at least one point; select some first.")
         return self.set(f"subset {name}", subsets={name: points})
-
-    def set_stages(
-        self, stages: Sequence[Stage], label: str = "stages", gesture: Gesture | str | None = None
-    ) -> Config:
-        """Replace the schedule."""
-        return self.set(label, gesture, stages=[stage.model_dump() for stage in stages])
 
     def _set_landmarks(self, key: str, value: dict, label: str, gesture: Gesture | str | None = None) -> Config:
         stored = self._config.landmarks.model_dump()

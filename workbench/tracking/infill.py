@@ -141,15 +141,13 @@ def fill_by_flow(
     ends = tuple(None if end is None else Neighbour(parameters_of(end.fit), end.pictures) for end in (before, after))
     count = len(pictures)
 
-    def along(order: Sequence[int], end: Neighbour, starts: list[FaceParameters] | None) -> list[FaceParameters]:
+    def along(order: Sequence[int], end: Neighbour) -> list[FaceParameters]:
         found: list[FaceParameters] = [end.parameters] * count
         neighbour = end
         for k in order:
-            start = neighbour.parameters if starts is None else starts[k]
+            start = neighbour.parameters
             links = fitter.links(neighbour, pictures[k], start, views)
-            solution = fitter.solve(
-                ((neighbour, links), None), start, neighbour.parameters, views, appearance=appearance
-            )
+            solution = fitter.solve(((neighbour, links), None), start, start, views, appearance=appearance)
             found[k] = solution.parameters
             neighbour = Neighbour(found[k], pictures[k])
             advanced(k)
@@ -171,8 +169,8 @@ def fill_by_flow(
 
     forth, back = range(count), range(count - 1, -1, -1)
     if before is None or after is None:
-        return along(forth if after is None else back, ends[0] or ends[1], None)
-    forward, backward = along(forth, ends[0], None), along(back, ends[1], None)
+        return along(forth if after is None else back, ends[0] or ends[1])
+    forward, backward = along(forth, ends[0]), along(back, ends[1])
     path = [between(forward[k], backward[k], (k + 1) / (count + 1)) for k in range(count)]
     expected = fill_linearly(before.fit, after.fit, count)
     for turn in range(fitter.config.infill.rounds):

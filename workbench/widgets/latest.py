@@ -21,14 +21,13 @@ class LatestWins(Generic[Request]):
         self._changed = threading.Condition()
         self._waiting: list[Request] = []
         self._busy = self._closed = False
-        self.submitted = self.started = 0
+        self.started = 0
         self._thread = threading.Thread(target=self._serve, name=name, daemon=True)
         self._thread.start()
 
     def submit(self, request: Request) -> None:
         """Ask for `work(request)`; replaces a request that still waits."""
         with self._changed:
-            self.submitted += 1
             self._waiting = [request]
             self._changed.notify_all()
 

@@ -126,16 +126,15 @@ class LivePanel(widgets.VBox):
         """Begin or end a recording."""
         self.record_button.value = on
 
-    def save(self, folder: str | Path) -> Path:
+    def save(self, folder: str | Path, overwrite: bool = False) -> Path:
         """Write the last recording into a folder: track.npz, and clip.mp4 if pictures were kept; the track's path.
 
-        Raises `InputError` if there is none, and for a folder that holds a track already.
+        Raises `InputError` if there is none, and `OutputError` for a folder that holds a track or clip already,
+        unless told to `overwrite`.
         """
         if self.recording is None:
             raise InputError("Nothing has been recorded yet; press record while the camera runs.")
-        if (Path(folder) / "track.npz").exists():
-            raise InputError(f"{folder} holds a track already; name another folder.")
-        return self.recording.save(folder)
+        return self.recording.save(folder, overwrite)
 
     def wait_idle(self, timeout_s: float | int = 60.0) -> bool:
         """Wait until no frame is being fitted and nothing is being saved; False if that takes longer."""
