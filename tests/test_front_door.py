@@ -97,3 +97,11 @@ def test_functions_named_like_their_module_stay_functions():
 def test_types_and_completion_are_told_of_the_stubs():
     assert (PACKAGE / "py.typed").is_file()
     assert "__version__: str" in (PACKAGE / "__init__.pyi").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("command", ["--help", "config show"])
+def test_the_command_line_tells_of_itself_without_jax_and_without_pictures(command):
+    run = f"import sys; from workbench.cli import app; app({command.split()}, standalone_mode=False)"
+    loaded = output_of(f"{run}; print('LOADED', *sys.modules)").rpartition("LOADED")[2].split()
+    assert "workbench.cli" in loaded
+    assert not {"jax", "scipy", "cv2", "matplotlib", "trimesh", "vtkmodules"} & set(loaded)

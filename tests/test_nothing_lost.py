@@ -390,7 +390,7 @@ class PicturesOfPaper:
 class TestPicturesOfStills:
     @pytest.fixture
     def stills(self, quick, points, monkeypatch):
-        monkeypatch.setattr("workbench.pictures.overlay_files.OverlayPictures", PicturesOfPaper)
+        monkeypatch.setattr("workbench.pipeline.still_pictures.OverlayPictures", PicturesOfPaper)
 
         def run(folder, **options):
             return track(points, folder, StubModel(), preset("calibrated"), stills=True, **options)

@@ -7,12 +7,12 @@ import typer
 from rich.markup import escape
 from rich.padding import Padding
 
+import workbench
 from workbench.cli import diagnosis_files, screen
 from workbench.cli.tracking import track_file
+from workbench.config import parse_config
 from workbench.errors import InputError
-from workbench.export.sources import input_files
 from workbench.files import check_not_inputs
-from workbench.tracking import Track
 
 MOST_FRAMES = 20
 MOST_WEIGHTS = 8
@@ -46,8 +46,8 @@ def diagnose(
     """Frames of a track that stand out, or the reasons for one."""
     if frame is not None and every:
         raise InputError("Give --frame or --all, not both: --all lists the frames that stand out.")
-    track = Track.load(track_file(run))
-    check_not_inputs(filter(None, (json_file, csv_file)), [track_file(run), *input_files(track.meta)])
+    track = workbench.Track.load(track_file(run))
+    check_not_inputs(filter(None, (json_file, csv_file)), [track_file(run), *workbench.export.input_files(track.meta)])
     if frame is None:
         record = _flags(track)
         _print_flags(record, run, every)
@@ -65,19 +65,15 @@ def diagnose(
         screen.console.print(f"wrote {escape(str(path))}", soft_wrap=True)
 
 
-def _flags(track: Track) -> dict:
-    from workbench.config import parse_config
-    from workbench.diagnosis import flag_frames
-
+def _flags(track: "workbench.Track") -> dict:
     stored = track.meta.get("config")
-    flags = flag_frames(track, parse_config(stored, "The track's configuration") if stored else None)
+    config = parse_config(stored, "The track's configuration") if stored else None
+    flags = workbench.diagnosis.flag_frames(track, config)
     return diagnosis_files.flags_record(track, flags)
 
 
-def _diagnosis(track: Track, frame: int) -> dict:
-    from workbench.session import open_session
-
-    session = open_session(track)
+def _diagnosis(track: "workbench.Track", frame: int) -> dict:
+    session = workbench.open_session(track)
     session.observation(frame)  # refused before the whole clip is fitted
     with screen.progress_bar() as progress:
         session.fit_clip(progress)

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from workbench.diagnosis.records import Change, Diagnosis, FrameFlags, GroupPull, Reason, Uncertainty
+import workbench
 from workbench.files import atomic_path
-from workbench.tracking import Track
 
 FLAG_COLUMNS = ("frame", "severity", "why")
 REASON_COLUMNS = (
@@ -18,7 +17,7 @@ REASON_COLUMNS = (
 )
 
 
-def flags_record(track: Track, flags: FrameFlags) -> dict[str, Any]:
+def flags_record(track: "workbench.Track", flags: "workbench.diagnosis.FrameFlags") -> dict[str, Any]:
     """The frames of a track that stand out, worst first."""
     order = np.argsort(-flags.severity, kind="stable")
     flagged = [
@@ -29,7 +28,9 @@ def flags_record(track: Track, flags: FrameFlags) -> dict[str, Any]:
     return {"frames": len(track), "frames_with_face": int(track.found.sum()), "flagged": flagged}
 
 
-def diagnosis_record(diagnosis: Diagnosis, names: Sequence[str], frames: int, pictures: bool) -> dict[str, Any]:
+def diagnosis_record(
+    diagnosis: "workbench.diagnosis.Diagnosis", names: Sequence[str], frames: int, pictures: bool
+) -> dict[str, Any]:
     """All that was found about one frame of a clip of `frames`; `pictures`: whether they were looked at."""
     pixels, inner, every = diagnosis.fit.errors
     return {
@@ -69,7 +70,7 @@ def write_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str], path: P
         writer.writerows(rows)
 
 
-def _reason(reason: Reason) -> dict[str, Any]:
+def _reason(reason: "workbench.diagnosis.Reason") -> dict[str, Any]:
     names = ("code", "title", "evidence", "score", "measure", "before_percent", "after_percent", "numbers")
     return {
         **{name: getattr(reason, name) for name in names},
@@ -77,18 +78,20 @@ def _reason(reason: Reason) -> dict[str, Any]:
     }
 
 
-def _change(change: Change) -> dict[str, Any]:
+def _change(change: "workbench.diagnosis.Change") -> dict[str, Any]:
     names = ("label", "config", "landmarks", "limits", "calibrate")
     return {name: getattr(change, name) for name in names}
 
 
-def _pull(pull: GroupPull) -> dict[str, Any]:
+def _pull(pull: "workbench.diagnosis.GroupPull") -> dict[str, Any]:
     names = ("group", "rotation_deg", "translation_mm", "distance_percent", "offset_percent")
     errors = ("error_with_percent", "error_without_percent")
     return {**{name: getattr(pull, name) for name in (*names, *errors)}, "weights": dict(pull.weights)}
 
 
-def _uncertainty(found: Uncertainty, names: Sequence[str], expression: np.ndarray) -> dict[str, Any]:
+def _uncertainty(
+    found: "workbench.diagnosis.Uncertainty", names: Sequence[str], expression: np.ndarray
+) -> dict[str, Any]:
     columns = zip(names, expression, found.weights, found.on_bound, strict=True)
     return {
         "noise_percent": found.noise_percent,

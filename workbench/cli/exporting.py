@@ -6,14 +6,12 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+import workbench
 from workbench.cli import screen
 from workbench.cli.tracking import track_file
 from workbench.errors import InputError
-from workbench.export.formats import FORMATS, export_track, format_of
-from workbench.export.sources import input_files
-from workbench.face import FaceModel
+from workbench.export.suffixes import FORMATS, format_of
 from workbench.files import check_not_inputs
-from workbench.tracking import Track
 
 EXPORT_HELP = (
     """Write a track as what other programs read; the suffix of the file decides.
@@ -61,11 +59,11 @@ def export(
         if path.exists() and stored.exists() and path.samefile(stored):
             raise InputError(f"{path} is the track itself; name another file.")
     given = [path for path in (model, character, mapping) if path is not None]
-    track = Track.load(stored)
-    check_not_inputs(to, [stored, *given, *input_files(track.meta)])
+    track = workbench.Track.load(stored)
+    check_not_inputs(to, [stored, *given, *workbench.export.input_files(track.meta)])
     head, notes = model_of_track(track, model)
     if character is not None:
-        other = load_model(character)
+        other = workbench.load_face_model(character)
         track, more = _played(track, head, other, mapping, surface)
         head, notes = other, [*notes, *more]
     elif mapping is not None or surface:
@@ -73,7 +71,9 @@ def export(
     with screen.progress_bar() as progress:
         for path in to:
             try:
-                done = export_track(track, head, path, shot=shot, rate=fps, pictures=pictures, progress=progress)
+                done = workbench.export_track(
+                    track, head, path, shot=shot, rate=fps, pictures=pictures, progress=progress
+                )
             except KeyboardInterrupt:
                 screen.errors.print(f"[yellow]interrupted[/yellow]: {escape(str(path))} was not written")
                 raise typer.Exit(130) from None
@@ -84,49 +84,41 @@ def export(
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}", soft_wrap=True)
 
 
-def model_of_track(track: Track, path: Path | None) -> tuple[FaceModel, list[str]]:
+def model_of_track(track: "workbench.Track", path: Path | None) -> tuple["workbench.FaceModel", list[str]]:
     """The model that a track was fitted with, from a file or the default head, and what is odd about it.
 
     Raises `InputError` for a track of another model than the default head without its file.
     """
-    from workbench.face import load_default_head
-
     stored = track.meta.get("model") or {}
     if path is not None:
-        model = load_model(path)
+        model = workbench.load_face_model(path)
     else:
         if stored.get("name", "default-head") != "default-head":
             raise InputError(f"This track was fitted with the model {stored['name']}; name its file with --model.")
-        full = load_default_head(gaze=True)
-        model = full if track.expression_names == full.expression_names else load_default_head()
+        full = workbench.load_default_head(gaze=True)
+        model = full if track.expression_names == full.expression_names else workbench.load_default_head()
     if stored.get("sha256") not in (None, model.fingerprint()):
         return model, [f"the track was fitted with another edition of {model.name}; the face may differ a little"]
     return model, []
 
 
-def load_model(path: Path) -> FaceModel:
-    """A face model from a file or folder."""
-    from workbench.face import load_face_model
-
-    return load_face_model(path)
-
-
-def _played(track, performer: FaceModel, character: FaceModel, mapping: Path | None, surface: bool):
+def _played(
+    track, performer: "workbench.FaceModel", character: "workbench.FaceModel", mapping: Path | None, surface: bool
+):
     """The track on a character, and which blendshapes have no counterpart."""
-    from workbench.export.retargeting import mapping_by_names, read_mapping, retarget, retarget_surface
-
     if surface:
         if mapping is not None:
             raise InputError("Give --map or --surface, not both: --surface needs no names.")
-        return retarget_surface(track, performer, character), []
+        return workbench.export.retarget_surface(track, performer, character), []
     names = track.expression_names, character.expression_names
-    found = mapping_by_names(*names) if mapping is None else read_mapping(mapping, *names)
+    by_names, read = workbench.export.mapping_by_names, workbench.export.read_mapping
+    found = by_names(*names) if mapping is None else read(mapping, *names)
     notes = []
     if found.unused:
         notes.append(f"{_some(found.unused)} of the track move nothing on the character")
     if found.still:
         notes.append(f"{_some(found.still)} of the character stay at rest")
-    return retarget(track, character, found), notes
+    return workbench.export.retarget(track, character, found), notes
 
 
 def _some(names: tuple[str, ...]) -> str:

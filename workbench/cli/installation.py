@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.markup import escape
 from rich.table import Table
 
-from workbench import __version__
+import workbench
 from workbench.cli import screen
 from workbench.config import PRESETS
 from workbench.runtime import cache_folder
@@ -20,24 +20,23 @@ PACKAGES = ("jax", "equinox", "optimistix", "opencv-contrib-python-headless", "p
 
 def info() -> None:
     """Versions, what is installed, and where things are."""
-    from workbench.face import load_default_head
-    from workbench.landmarks.detectors import chosen_detector
-    from workbench.landmarks.network_detector import BUNDLED
-    from workbench.pictures.gl_probe import gl_available
 
-    head, automatic = load_default_head(), chosen_detector()
+    bundled = workbench.landmarks.network_detector.BUNDLED
+    head, automatic = workbench.load_default_head(), workbench.landmarks.chosen_detector()
     table = Table(show_header=False, box=None)
     rows = {
-        "workbench": __version__,
+        "workbench": workbench.__version__,
         "Python": platform.python_version(),
         **{name: _version(name) for name in PACKAGES},
         "dlib detector": "installed"
         if automatic != "network"
         else 'missing: pip install "face-energy-workbench[dlib]"',
         "auto detector": automatic if automatic != "network" else f"{automatic}, as the dlib detector is missing",
-        **{f"network {path.stem}": _network(path) for path in sorted(BUNDLED.glob("*.safetensors"))},
+        **{f"network {path.stem}": _network(path) for path in sorted(bundled.glob("*.safetensors"))},
         "app": "installed" if _has("voila") else 'missing: pip install "face-energy-workbench[app]"',
-        "3D pictures": "VTK off screen" if gl_available() else "plain (VTK found no usable OpenGL library)",
+        "3D pictures": "VTK off screen"
+        if workbench.pictures.gl_available()
+        else "plain (VTK found no usable OpenGL library)",
         "default head": f"{len(head.neutral)} vertices, {len(head.expression_names)} blendshapes",
         "presets": ", ".join(PRESETS),
         "samples": str(samples_folder()),
@@ -50,9 +49,8 @@ def info() -> None:
 
 def _network(path: Path) -> str:
     """Architecture, size and identity of a weights file."""
-    from workbench.networks import read_weights
 
-    weights = read_weights(path)
+    weights = workbench.networks.read_weights(path)
     numbers = sum(array.size for array in weights.arrays.values())
     content = path.read_bytes()
     digest = hashlib.sha256(content).hexdigest()[:12]

@@ -5,25 +5,20 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
 from rich.markup import escape
 from rich.table import Table
 
+import workbench
 from workbench.cli import screen
 from workbench.cli.tracking import DETECTOR_HELP, FACE_HELP, NO_FACE, print_licence_notice, wanted_face
 from workbench.config import DEFAULT_PRESET, preset
 from workbench.errors import InputError
 from workbench.files import check_not_inputs
-from workbench.frames import Frame, Frames, VideoWriter, write_picture
-from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
-from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import outer_eye_distance
-
-if TYPE_CHECKING:
-    from workbench.pipeline import PictureSource
 
 LANDMARKS_HELP = """Find faces and their 68 landmarks, with a confidence for every point; no face model is fitted.
 
@@ -60,7 +55,7 @@ class Found:
 
     index: int
     name: str
-    landmarks: Landmarks2D | None
+    landmarks: "workbench.Landmarks2D | None"
     milliseconds: float
 
     @property
@@ -77,15 +72,13 @@ def landmarks(
     pictures: Annotated[bool, typer.Option(help="Draw the points, coloured by confidence.")] = True,
 ) -> None:
     """Find faces and landmarks in pictures."""
-    from workbench.pipeline import is_landmark_file, open_source
-
     if out.suffix.lower() != ".csv":
         raise InputError(f"Landmarks are written as .csv, got {out}; name another file.")
     for path in inputs:
-        if is_landmark_file(path):
+        if workbench.pipeline.is_landmark_file(path):
             raise InputError(f"{path} holds landmarks, not a picture to find them in; `workbench track` reads it.")
     settings = preset(DEFAULT_PRESET).changed(landmarks={"detector": detector, "face": wanted_face(face)})
-    source = open_source(inputs, settings, None)
+    source = workbench.pipeline.open_source(inputs, settings, None)
     drawn = _drawings(source.frames, out) if pictures else None
     check_not_inputs([out] if drawn is None else [out, drawn, *_drawn_there(drawn)], inputs)
     with screen.progress_bar() as progress:
@@ -100,7 +93,7 @@ def landmarks(
         raise typer.Exit(1)
 
 
-def _drawings(frames: Frames, out: Path) -> Path:
+def _drawings(frames: "workbench.frames.Frames", out: Path) -> Path:
     """Where the drawn pictures go: a video for a video, else a folder."""
     return out.with_suffix(".mp4") if frames.kind == "video" else out.with_suffix("")
 
@@ -109,32 +102,33 @@ def _drawn_there(drawn: Path) -> list[Path]:
     return list(drawn.iterdir()) if drawn.is_dir() else []
 
 
-def _find(source: "PictureSource", out: Path, drawn: Path | None, progress: Progress) -> list[Found]:
-    from workbench.pictures.overlay import draw_landmarks
-
-    found = []
-    with ExitStack() as files:
-        table = files.enter_context(LandmarkCsvWriter(out))
+def _find(source: "workbench.pipeline.PictureSource", out: Path, drawn: Path | None, progress: Progress) -> list[Found]:
+    files, draw, found = workbench.landmarks.files, workbench.pictures.draw_landmarks, []
+    with ExitStack() as opened:
+        table = opened.enter_context(files.LandmarkCsvWriter(out))
         film = None
         if drawn is not None and source.frames.kind == "video":
-            film = files.enter_context(VideoWriter(drawn, rate=source.frames.rate or RATE_WITHOUT_CLOCK))
+            rate = source.frames.rate or RATE_WITHOUT_CLOCK
+            film = opened.enter_context(workbench.frames.VideoWriter(drawn, rate=rate))
         for frame, observation in source.stills():
-            table.write(LandmarkRecord(frame.index, frame.name, observation.landmarks, observation.image_size))
+            points = observation.landmarks
+            table.write(files.LandmarkRecord(frame.index, frame.name, points, observation.image_size))
             if film is not None:
-                film.write(draw_landmarks(frame.picture, observation.landmarks, frame.name))
+                film.write(draw(frame.picture, points, frame.name))
             elif drawn is not None:
-                path = drawn / _picture_name(frame)
-                write_picture(path, draw_landmarks(frame.picture, observation.landmarks, frame.name))
-            found.append(Found(frame.index, frame.name, observation.landmarks, sum(observation.milliseconds)))
+                workbench.frames.write_picture(drawn / _picture_name(frame), draw(frame.picture, points, frame.name))
+            found.append(Found(frame.index, frame.name, points, sum(observation.milliseconds)))
             progress("landmarks", len(found), source.count)
     return found
 
 
-def _picture_name(frame: Frame) -> str:
+def _picture_name(frame: "workbench.frames.Frame") -> str:
     return f"{frame.index:04d}-{Path(frame.name).stem}.jpg"
 
 
-def _tell(found: list[Found], source: "PictureSource", inputs: list[Path], out: Path, drawn: Path | None) -> None:
+def _tell(
+    found: list[Found], source: "workbench.pipeline.PictureSource", inputs: list[Path], out: Path, drawn: Path | None
+) -> None:
     if source.frames.kind == "images" and len(found) <= LISTED:
         _print_each(found)
     faces = [item for item in found if item.landmarks is not None]
@@ -177,6 +171,6 @@ def _print_each(found: list[Found]) -> None:
     screen.console.print()
 
 
-def _next_command(frames: Frames, inputs: list[Path], out: Path) -> str:
+def _next_command(frames: "workbench.frames.Frames", inputs: list[Path], out: Path) -> str:
     stills = ["--stills"] if frames.kind == "images" and frames.announced_count != 1 else []
     return shlex.join(["workbench", "track", *map(str, inputs), *stills, "--landmarks", str(out)])

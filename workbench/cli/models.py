@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+import workbench
 from workbench.cli import screen
 from workbench.files import check_not_inputs
 
@@ -48,21 +49,16 @@ def show(
     expressions: Annotated[int, typer.Option(min=0, help="Expression components to keep.")] = 50,
 ) -> None:
     """Tell what a face model holds."""
-    from workbench.face import load_face_model  # with JAX's start-up: only when it is asked for
-
     if picture is not None:
         check_not_inputs([picture], [path, *([] if landmarks is None else [landmarks])])
-    model = load_face_model(path, landmarks=landmarks, unit=unit, identity=identity, expressions=expressions)
+    model = workbench.load_face_model(path, landmarks=landmarks, unit=unit, identity=identity, expressions=expressions)
     table = screen.table("", "")
     table.show_header = False
     for key, value in _rows(model):
         table.add_row(f"[bold]{key}[/bold]", escape(value))
     screen.console.print(table)
     if picture is not None:
-        from workbench.frames import write_picture
-        from workbench.pictures import model_check_picture
-
-        write_picture(picture, model_check_picture(model))
+        workbench.frames.write_picture(picture, workbench.pictures.model_check_picture(model))
         screen.console.print(f"{escape(str(picture))}  [dim]check that every point lies where it should[/dim]")
 
 
@@ -86,7 +82,5 @@ def _rows(model) -> list[tuple[str, str]]:
 
 
 def _shapes(model) -> tuple[int, int]:
-    from workbench.face import arkit_name
-
-    named = sum(arkit_name(name) == name for name in model.expression_names)
+    named = sum(workbench.face.arkit_name(name) == name for name in model.expression_names)
     return named, len(model.expression_names) - named

@@ -5,6 +5,7 @@ from typing import Annotated, Any, get_args
 
 import typer
 
+import workbench
 from workbench.cli import screen
 from workbench.cli.tracking import OVERWRITE_HELP, face_model, frame_range, named_views, print_result, track_file
 from workbench.config import InfillConfig, RefinementConfig
@@ -133,9 +134,7 @@ def _check(method: str, known: list[str]) -> None:
 
 
 def _check_range(wanted: list[tuple[int, int]], run: Path) -> None:
-    from workbench.tracking.track_reader import TrackReader
-
-    count = len(TrackReader(track_file(run)))
+    count = len(workbench.tracking.TrackReader(track_file(run)))
     for first, last in wanted:
         if first >= count:
             asked = f"{first}" if first == last else f"{first}-{last}"
@@ -148,16 +147,13 @@ def _flow(estimator: str | None) -> dict[str, str]:
 
 def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, view, **options):
     """The result of these steps on a run's track, told."""
-    from workbench.pipeline import check_inputs_kept, config_of, retrack
-    from workbench.tracking.track_reader import TrackReader
-
     stored = track_file(run)
-    config = config_of(TrackReader(stored).meta).changed(**changes)
+    config = workbench.pipeline.config_of(workbench.tracking.TrackReader(stored).meta).changed(**changes)
     model = face_model(model_path)
     folder = out or stored.parent.with_name(f"{stored.resolve().parent.name}-{name}")
-    check_inputs_kept(folder, [] if model_path is None else [model_path])
+    workbench.pipeline.check_inputs_kept(folder, [] if model_path is None else [model_path])
     with screen.progress_bar() as progress:
-        result = retrack(
+        result = workbench.pipeline.retrack(
             stored,
             folder,
             model,

@@ -7,12 +7,10 @@ import numpy as np
 import typer
 from rich.markup import escape
 
+import workbench
 from workbench.cli import screen
 from workbench.errors import InputError
 from workbench.files import atomic_path, check_not_inputs
-from workbench.geometry import Rig, RigReport, ViewReport, read_rig, rig_report, write_rig
-from workbench.landmarks.epipolar import MOST_OFFSET, RigCheck, check_rig
-from workbench.landmarks.files import read_landmark_file
 
 GROUP_HELP = """Rigs of several calibrated cameras: what is in a file, and whether landmarks agree with it.
 
@@ -37,11 +35,11 @@ one file for each camera, the reference first.
   workbench rig show intrinsics.yml extrinsics.yml --unit cm --size 1280x720
 """
 
-CHECK_HELP = f"""Compare the landmarks of synchronised clips with a rig, frame by frame, without a face model.
+CHECK_HELP = """Compare the landmarks of synchronised clips with a rig, frame by frame, without a face model.
 
 LANDMARKS is a file for each view, in the rig's order, as [bold]workbench landmarks[/bold] writes it. Tells how far \
 the 51 inner landmarks lie off their epipolar lines and off their triangulated places, which view is off (with three \
-or more), and whether another order, turned poses or a shift in time of up to {MOST_OFFSET} frames would fit better.
+or more), and whether another order, turned poses or a shift in time by some frames would fit better.
 
 Exit code 0: nothing stands out; 1: something does; 2: the files cannot be compared.
 
@@ -74,8 +72,8 @@ def show(
     """Print a rig and draw it."""
     if picture is not None and picture.suffix.lower() != ".png":
         raise InputError(f"The rig is drawn as .png, got {picture}; name another file.")
-    rig = read_rig(files, unit, _image_size(size))
-    _print_report(rig_report(rig))
+    rig = workbench.geometry.read_rig(files, unit, _image_size(size))
+    _print_report(workbench.geometry.rig_report(rig))
     if picture is not None:
         check_not_inputs([picture], files)
         _draw(rig, picture)
@@ -90,7 +88,8 @@ def check(
     size: SizeOption = None,
 ) -> None:
     """Compare landmarks with a rig."""
-    found = check_rig(read_rig(rig, unit, _image_size(size)), [read_landmark_file(path) for path in landmarks])
+    placed = workbench.geometry.read_rig(rig, unit, _image_size(size))
+    found = workbench.landmarks.epipolar.check_rig(placed, [workbench.read_landmark_file(path) for path in landmarks])
     _print_check(found)
     if found.warnings:
         raise typer.Exit(1)
@@ -104,10 +103,10 @@ def convert(
     out: Annotated[Path, typer.Option(help="File to write.")] = Path("rig.toml"),
 ) -> None:
     """Write a rig as rig.toml."""
-    rig = read_rig(files, unit, _image_size(size))
+    rig = workbench.geometry.read_rig(files, unit, _image_size(size))
     check_not_inputs([out], files)
-    write_rig(rig, out)
-    _print_report(rig_report(rig))
+    workbench.geometry.write_rig(rig, out)
+    _print_report(workbench.geometry.rig_report(rig))
     screen.console.print(f"wrote {escape(str(out))}", soft_wrap=True)
 
 
@@ -120,14 +119,12 @@ def _image_size(text: str | None) -> tuple[int, int] | None:
     return int(parts[0]), int(parts[1])
 
 
-def _draw(rig: Rig, path: Path) -> None:
-    from workbench.pictures.rig_drawing import rig_figure  # matplotlib: only when it is asked for
-
+def _draw(rig: "workbench.geometry.Rig", path: Path) -> None:
     with atomic_path(path) as temporary:
-        rig_figure(rig).savefig(temporary)
+        workbench.pictures.rig_figure(rig).savefig(temporary)
 
 
-def _print_report(report: RigReport) -> None:
+def _print_report(report: "workbench.geometry.RigReport") -> None:
     lenses = ("focal, px", "field of view", "centre off by, px", "distortion, px")
     table = screen.table("view", "picture", *lenses, right=lenses, whole=("picture",))
     for view in report.views:
@@ -145,7 +142,7 @@ def _print_report(report: RigReport) -> None:
     _print_warnings(report.warnings)
 
 
-def _lens_cells(view: ViewReport) -> list[str]:
+def _lens_cells(view: "workbench.geometry.ViewReport") -> list[str]:
     (fx, fy), (width, height) = view.focal_px, view.image_size
     off_x, off_y = view.principal_offset_px
     focal = f"{fx:.1f}" if abs(fx - fy) < 0.05 else f"{fx:.1f}, {fy:.1f}"
@@ -154,14 +151,14 @@ def _lens_cells(view: ViewReport) -> list[str]:
     return [f"{width}×{height}", focal, fov, f"{off_x:+.1f}, {off_y:+.1f}", moved]
 
 
-def _place_cells(view: ViewReport) -> list[str]:
+def _place_cells(view: "workbench.geometry.ViewReport") -> list[str]:
     placed = [f"{view.baseline_mm:.1f} mm", f"{view.angle_deg:.1f}°", f"{view.roll_deg:+.1f}°"]
     if np.isinf(view.meeting_mm):
         return [*placed, "nowhere", ""]
     return [*placed, f"{view.meeting_mm:.0f} mm away", f"{view.gap_mm:.1f} mm"]
 
 
-def _print_check(found: RigCheck) -> None:
+def _print_check(found: "workbench.landmarks.epipolar.RigCheck") -> None:
     numbers = ("frames", "median", "95 %", "of the eye distance", "best offset")
     table = screen.table("epipolar distance", *numbers, right=numbers)
     for pair in found.pairs:

@@ -8,6 +8,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+import workbench
 from workbench.cli import screen
 from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset, read_config
 from workbench.errors import ConfigError, OutputError
@@ -98,11 +99,9 @@ def track(
     overwrite: Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP, rich_help_panel=RESULTS)] = False,
 ) -> None:
     """Track faces in pictures, a video or landmark files."""
-    from workbench.pipeline import check_inputs_kept
-
     settings = _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine)
     folder = out or Path("out") / (inputs[0].stem or "run")
-    check_inputs_kept(folder, [path for path in (config, model) if path is not None])
+    workbench.pipeline.check_inputs_kept(folder, [path for path in (config, model) if path is not None])
     _run(
         inputs,
         folder,
@@ -197,23 +196,19 @@ def track_file(run: Path) -> Path:
 
 def face_model(path: Path | None):
     """The face model of a file or folder, the default head for None."""
-    from workbench.face import load_default_head, load_face_model
-
-    return load_default_head() if path is None else load_face_model(path)
+    return workbench.load_default_head() if path is None else workbench.load_face_model(path)
 
 
 def _run(inputs, folder, config, model_path: Path | None = None, **options) -> None:
-    from workbench.pipeline import holds_parts, track
-
     model = face_model(model_path)
     with screen.progress_bar() as progress:
         try:
-            result = track(inputs, folder, model, config, progress=progress, **options)
+            result = workbench.pipeline.track(inputs, folder, model, config, progress=progress, **options)
         except KeyboardInterrupt:
             screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept, --resume goes on from there")
             raise typer.Exit(130) from None
         except OutputError as error:
-            if not holds_parts(folder):
+            if not workbench.pipeline.holds_parts(folder):
                 raise
             raise OutputError(f"{error} Finished parts are kept, --resume goes on from there.") from error
     print_result(result)
@@ -224,8 +219,6 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
 
 def print_result(result) -> None:
     """The table of a finished run."""
-    from workbench.pipeline import DEEP_OUTPUTS, OUTPUTS, TIME_OUTPUTS
-
     summary = result.summary
     error = summary["reprojection_error"]
     inner, every = error["inner_51_percent_of_eye_distance"], error["all_68_percent_of_eye_distance"]
@@ -253,10 +246,11 @@ def print_result(result) -> None:
         "[bold]camera[/bold]",
         f"focal length {camera['focal_px'][0]:.0f} px, {camera['horizontal_fov_deg']:.0f}° horizontally ({kind})",
     )
+    told = workbench.pipeline.OUTPUTS | workbench.pipeline.DEEP_OUTPUTS | workbench.pipeline.TIME_OUTPUTS
     for path in _named(result.files):
         key = "overlay.mp4" if "overlay" in path.name or path.parent.name == "overlay" else path.name
         key = "stages" if path.parent.name == "stages" else key
-        table.add_row("", f"{escape(str(path))}  [dim]{(OUTPUTS | DEEP_OUTPUTS | TIME_OUTPUTS).get(key, '')}[/dim]")
+        table.add_row("", f"{escape(str(path))}  [dim]{told.get(key, '')}[/dim]")
     screen.console.print(table)
     for note in result.notes:
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")
@@ -277,8 +271,8 @@ def _named(files: Sequence[Path]) -> list[Path]:
 
 def print_licence_notice(detector: str | None) -> None:
     """Tell, once, what users of dlib's landmarks must know; nothing where another detector ran, or none."""
-    from workbench.landmarks.dlib_detector import licence_notice_once
-
-    notice = licence_notice_once() if detector is not None and detector.startswith("dlib") else None
+    if detector is None or not detector.startswith("dlib"):
+        return
+    notice = workbench.landmarks.dlib_detector.licence_notice_once()
     if notice:
         screen.console.print(f"[dim]{notice}[/dim]")

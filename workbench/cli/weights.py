@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+import workbench
 from workbench.cli import screen
 
 GROUP_HELP = """Convert published network weights to safetensors, and tell what a weights file holds.
@@ -48,18 +49,14 @@ def convert(
     ] = None,
 ) -> None:
     """Convert a published checkpoint to safetensors."""
-    from workbench.networks import convert_checkpoint  # with JAX's start-up: only when it is asked for
-
-    written = convert_checkpoint(file, out)
+    written = workbench.networks.convert_checkpoint(file, out)
     _tell(written.origin, written.metadata, written.arrays)
 
 
 @weights_app.command(help=SHOW_HELP)
 def show(file: Annotated[Path, typer.Argument(help="Weights file, converted or as published.")]) -> None:
     """Tell what a weights file holds."""
-    from workbench.networks import read_checkpoint
-
-    weights = read_checkpoint(file)
+    weights = workbench.networks.read_checkpoint(file)
     _tell(weights.origin, weights.metadata, weights.arrays)
 
 

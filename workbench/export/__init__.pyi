@@ -1,14 +1,15 @@
 from .clip import Clip as Clip
 from .clip import make_clip as make_clip
-from .formats import FORMATS as FORMATS
 from .formats import Exported as Exported
 from .formats import export_track as export_track
-from .formats import format_of as format_of
 from .retargeting import ShapeMapping as ShapeMapping
 from .retargeting import mapping_by_names as mapping_by_names
 from .retargeting import read_mapping as read_mapping
 from .retargeting import retarget as retarget
 from .retargeting import retarget_surface as retarget_surface
+from .sources import input_files as input_files
+from .suffixes import FORMATS as FORMATS
+from .suffixes import format_of as format_of
 from .summary import summary_of as summary_of
 from .summary import write_summary as write_summary
 from .tables import write_parameter_table as write_parameter_table

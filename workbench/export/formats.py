@@ -1,4 +1,4 @@
-"""What a track can be exported as: the suffix of the file decides."""
+"""A track exported as what the suffix of the file says."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -6,33 +6,22 @@ from pathlib import Path
 
 from workbench.errors import InputError
 from workbench.export.clip import RATE_OF_IMAGES, check_model, make_clip, track_of_shot
+from workbench.export.gltf import write_gltf
 from workbench.export.live_link import write_live_link_csv
 from workbench.export.meshes import write_arrays, write_meshes
+from workbench.export.report import write_report
 from workbench.export.sources import input_files, pictures_of
+from workbench.export.suffixes import format_of
 from workbench.export.tables import write_curves, write_parquet
 from workbench.export.usd import write_usd
 from workbench.face import FaceModel
 from workbench.files import check_not_inputs
 from workbench.frames import Frames
+from workbench.pictures.overlay_files import write_overlay_video
 from workbench.tracking import Track
 
 Progress = Callable[[str, int, int | None], None]
 """Called with the name of a step, what is done, and how much there is in all."""
-
-FORMATS = {
-    ".glb": "glTF 2.0: blendshapes by name, jaw, camera, animation",
-    ".usd": "USD (also .usda, .usdc): the same with UsdSkel",
-    ".arkit.csv": "Live Link Face: ARKit's weights, head angles, timecode",
-    ".csv": "every curve: pose, weights, errors",
-    ".parquet": "the same as Parquet",
-    ".npz": "curves, camera, the person's head as NumPy arrays",
-    ".obj": "a folder with a mesh a frame",
-    ".ply": "a folder with a mesh a frame",
-    ".mp4": "pictures with the fit, the 3D face beside them",
-    ".html": "a report: pictures, curves, worst frames, settings",
-}
-"""Suffixes and what is written under them."""
-SAME = {".usda": ".usd", ".usdc": ".usd", ".htm": ".html"}
 
 
 @dataclass(frozen=True)
@@ -43,15 +32,6 @@ class Exported:
     """The file, or the folder of the meshes."""
     notes: tuple[str, ...] = field(default=())
     """What a user should know."""
-
-
-def format_of(path: str | Path) -> str:
-    """The key of `FORMATS` for a file name. Raises `InputError` for a suffix that is none of them."""
-    name = Path(path).name.lower()
-    for suffix in (".arkit.csv", *SAME, *FORMATS):
-        if name.endswith(suffix) and len(name) > len(suffix):
-            return SAME.get(suffix, suffix)
-    raise InputError(f"A track is exported as {', '.join(FORMATS)}, got {Path(path).name}.")
 
 
 def export_track(
@@ -107,23 +87,17 @@ def _in_3d(track, model, path: Path, kind: str, rate: float | None, progress: Pr
     elif kind == ".usd":
         write_usd(clip, path)
     else:
-        from workbench.export.gltf import write_gltf  # pygltflib: a third of a second to import
-
         write_gltf(clip, path)
     return Exported(path, clip.notes)
 
 
 def _film(track, model, path: Path, pictures, progress: Progress) -> Exported:
-    from workbench.pictures.overlay_files import write_overlay_video  # VTK: a second to import
-
     frames = pictures_of(track, pictures)
     note = write_overlay_video(frames, track, model, path, lambda done, total: progress("film", done, total))
     return Exported(path, (note,) if note else ())
 
 
 def _report(track, model, path: Path, pictures, progress: Progress) -> Exported:
-    from workbench.export.report import write_report
-
     frames: Frames | None = None
     notes: tuple[str, ...] = ()
     try:

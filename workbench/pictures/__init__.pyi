@@ -14,9 +14,11 @@ from .lighting import Lighting as Lighting
 from .model_check import model_check_picture as model_check_picture
 from .overlay import ALL_BUT_MESH as ALL_BUT_MESH
 from .overlay import OverlayParts as OverlayParts
+from .overlay import draw_landmarks as draw_landmarks
 from .overlay import draw_overlay as draw_overlay
 from .overlay import side_by_side as side_by_side
 from .overlay_files import HeadPanel as HeadPanel
 from .overlay_files import write_overlay_picture as write_overlay_picture
 from .overlay_files import write_overlay_video as write_overlay_video
+from .rig_drawing import rig_figure as rig_figure
 from .wireframe import draw_wireframe as draw_wireframe

@@ -22,6 +22,7 @@ from workbench.export.sources import input_files
 from workbench.face import FaceModel
 from workbench.frames import Frames, ImageFrames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
+from workbench.pictures.overlay_files import write_overlay_video
 from workbench.pipeline.deep_run import track_independent_frames, write_strips
 from workbench.pipeline.output_folder import DEEP_OUTPUTS as DEEP_OUTPUTS
 from workbench.pipeline.output_folder import FILES, PARTS, PICTURE_FOLDERS, UNREFINED, run_folder
@@ -339,8 +340,6 @@ def landmark_record(fit: FrameFit) -> LandmarkRecord:
 
 
 def _write_film(frames, writer, model, folder, progress, notes) -> tuple[Path, ...]:
-    from workbench.pictures.overlay_files import write_overlay_video  # VTK: a second to import
-
     path = folder / "overlay.mp4"
     note = write_overlay_video(
         frames, writer, model, path, progress=lambda done, total: progress("overlay", done, total)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from workbench.config import Config
 from workbench.face import FaceModel
+from workbench.pictures.deep_strip import write_stage_strip
 from workbench.pipeline.sources import DeepSource, RigSource
 from workbench.pipeline.still_pictures import StillPictures
 from workbench.tracking import FaceTracker, FrameContext, FrameFit, FrameObservation
@@ -64,8 +65,6 @@ def track_independent_frames(
 
 def write_strips(pairs: list[Pair], fitter: DeepFitter, folder: Path, progress) -> tuple[Path, ...]:
     """Draw the stages of some frames: `stages/0012.jpg`."""
-    from workbench.pictures.deep_strip import write_stage_strip
-
     made = []
     pictured = [pair for pair in pairs if pair[0].picture is not None]
     for observation, context in pictured:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from workbench.face import FaceModel
+from workbench.pictures.overlay_files import OverlayPictures
 from workbench.pipeline.sources import canvas
 from workbench.tracking import FrameFit, FrameObservation
 from workbench.tracking.track_writer import TrackWriter
@@ -17,8 +18,6 @@ class StillPictures:
     """Draws `overlay/0012-name.jpg` for each still (`overlay.png` for a single one); used in a `with` block."""
 
     def __init__(self, source, model: FaceModel, names: Sequence[str], folder: Path) -> None:
-        from workbench.pictures.overlay_files import OverlayPictures  # VTK: a second to import
-
         self._source, self._names, self._folder = source, names, folder
         self._pictures = OverlayPictures(model)
 

@@ -30,6 +30,7 @@ from workbench.energies.deep import DEEP_TERMS
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, load_default_head
 from workbench.landmarks.observations import Landmarks2D
+from workbench.pictures.deep_strip import stage_strip
 from workbench.pipeline import software_versions
 from workbench.session.exports import taken_text
 from workbench.session.gesture import Gesture, Gestures
@@ -318,8 +319,6 @@ class TuningSession:
         solution = self.solve_frame(frame)
         if solution is None or not self.material.pictures.real:
             return None
-        from workbench.pictures.deep_strip import stage_strip  # here: a session without pictures needs no plotting
-
         with self._fitting:
             _, observation, context = self._prepared(frame, coarse=True)
             return stage_strip(self.picture(frame), self._fitter, observation, context, solution)

@@ -1,0 +1,11 @@
+from . import dlib_detector as dlib_detector
+from . import epipolar as epipolar
+from . import files as files
+from . import network_detector as network_detector
+from .detection import FaceDetection as FaceDetection
+from .detection import LandmarkDetector as LandmarkDetector
+from .detectors import chosen_detector as chosen_detector
+from .detectors import make_detector as make_detector
+from .files import read_landmark_file as read_landmark_file
+from .observations import Landmarks2D as Landmarks2D
+from .tracking import LandmarkTracker as LandmarkTracker
