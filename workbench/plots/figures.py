@@ -1,0 +1,52 @@
+"""What the figures share: colours, sizes, empty figures and axes, the logarithmic scale."""
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib import pyplot
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+Picture = UInt8[np.ndarray, "_ _ 3"]
+BLUE, RED, GREY, GREEN, AMBER = "#2a6f97", "#c0392b", "#8d99a6", "#2d936c", "#e09f3e"
+LINES = ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (AMBER, "-"), ("#5e548e", ":"))
+"""Colour and dash of the lines of one figure in turn: the dash tells them apart without colour."""
+STRIP_ROWS = ("jaw", "brows", "nose", "eyes", "mouth")
+"""Parts of the face in the rows of a strip of residuals."""
+DPI = 100
+PAGE_WIDTH, GAP, TITLE_HEIGHT = 8.4, 0.04, 0.26
+"""Width of a notebook's outputs, space between pictures, and height of a title, inches."""
+
+
+def log_where_wide(axis: Axes, values: Float[np.ndarray, "..."]) -> bool:
+    """Make the y axis logarithmic where positive values span more than a factor of ten; whether they do."""
+    least, most = np.nanmin(values), np.nanmax(values)
+    wide = bool(most > 10.0 * least > 0.0)
+    if wide:
+        axis.set_yscale("log")
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(NullFormatter())
+    return wide
+
+
+def one_axis(width: float, height: float) -> tuple[Figure, Axes]:
+    figure, axis = subplots(1, 1, (width, height))
+    without_frame(axis[0])
+    figure.set_layout_engine("tight")
+    return figure, axis[0]
+
+
+def subplots(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, np.ndarray]:
+    figure = empty_figure(*size)
+    return figure, figure.subplots(rows, columns, squeeze=False).ravel()
+
+
+def empty_figure(width: float, height: float) -> Figure:
+    figure = pyplot.figure(figsize=(width, height), dpi=DPI)
+    pyplot.close(figure)
+    return figure
+
+
+def without_frame(axis: Axes) -> None:
+    axis.spines[["top", "right"]].set_visible(False)

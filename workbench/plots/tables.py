@@ -1,0 +1,133 @@
+"""Numbers by name: bars, matrices, heat maps, the strip of residuals, Markdown tables."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from workbench.landmarks.scheme import GROUPS
+from workbench.pictures.overlay import WORST_PERCENT
+from workbench.plots.figures import BLUE, GREEN, GREY, PAGE_WIDTH, RED, STRIP_ROWS, one_axis
+from workbench.tracking import FrameFit
+
+
+def strongest_weights(
+    names: Sequence[str],
+    weights: Float[np.ndarray, "k"] | dict[str, np.ndarray],
+    count: int = 12,
+    x_label: str = "weight",
+    in_range: tuple[float, float] | None = (0.0, 1.0),
+) -> Figure:
+    """Bars of the largest weights by size; for several vectors by label, grouped bars in the order of the largest.
+
+    `in_range` is shaded.
+    """
+    series = weights if isinstance(weights, dict) else {"": weights}
+    values = np.array(list(series.values()))
+    order = np.argsort(-np.abs(values).max(axis=0), kind="stable")[:count][::-1]
+    figure, axis = one_axis(6.4, 0.7 + 0.25 * count * (0.5 + 0.5 * len(series)))
+    thick = 0.8 / len(series)
+    for k, (label, row) in enumerate(zip(series, values, strict=True)):
+        place = np.arange(len(order)) + thick * ((len(series) - 1) / 2 - k)
+        axis.barh(place, row[order], thick, color=(BLUE, RED, GREEN, GREY)[k], label=label)
+    axis.set_yticks(np.arange(len(order)), [names[k] for k in order], fontsize=9)
+    axis.set_xlabel(x_label)
+    if in_range is not None:
+        axis.axvspan(*in_range, color="0.95", zorder=0)
+    axis.axvline(0, color="0.3", linewidth=0.8)
+    if len(series) > 1:
+        axis.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    return figure
+
+
+def heat_map(
+    values: Float[np.ndarray, "r c"],
+    rows: Sequence[object],
+    columns: Sequence[object],
+    row_label: str,
+    column_label: str,
+    value_label: str,
+    log: bool = False,
+) -> Figure:
+    """A table of positive numbers in colour, each number written into its cell."""
+    values = np.asarray(values)
+    height = 1.1 + 0.36 * len(rows)
+    figure, axis = one_axis(min(2.4 + 0.72 * len(columns), PAGE_WIDTH), height)
+    norm = LogNorm(values.min(), max(values.max(), 1.0001 * values.min())) if log else None
+    shown = axis.imshow(values, cmap="viridis", norm=norm, aspect="auto", interpolation="nearest")
+    for row, column in np.ndindex(values.shape):
+        light = shown.norm(values[row, column]) > 0.6
+        axis.text(
+            column, row, f"{values[row, column]:.3g}", ha="center", va="center", fontsize=8,
+            color="0.05" if light else "white",
+        )  # fmt: skip
+    axis.set_xticks(range(len(columns)), [str(name) for name in columns])
+    axis.set_yticks(range(len(rows)), [str(name) for name in rows])
+    axis.set_xlabel(column_label)
+    axis.set_ylabel(row_label)
+    bar = figure.colorbar(shown, pad=0.02)
+    bar.formatter = bar.minorformatter = "{x:g}"
+    bar.ax.tick_params(which="both", labelsize=8)
+    bar.set_label(value_label, fontsize=9)
+    return figure
+
+
+def residual_strip(fits: Sequence[FrameFit], flagged: Sequence[bool] | None = None, frame: int | None = None) -> Figure:
+    """Error of every landmark in every frame of a clip, in % of the outer-eye distance, as the panel's timeline.
+
+    Rows are sorted by the parts of the face; grey frames have no face. Triangles mark `flagged` frames, a line `frame`.
+    """
+    order = [point for group in STRIP_ROWS for point in GROUPS[group]]
+    values = np.full((68, len(fits)), np.nan)
+    for column, fit in enumerate(fits):
+        if fit.found:
+            values[:, column] = fit.residuals_percent[order]
+    figure, axis = one_axis(8.4, 2.5)
+    axis.set_facecolor("0.8")
+    shown = axis.imshow(
+        values, cmap="viridis", vmin=0.0, vmax=WORST_PERCENT, aspect="auto", interpolation="nearest",
+        extent=(-0.5, len(fits) - 0.5, 67.5, -0.5),
+    )  # fmt: skip
+    ends = np.cumsum([0, *(len(GROUPS[group]) for group in STRIP_ROWS)])
+    axis.set_yticks((ends[:-1] + ends[1:] - 1) / 2, STRIP_ROWS)
+    axis.tick_params(axis="y", length=0)
+    for end in ends[1:-1]:
+        axis.axhline(end - 0.5, color="white", linewidth=0.8)
+    if flagged is not None and any(flagged):
+        places = np.flatnonzero(np.asarray(flagged))
+        axis.plot(places, np.full(len(places), -3.5), "v", color=RED, markersize=5, clip_on=False)
+    if frame is not None:
+        axis.axvline(frame, color="white", linewidth=1.6)
+        axis.axvline(frame, color="0.1", linewidth=0.8, linestyle="--")
+    axis.set_xlim(-0.5, len(fits) - 0.5)
+    axis.set_ylim(67.5, -0.5)
+    axis.set_xlabel("frame")
+    bar = figure.colorbar(shown, pad=0.015, extend="max")
+    bar.set_label("error, % of eye distance", fontsize=8)
+    return figure
+
+
+def matrix_figure(names: Sequence[str], matrix: Float[np.ndarray, "k k"], title: str) -> Figure:
+    """A square matrix of values between −1 and 1 in colour, rows and columns by name."""
+    side = 1.6 + 0.17 * len(names)
+    figure, axis = one_axis(side + 0.6, side)
+    shown = axis.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1, interpolation="nearest")
+    axis.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+    axis.set_yticks(range(len(names)), names, fontsize=7)
+    axis.set_title(title, fontsize=10)
+    figure.colorbar(shown, shrink=0.6, pad=0.02)
+    return figure
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Rows as a Markdown table; floats are shown with three digits."""
+    lines = [header, ["---"] * len(header), *rows]
+    cells = [[_cell(cell) for cell in line] for line in lines]
+    return "\n".join("| " + " | ".join(line) + " |" for line in cells)
+
+
+def _cell(value: object) -> str:
+    text = f"{value:.3g}" if isinstance(value, float) else str(value)
+    return text.replace("|", "\\|")  # a bar would end the cell
