@@ -1,6 +1,6 @@
 """The live panel in a real browser: avatar updates a second, and the time from the camera to the screen.
 
-The browser's camera is the sample clip, 640 × 480 at 30 frames a second. Both stamps are the browser's own clock: when
+The browser's camera is the sample clip, 640 × 480 at 30 frames/s. Both stamps are the browser's own clock: when
 it took a frame from the camera, and when it asked for the next drawing after overlay and avatar of that frame had been
 drawn. Other programs on the machine disturb this; the best of several stretches counts, and the details have all.
 """

@@ -131,7 +131,7 @@ class Batch:
         self._solve = jax.jit(spread(lambda frame: solve_frame(camera, model, settings, program, frame)))
 
     def run(self) -> tuple[float, float]:
-        """Milliseconds a frame, NumPy in and NumPy report out, and the reprojection error."""
+        """Milliseconds per frame, NumPy in and NumPy report out, and the reprojection error."""
         began = time.perf_counter()
         solution = self._solve(self._frames)
         np.asarray(solution.report)

@@ -1,4 +1,4 @@
-"""A video file to a track, detection and landmarks included: frames a second once everything is compiled."""
+"""A video file to a track, detection and landmarks included: frames per second once everything is compiled."""
 
 import argparse
 import importlib.util
@@ -18,7 +18,7 @@ from workbench.samples import samples_folder
 from workbench.tracking.records import SOURCES
 
 GOAL = ">= 60"
-AGAINST = "the 18 frames a second of FACE IT!"
+AGAINST = "the 18 frames per second of FACE IT!"
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ JPEG_QUALITY = 92
 
 
 def write_camera_clip(video: Path, target: Path) -> None:
-    """A video as Motion JPEG, which Chromium plays over and over as its fake camera, 30 frames a second."""
+    """A video as Motion JPEG, which Chromium plays over and over as its fake camera, 30 frames per second."""
     capture = cv2.VideoCapture(str(video))
     with target.open("wb") as stream:
         while True:

@@ -160,7 +160,7 @@ def endless(stored):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (with_entry(a_group), "no data set"),
+        (with_entry(a_group), "not a data set"),
         (with_entry(a_link_out), "is a link"),
         (with_entry(a_link_to_itself), "is a link"),
         (with_entry(a_way_out), "is a link"),
@@ -342,7 +342,7 @@ def the_same_target_for_ever(document):
         (glb(target_of_another_length), "expected"),
         (glb(sparse_beyond), "does not have|expected"),
         (glb(the_same_target_for_ever), "accessors ask for more"),
-        (entry("nodes", 1, "name", value=["leftEye"]), "name that is no text"),
+        (entry("nodes", 1, "name", value=["leftEye"]), "name that is not text"),
         (entry("nodes", 1, "mesh", value=-1), "meshes has no entry -1"),
         (entry("nodes", 0, "translation", value=[1, 2]), "expected 3 numbers"),
         (entry("nodes", 0, "translation", value=[float("nan"), 0, 0]), "expected 3 numbers"),

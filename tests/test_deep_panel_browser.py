@@ -73,6 +73,9 @@ def test_every_stage_can_be_reached(page, screenshots):
         page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
         page.page.wait_for_timeout(500)
         page.page.screenshot(path=screenshots / f"deep-panel-stages-{width}.png")
+        titles = page.page.locator(".fw-stages b").evaluate_all("(all) => all.map((e) => e.getBoundingClientRect().y)")
+        assert len(titles) == 8
+        assert max(titles) - min(titles) <= 1  # in one line
     rows.last.get_by_role("button", name="✕", exact=True).hover()
 
 

@@ -612,6 +612,10 @@ def test_unknown_back_ends_and_sizes_are_refused(head):
         make_head_view(head, (10, 200))
 
 
-def test_closing_twice_is_fine(view):
-    view.close()
-    view.close()
+def test_closing_frees_what_the_browser_and_the_kernel_hold_and_closing_twice_is_fine(view):
+    threads = {thread for thread in threading.enumerate() if thread is getattr(view, "_worker", None)}
+    assert view.widget.comm is not None
+    for _ in range(2):
+        view.close()
+        assert view.widget.comm is None
+        assert not any(thread.is_alive() for thread in threads)

@@ -175,7 +175,7 @@ def test_a_camera_that_is_denied_or_missing_is_said_plainly(
 
 
 def rate_and_delay(frames):
-    """Frames a second that were drawn, and the median time from the camera to the screen in ms."""
+    """Frames per second that were drawn, and the median time from the camera to the screen in ms."""
     if len(frames) < 2:
         return 0.0, np.inf
     rate = (len(frames) - 1) / (frames[-1]["drawn"] - frames[0]["drawn"]) * 1000

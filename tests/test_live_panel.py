@@ -435,7 +435,7 @@ def test_free_folders_count_up(tmp_path):
 def test_a_panel_that_cannot_be_made_says_why(head, tmp_path):
     with pytest.raises(InputError, match="There is no video"):
         LivePanel(tmp_path / "missing.mp4", head)
-    with pytest.raises(InputError, match="takes seconds a frame"):
+    with pytest.raises(InputError, match="takes seconds per frame"):
         LivePanel(model=head, config=preset("deep-energies"))
 
 

@@ -1,4 +1,4 @@
-"""Tracks are steadied (Deep Energies Sec. 7, Appendix B) and expressions fitted anew with the pose held (B.1)."""
+"""Tracks are steadied (Deep Energies Sec. 7, Appendix B) and expressions re-fitted with the pose held (B.1)."""
 
 from dataclasses import replace
 

@@ -48,10 +48,10 @@ def test_what_is_no_track_is_refused(stored, tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         TrackReader(tmp_path / "none.npz")
     (tmp_path / "broken.npz").write_bytes(stored.read_bytes()[:2000])
-    with pytest.raises(InputError, match="damaged or no workbench track"):
+    with pytest.raises(InputError, match="damaged or not a workbench track"):
         TrackReader(tmp_path / "broken.npz")
     np.savez(tmp_path / "other.npz", meta=np.array('{"format": "other"}'), index=np.arange(3))
-    with pytest.raises(InputError, match="no workbench track"):
+    with pytest.raises(InputError, match="not a workbench track"):
         TrackReader(tmp_path / "other.npz")
     newer = json.dumps({"format": "face-energy-workbench-track", "format_version": 99})
     np.savez(tmp_path / "newer.npz", meta=np.array(newer), index=np.arange(3))
@@ -145,7 +145,7 @@ def test_metadata_that_later_steps_could_not_use_are_refused(contents, tmp_path,
 def test_metadata_that_are_no_table_are_refused(contents, tmp_path, read, text):
     arrays, _ = contents
     np.savez_compressed(tmp_path / "bad.npz", meta=np.array(text), **arrays)
-    with pytest.raises(InputError, match="no workbench track"):
+    with pytest.raises(InputError, match="not a workbench track"):
         read(tmp_path / "bad.npz")
 
 
@@ -156,7 +156,7 @@ def test_a_changed_byte_of_any_array_is_one_sentence(stored, tmp_path, read):
     content, path = stored.read_bytes(), tmp_path / "bad.npz"
     for place in places:
         path.write_bytes(content[:place] + bytes([content[place] ^ 0x55]) + content[place + 1 :])
-        with pytest.raises(InputError, match="is damaged or no workbench track"):
+        with pytest.raises(InputError, match="is damaged or not a workbench track"):
             read(path)
 
 

@@ -107,7 +107,7 @@ class IdentityConfig(_Section):
     window: Annotated[int, Field(ge=1, le=1000)] = Field(90, description="Frames of a shot that are looked at.")
     frames: Annotated[int, Field(ge=1, le=24)] = Field(12, description="Frames of the window that are used.")
     weight: NonNegative = Field(5.0, description="ω of ‖identity‖² against squared percent of the eye distance.")
-    expression: NonNegative = Field(40.0, description="ω of the smoothed L1 norm of the weights meanwhile.")
+    expression: NonNegative = Field(40.0, description="ω of the smoothed L1 norm of the weights during calibration.")
     jaw: NonNegative = Field(0.3, description="Landmark weight of the jaw contour in the second pass.")
     limits: tuple[Iterations, Iterations] = Field((30, 15), description="Iterations of the two passes.")
 
@@ -179,7 +179,9 @@ class InfillConfig(_Section):
     """Frames without a usable fit, filled from their neighbours (Deep Energies Sec. 6, 8.3, Appendix A)."""
 
     method: Literal["none", "flow", "linear", "spline"] = Field("none", description="none leaves failed frames as is.")
-    rounds: Annotated[int, Field(ge=1, le=10)] = Field(1, description="Flow: ways forth and back through a gap.")
+    rounds: Annotated[int, Field(ge=1, le=10)] = Field(
+        1, description="Flow: passes through a gap, forward and backward in turn."
+    )
     longest: Annotated[int, Field(ge=1)] = Field(10_000, description="Gaps of more frames stay.")
     largest_error: NonNegative = Field(
         10.0, description="Mean landmark error, % of eye distance, above which a fit counts as failed."
@@ -216,7 +218,7 @@ class RefinementConfig(_Section):
     )
     prior: NonNegative = Field(0.0, description="Flow: weight of staying at the fit before, pose in mm, 1 rad as 100.")
     reestimate: Annotated[int, Field(ge=0, le=10)] = Field(
-        0, description="Times that the expression is fitted anew with the pose held (B.1), each with its refinement."
+        0, description="Times that the expression is re-fitted with the pose held (B.1), each with its refinement."
     )
 
 
@@ -363,7 +365,7 @@ class Config(_Section):
         return {int(point): place for point, place in self.landmarks.moved.get(str(frame), {}).items()}
 
     def changed(self, **sections: Any) -> "Config":
-        """The configuration with some keys of some sections replaced, checked anew.
+        """The configuration with some keys of some sections replaced, checked again.
 
         Raises `ConfigError` for unknown keys and bad values.
         """

@@ -32,7 +32,7 @@ def prepare_jax() -> None:
 
 
 def configure_jax(jax: ModuleType) -> None:
-    """Switch on float64 and the persistent compilation cache, leaving what the user has set himself.
+    """Switch on float64 and the persistent compilation cache, leaving what the user has set.
 
     A float32 Levenberg–Marquardt diverges on E_β, whose slope at the bounds is about 40,000. The cache keeps even
     small programs (JAX skips those under a second by default), so a second start of a notebook compiles nothing.

@@ -144,8 +144,10 @@ def _tell(
         lowest = f"; lowest {least.confidence:.2f} in {escape(least.name)}" if len(faces) > 1 else ""
         table.add_row("[bold]confidence[/bold]", f"median {middle:.2f}{lowest}")
     time = np.median([item.milliseconds for item in found])
-    table.add_row("[bold]detector[/bold]", f"{source.detector}, median {time:.0f} ms a picture")
-    table.add_row("[bold]files[/bold]", f"{escape(str(out))}  [dim]a row a picture: 68 points, then confidences[/dim]")
+    table.add_row("[bold]detector[/bold]", f"{source.detector}, median {time:.0f} ms per picture")
+    table.add_row(
+        "[bold]files[/bold]", f"{escape(str(out))}  [dim]one row per picture: 68 points, then confidences[/dim]"
+    )
     if drawn is not None:
         table.add_row("", f"{escape(str(drawn))}  [dim]the points, yellow where sure, violet where guessed[/dim]")
     screen.console.print(table)

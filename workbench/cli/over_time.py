@@ -29,9 +29,9 @@ REFINE_HELP = """Steady a track, into a new one.
 
   workbench refine out/talk --method plate --sweeps 3 --order gauss-seidel
 
-  workbench refine out/talk --reestimate 1           and the expression anew with the steadied pose
+  workbench refine out/talk --reestimate 1           and re-fit the expression with the steadied pose
 """
-REESTIMATE_HELP = """Fit the expressions of a track anew with its poses held, into a new track.
+REESTIMATE_HELP = """Re-fit the expressions of a track with its poses held, into a new track.
 
 [bold]Example[/bold]
 
@@ -95,7 +95,7 @@ def refine(
     sweeps: Annotated[int | None, typer.Option(min=1, max=20, help="Times that every frame is solved.")] = None,
     order: Annotated[str | None, typer.Option(help="jacobi or gauss-seidel.")] = None,
     prior: Annotated[float | None, typer.Option(min=0.0, help="Weight of staying at the pose before.")] = None,
-    reestimate: Annotated[int, typer.Option(min=0, max=10, help="Also fit the expression anew, so often.")] = 0,
+    reestimate: Annotated[int, typer.Option(min=0, max=10, help="Number of expression re-fits.")] = 0,
     estimator: Estimator = None,
     model: Model = None,
     clip: Clip = None,
@@ -121,7 +121,7 @@ def reestimate(
     pictures: Pictures = True,
     overwrite: Overwrite = False,
 ) -> None:
-    """Fit the expressions of a track anew with its poses held, into a new track."""
+    """Re-fit the expressions of a track with its poses held, into a new track."""
     changes = {"refinement": {"reestimate": 1}}
     _work(
         run, out, "reestimate", changes, ["reestimate"], model, view, clip=clip, pictures=pictures, overwrite=overwrite

@@ -31,7 +31,7 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
   workbench track talk.mp4 --detector network       our own network, whatever is installed
 
-  workbench track talk.mp4 --preset face-it         as the paper has it
+  workbench track talk.mp4 --preset face-it         as published
 
   workbench track talk.mp4 --preset deep-energies --frames 100-200 --workers 2
 

@@ -59,7 +59,7 @@ class Change:
     limits: Mapping[str, int] = field(default_factory=dict)
     """New iteration limits of stages by name."""
     calibrate: bool = False
-    """Whether the identity of the shot must be calibrated anew with the changed configuration."""
+    """Whether the identity of the shot must be calibrated again with the changed configuration."""
     identity: Float[np.ndarray, "i"] | None = None
     """The identity that was found so, where `calibrate` is set."""
 

@@ -38,7 +38,7 @@ VALUES = len(LIVE_LINK_SHAPES) + len(ROTATIONS)
 
 
 def write_live_link_csv(track: Track, path: str | Path, rate: float | None = None) -> None:
-    """A row a frame: timecode HH:MM:SS:FF.mmm, 61, the weights, then yaw, pitch, roll of head and eyes in radians.
+    """One row per frame: timecode HH:MM:SS:FF.mmm, 61, the weights, then yaw, pitch, roll of head and eyes in radians.
 
     Blendshapes that the track does not have are 0, and so are the eyes, which 68 landmarks do not see. The motion of a
     jaw joint is in the jaw's blendshapes. A frame without a face, or with a failed fit, has the count 0 and no values,

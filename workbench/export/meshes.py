@@ -1,4 +1,4 @@
-"""The face as one mesh a frame (OBJ or PLY), and everything as arrays (NPZ)."""
+"""The face as one mesh per frame (OBJ or PLY), and everything as arrays (NPZ)."""
 
 import shutil
 import tempfile

@@ -287,7 +287,7 @@ def _subtitle(track: Track) -> str:
     rate = track.meta.get("rate")
     shots = len(np.unique(track.shot))
     seconds = (
-        f", {len(track) / rate:.1f} s at {rate:g} frames a second" if rate and not track.meta.get("stills") else ""
+        f", {len(track) / rate:.1f} s at {rate:g} frames per second" if rate and not track.meta.get("stills") else ""
     )
     return f"{len(track)} frames{seconds}, {shots} shot{'' if shots == 1 else 's'}"
 

@@ -67,7 +67,7 @@ def line_chart(
 
 
 def residual_picture(track: Track) -> UInt8[np.ndarray, "h n 3"]:
-    """A row a landmark by parts of the face, a column a frame: errors in colour, grey without landmarks."""
+    """One row per landmark, by parts of the face, one column per frame: errors in colour, grey without landmarks."""
     order = [point for group in STRIP_ROWS for point in GROUPS[group]]
     percent = np.where(track.seen[:, None], track.residuals_percent, np.nan)
     percent = percent[:: -(-len(track) // MOST_POINTS)]

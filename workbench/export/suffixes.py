@@ -11,8 +11,8 @@ FORMATS = {
     ".csv": "every curve: pose, weights, errors",
     ".parquet": "the same as Parquet",
     ".npz": "curves, camera, the person's head as NumPy arrays",
-    ".obj": "a folder with a mesh a frame",
-    ".ply": "a folder with a mesh a frame",
+    ".obj": "a folder with one mesh per frame",
+    ".ply": "a folder with one mesh per frame",
     ".mp4": "pictures with the fit, the 3D face beside them",
     ".html": "a report: pictures, curves, worst frames, settings",
 }

@@ -17,7 +17,7 @@ ERROR_COLUMNS = ("error_px", "error_inner_pct", "error_all_pct")
 
 
 def write_parameter_table(tracks: Iterable[Track], expression_names: Sequence[str], path: str | Path) -> None:
-    """A row a frame: found, axis-angle (rad), translation (mm), yaw/pitch/roll, the weights by name, the errors.
+    """One row per frame: found, axis-angle (rad), translation (mm), yaw/pitch/roll, the weights by name, the errors.
 
     `tracks` are consecutive pieces of one run, so that its length does not matter. Frames without a face keep their
     row with empty cells. Errors are means over landmarks, in pixels and in percent of the outer-eye distance (point

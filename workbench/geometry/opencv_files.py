@@ -52,7 +52,7 @@ def _check_nesting(path: Path, text: str) -> None:
         deepest = max(deepest, depth)
     # YAML's lists nest by dashes too.
     if deepest > MOST_NESTED or re.search(rf"(?:-\s+){{{MOST_NESTED}}}", text):
-        raise InputError(f"{path} nests its entries more than {MOST_NESTED} deep; that is no calibration.")
+        raise InputError(f"{path} nests its entries more than {MOST_NESTED} deep; it is not a calibration.")
 
 
 class _Loader(yaml.SafeLoader):

@@ -50,7 +50,7 @@ class View:
     """One camera of a rig; checked and read-only.
 
     Raises `InputError` for an empty name, a picture without pixels, a focal length that is not positive, a principal
-    point outside the picture, or a rotation that is none. Digits lost in a file (1e-3 of RᵀR) are repaired.
+    point outside the picture, or an invalid rotation. Digits lost in a file (1e-3 of RᵀR) are repaired.
     """
 
     name: str

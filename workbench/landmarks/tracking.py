@@ -46,12 +46,12 @@ class TrackerOptions:
     face: tuple[float, float] | None = None
     """A point (x, y) in pixels: follow the face nearest to it instead of the largest."""
     check_interval: int = 45
-    """Frames between checks: the face is aligned anew, as if just detected, and lost if that finds no face there."""
+    """Frames between checks: the face is aligned again, as if just detected, and lost if that finds no face there."""
     retry_interval: int = 10
     """Frames between thorough searches while no face is found, doubled after each in vain up to eight times this. A
     shot starts with a full search, and a quick one is made at every frame."""
     patience: int = 5
-    """Frames that flow alone bridges where the predictor fails, as when a hand passes; doubtful fits are checked anew
+    """Frames that flow alone bridges where the predictor fails, as when a hand passes; doubtful fits are checked again
     after as many."""
     accept_confidence: float = 0.3
     """Median confidence from which a newly aligned face is believed."""

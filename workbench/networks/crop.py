@@ -102,7 +102,7 @@ def crop_and_resize(
     Bilinear as in the paper. A sample reads four pixels: where the box has more than twice the crop's pixels a side,
     plain sampling skips some; the crop aliases and the skipped pixels have no derivative. `reduction` > 1 first
     averages blocks of that many pixels squared, still linear in the picture; `reduction_for` tells which. It is
-    static: another one compiles anew. Root mean square distance from exact area averages on three photographs, in grey
+    static: another one compiles again. Root mean square distance from exact area averages on three photographs, in grey
     levels of 255: 0.9–4.3 at 1.75 pixels a sample (no reduction); at 3, plain 2.1–6.1, reduced 1.0–3.1; at 5, plain
     3.6–11.4, reduced 1.0–3.6.
     """

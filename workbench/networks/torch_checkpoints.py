@@ -149,7 +149,7 @@ def _array(tensor: _Tensor, storages: Mapping[str, bytes]) -> np.ndarray:
         raise UnreadableError(f"storage {storage.key} of {storage.size} numbers {held}: it is cut off")
     counts = (tensor.offset, *shape, *stride)
     if len(shape) != len(stride) or not all(isinstance(count, int) and count >= 0 for count in counts):
-        raise UnreadableError("a tensor has a shape that is none")
+        raise UnreadableError("a tensor has an invalid shape")
     last = tensor.offset + sum((length - 1) * step for length, step in zip(shape, stride, strict=True))
     numbers = int(np.prod(shape, dtype=object))
     if numbers > storage.size or (numbers and last >= storage.size):
@@ -169,7 +169,7 @@ def _storage(identifier: Any) -> _Storage:
             if kind not in STORAGE_TYPES:
                 raise UnreadableError(f"it holds numbers of the kind {kind}")
             return _Storage(key, STORAGE_TYPES[kind], count)
-    raise UnreadableError("its pickle refers to something that is no storage of a tensor")
+    raise UnreadableError("its pickle refers to something that is not the storage of a tensor")
 
 
 def _made(name: Any, arguments: Any) -> Any:

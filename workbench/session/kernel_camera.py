@@ -14,7 +14,7 @@ from workbench.session.live_frame import LIVE_SIZE, Deliver, LiveFrame, Trouble,
 PATIENCE_S = 2.0
 """Time without a picture after which a camera counts as unplugged."""
 SLOWEST_RATE, FASTEST_RATE = 1.0, 120.0
-"""Frames a second that a video's header is believed."""
+"""Frames per second that a video's header is believed."""
 
 
 class KernelCamera:

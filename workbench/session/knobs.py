@@ -64,7 +64,7 @@ CAMERA = (
 IDENTITY = (
     Knob("identity.calibrate", "calibrate", "estimate one face shape a shot (a photo) before fitting", "switch"),
     Knob("identity.weight", "ω_identity", "ω·‖identity‖²: keeps to the mean face", "log", 1e-2, 1e4),
-    Knob("identity.expression", "ω_expression", "L1 norm of the weights meanwhile: what stays is identity",
+    Knob("identity.expression", "ω_expression", "L1 norm of the weights during calibration: what stays is identity",
          "log", 1e-2, 1e4),
     Knob("identity.jaw", "jaw weight", "landmark weight of the jaw contour in its second pass",
          "linear", 0.0, 3.0, 0.05),
@@ -104,7 +104,7 @@ METHODS = (
 TIME = (
     Knob("refinement.sweeps", "sweeps", "times that refinement solves every frame; hybrid averages once", "whole",
          1, 20),
-    Knob("refinement.reestimate", "re-estimate", "times that the expression is fitted anew with the pose held, App. "
+    Knob("refinement.reestimate", "re-estimate", "times that the expression is re-fitted with the pose held, App. "
          "B.1", "whole", 0, 10),
     Knob("refinement.order", "order", "jacobi: from the neighbours before the sweep; gauss-seidel: from the newest",
          "choice", choices=("jacobi", "gauss-seidel")),
@@ -112,7 +112,7 @@ TIME = (
          1e-3, 1e3),
     Knob("refinement.centre", "centre", "averaging: weight of the frame itself; its neighbours share the rest",
          "linear", 0.05, 1.0, 0.05),
-    Knob("infill.rounds", "rounds", "flow infill: ways forth and back through a gap after the first", "whole", 1, 10),
+    Knob("infill.rounds", "rounds", "flow infill: further passes through a gap, back and forth", "whole", 1, 10),
     Knob("infill.largest_error", "bad above", "a frame has failed above this mean error, % of the eye distance",
          "linear", 0.5, 50.0, 0.5),
     Knob("flow.estimator", "flow", "of the pictures: OpenCV's DIS or Farnebäck, or our network (slower)", "choice",

@@ -63,8 +63,8 @@ class LiveSession:
     """Fits frame after frame of one person before a running camera.
 
     `step` is called by one thread; everything else may be called by any other and takes effect at the next frame. The
-    identity is calibrated on the first second with a face, and anew by `calibrate_neutral`. Raises `InputError` for a
-    configuration of Deep Energies, which takes seconds a frame.
+    identity is calibrated on the first second with a face, and again by `calibrate_neutral`. Raises `InputError` for a
+    configuration of Deep Energies, which takes seconds per frame.
     """
 
     def __init__(
@@ -282,7 +282,8 @@ class LiveSession:
 def _check_live(config: Config) -> None:
     if config.system != "face-it":
         raise InputError(
-            f"Deep Energies takes seconds a frame and cannot follow a camera; use one of {', '.join(FACE_IT_PRESETS)}."
+            "Deep Energies takes seconds per frame and cannot follow a camera; use one of "
+            f"{', '.join(FACE_IT_PRESETS)}."
         )
 
 

@@ -22,7 +22,7 @@ from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import stack_fits
 
 SLOWEST_RATE = 5.0
-"""Frames a second of a recording at the least, however slowly the frames came."""
+"""Least frame rate of a recording, in frames per second, however slowly the frames came."""
 MOST_BYTES, MOST_S = 256 << 20, 900.0
 """Pictures in memory and seconds at which a recording ends by itself."""
 

@@ -635,7 +635,7 @@ def _on_host(last: Continuation | None) -> Continuation | None:
 
 
 def _on_device(last: Continuation | None) -> Continuation | None:
-    """The continuation as the frame before left it, so that nothing compiles anew."""
+    """The continuation as the frame before left it, so that nothing compiles again."""
     if last is None:
         return None
     numbers = jax.tree.map(jnp.asarray, (last.parameters, last.pose, last.last_pose))

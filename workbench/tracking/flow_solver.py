@@ -1,7 +1,7 @@
 """One frame from the flow to its neighbours: pose, weights and jaw by robust Levenberg–Marquardt, compiled once.
 
 What is free, weights, bounds, targets and cameras are data. Another number of surface points, views or blendshapes
-compiles anew.
+compiles again.
 """
 
 from typing import NamedTuple

@@ -23,7 +23,7 @@ from workbench.tracking.track_layout import (
     meta_array,
 )
 
-DAMAGED = "a track, it is damaged or no workbench track", "run the tracking again"
+DAMAGED = "a track, it is damaged or not a workbench track", "run the tracking again"
 """What is said of a file that cannot be read, and what to do."""
 
 

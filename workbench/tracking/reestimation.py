@@ -1,4 +1,4 @@
-"""Expression fitted anew with the pose held (Deep Energies Appendix B.1), for after a temporal refinement."""
+"""Expression re-fitted with the pose held (Deep Energies Appendix B.1), for after a temporal refinement."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -44,7 +44,7 @@ class Reestimator:
     def stream(
         self, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
     ) -> Iterator[Moment]:
-        """Each frame with its expression fitted anew; frames without landmarks of their own stay."""
+        """Each frame with its expression re-fitted; frames without landmarks of their own stay."""
         for moment in stream:
             seen = moment.fit.found and np.nan_to_num(moment.fit.confidence).max() > 0.0
             yield moment._replace(fit=self.fit(moment)) if seen else moment

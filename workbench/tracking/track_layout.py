@@ -101,7 +101,7 @@ def checked_meta(stored: Mapping[str, np.ndarray], path: Path) -> dict[str, Any]
     text = stored["meta"].item()
     meta = checked_json(text) if isinstance(text, str) else None
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
-        raise InputError(f"{path} is no workbench track; pass the track.npz of a run.")
+        raise InputError(f"{path} is not a workbench track; pass the track.npz of a run.")
     version = meta.get("format_version", 0)
     if not isinstance(version, int) or version > FORMAT_VERSION:
         raise InputError(f"{path} was written by a newer workbench; upgrade to read it.")

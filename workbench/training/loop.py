@@ -153,7 +153,7 @@ def train(
 
     The folder keeps the plan, a checkpoint every `every` steps and the curves; an interrupted training goes on from
     its last checkpoint when it is called again. The training pictures depend on the plan's seed and the step alone, so
-    an interruption changes them not. Raises `InputError` where the folder belongs to another plan.
+    an interruption does not change them. Raises `InputError` where the folder belongs to another plan.
     """
     make_folder(folder)
     _claim(folder / "plan.json", plan)

@@ -217,7 +217,7 @@ class LiveView(anywidget.AnyWidget):
 
 
 def pack_fit(fit: FrameFit) -> Float32[np.ndarray, "n"]:
-    """Rotation (row by row), translation, focal lengths, principal point, weights, and a row a landmark.
+    """Rotation (row by row), translation, focal lengths, principal point, weights, and one row per landmark.
 
     A landmark's row is observed x, y; model x, y; distance, px; confidence. All NaN without a face.
     """

@@ -312,7 +312,7 @@ class OverlayView(anywidget.AnyWidget):
             try:
                 callback(event)
             except Exception as error:
-                # The user sees it where he clicked; the widget goes on.
+                # The user sees it where they clicked; the widget goes on.
                 self._failed = True
                 self.message = str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}"
                 logging.getLogger(__name__).debug("callback of OverlayView failed", exc_info=True)

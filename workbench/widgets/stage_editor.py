@@ -170,7 +170,9 @@ def _header(deep: bool) -> str:
     free = 100 + (33 * len(DEEP_BLOCKS) if deep else 0)
     titles = (("", 28), ("stage", 132), ("free", free), ("landmarks and weights", 194), ("limit", 62),
               ("when", 90), ("", 130), ("last fit", 100))  # fmt: skip
-    return "".join(HEADER.format(width, title) for title, width in titles)
+    # In one line, as the rows below: where they are wider than the page, both scroll.
+    cells = "".join(HEADER.format(width, title) for title, width in titles)
+    return f"<div style='white-space:nowrap'>{cells}</div>"
 
 
 def landmarks_text(landmarks: dict[str, float]) -> str:

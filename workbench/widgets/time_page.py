@@ -29,7 +29,7 @@ BEFORE, AFTER = "before", "after"
 DEEP_FRAMES = 24
 """Length of the part that Deep Energies begins with."""
 RATE = 25.0
-"""Frames a second where the clip does not say."""
+"""Frames per second where the clip does not say."""
 ONE_LEGEND = "<style>.fw-methods .fw-chart .fw-top { display: none; }</style>"
 """The charts of a row share the legend above them."""
 NO_CLIP = (
@@ -37,8 +37,8 @@ NO_CLIP = (
     "video, a folder with the frames of a clip, or a landmark file of one."
 )
 DEEP_NOTE = (
-    "Deep Energies takes seconds a frame, so the clip is not fitted at every change: <i>run</i> first fits the frames "
-    "named here, one by one. Begin with a short part."
+    "Deep Energies takes seconds per frame, so the clip is not fitted at every change: <i>run</i> first fits the "
+    "frames named here, one by one. Begin with a short part."
 )
 POINTS_NOTE = "Landmarks alone: <i>flow</i>, <i>plate</i> and <i>hybrid</i> look at pictures; the others do not."
 
@@ -153,7 +153,7 @@ class TimePage:
     # --- parts ---
 
     def _rows(self) -> list[widgets.Widget]:
-        self.this = small_button("this frame", "the shown frame has failed, or has not")
+        self.this = small_button("this frame", "toggle failed for the shown frame")
         self.this.on_click(lambda _button: self._guarded(self._mark_this))
         self.flagged = small_button("⚑ flagged", "the frames that diagnosis flags have failed")
         self.flagged.on_click(lambda _button: self.run("flagged"))

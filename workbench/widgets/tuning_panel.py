@@ -49,7 +49,7 @@ PAUSE_S = 0.1
 SETTLED_S = 0.3
 """Quiet time after the last change before the whole clip, or an exact identity, is fitted."""
 LIVE_CLIP_FRAMES = 1500
-"""Clips up to this length are fitted anew after each change unless the user switches that off."""
+"""Clips up to this length are re-fitted after each change unless the user switches that off."""
 STATUS_NAMES = {-1: "", 1: "converged", 2: "limit", 3: "stalled", 4: "not finite"}
 
 
@@ -151,7 +151,7 @@ class TuningPanel(widgets.VBox):
 
     @property
     def _is_slow(self) -> bool:
-        """Whether a clip is only run when asked for: Deep Energies takes seconds a frame."""
+        """Whether a clip is only run when asked for: Deep Energies takes seconds per frame."""
         return self._is_clip and self.session.config.system == "deep-energies"
 
     def _build(self, backend: str, height_px: int) -> None:

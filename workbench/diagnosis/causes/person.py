@@ -33,7 +33,7 @@ def wrong_identity(trial: Trial) -> Iterator[Finding]:
     if identity is None:
         return
     change = Change(
-        "Calibrate the identity of the shot anew",
+        "Calibrate the identity of the shot again",
         config={} if trial.case.config.identity.calibrate else {"identity": {"calibrate": True}},
         calibrate=True,
         identity=identity,
@@ -50,8 +50,8 @@ def wrong_identity(trial: Trial) -> Iterator[Finding]:
     yield Finding(
         code="wrong_identity",
         title="The face shape is not this person's",
-        evidence=f"Calibrated anew on {len(trial.reference.frames)} frames of the shot, the face brings the error here "
-        f"from {before:.1f} to {after:.1f} % of the eye distance, and helps the other frames alike.",
+        evidence=f"Calibrated again on {len(trial.reference.frames)} frames of the shot, the face brings the error "
+        f"here from {before:.1f} to {after:.1f} % of the eye distance, and helps the other frames alike.",
         change=change,
         gain=gain,
         before_percent=before,

@@ -117,7 +117,7 @@ class _Document:
         for index, matrix in self._matrices.items():
             name = self.json["nodes"][index].get("name", "")
             if not isinstance(name, str):
-                raise ValueError(f"node {index} has a name that is no text")
+                raise ValueError(f"node {index} has a name that is not text")
             letters = "".join(letter for letter in name.lower() if letter.isalpha())
             if letters in EYE_NODES and np.any(matrix[:3, 3]):
                 found[EYE_NODES[letters]] = matrix[:3, 3]
@@ -165,7 +165,7 @@ class _Document:
         )
 
     def _placing(self, attributes: dict, node: dict, matrix: np.ndarray, count: int) -> np.ndarray:
-        """A matrix a vertex, from the mesh to the scene: the node's, or the skin's at rest."""
+        """One matrix per vertex, from the mesh to the scene: the node's, or the skin's at rest."""
         if "skin" not in node or "JOINTS_0" not in attributes:
             return np.broadcast_to(matrix, (count, 4, 4))
         skin = self._entry("skins", node["skin"])

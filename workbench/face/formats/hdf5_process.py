@@ -46,7 +46,7 @@ def _entry(stored: h5py.File, key: str) -> h5py.Dataset | None:
     steps, followed = key.split("/"), 0
     while steps:
         if not isinstance(entry, h5py.Group):
-            raise ValueError(f"{key} lies in something that is no group")
+            raise ValueError(f"{key} lies in something that is not a group")
         name = steps.pop(0)
         link = entry.get(name, getlink=True)
         if link is None:
@@ -60,7 +60,7 @@ def _entry(stored: h5py.File, key: str) -> h5py.Dataset | None:
         else:
             raise ValueError(f"{key} is a link out of the file or to itself")
     if not isinstance(entry, h5py.Dataset):
-        raise ValueError(f"{key} is no data set")
+        raise ValueError(f"{key} is not a data set")
     return entry
 
 

@@ -121,7 +121,7 @@ def _read(path: Path, landmarks: Path | None, identity: int | None, expressions:
     if suffix == ".obj":
         raise ModelError(f"{path} is one mesh: give the folder with the neutral and its blendshape targets.")
     if suffix not in readers:
-        raise ModelError(f"{path} is no face model that is read; known are {FORMATS}.")
+        raise ModelError(f"{path} is not a supported face model; supported are {FORMATS}.")
     return readers[suffix]()
 
 
