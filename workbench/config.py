@@ -103,8 +103,8 @@ class ContourConfig(_Section):
 class IdentityConfig(_Section):
     """Calibration of the subject's face shape before tracking."""
 
-    calibrate: bool = Field(True, description="Estimate one identity a shot (a photo); off: the model's mean face.")
-    window: Annotated[int, Field(ge=1, le=1000)] = Field(90, description="Frames of a shot that are looked at.")
+    calibrate: bool = Field(True, description="Estimate one identity per shot (or photo); off: the model's mean face.")
+    window: Annotated[int, Field(ge=1, le=1000)] = Field(90, description="Frames of a shot to choose from.")
     frames: Annotated[int, Field(ge=1, le=24)] = Field(12, description="Frames of the window that are used.")
     weight: NonNegative = Field(5.0, description="ω of ‖identity‖² against squared percent of the eye distance.")
     expression: NonNegative = Field(40.0, description="ω of the smoothed L1 norm of the weights during calibration.")
@@ -134,14 +134,14 @@ class DeepConfig(_Section):
         "deep", description="Landmarks of the model: seen in its render, preselected on it, or mixed by confidence."
     )
     derivative: Literal["broyden", "forward", "differences"] = Field(
-        "broyden", description="forward: through renderer and network, as the paper; broyden: 8 times as quick."
+        "broyden", description="forward: through renderer and network, as published; broyden: 8 times faster."
     )
     start: Literal["frontal", "landmarks"] = Field(
         "frontal", description="frontal: facing the camera in the picture's middle; landmarks: the pose they give."
     )
     distance_mm: Annotated[float, Field(gt=0.0)] = Field(650.0, description="Distance of the frontal start.")
     appearance: Literal["estimate", "model"] = Field(
-        "estimate", description="Colours and light: from the frame nearest to neutral, or the model's own."
+        "estimate", description="Colours and light: from the most neutral frame, or the model's own."
     )
     network: str = Field("", description="Weights of the landmark network (.safetensors); empty: the bundled one.")
     edges: NonNegative = Field(0.5, description="Weight of the edge-preserving term E_2 (Sec. 8.1).")
@@ -172,7 +172,7 @@ class FlowConfig(_Section):
         1.0, description="Percent of the eye distance from which a point counts less and less."
     )
     stay: NonNegative = Field(20.0, description="Weight of blendshapes and jaw staying where they are expected.")
-    iterations: Iterations = Field(8, description="Most steps of each of the robust least squares.")
+    iterations: Iterations = Field(8, description="Step limit of each robust least-squares fit.")
 
 
 class InfillConfig(_Section):

@@ -40,7 +40,7 @@ def jointly(config: Config) -> Config:
 
 
 class ShotReference:
-    """The usual of one shot under one configuration. Make it once a shot; its parts are computed when asked for.
+    """The usual of one shot under one configuration. Make it once per shot; its parts are computed when asked for.
 
     `frames` are the landmarks to learn from: observations of the shot without the frame under diagnosis.
     """

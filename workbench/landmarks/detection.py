@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from workbench.landmarks.observations import Landmarks2D
 
 Effort = Literal["quick", "thorough", "full"]
-"""How hard to look for faces: at every frame, now and then, once a shot."""
+"""How hard to look for faces: at every frame, now and then, once per shot."""
 Box = tuple[float, float, float, float]
 """(left, top, right, bottom): the edges of a face box in pixels; (0, 0) is the centre of the top-left pixel."""
 

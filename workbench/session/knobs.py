@@ -62,7 +62,7 @@ CAMERA = (
          "linear", 5.0, 120.0, 0.5),
 )  # fmt: skip
 IDENTITY = (
-    Knob("identity.calibrate", "calibrate", "estimate one face shape a shot (a photo) before fitting", "switch"),
+    Knob("identity.calibrate", "calibrate", "estimate one face shape per shot (or photo) before fitting", "switch"),
     Knob("identity.weight", "ω_identity", "ω·‖identity‖²: keeps to the mean face", "log", 1e-2, 1e4),
     Knob("identity.expression", "ω_expression", "L1 norm of the weights during calibration: what stays is identity",
          "log", 1e-2, 1e4),
