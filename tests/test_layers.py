@@ -38,6 +38,7 @@ ORDER = [
     "plots",
     "export",
     "pipeline",
+    "one_picture",
     "session",
     "widgets",
     "cli",

@@ -44,8 +44,17 @@ def test_the_readme_has_commands_to_check():
     assert {"lab", "test", "demo"} <= set(TARGETS)
 
 
+def test_the_first_snippet_fits_one_picture():
+    names = {}
+    exec(compile(SNIPPETS[0].replace('"portrait.jpg"', f'r"{sample("astronaut")}"'), "README.md", "exec"), names)
+    assert names["fit"].weights["mouthSmileLeft"] > 0.2
+    assert len(names["mesh"][0]) == names["mesh"][1].max() + 1
+    assert len(names["figure"].axes) == 2
+
+
 def test_the_panel_snippet_runs():
-    snippet = SNIPPETS[0].replace('"talk.mp4"', f'r"{sample("astronaut-landmarks")}"')
+    snippet = next(text for text in SNIPPETS if "TuningPanel" in text)
+    snippet = snippet.replace('"talk.mp4"', f'r"{sample("astronaut-landmarks")}"')
     names = {}
     exec(compile(snippet, "README.md", "exec"), names)
     assert names["panel"].wait_idle(300)

@@ -35,6 +35,8 @@ from .landmarks.detectors import make_detector as make_detector
 from .landmarks.files import read_landmark_file as read_landmark_file
 from .landmarks.observations import Landmarks2D as Landmarks2D
 from .landmarks.tracking import LandmarkTracker as LandmarkTracker
+from .one_picture import PictureFit as PictureFit
+from .one_picture import fit as fit
 from .pipeline import track as track
 from .pipeline import work_over as work_over
 from .samples import sample as sample
