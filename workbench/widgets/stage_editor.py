@@ -12,7 +12,7 @@ from workbench.widgets.controls import small_button
 BLOCKS = {"rotation": "R", "translation": "t", "expression": "w"}
 DEEP_BLOCKS = {"jaw_open": "j1", "jaw": "j6", "identity": "i", "scale": "s"}
 """What only Deep Energies frees: the jaw's opening, all of its joint, the face's shape, one scale."""
-HEADER = "<b style='display:inline-block;width:{}px'>{}</b>"
+TITLE = "<b style='white-space:nowrap'>{}</b>"
 
 
 class StageRow:
@@ -21,7 +21,7 @@ class StageRow:
     def __init__(self, number: int, changed: Callable[[int, dict], None], act: Callable[[str, int], None]) -> None:
         self._number, self._changed, self._quiet = number, changed, False
         self.enabled = widgets.Checkbox(indent=False, tooltip="run this stage", layout=widgets.Layout(width="24px"))
-        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=widgets.Layout(width="128px"))
+        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_fixed("128px"))
         self.free = {
             block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=_tiny())
             for block, letter in (BLOCKS | DEEP_BLOCKS).items()
@@ -30,9 +30,7 @@ class StageRow:
             continuous_update=False, layout=widgets.Layout(width="190px"),
             tooltip="groups, subsets or point numbers with their weights, later ones win: all 1, jaw 0.25, 30 2",
         )  # fmt: skip
-        self.limit = widgets.BoundedIntText(
-            min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=widgets.Layout(width="58px")
-        )
+        self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=_fixed("58px"))
         self.when = widgets.Dropdown(
             options=["always", "start"], tooltip="start: on the first frame of a shot only",
             layout=widgets.Layout(width="86px"),
@@ -104,7 +102,7 @@ class StageEditor:
         self.add.on_click(lambda _button: self._add())
         for button, what in ((self.all, "all"), (self.back, "back"), (self.step, "step")):
             button.on_click(lambda _button, what=what: self._run(what, -1))
-        self._header = widgets.HTML(_header(deep=False), layout=widgets.Layout(flex="0 0 auto"))
+        self._header = widgets.HBox(layout=widgets.Layout(flex="0 0 auto"))
         self._bar = widgets.HBox(
             [self.all, self.back, self.step, self.place, self.add], layout=widgets.Layout(flex="0 0 auto")
         )
@@ -117,15 +115,19 @@ class StageEditor:
     def show(self, config: Config) -> None:
         """Show the stages of a configuration."""
         self._stages, deep = config.stages, config.system == "deep-energies"
-        self._header.value = _header(deep)
         if len(self._rows) < len(config.stages):
             more = range(len(self._rows), len(config.stages))
             self._rows += [StageRow(k, self._on_row, self._on_action) for k in more]
+            self._header.children = self._header.children or _titles(self._rows[0])
             self.widget.children = (self._bar, self._header, *(row.widget for row in self._rows))
         for k, row in enumerate(self._rows):
             row.widget.layout.display = None if k < len(config.stages) else "none"
             if k < len(config.stages):
                 row.show(config.stages[k], deep)
+        for title, below in zip(
+            self._header.children, self._rows[0].widget.children if self._rows else (), strict=True
+        ):
+            title.layout.display = below.layout.display
 
     def show_results(self, results: dict[str, str], place: str = "") -> None:
         """What the last fit did in each stage by name, and where stepping stands."""
@@ -165,14 +167,22 @@ def _tiny() -> widgets.Layout:
     return widgets.Layout(width="30px", padding="0")
 
 
-def _header(deep: bool) -> str:
-    """Titles above the columns; the toggles of Deep Energies take more room."""
-    free = 100 + (33 * len(DEEP_BLOCKS) if deep else 0)
-    titles = (("", 28), ("stage", 132), ("free", free), ("landmarks and weights", 194), ("limit", 62),
-              ("when", 90), ("", 130), ("last fit", 100))  # fmt: skip
-    # In one line, as the rows below: where they are wider than the page, both scroll.
-    cells = "".join(HEADER.format(width, title) for title, width in titles)
-    return f"<div style='white-space:nowrap'>{cells}</div>"
+def _fixed(width: str) -> widgets.Layout:
+    """For what keeps its width on a narrow page."""
+    return widgets.Layout(width=width, flex="0 0 auto")
+
+
+def _titles(row: StageRow) -> tuple[widgets.HTML, ...]:
+    """A title above each part of a row, as wide as it is, so that both shrink alike on a narrow page."""
+    titles = {row.name: "stage", row.free["rotation"]: "free", row.landmarks: "landmarks and weights",
+              row.limit: "limit", row.when: "when", row.result: "last fit"}  # fmt: skip
+    return tuple(
+        widgets.HTML(
+            TITLE.format(titles.get(below, "")),
+            layout=widgets.Layout(width=below.layout.width, flex=below.layout.flex, min_width="0", overflow="visible"),
+        )
+        for below in row.widget.children
+    )
 
 
 def landmarks_text(landmarks: dict[str, float]) -> str:
