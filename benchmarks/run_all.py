@@ -10,7 +10,17 @@ from rich.console import Console
 from rich.table import Table
 
 BENCHMARKS = (
-    *("solve_time", "video_rate", "memory", "compile_time", "head_pose", "panel_latency", "live", "diagnosis"),
+    *(
+        "solve_time",
+        "video_rate",
+        "memory",
+        "compile_time",
+        "import_time",
+        "head_pose",
+        "panel_latency",
+        "live",
+        "diagnosis",
+    ),
     "panel_scale",
     *("rendering", "rendering_gradient", "rendering_peers", "appearance", "landmark_network", "landmark_photos"),
     *("blinks", "deep_energies", "flow", "infill", "refinement", "temporal_memory", "stills"),
