@@ -218,4 +218,4 @@ def calibration_window(shot: Sequence[FrameObservation], window: int) -> Sequenc
 
 def jumped(before: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]) -> bool:
     """Whether the landmarks moved so far between two frames that the pose starts afresh."""
-    return float(np.linalg.norm(now - before, axis=1).mean()) > JUMP * outer_eye_distance(before)
+    return bool(np.linalg.norm(now - before, axis=1).mean() > JUMP * outer_eye_distance(before))
