@@ -58,6 +58,10 @@ class DenseSystem(NamedTuple):
         """JᵀJ · vector."""
         return self.matrix @ vector
 
+    def restricted(self, moving: Bool[AnyArray, "n"]) -> "DenseSystem":
+        """The problem in which only some unknowns move: the others neither feel a force nor pass one on."""
+        return DenseSystem(self.cost, self.gradient * moving, self.matrix * (moving[:, None] & moving[None, :]))
+
 
 class ArrowheadSystem(NamedTuple):
     """Normal equations of `f` local blocks of `m` unknowns that share `s` unknowns; x is [locals…, shared]."""

@@ -19,8 +19,8 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.rendering import Appearance
 from workbench.runtime import COMPUTING
 from workbench.tracking.frame_solver import (
-    FREE_SETS,
     STAGE_SLOTS,
+    UNKNOWNS,
     FrameInput,
     FrameSolution,
     SolveSettings,
@@ -129,11 +129,11 @@ def stage_program(config: Config, start: bool) -> StageProgram:
     """The stages of a first or a later frame as data for `solve_frame`."""
     chosen = running_stages(config, start)
     slots = STAGE_SLOTS * -(-len(config.stages) // STAGE_SLOTS)
-    free, limit, weights = np.zeros(slots, int), np.zeros(slots, int), np.zeros((slots, 68))
+    moves, limit, weights = np.zeros((slots, len(UNKNOWNS)), bool), np.zeros(slots, int), np.zeros((slots, 68))
     for k, stage in enumerate(chosen):
-        free[k], limit[k] = FREE_SETS.index(stage.free), stage.limit
+        moves[k], limit[k] = [name in stage.free for name in UNKNOWNS], stage.limit
         weights[k] = np.multiply(stage.landmark_weights(config.subsets), config.point_weights())
-    return StageProgram(*(jnp.asarray(part) for part in (free, limit, weights, len(chosen))))
+    return StageProgram(*(jnp.asarray(part) for part in (moves, limit, weights, len(chosen))))
 
 
 def corrected(observation: FrameObservation, config: Config) -> FrameObservation:

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from workbench.arrays import AnyArray
 from workbench.energies import (
@@ -32,20 +32,11 @@ from workbench.face import FaceParameters, LandmarkModel, contour_blend, model_l
 from workbench.geometry import Camera, head_yaw
 from workbench.solvers import Solution, minimise, minimise_with_optimistix
 
-OUTER_EYE_CORNERS = (36 - 17, 45 - 17)
-"""Among the 51 inner landmarks."""
-
-
-FREE_SETS = (
-    ("rotation", "translation"),
-    ("expression",),
-    ("rotation", "translation", "expression"),
-    ("rotation",),
-    ("translation",),
-    ("rotation", "expression"),
-    ("translation", "expression"),
-)
-"""What a stage may free. Each is one branch of one compiled program, so that no schedule compiles anew."""
+UNKNOWNS = ("rotation", "translation", "expression")
+"""What a stage may move, in the order of the solver's vector."""
+BRANCHES = (("rotation", "translation"), UNKNOWNS)
+"""One branch each of one compiled program: a stage of the pose alone costs a small solve, any other that of the whole
+vector. What a stage does not move is masked, so that no schedule compiles anew."""
 STAGE_SLOTS = 8
 """Schedules are padded to a multiple of this many stages."""
 Method = Literal["lm", "optimistix-lm", "optimistix-dogleg"]
@@ -54,8 +45,8 @@ Method = Literal["lm", "optimistix-lm", "optimistix-dogleg"]
 class StageProgram(NamedTuple):
     """The stages to run, as data."""
 
-    free: Int[AnyArray, "s"]
-    """Index into `FREE_SETS`."""
+    moves: Bool[AnyArray, "s 3"]
+    """Which of `UNKNOWNS` each stage frees."""
     limit: Int[AnyArray, "s"]
     """ρ or ε."""
     landmark_weights: Float[AnyArray, "s 68"]
@@ -122,9 +113,12 @@ def solve_frame(
     settings = _within_range(settings, model)
 
     def branch(free: tuple[str, ...]):
-        def run(parameters: FaceParameters, limit, landmark_weights):
+        def run(parameters: FaceParameters, moves, limit, landmark_weights):
             problem = stage_problem(camera, model, settings, landmark_weights, frame, parameters)
-            solution = _solve_stage(problem, parameters, settings, limit, free, method, trace_length)
+            # A pose that does not move has no E_τ.
+            problem = problem._replace(history=problem.history * moves[:2].any())
+            moving = _moving(parameters, moves, free)
+            solution = _solve_stage(problem, parameters, settings, limit, free, moving, method, trace_length)
             parameters = unpack(solution.x, parameters, free)
             energies = energy_by_term(problem, parameters, free)
             projected = project_landmarks(camera, problem.points, parameters)
@@ -132,15 +126,15 @@ def solve_frame(
 
         return run
 
-    branches = [branch(free) for free in FREE_SETS]
+    pose_only, everything = (branch(free) for free in BRANCHES)
 
     def body(carry):
         k, parameters, _, rows = carry
-        arguments = (parameters, program.limit[k], program.landmark_weights[k])
-        parameters, projected, *new = jax.lax.switch(program.free[k], branches, *arguments)
+        arguments = (parameters, program.moves[k], program.limit[k], program.landmark_weights[k])
+        parameters, projected, *new = jax.lax.cond(program.moves[k, 2], everything, pose_only, *arguments)
         return k + 1, parameters, projected, jax.tree.map(lambda old, row: old.at[k].set(row), rows, tuple(new))
 
-    slots = len(program.free)
+    slots = len(program.moves)
     trace = None
     if trace_length:
         trace = (jnp.zeros((slots, trace_length + 1, len(TERMS))), jnp.zeros((slots, trace_length + 1, 68)))
@@ -212,7 +206,14 @@ def stage_problem(
     )
 
 
-def _solve_stage(problem, parameters, settings, limit, free, method: Method, trace_length) -> Solution:
+def _moving(parameters: FaceParameters, moves: Bool[AnyArray, "3"], free: tuple[str, ...]) -> Bool[AnyArray, "n"]:
+    """Which entries of the solver's vector a stage moves."""
+    return jnp.concatenate(
+        [jnp.broadcast_to(moves[UNKNOWNS.index(name)], getattr(parameters, name).shape) for name in free]
+    )
+
+
+def _solve_stage(problem, parameters, settings, limit, free, moving, method: Method, trace_length) -> Solution:
     start = pack(parameters, free)
 
     def record(x):
@@ -224,36 +225,38 @@ def _solve_stage(problem, parameters, settings, limit, free, method: Method, tra
         return energy(problem, unpack(x, parameters, free), free)
 
     recorded = (record if trace_length else None, trace_length)
+    held = ~moving
+    if "expression" in free:
+        held = held.at[-len(parameters.expression) :].set(held[-1] | _held(settings))
     if method != "lm":
         kind = method.removeprefix("optimistix-")
         return minimise_with_optimistix(
-            lambda x: _residual_holding(problem, unpack(x, parameters, free), settings, free),
+            _residual_holding(problem, parameters, free, start, held),
             start, _scale(parameters, free), limit, settings.tolerance, kind, *recorded,
         )  # fmt: skip
     upper = jnp.full(start.shape, jnp.inf)
     lower = -upper
     if "expression" in free:
-        at = _slot("expression", parameters, free)
+        at = slice(len(start) - len(parameters.expression), None)
         lower, upper = lower.at[at].set(settings.lower), upper.at[at].set(settings.upper)
     return minimise(
-        lambda x: normal_system(problem, unpack(x, parameters, free), free),
+        lambda x: normal_system(problem, unpack(x, parameters, free), free).restricted(moving),
         start, lower, upper, limit, settings.tolerance, *recorded, cost,
     )  # fmt: skip
 
 
-def _residual_holding(problem: EnergyProblem, parameters: FaceParameters, settings: SolveSettings, free):
-    """All residuals for solvers without bounds: weights that are held change none of them but their own."""
-    moved = jnp.where(_held(settings), parameters.expression - settings.lower, 0.0)
-    found = residuals(problem, parameters._replace(expression=parameters.expression - moved), free)
-    return jnp.concatenate([*found.values(), moved])
+def _residual_holding(problem: EnergyProblem, parameters: FaceParameters, free, start, held):
+    """All residuals for solvers without bounds and masks: unknowns that are held change none of them but their own."""
+
+    def residual(x):
+        moved = jnp.where(held, x - start, 0.0)
+        found = residuals(problem, unpack(x - moved, parameters, free), free)
+        return jnp.concatenate([*found.values(), moved])
+
+    return residual
 
 
 def _scale(parameters: FaceParameters, free: tuple[str, ...]):
     """Typical size of each unknown: Optimistix damps all alike."""
     sizes = {"rotation": 0.1, "translation": 10.0, "expression": 0.3}
     return jnp.concatenate([jnp.full(len(getattr(parameters, name)), sizes[name]) for name in free])
-
-
-def _slot(name: str, parameters: FaceParameters, free: tuple[str, ...]) -> slice:
-    start = sum(len(getattr(parameters, other)) for other in free[: free.index(name)])
-    return slice(start, start + len(getattr(parameters, name)))
