@@ -20,7 +20,8 @@ from tests.deep_scenes import (
 )
 from tests.stereo_scenes import make_rig
 from workbench.config import PARALLEL_STAGES, Config, Stage, preset
-from workbench.energies.deep import DEEP_TERMS, DeepView, DeepWeights, deep_residuals, view_vertices
+from workbench.energies import still
+from workbench.energies.deep import DEEP_TERMS, DeepView, deep_residuals, view_vertices
 from workbench.errors import ConfigError, InputError
 from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
 from workbench.geometry import project, rotation_matrix, write_rig
@@ -105,7 +106,7 @@ def test_the_energy_is_the_sum_of_its_terms_as_written_out_here(head, truth):
     views = DeepView(*[None] * 3, target, importance, np.ones((2, 68)), unit, None, None)
     parameters = truth._replace(jaw=jnp.array([0.3, 0.05, -0.02, 1.0, 2.0, -3.0]))
     start = make_parameters(head, (10.0, 0.0, 0.0))
-    terms = deep_residuals(views, DeepWeights(2.0, 0.5, 100.0, 10.0, 3.0), predicted, parameters, start)
+    terms = deep_residuals(views, jnp.array([2.0, 0.5, 100.0, 10.0, 3.0]), predicted, parameters, still(start))
     energy = {name: float(residual @ residual) for name, residual in terms.items()}
     error = (predicted - target) / unit[:, None, None]
     difference = np.diff(error, axis=1)
@@ -117,7 +118,7 @@ def test_the_energy_is_the_sum_of_its_terms_as_written_out_here(head, truth):
     expected = {
         "landmarks": 2.0 * (importance[..., None] * error**2).sum(),
         "edges": 0.5 * (edge[..., None] * difference**2).sum(),
-        "lambda": 100.0
+        "regularisation": 100.0
         * (
             (np.asarray(parameters.expression) ** 2).sum()
             + ((jaw[:3] / np.radians(OPEN_DEG)) ** 2).sum()
@@ -136,12 +137,12 @@ def test_the_quadratic_model_is_that_of_the_residuals(points, truth):
     scene = make_deep_scene(points, truth)
     views = jax.tree.map(lambda part: jnp.asarray(part)[None], points.views(scene.observation(), scene.context())[0])
     start = points.start(np.asarray(truth.identity))
-    weights = DeepWeights(*(jnp.asarray(weight) for weight in (1.0, 0.5, 100.0, 10.0, 1.0)))
+    omega, context = jnp.array([1.0, 0.5, 100.0, 10.0, 1.0]), still(start)
     view = jax.tree.map(lambda part: part[0], views)
     predicted = np.asarray(project_points(points.scene(None), view, start), float)[None]
     derivative = np.asarray(points_derivative(points.scene(None), view, start), float)[None]
-    model = quadratic(views, weights, predicted, derivative, start, start)
-    energies = np.asarray(term_energies(views, weights, predicted, start, start))
+    model = quadratic(views, omega, predicted, derivative, start, context)
+    energies = np.asarray(term_energies(views, omega, predicted, start, context))
     assert float(model.value) == pytest.approx(0.5 * energies.sum())
 
     def energy(vector):
@@ -149,7 +150,7 @@ def test_the_quadratic_model_is_that_of_the_residuals(points, truth):
         seen = predicted + np.einsum(
             "n,vnij->vij", (np.asarray(vector) - flat(start)) / flat(scales(start)), derivative
         )
-        return 0.5 * float(np.asarray(term_energies(views, weights, seen, moved, start)).sum())
+        return 0.5 * float(np.asarray(term_energies(views, omega, seen, moved, context)).sum())
 
     # Landmarks linear in the unknowns: the energy is exactly quadratic.
     rng = np.random.default_rng(1)

@@ -10,31 +10,27 @@ from scipy.spatial.transform import Rotation
 
 from tests.scenes import make_scene
 from workbench.energies import (
-    TERMS,
+    FACE_IT_TERMS,
+    TABLE,
     EnergyConstants,
     EnergyProblem,
-    EnergyWeights,
     Observation,
-    beta_curve,
-    beta_residual,
-    beta_slope,
+    TermContext,
     energy_by_term,
-    identity_residual,
+    landmark_errors,
     normal_system,
     pack,
-    range_residual,
-    range_slope,
-    reprojection_residual,
     reprojection_with_jacobian,
     residuals,
-    sigma_residual,
-    sigma_smooth_residual,
-    sigma_smooth_slope,
-    tau_residual,
-    tau_scale,
+    stage_factors,
+    still,
     unpack,
 )
-from workbench.face import contour_blend, landmark_model, model_landmarks
+from workbench.energies.landmarks import landmark_residual
+from workbench.energies.range import beta_curve, distance_from_range
+from workbench.energies.sparsity import smoothed_l1
+from workbench.energies.temporal import second_difference
+from workbench.face import FaceParameters, contour_blend, landmark_model, model_landmarks
 
 FREE_SETS = [
     ("rotation", "translation"),
@@ -45,6 +41,28 @@ FREE_SETS = [
 ]
 weights_in_range = st.lists(st.floats(-0.3, 1.3), min_size=3, max_size=6).map(np.array)
 CONSTANTS = EnergyConstants()
+
+
+OMEGA = {
+    f"weights.{name}": value
+    for name, value in {
+        "sparse": 1.5, "pose": 0.7, "fit": 1.3, "prior": 0.9, "tau": 0.2, "beta": 0.3, "sigma": 0.4,
+        "sigma_smooth": 0.5, "range": 0.6,
+    }.items()
+}  # fmt: skip
+OMEGA |= {"identity.weight": 0.8, "deep.edges": 0.7, "deep.regularisation": 1.1, "deep.prior": 0.4, "flow.stay": 1.7}
+
+
+def factors(free=("expression",), named=(), terms=FACE_IT_TERMS, **changed):
+    """What stands in front of each term in a stage of FACE IT!."""
+    omega = OMEGA | {f"weights.{name}": value for name, value in changed.items()}
+    return jnp.array(stage_factors(omega, "face-it", free, named, terms))
+
+
+def of_weights(name, weights, constants=CONSTANTS):
+    """A term's residual for some blendshape weights."""
+    parameters = FaceParameters(jnp.zeros(3), jnp.zeros(3), jnp.asarray(weights, float), jnp.zeros(0))
+    return TABLE[name].residual(parameters, still(parameters, constants))
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +78,14 @@ def problem(head):
         camera=scene.camera,
         points=points,
         observation=Observation(observed, weights, jnp.asarray(0.8)),
-        weights=EnergyWeights(1.5, 0.7, 1.3, 0.9, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8),
-        constants=EnergyConstants(b=0.05),
-        before_last_pose=jnp.asarray(rng.normal(size=6)),
-        last_pose=jnp.asarray(rng.normal(size=6)),
-        history=jnp.ones(()),
+        omega=factors(),
+        context=TermContext(
+            constants=EnergyConstants(b=0.05),
+            before_last_pose=jnp.asarray(rng.normal(size=6)),
+            last_pose=jnp.asarray(rng.normal(size=6)),
+            history=jnp.ones(()),
+            start=scene.parameters,
+        ),
     )
     parameters = scene.parameters._replace(
         expression=jnp.asarray(rng.uniform(-0.2, 1.2, 44)), identity=jnp.asarray(rng.normal(size=50))
@@ -83,7 +104,7 @@ def test_e_pose_is_the_sum_of_squared_distances_of_eq_8(problem):
         projected = energy.camera.focal_px * [x / z, y / z] + energy.camera.principal_point_px
         total += float(((projected - observed) ** 2).sum())
     plain = energy.observation._replace(weights=jnp.ones(68), unit_px=jnp.ones(()))
-    residual = reprojection_residual(energy.camera, energy.points, parameters, plain)
+    residual = landmark_residual(landmark_errors(energy.camera, energy.points, parameters, plain))
     assert float(residual @ residual) == pytest.approx(total, rel=1e-10)
 
 
@@ -91,14 +112,16 @@ def test_a_landmark_weight_multiplies_its_squared_error(problem):
     energy, parameters = problem
     once = energy.observation._replace(weights=jnp.ones(68))
     twice = energy.observation._replace(weights=jnp.ones(68).at[30].set(3.0))
-    first = reprojection_residual(energy.camera, energy.points, parameters, once).reshape(68, 2)
-    second = reprojection_residual(energy.camera, energy.points, parameters, twice).reshape(68, 2)
+    first, second = (
+        landmark_residual(landmark_errors(energy.camera, energy.points, parameters, observation)).reshape(68, 2)
+        for observation in (once, twice)
+    )
     np.testing.assert_allclose((second**2).sum(1)[30], 3.0 * (first**2).sum(1)[30])
 
 
 def test_e_tau_is_the_second_difference_of_eq_9():
     before, last, now = np.random.default_rng(1).normal(size=(3, 6))
-    residual = tau_residual(jnp.asarray(before), jnp.asarray(last), jnp.asarray(now), 100.0)
+    residual = second_difference(jnp.asarray(before), jnp.asarray(last), jnp.asarray(now), 100.0)
     difference = before - 2 * last + now
     expected = 100.0**2 * (difference[:3] ** 2).sum() + (difference[3:] ** 2).sum()
     assert float(residual @ residual) == pytest.approx(expected)
@@ -107,15 +130,14 @@ def test_e_tau_is_the_second_difference_of_eq_9():
 def test_e_tau_is_zero_for_constant_velocity():
     start, velocity = np.random.default_rng(2).normal(size=(2, 6))
     poses = [jnp.asarray(start + k * velocity) for k in range(3)]
-    np.testing.assert_allclose(tau_residual(*poses, 100.0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(second_difference(*poses, 100.0), 0.0, atol=1e-12)
 
 
 @given(weights_in_range)
 def test_e_sigma_in_both_forms(weights):
-    w = jnp.asarray(weights)
-    single = sigma_residual(w)
+    single = of_weights("sigma", weights)
     assert float(single @ single) == pytest.approx(np.abs(weights).sum() ** 2)
-    smooth = sigma_smooth_residual(w, 0.01)
+    smooth = of_weights("sigma_smooth", weights)
     assert float(smooth @ smooth) == pytest.approx((np.sqrt(weights**2 + 1e-4) - 0.01).sum(), abs=1e-12)
 
 
@@ -123,14 +145,15 @@ def test_e_sigma_in_both_forms(weights):
 def test_e_beta_is_eq_12_summed_over_the_weights(weights):
     expected = np.pi / 4 * (np.arctan((weights - 1.002) / 2e-5) - np.arctan((weights + 0.002) / 2e-5)) + 2.5
     np.testing.assert_allclose(beta_curve(jnp.asarray(weights), CONSTANTS), expected, rtol=1e-9)
-    assert float(beta_residual(jnp.asarray(weights), CONSTANTS)[0]) == pytest.approx(expected.sum())
+    assert float(of_weights("beta", weights)[0]) == pytest.approx(expected.sum())
 
 
 def test_the_trap_of_e_beta_flat_inside_steep_on_the_bound_flat_outside():
     inside, outside = beta_curve(jnp.array([0.5]), CONSTANTS)[0], beta_curve(jnp.array([-0.1]), CONSTANTS)[0]
     assert float(inside) == pytest.approx(0.0326, abs=1e-3)
     assert float(outside) == pytest.approx(2.5, abs=1e-3)
-    on_bound, beyond = beta_slope(jnp.array([-0.002, -0.1]), CONSTANTS)
+    slope = jax.grad(lambda weight: beta_curve(weight, CONSTANTS))
+    on_bound, beyond = slope(-0.002), slope(-0.1)
     assert abs(float(on_bound)) == pytest.approx(39270, rel=0.01)
     assert abs(float(beyond)) < 0.01
 
@@ -138,27 +161,34 @@ def test_the_trap_of_e_beta_flat_inside_steep_on_the_bound_flat_outside():
 @given(weights_in_range)
 def test_the_range_term_is_zero_inside_and_grows_with_the_distance_outside(weights):
     expected = np.maximum(0, np.maximum(-weights, weights - 1))
-    np.testing.assert_allclose(np.abs(range_residual(jnp.asarray(weights))), expected, atol=1e-15)
+    np.testing.assert_allclose(np.abs(of_weights("range", weights)), expected, atol=1e-15)
 
 
-def test_the_identity_prior_is_the_squared_norm():
-    identity = jnp.array([1.0, -2.0, 0.5])
-    assert float(jnp.sum(identity_residual(identity) ** 2)) == pytest.approx(5.25)
+def test_the_identity_prior_is_the_squared_norm(problem):
+    parameters = problem[1]._replace(identity=jnp.array([1.0, -2.0, 0.5]))
+    residual = TABLE["identity"].residual(parameters, still(parameters))
+    assert float(jnp.sum(residual**2)) == pytest.approx(5.25)
 
 
 @pytest.mark.parametrize(
-    ("residual", "slope"),
+    "residual",
     [
-        (lambda w: sigma_smooth_residual(w, 0.01), lambda w: sigma_smooth_slope(w, 0.01)),
-        (lambda w: beta_curve(w, EnergyConstants(b=0.05)), lambda w: beta_slope(w, EnergyConstants(b=0.05))),
-        (range_residual, range_slope),
+        lambda w: smoothed_l1(w, 0.01),
+        lambda w: beta_curve(w, EnergyConstants(b=0.05)),
+        distance_from_range,
     ],
     ids=["sigma_smooth", "beta", "range"],
 )
-def test_slopes_agree_with_central_differences(residual, slope):
+def test_derivatives_agree_with_central_differences(residual):
     w, h = jnp.array([-0.21, -0.004, 0.003, 0.37, 0.998, 1.31]), 1e-7
     numeric = (residual(w + h) - residual(w - h)) / (2 * h)
-    np.testing.assert_allclose(slope(w), numeric, rtol=1e-5, atol=1e-6)
+    _, slope = jax.jvp(residual, (w,), (jnp.ones(6),))
+    np.testing.assert_allclose(slope, numeric, rtol=1e-5, atol=1e-6)
+
+
+def test_a_weight_on_its_bound_is_not_pushed_by_the_range_term():
+    _, slope = jax.jvp(distance_from_range, (jnp.array([0.0, 1.0]),), (jnp.ones(2),))
+    np.testing.assert_array_equal(slope, 0.0)
 
 
 @pytest.mark.parametrize("free", FREE_SETS, ids="+".join)
@@ -167,7 +197,8 @@ def test_the_written_out_jacobian_agrees_with_central_differences(problem, free)
     start = pack(parameters, free)
 
     def residual_at(vector):
-        return reprojection_residual(energy.camera, energy.points, unpack(vector, parameters, free), energy.observation)
+        at = unpack(vector, parameters, free)
+        return landmark_residual(landmark_errors(energy.camera, energy.points, at, energy.observation))
 
     residual, jacobian = reprojection_with_jacobian(energy.camera, energy.points, parameters, energy.observation, free)
     np.testing.assert_allclose(residual, residual_at(start), rtol=1e-9, atol=1e-9)
@@ -178,17 +209,18 @@ def test_the_written_out_jacobian_agrees_with_central_differences(problem, free)
         np.testing.assert_allclose(jacobian[:, column], numeric, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.parametrize("terms", [FACE_IT_TERMS, tuple(TABLE)], ids=["own", "all"])
 @pytest.mark.parametrize("free", FREE_SETS, ids="+".join)
-def test_normal_equations_are_those_of_all_residuals_by_automatic_differentiation(problem, free):
+def test_normal_equations_are_those_of_all_residuals_by_automatic_differentiation(problem, free, terms):
     energy, parameters = problem
+    energy = energy._replace(omega=factors(free, named=terms, terms=terms))
     start = pack(parameters, free)
 
     def all_residuals(vector):
-        found = residuals(energy, unpack(vector, parameters, free), free)
-        return jnp.concatenate([found[term] for term in TERMS if term in found])
+        return jnp.concatenate(list(residuals(energy, unpack(vector, parameters, free), free, terms).values()))
 
     residual, jacobian = all_residuals(start), jax.jacfwd(all_residuals)(start)
-    system = normal_system(energy, parameters, free)
+    system = normal_system(energy, parameters, free, terms)
     scale = float(jnp.abs(jacobian.T @ jacobian).max())
     np.testing.assert_allclose(system.cost, residual @ residual, rtol=1e-10)
     np.testing.assert_allclose(system.gradient, jacobian.T @ residual, rtol=1e-8, atol=1e-9 * scale)
@@ -198,38 +230,56 @@ def test_normal_equations_are_those_of_all_residuals_by_automatic_differentiatio
 def test_omegas_multiply_down_their_branch(problem):
     energy, parameters = problem
     free = FREE_SETS[2]
-    base = np.asarray(energy_by_term(energy, parameters, free))
-    doubled_prior = energy._replace(weights=energy.weights._replace(prior=2 * energy.weights.prior))
-    doubled_sparse = energy._replace(weights=energy.weights._replace(sparse=2 * energy.weights.sparse))
-    prior_terms = np.array([term not in ("data", "identity") for term in TERMS])
-    data_terms = np.array([term == "data" for term in TERMS])
-    np.testing.assert_allclose(
-        np.asarray(energy_by_term(doubled_prior, parameters, free))[prior_terms], 2 * base[prior_terms]
-    )
-    np.testing.assert_allclose(
-        np.asarray(energy_by_term(doubled_sparse, parameters, free))[data_terms], 2 * base[data_terms]
-    )
+
+    def energies(**changed):
+        return np.asarray(energy_by_term(energy._replace(omega=factors(free, **changed)), parameters, free))
+
+    base = energies()
+    prior_terms = np.array([term not in ("landmarks", "identity") for term in FACE_IT_TERMS])
+    data_terms = np.array([term == "landmarks" for term in FACE_IT_TERMS])
+    np.testing.assert_allclose(energies(prior=2 * 0.9)[prior_terms], 2 * base[prior_terms])
+    np.testing.assert_allclose(energies(prior=2 * 0.9)[data_terms], base[data_terms])
+    np.testing.assert_allclose(energies(sparse=2 * 1.5)[data_terms], 2 * base[data_terms])
     assert (base[prior_terms] > 0).all()
 
 
-def test_omega_pose_counts_in_pose_stages_and_omega_fit_in_expression_stages(problem):
-    energy, parameters = problem
-    none = energy._replace(weights=energy.weights._replace(pose=0.0))
-    assert float(energy_by_term(none, parameters, ("rotation", "translation"))[0]) == 0.0
-    assert float(energy_by_term(none, parameters, ("expression",))[0]) > 0.0
+def test_omega_pose_counts_in_pose_stages_and_omega_fit_in_expression_stages():
+    assert factors(("rotation", "translation"), pose=0.0)[0] == 0.0
+    assert factors(("expression",), pose=0.0)[0] > 0.0
 
 
 def test_there_is_no_temporal_term_on_the_weights_nor_without_history(problem):
     energy, parameters = problem
-    tau = TERMS.index("tau")
+    tau = FACE_IT_TERMS.index("tau")
     assert float(energy_by_term(energy, parameters, ("expression",))[tau]) == 0.0
-    alone = energy._replace(history=jnp.zeros(()))
+    assert float(energy_by_term(energy, parameters, ("rotation", "translation"))[tau]) > 0.0
+    alone = energy._replace(context=energy.context._replace(history=jnp.zeros(())))
     assert float(energy_by_term(alone, parameters, ("rotation", "translation"))[tau]) == 0.0
-    np.testing.assert_allclose(tau_scale(7.0), [7, 7, 7, 1, 1, 1])
+
+
+def test_a_radian_counts_as_so_many_millimetres():
+    np.testing.assert_allclose(second_difference(np.zeros(6), np.zeros(6), np.ones(6), 7.0), [7, 7, 7, 1, 1, 1])
 
 
 def test_effective_weights_are_the_products_shown_to_the_user():
-    effective = EnergyWeights(sparse=2.0, pose=3.0, fit=5.0, prior=7.0, tau=11.0).effective()
-    assert effective["pose"] == 6.0
-    assert effective["fit"] == 10.0
-    assert effective["tau"] == 77.0
+    changed = {"sparse": 2.0, "pose": 3.0, "fit": 5.0, "prior": 7.0, "tau": 11.0}
+    pose_stage = dict(zip(FACE_IT_TERMS, factors(("rotation", "translation"), **changed), strict=True))
+    assert pose_stage["landmarks"] == 6.0
+    assert pose_stage["tau"] == 77.0
+    assert factors(("expression",), **changed)[0] == 10.0
+
+
+def test_a_term_that_no_stage_names_counts_nothing():
+    assert factors(named=(), terms=("landmarks", "edges", "regularisation"))[1:].tolist() == [0.0, 0.0]
+    assert factors(named=("edges",), terms=("landmarks", "edges", "regularisation"))[1:].tolist() == [0.7, 0.0]
+
+
+@pytest.mark.parametrize("name", list(TABLE))
+def test_every_row_of_the_table_says_what_its_term_is(name):
+    term = TABLE[name]
+    assert term.symbol
+    assert term.formula
+    assert term.says
+    assert not term.says.endswith(".")
+    assert term.slider[0] < term.slider[1]
+    assert term.default >= 0.0

@@ -9,9 +9,10 @@ from types import MappingProxyType
 from typing import Annotated, Any, Literal, get_args
 
 import tomlkit
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 from pydantic.json_schema import GenerateJsonSchema
 
+from workbench.energies import NODES, TABLE, Term, stage_factors, terms_of
 from workbench.errors import ConfigError
 from workbench.files import atomic_path
 from workbench.landmarks.scheme import GROUPS
@@ -22,6 +23,8 @@ DEFAULT_PRESET = "joint"
 PARAMETER_BLOCKS = ("rotation", "translation", "expression", "identity", "jaw_open", "jaw", "scale")
 FACE_IT_BLOCKS = PARAMETER_BLOCKS[:3]
 System = Literal["face-it", "deep-energies"]
+NAMED_TERMS = tuple(name for name in TABLE if name not in ("landmarks", "identity"))
+"""What a stage may name: the landmarks are in every stage, and the identity's prior wherever the identity is free."""
 LONGEST_PROBLEM = 400
 """Characters of what is wrong with a configuration: names in it may be of any length."""
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -49,18 +52,33 @@ class CameraConfig(_Section):
     rig: str = Field("", description="Rig file of several cameras (Deep Energies); replaces the camera above.")
 
 
-class WeightsConfig(_Section):
-    """ω in the hierarchy of FACE IT! Eqs. 5-7: a term's factor is the product down its branch."""
+def _omega(name: str) -> Any:
+    """The field of a term's ω, with default and comment from the table."""
+    term = TABLE[name]
+    source = f" ({term.source})" if term.source else ""
+    return Field(term.default, description=f"{term.omega_symbol}: {term.says}{source}.")
 
-    sparse: NonNegative = Field(1.0, description="ω_sparse: all landmark terms.")
-    pose: NonNegative = Field(1.0, description="ω_pose: reprojection while the pose is free (Eq. 8).")
-    fit: NonNegative = Field(1.0, description="ω_fit: reprojection while the weights are free (Eq. 10).")
-    prior: NonNegative = Field(1.0, description="ω_prior: all prior terms.")
-    tau: NonNegative = Field(0.1, description="ω_τ: second difference of the pose (Eq. 9).")
-    beta: NonNegative = Field(0.0, description="ω_β: the paper's range term (Eq. 12).")
-    sigma: NonNegative = Field(0.0, description="ω_σ: the paper's single-residual L1 norm (Eq. 11).")
-    sigma_smooth: NonNegative = Field(0.0, description="ω_σ of the smoothed separable L1 norm.")
-    range: NonNegative = Field(0.0, description="Quadratic penalty outside [0, 1].")
+
+def _own_weights() -> list[Term]:
+    """The terms whose ω lies in the section `weights`."""
+    return [term for term in TABLE.values() if term.of != "landmarks" and not term.key]
+
+
+WeightsConfig = create_model(
+    "WeightsConfig",
+    __base__=_Section,
+    __doc__="ω in the hierarchy of FACE IT! Eqs. 5-7: a term's factor is the product down its branch.",
+    **{
+        node.name: (NonNegative, Field(1.0, description=f"{node.symbol}: {node.says} ({node.source})."))
+        for node in NODES
+    },
+    **{term.name: (NonNegative, _omega(term.name)) for term in _own_weights()},
+)
+
+
+def _preset_weights(preset: str) -> Any:
+    """The ω of a preset, from the table."""
+    return WeightsConfig(**{term.name: term.presets[preset] for term in _own_weights() if preset in term.presets})
 
 
 class ConstantsConfig(_Section):
@@ -106,7 +124,7 @@ class IdentityConfig(_Section):
     calibrate: bool = Field(True, description="Estimate one identity per shot (or photo); off: the model's mean face.")
     window: Annotated[int, Field(ge=1, le=1000)] = Field(90, description="Frames of a shot to choose from.")
     frames: Annotated[int, Field(ge=1, le=24)] = Field(12, description="Frames of the window that are used.")
-    weight: NonNegative = Field(5.0, description="ω of ‖identity‖² against squared percent of the eye distance.")
+    weight: NonNegative = _omega("identity")
     expression: NonNegative = Field(40.0, description="ω of the smoothed L1 norm of the weights during calibration.")
     jaw: NonNegative = Field(0.3, description="Landmark weight of the jaw contour in the second pass.")
     limits: tuple[Iterations, Iterations] = Field((30, 15), description="Iterations of the two passes.")
@@ -144,13 +162,11 @@ class DeepConfig(_Section):
         "estimate", description="Colours and light: from the most neutral frame, or the model's own."
     )
     network: str = Field("", description="Weights of the landmark network (.safetensors); empty: the bundled one.")
-    edges: NonNegative = Field(0.5, description="Weight of the edge-preserving term E_2 (Sec. 8.1).")
-    regularisation: NonNegative = Field(
-        30.0, description="λ of ‖w‖², blendshapes and jaw (Sec. 8.2); ours, in other units than the paper's 100."
-    )
+    edges: NonNegative = _omega("edges")
+    regularisation: NonNegative = _omega("regularisation")
     tolerance: NonNegative = Field(1e-3, description="A stage stops when a step gains less than this part.")
     identity: NonNegative = Field(10.0, description="Weight of ‖identity‖² in stages that free it.")
-    prior: NonNegative = Field(1.0, description="Weight of staying near the pose before, 1 rad as 100 mm (Sec. 5).")
+    prior: NonNegative = _omega("prior")
     largest_error: NonNegative = Field(6.0, description="Failed above this mean landmark error, % of eye distance.")
     largest_disagreement: NonNegative = Field(
         12.0, description="Failed if jaw and other landmarks differ by more in their mean error, % of eye distance."
@@ -171,7 +187,7 @@ class FlowConfig(_Section):
     robust: Annotated[float, Field(gt=0.0)] = Field(
         1.0, description="Percent of the eye distance from which a point counts less and less."
     )
-    stay: NonNegative = Field(20.0, description="Weight of blendshapes and jaw staying where they are expected.")
+    stay: NonNegative = _omega("stay")
     iterations: Iterations = Field(8, description="Step limit of each robust least-squares fit.")
 
 
@@ -232,8 +248,8 @@ class Stage(_Section):
     shapes: tuple[str, ...] = Field(
         (), description="Deep Energies: free blendshapes by name or start of name, or first:N; empty: all."
     )
-    terms: tuple[Literal["edges", "regularisation", "prior"], ...] = Field(
-        (), description="Deep Energies: terms beside the landmarks."
+    terms: tuple[Literal[NAMED_TERMS], ...] = Field(
+        (), description="Terms beside those that the system has in every stage."
     )
     landmarks: dict[str, NonNegative] = Field({"all": 1.0}, description="Weight by group; later entries win.")
     limit: Iterations = Field(15, description="Most iterations.")
@@ -364,6 +380,21 @@ class Config(_Section):
         """The detections of a frame that were put right by hand, by point."""
         return {int(point): place for point, place in self.landmarks.moved.get(str(frame), {}).items()}
 
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the energy's terms: the system's, and those that any stage names."""
+        return terms_of(self.system, (name for stage in self.stages for name in stage.terms))
+
+    def omega(self) -> dict[str, float]:
+        """Every ω by its place, as `weights.tau`."""
+        places = {f"weights.{node.name}" for node in NODES}
+        places |= {term.omega_key(self.system) for term in TABLE.values() if term.name != "landmarks"}
+        return {place: getattr(getattr(self, place.split(".")[0]), place.split(".")[1]) for place in places}
+
+    def factors(self, stage: Stage) -> list[float]:
+        """The factor in front of each of `terms` in a stage: the product of ω down its branch; 0 where it is off."""
+        return stage_factors(self.omega(), self.system, stage.free, stage.terms, self.terms)
+
     def changed(self, **sections: Any) -> "Config":
         """The configuration with some keys of some sections replaced, checked again.
 
@@ -427,7 +458,7 @@ PRESETS: dict[str, Config] = {
     # run far beyond [0, 1]. That points count with their confidence is ours.
     "face-it": Config(
         preset="face-it",
-        weights=WeightsConfig(tau=0.01, beta=0.01, sigma=0.01),
+        weights=_preset_weights("face-it"),
         solver=SolverConfig(bounded=False, unit="px"),
         contour=ContourConfig(mode="fixed"),
         identity=IdentityConfig(calibrate=False),
@@ -435,10 +466,10 @@ PRESETS: dict[str, Config] = {
     ),
     # The same alternation on a calibrated identity, weights truly in [0, 1], contour sliding with the yaw.
     "calibrated": Config(
-        preset="calibrated", weights=WeightsConfig(sigma_smooth=20.0), stages=PRESET_STAGES["calibrated"]
+        preset="calibrated", weights=_preset_weights("calibrated"), stages=PRESET_STAGES["calibrated"]
     ),
     # Ours: pose and expression as one problem of 50 unknowns, where the alternation sticks.
-    "joint": Config(preset="joint", weights=WeightsConfig(sigma_smooth=20.0), stages=PRESET_STAGES["joint"]),
+    "joint": Config(preset="joint", weights=_preset_weights("joint"), stages=PRESET_STAGES["joint"]),
     # Deep Energies: the order of the stages and what each frees are the paper's. It prints no iteration limits, no
     # bounds, neither W nor the weight of its edge term: these are ours. So is λ: the paper's 100 stands beside errors
     # in pixels, and in a residual λw that would be squared with it.

@@ -1,5 +1,6 @@
 """How well landmarks and priors fix pose and weights: the posterior of the problem linearised at the fit."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -9,8 +10,7 @@ from jaxtyping import Bool, Float
 
 from workbench.config import Config
 from workbench.diagnosis.records import Uncertainty
-from workbench.energies import normal_system, reprojection_with_jacobian
-from workbench.energies.total import data_weight
+from workbench.energies import normal_system, reprojection_with_jacobian, stage_factors
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, rotation_matrix
@@ -60,6 +60,7 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
         raise InputError(f"Frame {fit.index} has no landmarks; ask for the uncertainty of a frame with a face.")
     stage = running_stages(config, start=context.last is None)[-1]
     weights = np.multiply(stage.landmark_weights(config.subsets), config.point_weights())
+    factors = stage_factors(config.omega(), config.system, FREE, stage.terms, config.terms)
     personal = landmark_model(model).personal(np.asarray(fit.identity))
     last = context.last
     zero = np.zeros(6)
@@ -73,34 +74,36 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
     )
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (fit.camera, personal, solve_settings(config)))
     with COMPUTING:
-        residual, jacobian, matrix, gradient, factor, unit = _linearised(
-            *arrays, jnp.asarray(weights), frame, parameters
+        residual, jacobian, matrix, gradient, unit = _linearised(
+            *arrays, jnp.asarray(weights), jnp.asarray(factors), frame, parameters, config.terms
         )
     percent = 1.0 if config.solver.unit == "percent" else float(unit)
     return Linearised(
         *(np.asarray(part) for part in (residual, jacobian, matrix, gradient)),
-        data_factor=float(factor),
+        data_factor=factors[config.terms.index("landmarks")],
         unit=percent,
         row_weights=np.repeat(weights * fit.confidence, 2),
     )
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="terms")
 def _linearised(
     camera: Camera,
     model: LandmarkModel,
     settings: SolveSettings,
     weights: Float[jax.Array, "68"],
+    omega: Float[jax.Array, "t"],
     frame: FrameInput,
     parameters: FaceParameters,
+    terms: tuple[str, ...],
 ):
-    problem = stage_problem(camera, model, settings, weights, frame, parameters)
+    problem = stage_problem(camera, model, settings, weights, omega, frame, parameters)
     residual, jacobian = reprojection_with_jacobian(camera, problem.points, parameters, problem.observation, FREE)
-    system = normal_system(problem, parameters, FREE)
+    system = normal_system(problem, parameters, FREE, terms)
     # One pixel in percent of the eye distance, for residuals that count in pixels.
     eye = jnp.linalg.norm(problem.points.neutral[45] - problem.points.neutral[36])
     eye_px = jnp.mean(camera.focal_px) * eye / parameters.translation[2]
-    return residual, jacobian, system.matrix, system.gradient, data_weight(settings.weights, FREE), 100.0 / eye_px
+    return residual, jacobian, system.matrix, system.gradient, 100.0 / eye_px
 
 
 def estimate_uncertainty(model: FaceModel, config: Config, context: FrameContext, fit: FrameFit) -> Uncertainty:

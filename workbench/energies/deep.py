@@ -13,18 +13,20 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from workbench.arrays import AnyArray, Scalar
-from workbench.energies.priors import identity_residual
+from workbench.energies.term import LandmarkErrors, TermContext
+from workbench.energies.terms import terms_of
+from workbench.energies.total import weighed_residuals
 from workbench.face import FaceModel, FaceParameters, contour_blend
-from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
-from workbench.geometry import project, rotation_matrix, yaw_of
+from workbench.geometry import rotation_matrix, yaw_of
 from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
 from workbench.networks import CropBox, Fan, LandmarkNetwork, soft_argmax, to_picture
 from workbench.networks.crop import fan_box_of
 from workbench.rendering import CropCamera, RenderModel, face_vertices, render, render_model
-from workbench.rendering.camera import AnyCamera, OrthographicCamera
+from workbench.rendering.camera import AnyCamera
 
-DEEP_TERMS = ("landmarks", "edges", "lambda", "identity", "prior")
-"""The energy's terms: E_1 and E_2 of Sec. 8.1, λ‖w‖² of Sec. 8.2, the identity's, and the rigid prior of Sec. 5."""
+DEEP_TERMS = terms_of("deep-energies")
+"""The terms of Deep Energies where no stage names another: E_1 and E_2 of Sec. 8.1, λ‖w‖² of Sec. 8.2, the identity's,
+and the rigid prior of Sec. 5."""
 
 
 class DeepModel(NamedTuple):
@@ -59,18 +61,6 @@ class DeepView(NamedTuple):
     """What one unit of the landmark residuals is."""
     light: Float[AnyArray, "9 3"]
     background: Float[AnyArray, "3"]
-
-
-class DeepWeights(NamedTuple):
-    """Weights of the terms; all traced."""
-
-    landmarks: Scalar = 1.0
-    edges: Scalar = 0.0
-    regularisation: Scalar = 0.0
-    """λ of Sec. 8.2, for blendshapes and for the jaw counted in blendshapes."""
-    identity: Scalar = 0.0
-    prior: Scalar = 0.0
-    """Of the squared distance from the rigid pose that the stage starts from, one radian counted as 100 mm."""
 
 
 class NetworkView(NamedTuple):
@@ -152,36 +142,17 @@ def crop_of(network: Fan | LandmarkNetwork, points: Float[AnyArray, "68 2"]) -> 
 
 def deep_residuals(
     views: DeepView,
-    weights: DeepWeights,
+    omega: Float[AnyArray, "t"],
     predicted: Float[AnyArray, "views 68 2"],
     parameters: FaceParameters,
-    start: FaceParameters,
+    context: TermContext,
+    terms: tuple[str, ...] = DEEP_TERMS,
 ) -> dict[str, Float[Array, "_"]]:
-    """Residuals by term, weighted: the energy is the sum of their squares.
+    """Residuals by term, weighed: the energy is the sum of their squares.
 
     Other than in the paper, W (with the detections' confidence) multiplies squared errors and weighs E_2 too, and
-    errors count in `unit_px`.
-
-    `views` is stacked. `predicted` are landmarks in each view, pixels; `start` holds the pose that the prior keeps to.
+    errors count in `unit_px`. `views` is stacked. `predicted` are landmarks in each view, pixels.
     """
     error = (predicted - views.target) / jnp.asarray(views.unit_px)[:, None, None]
-    root = jnp.sqrt(jnp.asarray(views.weights))[..., None]
-    # Consecutive landmarks, as in the paper; ours is that a difference counts as its less certain end.
-    ends = jnp.minimum(root[:, 1:], root[:, :-1])
-    shapes = [parameters.expression]
-    if len(parameters.jaw):
-        shapes += [parameters.jaw[:3] / np.radians(OPEN_DEG), parameters.jaw[3:] / TRAVEL_MM]
-    moved = [100.0 * (parameters.rotation - start.rotation), parameters.translation - start.translation]
-    return {
-        "landmarks": jnp.sqrt(weights.landmarks) * (root * error).ravel(),
-        "edges": jnp.sqrt(weights.edges) * (ends * (error[:, 1:] - error[:, :-1])).ravel(),
-        "lambda": jnp.sqrt(weights.regularisation) * jnp.concatenate(shapes),
-        "identity": jnp.sqrt(weights.identity) * identity_residual(parameters.identity),
-        "prior": jnp.sqrt(weights.prior) * jnp.concatenate(moved),
-    }
-
-
-def _project(camera: AnyCamera, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-    if isinstance(camera, OrthographicCamera):
-        return points[:, :2] * camera.scale_px_per_mm + camera.principal_point_px
-    return project(camera, points)
+    errors = LandmarkErrors(error, jnp.sqrt(jnp.asarray(views.weights)))
+    return weighed_residuals(terms, omega, errors, parameters, context)

@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray, Scalar
+from workbench.energies.stay import expression_residual, pose_residual
+from workbench.energies.term import still
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.flow import SurfacePoints, points_in_camera
@@ -60,11 +62,6 @@ class FlowWeights(NamedTuple):
     """Residual from which a point counts less and less, percent (Cauchy); infinite: plain least squares."""
 
 
-RADIAN_MM = 100.0
-JAW_RADIAN, JAW_MM = 0.46, 20.0
-"""Jaw motions that count as a blendshape's whole travel."""
-
-
 def points_in_views(
     points: SurfacePoints, views: FlowView, parameters: FaceParameters
 ) -> tuple[Float[Array, "views n 2"], Float[Array, "views n 3"]]:
@@ -93,16 +90,14 @@ def flow_residuals(
     """
     missed = flow_distances(points, views, targets, parameters)
     share = jnp.sqrt(weights.flow * LANDMARKS / missed.shape[2]) * jnp.sqrt(targets.weights) * scales
-    pose = [
-        RADIAN_MM * (jnp.asarray(parameters.rotation) - prior.rotation),
-        jnp.asarray(parameters.translation) - prior.translation,
-    ]
-    stay = [jnp.sqrt(weights.stay_pose) * part for part in pose]
-    stay.append(jnp.sqrt(weights.stay) * (jnp.asarray(parameters.expression) - prior.expression))
-    if len(parameters.jaw):
-        sizes = jnp.asarray([JAW_RADIAN] * 3 + [JAW_MM] * 3)
-        stay.append(jnp.sqrt(weights.stay) * (jnp.asarray(parameters.jaw) - prior.jaw) / sizes)
-    return {"flow": (missed * share[..., None]).ravel(), "stay": jnp.concatenate(stay)}
+    context = still(prior)
+    stay = jnp.concatenate(
+        [
+            jnp.sqrt(weights.stay_pose) * pose_residual(parameters, context),
+            jnp.sqrt(weights.stay) * expression_residual(parameters, context),
+        ]
+    )
+    return {"flow": (missed * share[..., None]).ravel(), "stay": stay}
 
 
 def flow_distances(

@@ -1,4 +1,4 @@
-"""E_pose and E_fit (FACE IT! Eqs. 8, 10): the same reprojection residual, free in the pose or in the weights."""
+"""Points on the mesh in the picture, against observed ones, with their derivative."""
 
 from typing import NamedTuple
 
@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from workbench.arrays import AnyArray
+from workbench.energies.term import LandmarkErrors
 from workbench.face.landmark_model import PointModel
 from workbench.face.parameters import FaceParameters
 from workbench.geometry import Camera, project, project_with_derivative, rotation_matrix
@@ -37,12 +38,12 @@ def project_landmarks(camera: Camera, model: PointModel, parameters: FaceParamet
     return project(camera, points_camera)
 
 
-def reprojection_residual(
+def landmark_errors(
     camera: Camera, model: PointModel, parameters: FaceParameters, observation: Observation
-) -> Float[AnyArray, "136"]:
-    """√weight · (π(R·P_i + t) − p_i) / unit, so that its square sum is Eq. 8 (or Eq. 10 with the pose of Eq. 8)."""
+) -> LandmarkErrors:
+    """π(R·P_i + t) − p_i in units of the observation, and what each counts."""
     error = project_landmarks(camera, model, parameters) - observation.points
-    return (error * jnp.sqrt(observation.weights)[:, None] / observation.unit_px).ravel()
+    return LandmarkErrors(error / observation.unit_px, jnp.sqrt(observation.weights))
 
 
 def reprojection_with_jacobian(
@@ -52,7 +53,9 @@ def reprojection_with_jacobian(
     observation: Observation,
     free: tuple[str, ...],
 ) -> tuple[Float[AnyArray, "136"], Float[AnyArray, "136 n"]]:
-    """The residual and its derivative by the chain rule ∂π · ∂(R·P + t), columns in the order of `free`.
+    """`landmark_residual` of these errors, and its derivative by the chain rule ∂π · ∂(R·P + t).
+
+    Columns come in the order of `free`.
 
     Written out because automatic differentiation would push one tangent per weight through all of it.
     """

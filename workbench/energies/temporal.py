@@ -1,22 +1,44 @@
 """E_τ (FACE IT! Eq. 9): second difference of the head pose."""
 
 import jax.numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray, Scalar
+from workbench.energies.term import Term, TermContext
+from workbench.face.parameters import FaceParameters
 
 Pose = Float[AnyArray, "6"]
 """[r | t]: axis-angle in radians, translation in millimetres."""
 
 
-def tau_residual(before_last: Pose, last: Pose, pose: Pose, rotation_mm: Scalar) -> Float[AnyArray, "6"]:
+def second_difference(before_last: Pose, last: Pose, pose: Pose, rotation_mm: Scalar) -> Float[Array, "6"]:
     """[r|t]_{t−2} − 2 [r|t]_{t−1} + [r|t]_t with rotations counted as `rotation_mm` millimetres a radian.
 
     The paper's sum over the landmarks repeats one value 68 times; that factor is absorbed in ω_τ.
     """
-    return tau_scale(rotation_mm) * (before_last - 2.0 * last + pose)
+    scale = jnp.concatenate([jnp.full(3, 1.0) * rotation_mm, jnp.ones(3)])
+    return scale * (before_last - 2.0 * last + pose)
 
 
-def tau_scale(rotation_mm: Scalar) -> Float[AnyArray, "6"]:
-    """∂ of the residual with respect to the pose: a diagonal."""
-    return jnp.concatenate([jnp.full(3, 1.0) * rotation_mm, jnp.ones(3)])
+def tau_residual(parameters: FaceParameters, context: TermContext) -> Float[Array, "6"]:
+    """The second difference where two frames came before, else 0."""
+    pose = jnp.concatenate([parameters.rotation, parameters.translation])
+    difference = second_difference(context.before_last_pose, context.last_pose, pose, context.constants.rotation_mm)
+    return context.history * difference
+
+
+TAU = Term(
+    name="tau",
+    symbol="E_τ",
+    source="FACE IT! Eq. 9",
+    says="second difference of the pose",
+    formula="‖[r|t]_t−2 − 2[r|t]_t−1 + [r|t]_t‖²",
+    residual=tau_residual,
+    unknowns=("rotation", "translation"),
+    structure="diagonal",
+    systems=("face-it",),
+    links_frames=True,
+    default=0.1,
+    presets={"face-it": 0.01},
+    constants=("rotation_mm",),
+)

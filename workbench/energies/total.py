@@ -1,32 +1,26 @@
-"""The whole energy E(γ) (FACE IT! Eqs. 5–7) for one set of free parameters: as residuals, by term, and as normal
-equations."""
+"""The whole energy E(γ) (FACE IT! Eqs. 5–7): the table's terms, weighed and summed.
+
+As residuals for both systems; by term; and, for points on the mesh, as normal equations.
+"""
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Array, Float
 
-from workbench.arrays import AnyArray, Scalar
-from workbench.energies.priors import (
-    beta_residual,
-    beta_slope,
-    identity_residual,
-    range_residual,
-    range_slope,
-    sigma_residual,
-    sigma_smooth_residual,
-    sigma_smooth_slope,
-)
-from workbench.energies.reprojection import Observation, reprojection_residual, reprojection_with_jacobian
-from workbench.energies.temporal import tau_residual, tau_scale
-from workbench.energies.weights import EnergyConstants, EnergyWeights
+from workbench.arrays import AnyArray
+from workbench.energies.reprojection import Observation, landmark_errors, reprojection_with_jacobian
+from workbench.energies.term import LandmarkErrors, Term, TermContext
+from workbench.energies.terms import TABLE, terms_of
 from workbench.face.landmark_model import PointModel
 from workbench.face.parameters import FaceParameters
 from workbench.geometry import Camera
 from workbench.solvers import DenseSystem
 
-TERMS = ("data", "tau", "beta", "sigma", "sigma_smooth", "range", "identity")
-"""Terms in the order of their residuals. `data` is E_pose or E_fit, by what is free."""
+FACE_IT_TERMS = terms_of("face-it")
+"""The terms of FACE IT! where no stage names another."""
 
 
 class EnergyProblem(NamedTuple):
@@ -35,99 +29,96 @@ class EnergyProblem(NamedTuple):
     camera: Camera
     points: PointModel
     observation: Observation
-    weights: EnergyWeights
-    constants: EnergyConstants
-    before_last_pose: Float[AnyArray, "6"]
-    last_pose: Float[AnyArray, "6"]
-    history: Float[AnyArray, ""]
-    """1 where the two poses before exist, else 0: no E_τ on the first two frames of a shot."""
+    omega: Float[AnyArray, "t"]
+    """Factor in front of each term (`terms.stage_factors`)."""
+    context: TermContext
 
 
-def data_weight(weights: EnergyWeights, free: tuple[str, ...]) -> Scalar:
-    """Factor of the reprojection term: ω_sparse·ω_pose while only the pose is free, else ω_sparse·ω_fit."""
-    return weights.sparse * (weights.pose if is_pose_only(free) else weights.fit)
+def weighed_residuals(
+    terms: tuple[str, ...],
+    omega: Float[AnyArray, "t"],
+    errors: LandmarkErrors,
+    parameters: FaceParameters,
+    context: TermContext,
+) -> dict[str, Float[Array, "_"]]:
+    """Residuals by term with √ω applied: the energy is the sum of their squares."""
+    omega = dict(zip(terms, jnp.asarray(omega), strict=True))
+    return {name: jnp.sqrt(omega[name]) * TABLE[name].values(errors, parameters, context) for name in terms}
 
 
-def is_pose_only(free: tuple[str, ...]) -> bool:
-    """Whether nothing but the rigid pose is free."""
-    return not {"expression", "identity"} & set(free)
+def residuals(
+    problem: EnergyProblem,
+    parameters: FaceParameters,
+    free: tuple[str, ...],
+    terms: tuple[str, ...] = FACE_IT_TERMS,
+) -> dict[str, Float[Array, "_"]]:
+    """Weighed residuals of every term that `free` parameters can change, for points on the mesh."""
+    chosen = [k for k, name in enumerate(terms) if _moves(TABLE[name], free)]
+    errors = landmark_errors(problem.camera, problem.points, parameters, problem.observation)
+    omega = jnp.asarray(problem.omega)[np.array(chosen)]
+    return weighed_residuals(tuple(terms[k] for k in chosen), omega, errors, parameters, problem.context)
 
 
-def residuals(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]) -> dict[str, AnyArray]:
-    """Residuals of every term that `free` parameters can change, weights applied; E is the sum of their squares."""
-    weights, constants, w = problem.weights, problem.constants, parameters.expression
-    data = reprojection_residual(problem.camera, problem.points, parameters, problem.observation)
-    found = {"data": jnp.sqrt(data_weight(weights, free)) * data}
-    prior = weights.prior
-    if {"rotation", "translation"} & set(free):
-        pose = jnp.concatenate([parameters.rotation, parameters.translation])
-        tau = tau_residual(problem.before_last_pose, problem.last_pose, pose, constants.rotation_mm)
-        found["tau"] = jnp.sqrt(prior * weights.tau) * problem.history * tau
-    if "expression" in free:
-        found["beta"] = jnp.sqrt(prior * weights.beta) * beta_residual(w, constants)
-        found["sigma"] = jnp.sqrt(prior * weights.sigma) * sigma_residual(w)
-        found["sigma_smooth"] = jnp.sqrt(prior * weights.sigma_smooth) * sigma_smooth_residual(w, constants.delta)
-        found["range"] = jnp.sqrt(prior * weights.range) * range_residual(w)
-    if "identity" in free:
-        found["identity"] = jnp.sqrt(prior * weights.identity) * identity_residual(parameters.identity)
-    return found
-
-
-def energy(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]) -> Float[AnyArray, ""]:
+def energy(
+    problem: EnergyProblem,
+    parameters: FaceParameters,
+    free: tuple[str, ...],
+    terms: tuple[str, ...] = FACE_IT_TERMS,
+) -> Float[AnyArray, ""]:
     """E(γ), summed in the order of `normal_system`, so that both round alike."""
-    found = residuals(problem, parameters, free)
-    data = found.pop("data")
+    found = residuals(problem, parameters, free, terms)
+    data = found.pop("landmarks")
     return data @ data + sum(jnp.sum(part**2) for part in found.values())
 
 
-def energy_by_term(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]) -> Float[AnyArray, "7"]:
-    """Weighted energy of each of `TERMS`, zero for terms that `free` parameters cannot change."""
-    found = residuals(problem, parameters, free)
-    return jnp.stack([jnp.sum(found[term] ** 2) if term in found else jnp.zeros(()) for term in TERMS])
+def energy_by_term(
+    problem: EnergyProblem,
+    parameters: FaceParameters,
+    free: tuple[str, ...],
+    terms: tuple[str, ...] = FACE_IT_TERMS,
+) -> Float[Array, "t"]:
+    """Weighed energy of each of `terms`, zero for those that `free` parameters cannot change."""
+    found = residuals(problem, parameters, free, terms)
+    return jnp.stack([jnp.sum(found[name] ** 2) if name in found else jnp.zeros(()) for name in terms])
 
 
-def normal_system(problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]) -> DenseSystem:
+def normal_system(
+    problem: EnergyProblem,
+    parameters: FaceParameters,
+    free: tuple[str, ...],
+    terms: tuple[str, ...] = FACE_IT_TERMS,
+) -> DenseSystem:
     """Cost, Jᵀr and JᵀJ of the whole energy, columns in the order of `free`.
 
-    Terms on single unknowns only touch the diagonal, and the paper's single residuals are rank-one updates; adding
-    them here instead of as Jacobian rows halves the arithmetic of an expression step.
+    Terms on single unknowns only touch the diagonal, and single residuals are rank-one updates: adding them here
+    instead of as Jacobian rows halves the arithmetic of an expression step.
     """
-    weights, constants, w = problem.weights, problem.constants, parameters.expression
+    omega = dict(zip(terms, jnp.asarray(problem.omega), strict=True))
     residual, jacobian = reprojection_with_jacobian(
         problem.camera, problem.points, parameters, problem.observation, free
     )
-    factor = data_weight(weights, free)
-    cost = factor * (residual @ residual)
-    gradient = factor * (residual @ jacobian)
-    matrix = factor * (jacobian.T @ jacobian)
-    others = residuals(problem, parameters, free)
-    slots = _slots(parameters, free)
-    diagonal, gradients = [], []
-    for name in free:
-        size = slots[name].stop - slots[name].start
-        if name in ("rotation", "translation"):
-            part = slice(0, 3) if name == "rotation" else slice(3, 6)
-            slope = jnp.sqrt(weights.prior * weights.tau) * problem.history * tau_scale(constants.rotation_mm)[part]
-            diagonal.append(slope * slope)
-            gradients.append(slope * others["tau"][part])
-        elif name == "expression":
-            smooth = jnp.sqrt(weights.prior * weights.sigma_smooth) * sigma_smooth_slope(w, constants.delta)
-            outside = jnp.sqrt(weights.prior * weights.range) * range_slope(w)
-            beta = jnp.sqrt(weights.prior * weights.beta) * beta_slope(w, constants)
-            sigma = jnp.sqrt(weights.prior * weights.sigma) * jnp.sign(w)
-            diagonal.append(smooth * smooth + outside * outside)
-            gradients.append(
-                smooth * others["sigma_smooth"] + outside * others["range"] + beta * others["beta"]
-                + sigma * others["sigma"]
-            )  # fmt: skip
-            rank_two = beta[:, None] * beta[None, :] + sigma[:, None] * sigma[None, :]
-            slot = slots[name]
-            matrix = rank_two + matrix if len(free) == 1 else matrix.at[slot, slot].add(rank_two)
+    cost = omega["landmarks"] * (residual @ residual)
+    gradient = omega["landmarks"] * (residual @ jacobian)
+    matrix = omega["landmarks"] * (jacobian.T @ jacobian)
+    diagonal, others = jnp.zeros(len(gradient)), 0.0
+    for name in terms:
+        term, root = TABLE[name], jnp.sqrt(omega[name])
+        if name == "landmarks" or not _moves(term, free):
+            continue
+        if term.of == "parameters" and term.structure != "dense":
+            values, slopes, forces = _on_unknowns(term, problem.context, parameters, free)
+            values, slopes = root * values, root * slopes
+            gradient = gradient + slopes * (root * forces)
+            if term.structure == "diagonal":
+                diagonal = diagonal + slopes * slopes
+            else:
+                matrix = matrix + slopes[:, None] * slopes[None, :]
         else:
-            diagonal.append(jnp.full(size, 1.0) * weights.prior * weights.identity)
-            gradients.append(jnp.sqrt(weights.prior * weights.identity) * others["identity"])
-    cost = cost + sum(jnp.sum(others[term] ** 2) for term in others if term != "data")
-    return DenseSystem(cost, gradient + jnp.concatenate(gradients), matrix + jnp.diag(jnp.concatenate(diagonal)))
+            of = _of_landmarks if term.of == "landmarks" else _of_parameters
+            values, slopes = (root * part for part in of(term, problem, parameters, free))
+            gradient, matrix = gradient + values @ slopes, matrix + slopes.T @ slopes
+        others = others + jnp.sum(values**2)
+    return DenseSystem(cost + others, gradient, matrix + jnp.diag(diagonal))
 
 
 def pack(parameters: FaceParameters, free: tuple[str, ...]) -> Float[AnyArray, "n"]:
@@ -141,10 +132,65 @@ def unpack(vector: Float[AnyArray, "n"], parameters: FaceParameters, free: tuple
     return parameters._replace(**{name: vector[slot] for name, slot in slots.items()})
 
 
-def _slots(parameters: FaceParameters, free: tuple[str, ...]) -> dict[str, slice]:
+def _slots(parameters: FaceParameters, names: tuple[str, ...]) -> dict[str, slice]:
     slots, start = {}, 0
-    for name in free:
+    for name in names:
         size = len(getattr(parameters, name))
         slots[name] = slice(start, start + size)
         start += size
     return slots
+
+
+def _moves(term: Term, free: tuple[str, ...]) -> bool:
+    """Whether free parameters can change a term."""
+    return term.of == "landmarks" or bool(set(term.unknowns) & set(free))
+
+
+def _on_unknowns(term: Term, context: TermContext, parameters: FaceParameters, free: tuple[str, ...]):
+    """Residuals of a diagonal or single term, with its slope by each free parameter and the residual that goes with it;
+    one forward or backward pass gives all slopes."""
+    blocks = tuple(name for name in term.unknowns if len(getattr(parameters, name)))
+    vector = pack(parameters, blocks)
+
+    def residual(vector):
+        return term.residual(unpack(vector, parameters, blocks), context)
+
+    if term.structure == "diagonal":
+        values, slopes = jax.jvp(residual, (vector,), (jnp.ones_like(vector),))
+        forces = values
+    else:
+        values, pull = jax.vjp(residual, vector)
+        (slopes,) = pull(jnp.ones_like(values))
+        forces = jnp.broadcast_to(values, slopes.shape)
+    return values, _spread(slopes, blocks, parameters, free), _spread(forces, blocks, parameters, free)
+
+
+def _spread(entries, blocks: tuple[str, ...], parameters: FaceParameters, free: tuple[str, ...]):
+    """Entries by block as a vector over the free parameters, 0 for the other ones."""
+    slots = _slots(parameters, blocks)
+    return jnp.concatenate(
+        [entries[slots[name]] if name in slots else jnp.zeros(len(getattr(parameters, name))) for name in free]
+    )
+
+
+def _of_landmarks(term: Term, problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]):
+    """Residuals and derivative of a term on the landmarks' errors, through the errors' own derivative."""
+    certain = problem.observation._replace(weights=jnp.ones(len(problem.observation.weights)))
+    error, by_unknown = reprojection_with_jacobian(problem.camera, problem.points, parameters, certain, free)
+    root = jnp.sqrt(problem.observation.weights)
+
+    def residual(error):
+        return term.residual(LandmarkErrors(error.reshape(-1, 2), root))
+
+    values, push = jax.linearize(residual, error)
+    return values, jax.vmap(push, in_axes=1, out_axes=1)(by_unknown)
+
+
+def _of_parameters(term: Term, problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]):
+    """Residuals and derivative of any term on the parameters."""
+
+    def residual(vector):
+        return term.residual(unpack(vector, parameters, free), problem.context)
+
+    vector = pack(parameters, free)
+    return residual(vector), jax.jacfwd(residual)(vector)

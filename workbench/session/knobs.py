@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from workbench.config import Config, WeightsConfig
-from workbench.energies import EnergyWeights
+from workbench.config import Config
+from workbench.energies import NODES, TABLE, Term, factor
 from workbench.landmarks.scheme import GROUPS
 
 Kind = Literal["log", "linear", "whole", "switch", "choice"]
@@ -29,21 +29,20 @@ class Knob:
     """Depth in the hierarchy of ω (Eqs. 5–7)."""
 
 
+def _of_term(term: Term, system: str = "face-it") -> Knob:
+    """The slider of a term's ω."""
+    source = f", {term.source.removeprefix('FACE IT! ').removeprefix('Deep Energies ')}" if term.source else ""
+    path, tip, (low, high) = term.omega_key(system), f"{term.formula}: {term.says}{source}", term.slider
+    return Knob(path, term.omega_symbol, tip, "log", low, high, level=int(path.startswith("weights.")))
+
+
 OMEGA = (
-    Knob("weights.sparse", "ω_sparse", "all landmark terms: ω_sparse·(ω_pose·E_pose + ω_fit·E_fit), Eqs. 5, 6",
-         "log", 1e-3, 1e3),
-    Knob("weights.pose", "ω_pose", "E_pose = Σ‖π(R·b_0 + t) − p‖², pose free, Eq. 8", "log", 1e-3, 1e3, level=1),
-    Knob("weights.fit", "ω_fit", "E_fit = Σ‖π(R·(b_0 + B·w) + t) − p‖², weights free, Eq. 10",
-         "log", 1e-3, 1e3, level=1),
-    Knob("weights.prior", "ω_prior", "all priors: ω_prior·(ω_τ·E_τ + ω_β·E_β + ω_σ·E_σ), Eqs. 5, 7", "log", 1e-3, 1e3),
-    Knob("weights.tau", "ω_τ", "E_τ = ‖[r|t]_t−2 − 2[r|t]_t−1 + [r|t]_t‖², smooth pose, Eq. 9",
-         "log", 1e-4, 1e3, level=1),
-    Knob("weights.sigma_smooth", "ω_σ L1", "Σ √(w² + δ²) − δ: L1 norm, one residual a weight (after Eq. 11)",
-         "log", 1e-3, 1e3, level=1),
-    Knob("weights.sigma", "ω_σ", "E_σ = (Σ|w|)², the paper's single residual, Eq. 11", "log", 1e-4, 1e3, level=1),
-    Knob("weights.beta", "ω_β", "E_β: arctan steps at 0 and 1, Eq. 12", "log", 1e-4, 1e3, level=1),
-    Knob("weights.range", "ω_range", "Σ (distance of w from [0, 1])²: pulls back from any distance",
-         "log", 1e-3, 1e5, level=1),
+    *(
+        Knob(f"weights.{node.name}", node.symbol, f"{node.formula}: {node.says}, {node.source}", "log", 1e-3, 1e3,
+             level=node.level)
+        for node in NODES
+    ),
+    *(_of_term(term) for term in TABLE.values() if term.of == "parameters" and not term.key),
 )  # fmt: skip
 SOLVE = (
     Knob("rho", "ρ", "iterations of the stages that free the pose alone (Eq. 8; the paper: 15)", "whole", 0, 100),
@@ -63,7 +62,7 @@ CAMERA = (
 )  # fmt: skip
 IDENTITY = (
     Knob("identity.calibrate", "calibrate", "estimate one face shape per shot (or photo) before fitting", "switch"),
-    Knob("identity.weight", "ω_identity", "ω·‖identity‖²: keeps to the mean face", "log", 1e-2, 1e4),
+    _of_term(TABLE["identity"]),
     Knob("identity.expression", "ω_expression", "L1 norm of the weights during calibration: what stays is identity",
          "log", 1e-2, 1e4),
     Knob("identity.jaw", "jaw weight", "landmark weight of the jaw contour in its second pass",
@@ -89,10 +88,7 @@ DEEP = (
          "choice", choices=("broyden", "forward", "differences")),
     Knob("deep.start", "start", "frontal in the middle of the picture, or the pose that the landmarks give", "choice",
          choices=("frontal", "landmarks")),
-    Knob("deep.edges", "ω_edges", "E_2 of Sec. 8.1: differences of consecutive landmarks", "log", 1e-3, 1e2),
-    Knob("deep.regularisation", "λ", "λ‖w‖², blendshapes and jaw, Sec. 8.2; our unit, the paper prints 100",
-         "log", 1e-2, 1e4),
-    Knob("deep.prior", "ω_prior", "stay near the pose before, in stages with that term, Sec. 5", "log", 1e-3, 1e3),
+    *(_of_term(term) for term in TABLE.values() if term.key.startswith("deep.")),
     Knob("deep.tolerance", "tolerance", "a stage stops when a step gains less than this part", "log", 1e-6, 1e-1),
 )  # fmt: skip
 METHODS = (
@@ -117,19 +113,36 @@ TIME = (
          "linear", 0.5, 50.0, 0.5),
     Knob("flow.estimator", "flow", "of the pictures: OpenCV's DIS or Farnebäck, or our network (slower)", "choice",
          choices=("dis", "farneback", "network")),
-    Knob("flow.stay", "stay", "flow: weight of blendshapes and jaw staying where they are expected", "log", 1e-1, 1e4),
+    _of_term(TABLE["stay"]),
 )  # fmt: skip
 KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP, *METHODS, *TIME)
 
-FACE_IT_ALONE = frozenset({*(knob.path for knob in (*OMEGA, *CONSTANTS)), "solver.method", "solver.tolerance"})
-"""Knobs that Deep Energies does not read: it has its own weights and tolerance."""
+FACE_IT_SOLVER = ("solver.method", "solver.tolerance")
+"""What Deep Energies does not read: it has its own."""
 
 
 def is_inert(config: Config, path: str) -> bool:
-    """Whether a knob changes nothing under the system of this configuration."""
-    if config.system == "deep-energies":
-        return path in FACE_IT_ALONE
-    return path.startswith("deep.")
+    """Whether a knob changes nothing under this configuration's system and stages."""
+    deep = config.system == "deep-energies"
+    section, key = path.split(".") if "." in path else ("", path)
+    if section == "constants":
+        return not any(key in TABLE[name].constants for name in _summed(config))
+    for name, term in TABLE.items():
+        if term.omega_key(config.system) == path and section in ("weights", "deep"):
+            return name not in _summed(config)
+    if section == "weights":  # a node of the hierarchy
+        return deep and not (key == "prior" and any(_below_prior(name) for name in _summed(config)))
+    return path in FACE_IT_SOLVER if deep else section == "deep"
+
+
+def _summed(config: Config) -> set[str]:
+    """The terms that some stage sums."""
+    named = {name for stage in config.stages for name in stage.terms}
+    return named | {name for name, term in TABLE.items() if config.system in term.systems}
+
+
+def _below_prior(name: str) -> bool:
+    return TABLE[name].branch == "prior" and TABLE[name].omega_key("deep-energies").startswith("weights.")
 
 
 def value_of(config: Config, path: str) -> Value:
@@ -170,8 +183,12 @@ def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
 
 def effective_weights(config: Config) -> dict[str, float]:
     """The product down the branch of ω for each path of `OMEGA` that is a leaf."""
-    weights = EnergyWeights(**config.weights.model_dump(), identity=config.identity.weight).effective()
-    return {f"weights.{name}": float(weights[name]) for name in WeightsConfig.model_fields if name in weights}
+    omega = config.omega()
+    products = {
+        f"weights.{name}": factor(TABLE["landmarks"], omega, "face-it", name == "pose") for name in ("pose", "fit")
+    }
+    leaves = [term for term in TABLE.values() if term.of == "parameters" and not term.key]
+    return products | {term.omega_key(config.system): factor(term, omega, config.system, False) for term in leaves}
 
 
 def _frees_weights(stage) -> bool:

@@ -25,8 +25,6 @@ from workbench.diagnosis import (
     flag_frames,
     reference_of,
 )
-from workbench.energies import TERMS
-from workbench.energies.deep import DEEP_TERMS
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, load_default_head
 from workbench.landmarks.observations import Landmarks2D
@@ -259,7 +257,7 @@ class TuningSession:
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the energy's terms under the present configuration."""
-        return DEEP_TERMS if self._config.system == "deep-energies" else TERMS
+        return self._config.terms
 
     def observation(self, frame: int, config: Config | None = None) -> FrameObservation:
         """A frame's observation with the detections that were moved. Raises `InputError` outside the material."""

@@ -16,7 +16,8 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from workbench.config import Config, Stage, preset
-from workbench.energies.deep import DEEP_TERMS, DeepView, DeepWeights, crop_of, deep_model
+from workbench.energies import EnergyConstants, TermContext
+from workbench.energies.deep import DeepView, crop_of, deep_model
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, FaceParameters, seen_shapes
 from workbench.geometry import Camera, Rig, read_rig, yaw_pitch_roll_deg
@@ -37,6 +38,7 @@ from workbench.tracking.deep_solver import StageProblem, StageResult, solve_stag
 from workbench.tracking.deep_target import energy_network
 from workbench.tracking.fitter import (
     Calibrated,
+    Continuation,
     FrameContext,
     FrameFitter,
     FrameObservation,
@@ -110,7 +112,7 @@ class DeepFitter:
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the energy's terms."""
-        return DEEP_TERMS
+        return self.config.terms
 
     @property
     def calibrates(self) -> bool:
@@ -205,11 +207,12 @@ class DeepFitter:
         stages = tuple(running_stages(self.config, start=True))
         start = parameters = self._start(observation, context)
         seen = self.views(observation, context)
+        history = self._history(context.last, start)
         results, seconds, views = [], [], ()
         for stage in stages:
             began = time.perf_counter()
             views = self._weighed(seen, stage)
-            result = solve_stage(self._problem(scene, views, stage), parameters, cancelled)
+            result = solve_stage(self._problem(scene, views, stage, history), parameters, cancelled)
             parameters = result.parameters
             results.append(result)
             seconds.append(time.perf_counter() - began)
@@ -311,20 +314,15 @@ class DeepFitter:
         fit = self._points.fit(observation, FrameContext(0, context.identity, None, None))[0]
         return start._replace(rotation=jnp.asarray(fit.rotation), translation=jnp.asarray(fit.translation))
 
-    def _problem(self, scene: DeepScene, views, stage: Stage) -> StageProblem:
+    def _problem(self, scene: DeepScene, views, stage: Stage, history: TermContext) -> StageProblem:
         deep, free = self.config.deep, self.free(stage)
-        weights = DeepWeights(
-            landmarks=1.0,
-            edges=deep.edges if "edges" in stage.terms else 0.0,
-            regularisation=deep.regularisation if "regularisation" in stage.terms else 0.0,
-            identity=deep.identity,
-            prior=deep.prior if "prior" in stage.terms else 0.0,
-        )
         lower, upper = self._bounds()
         return StageProblem(
             scene=scene,
             views=views,
-            weights=DeepWeights(*(jnp.asarray(weight, float) for weight in weights)),
+            terms=self.terms,
+            omega=np.array(self.config.factors(stage)),
+            context=history,
             free=free,
             lower=lower,
             upper=upper,
@@ -332,6 +330,14 @@ class DeepFitter:
             tolerance=deep.tolerance,
             derivative=deep.derivative,
         )
+
+    def _history(self, last: Continuation | None, start: FaceParameters) -> TermContext:
+        """What terms that link frames are told of the frames before."""
+        constants = EnergyConstants(**self.config.constants.model_dump())
+        if last is None:
+            return TermContext(constants, np.zeros(6), np.zeros(6), np.zeros(()), start)
+        known = np.asarray(float(last.frames >= 2))
+        return TermContext(constants, np.asarray(last.last_pose), np.asarray(last.pose), known, start)
 
     def free(self, stage: Stage) -> Bool[np.ndarray, "n"]:
         """Which entries of the flattened parameters a stage frees. Raises `ConfigError` for shapes the model lacks."""
@@ -406,7 +412,7 @@ class DeepFitter:
         return replace(
             empty,
             camera=self.camera(observation.image_size),
-            energies=np.full((rows, len(DEEP_TERMS)), np.nan),
+            energies=np.full((rows, len(self.terms)), np.nan),
             status=np.full(rows, -1),
             iterations=np.zeros(rows, int),
             jaw=np.full(6, np.nan),

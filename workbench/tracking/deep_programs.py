@@ -15,14 +15,15 @@ from jaxtyping import Array, Float, Int
 
 from workbench.arrays import AnyArray, Scalar
 from workbench.energies.deep import (
+    DEEP_TERMS,
     DeepModel,
     DeepView,
-    DeepWeights,
     NetworkView,
     deep_residuals,
     network_view,
     preselected_points,
 )
+from workbench.energies.term import TermContext
 from workbench.face import FaceParameters
 from workbench.networks import Fan, LandmarkNetwork
 from workbench.solvers.dogleg import Quadratic
@@ -98,21 +99,23 @@ def points_derivative(scene: DeepScene, view: DeepView, parameters: FaceParamete
     return jnp.moveaxis(derivative, -1, 0)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="terms")
 def quadratic(
     views: DeepView,
-    weights: DeepWeights,
+    omega: Float[AnyArray, "t"],
     predicted: Float[AnyArray, "views 68 2"],
     derivative: Float[AnyArray, "views n 68 2"],
     parameters: FaceParameters,
-    start: FaceParameters,
+    context: TermContext,
+    terms: tuple[str, ...] = DEEP_TERMS,
 ) -> Quadratic:
     """½Σr² with gradient and Gauss–Newton curvature in scaled unknowns, from predictions and their derivative."""
     vector, unravel = ravel_pytree(parameters)
     sizes = ravel_pytree(scales(parameters))[0]
 
     def residual(predicted, vector):
-        return jnp.concatenate(list(deep_residuals(views, weights, predicted, unravel(vector), start).values()))
+        parts = deep_residuals(views, omega, predicted, unravel(vector), context, terms)
+        return jnp.concatenate(list(parts.values()))
 
     by_column = jnp.moveaxis(derivative, 1, 0).astype(vector.dtype)
     predicted = predicted.astype(vector.dtype)
@@ -125,14 +128,15 @@ def quadratic(
     return Quadratic(0.5 * value @ value, jacobian @ value, jacobian @ jacobian.T)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="terms")
 def term_energies(
     views: DeepView,
-    weights: DeepWeights,
+    omega: Float[AnyArray, "t"],
     predicted: Float[AnyArray, "views 68 2"],
     parameters: FaceParameters,
-    start: FaceParameters,
-) -> Float[Array, "5"]:
-    """Σr² of each of `DEEP_TERMS`."""
-    terms = deep_residuals(views, weights, predicted, parameters, start)
-    return jnp.stack([residual @ residual for residual in terms.values()])
+    context: TermContext,
+    terms: tuple[str, ...] = DEEP_TERMS,
+) -> Float[Array, "t"]:
+    """Σr² of each of `terms`."""
+    residuals = deep_residuals(views, omega, predicted, parameters, context, terms)
+    return jnp.stack([residual @ residual for residual in residuals.values()])

@@ -18,7 +18,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 
-from workbench.energies.deep import DeepView, DeepWeights, NetworkView
+from workbench.energies.deep import DeepView, NetworkView
+from workbench.energies.term import TermContext
 from workbench.face import FaceParameters
 from workbench.runtime import COMPUTING
 from workbench.solvers import Status
@@ -56,8 +57,8 @@ class Iteration(NamedTuple):
     """One accepted place of a stage."""
 
     parameters: FaceParameters
-    energies: Float[np.ndarray, "5"]
-    """Of each of `energies.deep.DEEP_TERMS`."""
+    energies: Float[np.ndarray, "t"]
+    """Of each of the problem's terms."""
     points: Float[np.ndarray, "views 68 2"]
 
 
@@ -67,7 +68,7 @@ class StageResult:
 
     parameters: FaceParameters
     prediction: Prediction
-    energies: Float[np.ndarray, "5"]
+    energies: Float[np.ndarray, "t"]
     status: Status
     iterations: int
     evaluations: int
@@ -98,7 +99,11 @@ class StageProblem:
 
     scene: DeepScene
     views: tuple[DeepView, ...]
-    weights: DeepWeights
+    terms: tuple[str, ...]
+    omega: Float[np.ndarray, "t"]
+    """Factor in front of each of `terms`."""
+    context: TermContext
+    """What the frames before left; the stage's start is put in."""
     free: Bool[np.ndarray, "n"]
     """Over the flattened `FaceParameters`."""
     lower: Float[np.ndarray, "n"]
@@ -142,7 +147,7 @@ def solve_stage(
     while count < problem.limit and not cancelled():
         if derivative is None:
             derivative = state.derivative(parameters, prediction)
-        model = quadratic(views, problem.weights, prediction.points, derivative, parameters, start)
+        model = quadratic(views, problem.omega, prediction.points, derivative, parameters, state.context, problem.terms)
         movable = _movable(problem, vector, model)
         step = np.asarray(dogleg_step(model, movable, radius))
         candidate = np.clip(vector + step * sizes, problem.lower, problem.upper)
@@ -188,14 +193,14 @@ class _State:
     """Counts evaluations and makes derivatives for one stage."""
 
     def __init__(self, problem: StageProblem, start: FaceParameters):
-        self._problem, self._start = problem, start
+        self._problem = problem
+        self.context = problem.context._replace(start=start)
         self.evaluations = 0
 
     def energies(self, views: DeepView, prediction: Prediction, parameters: FaceParameters) -> np.ndarray:
         with COMPUTING:
-            return np.asarray(
-                term_energies(views, self._problem.weights, prediction.points, parameters, self._start), float
-            )
+            omega, terms = self._problem.omega, self._problem.terms
+            return np.asarray(term_energies(views, omega, prediction.points, parameters, self.context, terms), float)
 
     def derivative(self, parameters: FaceParameters, prediction: Prediction) -> Float[np.ndarray, "views n 68 2"]:
         """Of the mixed landmarks, by the scaled unknowns; 0 where not free."""

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.config import Config, Stage
-from workbench.energies import TERMS, EnergyConstants, EnergyWeights
+from workbench.energies import EnergyConstants
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, camera_from_fov, camera_from_matrix, project, yaw_pitch_roll_deg
@@ -91,8 +91,8 @@ class StageTrace(NamedTuple):
     """Every iteration of one stage; row 0 is the start."""
 
     stage: str
-    energies: Float[np.ndarray, "steps 7"]
-    """Weighted energy of each of `energies.TERMS`."""
+    energies: Float[np.ndarray, "steps t"]
+    """Weighted energy of each term of the configuration (`Config.terms`)."""
     residuals_px: Float[np.ndarray, "steps 68"]
     """Distance of each model landmark from the observed one."""
 
@@ -109,7 +109,6 @@ def solve_settings(config: Config) -> SolveSettings:
     lower, upper = (0.0, 1.0) if config.solver.bounded else (-np.inf, np.inf)
     return _on_device(
         SolveSettings(
-            weights=EnergyWeights(**config.weights.model_dump(), identity=config.identity.weight),
             constants=EnergyConstants(**config.constants.model_dump()),
             lower=lower,
             upper=upper,
@@ -129,11 +128,13 @@ def stage_program(config: Config, start: bool) -> StageProgram:
     """The stages of a first or a later frame as data for `solve_frame`."""
     chosen = running_stages(config, start)
     slots = STAGE_SLOTS * -(-len(config.stages) // STAGE_SLOTS)
-    moves, limit, weights = np.zeros((slots, len(UNKNOWNS)), bool), np.zeros(slots, int), np.zeros((slots, 68))
+    moves, limit = np.zeros((slots, len(UNKNOWNS)), bool), np.zeros(slots, int)
+    weights, omega = np.zeros((slots, 68)), np.zeros((slots, len(config.terms)))
     for k, stage in enumerate(chosen):
         moves[k], limit[k] = [name in stage.free for name in UNKNOWNS], stage.limit
         weights[k] = np.multiply(stage.landmark_weights(config.subsets), config.point_weights())
-    return StageProgram(*(jnp.asarray(part) for part in (moves, limit, weights, len(chosen))))
+        omega[k] = config.factors(stage)
+    return StageProgram(*(jnp.asarray(part) for part in (moves, limit, weights, omega, len(chosen))))
 
 
 def corrected(observation: FrameObservation, config: Config) -> FrameObservation:
@@ -160,6 +161,7 @@ class FrameFitter:
         """Use another configuration from now on; nothing compiles unless the solver's method is a new one."""
         self.config = config
         self._settings = solve_settings(config)
+        self._terms = config.terms
         self._used = np.array(config.point_weights()) > 0.0
         self._programs = {start: stage_program(config, start) for start in (True, False)}
         self._cameras: dict[tuple[int, int], tuple[Camera, Camera]] = {}
@@ -167,7 +169,7 @@ class FrameFitter:
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the energy's terms."""
-        return TERMS
+        return self._terms
 
     @property
     def calibrates(self) -> bool:
@@ -279,6 +281,7 @@ class FrameFitter:
                 self._frame_input(observation, context),
                 method=self.config.solver.method,
                 trace_length=trace_length,
+                terms=self._terms,
             )
         fetched = read_report(solution)
         milliseconds = 1e3 * (time.perf_counter() - began)
@@ -341,7 +344,7 @@ class FrameFitter:
         rows = int(self._programs[True].count)
         count = int(self._programs[context.last is None].count)
         place = slice(rows - count, rows)
-        energies = np.full((rows, len(TERMS)), np.nan)
+        energies = np.full((rows, len(self._terms)), np.nan)
         status, iterations = np.full(rows, -1), np.zeros(rows, int)
         energies[place], status[place] = solution.energies[:count], solution.status[:count]
         iterations[place] = solution.iterations[:count]
@@ -382,7 +385,7 @@ class FrameFitter:
             observed=missing(68, 2),
             confidence=missing(68),
             projected=missing(68, 2),
-            energies=missing(rows, len(TERMS)),
+            energies=missing(rows, len(self._terms)),
             status=np.full(rows, -1),
             iterations=np.zeros(rows, int),
             milliseconds=np.array([*observation.milliseconds, 0.0]),

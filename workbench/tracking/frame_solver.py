@@ -15,11 +15,11 @@ from jaxtyping import Bool, Float, Int
 
 from workbench.arrays import AnyArray
 from workbench.energies import (
-    TERMS,
+    FACE_IT_TERMS,
     EnergyConstants,
     EnergyProblem,
-    EnergyWeights,
     Observation,
+    TermContext,
     energy,
     energy_by_term,
     normal_system,
@@ -50,6 +50,8 @@ class StageProgram(NamedTuple):
     limit: Int[AnyArray, "s"]
     """ρ or ε."""
     landmark_weights: Float[AnyArray, "s 68"]
+    omega: Float[AnyArray, "s t"]
+    """Factor in front of each term; 0 where a stage leaves it out."""
     count: Int[AnyArray, ""]
     """Stages that run; rows beyond are padding."""
 
@@ -57,7 +59,6 @@ class StageProgram(NamedTuple):
 class SolveSettings(NamedTuple):
     """The traced part of a configuration."""
 
-    weights: EnergyWeights
     constants: EnergyConstants
     lower: Float[AnyArray, "*k"]
     """Lowest blendshape weight, −∞ for none; gives way to the model's own bounds of each weight where it is finite, and
@@ -89,17 +90,17 @@ class FrameSolution(NamedTuple):
     """[r | t], for the next frame's E_τ."""
     projected: Float[AnyArray, "68 2"]
     """Model landmarks in the picture, pixels."""
-    energies: Float[AnyArray, "s 7"]
+    energies: Float[AnyArray, "s t"]
     """Weighted energy of each term after each stage."""
     status: Int[AnyArray, "s"]
     iterations: Int[AnyArray, "s"]
     report: Float[AnyArray, "n"]
     """Everything above but the traces in one vector (`read_report`): one transfer instead of nine."""
     traces: Any
-    """None unless asked for: by stage, energies (s, steps, 7) and landmark residuals in pixels (s, steps, 68)."""
+    """None unless asked for: by stage, energies (s, steps, t) and landmark residuals in pixels (s, steps, 68)."""
 
 
-@partial(jax.jit, static_argnames=("method", "trace_length"))
+@partial(jax.jit, static_argnames=("method", "trace_length", "terms"))
 def solve_frame(
     camera: Camera,
     model: LandmarkModel,
@@ -108,19 +109,20 @@ def solve_frame(
     frame: FrameInput,
     method: Method = "lm",
     trace_length: int = 0,
+    terms: tuple[str, ...] = FACE_IT_TERMS,
 ) -> FrameSolution:
-    """Run the stages in order, each from where the one before ended."""
+    """Run the stages in order, each from where the one before ended. `terms` names the columns of `program.omega`."""
     settings = _within_range(settings, model)
 
     def branch(free: tuple[str, ...]):
-        def run(parameters: FaceParameters, moves, limit, landmark_weights):
-            problem = stage_problem(camera, model, settings, landmark_weights, frame, parameters)
+        def run(parameters: FaceParameters, moves, limit, landmark_weights, omega):
             # A pose that does not move has no E_τ.
-            problem = problem._replace(history=problem.history * moves[:2].any())
+            seen = frame._replace(history=frame.history * moves[:2].any())
+            problem = stage_problem(camera, model, settings, landmark_weights, omega, seen, parameters)
             moving = _moving(parameters, moves, free)
-            solution = _solve_stage(problem, parameters, settings, limit, free, moving, method, trace_length)
+            solution = _solve_stage(problem, parameters, settings, limit, free, moving, terms, method, trace_length)
             parameters = unpack(solution.x, parameters, free)
-            energies = energy_by_term(problem, parameters, free)
+            energies = energy_by_term(problem, parameters, free, terms)
             projected = project_landmarks(camera, problem.points, parameters)
             return parameters, projected, energies, solution.status, solution.iterations, solution.trace
 
@@ -130,15 +132,15 @@ def solve_frame(
 
     def body(carry):
         k, parameters, _, rows = carry
-        arguments = (parameters, program.moves[k], program.limit[k], program.landmark_weights[k])
+        arguments = (parameters, program.moves[k], program.limit[k], program.landmark_weights[k], program.omega[k])
         parameters, projected, *new = jax.lax.cond(program.moves[k, 2], everything, pose_only, *arguments)
         return k + 1, parameters, projected, jax.tree.map(lambda old, row: old.at[k].set(row), rows, tuple(new))
 
     slots = len(program.moves)
     trace = None
     if trace_length:
-        trace = (jnp.zeros((slots, trace_length + 1, len(TERMS))), jnp.zeros((slots, trace_length + 1, 68)))
-    rows = (jnp.full((slots, len(TERMS)), jnp.nan), jnp.full(slots, -1), jnp.zeros(slots, int), trace)
+        trace = (jnp.zeros((slots, trace_length + 1, len(terms))), jnp.zeros((slots, trace_length + 1, 68)))
+    rows = (jnp.full((slots, len(terms)), jnp.nan), jnp.full(slots, -1), jnp.zeros(slots, int), trace)
     parameters = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), frame.start)
     parameters = parameters._replace(expression=jnp.where(_held(settings), settings.lower, parameters.expression))
     start = (jnp.asarray(0), parameters, jnp.zeros((68, 2)), rows)
@@ -183,6 +185,7 @@ def stage_problem(
     model: LandmarkModel,
     settings: SolveSettings,
     landmark_weights: Float[AnyArray, "68"],
+    omega: Float[AnyArray, "t"],
     frame: FrameInput,
     parameters: FaceParameters,
 ) -> EnergyProblem:
@@ -194,16 +197,8 @@ def stage_problem(
     unit = jnp.where(settings.percent > 0.5, 0.01 * eye_distance_px, 1.0)
     weights = landmark_weights * frame.measured[:, 2]
     observation = Observation(frame.measured[:, :2], weights, unit)
-    return EnergyProblem(
-        camera,
-        points,
-        observation,
-        settings.weights,
-        settings.constants,
-        frame.before_last_pose,
-        frame.last_pose,
-        frame.history,
-    )
+    context = TermContext(settings.constants, frame.before_last_pose, frame.last_pose, frame.history, parameters)
+    return EnergyProblem(camera, points, observation, omega, context)
 
 
 def _moving(parameters: FaceParameters, moves: Bool[AnyArray, "3"], free: tuple[str, ...]) -> Bool[AnyArray, "n"]:
@@ -213,16 +208,16 @@ def _moving(parameters: FaceParameters, moves: Bool[AnyArray, "3"], free: tuple[
     )
 
 
-def _solve_stage(problem, parameters, settings, limit, free, moving, method: Method, trace_length) -> Solution:
+def _solve_stage(problem, parameters, settings, limit, free, moving, terms, method: Method, trace_length) -> Solution:
     start = pack(parameters, free)
 
     def record(x):
         at = unpack(x, parameters, free)
         error = project_landmarks(problem.camera, problem.points, at) - problem.observation.points
-        return energy_by_term(problem, at, free), jnp.linalg.norm(error, axis=1)
+        return energy_by_term(problem, at, free, terms), jnp.linalg.norm(error, axis=1)
 
     def cost(x):
-        return energy(problem, unpack(x, parameters, free), free)
+        return energy(problem, unpack(x, parameters, free), free, terms)
 
     recorded = (record if trace_length else None, trace_length)
     held = ~moving
@@ -231,7 +226,7 @@ def _solve_stage(problem, parameters, settings, limit, free, moving, method: Met
     if method != "lm":
         kind = method.removeprefix("optimistix-")
         return minimise_with_optimistix(
-            _residual_holding(problem, parameters, free, start, held),
+            _residual_holding(problem, parameters, free, terms, start, held),
             start, _scale(parameters, free), limit, settings.tolerance, kind, *recorded,
         )  # fmt: skip
     upper = jnp.full(start.shape, jnp.inf)
@@ -240,17 +235,17 @@ def _solve_stage(problem, parameters, settings, limit, free, moving, method: Met
         at = slice(len(start) - len(parameters.expression), None)
         lower, upper = lower.at[at].set(settings.lower), upper.at[at].set(settings.upper)
     return minimise(
-        lambda x: normal_system(problem, unpack(x, parameters, free), free).restricted(moving),
+        lambda x: normal_system(problem, unpack(x, parameters, free), free, terms).restricted(moving),
         start, lower, upper, limit, settings.tolerance, *recorded, cost,
     )  # fmt: skip
 
 
-def _residual_holding(problem: EnergyProblem, parameters: FaceParameters, free, start, held):
+def _residual_holding(problem: EnergyProblem, parameters: FaceParameters, free, terms, start, held):
     """All residuals for solvers without bounds and masks: unknowns that are held change none of them but their own."""
 
     def residual(x):
         moved = jnp.where(held, x - start, 0.0)
-        found = residuals(problem, unpack(x - moved, parameters, free), free)
+        found = residuals(problem, unpack(x - moved, parameters, free), free, terms)
         return jnp.concatenate([*found.values(), moved])
 
     return residual

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from workbench.arrays import AnyArray, Count, Scalar
-from workbench.energies import EnergyConstants, EnergyWeights, normal_system, pack, unpack
+from workbench.energies import FACE_IT_TERMS, EnergyConstants, normal_system, pack, unpack
 from workbench.face import FaceParameters, LandmarkModel
 from workbench.geometry import Camera
 from workbench.solvers import ArrowheadSystem, DenseSystem, minimise
@@ -71,13 +71,15 @@ def calibrate_identity(
 
 def _solve_pass(cameras, model, settings, k, frames, points, weights):
     free = (*PASSES[k], "identity")
-    energy = EnergyWeights(tau=0.0, beta=0.0, sigma=0.0, sigma_smooth=settings.expression, identity=0.0)
-    solve_settings = SolveSettings(energy, EnergyConstants(), 0.0, 1.0, 1e-6, 1.0, settings.sliding)
+    # The prior of the shared identity counts once, not once per frame: it is added to the whole system below.
+    factors = {"landmarks": 1.0, "sigma_smooth": settings.expression}
+    omega = jnp.stack([jnp.asarray(factors.get(name, 0.0), float) for name in FACE_IT_TERMS])
+    solve_settings = SolveSettings(EnergyConstants(), 0.0, 1.0, 1e-6, 1.0, settings.sliding)
 
     def problem_of(camera, parameters, observed, weight):
         measured = jnp.concatenate([observed, weight[:, None]], axis=1)
         frame = FrameInput(measured, jnp.zeros(6), jnp.zeros(6), jnp.zeros(()), parameters)
-        return stage_problem(camera, model, solve_settings, settings.landmark_weights[k], frame, parameters)
+        return stage_problem(camera, model, solve_settings, settings.landmark_weights[k], omega, frame, parameters)
 
     problems = jax.vmap(problem_of)(cameras, frames, points, weights)
     packed = jax.vmap(lambda frame: pack(frame, PASSES[k]))(frames)
@@ -104,7 +106,6 @@ def _solve_pass(cameras, model, settings, k, frames, points, weights):
                 problem, unpack(jnp.concatenate([local, identity]), frame, free), free
             )
         )(problems, locals_, frames)
-        # The prior of the shared identity counts once, not once a frame.
         return ArrowheadSystem(
             cost=systems.cost.sum() + settings.identity * identity @ identity,
             local_gradient=systems.gradient[:, own],

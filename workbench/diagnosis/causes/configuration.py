@@ -8,7 +8,6 @@ from workbench.diagnosis.group_pull import between_poses
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.reference import jointly
 from workbench.diagnosis.trial import Finding, Trial
-from workbench.energies import TERMS
 from workbench.solvers import Status
 from workbench.tracking.fitter import running_stages
 
@@ -93,8 +92,8 @@ def tau_fights_data(trial: Trial) -> Iterator[Finding]:
 
 def _tau_share(trial: Trial) -> float:
     """E_τ relative to the data term, in the stage where it is largest."""
-    energies = np.nan_to_num(trial.fit.energies)
-    return float((energies[:, TERMS.index("tau")] / np.maximum(energies[:, TERMS.index("data")], 1e-9)).max())
+    energies = dict(zip(trial.case.config.terms, np.nan_to_num(trial.fit.energies).T, strict=True))
+    return float((energies["tau"] / np.maximum(energies["landmarks"], 1e-9)).max())
 
 
 def weights_at_bounds(trial: Trial) -> Iterator[Finding]:

@@ -1,0 +1,66 @@
+"""What keeps weights in [0, 1]: E_β (FACE IT! Eq. 12), and a quadratic of our own."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from workbench.arrays import AnyArray
+from workbench.energies.constants import EnergyConstants
+from workbench.energies.term import Term, TermContext
+from workbench.face.parameters import FaceParameters
+
+Weights = Float[AnyArray, "k"]
+
+
+def beta_curve(weights: Weights, constants: EnergyConstants) -> Weights:
+    """E_β of each weight (Eq. 12): about 0.03 inside [0, 1] and c = 2.5 outside, almost a step.
+
+    Its slope is 39,000 where it rises (1 − a and a), 4 at 0 and 1, and 0.0016 a tenth outside: a Gauss–Newton step
+    hardly feels it.
+    """
+    upper = jnp.arctan((weights - constants.a) / constants.b)
+    lower = jnp.arctan((weights + constants.a - 1.0) / constants.b)
+    return 0.25 * jnp.pi * (upper - lower) + constants.c
+
+
+def beta_residual(parameters: FaceParameters, context: TermContext) -> Float[Array, "1"]:
+    """E_β as the paper's single residual, summed over the weights; the solver minimises its square."""
+    return jnp.sum(beta_curve(parameters.expression, context.constants), keepdims=True)
+
+
+def distance_from_range(weights: Weights) -> Weights:
+    """Distance of each weight from [0, 1], negative below it."""
+    # `where`, not `minimum`: on a bound itself, where bounded weights often lie, the derivative is that of the inside.
+    below = jnp.where(weights < 0.0, weights, 0.0)
+    return below + jnp.where(weights > 1.0, weights - 1.0, 0.0)
+
+
+def range_residual(parameters: FaceParameters, context: TermContext) -> Weights:
+    """One residual a weight: its square pulls a weight back from any distance, unlike E_β."""
+    return distance_from_range(parameters.expression)
+
+
+BETA = Term(
+    name="beta",
+    symbol="E_β",
+    source="FACE IT! Eq. 12",
+    says="the paper's range term",
+    formula="(Σ arctan steps at 0 and 1)²",
+    residual=beta_residual,
+    unknowns=("expression",),
+    structure="single",
+    systems=("face-it",),
+    presets={"face-it": 0.01},
+    constants=("a", "b", "c"),
+)
+RANGE = Term(
+    name="range",
+    symbol="E_range",
+    source="",
+    says="quadratic penalty outside [0, 1]",
+    formula="Σ (distance of w from [0, 1])²",
+    residual=range_residual,
+    unknowns=("expression",),
+    structure="diagonal",
+    systems=("face-it",),
+    slider=(1e-3, 1e5),
+)
