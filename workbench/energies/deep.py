@@ -17,12 +17,12 @@ from workbench.energies.term import LandmarkErrors, TermContext
 from workbench.energies.terms import terms_of
 from workbench.energies.total import weighed_residuals
 from workbench.face import FaceModel, FaceParameters, contour_blend
-from workbench.geometry import rotation_matrix, yaw_of
+from workbench.geometry import project, rotation_matrix, yaw_of
 from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
 from workbench.networks import CropBox, Fan, LandmarkNetwork, soft_argmax, to_picture
 from workbench.networks.crop import fan_box_of
 from workbench.rendering import CropCamera, RenderModel, face_vertices, render, render_model
-from workbench.rendering.camera import AnyCamera
+from workbench.rendering.camera import AnyCamera, OrthographicCamera
 
 DEEP_TERMS = terms_of("deep-energies")
 """The terms of Deep Energies where no stage names another: E_1 and E_2 of Sec. 8.1, λ‖w‖² of Sec. 8.2, the identity's,
@@ -156,3 +156,9 @@ def deep_residuals(
     error = (predicted - views.target) / jnp.asarray(views.unit_px)[:, None, None]
     errors = LandmarkErrors(error, jnp.sqrt(jnp.asarray(views.weights)))
     return weighed_residuals(terms, omega, errors, parameters, context)
+
+
+def _project(camera: AnyCamera, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+    if isinstance(camera, OrthographicCamera):
+        return points[:, :2] * camera.scale_px_per_mm + camera.principal_point_px
+    return project(camera, points)

@@ -44,6 +44,45 @@ NODES = (
 stages name."""
 
 
+def table_page() -> str:
+    """The table as a page of Markdown."""
+    head = ("term", "name", "ω", "what it is", "formula", "from", "in every stage of")
+    rows = [
+        (
+            *(term.symbol, f"`{term.name}`", _place(term), term.says, term.formula, term.source or "ours"),
+            ", ".join(term.systems) or "neither system: a stage names it",
+        )
+        for term in TABLE.values()
+    ]
+    nodes = [f"- `weights.{node.name}`, {node.symbol}: {node.says} ({node.source})." for node in NODES]
+    return "\n".join(
+        [
+            "# Terms of the energy",
+            "",
+            'Every term can be switched on in any stage of either system: `terms = ["tau"]` in a `[[stages]]` table.',
+            "The factor in front of a term is the product of ω down its branch.",
+            "",
+            _table_row(head),
+            "|---" * len(head) + "|",
+            *map(_table_row, rows),
+            "",
+            "Weights that multiply those below them (FACE IT! Eqs. 5-7):",
+            "",
+            *nodes,
+            "",
+        ]
+    )
+
+
+def _table_row(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _place(term: Term) -> str:
+    places = dict.fromkeys(term.omega_key(system) for system in ("face-it", "deep-energies"))
+    return "`weights.sparse` and below" if term.name == "landmarks" else ", ".join(f"`{place}`" for place in places)
+
+
 def terms_of(system: str, named: Iterable[str] = ()) -> tuple[str, ...]:
     """Names of the terms that a system has or lists, and of those that its stages name besides."""
     named = set(named)

@@ -23,7 +23,7 @@ from workbench.face import FaceModel
 from workbench.frames import Frames, ImageFrames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.pictures.overlay_files import write_overlay_video
-from workbench.pipeline.deep_run import track_independent_frames, write_strips
+from workbench.pipeline.deep_run import track_deep_frames, write_strips
 from workbench.pipeline.output_folder import DEEP_OUTPUTS as DEEP_OUTPUTS
 from workbench.pipeline.output_folder import FILES, PARTS, PICTURE_FOLDERS, UNREFINED, run_folder
 from workbench.pipeline.output_folder import OUTPUTS as OUTPUTS
@@ -177,7 +177,7 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
             drawn.add_missing(writer)
         try:
             if deep:
-                strips = track_independent_frames(source, tracker, writer, stills, job.workers, progress, drawn)
+                strips = track_deep_frames(source, tracker, writer, stills, job.workers, progress, drawn)
             else:
                 _track_frames(source, tracker, writer, stills, progress, drawn)
             if not len(writer):

@@ -1,4 +1,4 @@
-"""Frames of a Deep Energies run: independent of each other, so over several processes, with the same numbers."""
+"""Frames of a Deep Energies run: where they are independent, over several processes, with the same numbers."""
 
 import multiprocessing
 from collections.abc import Iterator
@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from workbench.config import Config
+from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.pictures.deep_strip import write_stage_strip
 from workbench.pipeline.sources import DeepSource, RigSource
@@ -25,7 +26,7 @@ STRIPS = 12
 Pair = tuple[FrameObservation, FrameContext]
 
 
-def track_independent_frames(
+def track_deep_frames(
     source: DeepSource | RigSource,
     tracker: FaceTracker,
     writer: TrackWriter,
@@ -37,16 +38,27 @@ def track_independent_frames(
     """Fit what the writer does not hold yet, in order; return the frames whose stages are worth a picture.
 
     On resume the landmarks of all frames are found again (a few milliseconds each): then nothing but the number of
-    finished frames has to be stored, and the numbers cannot depend on where a run was cut.
+    finished frames, and the last pose where a term links frames, has to be stored, and the numbers cannot depend on
+    where a run was cut. Raises `InputError` for several processes with a term that links frames.
     """
+    linked = tracker.fitter.links_frames
+    if linked and workers > 1:
+        raise InputError(
+            "Several processes fit frames in any order, and E_tau links each to the one before; "
+            "use --workers 1, or take 'tau' out of the stages' terms."
+        )
     every = max(1, (source.count or STRIPS) // STRIPS)
     chosen: list[Pair] = []
     failed: list[Pair] = []
     done = len(writer)
     with ExitStack() as stack:
         fit = _mapper(tracker, workers, stack)
-        pairs = islice(_pairs(source, tracker, stills), done, None)
-        while batch := list(islice(pairs, BATCH)):
+        pairs = _pairs(source, tracker, stills)
+        for _ in islice(pairs, done):
+            pass
+        if linked and done:
+            tracker.continue_from(writer.state())
+        while batch := list(islice(pairs, 1 if linked else BATCH)):
             for (observation, context), result in zip(batch, fit(batch), strict=True):
                 if drawn is not None:
                     drawn.add(observation, result)
@@ -59,7 +71,9 @@ def track_independent_frames(
                     failed.append((observation, context))
             if drawn is not None:
                 drawn.flush()  # the frames of a part have their pictures
-            writer.write_part({})
+            if not linked or done % BATCH == 0:
+                writer.write_part(tracker.state() or {} if linked else {})
+        writer.write_part(tracker.state() or {} if linked else {})
     return [*chosen, *failed]
 
 

@@ -1,7 +1,7 @@
 """One frame under Deep Energies: the same calls as `FrameFitter`, with renders in place of points on the mesh.
 
 Frames are independent (the paper's Sec. 7 starts from there): a fit needs the shot's identity and appearance and the
-frame's own landmarks, nothing of the frame before.
+frame's own landmarks, nothing of the frame before, unless a stage names a term that links frames (E_τ).
 """
 
 import time
@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from workbench.config import Config, Stage, preset
-from workbench.energies import EnergyConstants, TermContext
+from workbench.energies import TABLE, EnergyConstants, TermContext
 from workbench.energies.deep import DeepView, crop_of, deep_model
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel, FaceParameters, seen_shapes
@@ -44,6 +44,7 @@ from workbench.tracking.fitter import (
     FrameObservation,
     StageTrace,
     camera_of,
+    continued,
     running_stages,
 )
 from workbench.tracking.free_parameters import free_parameters, parameter_range
@@ -115,6 +116,12 @@ class DeepFitter:
         return self.config.terms
 
     @property
+    def links_frames(self) -> bool:
+        """Whether a frame depends on the one before: where a stage names a term that does."""
+        named = {name for stage in self.config.stages if stage.enabled for name in stage.terms}
+        return any(TABLE[name].links_frames for name in named)
+
+    @property
     def calibrates(self) -> bool:
         """Whether a shot is looked at before its frames are fitted: for the identity, the appearance, or both."""
         return self.config.identity.calibrate or self.config.deep.appearance == "estimate"
@@ -173,11 +180,16 @@ class DeepFitter:
 
     def fit(
         self, observation: FrameObservation, context: FrameContext, cancelled: Callable[[], bool] = lambda: False
-    ) -> tuple[FrameFit, None]:
-        """The fit of a frame; nothing is handed to the next one."""
+    ) -> tuple[FrameFit, Continuation | None]:
+        """The fit of a frame, and its pose for the next one where a term links frames."""
         if not self._seen_anywhere(observation):
             return self._empty(observation, context.shot), None
-        return self.recorded(observation, context, self.solve(observation, context, cancelled)), None
+        solution = self.solve(observation, context, cancelled)
+        fit = self.recorded(observation, context, solution)
+        if not self.links_frames or observation.landmarks is None:
+            return fit, None
+        pose = np.concatenate([solution.parameters.rotation, solution.parameters.translation])
+        return fit, continued(solution.parameters, pose, context.last, observation.landmarks.points)
 
     def explain(self, observation: FrameObservation, context: FrameContext) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """The fit with every accepted step of every stage. Raises `InputError` for a frame without landmarks."""

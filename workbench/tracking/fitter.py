@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from workbench.arrays import AnyArray
 from workbench.config import Config, Stage
 from workbench.energies import EnergyConstants
 from workbench.errors import InputError
@@ -58,8 +59,8 @@ class Continuation(NamedTuple):
     """What one frame hands to the next."""
 
     parameters: FaceParameters
-    pose: Float[np.ndarray, "6"]
-    last_pose: Float[np.ndarray, "6"]
+    pose: Float[AnyArray, "6"]
+    last_pose: Float[AnyArray, "6"]
     frames: int
     """Frames since the restart, this one included."""
     points: Float[np.ndarray, "68 2"]
@@ -148,6 +149,17 @@ def corrected(observation: FrameObservation, config: Config) -> FrameObservation
     return replace(observation, landmarks=replace(observation.landmarks, points=points, confidence=confidence))
 
 
+def continued(
+    parameters: FaceParameters,
+    pose: Float[AnyArray, "6"],
+    last: Continuation | None,
+    points: Float[np.ndarray, "68 2"],
+) -> Continuation:
+    """What a fitted frame hands to the next one; `last` is what it was handed itself."""
+    before = pose if last is None else last.pose
+    return Continuation(parameters, pose, before, 1 if last is None else last.frames + 1, points)
+
+
 class FrameFitter:
     """Fits frames in their context. Holds the arrays of one model and one configuration, no order of frames."""
 
@@ -170,6 +182,11 @@ class FrameFitter:
     def terms(self) -> tuple[str, ...]:
         """Names of the energy's terms."""
         return self._terms
+
+    @property
+    def links_frames(self) -> bool:
+        """Whether a frame depends on the one before: always, it starts there."""
+        return True
 
     @property
     def calibrates(self) -> bool:
@@ -210,15 +227,7 @@ class FrameFitter:
         if observation.landmarks is None:
             return self._empty(observation, context.shot), None
         fit, solution = self._solve(observation, context, 0)
-        last = context.last
-        continuation = Continuation(
-            solution.parameters,
-            solution.pose,
-            solution.pose if last is None else last.pose,
-            1 if last is None else last.frames + 1,
-            observation.landmarks.points,
-        )
-        return fit, continuation
+        return fit, continued(solution.parameters, solution.pose, context.last, observation.landmarks.points)
 
     def explain(self, observation: FrameObservation, context: FrameContext) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """The fit with every iteration of every stage kept. Raises `InputError` for a frame without landmarks."""

@@ -65,7 +65,7 @@ class FaceTracker:
     def prepare(self, observation: FrameObservation) -> Iterator[tuple[FrameObservation, FrameContext]]:
         """Take the next frame; yield the frames that can be fitted, each with its context, without fitting them.
 
-        Only where frames are independent (Deep Energies) may they be fitted elsewhere, and in any order.
+        Only where frames are independent (`Fitter.links_frames`) may they be fitted elsewhere, and in any order.
         """
         observation = corrected(observation, self.config)
         if (observation.cut or self.stills) and (self._pending or self._seen):
@@ -80,8 +80,8 @@ class FaceTracker:
         yield from self._flush()
 
     def fit_prepared(self, observation: FrameObservation, context: FrameContext) -> FrameFit:
-        """The fit of a prepared frame, where frames are independent."""
-        return self._fitter.fit(observation, context)[0]
+        """The fit of a prepared frame; where frames are linked, of the next one."""
+        return self._fit(observation, context)[0]
 
     @property
     def fitter(self) -> Fitter:
@@ -154,6 +154,10 @@ class FaceTracker:
         if "appearance_albedo" in arrays:
             parts = {field.name: arrays[f"appearance_{field.name}"] for field in fields(Appearance)}
             self._appearance = Appearance(**{**parts, "residual": float(parts["residual"])})
+        self.continue_from(arrays)
+
+    def continue_from(self, arrays: dict[str, np.ndarray]) -> None:
+        """Link the next frame to the last one of a `state`, whatever shot and identity are by now."""
         if "pose" in arrays:
             parameters = FaceParameters(*(jnp.asarray(arrays[f"parameters_{k}"]) for k in range(4)))
             self._last = Continuation(

@@ -1,0 +1,256 @@
+"""One table of terms for both systems: from a row follow configuration, slider, chart and effect; any term works in any
+system and stage."""
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from tests.deep_scenes import POINTS, make_deep_scene, make_parameters
+from tests.scenes import make_scene
+from workbench.config import Config, Stage, config_toml, preset
+from workbench.energies import TABLE, project_landmarks
+from workbench.energies.terms import table_page
+from workbench.errors import ConfigError, InputError
+from workbench.face import contour_blend, landmark_model, model_landmarks
+from workbench.pipeline import track
+from workbench.session.knobs import KNOBS, is_inert
+from workbench.tracking import FaceTracker, FrameContext
+from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking.fitter import FrameFitter
+
+ROOT = Path(__file__).resolve().parent.parent
+STEADY = Stage(name="pose", free=("rotation", "translation"), limit=20)
+LANDMARKS_ALONE = {"tau": 0.0, "beta": 0.0, "sigma": 0.0, "sigma_smooth": 0.0, "range": 0.0}
+
+
+def linked(config: Config, tau: float) -> Config:
+    """A Deep Energies configuration whose only stage links frames."""
+    stage = STEADY.model_copy(update={"terms": ("tau",)})
+    return config.changed(stages=[stage.model_dump()], weights={"tau": tau})
+
+
+def nodding(head, fitter: DeepFitter, count: int, noise_px: float):
+    """Observations of a head that turns evenly, as a detector with this noise reports them."""
+    for k in range(count):
+        scene = make_deep_scene(fitter, make_parameters(head, (2.0 * k, -k, 0.0)))
+        observation = scene.observation(k)
+        landmarks = observation.landmarks
+        noisy = landmarks.points + np.random.default_rng(k).normal(0.0, noise_px, (68, 2))
+        yield replace(observation, landmarks=replace(landmarks, points=noisy))
+
+
+# Every term in every system.
+
+
+def test_lambda_in_face_it_is_a_ridge_fit(head):
+    """With the pose held and no other term, E_fit + λ‖w‖² is what SciPy finds for the same residuals."""
+    scene = make_scene(head, weights={"jawOpen": 0.5, "mouthSmileLeft": 0.4, "browInnerUp": 0.6})
+    stage = Stage(name="ridge", free=("expression",), terms=("regularisation",), limit=100)
+    config = preset("face-it").changed(
+        stages=[stage.model_dump()],
+        weights=LANDMARKS_ALONE,
+        deep={"regularisation": 3.0},
+        solver={"tolerance": 1e-14},
+        camera={"fov_deg": 45.0},
+    )
+    observation = scene.observation(noise_px=1.0)
+    fitter = FrameFitter(head, config)
+    start = scene.parameters._replace(expression=np.zeros(44), identity=np.zeros(0))
+    fit, _ = fitter.fit(observation, FrameContext(0, np.zeros(50), start, None))
+
+    model = landmark_model(head)
+    seen = np.asarray(model.expression_upper > model.expression_lower)
+    points = model_landmarks(model, contour_blend(model.contour_yaw, 0.0, 0.0), np.zeros(50))
+
+    def residual(weights):
+        expression = np.zeros(44)
+        expression[seen] = weights
+        at = scene.parameters._replace(expression=expression, identity=np.zeros(50))
+        error = np.asarray(project_landmarks(scene.camera, points, at)) - observation.landmarks.points
+        return np.concatenate([error.ravel(), np.sqrt(3.0) * weights])
+
+    ridge = least_squares(residual, np.zeros(int(seen.sum())), xtol=1e-12, ftol=1e-14, gtol=1e-12).x
+    np.testing.assert_allclose(fit.expression[seen], ridge, atol=2e-5)
+    assert np.abs(ridge).max() > 0.1
+
+
+def test_the_edge_term_changes_a_fit_of_face_it_and_shows_in_its_energies(head):
+    observation = make_scene(head, (10.0, 0.0, 0.0), {"jawOpen": 0.5}).observation(noise_px=2.0)
+    context = FrameContext(0, np.zeros(50), None, None)
+    stages = [stage.model_dump() | {"terms": ("edges",)} for stage in preset("joint").stages]
+    plain = FrameFitter(head, preset("joint")).fit(observation, context)[0]
+    config = preset("joint").changed(stages=stages, deep={"edges": 5.0})
+    edged = FrameFitter(head, config).fit(observation, context)[0]
+    column = config.terms.index("edges")
+    assert edged.energies[-1, column] > 0.0
+    assert np.abs(edged.expression - plain.expression).max() > 1e-3
+    errors = [np.diff(fit.projected - fit.observed, axis=0) for fit in (plain, edged)]
+    assert (errors[1] ** 2).sum() < (errors[0] ** 2).sum()
+
+
+def test_e_tau_steadies_a_clip_of_deep_energies(head):
+    fitter = DeepFitter(head, POINTS)
+    observations = list(nodding(head, fitter, 8, noise_px=3.0))
+    jitter = []
+    for tau in (0.0, 30.0):
+        tracker = FaceTracker(head, linked(POINTS.changed(identity={"calibrate": False}), tau))
+        poses = np.array([np.concatenate([100.0 * fit.rotation, fit.translation])
+                          for fit in tracker.fit_all(observations)])  # fmt: skip
+        jitter.append(float(np.linalg.norm(np.diff(poses, 2, axis=0), axis=1).mean()))
+    assert jitter[1] < 0.5 * jitter[0]
+
+
+def test_frames_that_a_term_links_are_not_spread_over_processes(head, tmp_path):
+    clip, points = ROOT / "data_samples/performance.mp4", ROOT / "data_samples/performance_landmarks.csv"
+    with pytest.raises(InputError, match="--workers 1"):
+        track([clip], tmp_path, head, linked(POINTS, 1.0), landmarks=points, frames=(0, 3), workers=2)
+
+
+def test_a_linked_run_that_is_cut_goes_on_with_the_same_numbers(head, tmp_path):
+    clip, points = ROOT / "data_samples/performance.mp4", ROOT / "data_samples/performance_landmarks.csv"
+    config, whole, cut = linked(POINTS, 1.0), tmp_path / "whole", tmp_path / "cut"
+    options = {"landmarks": points, "frames": (0, 19), "pictures": False}
+    track([clip], whole, head, config, **options)
+
+    def stop(step, done, total):
+        if step == "track" and done == 18:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        track([clip], cut, head, config, progress=stop, **options)
+    track([clip], cut, head, config, resume=True, **options)
+    first, second = (np.load(folder / "track.npz") for folder in (whole, cut))
+    for name in ("rotation", "translation", "expression", "energies"):
+        np.testing.assert_array_equal(first[name], second[name])
+
+
+@pytest.mark.parametrize("name", [name for name in TABLE if name not in ("landmarks", "identity")])
+def test_a_stage_of_either_system_may_name_any_term(name):
+    for system in ("joint", "deep-energies"):
+        stages = [stage.model_dump() for stage in preset(system).stages]
+        stages[-1]["terms"] = (name,)
+        config = preset(system).changed(stages=stages)
+        assert name in config.terms
+        assert config.factors(config.stages[-1])[config.terms.index(name)] == config.omega()[
+            TABLE[name].omega_key(config.system)
+        ] * (config.weights.prior if TABLE[name].branch else 1.0)
+
+
+def test_a_term_that_does_not_exist_is_named_with_those_that_do():
+    stages = [stage.model_dump() | {"terms": ("smoothness",)} for stage in preset("joint").stages]
+    with pytest.raises(ConfigError, match="'edges'"):
+        preset("joint").changed(stages=stages)
+
+
+# What follows from a row.
+
+
+def test_the_slider_of_a_term_is_grey_until_a_stage_names_it():
+    assert is_inert(preset("joint"), "deep.edges")
+    assert is_inert(preset("deep-energies"), "weights.tau")
+    assert not is_inert(linked(POINTS, 1.0), "weights.tau")
+    assert not is_inert(linked(POINTS, 1.0), "constants.rotation_mm")
+    assert is_inert(POINTS, "constants.a")
+
+
+def test_every_term_with_a_weight_of_its_own_has_a_slider_and_a_comment():
+    paths, text = {knob.path for knob in KNOBS}, config_toml(preset("joint"))
+    for name, term in TABLE.items():
+        if name != "landmarks":
+            assert term.omega_key("face-it") in paths
+            assert term.says in text
+
+
+def test_the_page_of_the_documentation_is_that_of_the_table():
+    assert (ROOT / "docs" / "terms.md").read_text(encoding="utf-8") == table_page()
+
+
+MADE_UP = '''"""A made-up term: opposite blendshapes alike."""
+
+from workbench.energies.term import Term
+
+
+def symmetry_residual(parameters, context):
+    """Differences of neighbouring weights."""
+    return parameters.expression[1:] - parameters.expression[:-1]
+
+
+SYMMETRY = Term(
+    name="symmetry",
+    symbol="E_sym",
+    source="made up",
+    says="neighbouring weights alike",
+    formula="(w_i+1 - w_i)^2",
+    residual=symmetry_residual,
+    unknowns=("expression",),
+    default=7.0,
+)
+'''
+LOOKED_FOR = """
+import json, sys
+import numpy as np
+from tests.deep_scenes import POINTS, make_deep_scene, make_parameters
+from tests.scenes import make_scene
+from workbench.config import Stage, config_schema, config_toml, preset
+from workbench.energies.terms import table_page
+from workbench.face import load_default_head
+from workbench.session.knobs import KNOBS, effective_weights
+from workbench.tracking import FrameContext
+from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking.fitter import FrameFitter
+
+assert "symmetry" in json.loads(config_schema())["$defs"]["WeightsConfig"]["properties"]
+assert "symmetry = 7.0 # ω_sym: neighbouring weights alike (made up)." in config_toml(preset("joint"))
+assert "| E_sym |" in table_page()
+(knob,) = [knob for knob in KNOBS if knob.path == "weights.symmetry"]
+assert "neighbouring weights alike" in knob.tip and knob.label == "ω_sym"
+assert effective_weights(preset("joint"))["weights.symmetry"] == 7.0
+
+head, smile = load_default_head(), {"mouthSmileLeft": 0.8, "jawOpen": 0.4}
+scene = make_scene(head, weights=smile)
+deep = make_deep_scene(DeepFitter(head, POINTS), make_parameters(head, weights=smile))
+stage = Stage(name="all", free=("rotation", "translation", "expression"), limit=10)
+rough = []
+for base, fitter, observation in (
+    (preset("joint"), FrameFitter, scene.observation()), (POINTS, DeepFitter, deep.observation())
+):
+    for terms in ((), ("symmetry",)):
+        config = base.changed(stages=[stage.model_dump() | {"terms": terms}], weights={"symmetry": 1e4})
+        made = fitter(head, config)
+        fit, traces = made.explain(observation, FrameContext(0, np.zeros(50), None, None))
+        rough.append(np.abs(np.diff(fit.expression)).sum())
+        assert ("symmetry" in made.terms) == bool(terms)
+        assert traces[0].energies.shape[1] == len(made.terms) == fit.energies.shape[1]
+    assert rough[-1] < 0.5 * rough[-2], rough
+print("found everywhere")
+"""
+
+
+def test_a_made_up_term_of_one_file_and_one_row_is_found_everywhere_and_works_in_both_systems(tmp_path):
+    for name in ("workbench", "tests"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "*.pyc"))
+    (tmp_path / "data_samples").symlink_to(ROOT / "data_samples")
+    energies = tmp_path / "workbench" / "energies"
+    (energies / "symmetry.py").write_text(MADE_UP)
+    table = (energies / "terms.py").read_text()
+    entry = "from workbench.energies.temporal import TAU\n"
+    assert entry in table
+    table = table.replace(entry, "from workbench.energies.symmetry import SYMMETRY\n" + entry)
+    assert "STAY)" in table
+    (energies / "terms.py").write_text(table.replace("STAY)", "STAY, SYMMETRY)"))
+    done = subprocess.run(
+        [sys.executable, "-c", LOOKED_FOR],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "found everywhere" in done.stdout
