@@ -1,5 +1,6 @@
 """What keeps weights in [0, 1]: E_β (FACE IT! Eq. 12), and a quadratic of our own."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -12,14 +13,19 @@ Weights = Float[AnyArray, "k"]
 
 
 def beta_curve(weights: Weights, constants: EnergyConstants) -> Weights:
-    """E_β of each weight (Eq. 12): about 0.03 inside [0, 1] and c = 2.5 outside, almost a step.
-
-    Its slope is 39,000 where it rises (1 − a and a), 4 at 0 and 1, and 0.0016 a tenth outside: a Gauss–Newton step
-    hardly feels it.
-    """
+    """E_β of each weight (Eq. 12): about 0.03 inside [0, 1] and c = 2.5 outside, almost a step."""
     upper = jnp.arctan((weights - constants.a) / constants.b)
     lower = jnp.arctan((weights + constants.a - 1.0) / constants.b)
     return 0.25 * jnp.pi * (upper - lower) + constants.c
+
+
+def beta_slope(weights: Weights, constants: EnergyConstants) -> Weights:
+    """Derivative of `beta_curve`: 39,000 where it rises (1 − a and a), 4 at 0 and 1, 0.0016 a tenth outside.
+
+    A Gauss–Newton step hardly feels it.
+    """
+    weights = jnp.asarray(weights, float)
+    return jax.jvp(lambda at: beta_curve(at, constants), (weights,), (jnp.ones_like(weights),))[1]
 
 
 def beta_residual(parameters: FaceParameters, context: TermContext) -> Float[Array, "1"]:

@@ -50,7 +50,7 @@ class FrameFit:
     projected: Float[np.ndarray, "68 2"]
     """The model's landmarks in the picture, pixels."""
     energies: Float[np.ndarray, "s e"]
-    """Weighted energy of each term (`energies.TERMS`, or `energies.deep.DEEP_TERMS`) after each stage."""
+    """Weighted energy of each term (`Config.terms`) after each stage."""
     status: Int[np.ndarray, "s"]
     """`solvers.Status` of each stage, −1 for a stage that did not run."""
     iterations: Int[np.ndarray, "s"]
