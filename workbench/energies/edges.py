@@ -9,7 +9,7 @@ from workbench.energies.term import LandmarkErrors, Term
 def edge_residual(errors: LandmarkErrors) -> Float[Array, "n"]:
     """Differences of consecutive landmarks' errors. Ours is that each counts as its less certain end."""
     ends = jnp.minimum(errors.root[..., 1:], errors.root[..., :-1])
-    return (ends[..., None] * (errors.error[..., 1:, :] - errors.error[..., :-1, :])).ravel()
+    return (ends[..., None] * (errors.error[..., 1:, :] - errors.error[..., :-1, :]) / errors.unit).ravel()
 
 
 EDGES = Term(

@@ -8,7 +8,7 @@ from workbench.energies.term import LandmarkErrors, Term
 def landmark_residual(errors: LandmarkErrors) -> Float[Array, "n"]:
     """√weight · (π(R·P_i + t) − p_i) in units of the view, so that its square sum is Eq. 8 or, with the pose of Eq. 8,
     Eq. 10. With landmarks that the network sees in a render it is Eq. 2 of Deep Energies."""
-    return (errors.root[..., None] * errors.error).ravel()
+    return (errors.error * errors.root[..., None] / errors.unit).ravel()
 
 
 LANDMARKS = Term(

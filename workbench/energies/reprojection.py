@@ -41,9 +41,9 @@ def project_landmarks(camera: Camera, model: PointModel, parameters: FaceParamet
 def landmark_errors(
     camera: Camera, model: PointModel, parameters: FaceParameters, observation: Observation
 ) -> LandmarkErrors:
-    """π(R·P_i + t) − p_i in units of the observation, and what each counts."""
+    """π(R·P_i + t) − p_i in pixels, what each counts, and the unit of residuals."""
     error = project_landmarks(camera, model, parameters) - observation.points
-    return LandmarkErrors(error / observation.unit_px, jnp.sqrt(observation.weights))
+    return LandmarkErrors(error, jnp.sqrt(observation.weights), observation.unit_px)
 
 
 def reprojection_with_jacobian(

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from workbench.arrays import AnyArray
+from workbench.arrays import AnyArray, Scalar
 from workbench.energies.constants import EnergyConstants
 from workbench.face.parameters import FaceParameters
 
@@ -16,9 +16,10 @@ class LandmarkErrors(NamedTuple):
     """Model landmarks minus observed ones, in every view of a frame."""
 
     error: Float[AnyArray, "*views 68 2"]
-    """In units of the view: pixels, or percent of the eye distance."""
     root: Float[AnyArray, "*views 68"]
     """√ of what each landmark's squared error counts."""
+    unit: Scalar = 1.0
+    """What counts as 1, in the unit of the errors."""
 
 
 class TermContext(NamedTuple):
