@@ -55,7 +55,7 @@ class CameraConfig(_Section):
 def _omega(name: str) -> Any:
     """The field of a term's ω, with default and comment from the table."""
     term = TABLE[name]
-    source = f" ({term.source})" if term.source else ""
+    source = f" ({term.equation})" if term.equation else ""
     return Field(term.default, description=f"{term.omega_symbol}: {term.says}{source}.")
 
 

@@ -86,6 +86,11 @@ class Term:
         """What a slider of its ω is called."""
         return self.weight or self.symbol.replace("E_", "ω_")
 
+    @property
+    def equation(self) -> str:
+        """Its source without the paper's name, for places that belong to one paper."""
+        return self.source.replace("FACE IT! ", "").replace("Deep Energies ", "")
+
     def omega_key(self, system: str) -> str:
         """Where its ω lies in a configuration of this system."""
         own = self.key or f"weights.{self.name}"

@@ -31,7 +31,7 @@ class Knob:
 
 def _of_term(term: Term, system: str = "face-it") -> Knob:
     """The slider of a term's ω."""
-    source = f", {term.source.removeprefix('FACE IT! ').removeprefix('Deep Energies ')}" if term.source else ""
+    source = f", {term.equation}" if term.equation else ""
     path, tip, (low, high) = term.omega_key(system), f"{term.formula}: {term.says}{source}", term.slider
     return Knob(path, term.omega_symbol, tip, "log", low, high, level=int(path.startswith("weights.")))
 
