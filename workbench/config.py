@@ -12,7 +12,7 @@ import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 from pydantic.json_schema import GenerateJsonSchema
 
-from workbench.energies import NODES, TABLE, Term, stage_factors, terms_of
+from workbench.energies.terms import NODES, TABLE, Term, stage_factors, terms_of
 from workbench.errors import ConfigError
 from workbench.files import atomic_path
 from workbench.landmarks.scheme import GROUPS

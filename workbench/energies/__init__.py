@@ -1,40 +1,5 @@
 """Every energy term as a small pure residual function; weights are applied last, in `total`."""
 
-from workbench.energies.constants import EnergyConstants as EnergyConstants
-from workbench.energies.edges import edge_residual as edge_residual
-from workbench.energies.landmarks import landmark_residual as landmark_residual
-from workbench.energies.magnitude import identity_residual as identity_residual
-from workbench.energies.magnitude import magnitude_residual as magnitude_residual
-from workbench.energies.range import beta_curve as beta_curve
-from workbench.energies.range import beta_residual as beta_residual
-from workbench.energies.range import beta_slope as beta_slope
-from workbench.energies.range import distance_from_range as distance_from_range
-from workbench.energies.range import range_residual as range_residual
-from workbench.energies.reprojection import Observation as Observation
-from workbench.energies.reprojection import landmark_errors as landmark_errors
-from workbench.energies.reprojection import points_head as points_head
-from workbench.energies.reprojection import project_landmarks as project_landmarks
-from workbench.energies.reprojection import reprojection_with_jacobian as reprojection_with_jacobian
-from workbench.energies.sparsity import sigma_residual as sigma_residual
-from workbench.energies.sparsity import sigma_smooth_residual as sigma_smooth_residual
-from workbench.energies.sparsity import smoothed_l1 as smoothed_l1
-from workbench.energies.temporal import second_difference as second_difference
-from workbench.energies.temporal import tau_residual as tau_residual
-from workbench.energies.term import LandmarkErrors as LandmarkErrors
-from workbench.energies.term import Term as Term
-from workbench.energies.term import TermContext as TermContext
-from workbench.energies.term import still as still
-from workbench.energies.terms import NODES as NODES
-from workbench.energies.terms import TABLE as TABLE
-from workbench.energies.terms import factor as factor
-from workbench.energies.terms import stage_factors as stage_factors
-from workbench.energies.terms import terms_of as terms_of
-from workbench.energies.total import FACE_IT_TERMS as FACE_IT_TERMS
-from workbench.energies.total import EnergyProblem as EnergyProblem
-from workbench.energies.total import energy as energy
-from workbench.energies.total import energy_by_term as energy_by_term
-from workbench.energies.total import normal_system as normal_system
-from workbench.energies.total import pack as pack
-from workbench.energies.total import residuals as residuals
-from workbench.energies.total import unpack as unpack
-from workbench.energies.total import weighed_residuals as weighed_residuals
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from workbench.arrays import AnyArray, Scalar
-from workbench.energies.term import LandmarkErrors, TermContext
+from workbench.energies.context import LandmarkErrors, TermContext
 from workbench.energies.terms import terms_of
 from workbench.energies.total import weighed_residuals
 from workbench.face import FaceModel, FaceParameters, contour_blend

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray, Scalar
+from workbench.energies.context import still
 from workbench.energies.stay import expression_residual, pose_residual
-from workbench.energies.term import still
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.flow import SurfacePoints, points_in_camera

@@ -2,23 +2,10 @@
 
 from jaxtyping import Array, Float
 
-from workbench.energies.term import LandmarkErrors, Term
+from workbench.energies.context import LandmarkErrors
 
 
 def landmark_residual(errors: LandmarkErrors) -> Float[Array, "n"]:
     """√weight · (π(R·P_i + t) − p_i) in units of the view, so that its square sum is Eq. 8 or, with the pose of Eq. 8,
     Eq. 10. With landmarks that the network sees in a render it is Eq. 2 of Deep Energies."""
     return (errors.error * errors.root[..., None] / errors.unit).ravel()
-
-
-LANDMARKS = Term(
-    name="landmarks",
-    symbol="E_pose, E_fit, E_1",
-    source="FACE IT! Eqs. 8, 10; Deep Energies Eq. 2",
-    says="model landmarks against observed ones",
-    formula="Σ‖π(R·(b_0 + B·w) + t) − p‖²",
-    residual=landmark_residual,
-    of="landmarks",
-    systems=("face-it", "deep-energies"),
-    branch="sparse",
-)

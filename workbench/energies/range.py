@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray
 from workbench.energies.constants import EnergyConstants
-from workbench.energies.term import Term, TermContext
+from workbench.energies.context import TermContext
 from workbench.face.parameters import FaceParameters
 
 Weights = Float[AnyArray, "k"]
@@ -43,30 +43,3 @@ def distance_from_range(weights: Weights) -> Weights:
 def range_residual(parameters: FaceParameters, context: TermContext) -> Weights:
     """One residual a weight: its square pulls a weight back from any distance, unlike E_β."""
     return distance_from_range(parameters.expression)
-
-
-BETA = Term(
-    name="beta",
-    symbol="E_β",
-    source="FACE IT! Eq. 12",
-    says="the paper's range term",
-    formula="(Σ arctan steps at 0 and 1)²",
-    residual=beta_residual,
-    unknowns=("expression",),
-    structure="single",
-    systems=("face-it",),
-    presets={"face-it": 0.01},
-    constants=("a", "b", "c"),
-)
-RANGE = Term(
-    name="range",
-    symbol="E_range",
-    source="",
-    says="quadratic penalty outside [0, 1]",
-    formula="Σ (distance of w from [0, 1])²",
-    residual=range_residual,
-    unknowns=("expression",),
-    structure="diagonal",
-    systems=("face-it",),
-    slider=(1e-3, 1e5),
-)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from workbench.arrays import AnyArray
-from workbench.energies.term import LandmarkErrors
+from workbench.energies.context import LandmarkErrors
 from workbench.face.landmark_model import PointModel
 from workbench.face.parameters import FaceParameters
 from workbench.geometry import Camera, project, project_with_derivative, rotation_matrix

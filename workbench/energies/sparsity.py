@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray, Scalar
-from workbench.energies.term import Term, TermContext
+from workbench.energies.context import TermContext
 from workbench.face.parameters import FaceParameters
 
 Weights = Float[AnyArray, "k"]
@@ -26,31 +26,3 @@ def smoothed_l1(weights: Weights, delta: Scalar) -> Weights:
 def sigma_smooth_residual(parameters: FaceParameters, context: TermContext) -> Weights:
     """The smoothed L1 norm of the weights."""
     return smoothed_l1(parameters.expression, context.constants.delta)
-
-
-SIGMA = Term(
-    name="sigma",
-    symbol="E_σ",
-    source="FACE IT! Eq. 11",
-    says="the paper's single-residual L1 norm",
-    formula="(Σ|w|)²",
-    residual=sigma_residual,
-    unknowns=("expression",),
-    structure="single",
-    systems=("face-it",),
-    presets={"face-it": 0.01},
-)
-SIGMA_SMOOTH = Term(
-    name="sigma_smooth",
-    symbol="E_σ L1",
-    source="after FACE IT! Eq. 11",
-    says="smoothed separable L1 norm, one residual a weight",
-    formula="Σ √(w² + δ²) − δ",
-    residual=sigma_smooth_residual,
-    unknowns=("expression",),
-    structure="diagonal",
-    systems=("face-it",),
-    presets={"calibrated": 20.0, "joint": 20.0},
-    slider=(1e-3, 1e3),
-    constants=("delta",),
-)

@@ -4,7 +4,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from workbench.energies.term import Term, TermContext
+from workbench.energies.context import TermContext
 from workbench.face.parameters import FaceParameters
 
 JAW_RADIAN, JAW_MM = 0.46, 20.0
@@ -25,34 +25,3 @@ def expression_residual(parameters: FaceParameters, context: TermContext) -> Flo
         sizes = jnp.asarray([JAW_RADIAN] * 3 + [JAW_MM] * 3)
         parts.append((jnp.asarray(parameters.jaw) - context.start.jaw) / sizes)
     return jnp.concatenate(parts)
-
-
-PRIOR = Term(
-    name="prior",
-    symbol="E_prior",
-    source="Deep Energies Sec. 5",
-    says="staying near the pose that the stage starts from",
-    formula="‖[r|t] − [r|t]_start‖²",
-    residual=pose_residual,
-    unknowns=("rotation", "translation"),
-    structure="diagonal",
-    listed=("deep-energies",),
-    key="deep.prior",
-    branch="",
-    default=1.0,
-    slider=(1e-3, 1e3),
-    constants=("rotation_mm",),
-)
-STAY = Term(
-    name="stay",
-    symbol="E_stay",
-    source="Deep Energies Sec. 7",
-    says="blendshapes and jaw staying where they are expected",
-    formula="‖w − w_start‖²",
-    residual=expression_residual,
-    unknowns=("expression", "jaw"),
-    key="flow.stay",
-    branch="",
-    default=20.0,
-    slider=(1e-1, 1e4),
-)

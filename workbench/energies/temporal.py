@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray, Scalar
-from workbench.energies.term import Term, TermContext
+from workbench.energies.context import TermContext
 from workbench.face.parameters import FaceParameters
 
 Pose = Float[AnyArray, "6"]
@@ -25,20 +25,3 @@ def tau_residual(parameters: FaceParameters, context: TermContext) -> Float[Arra
     pose = jnp.concatenate([parameters.rotation, parameters.translation])
     difference = second_difference(context.before_last_pose, context.last_pose, pose, context.constants.rotation_mm)
     return context.history * difference
-
-
-TAU = Term(
-    name="tau",
-    symbol="E_τ",
-    source="FACE IT! Eq. 9",
-    says="second difference of the pose",
-    formula="‖[r|t]_t−2 − 2[r|t]_t−1 + [r|t]_t‖²",
-    residual=tau_residual,
-    unknowns=("rotation", "translation"),
-    structure="diagonal",
-    systems=("face-it",),
-    links_frames=True,
-    default=0.1,
-    presets={"face-it": 0.01},
-    constants=("rotation_mm",),
-)

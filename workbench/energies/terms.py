@@ -1,25 +1,227 @@
-"""The table of terms: the whole energy of both systems, a row a term.
+"""The table of terms: the whole energy of both systems, a row per term.
 
-A term is a file with its residual and its row, and an entry here. From the row follow its ω in configurations with
-comment and schema, the panel's slider and tooltip, its curve in charts and traces, and its line in the documentation.
+A term is a residual in a file of this package, and a row here. From the row follow its ω in configurations with comment
+and schema, the panel's slider and tooltip, its curve in charts and traces, and its line in the documentation.
 """
 
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
-from workbench.energies.edges import EDGES
-from workbench.energies.landmarks import LANDMARKS
-from workbench.energies.magnitude import IDENTITY, REGULARISATION
-from workbench.energies.range import BETA, RANGE
-from workbench.energies.sparsity import SIGMA, SIGMA_SMOOTH
-from workbench.energies.stay import PRIOR, STAY
-from workbench.energies.temporal import TAU
-from workbench.energies.term import Term
 
-TABLE: dict[str, Term] = {
-    term.name: term
-    for term in (LANDMARKS, EDGES, TAU, BETA, SIGMA, SIGMA_SMOOTH, RANGE, REGULARISATION, IDENTITY, PRIOR, STAY)
-}
+@dataclass(frozen=True)
+class Term:
+    """One term. Everything that names, explains, weighs or sums terms reads these rows."""
+
+    name: str
+    """In configurations, traces and records."""
+    symbol: str
+    source: str
+    """Paper and equation; empty for a term of our own."""
+    says: str
+    """One sentence without a full stop: what the term is, or holds against."""
+    formula: str
+    residual: str
+    """Module and function in this package: its squares sum to the term, before ω. A name, so that configurations can be
+    read without JAX."""
+    of: Literal["landmarks", "parameters"] = "parameters"
+    unknowns: tuple[str, ...] = ("rotation", "translation", "expression", "identity", "jaw", "scale")
+    """Blocks of `FaceParameters` that it depends on; where none of them is free it is left out."""
+    structure: Literal["dense", "diagonal", "single"] = "dense"
+    """diagonal: residual i depends on the i-th unknown alone; single: one residual. Both make cheap normal equations.
+    The derivative itself is always automatic."""
+    systems: tuple[str, ...] = ()
+    """Systems that have the term in every stage. Elsewhere a stage names it."""
+    listed: tuple[str, ...] = ()
+    """Systems that list the term in records and charts even where no stage names it."""
+    links_frames: bool = False
+    """Whether it looks at the frame before."""
+    key: str = ""
+    """Where its ω lies in a configuration, as `weights.tau`; empty: `weights.` and the name."""
+    deep_key: str = ""
+    """The same under Deep Energies, where that differs."""
+    weight: str = ""
+    """Symbol of its ω; empty: that of the term with ω for E."""
+    branch: Literal["sparse", "prior", ""] = "prior"
+    """The node of the hierarchy (FACE IT! Eqs. 5-7) whose ω multiplies its own; empty: none."""
+    default: float = 0.0
+    presets: dict[str, float] = field(default_factory=dict)
+    """ω in presets that have another than the default."""
+    slider: tuple[float, float] = (1e-4, 1e3)
+    """Least ω above zero and largest one, on a logarithmic scale."""
+    constants: tuple[str, ...] = ()
+    """Constants that it reads, for panels that grey out what has no effect."""
+
+    @property
+    def omega_symbol(self) -> str:
+        """What a slider of its ω is called."""
+        return self.weight or self.symbol.replace("E_", "ω_")
+
+    @property
+    def equation(self) -> str:
+        """Its source without the paper's name, for places that belong to one paper."""
+        return self.source.replace("FACE IT! ", "").replace("Deep Energies ", "")
+
+    def omega_key(self, system: str) -> str:
+        """Where its ω lies in a configuration of this system."""
+        own = self.key or f"weights.{self.name}"
+        return self.deep_key or own if system == "deep-energies" else own
+
+
+ROWS = (
+    Term(
+        name="landmarks",
+        symbol="E_pose, E_fit, E_1",
+        source="FACE IT! Eqs. 8, 10; Deep Energies Eq. 2",
+        says="model landmarks against observed ones",
+        formula="Σ‖π(R·(b_0 + B·w) + t) − p‖²",
+        residual="landmarks:landmark_residual",
+        of="landmarks",
+        systems=("face-it", "deep-energies"),
+        branch="sparse",
+    ),
+    Term(
+        name="edges",
+        symbol="E_2",
+        source="Deep Energies Sec. 8.1",
+        says="differences of consecutive landmarks, which preserve edges",
+        formula="Σ‖(p_i+1 − p_i) − (p*_i+1 − p*_i)‖²",
+        residual="edges:edge_residual",
+        of="landmarks",
+        listed=("deep-energies",),
+        key="deep.edges",
+        weight="ω_edges",
+        branch="",
+        default=0.5,
+        slider=(1e-3, 1e2),
+    ),
+    Term(
+        name="tau",
+        symbol="E_τ",
+        source="FACE IT! Eq. 9",
+        says="second difference of the pose",
+        formula="‖[r|t]_t−2 − 2[r|t]_t−1 + [r|t]_t‖²",
+        residual="temporal:tau_residual",
+        unknowns=("rotation", "translation"),
+        structure="diagonal",
+        systems=("face-it",),
+        links_frames=True,
+        default=0.1,
+        presets={"face-it": 0.01},
+        constants=("rotation_mm",),
+    ),
+    Term(
+        name="beta",
+        symbol="E_β",
+        source="FACE IT! Eq. 12",
+        says="the paper's range term",
+        formula="(Σ arctan steps at 0 and 1)²",
+        residual="range:beta_residual",
+        unknowns=("expression",),
+        structure="single",
+        systems=("face-it",),
+        presets={"face-it": 0.01},
+        constants=("a", "b", "c"),
+    ),
+    Term(
+        name="sigma",
+        symbol="E_σ",
+        source="FACE IT! Eq. 11",
+        says="the paper's single-residual L1 norm",
+        formula="(Σ|w|)²",
+        residual="sparsity:sigma_residual",
+        unknowns=("expression",),
+        structure="single",
+        systems=("face-it",),
+        presets={"face-it": 0.01},
+    ),
+    Term(
+        name="sigma_smooth",
+        symbol="E_σ L1",
+        source="after FACE IT! Eq. 11",
+        says="smoothed separable L1 norm, one residual a weight",
+        formula="Σ √(w² + δ²) − δ",
+        residual="sparsity:sigma_smooth_residual",
+        unknowns=("expression",),
+        structure="diagonal",
+        systems=("face-it",),
+        presets={"calibrated": 20.0, "joint": 20.0},
+        slider=(1e-3, 1e3),
+        constants=("delta",),
+    ),
+    Term(
+        name="range",
+        symbol="E_range",
+        source="",
+        says="quadratic penalty outside [0, 1]",
+        formula="Σ (distance of w from [0, 1])²",
+        residual="range:range_residual",
+        unknowns=("expression",),
+        structure="diagonal",
+        systems=("face-it",),
+        slider=(1e-3, 1e5),
+    ),
+    Term(
+        name="regularisation",
+        symbol="λ‖w‖²",
+        source="Deep Energies Sec. 8.2",
+        says="holds blendshapes and jaw near 0; in other units than the paper's 100",
+        formula="‖w‖²",
+        residual="magnitude:magnitude_residual",
+        unknowns=("expression", "jaw"),
+        listed=("deep-energies",),
+        key="deep.regularisation",
+        weight="λ",
+        branch="",
+        default=30.0,
+        slider=(1e-2, 1e4),
+    ),
+    Term(
+        name="identity",
+        symbol="E_identity",
+        source="",
+        says="keeps to the mean face",
+        formula="‖identity‖²",
+        residual="magnitude:identity_residual",
+        unknowns=("identity",),
+        structure="diagonal",
+        systems=("face-it", "deep-energies"),
+        key="identity.weight",
+        deep_key="deep.identity",
+        default=5.0,
+        slider=(1e-2, 1e4),
+    ),
+    Term(
+        name="prior",
+        symbol="E_prior",
+        source="Deep Energies Sec. 5",
+        says="staying near the pose that the stage starts from",
+        formula="‖[r|t] − [r|t]_start‖²",
+        residual="stay:pose_residual",
+        unknowns=("rotation", "translation"),
+        structure="diagonal",
+        listed=("deep-energies",),
+        key="deep.prior",
+        branch="",
+        default=1.0,
+        slider=(1e-3, 1e3),
+        constants=("rotation_mm",),
+    ),
+    Term(
+        name="stay",
+        symbol="E_stay",
+        source="Deep Energies Sec. 7",
+        says="blendshapes and jaw staying where they are expected",
+        formula="‖w − w_start‖²",
+        residual="stay:expression_residual",
+        unknowns=("expression", "jaw"),
+        key="flow.stay",
+        branch="",
+        default=20.0,
+        slider=(1e-1, 1e4),
+    ),
+)
+TABLE: dict[str, Term] = {term.name: term for term in ROWS}
 """In the order of residuals, records and charts."""
 
 

@@ -3,6 +3,9 @@
 As residuals for both systems; by term; and, for points on the mesh, as normal equations.
 """
 
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
 from typing import NamedTuple
 
 import jax
@@ -11,9 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray
+from workbench.energies.context import LandmarkErrors, TermContext
 from workbench.energies.reprojection import Observation, landmark_errors, reprojection_with_jacobian
-from workbench.energies.term import LandmarkErrors, Term, TermContext
-from workbench.energies.terms import TABLE, terms_of
+from workbench.energies.terms import TABLE, Term, terms_of
 from workbench.face.landmark_model import PointModel
 from workbench.face.parameters import FaceParameters
 from workbench.geometry import Camera
@@ -43,7 +46,19 @@ def weighed_residuals(
 ) -> dict[str, Float[Array, "_"]]:
     """Residuals by term with √ω applied: the energy is the sum of their squares."""
     omega = dict(zip(terms, jnp.asarray(omega), strict=True))
-    return {name: jnp.sqrt(omega[name]) * TABLE[name].values(errors, parameters, context) for name in terms}
+    return {name: jnp.sqrt(omega[name]) * _values(TABLE[name], errors, parameters, context) for name in terms}
+
+
+@cache
+def residual_of(name: str) -> Callable[..., Float[Array, "_"]]:
+    """The residual of a term: of `LandmarkErrors`, or of parameters and context."""
+    module, function = TABLE[name].residual.split(":")
+    return getattr(import_module(f"workbench.energies.{module}"), function)
+
+
+def _values(term: Term, errors: LandmarkErrors, parameters: FaceParameters, context: TermContext):
+    residual = residual_of(term.name)
+    return residual(errors) if term.of == "landmarks" else residual(parameters, context)
 
 
 def residuals(
@@ -153,7 +168,7 @@ def _on_unknowns(term: Term, context: TermContext, parameters: FaceParameters, f
     vector = pack(parameters, blocks)
 
     def residual(vector):
-        return term.residual(unpack(vector, parameters, blocks), context)
+        return residual_of(term.name)(unpack(vector, parameters, blocks), context)
 
     if term.structure == "diagonal":
         values, slopes = jax.jvp(residual, (vector,), (jnp.ones_like(vector),))
@@ -180,7 +195,7 @@ def _of_landmarks(term: Term, problem: EnergyProblem, parameters: FaceParameters
     root = jnp.sqrt(problem.observation.weights)
 
     def residual(error):
-        return term.residual(LandmarkErrors(error.reshape(-1, 2), root))
+        return residual_of(term.name)(LandmarkErrors(error.reshape(-1, 2), root))
 
     values, push = jax.linearize(residual, error)
     return values, jax.vmap(push, in_axes=1, out_axes=1)(by_unknown)
@@ -190,7 +205,7 @@ def _of_parameters(term: Term, problem: EnergyProblem, parameters: FaceParameter
     """Residuals and derivative of any term on the parameters."""
 
     def residual(vector):
-        return term.residual(unpack(vector, parameters, free), problem.context)
+        return residual_of(term.name)(unpack(vector, parameters, free), problem.context)
 
     vector = pack(parameters, free)
     return residual(vector), jax.jacfwd(residual)(vector)

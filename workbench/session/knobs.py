@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from workbench.config import Config
-from workbench.energies import NODES, TABLE, Term, factor
+from workbench.energies.terms import NODES, TABLE, Term, factor
 from workbench.landmarks.scheme import GROUPS
 
 Kind = Literal["log", "linear", "whole", "switch", "choice"]

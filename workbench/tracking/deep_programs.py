@@ -14,6 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from workbench.arrays import AnyArray, Scalar
+from workbench.energies.context import TermContext
 from workbench.energies.deep import (
     DEEP_TERMS,
     DeepModel,
@@ -23,7 +24,6 @@ from workbench.energies.deep import (
     network_view,
     preselected_points,
 )
-from workbench.energies.term import TermContext
 from workbench.face import FaceParameters
 from workbench.networks import Fan, LandmarkNetwork
 from workbench.solvers.dogleg import Quadratic

@@ -18,8 +18,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 
+from workbench.energies.context import TermContext
 from workbench.energies.deep import DeepView, NetworkView
-from workbench.energies.term import TermContext
 from workbench.face import FaceParameters
 from workbench.runtime import COMPUTING
 from workbench.solvers import Status

@@ -1,0 +1,38 @@
+"""What the residual of a term may look at."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from workbench.arrays import AnyArray, Scalar
+from workbench.energies.constants import EnergyConstants
+from workbench.face.parameters import FaceParameters
+
+
+class LandmarkErrors(NamedTuple):
+    """Model landmarks minus observed ones, in every view of a frame."""
+
+    error: Float[AnyArray, "*views 68 2"]
+    root: Float[AnyArray, "*views 68"]
+    """√ of what each landmark's squared error counts."""
+    unit: Scalar = 1.0
+    """What counts as 1, in the unit of the errors."""
+
+
+class TermContext(NamedTuple):
+    """What a term may know of a frame besides the parameters."""
+
+    constants: EnergyConstants
+    before_last_pose: Float[AnyArray, "6"]
+    """[r | t] of the frame before the last one; radians, millimetres."""
+    last_pose: Float[AnyArray, "6"]
+    history: Float[AnyArray, ""]
+    """1 where both poses exist, else 0: no E_τ on the first two frames of a shot."""
+    start: FaceParameters
+    """Where the stage starts, or where an expectation has the face."""
+
+
+def still(start: FaceParameters, constants: EnergyConstants = EnergyConstants()) -> TermContext:  # noqa: B008
+    """The context of a frame without any before it."""
+    return TermContext(constants, jnp.zeros(6), jnp.zeros(6), jnp.zeros(()), start)
