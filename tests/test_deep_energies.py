@@ -297,7 +297,7 @@ def test_a_bound_that_the_energy_pushes_against_is_met_exactly(points, truth):
     stage = Stage(name="jaw", free=("jaw_open",), limit=20)
     views = points.views(scene.observation(), scene.context(), stage)
     start = truth._replace(jaw=jnp.zeros(6))
-    problem = points._problem(points.scene(None), views, stage)
+    problem = points._problem(points.scene(None), views, stage, still(truth))
     column = _column(points, "jaw")
     upper = problem.upper.copy()
     upper[column] = 0.1

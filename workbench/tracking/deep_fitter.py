@@ -36,6 +36,7 @@ from workbench.solvers import Status
 from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solver import StageProblem, StageResult, solve_stage
 from workbench.tracking.deep_target import energy_network
+from workbench.tracking.failures import failure_of_residuals
 from workbench.tracking.fitter import (
     Calibrated,
     Continuation,
@@ -398,20 +399,19 @@ class DeepFitter:
         return 0.01 * EYES_PER_BOX / CROP_BOXES * float(crop_of(self._network, jnp.asarray(points)).side)
 
     def _failure(self, solution: DeepSolution) -> str:
-        """Why the result should not be used, from its errors in % of the eye distance in the worst view."""
+        """Why the result should not be used, by its errors in the first view that shows something wrong."""
         result = solution.results[-1]
         if result.status is Status.NOT_FINITE:
             return FAILURES[3]
-        for view, points in zip(solution.views, result.prediction.points, strict=True):
-            if not np.any(np.asarray(view.weights) > 0.0):
-                continue
-            target = np.asarray(view.target)
-            errors = np.linalg.norm(points - target, axis=1) / self._percent_px(target)
-            if abs(errors[:17].mean() - errors[17:].mean()) > self.config.deep.largest_disagreement:
-                return FAILURES[1]
-            if errors.mean() > self.config.deep.largest_error:
-                return FAILURES[2]
-        return ""
+        percent = [
+            np.linalg.norm(points - np.asarray(view.target), axis=1) / self._percent_px(np.asarray(view.target))
+            for view, points in zip(solution.views, result.prediction.points, strict=True)
+            if np.any(np.asarray(view.weights) > 0.0)
+        ]
+        if not percent:
+            return ""
+        limits = self.config.deep.largest_error, self.config.deep.largest_disagreement
+        return FAILURES[next(filter(None, failure_of_residuals(np.stack(percent), *limits)), 0)]
 
     def _seen_anywhere(self, observation: FrameObservation) -> bool:
         return any(landmarks is not None for landmarks in (observation.landmarks, *observation.others))
