@@ -70,16 +70,17 @@ def reprojection_with_jacobian(
     blocks = []
     for name in free:
         if name == "rotation":
-            turned = jnp.einsum("abk,nb->nak", jax.jacfwd(rotation_matrix)(parameters.rotation), points)
+            turned = jnp.einsum("abk,nb->kna", jax.jacfwd(rotation_matrix)(parameters.rotation), points)
             blocks.append(_chain(by_camera, turned))
         elif name == "translation":
-            blocks.append(by_camera)
+            blocks.append(jnp.moveaxis(by_camera, -1, 0))
         else:
-            blocks.append(_chain(by_head, jnp.transpose(getattr(model, name), (1, 2, 0))))
-    jacobian = jnp.concatenate(blocks, axis=2)
-    return residual.ravel(), jacobian.reshape(136, -1)
+            blocks.append(_chain(by_head, getattr(model, name)))
+    # A row per unknown, for the basis lies so in memory: JᵀJ takes half the time of a column per unknown.
+    rows = jnp.concatenate(blocks).reshape(-1, 136)
+    return residual.ravel(), rows.T
 
 
-def _chain(outer: Float[AnyArray, "68 2 3"], inner: Float[AnyArray, "68 3 n"]) -> Float[AnyArray, "68 2 n"]:
-    # Three multiply-adds fuse into one loop; as a batched 2 × 3 by 3 × n product it is several times slower on a CPU.
-    return sum(outer[:, :, axis, None] * inner[:, None, axis, :] for axis in range(3))
+def _chain(outer: Float[AnyArray, "68 2 3"], inner: Float[AnyArray, "n 68 3"]) -> Float[AnyArray, "n 68 2"]:
+    # Three multiply-adds fuse into one loop; as a batched product of matrices it is several times slower on a CPU.
+    return sum(outer[None, :, :, axis] * inner[:, :, None, axis] for axis in range(3))

@@ -136,7 +136,7 @@ class Controls:
             control.enable(not is_inert(config, path))
         for title, note in self.notes.items():
             inert = [is_inert(config, knob.path) for knob in PAGES[title]]
-            note.value = "" if not any(inert) else _why_inert(config, all(inert))
+            note.value = "" if not any(inert) else _why_inert(config, title, all(inert))
             note.layout.display = None if any(inert) else "none"
         for path, product in effective_weights_of(config).items():
             self.by_path[path].effective.value = f"={product:.3g}"
@@ -151,12 +151,16 @@ OF_FACE_IT = (
     "<b>deep</b>."
 )
 SOME_OF_FACE_IT = "What is greyed out belongs to <b>FACE IT!</b>; Deep Energies has its own on the page <b>deep</b>."
+SOME_OF_DEEP = "What is greyed out belongs to <b>Deep Energies</b>, or to terms that no stage names."
+NOT_NAMED = "What is greyed out weighs a term that no stage names; a stage's <i>terms</i> can."
 
 
-def _why_inert(config: Config, every: bool) -> str:
-    if config.system != "deep-energies":
-        return OF_DEEP
-    return OF_FACE_IT if every else SOME_OF_FACE_IT
+def _why_inert(config: Config, title: str, every: bool) -> str:
+    if title == "deep":
+        own, whole, some = config.system == "deep-energies", OF_DEEP, SOME_OF_DEEP
+    else:
+        own, whole, some = config.system == "face-it", OF_FACE_IT, SOME_OF_FACE_IT
+    return NOT_NAMED if own else whole if every else some
 
 
 PAGES = {
