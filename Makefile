@@ -4,21 +4,27 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
+TRAIN_STAMP := $(VENV)/.installed-train
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
+# Processes that test files are handed to; 0: in one, as for a test that hangs or with little memory.
+JOBS ?= 0
+PYTEST := $(BIN)/python -m pytest --numprocesses $(JOBS)
 OUT ?= demo_out
 # Programs that read what we export, for tests/test_export_gltf.py: Blender as a Python package (for Python 3.11 only)
 # and the Khronos validator with its own Node.
 VALIDATORS := .cache/validators
 
-.PHONY: help lab demo test test-fast validators notebooks lint format bench head clip clean
+.PHONY: help lab demo test test-fast test-train validators notebooks lint format bench head clip clean
 
 help:
 	@echo "make lab    open JupyterLab on the first notebook"
 	@echo "make demo   track the bundled portrait and clip into $(OUT)/, no browser needed"
-	@echo "make test   lint and run all tests"
+	@echo "make test   lint and run all tests that need no PyTorch"
+	@echo "make test-fast   without the long tests and those in a browser"
+	@echo "make test-train  the tests of training and of PyTorch's models; installs PyTorch"
 	@echo "make bench  run the benchmarks and print a table"
 	@echo "make validators  install Blender and the Khronos validator for the tests of .glb files (1 GB)"
-	@echo "make lint, make format, make test-fast, make head, make clip, make clean"
+	@echo "make lint, make format, make head, make clip, make clean"
 
 # What the notebooks, the app and the demo need; the tests' tools come with the first target that uses them.
 $(STAMP): pyproject.toml constraints.txt
@@ -29,10 +35,14 @@ $(STAMP): pyproject.toml constraints.txt
 
 $(TEST_STAMP): $(STAMP)
 	$(INSTALL) --editable ".[dlib,app,test]"
+	@touch $(TEST_STAMP)
+
+$(TRAIN_STAMP): $(TEST_STAMP)
+	$(INSTALL) --editable ".[dlib,app,test,train]"
 	# The published PyTorch model that tests/test_networks_fan.py compares with. Without its dependencies, so not in an
 	# extra: opencv-python among them would overwrite the headless OpenCV.
 	$(BIN)/python -m pip install --quiet --no-deps face-alignment==1.5.0
-	@touch $(TEST_STAMP)
+	@touch $(TRAIN_STAMP)
 
 lab: $(STAMP)
 	$(BIN)/workbench lab
@@ -41,10 +51,13 @@ demo: $(STAMP)
 	$(BIN)/workbench demo --out $(OUT)
 
 test: lint
-	$(BIN)/python -m pytest
+	$(PYTEST) -m "not train"
 
 test-fast: $(TEST_STAMP)
-	$(BIN)/python -m pytest --ignore=tests/test_notebooks.py --ignore=tests/test_browser.py
+	$(PYTEST) -m "not train and not slow and not browser"
+
+test-train: $(TRAIN_STAMP)
+	$(PYTEST) -m train
 
 validators:
 	$(PYTHON) -m venv $(VALIDATORS)
@@ -53,7 +66,7 @@ validators:
 	$(VALIDATORS)/bin/python -m pip install --quiet bpy==4.5.*
 
 notebooks: $(TEST_STAMP)
-	$(BIN)/python -m pytest tests/test_notebooks.py tests/test_browser.py
+	$(PYTEST) tests/test_notebooks.py tests/test_browser.py
 
 lint: $(TEST_STAMP)
 	$(BIN)/ruff check .

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests import selection
 from tests.fuzzing import Tally
 
 # Set before anything imports JAX; notebooks' kernels inherit it.
@@ -34,8 +35,30 @@ def pytest_configure(config):
     config.stash[TALLY] = Tally(config.getoption("--fuzz-inputs") or FUZZ_INPUTS)
 
 
+def pytest_ignore_collect(collection_path, config):
+    """A file that is left out as a whole is not even imported."""
+    absent = selection.left_out(config.option.markexpr, selection.has_torch())
+    return True if set(absent) & set(selection.marks_of(collection_path)) else None
+
+
+def pytest_itemcollected(item):
+    for mark in selection.marks_of(item.path):
+        item.add_marker(mark)
+
+
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: selection.turn(item.path))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    return selection.in_order(config, log)
+
+
 def pytest_terminal_summary(terminalreporter, config):
-    """The verdicts of a long run."""
+    """What was left out, and the verdicts of a long run."""
+    for mark in selection.left_out(config.option.markexpr, selection.has_torch()):
+        terminalreporter.write_line(f"Left out: {selection.LEFT_OUT[mark]}")
     if config.getoption("--fuzz-inputs") and config.stash[TALLY].counts:
         terminalreporter.section("damaged files")
         terminalreporter.write_line(config.stash[TALLY].table())

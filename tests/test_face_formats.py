@@ -10,7 +10,6 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
-import torch
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -258,8 +257,10 @@ def test_the_axes_of_gnm_are_told_by_its_joints(subject, tmp_path):
     np.testing.assert_allclose(model.expression_deltas, subject.expressions[:2], atol=0.01)
 
 
+@pytest.mark.train
 def test_an_embedding_with_tensors_of_pytorch_gives_its_arrays(flame_file, subject, tmp_path):
     """DECA's landmark_embedding.npy holds its sliding contour as tensors, which are left out."""
+    torch = pytest.importorskip("torch")
     embedding = {
         "full_lmk_faces_idx": flame_embedding(subject)["lmk_face_idx"][None],
         "full_lmk_bary_coords": flame_embedding(subject)["lmk_b_coords"][None],

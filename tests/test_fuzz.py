@@ -12,8 +12,13 @@ from tests import fuzzing_misreaders as misreaders
 from tests.fuzz_readers import READERS
 from tests.fuzzing import ACCEPTED, CLEAR, CRASH, GARBAGE, HANG, LEAKED, MEMORY, UNCLEAR, Files, Judge, Reader, Verdict
 from tests.fuzzing_damage import damaged_files
+from tests.selection import has_torch
 
 SHOWN = 12
+BY_PYTORCH = [pytest.mark.train, pytest.mark.skipif(not has_torch(), reason="PyTorch writes these files")]
+TRIED = [
+    pytest.param(reader, marks=BY_PYTORCH if "checkpoint" in reader.name else (), id=reader.name) for reader in READERS
+]
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +34,7 @@ def quick_judge(tmp_path_factory):
         yield judge
 
 
-@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
+@pytest.mark.parametrize("reader", TRIED)
 def test_damaged_files_are_read_or_refused_in_one_sentence(reader: Reader, judge, fuzz_tally, tmp_path):
     valid = reader.valid_files(tmp_path / "valid")
     judge.warm_up(reader.read, valid)

@@ -33,10 +33,18 @@ def canonical(name: str) -> str:
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
-@pytest.mark.parametrize(("target", "tools"), [("lab", False), ("demo", False), ("test", True)])
-def test_the_tests_tools_come_with_the_tests_only(target, tools, tmp_path):
+@pytest.mark.parametrize(
+    ("target", "tools", "torch"),
+    [("lab", False, False), ("demo", False, False), ("test", True, False), ("test-train", True, True)],
+)
+def test_the_tests_tools_come_with_the_tests_only_and_pytorch_with_those_of_training(target, tools, torch, tmp_path):
     planned = subprocess.run(
         ["make", "--dry-run", f"VENV={tmp_path}/fresh", target], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
     assert "--constraint constraints.txt" in planned
-    assert ("test]" in planned) == tools
+    assert ("app,test" in planned) == tools
+    assert ("train]" in planned) == ("face-alignment" in planned) == torch
+
+
+def test_the_tests_tools_hold_no_pytorch():
+    assert not any(need.startswith("torch") for need in PROJECT["optional-dependencies"]["test"])

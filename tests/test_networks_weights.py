@@ -184,6 +184,7 @@ def test_numbers_that_are_no_floats_or_not_finite_are_refused(save, weights):
 # --- our network --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.train
 @pytest.mark.parametrize(("widths", "blocks"), [((4, 6, 8, 10), 2), ((5, 3, 4, 4), 3), ((2, 2, 2, 2), 1)])
 def test_heat_maps_equal_those_of_the_same_network_in_pytorch(widths, blocks):
     network = random_landmark_network(widths, blocks)

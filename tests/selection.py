@@ -1,0 +1,87 @@
+"""Which tests run, and in which order: marks of whole test files, what a run leaves out, long files first.
+
+`make test JOBS=2` runs in two processes. A file stays in one of them, with what its tests share; notebooks have kernels
+of their own and are handed out one by one. A long file begun last would leave all processes but one idle.
+"""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+NOTEBOOKS = "test_notebooks.py"
+SLOW = (
+    "test_panel.py",
+    "test_diagnosis_frames.py",
+    NOTEBOOKS,
+    "test_deep_energies.py",
+    "test_nothing_lost.py",
+    "test_face_formats.py",
+    "test_light_panel.py",
+    "test_rendering.py",
+    "test_pictures.py",
+    "test_fuzz.py",
+)
+"""Files that `make test-fast` leaves out besides those in a browser, the longest first."""
+BROWSER = (
+    "test_browser.py",
+    "test_deep_panel_browser.py",
+    "test_head_views_browser.py",
+    "test_live_browser.py",
+    "test_panel_browser.py",
+    "test_time_page_browser.py",
+    "test_views_2d_browser.py",
+)
+"""Files that need Chromium as a whole."""
+TRAIN = (
+    "test_networks_checkpoints.py",
+    "test_networks_fan.py",
+    "test_networks_flow.py",
+    "test_training.py",
+    "test_training_flow.py",
+)
+"""Files that need PyTorch as a whole; single tests elsewhere have the mark themselves."""
+MARKS = {"slow": SLOW, "browser": BROWSER, "train": TRAIN}
+LEFT_OUT = {
+    "slow": "notebooks and other long tests (make test)",
+    "browser": "tests in a browser (make test)",
+    "train": "tests of training and of PyTorch's models (make test-train)",
+}
+"""What the marks stand for, and the command that runs it."""
+
+
+def left_out(expression: str, torch: bool) -> list[str]:
+    """The marks whose tests do not run, by the expression of `pytest -m` and by whether PyTorch is installed."""
+    return [mark for mark in MARKS if f"not {mark}" in expression or (mark == "train" and not torch)]
+
+
+def has_torch() -> bool:
+    """Whether PyTorch is installed; it is not loaded."""
+    return find_spec("torch") is not None
+
+
+def marks_of(path: Path) -> list[str]:
+    """The marks of every test of a file."""
+    return [mark for mark, files in MARKS.items() if path.name in files]
+
+
+def turn(path: Path) -> int:
+    """The place of a file in the order: slow ones, browsers, the rest."""
+    order = (*SLOW, *BROWSER)
+    return order.index(path.name) if path.name in order else len(order)
+
+
+def unit(nodeid: str) -> str:
+    """What one process runs without a break: a notebook, or else all tests of a file."""
+    file = nodeid.split("::")[0]
+    return nodeid if Path(file).name == NOTEBOOKS else file
+
+
+def in_order(config, log):
+    """A scheduler of pytest-xdist that hands out units in the order in which they were collected."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class InOrder(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return unit(nodeid)
+
+    config.option.loadscopereorder = False
+    return InOrder(config, log)

@@ -1,0 +1,78 @@
+"""Which tests a run takes and leaves out, and how they are handed to several processes."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests import selection
+
+ROOT = Path(__file__).resolve().parent.parent
+FILES = [*selection.SLOW, *selection.BROWSER, *selection.TRAIN]
+
+
+def collected(*options: str) -> subprocess.CompletedProcess:
+    """What pytest finds in this file with these options."""
+    command = [sys.executable, "-m", "pytest", "--override-ini=addopts=", "--collect-only", "-q", *options, __file__]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_tables_name_files_that_exist(name):
+    assert (ROOT / "tests" / name).is_file()
+
+
+def test_a_file_is_in_one_table_only():
+    assert len(FILES) == len(set(FILES))
+
+
+def test_every_file_that_cannot_be_imported_without_pytorch_has_the_mark():
+    needs = re.compile(r"^(import torch|from torch|torch = |from workbench\.training)", re.M)
+    found = {path.name for path in (ROOT / "tests").glob("test_*.py") if needs.search(path.read_text("utf-8"))}
+    assert found == set(selection.TRAIN)
+
+
+@pytest.mark.parametrize(
+    ("expression", "torch", "marks"),
+    [
+        ("", True, []),
+        ("", False, ["train"]),
+        ("not train", True, ["train"]),
+        ("not train and not slow and not browser", True, ["slow", "browser", "train"]),
+        ("train", True, []),
+    ],
+)
+def test_a_run_leaves_out_what_its_expression_says_and_what_needs_an_absent_pytorch(expression, torch, marks):
+    assert selection.left_out(expression, torch) == marks
+
+
+def test_a_run_says_in_one_line_what_it_left_out():
+    lines = collected("-m", "not train").stdout.splitlines()
+    assert [line for line in lines if line.startswith("Left out")] == [
+        "Left out: tests of training and of PyTorch's models (make test-train)"
+    ]
+
+
+def test_a_file_stays_in_one_process_and_notebooks_are_handed_out_one_by_one():
+    notebook = f"tests/{selection.NOTEBOOKS}::test_a_notebook_runs"
+    assert selection.unit("tests/test_panel.py::test_a[1]") == selection.unit("tests/test_panel.py::TestB::test_c")
+    assert selection.unit(f"{notebook}[00]") != selection.unit(f"{notebook}[01]")
+
+
+def test_slow_files_come_first_then_browsers():
+    names = ["test_arrays.py", selection.BROWSER[0], selection.SLOW[1], selection.SLOW[0]]
+    paths = sorted(map(Path, names), key=selection.turn)
+    assert [path.name for path in paths] == names[::-1]
+
+
+def test_a_test_that_hangs_ends_with_the_stack_of_every_thread_in_one_process_or_several(tmp_path):
+    pytest.importorskip("xdist")
+    (tmp_path / "test_hang.py").write_text("import time\ndef test_hangs():\n    time.sleep(60)\n")
+    for processes in ("0", "1"):
+        command = [*(sys.executable, "-m", "pytest", f"--rootdir={tmp_path}", "-p", "no:cacheprovider")]
+        command += ["-o", "faulthandler_timeout=1", "-o", "faulthandler_exit_on_timeout=true", "-n", processes]
+        done = subprocess.run([*command, str(tmp_path)], cwd=tmp_path, capture_output=True, text=True, timeout=50)
+        assert done.returncode != 0
+        assert "in test_hangs" in done.stdout + done.stderr
