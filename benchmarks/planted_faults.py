@@ -93,15 +93,18 @@ def observations_of(points: Float[np.ndarray, "n 68 2"]) -> list[FrameObservatio
 
 
 def follow(
-    observations: Sequence[FrameObservation], config: Config, identity: np.ndarray | None = None
+    observations: Sequence[FrameObservation],
+    config: Config,
+    identity: np.ndarray | None = None,
+    until: int | None = None,
 ) -> list[tuple[FrameFit, FrameContext]]:
-    """Track the clip as `FaceTracker` does; `identity` replaces the calibrated one."""
+    """Track the clip as `FaceTracker` does, up to and with frame `until`; `identity` replaces the calibrated one."""
     fitter = FrameFitter(clip().head, config)
     starts = {}
     if identity is None:
         identity, starts, _ = fitter.calibrate(observations[: config.identity.window], config.identity.frames)
     fits, last = [], None
-    for observation in observations:
+    for observation in observations[: None if until is None else until + 1]:
         if last is not None and jumped(last.points, observation.landmarks.points):
             last = None
         context = FrameContext(0, identity, starts.get(observation.index), last)
@@ -119,7 +122,7 @@ def case_at(
 ) -> FrameCase:
     """Frame `index` of the clip with these landmarks, as a session would hand it over."""
     observations = observations_of(points)
-    _, context = follow(observations, config, identity)[index]
+    _, context = follow(observations, config, identity, until=index)[index]
     pictures = clip().pictures if pictures is None else pictures
     previous = pictures[index - 1] if len(pictures) else None
     return FrameCase(
