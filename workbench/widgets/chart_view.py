@@ -3,7 +3,6 @@
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 
 import anywidget
 import numpy as np
@@ -11,6 +10,7 @@ import traitlets
 from jaxtyping import Num
 
 from workbench.errors import InputError
+from workbench.widgets.browser_program import BROWSER, browser_program
 from workbench.widgets.overlay_view import float_bytes
 
 Number = float | int
@@ -56,29 +56,8 @@ class ChartView(anywidget.AnyWidget):
     `on_pick` with the nearest x and moves `cursor` there. Setters may be called from any thread.
     """
 
-    _esm = Path(__file__).with_name("chart_view.js")
-    _css = """
-.fw-chart { position: relative; width: 100%; min-width: 0; box-sizing: border-box; font: 11px/16px
-  var(--jp-ui-font-family, system-ui, sans-serif); color: var(--jp-ui-font-color1, #222); }
-.fw-chart .fw-top { display: flex; gap: 2px 10px; align-items: baseline; padding: 0 2px 2px; }
-.fw-chart .fw-title { font-weight: 600; font-size: 12px; white-space: nowrap; }
-.fw-chart .fw-keys { display: flex; flex-wrap: wrap; gap: 0 8px; max-height: 66px; overflow-y: auto; min-width: 0; }
-.fw-chart .fw-key { all: unset; cursor: pointer; white-space: nowrap; display: inline-flex; align-items: center;
-  gap: 4px; border-radius: 2px; padding: 0 2px; }
-.fw-chart .fw-key:focus-visible { outline: 2px solid var(--jp-brand-color1, #2196f3); }
-.fw-chart .fw-key[aria-pressed="false"] { opacity: 0.4; text-decoration: line-through; }
-.fw-chart .fw-key i { width: 14px; height: 0; border-top: 2px solid; }
-.fw-chart .fw-stage { position: relative; width: 100%; outline: none; cursor: crosshair; }
-.fw-chart .fw-stage:focus-visible { box-shadow: 0 0 0 2px var(--jp-brand-color1, #2196f3); border-radius: 2px; }
-.fw-chart canvas { position: absolute; inset: 0; width: 100%; height: 100%; display: block; }
-.fw-chart .fw-hover { position: absolute; pointer-events: none; z-index: 3; padding: 4px 8px; border-radius: 3px;
-  background: rgba(18, 20, 24, 0.9); color: #f4f6f8; font-size: 12px; line-height: 1.4;
-  font-variant-numeric: tabular-nums; }
-.fw-chart .fw-hover div { display: flex; gap: 6px; align-items: center; white-space: nowrap; }
-.fw-chart .fw-hover i { width: 10px; height: 3px; flex: none; }
-.fw-chart .fw-hover b { margin-left: auto; padding-left: 8px; font-weight: 600; }
-.fw-chart [hidden] { display: none; }
-"""
+    _esm = browser_program("chart/view.js")
+    _css = BROWSER / "chart" / "view.css"
 
     title = traitlets.Unicode("").tag(sync=True)
     y_log = traitlets.Bool(False).tag(sync=True)

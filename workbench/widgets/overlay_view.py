@@ -16,6 +16,7 @@ from jaxtyping import Float, Num, Shaped, UInt8
 from workbench.errors import InputError, WorkbenchError
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT, POINT_NAMES, POLYLINES, check_68
 from workbench.pictures.overlay import WORST_PERCENT, residual_colors
+from workbench.widgets.browser_program import BROWSER
 
 JPEG_QUALITY = 88
 LARGEST_SIDE = 2560
@@ -150,30 +151,7 @@ class OverlayView(anywidget.AnyWidget):
     """
 
     _esm = Path(__file__).with_name("overlay_view.js")
-    _css = """
-.fw-overlay { position: relative; width: 100%; min-width: 0; box-sizing: border-box; }
-.fw-overlay .fw-stage { position: relative; width: 100%; overflow: hidden; border-radius: 3px; background: #1b1d21;
-  outline: none; cursor: default; }
-.fw-overlay .fw-stage:focus-visible { box-shadow: inset 0 0 0 2px var(--jp-brand-color1, #2196f3); }
-.fw-overlay canvas { position: absolute; inset: 0; width: 100%; height: 100%; display: block; }
-.fw-overlay .fw-marks { touch-action: none; }
-.fw-overlay .fw-focus { position: absolute; inset: 0; pointer-events: none; border-radius: 3px; }
-.fw-overlay .fw-stage:focus-visible .fw-focus { box-shadow: inset 0 0 0 2px var(--jp-brand-color1, #2196f3); }
-.fw-overlay .fw-hover, .fw-overlay .fw-message, .fw-overlay .fw-legend { position: absolute; pointer-events: none;
-  background: rgba(18, 20, 24, 0.86); color: #f4f6f8; border-radius: 3px; font: 12px/1.4 var(--jp-ui-font-family,
-  system-ui, sans-serif); }
-.fw-overlay .fw-hover { padding: 4px 8px; max-width: 280px; white-space: pre-line; z-index: 2; }
-.fw-overlay .fw-hover b { font-weight: 600; }
-.fw-overlay .fw-message { bottom: 8px; left: 50%; transform: translateX(-50%); padding: 3px 10px; max-width: 90%;
-  box-sizing: border-box; width: max-content; }
-.fw-overlay .fw-legend { left: 6px; top: 6px; min-width: 112px; padding: 2px 6px 1px; font-size: 11px;
-  white-space: nowrap; }
-.fw-overlay .fw-bar { height: 6px; margin: 2px 0 0; border-radius: 1px; }
-.fw-overlay .fw-numbers { display: flex; justify-content: space-between; font-variant-numeric: tabular-nums; }
-.fw-overlay .fw-help { height: 18px; margin-top: 2px; color: var(--jp-ui-font-color2, #777); font: 11px/18px
-  var(--jp-ui-font-family, system-ui, sans-serif); white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
-.fw-overlay [hidden] { display: none; }
-"""
+    _css = BROWSER / "overlay" / "view.css"
 
     layers = traitlets.Dict(key_trait=traitlets.Enum(tuple(LAYERS)), value_trait=traitlets.Bool()).tag(sync=True)
     layer_opacity = traitlets.Float(0.6, min=0.0, max=1.0).tag(sync=True)

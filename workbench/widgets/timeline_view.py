@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Sequence
-from pathlib import Path
 
 import anywidget
 import numpy as np
@@ -11,6 +10,7 @@ from jaxtyping import Bool, Float, Int, Num, UInt8
 
 from workbench.errors import InputError
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT, POINT_NAMES
+from workbench.widgets.browser_program import BROWSER, browser_program
 from workbench.widgets.overlay_view import SMALLEST_SCALE, automatic_scale, color_table, float_bytes
 
 NOTHING = 255
@@ -53,22 +53,8 @@ class TimelineView(anywidget.AnyWidget):
     frames, so that a single bad one is never lost.
     """
 
-    _esm = Path(__file__).with_name("timeline_view.js")
-    _css = """
-.fw-timeline { position: relative; width: 100%; min-width: 0; box-sizing: border-box; font: 11px/16px
-  var(--jp-ui-font-family, system-ui, sans-serif); color: var(--jp-ui-font-color2, #777); }
-.fw-timeline .fw-stage { position: relative; width: 100%; outline: none; cursor: pointer; }
-.fw-timeline .fw-stage:focus-visible { box-shadow: 0 0 0 2px var(--jp-brand-color1, #2196f3); border-radius: 2px; }
-.fw-timeline canvas { position: absolute; inset: 0; width: 100%; height: 100%; display: block; }
-.fw-timeline .fw-cursor { touch-action: none; }
-.fw-timeline .fw-hover { position: absolute; pointer-events: none; z-index: 3; padding: 4px 8px; white-space: pre;
-  background: rgba(18, 20, 24, 0.9); color: #f4f6f8; border-radius: 3px; font-size: 12px; line-height: 1.4; }
-.fw-timeline .fw-below { display: flex; gap: 12px; align-items: center; height: 18px; }
-.fw-timeline .fw-help { flex: 1 1 0; min-width: 0; white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
-.fw-timeline .fw-scale { display: flex; gap: 5px; align-items: center; white-space: nowrap; }
-.fw-timeline .fw-bar { width: 70px; height: 7px; border-radius: 1px; }
-.fw-timeline [hidden] { display: none; }
-"""
+    _esm = browser_program("timeline/view.js")
+    _css = BROWSER / "timeline" / "view.css"
 
     frame = traitlets.Int(0, help="the current frame").tag(sync=True)
     scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0 chooses it").tag(sync=True)

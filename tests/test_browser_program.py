@@ -1,0 +1,171 @@
+"""The JavaScript of the widgets: modules become one program, no function is long, and what the pure ones compute."""
+
+import re
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from tests.javascript import asked_of_node, functions, needs_node
+from workbench.errors import InputError
+from workbench.widgets.browser_program import BROWSER, browser_program
+
+MODULES = sorted(BROWSER.rglob("*.js"))
+PROGRAMS = sorted(str(path.relative_to(BROWSER)) for path in MODULES if "\nexport default" in path.read_text("utf-8"))
+LONGEST_FUNCTION = 80
+
+
+def write(folder, **modules: str) -> None:
+    for name, text in modules.items():
+        (folder / f"{name}.js").write_text(text, encoding="utf-8")
+
+
+class TestJoining:
+    @needs_node
+    def test_a_program_computes_what_its_modules_compute(self, tmp_path):
+        (tmp_path / "package.json").write_text('{ "type": "module" }')
+        write(
+            tmp_path,
+            numbers="export const ONE = 1, TWO = 2; // two names\nconst hidden = 40;\n"
+            "export const more = () => hidden;\n",
+            sums='import { ONE, TWO } from "./numbers.js";\nconst hidden = 0.5;\n'
+            "export function sum() {\n  return ONE + TWO + hidden;\n}\nexport class Sums {}\n",
+            view='import {\n  more, TWO,\n} from "./numbers.js";\nimport { Sums, sum } from "./sums.js";\n'
+            "const hidden = 100;\nexport default [more() + TWO + sum() + hidden, new Sums() instanceof Sums];\n",
+        )
+        (tmp_path / "joined.js").write_text(browser_program("view.js", tmp_path), encoding="utf-8")
+        apart = asked_of_node(tmp_path / "view.js", "default as value", "value")
+        assert asked_of_node(tmp_path / "joined.js", "default as value", "value") == apart == [145.5, True]
+
+    def test_a_module_that_two_others_need_stands_once_and_first(self, tmp_path):
+        write(
+            tmp_path,
+            shared="export const ONE = 1;\n",
+            left='import { ONE } from "./shared.js";\nexport const left = ONE;\n',
+            right='import { ONE } from "./shared.js";\nimport { left } from "./left.js";\nexport const right = ONE;\n',
+            view='import { right } from "./right.js";\nimport { left } from "./left.js";\n'
+            "export default { left, right };\n",
+        )
+        program = browser_program("view.js", tmp_path)
+        assert re.findall(r"^const (\$\w+) = \(", program, re.MULTILINE) == ["$shared", "$left", "$right"]
+        assert "import " not in program
+
+    def test_modules_in_a_circle_are_refused(self, tmp_path):
+        write(
+            tmp_path,
+            view='import { other } from "./other.js";\nexport default other;\n',
+            other='import { third } from "./third.js";\nexport const other = third;\n',
+            third='import { other } from "./other.js";\nexport const third = other;\n',
+        )
+        with pytest.raises(InputError, match=r"other\.js and third\.js import one another in a circle"):
+            browser_program("view.js", tmp_path)
+
+    @pytest.mark.parametrize(
+        "line",
+        ['import * as all from "./a.js";', 'import { a } from "https://x.org/a.js";', "export let a = 1;",
+         "export { a };", 'export * from "./a.js";'],
+    )  # fmt: skip
+    def test_other_imports_and_exports_are_refused(self, tmp_path, line):
+        write(tmp_path, view=f"{line}\nexport default 1;\n")
+        with pytest.raises(InputError, match=re.escape(line)):
+            browser_program("view.js", tmp_path)
+
+
+@needs_node
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_every_program_loads_and_exports_a_widget(name, tmp_path):
+    (tmp_path / "program.mjs").write_text(browser_program(name), encoding="utf-8")
+    assert asked_of_node(tmp_path / "program.mjs", "default as widget", "typeof widget") in ("object", "function")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(BROWSER)))
+def test_no_function_is_long(path):
+    long = {line: count for line, count in functions(path.read_text("utf-8")) if count > LONGEST_FUNCTION}
+    assert not long, f"{path.name}: take apart the functions at these lines, with so many lines each: {long}"
+
+
+def test_functions_are_found_and_measured():
+    source = """function one(a = { b: 1 }) {
+  if (a) { a(); } // {
+  const two = (text) => {
+    return `}` + "{" + text.replace(/[{]/g, "");
+  };
+}
+const object = { three() {
+  for (const x of []) {
+  }
+} };
+class Four { }
+"""
+    assert sorted(functions(source)) == [(1, 6), (3, 3), (7, 4)]
+
+
+def test_no_helper_stands_in_two_modules():
+    whole = re.compile(
+        r"^(?:export )?((?:async )?function .*?^\}|const \w+ = \([^\n]*|const \w+ = \[.*?\];)$", re.M | re.S
+    )
+    helpers = [text for path in MODULES for text in whole.findall(path.read_text("utf-8"))]
+    assert helpers
+    assert [text for text, count in Counter(helpers).items() if count > 1] == []
+
+
+@needs_node
+class TestChart:
+    TICKS, SCALE, KEYS = (BROWSER / "chart" / name for name in ("ticks.js", "scale.js", "keys.js"))
+
+    def test_ticks_are_round_numbers_within_the_range(self):
+        assert asked_of_node(self.TICKS, "linearTicks", "linearTicks(0.3, 9.9, 5)") == [2, 4, 6, 8]
+        assert asked_of_node(self.TICKS, "linearTicks", "linearTicks(-1, 1, 4)") == [-1, -0.5, 0, 0.5, 1]
+
+    def test_ticks_of_a_logarithmic_axis_are_powers_and_in_a_short_one_their_parts(self):
+        assert asked_of_node(self.TICKS, "logTicks", "logTicks(-2.5, 3.5, 8)") == [-2, -1, 0, 1, 2, 3]
+        assert asked_of_node(self.TICKS, "logTicks", "logTicks(-4, 4, 4)") == [-4, -2, 0, 2, 4]
+        short = asked_of_node(self.TICKS, "logTicks", "logTicks(0, 1, 8)")
+        assert np.allclose(np.power(10.0, short), [1, 2, 5, 10])
+
+    def test_numbers_are_written_short(self):
+        values = "[0, 0.25, -3, 123456, 1e-7, NaN].map(words)"
+        assert asked_of_node(self.TICKS, "words", values) == ["0", "0.25", "−3", "1.2e5", "1e−7", "–"]
+
+    def test_the_nearest_value_is_found(self):
+        found = asked_of_node(self.SCALE, "nearest", "[-5, 1.4, 1.6, 7, 99].map((x) => nearest([0, 1, 2, 8], x))")
+        assert found == [0, 1, 2, 3, 3]
+
+    def test_places_of_a_scale_lead_back_to_their_values(self):
+        make = "scaleOf(rangeOf([0, 5, 10], [[1, 3, NaN]], false), 100, 50, false)"
+        ask = f"(s => [s.toX(0), s.toX(10), s.fromX(s.toX(2.5)), s.toY(3) < s.toY(1)])({make})"
+        assert asked_of_node(self.SCALE, "scaleOf, rangeOf", ask) == [54, 154, 2.5, True]
+
+    def test_zeros_lie_below_everything_else_on_a_logarithmic_axis(self):
+        make = "scaleOf(rangeOf([0, 1, 2], [[100, 0, 0.1]], true), 100, 50, true)"
+        ask = f"(s => [s.toY(0) === s.bottom, s.toY(0.1) < s.bottom, s.range.zeros])({make})"
+        assert asked_of_node(self.SCALE, "scaleOf, rangeOf", ask) == [True, True, True]
+
+    def test_a_double_click_on_the_legend_leaves_one_and_then_brings_all_back(self):
+        ask = "[afterDouble([], 'a', ['a', 'b', 'c']), afterDouble(['b', 'c'], 'a', ['a', 'b', 'c'])]"
+        assert asked_of_node(self.KEYS, "afterDouble", ask) == [["b", "c"], []]
+
+
+@needs_node
+class TestTimeline:
+    TRACK, SPAN = (BROWSER / "timeline" / name for name in ("track.js", "span.js"))
+
+    def test_every_frame_is_in_a_pixel_column_and_every_column_has_one(self):
+        many = asked_of_node(self.TRACK, "columnFrames", "[0, 1, 2].map((k) => columnFrames(k, 3, 0, 10, 10))")
+        assert many == [[0, 3], [3, 6], [6, 10]]
+        few = asked_of_node(self.TRACK, "columnFrames", "[0, 1, 2, 3].map((k) => columnFrames(k, 4, 0, 2, 2))")
+        assert few == [[0, 1], [0, 1], [1, 2], [1, 2]]
+
+    def test_next_and_previous_flagged_frame(self):
+        track = "{ count: 6, marks: [4, 5, 4, 4, 5, 4] }"
+        ask = f"[[0, 1], [1, 1], [4, 1], [4, -1], [1, -1]].map(([from, step]) => nextFlagged({track}, from, step))"
+        assert asked_of_node(self.TRACK, "nextFlagged", ask) == [1, 4, 4, 1, 1]
+
+    def test_a_zoomed_part_stays_within_the_track_and_keeps_some_frames(self):
+        ask = "[zoomed(-5, 20, 100), zoomed(90, 120, 100), zoomed(50, 51, 100), zoomed(0, 1, 3)]"
+        found = asked_of_node(self.SPAN, "zoomed", ask)
+        assert [(part["from"], part["to"]) for part in found] == [(0, 25), (70, 100), (50, 58), (0, 3)]
+
+    def test_the_frame_under_the_mouse_stays_there_while_zooming(self):
+        start, end = asked_of_node(self.SPAN, "zoomedAt", "zoomedAt({ from: 0, to: 100 }, 25, 0.5, 100)")
+        assert (start, end) == (12.5, 62.5)

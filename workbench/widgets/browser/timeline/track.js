@@ -1,0 +1,43 @@
+import { bytesOf } from "../shared/bytes.js";
+import { clamp } from "../shared/numbers.js";
+
+export const POINTS = 68, NOTHING = 255;
+export const FLAGGED = 1, STALE = 2, FOUND = 4, NEW_SHOT = 8; // bits of a frame's mark
+
+export function readTrack(sent) {
+  return {
+    first: sent.first, count: sent.count, codes: new Uint8Array(bytesOf(sent.codes)),
+    largest: new Float32Array(bytesOf(sent.largest)), worst: new Uint8Array(bytesOf(sent.worst)),
+    marks: new Uint8Array(bytesOf(sent.marks)),
+  };
+}
+
+// Replaces some frames of a track by those of a message.
+export function putPart(track, content, buffers) {
+  content.names.forEach((name, k) => {
+    const part = new track[name].constructor(bytesOf(buffers[k]));
+    track[name].set(part, content.start * (name === "codes" ? POINTS : 1));
+  });
+}
+
+// For every pixel column the frames [start, end) in it; at least one, so that zooming in repeats frames.
+export function columnFrames(column, columns, from, to, count) {
+  const start = Math.floor(from + ((to - from) * column) / columns);
+  const end = Math.max(start + 1, Math.floor(from + ((to - from) * (column + 1)) / columns));
+  return [clamp(start, 0, count - 1), clamp(end, 1, count)];
+}
+
+// The next flagged frame in a direction; where there is none, the frame itself.
+export function nextFlagged(track, from, step) {
+  let column = from + step;
+  while (column >= 0 && column < track.count && !(track.marks[column] & FLAGGED)) column += step;
+  return column >= 0 && column < track.count ? column : from;
+}
+
+// Of about `count` frames from `first` on the one that colours their pixel: the worst, or a flagged one.
+export function worstOf(track, first, count) {
+  const rank = (k) => (track.largest[k] || 0) + (track.marks[k] & FLAGGED ? 1e6 : 0);
+  let best = first;
+  for (let k = first; k < Math.min(best + count, track.count); k++) if (rank(k) > rank(best)) best = k;
+  return best;
+}
