@@ -169,3 +169,50 @@ class TestTimeline:
     def test_the_frame_under_the_mouse_stays_there_while_zooming(self):
         start, end = asked_of_node(self.SPAN, "zoomedAt", "zoomedAt({ from: 0, to: 100 }, 25, 0.5, 100)")
         assert (start, end) == (12.5, 62.5)
+
+
+@needs_node
+class TestOverlay:
+    LANDMARKS, PLACES = (BROWSER / "overlay" / name for name in ("landmarks.js", "places.js"))
+    READ = (
+        "(() => { const landmarks = makeLandmarks(() => {});"
+        " const rows = [[10, 10, 14, 10], [50, 10, NaN, NaN]].flatMap((row) => [...row, 3, 4, 1, 1]);"
+        " landmarks.read(new Float32Array(rows).buffer); return landmarks; })()"
+    )
+
+    def test_the_nearest_shown_landmark_within_reach_is_hit(self):
+        ask = f"""(landmarks => [[11, 10], [14, 11], [30, 10], [49, 16]].map((place) =>
+            ["observed", "model"].map((name) => hit(landmarks, (x, y) => [x, y], place, {{ [name]: true }})))
+        )({self.READ})"""
+        found = asked_of_node(self.LANDMARKS, "makeLandmarks, hit", ask)
+        assert found == [[0, 0], [0, 0], [-1, -1], [1, -1]]
+
+    def test_a_moved_landmark_stands_where_it_was_put_until_it_comes_back(self):
+        ask = f"""(landmarks => {{
+            landmarks.hold(0, 20, 30);
+            const held = landmarks.observed(0), others = [landmarks.observed(1), landmarks.detected(0)];
+            landmarks.release(0);
+            return [held, ...others, landmarks.observed(0)];
+        }})({self.READ})"""
+        found = asked_of_node(self.LANDMARKS, "makeLandmarks", ask)
+        assert found == [[20, 30], [50, 10], [10, 10], [10, 10]]
+
+    def test_a_lasso_holds_what_lies_inside_even_if_it_is_bent(self):
+        bent = "[[0, 0], [10, 0], [10, 10], [5, 2], [0, 10]]"
+        ask = f"[[2, 5], [5, 8], [8, 5], [11, 1]].map((place) => insidePolygon(place, {bent}))"
+        assert asked_of_node(self.LANDMARKS, "insidePolygon", ask) == [True, False, True, False]
+
+    def test_a_fitted_box_fills_the_stage_and_stands_in_its_middle(self):
+        found = asked_of_node(self.PLACES, "fitted, wholeBox", "fitted(wholeBox([640, 480]), [1280, 1000])")
+        assert found == {"scale": 2, "x": 1, "y": 21}
+
+    def test_zooming_keeps_the_place_under_the_pointer_and_stops_at_the_ends(self):
+        view = "Object.assign(makeView('whole'), { scale: 2, x: 10, y: 20 })"
+        ask = f"""(view => {{
+            const place = [110, 220], before = view.toPicture(...place);
+            const far = [1e6, 1e-6].map((factor) => zoomedAt(view, place, factor, [640, 480], [640, 480]).scale);
+            Object.assign(view, zoomedAt(view, place, 1.5, [640, 480], [640, 480]));
+            return [before, view.toPicture(...place), view.scale, ...far];
+        }})({view})"""
+        found = asked_of_node(self.PLACES, "makeView, zoomedAt", ask)
+        assert found == [[50, 100], [50, 100], 3, 60, 0.5]

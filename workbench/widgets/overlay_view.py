@@ -5,7 +5,6 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import anywidget
 import cv2
@@ -16,7 +15,7 @@ from jaxtyping import Float, Num, Shaped, UInt8
 from workbench.errors import InputError, WorkbenchError
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT, POINT_NAMES, POLYLINES, check_68
 from workbench.pictures.overlay import WORST_PERCENT, residual_colors
-from workbench.widgets.browser_program import BROWSER
+from workbench.widgets.browser_program import BROWSER, browser_program
 
 JPEG_QUALITY = 88
 LARGEST_SIDE = 2560
@@ -150,7 +149,7 @@ class OverlayView(anywidget.AnyWidget):
     the callbacks of `on_event`. Setters may be called from any thread; arrays that are set are not kept.
     """
 
-    _esm = Path(__file__).with_name("overlay_view.js")
+    _esm = browser_program("overlay/view.js")
     _css = BROWSER / "overlay" / "view.css"
 
     layers = traitlets.Dict(key_trait=traitlets.Enum(tuple(LAYERS)), value_trait=traitlets.Bool()).tag(sync=True)

@@ -1,0 +1,139 @@
+import { clamp } from "../shared/numbers.js";
+import { indices } from "./landmarks.js";
+
+export const INK = "rgba(16, 18, 22, 0.75)", WHITE = "#ffffff", GREY = "#b4b8bf", CHOSEN = "#ff6ec7";
+const SUBSET = "#7fe3ff", LINE = "rgba(150, 220, 235, 0.6)", WIRE = "rgba(210, 240, 245, 0.3)";
+
+export function outline(context, color, width) {
+  context.strokeStyle = INK;
+  context.lineWidth = width + Math.min(1.6, 0.6 + 0.6 * width);
+  context.stroke();
+  context.strokeStyle = color;
+  context.lineWidth = width;
+  context.stroke();
+}
+
+export function paintWire(context, wire, toScreen) {
+  context.beginPath();
+  for (let k = 0; k < wire.length; k += 4) {
+    context.moveTo(...toScreen(wire[k], wire[k + 1]));
+    context.lineTo(...toScreen(wire[k + 2], wire[k + 3]));
+  }
+  context.strokeStyle = WIRE;
+  context.lineWidth = 0.8;
+  context.stroke();
+}
+
+export function paintLasso(context, path) {
+  context.beginPath();
+  path.forEach(([x, y]) => context.lineTo(x, y));
+  context.closePath();
+  context.fillStyle = "rgba(255, 110, 199, 0.15)";
+  context.fill();
+  outline(context, CHOSEN, 1.5);
+}
+
+// The landmarks of a fit. `look`: {layer, colors, limit, lines, chosen, subset, hovered}, as view.js puts it together.
+export function paintLandmarks(context, landmarks, view, look) {
+  const { layer } = look, { observed } = landmarks, { toScreen } = view;
+  // Marks grow gently with the face on the screen, here measured between the outer corners of the eyes.
+  const eyes = view.scale * Math.hypot(observed(36)[0] - observed(45)[0], observed(36)[1] - observed(45)[1]);
+  const unit = clamp(Math.pow((eyes || 80) / 110, 0.45), 0.55, 2.2), all = indices(landmarks);
+  const pen = { context, landmarks, toScreen, unit, circle: circleOf(context, toScreen) };
+  pen.colorOf = (i) => {
+    const share = Number.isFinite(landmarks.value(i)) ? landmarks.value(i) / look.limit : 1;
+    return look.colors[Math.round(255 * clamp(share, 0, 1))];
+  };
+  if (layer("lines")) paintLines(pen, look.lines);
+  paintRings(pen, look.subset, 6.5 * unit + 1);
+  if (layer("residuals")) all.filter(landmarks.weight).forEach((i) => paintResidual(pen, i));
+  if (layer("observed")) all.forEach((i) => paintDetection(pen, i));
+  if (layer("model")) all.forEach((i) => paintProjection(pen, i));
+  for (const i of look.chosen) {
+    pen.circle(observed(i), 6.0 * unit);
+    outline(context, CHOSEN, 1.8);
+  }
+  if (look.hovered >= 0) {
+    pen.circle(observed(look.hovered), 8.0 * unit);
+    outline(context, WHITE, 1);
+  }
+  paintLabels(pen, look.chosen, layer("labels") ? all : []);
+}
+
+const circleOf = (context, toScreen) => ([x, y], radius) => {
+  const [sx, sy] = toScreen(x, y);
+  context.beginPath();
+  context.arc(sx, sy, radius, 0, 2 * Math.PI);
+};
+
+function paintLines({ context, landmarks, toScreen, unit }, lines) {
+  context.strokeStyle = LINE;
+  context.lineWidth = 1.3 * unit;
+  for (const line of lines) {
+    context.beginPath();
+    line.forEach((i) => context.lineTo(...toScreen(...landmarks.projected(i))));
+    context.stroke();
+  }
+}
+
+function paintRings({ context, landmarks, circle }, points, radius) {
+  for (const i of points) {
+    circle(landmarks.observed(i), radius);
+    context.strokeStyle = SUBSET;
+    context.lineWidth = 1.2;
+    context.stroke();
+  }
+}
+
+function paintResidual({ context, landmarks, toScreen, unit, colorOf }, i) {
+  context.beginPath();
+  context.moveTo(...toScreen(...landmarks.observed(i)));
+  context.lineTo(...toScreen(...landmarks.projected(i)));
+  outline(context, colorOf(i), 1.7 * unit);
+}
+
+// A ring, small where the detector guessed, crossed where it is muted.
+function paintDetection({ context, landmarks, toScreen, unit, circle }, i) {
+  const guessed = landmarks.confidence(i) < 0.5, mute = !landmarks.weight(i), radius = (guessed ? 2.2 : 3.6) * unit;
+  circle(landmarks.observed(i), radius);
+  outline(context, mute ? GREY : WHITE, unit);
+  if (!mute) return;
+  const [x, y] = toScreen(...landmarks.observed(i)), arm = radius * 1.1;
+  context.beginPath();
+  context.moveTo(x - arm, y - arm), context.lineTo(x + arm, y + arm);
+  context.moveTo(x - arm, y + arm), context.lineTo(x + arm, y - arm);
+  outline(context, GREY, unit);
+}
+
+function paintProjection({ context, landmarks, unit, circle, colorOf }, i) {
+  circle(landmarks.projected(i), 2.0 * unit);
+  if (!landmarks.weight(i)) return outline(context, GREY, 0.8 * unit);
+  context.fillStyle = colorOf(i);
+  context.strokeStyle = INK;
+  context.lineWidth = 0.9 * unit;
+  context.fill();
+  context.stroke();
+}
+
+// Numbers stand on the outer side of their landmark. One that would cover another is left out until zooming in
+// makes room; those of selected landmarks come first.
+function paintLabels({ context, landmarks, toScreen, unit }, chosen, all) {
+  const { observed } = landmarks, size = clamp(Math.round(10 * unit), 10, 13), taken = [];
+  const middle = [observed(30), observed(51)].map((spot) => toScreen(...spot)); // nose tip and upper lip
+  context.font = `${size}px system-ui, sans-serif`;
+  context.textBaseline = "middle";
+  context.textAlign = "center";
+  for (const i of [...chosen, ...all.filter((i) => !chosen.has(i))]) {
+    const [x, y] = toScreen(...observed(i)), [mx, my] = i < 48 ? middle[0] : middle[1];
+    const away = Math.hypot(x - mx, y - my), far = 6 * unit + 8;
+    const [dx, dy] = away > 1 ? [(x - mx) / away, (y - my) / away] : [0.7, -0.7];
+    const [left, top] = [x + far * dx, y + far * dy];
+    if (taken.some(([a, b]) => Math.abs(a - left) < 1.25 * size && Math.abs(b - top) < 0.95 * size)) continue;
+    taken.push([left, top]);
+    context.strokeStyle = INK;
+    context.lineWidth = 3;
+    context.strokeText(i, left, top);
+    context.fillStyle = chosen.has(i) ? CHOSEN : WHITE;
+    context.fillText(i, left, top);
+  }
+}

@@ -1,0 +1,47 @@
+import { bytesOf } from "../shared/bytes.js";
+import { cleared } from "../shared/canvas.js";
+
+// Decodes pictures one at a time; of those that come meanwhile only the newest is decoded. `image()` is the last one.
+export function makePicture(changed) {
+  let busy = false, next = null, image = null;
+  function done(decoded) {
+    image?.close();
+    image = decoded;
+    changed();
+  }
+  async function work(bytes) {
+    busy = true;
+    try {
+      done(bytes.byteLength ? await createImageBitmap(new Blob([bytes])) : null);
+    } catch {
+      done(null);
+    }
+    busy = false;
+    if (next) [bytes, next] = [next, null], work(bytes);
+  }
+  return {
+    push(view) {
+      const bytes = bytesOf(view);
+      if (busy) next = bytes;
+      else work(bytes);
+    },
+    busy: () => busy,
+    image: () => image,
+    close: () => image?.close(),
+  };
+}
+
+// Pictures over one another in the place of the first; `layers`: pairs of an image, or null, and its opacity.
+export function paintPictures(canvas, view, size, layers) {
+  const context = cleared(canvas);
+  if (!size[0]) return;
+  const box = [...view.toScreen(-0.5, -0.5), view.scale * size[0], view.scale * size[1]];
+  context.imageSmoothingQuality = "medium";
+  for (const [image, opacity] of layers) {
+    if (!image) continue;
+    // From six screen pixels a picture pixel on, the pixels themselves are what one wants to see.
+    context.imageSmoothingEnabled = (view.scale * size[0]) / image.width < 6;
+    context.globalAlpha = opacity;
+    context.drawImage(image, ...box);
+  }
+}

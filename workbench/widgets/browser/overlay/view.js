@@ -1,0 +1,179 @@
+// The frame with its landmarks: two stacked canvases, the picture below and the marks above it.
+import { bytesOf } from "../shared/bytes.js";
+import { cleared } from "../shared/canvas.js";
+import { cssColors } from "../shared/colors.js";
+import { follow, followSize } from "../shared/following.js";
+import { onDemand } from "../shared/painting.js";
+import { hasWebGL } from "../shared/webgl.js";
+import { listenToKeys } from "./keys.js";
+import { indices, makeLandmarks } from "./landmarks.js";
+import { paintLandmarks, paintLasso, paintWire } from "./marks.js";
+import { makePicture, paintPictures } from "./pictures.js";
+import { faceBox, fitted, makeView, wholeBox, zoomedAt } from "./places.js";
+import { listenToPointer } from "./tools.js";
+import { factsOf, makePage, paintHover, paintWords } from "./words.js";
+
+const REDRAWN = ["layers", "layer_opacity", "unit", "selection", "subset", "tool", "message", "_scale"];
+
+// The state that is drawn: where the picture lies, landmarks, pictures, and what the pointer is about.
+function makeOverlay(model, el) {
+  const scheme = model.get("_scheme"), colors = cssColors(new Uint8Array(bytesOf(scheme.colors)));
+  const overlay = {
+    scheme, colors, page: makePage(el, colors), view: makeView(model.get("at_face") ? "face" : "whole"),
+    size: [0, 0], wire: null, hovered: -1, pointer: null, gesture: null,
+    layer: (name) => Boolean(model.get("layers")[name]),
+    draw: () => {},
+  };
+  const redraw = () => overlay.draw(true), { view } = overlay, { stage } = overlay.page;
+  const stageSize = () => [stage.clientWidth, stage.clientHeight];
+  overlay.landmarks = makeLandmarks(() => overlay.draw());
+  overlay.pictures = { picture: makePicture(redraw), layer: makePicture(redraw), heat: makePicture(redraw) };
+
+  overlay.place = () => {
+    const { landmarks, size } = overlay, face = view.mode === "face" && landmarks.found();
+    if (!size[0] || (view.mode === "free" && !face)) return;
+    // The places in the kernel: a landmark under the mouse must not move the view.
+    const box = face ? faceBox(indices(landmarks).map(landmarks.detected)) : wholeBox(size);
+    Object.assign(view, fitted(box, stageSize()));
+  };
+
+  overlay.zoom = (event, place) => {
+    event.preventDefault();
+    if (!overlay.size[0]) return;
+    const lines = event.deltaMode === 1 ? 16 : 1, factor = Math.exp(-0.0015 * lines * event.deltaY);
+    Object.assign(view, zoomedAt(view, place, factor, overlay.size, stageSize()), { mode: "free" });
+    redraw();
+  };
+  return overlay;
+}
+
+function makePainting(model, overlay) {
+  const { page, view, landmarks, pictures, scheme, layer } = overlay, { root, stage } = page;
+  let draws = 0;
+
+  function paintMarks() {
+    const context = cleared(page.marks), { wire, gesture } = overlay;
+    context.lineCap = context.lineJoin = "round";
+    if (wire && layer("wire")) paintWire(context, wire, view.toScreen);
+    if (landmarks.found()) {
+      paintLandmarks(context, landmarks, view, {
+        layer, colors: overlay.colors, limit: model.get("_scale"), lines: scheme.lines, hovered: overlay.hovered,
+        chosen: new Set(model.get("selection")), subset: model.get("subset"),
+      });
+    }
+    if (gesture?.kind === "lasso") paintLasso(context, gesture.path);
+  }
+
+  function paintTexts() {
+    const { hovered, gesture } = overlay, tool = model.get("tool"), unit = model.get("unit");
+    paintWords(page, {
+      tool, unit, limit: model.get("_scale"), legend: landmarks.found() && (layer("model") || layer("residuals")),
+      message: model.get("message") || (model.get("_no_face") ? "no face in this frame" : ""),
+    });
+    const idle = tool === "lasso" ? "crosshair" : hovered < 0 ? "grab" : "pointer";
+    stage.style.cursor = gesture?.kind === "pan" ? "grabbing" : idle;
+    page.hoverBox.hidden = hovered < 0 || hovered >= landmarks.count() || gesture !== null;
+    if (page.hoverBox.hidden) return;
+    const facts = factsOf(landmarks, hovered, scheme.groups[hovered], unit);
+    paintHover(page, `${hovered} · ${scheme.names[hovered]}`, facts, overlay.pointer);
+  }
+
+  function tellState(asked) {
+    root.dataset.draws = String(++draws);
+    root.dataset.state = JSON.stringify({
+      scale: view.scale, x: view.x, y: view.y, mode: view.mode, size: overlay.size, found: landmarks.found(),
+      hovered: overlay.hovered, scaleMax: model.get("_scale"), decoded: Boolean(pictures.picture.image()),
+      ms: performance.now() - asked,
+    });
+  }
+
+  return onDemand((all, asked) => {
+    if (!stage.clientWidth) return false; // in a hidden tab
+    // Landmarks wait for the picture that they belong to.
+    if (pictures.picture.busy() && pictures.picture.image()) return false;
+    if (all) {
+      const overlaid = [layer("layer") ? pictures.layer.image() : null, model.get("layer_opacity")];
+      const heat = [layer("heat") ? pictures.heat.image() : null, 1];
+      paintPictures(page.picture, view, overlay.size, [[pictures.picture.image(), 1], overlaid, heat]);
+    }
+    paintMarks();
+    paintTexts();
+    tellState(asked);
+    return true;
+  });
+}
+
+// The messages to Python.
+function makeSending(model, draw) {
+  const event = (kind, points, x = null, y = null) => model.send({ kind, points, x, y });
+  function selection(points, kind = "select") {
+    model.set("selection", points);
+    model.save_changes();
+    event(kind, points);
+    draw();
+  }
+  return { event, selection };
+}
+
+// What Python sends.
+function followModel(model, overlay, draw) {
+  const { view, landmarks, pictures, page } = overlay, redraw = () => draw(true);
+  let placedFor = "";
+
+  function onFit() {
+    landmarks.read(bytesOf(model.get("_fit")));
+    if (view.mode === "face" && !overlay.gesture) overlay.place();
+    draw(view.mode === "face");
+  }
+
+  function onPicture() {
+    overlay.size = model.get("_size");
+    pictures.picture.push(model.get("_picture"));
+    landmarks.releaseAll(); // another frame
+    if (placedFor !== overlay.size.join()) {
+      placedFor = overlay.size.join();
+      view.mode = model.get("at_face") ? "face" : "whole";
+      overlay.place();
+    }
+    redraw();
+  }
+
+  function onWire() {
+    overlay.wire = new Float32Array(bytesOf(model.get("_wire")));
+    draw();
+  }
+
+  function onSize() {
+    page.stage.style.height = `${model.get("height_px")}px`;
+    overlay.place();
+    redraw();
+  }
+
+  const onLayer = () => pictures.layer.push(model.get("_layer")), onHeat = () => pictures.heat.push(model.get("_heat"));
+  const unfollow = follow(model, [
+    ["change:_picture", onPicture], ["change:_fits", onFit], ["change:_wire", onWire],
+    ["change:_layer", onLayer], ["change:_heat", onHeat], ["change:height_px", onSize],
+    ...REDRAWN.map((name) => ["change:" + name, redraw]),
+  ]);
+  const unfollowSize = followSize(page.stage, onSize);
+  for (const begin of [onSize, onPicture, onLayer, onHeat, onWire, onFit]) begin();
+  return [unfollow, unfollowSize];
+}
+
+function render({ model, el }) {
+  const overlay = makeOverlay(model, el), painting = makePainting(model, overlay);
+  const draw = (overlay.draw = painting.ask), send = makeSending(model, draw);
+  listenToPointer(overlay, model, send);
+  listenToKeys(overlay, model, send);
+  if (model.get("webgl") === null) {
+    model.set("webgl", hasWebGL());
+    model.save_changes();
+  }
+  const stops = [
+    ...followModel(model, overlay, draw), painting.stop,
+    ...Object.values(overlay.pictures).map((picture) => picture.close), () => overlay.page.root.remove(),
+  ];
+  return () => stops.forEach((stop) => stop());
+}
+
+export default { render };

@@ -1,0 +1,66 @@
+import { element } from "../shared/canvas.js";
+import { gradientOf } from "../shared/colors.js";
+import { clamp } from "../shared/numbers.js";
+
+const HELP = {
+  select: "scroll zoom · drag pan · double-click face · click select · M mute · ± weight",
+  lasso: "draw around landmarks · Ctrl adds · Shift+drag pans · M mute · ± weight",
+  move: "drag a ring · arrows nudge (Shift more) · R detector's place · scroll zoom",
+};
+const HELP_MORE = `Wheel: zoom. Drag on empty ground, with Shift, or with the middle or right button: pan.
+Double-click: the face or the whole picture. Click: select; Ctrl or Shift adds; Escape: none.
+M: mute or unmute. + and −: double or halve the weight. R: back to the detector's place.
+Move tool: drag a ring, or arrow keys for 0.5 px (with Shift 5 px).`;
+
+export function makePage(el, colors) {
+  const root = element(el, "div", "fw-overlay"), stage = element(root, "div", "fw-stage");
+  const picture = element(stage, "canvas", "fw-picture"), marks = element(stage, "canvas", "fw-marks");
+  element(stage, "div", "fw-focus");
+  const legend = element(stage, "div", "fw-legend"), banner = element(stage, "div", "fw-message");
+  const hoverBox = element(stage, "div", "fw-hover"), help = element(root, "div", "fw-help");
+  const legendTitle = element(legend, "div", ""), bar = element(legend, "div", "fw-bar");
+  const numbers = element(legend, "div", "fw-numbers"), ends = [0, 1, 2].map(() => element(numbers, "span", ""));
+  bar.style.background = gradientOf(colors);
+  hoverBox.hidden = true;
+  hoverBox.setAttribute("role", "status");
+  help.title = HELP_MORE;
+  stage.tabIndex = 0;
+  stage.setAttribute("role", "application");
+  stage.setAttribute("aria-label", "Frame with landmarks. " + HELP_MORE);
+  root.dataset.lmSuppressShortcuts = "true"; // else JupyterLab takes M and R for itself
+  return { root, stage, picture, marks, legend, legendTitle, ends, banner, hoverBox, help };
+}
+
+// `said`: {limit, unit, message, tool, legend} as words and numbers.
+export function paintWords(page, said) {
+  page.legend.hidden = !said.legend || page.stage.clientWidth < 240;
+  page.legendTitle.textContent = "residual, " + said.unit;
+  [0, said.limit / 2, said.limit].forEach((number, k) => (page.ends[k].textContent = String(+number.toPrecision(3))));
+  page.ends[2].textContent += "+";
+  page.banner.textContent = said.message;
+  page.banner.hidden = !said.message;
+  page.help.textContent = HELP[said.tool];
+}
+
+export function short(value) {
+  return Number.isFinite(value) ? value.toFixed(value >= 100 ? 0 : value >= 10 ? 1 : 2) : "–";
+}
+
+// What there is to say about a landmark, a line each.
+export function factsOf(landmarks, i, group, unit) {
+  const pixels = `${short(landmarks.distance(i))} px`, residual = `${short(landmarks.value(i))} ${unit} (${pixels})`;
+  const weighs = landmarks.weight(i) ? `weight ${+landmarks.weight(i).toPrecision(3)}` : "muted";
+  return [
+    `group: ${group}`, `residual: ${unit === "px" ? pixels : residual}`,
+    `confidence ${landmarks.confidence(i).toFixed(2)} · ${weighs}`,
+  ];
+}
+
+export function paintHover({ stage, hoverBox }, titled, facts, [x, y]) {
+  const title = document.createElement("b");
+  title.textContent = titled;
+  hoverBox.replaceChildren(title, "\n" + facts.join("\n"));
+  const { offsetWidth: width, offsetHeight: height } = hoverBox;
+  hoverBox.style.left = `${x + 16 + width > stage.clientWidth ? Math.max(x - 16 - width, 2) : x + 16}px`;
+  hoverBox.style.top = `${clamp(y + 16, 2, Math.max(2, stage.clientHeight - height - 2))}px`;
+}
