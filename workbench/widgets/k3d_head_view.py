@@ -17,6 +17,7 @@ from workbench.pictures.background import SLATE
 from workbench.pictures.extras import GHOST_COLOR, SEGMENT_MM, outer_triangles
 from workbench.pictures.head_picture import bundled_texture, head_painter
 from workbench.pictures.mesh import neck_opacity, split_seams
+from workbench.widgets.browser_program import browser_program
 from workbench.widgets.head_view import (
     Legend,
     Number,
@@ -46,28 +47,12 @@ COLLAR_TILT, COLLAR_MM = 0.25, 600.0
 marks it goes from 0 to 1 over a length of more than a head: linear in every triangle, it makes the cut straight."""
 JPEG_QUALITY = 90
 NO_WEBGL_NOTE = "This browser shows no WebGL; choose the back end 'pictures' for the 3D view."
-PROBE = """
-function render({ model, el }) {
-  const canvas = document.createElement("canvas");
-  const context = canvas.getContext("webgl2");
-  if (!context) {
-    el.textContent = model.get("_note");
-    el.style.cssText = "font-size:12px; color:var(--jp-error-color1, #b3261e)";
-  } else {
-    const lose = context.getExtension("WEBGL_lose_context");
-    if (lose) lose.loseContext(); // a browser keeps only some 16 of them
-  }
-  model.set("_missing", !context);
-  model.save_changes();
-}
-export default { render };
-"""
 
 
 class WebGLProbe(anywidget.AnyWidget):
     """Nothing to see, unless the browser lacks WebGL."""
 
-    _esm = PROBE
+    _esm = browser_program("head/probe.js")
     _note = traitlets.Unicode(NO_WEBGL_NOTE).tag(sync=True)
     _missing = traitlets.Bool(False).tag(sync=True)
 

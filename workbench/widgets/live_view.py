@@ -5,7 +5,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import anywidget
 import cv2
@@ -20,6 +19,7 @@ from workbench.pictures.head_picture import bundled_texture, portrait_view
 from workbench.pictures.mesh import split_seams
 from workbench.session.live_frame import LIVE_SIZE, Deliver, LiveFrame, Trouble
 from workbench.tracking import FrameFit
+from workbench.widgets.browser_program import BROWSER, browser_program
 from workbench.widgets.k3d_head_view import collar_opacity
 from workbench.widgets.overlay_view import color_table
 
@@ -64,8 +64,8 @@ class LiveView(anywidget.AnyWidget):
     has the camera: the one that answered first when it was called. Methods may be called from any thread.
     """
 
-    _esm = Path(__file__).with_name("live_view.js")
-    _css = Path(__file__).with_name("live_view.css")
+    _esm = browser_program("live/view.js")
+    _css = BROWSER / "live" / "view.css"
 
     running = traitlets.Bool(False).tag(sync=True)
     mirror = traitlets.Bool(True, help="show everything as in a mirror").tag(sync=True)

@@ -2,7 +2,6 @@
 
 import threading
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import anywidget
 import cv2
@@ -15,6 +14,7 @@ from workbench.errors import WorkbenchError
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.pictures.head_picture import head_painter
+from workbench.widgets.browser_program import browser_program
 from workbench.widgets.head_view import (
     Legend,
     Number,
@@ -36,7 +36,7 @@ IDLE_S = 30.0
 class PictureCanvas(anywidget.AnyWidget):
     """The canvas in the browser: the newest JPEG, and the number of the last mouse movement that is in it."""
 
-    _esm = Path(__file__).with_name("picture_head_view.js").read_text(encoding="utf-8")
+    _esm = browser_program("head/view.js")
     _jpeg = traitlets.Bytes().tag(sync=True)
     _done = traitlets.Int(0).tag(sync=True)
     _size = traitlets.List(traitlets.Int()).tag(sync=True)

@@ -1,0 +1,41 @@
+const ANSWER_MS = 600; // after this long without an answer the next movement is sent anyway
+const NOTHING = { turn: [0, 0], pan: [0, 0], zoom: 1, reset: false };
+
+// Two movements as one.
+export function joined(waiting, change) {
+  const add = (a, b) => (b ? [a[0] + b[0], a[1] + b[1]] : a);
+  if (change.reset) return { ...NOTHING, reset: true };
+  return {
+    turn: add(waiting.turn, change.turn), pan: add(waiting.pan, change.pan),
+    zoom: waiting.zoom * (change.zoom || 1), reset: waiting.reset,
+  };
+}
+
+// Sends movements. At most one is under way: the next one waits for its picture and takes along all that happened
+// meanwhile.
+export function makeMoves(model) {
+  let waiting = NOTHING, pending = false, timer = null;
+  let sent = Date.now(); // ascends over reloads of the page, and differs between two displays
+  function send() {
+    if (!pending || timer !== null) return;
+    sent += 1;
+    model.send({ kind: "move", number: sent, ...waiting });
+    [waiting, pending] = [NOTHING, false];
+    timer = setTimeout(answered, ANSWER_MS);
+  }
+  function answered() {
+    clearTimeout(timer);
+    timer = null;
+    send();
+  }
+  return {
+    move(change) {
+      [waiting, pending] = [joined(waiting, change), true];
+      send();
+    },
+    onDone() {
+      if (model.get("_done") >= sent) answered();
+    },
+    stop: () => clearTimeout(timer),
+  };
+}

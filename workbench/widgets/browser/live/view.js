@@ -1,0 +1,184 @@
+// The browser's part of a live panel: its camera, the picture with the landmarks, and the avatar in WebGL.
+// One object per widget and page holds the camera; each place where the widget is displayed has its own drawings.
+import { bytesOf } from "../shared/bytes.js";
+import { follow, listen } from "../shared/following.js";
+import { onDemand } from "../shared/painting.js";
+import { makeCamera } from "./camera.js";
+import { makeDisplay } from "./display.js";
+import { readFit } from "./fit.js";
+import { makeHead } from "./head.js";
+
+const KEPT = 6; // frames that wait for their fit
+const SLOW_MS = 3000, SILENT_MS = 60000; // without an answer from the kernel
+const LOOK_MS = 500, BEAT_MS = 10000; // between looking for its silence, and between signs of life to it
+const GONE_MS = 1500; // a display that is moved within a notebook vanishes for a moment
+const LOG = 2000; // frames whose times are kept for whoever measures
+
+// The state of a widget in a page; `tell` sends a message to Python, which knows the page by its name.
+function makeLive() {
+  const live = {
+    page: Math.random().toString(36).slice(2), model: null, mesh: null, head: null, displays: new Set(),
+    waiting: new Map(), // frames by number, until their fit comes
+    log: [], // {number, grabbed, drawn} of the newest frames
+    current: null, shown: null, // the fit that is drawn, and what the next message says of it
+    sentAt: 0, heardAt: 0, slow: false, leaving: 0,
+  };
+  live.tell = (content, buffers = []) => {
+    try {
+      live.model.send({ ...content, page: live.page }, undefined, buffers);
+    } catch {
+      live.camera.close(); // the connection is gone, and with it whoever could ask for that
+    }
+  };
+  live.write = (fit) => live.displays.forEach((display) => display.write(fit, live.log));
+  live.camera = makeCamera(
+    (grab, bytes) => sendFrame(live, grab, bytes),
+    (why, detail = "") => live.tell({ kind: "trouble", why, detail }),
+  );
+  Object.assign(live, makeDrawing(live));
+  return live;
+}
+
+function sendFrame(live, grab, bytes) {
+  const { waiting } = live;
+  waiting.set(grab.number, grab);
+  while (waiting.size > KEPT) waiting.delete(waiting.keys().next().value);
+  live.sentAt = performance.now();
+  live.tell({ kind: "frame", number: grab.number, time: grab.grabbed, shown: live.shown }, [bytes]);
+  live.shown = null;
+}
+
+// A fit with its picture: the one that comes along, or the one that waited here.
+async function withPicture(live, fit, jpeg, arrived) {
+  const grab = live.waiting.get(fit.number);
+  if (jpeg) {
+    const picture = await createImageBitmap(new Blob([bytesOf(jpeg)], { type: "image/jpeg" })).catch(() => null);
+    Object.assign(fit, { picture, since: arrived, fromKernel: true });
+  } else if (grab) {
+    Object.assign(fit, { picture: grab.picture, since: grab.grabbed, fromKernel: false });
+    for (const number of live.waiting.keys()) if (number <= fit.number) live.waiting.delete(number);
+  }
+  return fit;
+}
+
+// Draws fits in all displays; of those that come between two drawings only the newest.
+function makeDrawing(live) {
+  let queued = null;
+  const painting = onDemand(() => {
+    const fit = queued;
+    queued = null;
+    if (fit) {
+      live.current?.picture?.close?.();
+      live.current = fit;
+      if (fit.found) live.head.move(fit.weights);
+    }
+    for (const display of live.displays) display.paint(live.current);
+    // The drawing counts as seen when the browser asks for the next one.
+    if (fit) requestAnimationFrame(() => onShown(fit));
+    return true;
+  });
+
+  function onShown(fit) {
+    const drawn = performance.now(), seen = { number: fit.number, ms: drawn - fit.since };
+    live.log.push({ number: fit.number, grabbed: fit.since, drawn, found: fit.found });
+    if (live.log.length > LOG) live.log.shift();
+    if (fit.fromKernel) live.tell({ kind: "shown", ...seen });
+    else live.shown = seen; // travels with the next frame
+    live.write(fit);
+  }
+
+  const draw = () => painting.ask();
+  return { draw, show: (fit) => ((queued = fit), draw()), stopDrawing: painting.stop };
+}
+
+async function onMessage(live, content, buffers) {
+  const { camera, tell } = live, { kind } = content, arrived = performance.now();
+  live.heardAt = arrived;
+  if (kind === "call" && live.displays.size) tell({ kind: "here" });
+  if (kind === "open" && content.page === live.page) {
+    live.heardAt = live.sentAt = performance.now();
+    live.waiting.clear();
+    camera.open(content.size);
+  }
+  if (kind === "close" || (kind === "open" && content.page !== live.page)) camera.close();
+  if (kind === "skip" || kind === "fit") camera.release(content.number);
+  if (kind === "fit") {
+    live.show(await withPicture(live, readFit(content, buffers[0], live.mesh.shapes), buffers[1], arrived));
+  }
+}
+
+// Notices that the kernel is silent, and after long closes the camera.
+function onLook(live) {
+  if (!live.camera.isOpen()) return;
+  const silent = live.sentAt > live.heardAt ? performance.now() - live.heardAt : 0;
+  live.slow = silent > SLOW_MS;
+  if (silent > SILENT_MS) live.camera.close(), live.tell({ kind: "trouble", why: "silent" });
+  live.write(live.current);
+}
+
+function initialize(live, model) {
+  const { camera, tell } = live, mesh = model.get("_mesh"), head = makeHead(mesh);
+  Object.assign(live, { model, mesh, head });
+
+  function onPerson() {
+    head.setPerson(model.get("_person"));
+    head.move(live.current?.found ? live.current.weights : null);
+    live.draw();
+  }
+  function onRunning() {
+    if (!model.get("running")) camera.close();
+    live.write(live.current);
+  }
+  function onGone() {
+    camera.close();
+    if (live.displays.size || live.leaving) tell({ kind: "left" });
+  }
+
+  onPerson();
+  const stops = [
+    follow(model, [
+      ["msg:custom", (content, buffers) => onMessage(live, content, buffers)],
+      ["change:running", onRunning], ["change:_person", onPerson],
+      ["comm_live_update", () => camera.close()], // a kernel that has gone cannot ask for the camera's end
+    ]),
+    listen(window, { pagehide: onGone }), live.stopDrawing,
+  ];
+  const looks = setInterval(() => onLook(live), LOOK_MS);
+  const beats = setInterval(() => live.displays.size && tell({ kind: "beat" }), BEAT_MS);
+  return () => {
+    camera.close();
+    clearInterval(looks);
+    clearInterval(beats);
+    clearTimeout(live.leaving);
+    stops.forEach((stop) => stop());
+  };
+}
+
+function render(live, model, el) {
+  const { camera, displays, log, page } = live;
+  const display = makeDisplay(model, el, live.mesh, live.head, () => live.slow, live.draw);
+  display.root.live = { log, page, camera: camera.isOpen, unplug: camera.unplug }; // for whoever measures and tests
+  displays.add(display);
+  clearTimeout(live.leaving);
+  live.leaving = 0;
+  live.tell({ kind: "here" });
+  live.draw();
+  return () => {
+    displays.delete(display);
+    display.close();
+    if (displays.size) return;
+    live.leaving = setTimeout(() => {
+      live.leaving = 0;
+      camera.close();
+      live.tell({ kind: "left" });
+    }, GONE_MS);
+  };
+}
+
+export default () => {
+  const live = makeLive();
+  return {
+    initialize: ({ model }) => initialize(live, model),
+    render: ({ model, el }) => render(live, model, el),
+  };
+};
