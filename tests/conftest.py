@@ -9,6 +9,7 @@ from hypothesis import settings
 
 from tests import selection
 from tests.fuzzing import Tally
+from tests.memory import let_go_of_programs
 
 # Set before anything imports JAX; notebooks' kernels inherit it.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).resolve().parent.parent / ".cache" / "jax"))
@@ -48,6 +49,14 @@ def pytest_itemcollected(item):
 
 def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: selection.turn(item.path))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item, nextitem):
+    result = yield
+    if nextitem is None or nextitem.path != item.path:
+        let_go_of_programs()
+    return result
 
 
 @pytest.hookimpl(optionalhook=True)
