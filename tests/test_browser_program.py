@@ -161,6 +161,11 @@ class TestTimeline:
         ask = f"[[0, 1], [1, 1], [4, 1], [4, -1], [1, -1]].map(([from, step]) => nextFlagged({track}, from, step))"
         assert asked_of_node(self.TRACK, "nextFlagged", ask) == [1, 4, 4, 1, 1]
 
+    def test_a_pixel_stands_for_the_worst_of_its_own_frames_or_a_flagged_one(self):
+        ask = """[[1, 2, 3, 9, 9], [5, 2, 3, 9, 9]].map((largest) =>
+            [4, 5].map((last) => worstOf({ count: 5, largest, marks: [4, 4, last, 4, 4] }, 0, 3)))"""
+        assert asked_of_node(self.TRACK, "worstOf", ask) == [[2, 2], [0, 2]]
+
     def test_a_zoomed_part_stays_within_the_track_and_keeps_some_frames(self):
         ask = "[zoomed(-5, 20, 100), zoomed(90, 120, 100), zoomed(50, 51, 100), zoomed(0, 1, 3)]"
         found = asked_of_node(self.SPAN, "zoomed", ask)

@@ -34,10 +34,10 @@ export function nextFlagged(track, from, step) {
   return column >= 0 && column < track.count ? column : from;
 }
 
-// Of about `count` frames from `first` on the one that colours their pixel: the worst, or a flagged one.
+// Of `count` frames from `first` on (a pixel may hold parts of some) the worst, or a flagged one.
 export function worstOf(track, first, count) {
   const rank = (k) => (track.largest[k] || 0) + (track.marks[k] & FLAGGED ? 1e6 : 0);
   let best = first;
-  for (let k = first; k < Math.min(best + count, track.count); k++) if (rank(k) > rank(best)) best = k;
+  for (let k = first; k < Math.min(first + count, track.count); k++) if (rank(k) > rank(best)) best = k;
   return best;
 }
