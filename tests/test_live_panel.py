@@ -14,7 +14,6 @@ from workbench.geometry import rotation_matrix
 from workbench.samples import sample
 from workbench.session.live_frame import FrameSource, LiveFrame
 from workbench.widgets import LivePanel
-from workbench.widgets.live_panel import free_folder
 from workbench.widgets.live_view import (
     MARK_COLUMNS,
     NUMBERS_BEFORE_WEIGHTS,
@@ -25,6 +24,7 @@ from workbench.widgets.live_view import (
     pack_fit,
     person_message,
 )
+from workbench.widgets.record_bar import free_folder
 
 
 @pytest.fixture(scope="module")

@@ -273,7 +273,7 @@ def test_a_stage_that_cannot_be_is_explained_and_put_back(panel):
 
 
 def test_stepping_shows_one_iteration_after_the_other(panel):
-    total = sum(panel._counts().values())
+    total = sum(panel._iterations.counts.values())
     panel.stages.step.click()
     panel.wait_idle()
     assert f"stopped after 0 of {total}" in panel.stages.place.value
@@ -426,7 +426,7 @@ def test_the_head_and_the_fits_do_not_wait_for_a_slow_layer_of_the_picture(panel
         go_on.wait(60)
         return np.zeros((4, 4, 4), np.uint8)
 
-    monkeypatch.setattr(panel.overlay, "_face", slow)
+    monkeypatch.setattr(panel.overlay._pictures, "_face", slow)
     panel.overlay.layers["layer"].value = False
     panel.overlay.layers["layer"].value = True
     assert begun.wait(60)
@@ -634,10 +634,10 @@ def test_a_diagnosis_is_shown_and_its_change_applied_and_taken_back(panel):
     assert "Frame 0" in panel.diagnosis.status.value
     assert "What each group pulls" in panel.diagnosis.tables.value
     before = panel.session.config
-    panel._on_apply(Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}}))
+    panel._diagnosing.apply(Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}}))
     assert panel.session.config.point_weights()[0] == 0.0
     assert panel.session.undo_label == "Mute the jaw"
-    panel._on_take_back()
+    panel._diagnosing.take_back()
     assert panel.session.config == before
 
 

@@ -38,6 +38,16 @@ class ClipViews:
         for chart in (self.pose, self.weights):
             chart.cursor = float(frame)
 
+    def in_view(self) -> tuple[int, int]:
+        """First and last frame that the strip shows; the whole clip before it is shown."""
+        first, last = self.timeline.in_view
+        return (first, last) if last > first else (0, len(self._session) - 1)
+
+    def next_flagged(self, frame: int) -> int:
+        """The next flagged frame, from the last one on the first; the frame itself where none is flagged."""
+        flagged = self.timeline.flagged
+        return next((other for other in flagged if other > frame), flagged[0] if flagged else frame)
+
     def show_stale(self) -> None:
         """Mark the frames whose fits belong to another configuration."""
         run = self._session.run

@@ -230,3 +230,13 @@ def small_button(text: str, tip: str, style: str = "") -> widgets.Button:
     """A button as wide as its text; `style` is one of ipywidgets' `button_style`."""
     layout = widgets.Layout(width="auto", flex="0 0 auto")
     return widgets.Button(description=text, tooltip=tip, button_style=style, layout=layout)
+
+
+def menu(
+    options: Sequence[str] | Mapping[str, str], width: str, tip: str, value: str | None = None
+) -> widgets.Dropdown:
+    """A menu of a fixed width; it stands at the first option unless told another."""
+    chosen = {} if value is None else {"value": value}
+    return widgets.Dropdown(
+        options=options, tooltip=tip, layout=widgets.Layout(width=width, flex="0 0 auto"), **chosen
+    )  # fmt: skip

@@ -89,6 +89,11 @@ class HeadColumn:
         self._mark(fit)
         self._ghost(fit)
 
+    def show_webgl(self, there: bool | None) -> None:
+        """Draw in the kernel where the browser has no WebGL; None: it has not told yet."""
+        if there is False and self.view.note is None:
+            self.use_pictures("This browser has no WebGL: the head comes as pictures from the kernel.")
+
     def use_pictures(self, why: str) -> None:
         """Change to the back end that needs no WebGL in the browser."""
         old, self.view = self.view, make_head_view(self._head.model, self._size, "pictures")

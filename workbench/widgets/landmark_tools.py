@@ -6,20 +6,29 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.errors import WorkbenchError
-from workbench.landmarks.network_detector import NetworkDetector, NetworkLook
 from workbench.landmarks.scheme import GROUPS
-from workbench.pictures import HeadRenderer, gl_available
-from workbench.pictures.heat import heat_layer
 from workbench.session import FittedHead, TuningSession
 from workbench.session.gesture import Gesture
 from workbench.tracking import FrameFit
 from workbench.tracking.fitter import running_stages
 from workbench.widgets.controls import small_button
-from workbench.widgets.latest import LatestWins
 from workbench.widgets.overlay_view import OverlayEvent, OverlayView
+from workbench.widgets.picture_layers import PictureLayers
 
 UNITS = {"%": "% of eye distance", "px": "px"}
 WEIGHT_STEP = 2.0
+LAYERS = {
+    "lines": ("lines", "connect the model's landmarks"),
+    "labels": ("123", "landmark numbers"),
+    "wire": ("mesh", "wireframe of the fitted head"),
+    "layer": ("face", "the fitted head over the photo"),
+    "heat": (
+        "heat",
+        "what our landmark network sees: its crop, and where it takes the selected landmarks to be (all, if none is "
+        "selected)",
+    ),
+}
+"""What can be drawn besides landmarks and residuals: text and tooltip of its button."""
 
 
 class LandmarkTools:
@@ -30,79 +39,15 @@ class LandmarkTools:
         redraw: Callable[[], None],
     ) -> None:  # fmt: skip
         self._session, self._head, self._said, self._redraw = session, head, said, redraw
-        self._renderer: HeadRenderer | None = None
-        self._network: NetworkDetector | None = None
-        self._seen: tuple[bytes, NetworkLook] | None = None
         self.frame = 0
         self._drags, self._dragging = 0, False
-        # The first picture of the face, and of the network's view, takes many seconds; fits do not wait for it.
-        self._worker: LatestWins[FrameFit] = LatestWins(self._draw, self._failed, "panel-layers")
         self.view = OverlayView(height_px=height_px, unit=UNITS["%"], at_face=True)
         self.view.on_event(self._on_event)
-        self.tool = widgets.ToggleButtons(
-            options=[("select", "select"), ("lasso", "lasso"), ("move", "move")], style={"button_width": "auto"},
-            tooltips=["click landmarks; Ctrl adds", "draw around landmarks", "drag a wrong detection to its place"],
-        )  # fmt: skip
-        widgets.link((self.tool, "value"), (self.view, "tool"))
-        self.mute = small_button("mute", "mute or unmute the selected landmarks (m)")
-        self.up, self.down = small_button("×2", "double their weight (+)"), small_button("÷2", "halve their weight (−)")
-        self.back = small_button("⟲", "put back: give the selected detections their old places (r)")
-        for button, kind in (
-            (self.mute, "mute"), (self.up, "weight_up"), (self.down, "weight_down"), (self.back, "reset"),
-        ):  # fmt: skip
-            button.on_click(lambda _button, kind=kind: self._on_event(self._of_selection(kind)))
-        self.group = widgets.Dropdown(
-            options=self._groups(), value="", tooltip="select a group or a saved subset",
-            layout=widgets.Layout(width="84px"),
-        )  # fmt: skip
-        self.group.observe(self._on_group, "value")
-        self.name = widgets.Text(placeholder="name", tooltip="name of a subset", layout=widgets.Layout(width="76px"))
-        self.save = small_button("save", "save the selection under this name, for stages and weights")
-        self.save.on_click(lambda _button: self._save())
-        self.layers = {
-            name: widgets.ToggleButton(
-                value=shown, description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto")
-            )
-            for name, shown, text, tip in (
-                ("lines", False, "lines", "connect the model's landmarks"),
-                ("labels", False, "123", "landmark numbers"),
-                ("wire", False, "mesh", "wireframe of the fitted head"),
-                ("layer", False, "face", "the fitted head over the photo"),
-                (
-                    "heat",
-                    False,
-                    "heat",
-                    "what our landmark network sees: its crop, and where it takes the selected "
-                    "landmarks to be (all, if none is selected)",
-                ),
-            )
-        }
-        for toggle in self.layers.values():
-            toggle.observe(lambda _change: self._on_layers(), "value")
-        self.opacity = widgets.FloatSlider(
-            0.6, min=0.0, max=1.0, step=0.05, readout=False, tooltip="opacity of the face",
-            layout=widgets.Layout(width="42px"),
-        )  # fmt: skip
-        widgets.link((self.opacity, "value"), (self.view, "layer_opacity"))
-        self.unit = widgets.Dropdown(
-            options=list(UNITS), tooltip="unit of residuals: % of the outer-eye distance, or pixels",
-            layout=widgets.Layout(width="46px"),
-        )  # fmt: skip
-        self.unit.observe(self._on_unit, "value")
-        self.scale = widgets.BoundedFloatText(
-            0.0, min=0.0, max=1000.0, step=1.0, tooltip="end of the colour scale; 0 chooses it",
-            layout=widgets.Layout(width="42px"),
-        )  # fmt: skip
-        widgets.link((self.scale, "value"), (self.view, "scale_max"))
-        tools = widgets.HBox(
-            [self.tool, self.mute, self.up, self.down, self.back, self.group, self.name, self.save], layout=_wrapped()
-        )
-        self.working = widgets.Label()
-        more = widgets.HBox(
-            [*self.layers.values(), self.opacity, self.unit, self.scale, self.working], layout=_wrapped()
-        )
+        self._pictures = PictureLayers(session, head, self.view, said)
+        self.working = self._pictures.working
+        tools, shown = self._tools(), self._shown()
         self._on_layers()
-        self.widget = widgets.VBox([tools, self.view, more], layout=widgets.Layout(min_width="0"))
+        self.widget = widgets.VBox([tools, self.view, shown], layout=widgets.Layout(min_width="0"))
 
     def show_picture(self, frame: int) -> None:
         """Show a frame before there is a fit of it; layers of another frame go."""
@@ -125,12 +70,11 @@ class LandmarkTools:
         self.view.set_fit(fit.observed, fit.projected, values, fit.confidence, self._weights())
         if self.layers["wire"].value:
             self.view.set_wire(self._head.wire(fit))
-        if self.layers["layer"].value or self.layers["heat"].value:
-            self._worker.submit(fit)
+        self._pictures.show(fit)
 
     def wait_idle(self, timeout_s: float | int) -> bool:
         """Wait until the layers are drawn; False if that takes longer."""
-        return self._worker.wait_idle(timeout_s)
+        return self._pictures.wait_idle(timeout_s)
 
     def residuals(self, fit: FrameFit) -> np.ndarray:
         """Residuals in the chosen unit."""
@@ -143,30 +87,7 @@ class LandmarkTools:
 
     def close(self) -> None:
         """End the thread and the renderer of the face layer."""
-        self._worker.close()
-        self._close_renderer()
-
-    def _draw(self, fit: FrameFit) -> None:
-        try:
-            for name, what, make, set_layer in (
-                ("layer", "drawing the face …", self._face, self.view.set_layer),
-                ("heat", "looking through the network …", self._heat, self.view.set_heat),
-            ):
-                if self.layers[name].value:
-                    self.working.value = what
-                    picture = make(fit)
-                    if self._worker.newer():
-                        return
-                    set_layer(picture)
-        finally:
-            self.working.value = ""
-
-    def _failed(self, error: Exception) -> None:
-        self._said(str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}")
-
-    def _close_renderer(self) -> None:
-        if self._renderer is not None:
-            self._renderer.close()
+        self._pictures.close()
 
     def _frame_of(self, fit: FrameFit) -> int:
         return fit.index if len(self._session) > 1 else 0
@@ -177,27 +98,62 @@ class LandmarkTools:
         last = running_stages(config, start=False)[-1]
         return np.multiply(last.landmark_weights(config.subsets), config.point_weights())
 
-    def _face(self, fit: FrameFit) -> np.ndarray | None:
-        if not gl_available():
-            self._said("The face layer needs OpenGL; the mesh works without.")
-            return None
-        if self._renderer is None or self._renderer.size != fit.image_size:
-            self._close_renderer()
-            self._renderer = HeadRenderer(self._head.model, fit.image_size, supersampling=1.0)
-        picture, mask = self._renderer.render_with_mask(
-            self._head.vertices(fit), fit.camera, fit.rotation, fit.translation
-        )
-        return np.dstack([picture, mask])
+    # --- parts ---
 
-    def _heat(self, fit: FrameFit) -> np.ndarray | None:
-        picture, key = self._session.picture(self._frame_of(fit)), fit.observed.tobytes()
-        if not np.ptp(picture):
-            self.view.message = "no picture, no heat map"
-            return None
-        if self._seen is None or self._seen[0] != key:
-            self._network = self._network or NetworkDetector()
-            self._seen = key, self._network.look(picture, fit.observed)
-        return heat_layer(self._seen[1], tuple(self.view.selection))
+    def _tools(self) -> widgets.Widget:
+        """The bar above the picture: what is done with landmarks."""
+        self.tool = widgets.ToggleButtons(
+            options=[("select", "select"), ("lasso", "lasso"), ("move", "move")], style={"button_width": "auto"},
+            tooltips=["click landmarks; Ctrl adds", "draw around landmarks", "drag a wrong detection to its place"],
+        )  # fmt: skip
+        widgets.link((self.tool, "value"), (self.view, "tool"))
+        self.mute = small_button("mute", "mute or unmute the selected landmarks (m)")
+        self.up, self.down = small_button("×2", "double their weight (+)"), small_button("÷2", "halve their weight (−)")
+        self.back = small_button("⟲", "put back: give the selected detections their old places (r)")
+        for button, kind in (
+            (self.mute, "mute"), (self.up, "weight_up"), (self.down, "weight_down"), (self.back, "reset"),
+        ):  # fmt: skip
+            button.on_click(lambda _button, kind=kind: self._on_event(self._of_selection(kind)))
+        self.group = widgets.Dropdown(
+            options=self._groups(), value="", tooltip="select a group or a saved subset",
+            layout=widgets.Layout(width="84px"),
+        )  # fmt: skip
+        self.group.observe(self._on_group, "value")
+        self.name = widgets.Text(placeholder="name", tooltip="name of a subset", layout=widgets.Layout(width="76px"))
+        self.save = small_button("save", "save the selection under this name, for stages and weights")
+        self.save.on_click(lambda _button: self._save())
+        parts = [self.tool, self.mute, self.up, self.down, self.back, self.group, self.name, self.save]
+        return widgets.HBox(parts, layout=_wrapped())
+
+    def _shown(self) -> widgets.Widget:
+        """The bar below the picture: what is drawn over it."""
+        self.layers = {
+            name: widgets.ToggleButton(
+                value=False, description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto")
+            )
+            for name, (text, tip) in LAYERS.items()
+        }
+        for toggle in self.layers.values():
+            toggle.observe(lambda _change: self._on_layers(), "value")
+        self.opacity = widgets.FloatSlider(
+            0.6, min=0.0, max=1.0, step=0.05, readout=False, tooltip="opacity of the face",
+            layout=widgets.Layout(width="42px"),
+        )  # fmt: skip
+        widgets.link((self.opacity, "value"), (self.view, "layer_opacity"))
+        self.unit = widgets.Dropdown(
+            options=list(UNITS), tooltip="unit of residuals: % of the outer-eye distance, or pixels",
+            layout=widgets.Layout(width="46px"),
+        )  # fmt: skip
+        self.unit.observe(self._on_unit, "value")
+        self.scale = widgets.BoundedFloatText(
+            0.0, min=0.0, max=1000.0, step=1.0, tooltip="end of the colour scale; 0 chooses it",
+            layout=widgets.Layout(width="42px"),
+        )  # fmt: skip
+        widgets.link((self.scale, "value"), (self.view, "scale_max"))
+        parts = [*self.layers.values(), self.opacity, self.unit, self.scale, self.working]
+        return widgets.HBox(parts, layout=_wrapped())
+
+    # --- what the user does ---
 
     def _of_selection(self, kind: str) -> OverlayEvent:
         return OverlayEvent(kind, tuple(self.view.selection), None, None)

@@ -1,0 +1,114 @@
+"""Going through a clip and fitting the whole of it, after each change or when asked for."""
+
+from collections.abc import Callable
+
+import ipywidgets as widgets
+
+from workbench.session import TuningSession
+from workbench.widgets.clip_views import ClipViews
+from workbench.widgets.controls import small_button
+from workbench.widgets.latest import LatestWins
+
+SETTLED_S = 0.3
+"""Quiet time after the last change before the whole clip, or an exact identity, is fitted."""
+LIVE_CLIP_FRAMES = 1500
+"""Clips up to this length are re-fitted after each change unless the user switches that off."""
+
+
+class ClipBar:
+    """Buttons over a clip, and the thread in which it is fitted; of requests the newest counts.
+
+    `step` is called with -1, 1 or, for the next flagged frame, 0; `refit` when the fit of the shown frame is out of
+    date and `settled` when there is nothing to run; `failed` with errors.
+    """
+
+    def __init__(
+        self,
+        session: TuningSession,
+        views: ClipViews,
+        step: Callable[[int], None],
+        refit: Callable[[], None],
+        settled: Callable[[], None],
+        failed: Callable[[Exception], None],
+    ) -> None:
+        self._session, self._views, self._refit, self._settled = session, views, refit, settled
+        self._worker: LatestWins[str] = LatestWins(self._work, failed, "panel-clip")
+        self.step_buttons = [
+            small_button("◀", "frame before"),
+            small_button("▶", "next frame"),
+            small_button("⚑", "next flagged frame"),
+        ]
+        for button, by in zip(self.step_buttons, (-1, 1, 0), strict=True):
+            button.on_click(lambda _button, by=by: step(by))
+        self.run_clip = small_button("▶ run clip" if self.is_clip else "▶ run", "fit all frames")
+        self.run_clip.on_click(lambda _button: self._worker.submit("run"))
+        self.follow = widgets.ToggleButton(
+            value=len(session) <= LIVE_CLIP_FRAMES, description="live",
+            layout=widgets.Layout(width="auto", flex="0 0 auto"),
+            tooltip="fit the whole clip again after each change",
+        )  # fmt: skip
+        self.cancel = small_button("cancel", "stop the run or the export; the last whole run stays")
+        self.cancel.on_click(lambda _button: self._worker.submit("cancel"))
+        self.progress = widgets.IntProgress(0, max=len(session), layout=widgets.Layout(width="120px"))
+        self.hide_progress()
+        shown = (*self.step_buttons, self.run_clip, self.follow, self.cancel, self.progress)
+        self.widgets = shown if self.is_clip else ()
+
+    @property
+    def is_clip(self) -> bool:
+        """Whether there is more than one frame."""
+        return len(self._session) > 1
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether a clip is only run when asked for: Deep Energies takes seconds per frame."""
+        return self.is_clip and self._session.config.system == "deep-energies"
+
+    def begin(self) -> None:
+        """The first run, where it is quick."""
+        self._worker.submit("settle" if self.is_slow else "run")
+
+    def settle(self) -> None:
+        """The configuration has changed: run the clip after a pause, where that is wanted."""
+        self._worker.submit("settle")
+
+    def wait_idle(self, timeout_s: float | int) -> bool:
+        """Wait until nothing runs; False if that takes longer."""
+        return self._worker.wait_idle(timeout_s)
+
+    def close(self) -> None:
+        """End the run and the thread."""
+        self._worker.close()
+
+    def hide_progress(self) -> None:
+        """Nothing is under way."""
+        self.progress.layout.visibility = "hidden"
+
+    def _work(self, wanted: str) -> None:
+        if wanted == "run" or (wanted == "settle" and not self._worker.wait_newer(SETTLED_S) and self._is_due()):
+            self._run()
+
+    def _is_due(self) -> bool:
+        """Whether the clip is run now; if not, what is out of date is shown."""
+        if not self.is_clip:  # the fit that is shown is the whole run
+            self._settled()
+            return False
+        stale = self._session.stale.any()  # not if infill or refinement was changed: the fits are what they were
+        if stale and self.follow.value and not self.is_slow:
+            return True
+        if stale:
+            self._refit()
+        self._views.show_stale()
+        self._settled()
+        return False
+
+    def _run(self) -> None:
+        self.progress.value, self.progress.layout.visibility = 0, "visible"
+        shown = max(len(self._session) // 20, 1)
+
+        def progress(_step: str, done: int, _total: int | None) -> None:
+            if done % shown == 0:
+                self.progress.value = done
+
+        self._session.fit_clip(progress, cancelled=self._worker.newer)
+        self.hide_progress()

@@ -1,0 +1,77 @@
+"""Export of the configuration: its file, what to do where a file is there already, and what was written."""
+
+import html
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import ipywidgets as widgets
+
+from workbench.errors import WorkbenchError
+from workbench.session import TuningSession
+from workbench.session.exports import exported_for, free_file
+from workbench.widgets.controls import small_button
+
+
+class ExportBar:
+    """The file's name, buttons and a line of text; `later` is called with slow jobs."""
+
+    def __init__(self, session: TuningSession, later: Callable[[Callable[[], None]], None]) -> None:
+        self._session = session
+        self._stop = threading.Event()
+        self._taken = Path()
+        self.file = widgets.Text(
+            "tuned.toml", tooltip="file of the configuration", continuous_update=False,
+            layout=widgets.Layout(width="150px"),
+        )  # fmt: skip
+        self.export = small_button("export", "write the configuration with its provenance")
+        self.export.on_click(lambda _button: later(self._on_export))
+        self.overwrite = small_button("overwrite", "write over the file that is there")
+        self.overwrite.layout.display = "none"
+        self.overwrite.on_click(lambda _button: later(self._on_overwrite))
+        self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
+        self.widgets = (self.file, self.export, self.overwrite, self.exported)
+
+    def stop(self) -> None:
+        """Stop an export that is under way."""
+        self._stop.set()
+
+    def _on_export(self) -> None:
+        path = Path(self.file.value.strip() or "tuned.toml")
+        if path.suffix != ".toml":
+            path = path.with_name(path.name + ".toml")
+        if self._session.may_write(path):
+            self._write(path)
+        else:
+            self._offer(path)
+
+    def _offer(self, taken: Path) -> None:
+        """A choice between a free name, which stands in the field now, and the file that is there."""
+        free = free_file(taken.parent, self._session.material.name)
+        whose = exported_for(taken)
+        self._taken, self.file.value = taken, str(free)
+        self.overwrite.description, self.overwrite.layout.display = f"overwrite {taken.name}", None
+        self.exported.value = html.escape(
+            f"{taken.name} is there already{f', exported for {whose}' if whose else ''}: "
+            f"export again writes {free.name}."
+        )
+
+    def _on_overwrite(self) -> None:
+        self.file.value = str(self._taken)
+        self._write(self._taken)
+
+    def _write(self, path: Path) -> None:
+        self._stop.clear()
+        self.overwrite.layout.display = "none"
+
+        def progress(step: str, done: int, total: int | None) -> None:
+            if done % 10 == 0 or done == total:
+                self.exported.value = f"{step} {done} of {total} …"
+
+        try:
+            self._session.export(path, progress, self._stop.is_set, overwrite=True)
+        except WorkbenchError:
+            self.exported.value = ""
+            raise
+        command = html.escape(self._session.command(path))
+        self.exported.value = f"wrote {html.escape(str(path))}; the same numbers headless: <code>{command}</code>"

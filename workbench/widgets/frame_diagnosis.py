@@ -1,0 +1,57 @@
+"""Why the shown frame is bad, and how certain its fit is: asked of the session, shown in the panel."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from workbench.diagnosis import Change, vertex_uncertainty
+from workbench.errors import WorkbenchError
+from workbench.session import TuningSession
+from workbench.tracking import FrameFit
+from workbench.widgets.diagnosis_view import DiagnosisView
+from workbench.widgets.status_line import StatusLine
+
+
+class FrameDiagnosis:
+    """The page of the diagnosis (`view`) over a session.
+
+    `later` is called with slow jobs; `frame` gives the number of the shown frame.
+    """
+
+    def __init__(
+        self,
+        session: TuningSession,
+        status: StatusLine,
+        later: Callable[[Callable[[], None]], None],
+        frame: Callable[[], int],
+        height_px: int,
+    ) -> None:
+        self._session, self._status, self._later, self._frame = session, status, later, frame
+        self.view = DiagnosisView(self._on_ask, self.apply, self.take_back, height_px)
+
+    def apply(self, change: Change) -> None:
+        """Make the change that a reason asks for."""
+        self._status.guarded(self._session.apply, change, self._frame())
+
+    def take_back(self) -> None:
+        """Take the last change back."""
+        self._session.undo()
+
+    def uncertainty(self, fit: FrameFit) -> np.ndarray:
+        """Standard deviation of every vertex of a fit, mm."""
+        frame = fit.index if len(self._session) > 1 else 0
+        return vertex_uncertainty(self._session.model, self._session.diagnose(frame).uncertainty, fit)
+
+    def _on_ask(self) -> None:
+        self.view.clear(f"Looking at frame {self._frame()} …")
+        self._later(self._diagnose)
+
+    def _diagnose(self) -> None:
+        frame = self._frame()
+        try:
+            found = self._session.diagnose(frame)
+        except WorkbenchError as error:
+            self.view.clear(str(error))
+            return
+        if frame == self._frame():
+            self.view.show(frame, found)

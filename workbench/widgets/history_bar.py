@@ -1,0 +1,66 @@
+"""Undo and redo, presets and snapshots, and the status of the panel beside them."""
+
+import ipywidgets as widgets
+
+from workbench.config import PRESETS, preset
+from workbench.session import TuningSession
+from workbench.widgets.controls import small_button
+from workbench.widgets.status_line import StatusLine
+
+
+class HistoryBar:
+    """A line of controls over the history of a session; `status` stands at its end and tells what was refused."""
+
+    def __init__(self, session: TuningSession, status: StatusLine) -> None:
+        self._session, self._status = session, status
+        self.undo = small_button("↶ undo", "take back the last change")
+        self.redo = small_button("↷ redo", "make it again")
+        self.undo.on_click(lambda _button: session.undo())
+        self.redo.on_click(lambda _button: session.redo())
+        self.reset = widgets.Dropdown(
+            options=self._places(), value="", layout=widgets.Layout(width="88px"),
+            tooltip="go to a preset, the start or a snapshot; undo brings you back",
+        )  # fmt: skip
+        self.reset.observe(self._on_reset, "value")
+        self.name = widgets.Text(
+            placeholder="snapshot name", tooltip="name of a snapshot", layout=widgets.Layout(width="92px")
+        )
+        self.keep = small_button("keep", "keep the present configuration under this name")
+        self.keep.on_click(lambda _button: status.guarded(self._on_keep))
+        self.widget = widgets.HBox(
+            [self.undo, self.redo, self.reset, self.name, self.keep, status],
+            layout=widgets.Layout(align_items="center"),
+        )
+
+    def show(self) -> None:
+        """Follow the history: what can be taken back and made again."""
+        undo, redo = self._session.undo_label, self._session.redo_label
+        self.undo.disabled, self.redo.disabled = not undo, not redo
+        self.undo.tooltip = f"take back: {undo}" if undo else "nothing to undo"
+        self.redo.tooltip = f"make again: {redo}" if redo else "nothing to redo"
+
+    def show_snapshots(self) -> None:
+        """Follow the snapshots."""
+        self.reset.options = self._places()
+
+    def _on_reset(self, change) -> None:
+        if change["new"]:
+            kind, _, name = change["new"].partition(":")
+            self.reset.value = ""
+            if kind == "preset":
+                self._session.use(preset(name), f"preset {name}")
+            elif kind == "start":
+                self._session.use(self._session.base, "the start")
+            else:
+                self._status.guarded(self._session.restore_snapshot, name)
+
+    def _on_keep(self) -> None:
+        name = self.name.value.strip() or f"snapshot {len(self._session.snapshots) + 1}"
+        self._session.take_snapshot(name)
+        self.name.value = ""
+        self._status.say(f"Kept {name!r}: the menus go back to it and compare with it.")
+
+    def _places(self) -> list[tuple[str, str]]:
+        presets = [(f"preset {name}", f"preset:{name}") for name in PRESETS]
+        snapshots = [(f"snapshot {name}", f"snapshot:{name}") for name in self._session.snapshots]
+        return [("go to…", ""), ("the start", "start:"), *presets, *snapshots]

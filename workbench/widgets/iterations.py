@@ -1,0 +1,89 @@
+"""The iterations of the shown fit: energies of every one, what each stage did, and stepping through them."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from workbench.errors import WorkbenchError
+from workbench.session import TuningSession
+from workbench.tracking import FrameFit, StageTrace
+from workbench.widgets.chart_view import ChartView
+from workbench.widgets.stage_editor import StageEditor
+from workbench.widgets.status_line import StatusLine
+
+STATUS_NAMES = {-1: "", 1: "converged", 2: "limit", 3: "stalled", 4: "not finite"}
+
+
+class Iterations:
+    """The chart of energies and the table of stages; `refit` is called when the fit is to stop elsewhere.
+
+    `steps`: after how many iterations the fit stops; None: it runs to its end.
+    """
+
+    def __init__(self, session: TuningSession, status: StatusLine, refit: Callable[[], None], height_px: int) -> None:
+        self._session, self._status, self._refit = session, status, refit
+        self._traces: tuple[StageTrace, ...] = ()
+        self.steps: int | None = None
+        self.found = False
+        """Whether there is a fit to step through."""
+        self.energy = ChartView(height_px=height_px - 20, y_log=True, title="energy per term against iteration")
+        self.stages = StageEditor(self._on_stages, self._on_run, height_px)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Iterations of each stage."""
+        return {trace.stage: len(trace.energies) - 1 for trace in self._traces}
+
+    def show(self, fit: FrameFit, traces: tuple[StageTrace, ...], steps: int | None) -> None:
+        """Show the stages of a fit, of which `steps` iterations were made."""
+        self._traces = traces
+        self._show_energy(traces)
+        total = sum(self.counts.values())
+        place = f"stopped after {steps} of {total} iterations" if steps is not None else f"{total} iterations"
+        self.stages.show_results(stage_results(fit, traces), place)
+
+    def _show_energy(self, traces: tuple[StageTrace, ...]) -> None:
+        terms = self._session.terms
+        columns = {term: [] for term in terms}
+        for trace in traces:
+            for term, column in zip(terms, trace.energies.T, strict=True):
+                columns[term].append(column)
+        lengths = [len(trace.energies) for trace in traces]
+        marks = [(sum(lengths[:k]), trace.stage) for k, trace in enumerate(traces)]
+        joined = {term: np.concatenate(parts) for term, parts in columns.items()}
+        seen = {"total": sum(joined.values())} | {term: values for term, values in joined.items() if values.any()}
+        x = np.arange(sum(lengths), dtype=float)
+        self.energy.set_series(x, seen, marks=marks, x_label="iteration", y_label="energy")
+
+    def _on_stages(self, stages: list[dict], label: str) -> None:
+        try:
+            self._session.set(label, stages=stages)
+        except WorkbenchError as error:
+            self._status.failed(error)
+            self.stages.show(self._session.config)
+
+    def _on_run(self, what: str, number: int) -> None:
+        if not self.found:
+            return
+        counts = self.counts
+        total = sum(counts.values())
+        if what == "all":
+            self.steps = None
+        elif what == "here":
+            names = [stage.name for stage in self._session.config.stages[: number + 1]]
+            self.steps = sum(count for name, count in counts.items() if name in names)
+        else:
+            now = total if self.steps is None else self.steps
+            self.steps = int(np.clip(now + (1 if what == "step" else -1), 0, total))
+            if what == "step" and now == total:
+                self.steps = 0  # from the end a step begins again at the start
+        self._refit()
+
+
+def stage_results(fit: FrameFit, traces: tuple[StageTrace, ...]) -> dict[str, str]:
+    """Steps and end of each stage, by its name."""
+    status = dict(zip([trace.stage for trace in traces], fit.status[-len(traces) :], strict=False))
+    return {
+        trace.stage: f"{len(trace.energies) - 1} steps {STATUS_NAMES.get(int(status.get(trace.stage, -1)), '')}"
+        for trace in traces
+    }

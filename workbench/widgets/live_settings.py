@@ -1,0 +1,73 @@
+"""Every knob of a live session, its preset, and the way back."""
+
+from collections.abc import Callable
+from typing import Any
+
+import ipywidgets as widgets
+
+from workbench.config import FACE_IT_PRESETS, Config, preset
+from workbench.session.gesture import Gesture
+from workbench.session.knobs import changed_by
+from workbench.session.live import LiveSession
+from workbench.widgets.controls import Controls, menu, small_button
+
+PAGES = ("ω", "ρ ε", "camera", "points", "a b c")
+
+
+class LiveSettings:
+    """The controls and the buttons over the configuration of a session.
+
+    `drag` gives the number of the present drag of a slider; `guarded` is called with what may be refused, `write` with
+    a few words of status.
+    """
+
+    def __init__(
+        self,
+        session: LiveSession,
+        drag: Callable[[], int],
+        guarded: Callable[..., None],
+        write: Callable[[str], None],
+        height_px: int,
+    ) -> None:
+        self._session, self._drag, self._guarded, self._write, self._quiet = session, drag, guarded, write, False
+        self.preset = menu(FACE_IT_PRESETS, "96px", "preset", session.config.preset)
+        self.preset.observe(self._on_preset, "value")
+        self.undo = small_button("↶ undo", "take back the last change or calibration")
+        self.undo.on_click(lambda _button: self._on_undo())
+        self.defaults = small_button("defaults", "back to the settings of the start; undo brings yours back")
+        self.defaults.on_click(lambda _button: guarded(self._use, session.base))
+        self.controls = Controls(session.config, self._on_knob, height_px, PAGES)
+        self.widgets: tuple[widgets.Widget, ...] = (self.preset, self.undo, self.defaults)
+
+    def _on_knob(self, path: str, value: Any) -> None:
+        self._guarded(self._turn, path, value)
+
+    def _turn(self, path: str, value: Any) -> None:
+        config = self._session.config.changed(**changed_by(self._session.config, path, value))
+        self._session.use(config, Gesture(path, self._drag()))
+        self._show(but=path)
+
+    def _on_preset(self, change) -> None:
+        if not self._quiet:
+            self._guarded(self._use, preset(change["new"]))
+
+    def _use(self, config: Config) -> None:
+        try:
+            self._session.use(config)
+        finally:
+            self._show()
+
+    def _on_undo(self) -> None:
+        if not self._session.undo():
+            self._write("nothing to take back")
+            return
+        self._show()
+
+    def _show(self, but: str | None = None) -> None:
+        config = self._session.config
+        self.controls.show(config, but)
+        self._quiet = True
+        try:
+            self.preset.value = config.preset
+        finally:
+            self._quiet = False

@@ -1,0 +1,35 @@
+"""How a live session goes, in a line that changes a few times a second."""
+
+import time
+
+import ipywidgets as widgets
+
+from workbench.session.live import LiveSession
+
+STATUS_S = 0.25
+
+
+class LiveStatus(widgets.HTML):
+    """The face shape, the progress of a calibration, and the length of a recording."""
+
+    def __init__(self) -> None:
+        self._written = 0.0
+        super().__init__(layout=widgets.Layout(min_width="0", flex="1 1 0", overflow="hidden"))
+        self.add_class("fw-status")
+
+    def write(self, text: str) -> None:
+        """Show a text, HTML."""
+        self._written = time.monotonic()
+        self.value = f"<code>{text}</code>"
+
+    def tell(self, session: LiveSession) -> None:
+        """Say how it goes, unless that was said just now."""
+        if time.monotonic() - self._written < STATUS_S:
+            return
+        gathering, recording = session.gathering, session.recording
+        words = [f"face shape: {session.calibrated}"]
+        if gathering is not None:
+            words = [f"neutral face: {gathering[0]} of {gathering[1]} frames"]
+        if recording is not None:
+            words.append(f"<b>● {recording[1]:.1f} s, {recording[0]} frames</b>")
+        self.write(" &nbsp; ".join(words))

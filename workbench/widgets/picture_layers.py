@@ -1,0 +1,90 @@
+"""Layers over the picture that take long to draw: the fitted head, and what the landmark network sees."""
+
+from collections.abc import Callable
+
+import ipywidgets as widgets
+import numpy as np
+
+from workbench.landmarks.network_detector import NetworkDetector, NetworkLook
+from workbench.pictures import HeadRenderer, gl_available
+from workbench.pictures.heat import heat_layer
+from workbench.session import FittedHead, TuningSession
+from workbench.tracking import FrameFit
+from workbench.widgets.latest import LatestWins
+from workbench.widgets.overlay_view import OverlayView
+from workbench.widgets.status_line import error_text
+
+
+class PictureLayers:
+    """Draws the wanted layers of a fit into a view, in a thread of its own; `working` says what takes so long.
+
+    The first picture of the face, and of the network's view, takes many seconds; fits do not wait for it.
+    """
+
+    def __init__(
+        self, session: TuningSession, head: FittedHead, view: OverlayView, said: Callable[[str], None]
+    ) -> None:
+        self._session, self._head, self._view, self._said = session, head, view, said
+        self._renderer: HeadRenderer | None = None
+        self._network: NetworkDetector | None = None
+        self._seen: tuple[bytes, NetworkLook] | None = None
+        self._worker: LatestWins[FrameFit] = LatestWins(
+            self._draw, lambda error: said(error_text(error)), "panel-layers"
+        )
+        self.working = widgets.Label()
+
+    def show(self, fit: FrameFit) -> None:
+        """Draw the layers that are switched on in the view."""
+        if self._view.layers["layer"] or self._view.layers["heat"]:
+            self._worker.submit(fit)
+
+    def wait_idle(self, timeout_s: float | int) -> bool:
+        """Wait until the layers are drawn; False if that takes longer."""
+        return self._worker.wait_idle(timeout_s)
+
+    def close(self) -> None:
+        """End the thread and the renderer."""
+        self._worker.close()
+        self._close_renderer()
+
+    def _draw(self, fit: FrameFit) -> None:
+        try:
+            for name, what, make, set_layer in (
+                ("layer", "drawing the face …", self._face, self._view.set_layer),
+                ("heat", "looking through the network …", self._heat, self._view.set_heat),
+            ):
+                if self._view.layers[name]:
+                    self.working.value = what
+                    picture = make(fit)
+                    if self._worker.newer():
+                        return
+                    set_layer(picture)
+        finally:
+            self.working.value = ""
+
+    def _close_renderer(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def _face(self, fit: FrameFit) -> np.ndarray | None:
+        if not gl_available():
+            self._said("The face layer needs OpenGL; the mesh works without.")
+            return None
+        if self._renderer is None or self._renderer.size != fit.image_size:
+            self._close_renderer()
+            self._renderer = HeadRenderer(self._head.model, fit.image_size, supersampling=1.0)
+        picture, mask = self._renderer.render_with_mask(
+            self._head.vertices(fit), fit.camera, fit.rotation, fit.translation
+        )
+        return np.dstack([picture, mask])
+
+    def _heat(self, fit: FrameFit) -> np.ndarray | None:
+        frame = fit.index if len(self._session) > 1 else 0
+        picture, key = self._session.picture(frame), fit.observed.tobytes()
+        if not np.ptp(picture):
+            self._view.message = "no picture, no heat map"
+            return None
+        if self._seen is None or self._seen[0] != key:
+            self._network = self._network or NetworkDetector()
+            self._seen = key, self._network.look(picture, fit.observed)
+        return heat_layer(self._seen[1], tuple(self._view.selection))
