@@ -22,7 +22,7 @@ from workbench.pictures.deep_strip import write_stage_strip
 from workbench.pipeline.sources import DeepSource, PictureSource
 from workbench.rendering import face_vertices, render
 from workbench.samples import samples_folder
-from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation
+from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_solver import predict
 
@@ -59,15 +59,15 @@ def compared(clip: Path, options: argparse.Namespace) -> tuple[list[dict], dict]
     except MissingDependencyError as error:
         raise SystemExit(str(error)) from None
     fitter = DeepFitter(head, config)
-    points = FrameFitter(head, preset("joint").changed(camera={"fov_deg": options.fov}))
+    points = FaceItFitter(head, preset("joint").changed(camera={"fov_deg": options.fov}))
     observations = list(source.observations(0, {}, False))
     calibrated = fitter.calibrate(observations[: config.identity.window], config.identity.frames)
     chosen = [item for item in observations[:: options.every] if item.landmarks is not None]
     rows, failures = [], {}
     for observation in chosen:
         context = FrameContext(0, calibrated.identity, None, None, calibrated.appearance)
-        solution = fitter.solve(observation, context)
-        deep = fitter.recorded(observation, context, solution)
+        solution = fitter.solve(fitter.problem(observation, context))
+        deep = fitter.record(solution)
         face_it, _ = points.fit(observation, context._replace(appearance=None))
         judged = {
             name: measured(fitter, observation, context, fit) for name, fit in (("face_it", face_it), ("deep", deep))
@@ -78,7 +78,7 @@ def compared(clip: Path, options: argparse.Namespace) -> tuple[list[dict], dict]
         if options.out is not None:
             options.out.mkdir(parents=True, exist_ok=True)
             path = options.out / f"{clip.stem}-{observation.index:04d}.jpg"
-            write_stage_strip(path, observation.picture, fitter, observation, context, solution)
+            write_stage_strip(path, observation.picture, fitter, solution)
     without = sum(item.landmarks is None for item in observations)
     details = {"frames": len(chosen), "without_face": without, "failed": failures}
     details["seconds_per_frame"] = round(float(np.mean([row["deep"].pop("seconds") for row in rows])), 2)

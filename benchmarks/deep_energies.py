@@ -65,12 +65,12 @@ class Bench:
             observation = truth.observation(k, views)
             context = truth.context(None if identity else fitter.mean_identity())
             if not rows:
-                fitter.solve(observation, context)  # compiles
+                fitter.solve(fitter.problem(observation, context))  # compiles
             began = time.process_time()
-            solution = fitter.solve(observation, context)
+            solution = fitter.solve(fitter.problem(observation, context))
             row = _row(solution, truth, self.scenes.head.expression_names)
             row["processor_seconds"] = time.process_time() - began
-            row["failure"] = fitter.recorded(observation, context, solution).failure
+            row["failure"] = fitter.record(solution).failure
             rows.append(row)
             self.log(f"{name} {k}: {_short(row)}")
         return rows

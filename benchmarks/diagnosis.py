@@ -17,7 +17,7 @@ from rich.table import Table
 
 from workbench.config import Config
 from workbench.diagnosis import FrameCase, diagnose_frame, flag_frames, reference_of
-from workbench.tracking import FrameFitter, Track
+from workbench.tracking import FaceItFitter, Track
 from workbench.tracking.records import stack_fits
 
 CLEAN_STEP = 12
@@ -33,7 +33,7 @@ def main() -> None:
     arguments.add_argument("--stream", choices=sorted(STREAMS), default="test")
     chosen = arguments.parse_args()
     config = good_config(chosen.preset)
-    fitter = FrameFitter(clip().head, config)
+    fitter = FaceItFitter(clip().head, config)
     diagnose_frame(clip().head, case_at(30, clip().landmarks, config), fitter)  # compile before anything is timed
     table, seconds, ranks = Table("fault", "right reason", "ranks", "seconds"), [], {}
     for fault, (code, _) in FAULTS.items():
@@ -58,7 +58,7 @@ def main() -> None:
     print_result("diagnosis", float(first), "faults", f">= {GOAL_FIRST}", "12 planted faults, most variants", details)
 
 
-def rank_of(fault: str, variant: int, stream: str, config: Config, fitter: FrameFitter) -> tuple[int, float]:
+def rank_of(fault: str, variant: int, stream: str, config: Config, fitter: FaceItFitter) -> tuple[int, float]:
     """Rank of the right reason (0: not listed), and seconds that the diagnosis took, its shot's reference included."""
     case = planted(fault, variant, stream, config)
     began = time.perf_counter()
@@ -67,7 +67,7 @@ def rank_of(fault: str, variant: int, stream: str, config: Config, fitter: Frame
     return (codes.index(case.code) + 1 if case.code in codes else 0), time.perf_counter() - began
 
 
-def clean_clip(config: Config, fitter: FrameFitter) -> tuple[Counter, int, int]:
+def clean_clip(config: Config, fitter: FaceItFitter) -> tuple[Counter, int, int]:
     """Reasons found on frames of the clip without a fault, frames flagged, and frames diagnosed."""
     observations = observations_of(clip().noisy(np.random.default_rng(99)))
     fits = follow(observations, config)

@@ -20,7 +20,8 @@ from workbench.pictures.extras import Extras
 from workbench.pictures.head_scene import HeadScene
 from workbench.pictures.mesh import to_camera
 from workbench.tracking import FrameFit
-from workbench.tracking.fitter import FrameContext, FrameFitter, FrameObservation
+from workbench.tracking.face_it_fitter import FaceItFitter
+from workbench.tracking.fitting import FrameContext, FrameObservation
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.training.accessories import hair
 from workbench.training.scenes import random_lighting
@@ -92,7 +93,7 @@ class MovingPeople:
         self._scene = HeadScene(self.head, SIZE, blank, supersampling=1.6, fade_neck=False)
         self._painter = skin_painter(self.head)
         self.fitter = FlowFitter(self.head, config())
-        self._frames = FrameFitter(self.head, config())
+        self._frames = FaceItFitter(self.head, config())
 
     def film(self, seed: int, motion: Callable[[float], tuple], frames: int = FRAMES) -> Film:
         """A random person who moves as `motion` says for a time in frames from `EVENT`."""

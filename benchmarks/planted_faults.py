@@ -23,9 +23,10 @@ from workbench.geometry import Camera
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS, MIRROR, outer_eye_distance
 from workbench.samples import sample
-from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation
+from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
+from workbench.tracking.fitting import Calibrated
 from workbench.tracking.frame_solver import head_yaw
-from workbench.tracking.tracker import jumped
+from workbench.tracking.walk import Walk
 
 NOISE_PX = 0.5
 STREAMS = {"develop": 1, "test": 0}
@@ -99,18 +100,12 @@ def follow(
     until: int | None = None,
 ) -> list[tuple[FrameFit, FrameContext]]:
     """Track the clip as `FaceTracker` does, up to and with frame `until`; `identity` replaces the calibrated one."""
-    fitter = FrameFitter(clip().head, config)
-    starts = {}
+    walk = Walk(FaceItFitter(clip().head, config))
     if identity is None:
-        identity, starts, _ = fitter.calibrate(observations[: config.identity.window], config.identity.frames)
-    fits, last = [], None
-    for observation in observations[: None if until is None else until + 1]:
-        if last is not None and jumped(last.points, observation.landmarks.points):
-            last = None
-        context = FrameContext(0, identity, starts.get(observation.index), last)
-        fit, last = fitter.fit(observation, context)
-        fits.append((fit, context))
-    return fits
+        walk.begin_shot(walk.fitter.calibrate(observations[: config.identity.window], config.identity.frames))
+    else:
+        walk.begin_shot(Calibrated(identity, {}))
+    return [walk.step(observation) for observation in observations[: None if until is None else until + 1]]
 
 
 def case_at(

@@ -22,7 +22,7 @@ from workbench.config import Config, preset
 from workbench.face import FaceParameters, landmark_model
 from workbench.runtime import cache_folder
 from workbench.tracking import FaceTracker, FrameFit
-from workbench.tracking.fitter import solve_settings, stage_program
+from workbench.tracking.face_it_fitter import solve_settings, stage_program
 from workbench.tracking.frame_solver import FrameInput, solve_frame
 from workbench.tracking.initial_pose import initial_pose
 

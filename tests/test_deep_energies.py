@@ -83,7 +83,7 @@ def truth(head):
 def solved(shared, truth):
     """The truth's own render as photo, and all seven stages on it."""
     scene = make_deep_scene(fitter_with(shared, DEEP), truth)
-    return scene, shared.solve(scene.observation(), scene.context())
+    return scene, shared.solve(shared.problem(scene.observation(), scene.context()))
 
 
 def derivative_of(function, parameters, column, step):
@@ -310,7 +310,7 @@ def test_lambda_pulls_the_weights_and_the_jaw_to_rest(points, truth):
     sizes = []
     for weight in (0.0, 1e3, 1e5):
         fitter_with(points, POINTS.changed(deep={"regularisation": weight}))
-        found = points.solve(scene.observation(), scene.context()).parameters
+        found = points.solve(points.problem(scene.observation(), scene.context())).parameters
         sizes.append(np.linalg.norm(found.expression) + abs(float(found.jaw[0])) / np.radians(OPEN_DEG))
     assert sizes[0] > sizes[1] > sizes[2]
     assert sizes[2] < 0.1
@@ -322,7 +322,7 @@ def test_the_prior_holds_the_pose_that_a_stage_starts_from(points, truth):
     moved = []
     for weight in (0.0, 10.0, 1e6):
         fitter_with(points, POINTS.changed(deep={"prior": weight}, stages=stages))
-        found = points.solve(scene.observation(), scene.context()).parameters
+        found = points.solve(points.problem(scene.observation(), scene.context())).parameters
         moved.append(float(jnp.linalg.norm(found.rotation)))
     assert moved[0] > moved[1] > moved[2]
     assert moved[2] < 0.01
@@ -348,9 +348,9 @@ def test_muted_landmarks_have_no_say(points, truth):
     wrong = scene.landmarks[0].points.copy()
     wrong[17:27] += 60.0
     observation = replace(scene.observation(), landmarks=replace(scene.landmarks[0], points=wrong))
-    fooled = points.solve(observation, scene.context()).parameters
+    fooled = points.solve(points.problem(observation, scene.context())).parameters
     fitter_with(points, POINTS.changed(landmarks={"weights": {"brows": 0.0}}))
-    told = points.solve(observation, scene.context()).parameters
+    told = points.solve(points.problem(observation, scene.context())).parameters
     assert rotation_error_deg(told, truth) < 1.0 < rotation_error_deg(fooled, truth)
 
 
@@ -368,7 +368,7 @@ def test_other_derivatives_of_the_network_find_the_pose_too(shared, solved, trut
     scene, _ = solved
     fitter = fitter_with(shared, DEEP.changed(deep={"derivative": derivative}, stages=_dumped(POSE_ONLY, limit=6)))
     near = truth._replace(rotation=truth.rotation + 0.08, translation=truth.translation + jnp.array([4.0, 3.0, 15.0]))
-    found = fitter.solve(scene.observation(), scene.context()._replace(start=near)).parameters
+    found = fitter.solve(fitter.problem(scene.observation(), scene.context()._replace(start=near))).parameters
     assert rotation_error_deg(near, truth) > 6.0
     assert rotation_error_deg(found, truth) < 2.0
 
@@ -463,10 +463,10 @@ def test_two_views_find_the_truth_and_place_it_better_than_one(shared, head, rig
         fitter = fitter_with(shared, POINTS.changed(camera={"rig": str(rig_file)}))
         scene = _stereo_scene(fitter, head, 1.5, seed)
         truth = scene.parameters
-        two = fitter.solve(scene.observation(), scene.context()).parameters
+        two = fitter.solve(fitter.problem(scene.observation(), scene.context())).parameters
         fitter_with(shared, POINTS)
         alone = replace(scene.observation(), others=())
-        one = fitter.solve(alone, scene.context()).parameters
+        one = fitter.solve(fitter.problem(alone, scene.context())).parameters
         for views, found in ((1, one), (2, two)):
             errors[views].append(float(jnp.linalg.norm(found.translation - truth.translation)))
             assert rotation_error_deg(found, truth) < 2.0
@@ -649,13 +649,13 @@ def test_explaining_shows_every_step_of_every_stage(points, truth):
 def test_starting_from_landmarks_begins_near_the_truth(points, truth):
     scene = make_deep_scene(points, truth)
     fitter_with(points, POINTS.changed(deep={"start": "landmarks"}))
-    begun = points.solve(scene.observation(), scene.context()).start
+    begun = points.solve(points.problem(scene.observation(), scene.context())).start
     assert rotation_error_deg(begun, truth) < 6.0
 
 
 def test_a_cancelled_solve_stops_where_it_is(points, truth):
     scene = make_deep_scene(points, truth)
-    solution = points.solve(scene.observation(), scene.context(), lambda: True)
+    solution = points.solve(points.problem(scene.observation(), scene.context()), cancelled=lambda: True)
     np.testing.assert_array_equal(flat(solution.parameters), flat(solution.start))
 
 

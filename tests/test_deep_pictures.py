@@ -28,7 +28,7 @@ from workbench.pictures.deep_strip import (
 from workbench.samples import sample
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_target import photo_landmarks
-from workbench.tracking.fitter import FrameContext, FrameObservation
+from workbench.tracking.fitting import FrameContext, FrameObservation
 
 FRAME = 0
 
@@ -58,7 +58,7 @@ def solved(head, energy, observation, **changed):
     """Everything that a picture of the solve takes after the photo."""
     fitter = DeepFitter(head, short(energy, **changed))
     context = FrameContext(0, fitter.mean_identity(), None, None)
-    return fitter, observation, context, fitter.solve(observation, context)
+    return fitter, fitter.solve(fitter.problem(observation, context))
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_a_stage_draws_the_render_over_the_photo_with_its_landmarks_and_brings_t
 
 
 def test_rings_lie_where_the_photo_has_its_landmarks(photo, points):
-    place = np.rint(points[1].landmarks.points[8]).astype(int)
+    place = np.rint(points[1].problem.observation.landmarks.points[8]).astype(int)
     picture = np.zeros_like(photo)
     cv2.circle(picture, place.tolist(), 3, (255, 255, 255), -1)
     shown, start = panels(stage_strip(picture, *points), 5)[:2]
@@ -117,11 +117,11 @@ def test_rings_lie_where_the_photo_has_its_landmarks(photo, points):
 def test_preselected_points_make_a_strip_but_no_heat_maps(photo, points):
     assert stage_strip(photo, *points).shape[1] <= 1366
     with pytest.raises(InputError, match=r"there are heat maps where it found a face and deep\.energy is"):
-        heat_map_pair(photo, *points)
+        heat_map_pair(photo, points[1])
 
 
 def test_heat_maps_of_photo_and_render_stand_above_each_other_and_are_hot_at_their_landmarks(photo, deep):
-    page = heat_map_pair(photo, *deep, points=(36, 30))
+    page = heat_map_pair(photo, deep[1], points=(36, 30))
     step = HEAT_PANEL + CAPTION + GAP
     assert page.shape == (2 * step + GAP + FOOTER, 2 * (HEAT_PANEL + GAP) + GAP, 3)
     middle = HEAT_PANEL // 2
@@ -156,7 +156,7 @@ def test_each_view_of_a_rig_has_its_strip_also_one_that_saw_no_face(head, tmp_pa
     config = short("points", camera={"rig": str(tmp_path / "rig.toml")})
     fitter = DeepFitter(head, config)
     context = FrameContext(0, fitter.mean_identity(), None, None)
-    given = fitter, observation, context, fitter.solve(observation, context)
+    given = fitter, fitter.solve(fitter.problem(observation, context))
     picture = np.full((size[1], size[0], 3), 90, np.uint8)
     first, second = (panels(stage_strip(picture, *given, view=view), 5)[3] for view in (0, 1))
     assert where(first, SEEN_IN_PHOTO).any()
@@ -170,7 +170,7 @@ def test_a_failed_solve_says_so(photo, head, observation):
     good = observation.landmarks
     wild = replace(good, points=good.points + np.where(np.arange(68) < 17, 60.0, 0.0)[:, None])
     given = solved(head, "points", replace(observation, landmarks=wild))
-    assert given[0].recorded(*given[1:]).failure
+    assert given[0].record(given[1]).failure
     caption = stage_strip(photo, *given)[GAP + PANEL : GAP + PANEL + CAPTION]
     assert where(caption[:, -PANEL:], APART, 60).any()
     assert not where(caption[:, :PANEL], APART, 60).any()

@@ -22,7 +22,7 @@ from workbench.session import Material, TuningSession, material_of_photo, materi
 from workbench.session.exports import free_file
 from workbench.session.material import PictureStore
 from workbench.tracking import FaceTracker, FrameObservation, Track
-from workbench.tracking.fitter import FrameFitter
+from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
 from workbench.tracking.records import ARRAYS, stack_fits
@@ -540,7 +540,7 @@ def test_threads_that_calibrate_at_the_same_time_all_come_to_an_end(head, clip):
 
     def calibrate() -> None:
         for _ in range(3):
-            identities.append(FrameFitter(head, config).calibrate(observations, 12).identity)
+            identities.append(FaceItFitter(head, config).calibrate(observations, 12).identity)
 
     threads = [threading.Thread(target=calibrate, daemon=True) for _ in range(4)]
     for thread in threads:

@@ -23,7 +23,7 @@ from workbench.pipeline import track
 from workbench.session.knobs import KNOBS, is_inert
 from workbench.tracking import FaceTracker, FrameContext
 from workbench.tracking.deep_fitter import DeepFitter
-from workbench.tracking.fitter import FrameFitter
+from workbench.tracking.face_it_fitter import FaceItFitter
 
 ROOT = Path(__file__).resolve().parent.parent
 STEADY = Stage(name="pose", free=("rotation", "translation"), limit=20)
@@ -61,7 +61,7 @@ def test_lambda_in_face_it_is_a_ridge_fit(head):
         camera={"fov_deg": 45.0},
     )
     observation = scene.observation(noise_px=1.0)
-    fitter = FrameFitter(head, config)
+    fitter = FaceItFitter(head, config)
     start = scene.parameters._replace(expression=np.zeros(44), identity=np.zeros(0))
     fit, _ = fitter.fit(observation, FrameContext(0, np.zeros(50), start, None))
 
@@ -85,9 +85,9 @@ def test_the_edge_term_changes_a_fit_of_face_it_and_shows_in_its_energies(head):
     observation = make_scene(head, (10.0, 0.0, 0.0), {"jawOpen": 0.5}).observation(noise_px=2.0)
     context = FrameContext(0, np.zeros(50), None, None)
     stages = [stage.model_dump() | {"terms": ("edges",)} for stage in preset("joint").stages]
-    plain = FrameFitter(head, preset("joint")).fit(observation, context)[0]
+    plain = FaceItFitter(head, preset("joint")).fit(observation, context)[0]
     config = preset("joint").changed(stages=stages, deep={"edges": 5.0})
-    edged = FrameFitter(head, config).fit(observation, context)[0]
+    edged = FaceItFitter(head, config).fit(observation, context)[0]
     column = config.terms.index("edges")
     assert edged.energies[-1, column] > 0.0
     assert np.abs(edged.expression - plain.expression).max() > 1e-3
@@ -201,7 +201,7 @@ from workbench.face import load_default_head
 from workbench.session.knobs import KNOBS, effective_weights
 from workbench.tracking import FrameContext
 from workbench.tracking.deep_fitter import DeepFitter
-from workbench.tracking.fitter import FrameFitter
+from workbench.tracking.face_it_fitter import FaceItFitter
 
 assert "symmetry" in json.loads(config_schema())["$defs"]["WeightsConfig"]["properties"]
 assert "symmetry = 7.0 # ω_sym: neighbouring weights alike (made up)." in config_toml(preset("joint"))
@@ -216,7 +216,7 @@ deep = make_deep_scene(DeepFitter(head, POINTS), make_parameters(head, weights=s
 stage = Stage(name="all", free=("rotation", "translation", "expression"), limit=10)
 rough = []
 for base, fitter, observation in (
-    (preset("joint"), FrameFitter, scene.observation()), (POINTS, DeepFitter, deep.observation())
+    (preset("joint"), FaceItFitter, scene.observation()), (POINTS, DeepFitter, deep.observation())
 ):
     for terms in ((), ("symmetry",)):
         config = base.changed(stages=[stage.model_dump() | {"terms": terms}], weights={"symmetry": 1e4})

@@ -12,7 +12,7 @@ from workbench.config import FACE_IT_PRESETS, PRESETS, Stage, preset
 from workbench.face import FaceParameters, landmark_model, load_default_head, seen_shapes
 from workbench.landmarks.files import read_landmark_file
 from workbench.samples import sample
-from workbench.tracking import FaceTracker, FrameContext, FrameFitter, FrameObservation
+from workbench.tracking import FaceItFitter, FaceTracker, FrameContext, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.flow_fitter import FlowFitter
 
@@ -82,7 +82,7 @@ def test_the_tongue_stays_in_on_the_sample_clip(head, tongue, name):
 def test_every_method_holds_it_whatever_the_fit_starts_from(head, tongue, method):
     config = preset("face-it").changed(solver={"method": method})
     context = FrameContext(0, np.zeros(50), with_tongue_out(head), None)
-    fit, handed_on = FrameFitter(head, config).fit(make_scene(head, weights=TALKING).observation(), context)
+    fit, handed_on = FaceItFitter(head, config).fit(make_scene(head, weights=TALKING).observation(), context)
     assert fit.expression[tongue] == 0.0
     assert handed_on.parameters.expression[tongue] == 0.0
     assert fit.expression[head.expression_names.index("jawOpen")] > 0.3
@@ -90,7 +90,7 @@ def test_every_method_holds_it_whatever_the_fit_starts_from(head, tongue, method
 
 def test_calibration_holds_it_too(head, tongue):
     observations = [make_scene(head, (yaw, 0, 0), TALKING).observation(k) for k, yaw in enumerate((-20, 0, 20))]
-    found = FrameFitter(head, preset("calibrated")).calibrate(observations, 12)
+    found = FaceItFitter(head, preset("calibrated")).calibrate(observations, 12)
     assert all(start.expression[tongue] == 0.0 for start in found.starts.values())
 
 

@@ -13,13 +13,13 @@ from workbench.diagnosis.trial import Finding, Trial
 from workbench.diagnosis.uncertainty import estimate_uncertainty
 from workbench.errors import InputError
 from workbench.face import FaceModel
-from workbench.tracking import FrameFitter
+from workbench.tracking import FaceItFitter
 
 
 def diagnose_frame(
     model: FaceModel,
     case: FrameCase,
-    fitter: FrameFitter | None = None,
+    fitter: FaceItFitter | None = None,
     reference: ShotReference | None = None,
 ) -> Diagnosis:
     """Ranked reasons why a frame's fit is bad, none for an unremarkable frame; each with a change that was tried.
@@ -44,7 +44,7 @@ def diagnose_frame(
     )
 
 
-def leave_one_group_out(model: FaceModel, case: FrameCase, fitter: FrameFitter | None = None) -> tuple[GroupPull, ...]:
+def leave_one_group_out(model: FaceModel, case: FrameCase, fitter: FaceItFitter | None = None) -> tuple[GroupPull, ...]:
     """What each group of landmarks does to the fit of a frame: the fit without it.
 
     Raises `InputError` for a frame without landmarks.
@@ -53,7 +53,7 @@ def leave_one_group_out(model: FaceModel, case: FrameCase, fitter: FrameFitter |
 
 
 def start_trial(
-    model: FaceModel, case: FrameCase, fitter: FrameFitter | None = None, reference: ShotReference | None = None
+    model: FaceModel, case: FrameCase, fitter: FaceItFitter | None = None, reference: ShotReference | None = None
 ) -> Trial:
     """The frame with its fit, ready for hypotheses. Raises `InputError` for a frame without landmarks."""
     observation = case.observation
@@ -61,7 +61,7 @@ def start_trial(
         raise InputError(
             f"A diagnosis needs a frame with landmarks; frame {observation.index} has none: choose a frame with a face."
         )
-    fitter = fitter or FrameFitter(model, case.config)
+    fitter = fitter or FaceItFitter(model, case.config)
     if reference is None:
         others = [other for other in case.shot if other.index != observation.index]
         reference = ShotReference(model, case.config, others, fitter)

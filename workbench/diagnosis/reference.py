@@ -16,7 +16,7 @@ from workbench.landmarks.alignment import fit_similarity
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS, face_size
 from workbench.runtime import COMPUTING
-from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation
+from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
 from workbench.tracking.identity import CalibrationSettings, calibrate_identity
 
 MOST_STEPS = 80
@@ -45,7 +45,7 @@ class ShotReference:
     `frames` are the landmarks to learn from: observations of the shot without the frame under diagnosis.
     """
 
-    def __init__(self, model: FaceModel, config: Config, shot: Sequence[FrameObservation], fitter: FrameFitter):
+    def __init__(self, model: FaceModel, config: Config, shot: Sequence[FrameObservation], fitter: FaceItFitter):
         usable = [observation for observation in shot if observation.landmarks is not None]
         count = min(MOST_FRAMES, len(usable))
         places = np.unique(np.round(np.linspace(0, len(usable) - 1, count)).astype(int)) if count else []
@@ -239,9 +239,9 @@ def _stacked(records):
 
 
 def reference_of(
-    model: FaceModel, config: Config, shot: Sequence[FrameObservation], fitter: FrameFitter | None = None
+    model: FaceModel, config: Config, shot: Sequence[FrameObservation], fitter: FaceItFitter | None = None
 ) -> ShotReference:
     """What is usual in a shot, to be shared by the diagnoses of its frames. Raises `InputError` without landmarks."""
     if not any(observation.landmarks is not None for observation in shot):
         raise InputError("A shot's reference needs landmarks; none of these frames has any.")
-    return ShotReference(model, config, shot, fitter or FrameFitter(model, config))
+    return ShotReference(model, config, shot, fitter or FaceItFitter(model, config))

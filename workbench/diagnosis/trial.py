@@ -19,7 +19,7 @@ from workbench.diagnosis.picture_evidence import Blur, carried_by_flow, directio
 from workbench.diagnosis.records import Change, FrameCase
 from workbench.diagnosis.reference import ShotReference, between
 from workbench.landmarks.scheme import face_size
-from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation
+from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
 
 DOUBTED = 3.0
 """Price of a landmark that a hypothesis takes for wrong, nats: it lies some four usual distances off."""
@@ -57,7 +57,7 @@ class Finding:
 class Trial:
     """One frame, its fit, and whatever is tried on it."""
 
-    def __init__(self, case: FrameCase, fitter: FrameFitter, reference: ShotReference, afresh: bool = False):
+    def __init__(self, case: FrameCase, fitter: FaceItFitter, reference: ShotReference, afresh: bool = False):
         """`afresh`: every fit is also tried without what came before, which may be wrong itself; the better counts."""
         self.case = case
         self._afresh = afresh and case.context.last is not None
@@ -67,7 +67,7 @@ class Trial:
         self._fitter.configure(case.config)
         self.points = case.observation.landmarks.points
         self.face_px = float(face_size(self.points))
-        self._others: dict[bytes, FrameFitter] = {}
+        self._others: dict[bytes, FaceItFitter] = {}
         self.fit = self._best_fit(self._fitter, case.observation, case.context)
 
     def with_config(self, config: Config) -> "Trial":
@@ -82,14 +82,14 @@ class Trial:
         observation = change.moved(self.case.observation)
         return self._best_fit(self.fitter(change.apply_to(self.case.config), context), observation, context)
 
-    def _best_fit(self, fitter: FrameFitter, observation: FrameObservation, context: FrameContext) -> FrameFit:
+    def _best_fit(self, fitter: FaceItFitter, observation: FrameObservation, context: FrameContext) -> FrameFit:
         fit, _ = fitter.fit(observation, context)
         if not self._afresh or context.last is None:
             return fit
         again, _ = fitter.fit(observation, context._replace(last=None))
         return min(fit, again, key=lambda tried: self.residual_costs(tried).sum())
 
-    def fitter(self, config: Config, context: FrameContext) -> FrameFitter:
+    def fitter(self, config: Config, context: FrameContext) -> FaceItFitter:
         """A fitter for this configuration; one is kept for each identity."""
         key = np.asarray(context.identity).tobytes()
         if key not in self._others:

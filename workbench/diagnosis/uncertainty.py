@@ -16,7 +16,7 @@ from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_mo
 from workbench.geometry import Camera, rotation_matrix
 from workbench.runtime import COMPUTING
 from workbench.tracking import FrameContext, FrameFit
-from workbench.tracking.fitter import running_stages, solve_settings
+from workbench.tracking.face_it_fitter import running_stages, solve_settings
 from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem
 
 FREE = ("rotation", "translation", "expression")

@@ -22,7 +22,6 @@ from workbench.runtime import COMPUTING
 from workbench.tracking.deep_fitter import DeepFitter, DeepSolution
 from workbench.tracking.deep_solver import StageResult
 from workbench.tracking.failures import why_failed
-from workbench.tracking.fitter import FrameContext, FrameObservation
 
 PANEL, COLUMNS, GAP = 260, 5, 6
 """Side of a panel, panels in a row and space around them, pixels: five fill a screen 1366 pixels wide."""
@@ -46,8 +45,6 @@ HEAT_PANEL, HEAT_ACROSS = 220, 0.45
 def stage_strip(
     picture: UInt8[np.ndarray, "h w 3"],
     fitter: DeepFitter,
-    observation: FrameObservation,
-    context: FrameContext,
     solution: DeepSolution,
     view: int = 0,
     columns: int = COLUMNS,
@@ -61,7 +58,7 @@ def stage_strip(
     for a view that is not there.
     """
     _check(solution, view)
-    scene, camera = fitter.scene(context.appearance), solution.views[view]
+    scene, camera = solution.problem.scene, solution.views[view]
     seen = bool(np.any(np.asarray(camera.weights) > 0.0))
     target = np.asarray(camera.target) if seen else None
     places = [("start", solution.start, solution.results[0].path[0].points[view])]
@@ -69,7 +66,8 @@ def stage_strip(
         places.append((f"{number}  {stage.name}", result.parameters, result.prediction.points[view]))
     box = _square([points for _, _, points in places], target)
     photo = _cut(picture, box, PANEL)
-    panels = [_panel(photo, "photo", f"frame {observation.index}" + ("" if seen else ", no face in this view"))]
+    number = solution.problem.observation.index
+    panels = [_panel(photo, "photo", f"frame {number}" + ("" if seen else ", no face in this view"))]
     notes = ["", *(_note(result) for result in solution.results)]
     for (name, parameters, points), note in zip(places, notes, strict=True):
         with COMPUTING:
@@ -79,7 +77,7 @@ def stage_strip(
         if target is not None:
             note = f"{note}   {np.linalg.norm(points - target, axis=1).mean():.1f} px apart".strip()
         panels.append(_panel(drawn, name, note))
-    failure = why_failed(fitter.recorded(observation, context, solution))
+    failure = why_failed(fitter.record(solution))
     looks = sum(result.evaluations for result in solution.results)
     said = f"failed: {failure}" if failure else f"{looks} renders seen by the network" if _looks(solution) else ""
     panels.append(
@@ -92,20 +90,15 @@ def write_stage_strip(
     path: str | Path,
     picture: UInt8[np.ndarray, "h w 3"],
     fitter: DeepFitter,
-    observation: FrameObservation,
-    context: FrameContext,
     solution: DeepSolution,
     view: int = 0,
 ) -> None:
     """Write `stage_strip` as PNG or JPEG (by suffix), whole or not at all."""
-    write_picture(path, stage_strip(picture, fitter, observation, context, solution, view))
+    write_picture(path, stage_strip(picture, fitter, solution, view))
 
 
 def heat_map_pair(
     picture: UInt8[np.ndarray, "h w 3"],
-    fitter: DeepFitter,
-    observation: FrameObservation,
-    context: FrameContext,
     solution: DeepSolution,
     points: Sequence[int] = HEAT_POINTS,
     stage: int = -1,
@@ -118,7 +111,7 @@ def heat_map_pair(
     without a face or without the network.
     """
     _check(solution, view)
-    network, camera = fitter.scene(context.appearance).network, solution.views[view]
+    network, camera = solution.problem.scene.network, solution.views[view]
     look = solution.results[stage].prediction.looks[view]
     if look is None or not np.any(np.asarray(camera.weights) > 0.0):
         raise InputError(

@@ -82,9 +82,9 @@ def write_strips(pairs: list[Pair], fitter: DeepFitter, folder: Path, progress) 
     made = []
     pictured = [pair for pair in pairs if pair[0].picture is not None]
     for observation, context in pictured:
-        solution = fitter.solve(observation, context)
+        solution = fitter.solve(fitter.problem(observation, context))
         path = folder / "stages" / f"{observation.index:04d}.jpg"
-        write_stage_strip(path, observation.picture, fitter, observation, context, solution)
+        write_stage_strip(path, observation.picture, fitter, solution)
         made.append(path)
         progress("stages", len(made), len(pictured))
     return tuple(made)

@@ -18,8 +18,9 @@ from workbench.session.gesture import Gesture, Gestures
 from workbench.session.live_frame import LIVE_SIZE, LiveFrame
 from workbench.session.recording import Recorder, Recording
 from workbench.tracking import FrameFit, FrameObservation
-from workbench.tracking.fitter import Continuation, FrameContext, FrameFitter
-from workbench.tracking.tracker import jumped
+from workbench.tracking.face_it_fitter import FaceItFitter
+from workbench.tracking.fitting import Calibrated, Continuation
+from workbench.tracking.walk import Walk
 
 FIRST_FRAMES = 24
 """Frames with a face from which the first identity comes: about a second."""
@@ -82,11 +83,11 @@ class LiveSession:
         self._gestures = Gestures()
         self._detector = detector
         self._landmarks: LandmarkTracker | None = None
-        self._fitter = FrameFitter(model, config)
+        self._fitter = FaceItFitter(model, config)
         self._identity = self._fitter.mean_identity()
         self._identity_of: tuple[str, Calibration | None] = (_identity_key(config), None)
         self._recorder: Recorder | None = None
-        self._last: Continuation | None = None
+        self._walk = Walk(self._fitter)
         self.start_anew()
 
     def __repr__(self) -> str:
@@ -158,7 +159,7 @@ class LiveSession:
             wanted = self.config.identity.calibrate and self._state.calibration is None
             self._gathering, self._gathered = ("first" if wanted else ""), []
             self._fresh = True
-        self._frames = self._shot = 0
+        self._frames = 0
 
     # --- recording, from any thread ---
 
@@ -204,7 +205,8 @@ class LiveSession:
         with self._lock:
             if self._fresh:
                 tracker.reset()
-                self._last, self._fresh = None, False
+                self._walk, self._fresh = Walk(self._fitter), False
+                self._walk.begin_shot()
         found = tracker.step(picture)
         size = (picture.shape[1], picture.shape[0])
         times = (found.milliseconds["detect"], found.milliseconds["landmarks"])
@@ -212,11 +214,9 @@ class LiveSession:
         self._gather(observation)
         self._follow_state()
         if found.cut:
-            self._shot, self._last = self._shot + 1, None
-        if found.landmarks is None or (self._last and jumped(self._last.points, found.landmarks.points)):
-            self._last = None
-        context = FrameContext(self._shot, self._identity, None, self._last)
-        fit, self._last = self._fitter.fit(observation, context)
+            self._walk.begin_shot()
+        self._walk.calibrated = Calibrated(self._identity, {})
+        fit, _ = self._walk.step(observation)
         self._frames += 1
         self._record(fit, frame)
         return LiveFit(frame, fit, 1e3 * (time.perf_counter() - began))
@@ -234,7 +234,8 @@ class LiveSession:
             if not self._gathering or observation.landmarks is None:
                 return
             neutral = self._gathering == "neutral"
-            if neutral and self._last is not None and _motion(self._last, observation) > STEADY_FACE:
+            last = self._walk.last
+            if neutral and last is not None and _motion(last, observation) > STEADY_FACE:
                 return
             self._gathered.append(observation)
             if len(self._gathered) < (NEUTRAL_FRAMES if neutral else FIRST_FRAMES):

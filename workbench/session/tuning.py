@@ -35,13 +35,22 @@ from workbench.session.gesture import Gesture, Gestures
 from workbench.session.material import Material, Progress, load_material, material_of_track
 from workbench.session.metrics import metrics_of, metrics_of_track
 from workbench.session.temporal import TIME_SECTIONS, TemporalWork
-from workbench.tracking import FrameContext, FrameFit, FrameFitter, FrameObservation, StageTrace, Track
-from workbench.tracking.deep_fitter import DeepFitter, DeepSolution
+from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation, StageTrace, Track
+from workbench.tracking.deep_fitter import DeepSolution
 from workbench.tracking.deep_target import energy_network, photo_landmarks
-from workbench.tracking.fitter import Calibrated, Continuation, corrected, running_stages
+from workbench.tracking.fitting import (
+    Calibrated,
+    Continuation,
+    Fitter,
+    FrameProblem,
+    FrameSolution,
+    corrected,
+    with_face,
+)
 from workbench.tracking.records import Fits, stack_fits
-from workbench.tracking.systems import Fitter, configured, make_fitter
-from workbench.tracking.tracker import calibration_window, jumped
+from workbench.tracking.systems import configured, make_fitter
+from workbench.tracking.tracker import calibration_window
+from workbench.tracking.walk import Walk, context_of
 
 HISTORY = 200
 """Steps that can be taken back."""
@@ -109,9 +118,9 @@ class TuningSession:
         self._calibrating = threading.Lock()
         self._diagnosing = threading.Lock()
         self._fitter = make_fitter(model, self.base)
-        self._diagnostic_fitter: FrameFitter | None = None
+        self._diagnostic_fitter: FaceItFitter | None = None
         self._targets: dict[tuple[int, str], Landmarks2D] = {}
-        self._solution: tuple[tuple, DeepSolution] | None = None
+        self._solution: tuple[tuple, FrameSolution] | None = None
         self._reference: tuple[tuple[int, Config], ShotReference] | None = None
         self.temporal = TemporalWork(self)
         """Infill and refinement of the clip."""
@@ -291,26 +300,21 @@ class TuningSession:
         `coarse` keeps an identity that an earlier configuration calibrated on the shot, for dragging in a clip.
         """
         with self._fitting:
-            config, observation, context = self._prepared(frame, coarse, config)
-            if isinstance(self._fitter, DeepFitter) and observation.landmarks is not None:
-                return self._fitter.recorded(observation, context, self._solved(frame, observation, context))
-            return self._fitter.fit(observation, context)[0]
+            return self._fitter.record(self._solved(self._problem(frame, coarse, config)))
 
     def explain_frame(self, frame: int) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """`fit_frame` with every iteration kept. Raises `InputError` for a frame without landmarks."""
         with self._fitting:
-            _, observation, context = self._prepared(frame, coarse=True)
-            if isinstance(self._fitter, DeepFitter):
-                return self._fitter.explained(observation, context, self._solved(frame, observation, context))
-            return self._fitter.explain(observation, context)
+            solution = self._traced(frame)
+            return self._fitter.record(solution), self._fitter.traces(solution)
 
     def solve_frame(self, frame: int) -> DeepSolution | None:
         """What every stage of Deep Energies made of a frame; None under FACE IT! and without a face."""
         with self._fitting:
-            _, observation, context = self._prepared(frame, coarse=True)
-            if not isinstance(self._fitter, DeepFitter) or observation.landmarks is None:
+            problem = self._problem(frame, coarse=True)
+            if not self._fitter.renders or problem.observation.landmarks is None:
                 return None
-            return self._solved(frame, observation, context)
+            return self._solved(problem)
 
     def stage_strip(self, frame: int) -> UInt8[np.ndarray, "h w 3"] | None:
         """The stages of Deep Energies on a frame as a film strip; None where there is nothing to draw."""
@@ -318,24 +322,20 @@ class TuningSession:
         if solution is None or not self.material.pictures.real:
             return None
         with self._fitting:
-            _, observation, context = self._prepared(frame, coarse=True)
-            return stage_strip(self.picture(frame), self._fitter, observation, context, solution)
+            return stage_strip(self.picture(frame), self._fitter, solution)
 
     def fit_steps(self, frame: int, steps: int) -> FrameFit:
-        """The fit of a frame stopped after `steps` iterations, counted through all stages."""
+        """The fit of a frame stopped after `steps` iterations, counted through all stages.
+
+        Raises `InputError` for a frame without landmarks.
+        """
         with self._fitting:
-            config, observation, context = self._prepared(frame, coarse=True)
-            if isinstance(self._fitter, DeepFitter):
-                solution = self._solved(frame, observation, context).stopped(steps)
-                return self._fitter.recorded(observation, context, solution)
-            counts = [len(trace.energies) - 1 for trace in self._fitter.explain(observation, context)[1]]
-            self._configure(_stopped(config, context.last is None, counts, steps))
-            return self._fitter.fit(observation, context)[0]
+            return self._fitter.record(self._fitter.stopped(self._traced(frame), steps))
 
     def context(self, frame: int) -> FrameContext:
         """What the fit of a frame starts from under the present configuration."""
         with self._fitting:
-            return self._prepared(frame, coarse=False)[2]
+            return self._problem(frame, coarse=False).context
 
     def diagnose(self, frame: int) -> Diagnosis:
         """Reasons why the fit of a frame may be bad, and why the last whole run flags it if it does.
@@ -348,14 +348,15 @@ class TuningSession:
                 "Energies is named beside the frame, and the film strip shows at which stage."
             )
         with self._fitting:
-            config, observation, context = self._prepared(frame, coarse=False)
+            config, problem = self._config, self._problem(frame, coarse=False)
+        observation, context = problem.observation, problem.context
         shot = [corrected(self.material.observations[k], config) for k in self.material.shots[context.shot]]
         real = self.material.pictures.real
         previous = self.picture(frame - 1) if real and frame - 1 in self.material.shots[context.shot] else None
         case = FrameCase(observation, context, config, shot, self.picture(frame) if real else None, previous)
         with self._diagnosing:
             if self._diagnostic_fitter is None:
-                self._diagnostic_fitter = FrameFitter(self.model, config)
+                self._diagnostic_fitter = FaceItFitter(self.model, config)
             key = (context.shot, config)
             if self._reference is None or self._reference[0] != key:
                 self._reference = (key, reference_of(self.model, config, shot, self._diagnostic_fitter))
@@ -385,16 +386,14 @@ class TuningSession:
         cancelled run leaves the fits of the last whole one.
         """
         config = self._config if config is None else config
-        fitter = make_fitter(self.model, config)
+        walk = Walk(make_fitter(self.model, config))
         fits, before = [], []
         for shot, frames in enumerate(self.material.shots):
-            calibrated, last = self._calibrated(shot, config, fitter), None
+            walk.begin_shot(self._calibrated(shot, config, walk.fitter))
             for frame in frames:
                 if cancelled():
                     return None
-                observation = self.observation(frame, config)
-                context = _context(shot, calibrated, observation, last)
-                fit, last = fitter.fit(observation, context)
+                fit, context = walk.step(self.observation(frame, config))
                 fits.append(fit)
                 before.append(_on_host(context.last))
                 if progress is not None:
@@ -462,7 +461,7 @@ class TuningSession:
             self.fit_frame(0)
             return
         for changes in ({}, {"method": "optimistix-lm"}, {"method": "optimistix-dogleg"}):
-            fitter = FrameFitter(self.model, self.base.changed(solver={"method": "lm", "bounded": False, **changes}))
+            fitter = FaceItFitter(self.model, self.base.changed(solver={"method": "lm", "bounded": False, **changes}))
             fitter.warm_up(size, trace=True)
         for frames in {1, self.base.identity.frames}:
             fitter.calibrate([fitter.neutral_observation(size)], frames)
@@ -544,25 +543,33 @@ class TuningSession:
         if self._fitter.config is not config:
             self._fitter = configured(self._fitter, config)
 
-    def _solved(self, frame: int, observation: FrameObservation, context: FrameContext) -> DeepSolution:
-        """The solution of a frame; the newest is kept, since a panel asks for its fit, its path and its pictures."""
-        config = self._fitter.config
-        key = (frame, _without_moves(config), context.identity.tobytes(), observation.landmarks.points.tobytes())
+    def _solved(self, problem: FrameProblem, traced: bool = False) -> FrameSolution:
+        """A frame's problem solved. Where a solution holds renders the newest is kept: a panel asks for its fit, its
+        path and its pictures."""
+        observation, context = problem.observation, problem.context
+        if not self._fitter.renders or observation.landmarks is None:
+            return self._fitter.solve(problem, traced)
+        points, identity = observation.landmarks.points.tobytes(), context.identity.tobytes()
+        key = (observation.index, _without_moves(self._fitter.config), identity, points)
         if self._solution is None or self._solution[0] != key:
-            self._solution = (key, self._fitter.solve(observation, context))
+            self._solution = (key, self._fitter.solve(problem))
         return self._solution[1]
 
-    def _prepared(
-        self, frame: int, coarse: bool, config: Config | None = None
-    ) -> tuple[Config, FrameObservation, FrameContext]:
-        """Configuration, observation and context of a frame; the fitter stands at that configuration."""
+    def _traced(self, frame: int) -> FrameSolution:
+        """A frame solved with every iteration kept. Raises `InputError` for one without landmarks."""
+        problem = self._problem(frame, coarse=True)
+        with_face(problem.observation)
+        return self._solved(problem, traced=True)
+
+    def _problem(self, frame: int, coarse: bool, config: Config | None = None) -> FrameProblem:
+        """What the solver is given of a frame, after the frame before it as the last whole run left that."""
         config = self._config if config is None else config
         observation = self.observation(frame, config)
         shot = next(number for number, frames in enumerate(self.material.shots) if frame in frames)
         self._configure(config)
         calibrated = self._calibrated(shot, config, self._fitter, coarse)
         last = _on_device(self._run.before[frame]) if self._run is not None else None
-        return config, observation, _context(shot, calibrated, observation, last)
+        return self._fitter.problem(observation, context_of(observation, shot, calibrated, last))
 
     def _calibrated(self, shot: int, config: Config, fitter: Fitter, coarse: bool = False) -> Calibrated:
         if not fitter.calibrates:
@@ -619,15 +626,6 @@ def open_session(
     return TuningSession(model, load_material(inputs, config, landmarks, stills, progress), config)
 
 
-def _context(
-    shot: int, calibrated: Calibrated, observation: FrameObservation, last: Continuation | None
-) -> FrameContext:
-    if observation.landmarks is None or (last is not None and jumped(last.points, observation.landmarks.points)):
-        last = None
-    start = calibrated.starts.get(observation.index)
-    return FrameContext(shot, calibrated.identity, start, last, calibrated.appearance)
-
-
 def _on_host(last: Continuation | None) -> Continuation | None:
     return jax.tree.map(lambda leaf: np.array(leaf) if isinstance(leaf, jax.Array) else leaf, last)
 
@@ -638,20 +636,6 @@ def _on_device(last: Continuation | None) -> Continuation | None:
         return None
     numbers = jax.tree.map(jnp.asarray, (last.parameters, last.pose, last.last_pose))
     return Continuation(*numbers, last.frames, last.points)
-
-
-def _stopped(config: Config, start: bool, counts: Sequence[int], steps: int) -> Config:
-    """The configuration cut off after `steps` iterations in all; `counts` are those of each stage.
-
-    Stages that are not reached do not run: even without an iteration they would move the jaw contour.
-    """
-    running = running_stages(config, start)
-    left, cut = max(steps, 0), {}
-    for k, (stage, count) in enumerate(zip(running, counts, strict=True)):
-        cut[id(stage)] = {"limit": min(count, left), "enabled": left > 0 or k == 0}
-        left -= min(count, left)
-    stages = [stage.model_copy(update=cut.get(id(stage), {})) for stage in config.stages]
-    return config.model_copy(update={"stages": tuple(stages)})
 
 
 def _without_moves(config: Config) -> str:

@@ -1,4 +1,4 @@
-"""One frame under Deep Energies: the same calls as `FrameFitter`, with renders in place of points on the mesh.
+"""One frame under Deep Energies: renders in place of points on the mesh.
 
 Frames are independent (the paper's Sec. 7 starts from there): a fit needs the shot's identity and appearance and the
 frame's own landmarks, nothing of the frame before, unless a stage names a term that links frames (E_τ).
@@ -36,17 +36,19 @@ from workbench.solvers import Status
 from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solver import StageProblem, StageResult, solve_stage
 from workbench.tracking.deep_target import energy_network
+from workbench.tracking.face_it_fitter import FaceItFitter, camera_of, running_stages
 from workbench.tracking.failures import failure_of_residuals
-from workbench.tracking.fitter import (
+from workbench.tracking.fitting import (
     Calibrated,
     Continuation,
+    Fitter,
     FrameContext,
-    FrameFitter,
     FrameObservation,
+    FrameProblem,
+    FrameSolution,
     StageTrace,
-    camera_of,
     continued,
-    running_stages,
+    never,
 )
 from workbench.tracking.free_parameters import free_parameters, parameter_range
 from workbench.tracking.records import FAILURES, FrameFit
@@ -62,42 +64,53 @@ NEUTRAL_YAW_DEG = 25.0
 
 
 @dataclass(frozen=True)
-class DeepSolution:
-    """A frame solved: what every stage made of it."""
+class DeepProblem(FrameProblem):
+    """A frame as the stages take it; without a face in any view there is nothing to solve."""
 
     stages: tuple[Stage, ...]
+    scene: DeepScene | None = None
+    views: tuple[DeepView, ...] = ()
+    """What each camera brings, every landmark in full."""
+    start: FaceParameters | None = None
+    history: TermContext | None = None
+
+
+@dataclass(frozen=True)
+class DeepSolution(FrameSolution):
+    """What every stage made of a frame; no results where there was nothing to solve."""
+
+    problem: DeepProblem
     results: tuple[StageResult, ...]
     views: tuple[DeepView, ...]
     """As the last stage had them."""
-    start: FaceParameters
     seconds: tuple[float, ...]
     """Of each stage."""
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Those that ran."""
+        return self.problem.stages[: len(self.results)]
+
+    @property
+    def start(self) -> FaceParameters:
+        """Where the first stage began."""
+        return self.problem.start
 
     @property
     def parameters(self) -> FaceParameters:
         """Where the last stage ended."""
         return self.results[-1].parameters
 
-    def stopped(self, steps: int) -> "DeepSolution":
-        """The solution as it stood after `steps` accepted steps, counted through all stages."""
-        results, left = [], max(steps, 0)
-        for result in self.results:
-            kept = min(left, len(result.path) - 1)
-            results.append(result.stopped(kept))
-            left -= kept
-            if kept < len(result.path) - 1 or left == 0:
-                break
-        count = len(results)
-        return replace(self, stages=self.stages[:count], results=tuple(results), seconds=self.seconds[:count])
 
+class DeepFitter(Fitter):
+    """Fits frames by Deep Energies."""
 
-class DeepFitter:
-    """Fits frames by Deep Energies. Holds the arrays of one model and one configuration, no order of frames."""
+    renders = True
 
     def __init__(self, model: FaceModel, config: Config):
         self.model = model
         self._deep_model = deep_model(model)
-        self._points = FrameFitter(model, _points_config(config))
+        self._points = FaceItFitter(model, _points_config(config))
         self._seen = jnp.asarray(seen_shapes(model), float)
         self.configure(config)
 
@@ -110,11 +123,6 @@ class DeepFitter:
             raise ConfigError("A rig's cameras are perspective; set camera.projection or leave camera.rig empty.")
         self._network = energy_network(config.deep.network)
         self._points.configure(_points_config(config))
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """Names of the energy's terms."""
-        return self.config.terms
 
     @property
     def links_frames(self) -> bool:
@@ -136,10 +144,6 @@ class DeepFitter:
             return guessed
         scale = self._start_scale(guessed)
         return Camera(np.full(2, scale * FAR_MM), np.asarray(guessed.principal_point_px, float), np.zeros(8))
-
-    def mean_identity(self) -> Float[np.ndarray, "i"]:
-        """The identity used where none is calibrated."""
-        return np.zeros(len(self.model.identity_deltas))
 
     def neutral_observation(self, image_size: tuple[int, int]) -> FrameObservation:
         """What a perfect detector would see of the neutral face in front of this camera; nothing in a rig's others."""
@@ -179,31 +183,46 @@ class DeepFitter:
         except InputError:
             return None  # too small a face: the model's own colours serve
 
-    def fit(
-        self, observation: FrameObservation, context: FrameContext, cancelled: Callable[[], bool] = lambda: False
-    ) -> tuple[FrameFit, Continuation | None]:
-        """The fit of a frame, and its pose for the next one where a term links frames."""
-        if not self._seen_anywhere(observation):
-            return self._empty(observation, context.shot), None
-        solution = self.solve(observation, context, cancelled)
-        fit = self.recorded(observation, context, solution)
-        if not self.links_frames or observation.landmarks is None:
-            return fit, None
-        pose = np.concatenate([solution.parameters.rotation, solution.parameters.translation])
-        return fit, continued(solution.parameters, pose, context.last, observation.landmarks.points)
+    def problem(self, observation: FrameObservation, context: FrameContext) -> DeepProblem:
+        """What each camera brings, colours, start and stages of a frame."""
+        problem = DeepProblem(observation, context, tuple(running_stages(self.config, start=True)))
+        if not observation.faces:
+            return problem
+        start = self._start(observation, context)
+        return replace(
+            problem,
+            scene=self.scene(context.appearance),
+            views=self.views(observation, context),
+            start=start,
+            history=self._history(context.last, start),
+        )
 
-    def explain(self, observation: FrameObservation, context: FrameContext) -> tuple[FrameFit, tuple[StageTrace, ...]]:
-        """The fit with every accepted step of every stage. Raises `InputError` for a frame without landmarks."""
-        if observation.landmarks is None:
-            raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
-        return self.explained(observation, context, self.solve(observation, context))
+    def solve(self, problem: DeepProblem, traced: bool = False, cancelled: Callable[[], bool] = never) -> DeepSolution:
+        """All stages in order, with what each left; every step is kept anyway. `cancelled` is asked before each."""
+        results, seconds, views = [], [], ()
+        parameters = problem.start
+        for stage in problem.stages if problem.views else ():
+            began = time.perf_counter()
+            views = self._weighed(problem.views, stage)
+            result = solve_stage(self._stage_problem(problem, views, stage), parameters, cancelled)
+            parameters = result.parameters
+            results.append(result)
+            seconds.append(time.perf_counter() - began)
+        return DeepSolution(problem, tuple(results), views, tuple(seconds))
 
-    def explained(
-        self, observation: FrameObservation, context: FrameContext, solution: DeepSolution
-    ) -> tuple[FrameFit, tuple[StageTrace, ...]]:
-        """`explain` of a frame that is solved already."""
-        fit, target = self.recorded(observation, context, solution), observation.landmarks.points
-        return fit, tuple(
+    def hand_on(self, solution: DeepSolution) -> Continuation | None:
+        """The pose, where a term links frames."""
+        problem = solution.problem
+        if not self.links_frames or problem.observation.landmarks is None:
+            return None
+        parameters = solution.parameters
+        pose = np.concatenate([parameters.rotation, parameters.translation])
+        return continued(parameters, pose, problem.context.last, problem.observation.landmarks.points)
+
+    def traces(self, solution: DeepSolution) -> tuple[StageTrace, ...]:
+        """The accepted steps, by stage."""
+        target = solution.problem.observation.landmarks.points
+        return tuple(
             StageTrace(
                 stage.name,
                 np.stack([step.energies for step in result.path]),
@@ -212,24 +231,16 @@ class DeepFitter:
             for stage, result in zip(solution.stages, solution.results, strict=True)
         )
 
-    def solve(
-        self, observation: FrameObservation, context: FrameContext, cancelled: Callable[[], bool] = lambda: False
-    ) -> DeepSolution:
-        """All stages in order, with what each left. `cancelled` is asked before every step."""
-        scene = self.scene(context.appearance)
-        stages = tuple(running_stages(self.config, start=True))
-        start = parameters = self._start(observation, context)
-        seen = self.views(observation, context)
-        history = self._history(context.last, start)
-        results, seconds, views = [], [], ()
-        for stage in stages:
-            began = time.perf_counter()
-            views = self._weighed(seen, stage)
-            result = solve_stage(self._problem(scene, views, stage, history), parameters, cancelled)
-            parameters = result.parameters
-            results.append(result)
-            seconds.append(time.perf_counter() - began)
-        return DeepSolution(stages, tuple(results), views, start, tuple(seconds))
+    def stopped(self, solution: DeepSolution, steps: int) -> DeepSolution:
+        """The solution as it stood after `steps` accepted steps, counted through all stages."""
+        results, left = [], max(steps, 0)
+        for result in solution.results:
+            kept = min(left, len(result.path) - 1)
+            results.append(result.stopped(kept))
+            left -= kept
+            if kept < len(result.path) - 1 or left == 0:
+                break
+        return replace(solution, results=tuple(results), seconds=solution.seconds[: len(results)])
 
     def scene(self, appearance: Appearance | None) -> DeepScene:
         """Network, model and colours of a shot."""
@@ -264,9 +275,12 @@ class DeepFitter:
         weights = np.multiply(stage.landmark_weights(self.config.subsets), self.config.point_weights())
         return tuple(view._replace(weights=jnp.asarray(weights * np.asarray(view.weights))) for view in views)
 
-    def recorded(self, observation: FrameObservation, context: FrameContext, solution: DeepSolution) -> FrameFit:
-        """A solution as the record that tables, pictures and exports read."""
-        results, rows = solution.results, len(running_stages(self.config, start=True))
+    def record(self, solution: DeepSolution) -> FrameFit:
+        """A solution as what tables, pictures and exports read."""
+        observation, context = solution.problem.observation, solution.problem.context
+        if not solution.results:
+            return self._empty(observation, context.shot)
+        results, rows = solution.results, len(solution.problem.stages)
         parameters = jax.tree.map(lambda part: np.array(part, float), solution.parameters)
         prediction, camera = results[-1].prediction, self.camera(observation.image_size)
         translation, scale = parameters.translation, float(parameters.scale[0])
@@ -327,15 +341,15 @@ class DeepFitter:
         fit = self._points.fit(observation, FrameContext(0, context.identity, None, None))[0]
         return start._replace(rotation=jnp.asarray(fit.rotation), translation=jnp.asarray(fit.translation))
 
-    def _problem(self, scene: DeepScene, views, stage: Stage, history: TermContext) -> StageProblem:
+    def _stage_problem(self, problem: DeepProblem, views: tuple[DeepView, ...], stage: Stage) -> StageProblem:
         deep, free = self.config.deep, self.free(stage)
         lower, upper = self._bounds()
         return StageProblem(
-            scene=scene,
+            scene=problem.scene,
             views=views,
             terms=self.terms,
             omega=np.array(self.config.factors(stage)),
-            context=history,
+            context=problem.history,
             free=free,
             lower=lower,
             upper=upper,
@@ -412,9 +426,6 @@ class DeepFitter:
             return ""
         limits = self.config.deep.largest_error, self.config.deep.largest_disagreement
         return FAILURES[next(filter(None, failure_of_residuals(np.stack(percent), *limits)), 0)]
-
-    def _seen_anywhere(self, observation: FrameObservation) -> bool:
-        return any(landmarks is not None for landmarks in (observation.landmarks, *observation.others))
 
     def _empty(self, observation: FrameObservation, shot: int) -> FrameFit:
         rows = len(running_stages(self.config, start=True))

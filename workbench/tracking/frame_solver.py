@@ -82,7 +82,7 @@ class FrameInput(NamedTuple):
     start: FaceParameters
 
 
-class FrameSolution(NamedTuple):
+class SolvedFrame(NamedTuple):
     """What the stages make of it; rows of stages that did not run hold NaN, −1 and 0."""
 
     parameters: FaceParameters
@@ -110,7 +110,7 @@ def solve_frame(
     method: Method = "lm",
     trace_length: int = 0,
     terms: tuple[str, ...] = FACE_IT_TERMS,
-) -> FrameSolution:
+) -> SolvedFrame:
     """Run the stages in order, each from where the one before ended. `terms` names the columns of `program.omega`."""
     settings = _within_range(settings, model)
 
@@ -148,7 +148,7 @@ def solve_frame(
     pose = jnp.concatenate([parameters.rotation, parameters.translation])
     parts = (parameters, pose, projected, *rows[:3])
     report = jnp.concatenate([jnp.ravel(leaf).astype(float) for leaf in jax.tree.leaves(parts)])
-    return FrameSolution(*parts, report, rows[3])
+    return SolvedFrame(*parts, report, rows[3])
 
 
 def _within_range(settings: SolveSettings, model: LandmarkModel) -> SolveSettings:
@@ -166,7 +166,7 @@ def _held(settings: SolveSettings):
     return settings.lower == settings.upper
 
 
-def read_report(solution: FrameSolution) -> FrameSolution:
+def read_report(solution: SolvedFrame) -> SolvedFrame:
     """The solution with NumPy arrays, fetched in one transfer; traces stay where they are."""
     leaves, structure = jax.tree.flatten(tuple(solution)[:6])
     report = np.asarray(solution.report)
@@ -177,7 +177,7 @@ def read_report(solution: FrameSolution) -> FrameSolution:
         end = start + math.prod(shape)
         host.append(report[start:end].reshape(shape).astype(dtype, copy=False))
         start = end
-    return FrameSolution(*jax.tree.unflatten(structure, host), report, solution.traces)
+    return SolvedFrame(*jax.tree.unflatten(structure, host), report, solution.traces)
 
 
 def stage_problem(

@@ -7,11 +7,10 @@ import numpy as np
 
 from workbench.config import Config, Stage
 from workbench.errors import ConfigError
-from workbench.face import FaceModel, FaceParameters
+from workbench.face import FaceModel
 from workbench.landmarks.observations import Landmarks2D
 from workbench.rendering import Appearance
-from workbench.tracking.deep_fitter import DeepFitter
-from workbench.tracking.fitter import FrameContext, FrameFitter, FrameObservation
+from workbench.tracking.fitting import FrameContext, FrameObservation
 from workbench.tracking.flow_fitter import parameters_of
 from workbench.tracking.moments import Moment
 from workbench.tracking.records import FrameFit
@@ -63,8 +62,6 @@ class Reestimator:
             others=(None,) * (max(len(moment.pictures), 1) - 1),
         )
         start = parameters_of(before)
-        if isinstance(self._fitter, FrameFitter):  # identity baked into its landmarks, no joint, no scale
-            start = FaceParameters(start.rotation, start.translation, start.expression, np.zeros(0))
         context = FrameContext(
             before.shot, np.asarray(before.identity, float), start, None, self._appearance(moment, observation)
         )
@@ -79,8 +76,6 @@ class Reestimator:
         )
 
     def _appearance(self, moment: Moment, observation: FrameObservation) -> Appearance | None:
-        if not isinstance(self._fitter, DeepFitter):
-            return None
         if moment.fit.shot not in self._appearances:
             identity = np.asarray(moment.fit.identity, float)
             self._appearances[moment.fit.shot] = self._fitter.appearance([observation], identity)

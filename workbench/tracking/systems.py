@@ -3,19 +3,20 @@
 from workbench.config import Config
 from workbench.face import FaceModel
 from workbench.tracking.deep_fitter import DeepFitter
-from workbench.tracking.fitter import FrameFitter
+from workbench.tracking.face_it_fitter import FaceItFitter
+from workbench.tracking.fitting import Fitter
 
-Fitter = FrameFitter | DeepFitter
+SYSTEMS: dict[str, type[Fitter]] = {"face-it": FaceItFitter, "deep-energies": DeepFitter}
 
 
 def make_fitter(model: FaceModel, config: Config) -> Fitter:
     """The fitter of the configuration's system."""
-    return DeepFitter(model, config) if config.system == "deep-energies" else FrameFitter(model, config)
+    return SYSTEMS[config.system](model, config)
 
 
 def configured(fitter: Fitter, config: Config) -> Fitter:
     """The fitter under another configuration; a new one only where the system changes."""
-    if isinstance(fitter, DeepFitter) != (config.system == "deep-energies"):
+    if type(fitter) is not SYSTEMS[config.system]:
         return make_fitter(fitter.model, config)
     fitter.configure(config)
     return fitter

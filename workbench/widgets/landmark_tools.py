@@ -10,7 +10,7 @@ from workbench.landmarks.scheme import GROUPS
 from workbench.session import FittedHead, TuningSession
 from workbench.session.gesture import Gesture
 from workbench.tracking import FrameFit
-from workbench.tracking.fitter import running_stages
+from workbench.tracking.face_it_fitter import running_stages
 from workbench.widgets.controls import small_button
 from workbench.widgets.overlay_view import OverlayEvent, OverlayView
 from workbench.widgets.picture_layers import PictureLayers

@@ -9,7 +9,7 @@ from workbench.diagnosis.records import Change
 from workbench.diagnosis.reference import jointly
 from workbench.diagnosis.trial import Finding, Trial
 from workbench.solvers import Status
-from workbench.tracking.fitter import running_stages
+from workbench.tracking.face_it_fitter import running_stages
 
 MORE_ITERATIONS = 20
 LARGEST_LIMIT = 500

@@ -8,7 +8,7 @@ from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial
 from workbench.landmarks.scheme import face_size
 from workbench.tracking import FrameFit
-from workbench.tracking.fitter import camera_of
+from workbench.tracking.face_it_fitter import camera_of
 
 LEAST_IDENTITY_GAIN = 0.2
 """Part of the shot's unexplained evidence that another face must explain."""

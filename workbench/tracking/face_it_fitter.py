@@ -1,29 +1,38 @@
-"""One frame under one configuration: calibrate, fit, explain. Knows what came before a frame only by its context."""
+"""One frame under FACE IT!: the head's pose and the weights of the blendshapes from 68 landmarks."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
-from workbench.arrays import AnyArray
 from workbench.config import Config, Stage
 from workbench.energies import EnergyConstants
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, camera_from_fov, camera_from_matrix, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
-from workbench.rendering import Appearance
 from workbench.runtime import COMPUTING
+from workbench.tracking.fitting import (
+    Calibrated,
+    Continuation,
+    Fitter,
+    FrameContext,
+    FrameObservation,
+    FrameProblem,
+    FrameSolution,
+    StageTrace,
+    continued,
+    never,
+)
 from workbench.tracking.frame_solver import (
     STAGE_SLOTS,
     UNKNOWNS,
     FrameInput,
-    FrameSolution,
+    SolvedFrame,
     SolveSettings,
     StageProgram,
     read_report,
@@ -38,64 +47,30 @@ TRACE_LENGTH = 500
 
 
 @dataclass(frozen=True)
-class FrameObservation:
-    """What a frame brings to the tracker."""
+class FaceItProblem(FrameProblem):
+    """A frame as `solve_frame` takes it; without landmarks there is nothing to solve."""
 
-    index: int
-    landmarks: Landmarks2D | None
-    image_size: tuple[int, int]
-    source: str = "given"
-    cut: bool = False
-    """Whether this frame starts a new shot."""
-    milliseconds: tuple[float, float] = (0.0, 0.0)
-    """Time that detection and landmarks took."""
-    picture: UInt8[np.ndarray, "h w 3"] | None = None
-    """RGB, where the fit wants it: Deep Energies takes colours and light from one."""
-    others: tuple[Landmarks2D | None, ...] = ()
-    """Landmarks in the other views of a rig, in its order; None where that view found no face."""
+    began: float
+    """When the frame was taken up, seconds."""
+    camera: Camera
+    settings: SolveSettings
+    program: StageProgram
+    """The stages that run."""
+    camera_on_device: Camera | None = None
+    person: LandmarkModel | None = None
+    frame: FrameInput | None = None
 
 
-class Continuation(NamedTuple):
-    """What one frame hands to the next."""
+@dataclass(frozen=True)
+class FaceItSolution(FrameSolution):
+    """What `solve_frame` made of a frame; None where there was nothing to solve."""
 
-    parameters: FaceParameters
-    pose: Float[AnyArray, "6"]
-    last_pose: Float[AnyArray, "6"]
-    frames: int
-    """Frames since the restart, this one included."""
-    points: Float[np.ndarray, "68 2"]
-
-
-class FrameContext(NamedTuple):
-    """What a frame is fitted from, besides its observation."""
-
-    shot: int
-    identity: Float[np.ndarray, "i"]
-    start: FaceParameters | None
-    """Where the calibration left this frame, if it was one of its frames."""
-    last: Continuation | None
-    """The frame before; None where a shot, or the face after a gap or a jump, begins."""
-    appearance: Appearance | None = None
-    """Colours and light of the shot, for renders."""
-
-
-class Calibrated(NamedTuple):
-    """Identity of a shot, and where its calibration left the frames that it used."""
-
-    identity: Float[np.ndarray, "i"]
-    starts: dict[int, FaceParameters]
-    """By frame index."""
-    appearance: Appearance | None = None
-
-
-class StageTrace(NamedTuple):
-    """Every iteration of one stage; row 0 is the start."""
-
-    stage: str
-    energies: Float[np.ndarray, "steps t"]
-    """Weighted energy of each term of the configuration (`Config.terms`)."""
-    residuals_px: Float[np.ndarray, "steps 68"]
-    """Distance of each model landmark from the observed one."""
+    problem: FaceItProblem
+    found: SolvedFrame | None
+    """On the device, for the next frame."""
+    report: SolvedFrame | None
+    """The same in NumPy arrays."""
+    milliseconds: float
 
 
 def camera_of(config: Config, image_size: tuple[int, int]) -> Camera:
@@ -138,30 +113,10 @@ def stage_program(config: Config, start: bool) -> StageProgram:
     return StageProgram(*(jnp.asarray(part) for part in (moves, limit, weights, omega, len(chosen))))
 
 
-def corrected(observation: FrameObservation, config: Config) -> FrameObservation:
-    """The observation with the detections that the configuration moves; these count as certain."""
-    moved = config.moved_points(observation.index)
-    if not moved or observation.landmarks is None:
-        return observation
-    points, confidence = observation.landmarks.points.copy(), observation.landmarks.confidence.copy()
-    for point, place in moved.items():
-        points[point], confidence[point] = place, 1.0
-    return replace(observation, landmarks=replace(observation.landmarks, points=points, confidence=confidence))
+class FaceItFitter(Fitter):
+    """Fits frames by FACE IT!."""
 
-
-def continued(
-    parameters: FaceParameters,
-    pose: Float[AnyArray, "6"],
-    last: Continuation | None,
-    points: Float[np.ndarray, "68 2"],
-) -> Continuation:
-    """What a fitted frame hands to the next one; `last` is what it was handed itself."""
-    before = pose if last is None else last.pose
-    return Continuation(parameters, pose, before, 1 if last is None else last.frames + 1, points)
-
-
-class FrameFitter:
-    """Fits frames in their context. Holds the arrays of one model and one configuration, no order of frames."""
+    renders = False
 
     def __init__(self, model: FaceModel, config: Config):
         self.model = model
@@ -179,13 +134,8 @@ class FrameFitter:
         self._cameras: dict[tuple[int, int], tuple[Camera, Camera]] = {}
 
     @property
-    def terms(self) -> tuple[str, ...]:
-        """Names of the energy's terms."""
-        return self._terms
-
-    @property
     def links_frames(self) -> bool:
-        """Whether a frame depends on the one before: always, it starts there."""
+        """Always: a frame starts where the one before ended."""
         return True
 
     @property
@@ -196,10 +146,6 @@ class FrameFitter:
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """The camera used for pictures of this size."""
         return self._camera_pair(image_size)[0]
-
-    def mean_identity(self) -> Float[np.ndarray, "i"]:
-        """The identity used where none is calibrated."""
-        return np.zeros(len(self.model.identity_deltas))
 
     def calibrate(self, observations: Sequence[FrameObservation], frames: int) -> Calibrated:
         """One identity from up to `frames` of these observations of one person, spread over the yaw.
@@ -222,25 +168,72 @@ class FrameFitter:
             starts[usable[k].index] = start._replace(identity=jnp.zeros(0))
         return Calibrated(np.asarray(result.identity), starts)
 
-    def fit(self, observation: FrameObservation, context: FrameContext) -> tuple[FrameFit, Continuation | None]:
-        """The fit of a frame, and what it hands to the next one (None without a face)."""
-        if observation.landmarks is None:
-            return self._empty(observation, context.shot), None
-        fit, solution = self._solve(observation, context, 0)
-        return fit, continued(solution.parameters, solution.pose, context.last, observation.landmarks.points)
-
-    def explain(self, observation: FrameObservation, context: FrameContext) -> tuple[FrameFit, tuple[StageTrace, ...]]:
-        """The fit with every iteration of every stage kept. Raises `InputError` for a frame without landmarks."""
-        if observation.landmarks is None:
-            raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
-        fit, solution = self._solve(observation, context, TRACE_LENGTH)
-        stages = running_stages(self.config, start=context.last is None)
-        counts = fit.iterations[len(fit.iterations) - len(stages) :]
-        energies, residuals = (np.asarray(rows) for rows in solution.traces)
-        return fit, tuple(
-            StageTrace(stage.name, energies[k, : count + 1], residuals[k, : count + 1])
-            for k, (stage, count) in enumerate(zip(stages, counts, strict=True))
+    def problem(self, observation: FrameObservation, context: FrameContext) -> FaceItProblem:
+        """Camera, person, stages and start of a frame."""
+        began = time.perf_counter()
+        camera, camera_on_device = self._camera_pair(observation.image_size)
+        problem = FaceItProblem(
+            observation, context, began, camera, self._settings, self._programs[context.last is None]
         )
+        if observation.landmarks is None:
+            return problem
+        person = self._personal_of(context.identity)
+        frame = self._frame_input(observation, context)
+        return replace(problem, camera_on_device=camera_on_device, person=person, frame=frame)
+
+    def solve(
+        self, problem: FaceItProblem, traced: bool = False, cancelled: Callable[[], bool] = never
+    ) -> FaceItSolution:
+        """All stages in one program, which nothing stops: it takes milliseconds."""
+        if problem.frame is None:
+            return FaceItSolution(problem, None, None, 0.0)
+        with COMPUTING:
+            found = solve_frame(
+                problem.camera_on_device,
+                problem.person,
+                problem.settings,
+                problem.program,
+                problem.frame,
+                method=self.config.solver.method,
+                trace_length=TRACE_LENGTH if traced else 0,
+                terms=self._terms,
+            )
+        report = read_report(found)
+        return FaceItSolution(problem, found, report, 1e3 * (time.perf_counter() - problem.began))
+
+    def hand_on(self, solution: FaceItSolution) -> Continuation | None:
+        """Pose and weights, from which the next frame starts."""
+        if solution.found is None:
+            return None
+        problem = solution.problem
+        points = problem.observation.landmarks.points
+        return continued(solution.found.parameters, solution.found.pose, problem.context.last, points)
+
+    def traces(self, solution: FaceItSolution) -> tuple[StageTrace, ...]:
+        """The iterations of a traced solution, by stage."""
+        stages = running_stages(self.config, start=solution.problem.context.last is None)
+        energies, residuals = (np.asarray(rows) for rows in solution.found.traces)
+        return tuple(
+            StageTrace(stages[k].name, energies[k, : count + 1], residuals[k, : count + 1])
+            for k, count in enumerate(self._counts(solution))
+        )
+
+    def stopped(self, solution: FaceItSolution, steps: int) -> FaceItSolution:
+        """The frame solved again with its stages cut off.
+
+        Stages that are not reached do not run: even without an iteration they would move the jaw contour.
+        """
+        left, limits = max(steps, 0), []
+        for count in self._counts(solution):
+            limits.append(min(count, left))
+            left -= limits[-1]
+            if left == 0:
+                break
+        problem = solution.problem
+        limit = np.array(problem.program.limit)
+        limit[: len(limits)] = limits
+        cut = problem.program._replace(limit=jnp.asarray(limit), count=jnp.asarray(len(limits)))
+        return self.solve(replace(problem, program=cut))
 
     def warm_up(self, image_size: tuple[int, int], trace: bool = False) -> None:
         """Compile (or load from the cache) the program of a fit, and that of `explain` if asked for."""
@@ -275,26 +268,10 @@ class FrameFitter:
             self._identity = np.array(identity)
         return self._personal
 
-    def _solve(
-        self, observation: FrameObservation, context: FrameContext, trace_length: int
-    ) -> tuple[FrameFit, FrameSolution]:
-        began = time.perf_counter()
-        camera, camera_on_device = self._camera_pair(observation.image_size)
-        personal = self._personal_of(context.identity)
-        with COMPUTING:
-            solution = solve_frame(
-                camera_on_device,
-                personal,
-                self._settings,
-                self._programs[context.last is None],
-                self._frame_input(observation, context),
-                method=self.config.solver.method,
-                trace_length=trace_length,
-                terms=self._terms,
-            )
-        fetched = read_report(solution)
-        milliseconds = 1e3 * (time.perf_counter() - began)
-        return self._record(observation, context, camera, fetched, milliseconds), solution
+    @staticmethod
+    def _counts(solution: FaceItSolution) -> list[int]:
+        """Iterations of each stage that ran."""
+        return [int(count) for count in solution.report.iterations[: int(solution.problem.program.count)]]
 
     def _frame_input(self, observation: FrameObservation, context: FrameContext) -> FrameInput:
         points, last = observation.landmarks.points, context.last
@@ -308,6 +285,8 @@ class FrameFitter:
             rotation, translation = initial_pose(camera, self._neutral, points, self._used)
             expression = np.zeros(len(self.model.expression_names))
             start = FaceParameters(rotation, translation, expression, np.zeros(0))
+        # The identity is in the person's landmarks, and there is neither a joint nor a scale.
+        start = FaceParameters(start.rotation, start.translation, start.expression, np.zeros(0))
         return FrameInput(measured, _NO_POSE, _NO_POSE, _ZERO, start)
 
     def _calibrate_on(self, observations, poses, count):
@@ -348,33 +327,38 @@ class FrameFitter:
                 weights,
             )
 
-    def _record(self, observation, context: FrameContext, camera, solution: FrameSolution, milliseconds: float):
+    def record(self, solution: FaceItSolution) -> FrameFit:
+        """A solution as what tables, pictures and exports read."""
+        problem, found = solution.problem, solution.report
+        observation, context = problem.observation, problem.context
+        if found is None:
+            return self._empty(observation, context.shot)
         # Rows are laid out for the stages of a first frame, so that first and later frames stack.
-        rows = int(self._programs[True].count)
-        count = int(self._programs[context.last is None].count)
-        place = slice(rows - count, rows)
+        rows, running = (int(self._programs[start].count) for start in (True, context.last is None))
+        count = int(problem.program.count)
+        place = slice(rows - running, rows - running + count)
         energies = np.full((rows, len(self._terms)), np.nan)
         status, iterations = np.full(rows, -1), np.zeros(rows, int)
-        energies[place], status[place] = solution.energies[:count], solution.status[:count]
-        iterations[place] = solution.iterations[:count]
+        energies[place], status[place] = found.energies[:count], found.status[:count]
+        iterations[place] = found.iterations[:count]
         return FrameFit(
             index=observation.index,
             found=True,
             shot=context.shot,
             source=observation.source,
             image_size=observation.image_size,
-            camera=camera,
-            rotation=solution.parameters.rotation,
-            translation=solution.parameters.translation,
-            expression=solution.parameters.expression,
+            camera=problem.camera,
+            rotation=found.parameters.rotation,
+            translation=found.parameters.translation,
+            expression=found.parameters.expression,
             identity=context.identity,
             observed=observation.landmarks.points,
             confidence=observation.landmarks.confidence,
-            projected=solution.projected,
+            projected=found.projected,
             energies=energies,
             status=status,
             iterations=iterations,
-            milliseconds=np.array([*observation.milliseconds, milliseconds]),
+            milliseconds=np.array([*observation.milliseconds, solution.milliseconds]),
         )
 
     def _empty(self, observation: FrameObservation, shot: int) -> FrameFit:
