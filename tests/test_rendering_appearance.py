@@ -163,6 +163,10 @@ def test_files_that_are_no_appearance_are_refused(scene, estimate, tmp_path):
     replace(estimate, light=np.full_like(estimate.light, np.nan)).save(tmp_path / "dark.npz")
     with pytest.raises(InputError, match="light holds something else than finite numbers"):
         load_appearance(tmp_path / "dark.npz", head)
+    for part, value in {"albedo": np.float32(0.5), "light": estimate.light[:4], "seen": estimate.seen[:-1]}.items():
+        replace(estimate, **{part: value}).save(tmp_path / "shapes.npz")
+        with pytest.raises(InputError, match="damaged or of another kind.*have the shapes"):
+            load_appearance(tmp_path / "shapes.npz", head)
     os.mkfifo(tmp_path / "pipe.npz")
     with pytest.raises(InputError, match="pipe or device"):
         load_appearance(tmp_path / "pipe.npz", head)

@@ -87,7 +87,9 @@ def load_appearance(path: str | Path, model: FaceModel) -> Appearance:
     with reading(path, kind, "estimate it again"), path.open("rb") as stream, checked_arrays(stream) as stored:
         albedo, light, seen = (_numbers(stored, name) for name in ("albedo", "light", "seen"))
         residual = float(_numbers(stored, "residual"))
-    if albedo.shape != model.neutral.shape or light.shape != (9, 3) or seen.shape != albedo.shape[:1]:
+        if albedo.shape != (*seen.shape, 3) or light.shape != (9, 3):
+            raise ValueError(f"albedo, light and seen have the shapes {albedo.shape}, {light.shape} and {seen.shape}")
+    if len(albedo) != len(model.neutral):
         raise InputError(
             f"{path} holds the colours of {len(albedo)} vertices, the model has {len(model.neutral)}; "
             "estimate the appearance with this model."
