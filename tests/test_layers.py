@@ -172,6 +172,26 @@ def test_no_class_of_the_widgets_is_long(path):
     assert not long, f"take apart, along what they do, these classes with so many lines: {long}"
 
 
+def asks_for_the_system(source: str) -> list[int]:
+    """Lines that compare `….system` with something, or ask whether something is one system's fitter."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Compare):
+            sides = [node.left, *node.comparators]
+            found += [node.lineno for side in sides if isinstance(side, ast.Attribute) and side.attr == "system"]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("isinstance", "type"):
+            found += [node.lineno] if "Fitter" in ast.unparse(node) else []
+    return found
+
+
+@pytest.mark.parametrize("name", ["session", "widgets", "pipeline", "cli", "diagnosis", "pictures", "export"])
+def test_nothing_above_the_fitters_asks_which_system_it_is(name):
+    """What a system can do stands in its row of `energies/systems.py`."""
+    asking = {str(path): asks_for_the_system(path.read_text()) for path in modules() if layer(path) == name}
+    assert {path: lines for path, lines in asking.items() if lines} == {}
+    assert asks_for_the_system('if config.system == "face-it" and isinstance(fitter, DeepFitter): pass') == [1, 1]
+
+
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_nothing_is_loaded_by_executing_it(path):
     text = path.read_text(encoding="utf-8")

@@ -2,7 +2,7 @@
 
 import difflib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -12,6 +12,8 @@ import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 from pydantic.json_schema import GenerateJsonSchema
 
+from workbench.energies.systems import PARAMETER_BLOCKS, SYSTEMS
+from workbench.energies.systems import System as SystemTraits
 from workbench.energies.terms import NODES, TABLE, Term, stage_factors, terms_of
 from workbench.errors import ConfigError
 from workbench.files import atomic_path
@@ -20,9 +22,7 @@ from workbench.reading import checked_file, reading, shortened, toml_tables
 
 VERSION = 2
 DEFAULT_PRESET = "joint"
-PARAMETER_BLOCKS = ("rotation", "translation", "expression", "identity", "jaw_open", "jaw", "scale")
-FACE_IT_BLOCKS = PARAMETER_BLOCKS[:3]
-System = Literal["face-it", "deep-energies"]
+System = Literal[tuple(SYSTEMS)]
 NAMED_TERMS = tuple(name for name in TABLE if name not in ("landmarks", "identity"))
 """What a stage may name: the landmarks are in every stage, and the identity's prior wherever the identity is free."""
 LONGEST_PROBLEM = 400
@@ -242,7 +242,7 @@ class Stage(_Section):
     """One solve: what is free, what each landmark counts, how many iterations."""
 
     name: str = Field(min_length=1, description="What tables and plots call it.")
-    free: tuple[Literal["rotation", "translation", "expression", "identity", "jaw_open", "jaw", "scale"], ...] = Field(
+    free: tuple[Literal[PARAMETER_BLOCKS], ...] = Field(
         min_length=1, description="What the stage solves for; the rest stays."
     )
     shapes: tuple[str, ...] = Field(
@@ -381,9 +381,29 @@ class Config(_Section):
         return {int(point): place for point, place in self.landmarks.moved.get(str(frame), {}).items()}
 
     @property
+    def traits(self) -> SystemTraits:
+        """What its system can do."""
+        return SYSTEMS[self.system]
+
+    @property
     def terms(self) -> tuple[str, ...]:
         """Names of the energy's terms: the system's, and those that any stage names."""
-        return terms_of(self.system, (name for stage in self.stages for name in stage.terms))
+        return terms_of(self.system, self.named_terms(self.stages))
+
+    @property
+    def summed_terms(self) -> set[str]:
+        """The terms that count in some stage that runs."""
+        own = {name for name, term in TABLE.items() if self.system in term.systems}
+        return own | self.named_terms(stage for stage in self.stages if stage.enabled)
+
+    @staticmethod
+    def named_terms(stages: Iterable[Stage]) -> set[str]:
+        """The terms that stages name beside their system's own."""
+        return {name for stage in stages for name in stage.terms}
+
+    def running(self, start: bool) -> tuple[Stage, ...]:
+        """The stages that run on the first frame of a shot (`start`) or on a later one."""
+        return tuple(stage for stage in self.stages if stage.enabled and (start or stage.when == "always"))
 
     def omega(self) -> dict[str, float]:
         """Every ω by its place, as `weights.tau`."""
@@ -417,8 +437,8 @@ class Config(_Section):
                 if problem := _unknown_group(name, self.subsets):
                     raise ValueError(f"{place} {problem}")
         for stage in self.stages:
-            foreign = [name for name in stage.free if name not in FACE_IT_BLOCKS]
-            if self.system == "face-it" and foreign:
+            foreign = [name for name in stage.free if name not in self.traits.blocks]
+            if foreign:
                 raise ValueError(f"stage {stage.name!r} frees {foreign[0]!r}, which takes system = 'deep-energies'")
         if self.system == "face-it" and self.camera.projection == "orthographic":
             raise ValueError("an orthographic camera takes system = 'deep-energies'")

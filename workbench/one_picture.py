@@ -193,7 +193,7 @@ def _observation(picture, landmarks, config: Config, detector) -> FrameObservati
         observation = FrameObservation(0, _given(landmarks, size), size, "given", True, picture=picture)
     else:
         observation = _found(picture, config, detector)
-    if config.system == "deep-energies":
+    if config.traits.renders:
         network = energy_network(config.deep.network)
         return replace(observation, landmarks=photo_landmarks(network, picture, observation.landmarks))
     return observation

@@ -143,7 +143,7 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, r
         camera = {"fov_deg": fov, "matrix": None}
     if rig is not None:
         camera["rig"] = str(rig)
-    if energy is not None and base.system != "deep-energies":
+    if energy is not None and not base.traits.reads("deep"):
         raise ConfigError("--energy belongs to Deep Energies; add --preset deep-energies.")
     changes = {
         "deep": {} if energy is None else {"energy": energy},

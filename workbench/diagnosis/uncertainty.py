@@ -16,7 +16,7 @@ from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_mo
 from workbench.geometry import Camera, rotation_matrix
 from workbench.runtime import COMPUTING
 from workbench.tracking import FrameContext, FrameFit
-from workbench.tracking.face_it_fitter import running_stages, solve_settings
+from workbench.tracking.face_it_fitter import solve_settings
 from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem
 
 FREE = ("rotation", "translation", "expression")
@@ -58,7 +58,7 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
     """
     if not fit.found:
         raise InputError(f"Frame {fit.index} has no landmarks; ask for the uncertainty of a frame with a face.")
-    stage = running_stages(config, start=context.last is None)[-1]
+    stage = config.running(start=context.last is None)[-1]
     weights = np.multiply(stage.landmark_weights(config.subsets), config.point_weights())
     factors = stage_factors(config.omega(), config.system, FREE, stage.terms, config.terms)
     personal = landmark_model(model).personal(np.asarray(fit.identity))

@@ -92,12 +92,12 @@ def track(
     paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     if not paths:
         raise InputError("There is nothing to track; name a photo, a folder, a video or a landmark file.")
-    if config.system != "deep-energies" and (views or workers > 1):
+    if not config.traits.renders and (views or workers > 1):
         raise InputError("Several views and several processes belong to Deep Energies; add --preset deep-energies.")
     files = [*paths, *views.values(), *_given(landmarks), *_given(config.camera.rig)]
     job = _Job(Path(folder), model, config, pictures, resume, overwrite, workers, progress or _silent)
     with run_folder(job.folder, files, resume, overwrite):
-        if config.system == "deep-energies":
+        if config.traits.renders:
             source = open_deep_source(paths, config, landmarks, frames, views)
         else:
             source = open_source(paths, config, landmarks, frames, keep_pictures=stills and pictures)
@@ -168,7 +168,7 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     tracker.warm_up(source.image_size)
     writer = TrackWriter(job.fits_path, meta, _fingerprint(meta), job.resume)
     began, already, strips = time.perf_counter(), len(writer), []
-    deep = config.system == "deep-energies"
+    deep = config.traits.renders
     notes, files = [], ()
     with ExitStack() as stack:
         drawn = None

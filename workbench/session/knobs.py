@@ -117,32 +117,25 @@ TIME = (
 )  # fmt: skip
 KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP, *METHODS, *TIME)
 
-FACE_IT_SOLVER = ("solver.method", "solver.tolerance")
-"""What Deep Energies does not read: it has its own."""
-
 
 def is_inert(config: Config, path: str) -> bool:
     """Whether a knob changes nothing under this configuration's system and stages."""
-    deep = config.system == "deep-energies"
-    section, key = path.split(".") if "." in path else ("", path)
+    section, _, key = path.rpartition(".")
     if section == "constants":
-        return not any(key in TABLE[name].constants for name in _summed(config))
-    for name, term in TABLE.items():
-        if term.omega_key(config.system) == path and section in ("weights", "deep"):
-            return name not in _summed(config)
-    if section == "weights":  # a node of the hierarchy
-        return deep and not (key == "prior" and any(_below_prior(name) for name in _summed(config)))
-    return path in FACE_IT_SOLVER if deep else section == "deep"
+        return not any(key in TABLE[name].constants for name in config.summed_terms)
+    if section in ("weights", "deep") and path in config.omega():
+        return not _weighs(config, path)
+    return not config.traits.reads(path)
 
 
-def _summed(config: Config) -> set[str]:
-    """The terms that some stage sums."""
-    named = {name for stage in config.stages for name in stage.terms}
-    return named | {name for name, term in TABLE.items() if config.system in term.systems}
-
-
-def _below_prior(name: str) -> bool:
-    return TABLE[name].branch == "prior" and TABLE[name].omega_key("deep-energies").startswith("weights.")
+def _weighs(config: Config, path: str) -> bool:
+    """Whether an ω stands in front of a term that counts in some stage."""
+    without = {**dict.fromkeys(config.omega(), 1.0), path: 0.0}
+    return any(
+        factor(TABLE[name], without, config.system, pose_only) == 0.0
+        for name in config.summed_terms
+        for pose_only in (True, False)
+    )
 
 
 def value_of(config: Config, path: str) -> Value:

@@ -281,9 +281,9 @@ class LiveSession:
 
 
 def _check_live(config: Config) -> None:
-    if config.system != "face-it":
+    if not config.traits.real_time:
         raise InputError(
-            "Deep Energies takes seconds per frame and cannot follow a camera; use one of "
+            f"{config.traits.title} takes seconds per frame and cannot follow a camera; use one of "
             f"{', '.join(FACE_IT_PRESETS)}."
         )
 

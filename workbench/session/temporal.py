@@ -298,7 +298,7 @@ class TemporalWork:
     ) -> tuple[FrameFit, ...] | None:
         """The fits of single frames; None if cancelled."""
         first, last = part
-        if config.system == "deep-energies" and not self._ran(config):
+        if not config.traits.real_time and not self._ran(config):
             single = self._singles(config)
             for frame in range(first, last + 1):
                 if cancelled():

@@ -281,7 +281,7 @@ class TuningSession:
         `pictured`: with the picture, where there is one.
         """
         observation = self.material.observations[frame]
-        if config.system != "deep-energies" or observation.landmarks is None or not self.material.pictures.real:
+        if not config.traits.renders or observation.landmarks is None or not self.material.pictures.real:
             return observation
         picture, key = self.material.pictures[frame], (frame, config.deep.network)
         if key not in self._targets:
@@ -342,7 +342,7 @@ class TuningSession:
 
         Raises `InputError` for a frame without landmarks.
         """
-        if self._config.system == "deep-energies":
+        if not self._config.traits.diagnosed:
             raise InputError(
                 "The diagnosis tries changes to FACE IT!; go to a FACE IT! preset for it. What failed under Deep "
                 "Energies is named beside the frame, and the film strip shows at which stage."
@@ -457,7 +457,7 @@ class TuningSession:
     def warm_up(self) -> None:
         """Compile all that a panel can ask for: every solver, with and without its trace, and a diagnosis."""
         size = self.material.observations[0].image_size
-        if self.base.system == "deep-energies":
+        if not self.base.traits.real_time:
             self.fit_frame(0)
             return
         for changes in ({}, {"method": "optimistix-lm"}, {"method": "optimistix-dogleg"}):
@@ -648,6 +648,6 @@ def _identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
     """What the identity of a shot depends on."""
     moved = {key: config.landmarks.moved[key] for item in window if (key := str(item.index)) in config.landmarks.moved}
     kept = {"system", "camera", "identity", "contour", "subsets"}
-    kept |= {"deep"} if config.system == "deep-energies" else set()
+    kept |= {"deep"} if config.traits.reads("deep") else set()
     sections = config.model_dump_json(include=kept)
     return f"{sections}{config.point_weights()}{moved}"

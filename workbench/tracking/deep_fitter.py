@@ -36,7 +36,7 @@ from workbench.solvers import Status
 from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solver import StageProblem, StageResult, solve_stage
 from workbench.tracking.deep_target import energy_network
-from workbench.tracking.face_it_fitter import FaceItFitter, camera_of, running_stages
+from workbench.tracking.face_it_fitter import FaceItFitter, camera_of
 from workbench.tracking.failures import failure_of_residuals
 from workbench.tracking.fitting import (
     Calibrated,
@@ -127,8 +127,7 @@ class DeepFitter(Fitter):
     @property
     def links_frames(self) -> bool:
         """Whether a frame depends on the one before: where a stage names a term that does."""
-        named = {name for stage in self.config.stages if stage.enabled for name in stage.terms}
-        return any(TABLE[name].links_frames for name in named)
+        return any(TABLE[name].links_frames for name in self.config.summed_terms)
 
     @property
     def calibrates(self) -> bool:
@@ -185,7 +184,7 @@ class DeepFitter(Fitter):
 
     def problem(self, observation: FrameObservation, context: FrameContext) -> DeepProblem:
         """What each camera brings, colours, start and stages of a frame."""
-        problem = DeepProblem(observation, context, tuple(running_stages(self.config, start=True)))
+        problem = DeepProblem(observation, context, self.config.running(start=True))
         if not observation.faces:
             return problem
         start = self._start(observation, context)
@@ -428,7 +427,7 @@ class DeepFitter(Fitter):
         return FAILURES[next(filter(None, failure_of_residuals(np.stack(percent), *limits)), 0)]
 
     def _empty(self, observation: FrameObservation, shot: int) -> FrameFit:
-        rows = len(running_stages(self.config, start=True))
+        rows = len(self.config.running(start=True))
         empty, _ = self._points.fit(
             replace(observation, landmarks=None), FrameContext(shot, self.mean_identity(), None, None)
         )

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from workbench.config import Config, Stage
+from workbench.config import Config
 from workbench.energies import EnergyConstants
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
@@ -95,14 +95,9 @@ def solve_settings(config: Config) -> SolveSettings:
     )
 
 
-def running_stages(config: Config, start: bool) -> list[Stage]:
-    """The stages that run on the first frame of a shot (`start`) or on a later one."""
-    return [stage for stage in config.stages if stage.enabled and (start or stage.when == "always")]
-
-
 def stage_program(config: Config, start: bool) -> StageProgram:
     """The stages of a first or a later frame as data for `solve_frame`."""
-    chosen = running_stages(config, start)
+    chosen = config.running(start)
     slots = STAGE_SLOTS * -(-len(config.stages) // STAGE_SLOTS)
     moves, limit = np.zeros((slots, len(UNKNOWNS)), bool), np.zeros(slots, int)
     weights, omega = np.zeros((slots, 68)), np.zeros((slots, len(config.terms)))
@@ -211,7 +206,7 @@ class FaceItFitter(Fitter):
 
     def traces(self, solution: FaceItSolution) -> tuple[StageTrace, ...]:
         """The iterations of a traced solution, by stage."""
-        stages = running_stages(self.config, start=solution.problem.context.last is None)
+        stages = self.config.running(start=solution.problem.context.last is None)
         energies, residuals = (np.asarray(rows) for rows in solution.found.traces)
         return tuple(
             StageTrace(stages[k].name, energies[k, : count + 1], residuals[k, : count + 1])

@@ -62,7 +62,7 @@ class ClipBar:
     @property
     def is_slow(self) -> bool:
         """Whether a clip is only run when asked for: Deep Energies takes seconds per frame."""
-        return self.is_clip and self._session.config.system == "deep-energies"
+        return self.is_clip and not self._session.config.traits.real_time
 
     def begin(self) -> None:
         """The first run, where it is quick."""

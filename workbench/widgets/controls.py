@@ -157,9 +157,9 @@ NOT_NAMED = "What is greyed out weighs a term that no stage names; a stage's <i>
 
 def _why_inert(config: Config, title: str, every: bool) -> str:
     if title == "deep":
-        own, whole, some = config.system == "deep-energies", OF_DEEP, SOME_OF_DEEP
+        own, whole, some = config.traits.reads("deep"), OF_DEEP, SOME_OF_DEEP
     else:
-        own, whole, some = config.system == "face-it", OF_FACE_IT, SOME_OF_FACE_IT
+        own, whole, some = not config.traits.reads("deep"), OF_FACE_IT, SOME_OF_FACE_IT
     return NOT_NAMED if own else whole if every else some
 
 

@@ -32,7 +32,7 @@ class FilmStrip(widgets.VBox):
 
     def show_config(self) -> None:
         """Follow the configuration: say why there is no strip, where there is none."""
-        if self._session.config.system != "deep-energies":
+        if not self._session.config.traits.renders:
             self._say(NO_STAGES)
         elif not self._session.material.pictures.real:
             self._say(NO_PICTURES)
@@ -42,7 +42,7 @@ class FilmStrip(widgets.VBox):
     def show_frame(self, frame: int) -> None:
         """Draw the stages of a frame, where the configuration has them."""
         self.show_config()
-        if self._session.config.system != "deep-energies" or not self._session.material.pictures.real:
+        if not self._session.config.traits.renders or not self._session.material.pictures.real:
             return
         self.note.value = DRAWING.format(frame=frame)
         strip = self._session.stage_strip(frame)

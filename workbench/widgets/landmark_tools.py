@@ -10,7 +10,6 @@ from workbench.landmarks.scheme import GROUPS
 from workbench.session import FittedHead, TuningSession
 from workbench.session.gesture import Gesture
 from workbench.tracking import FrameFit
-from workbench.tracking.face_it_fitter import running_stages
 from workbench.widgets.controls import small_button
 from workbench.widgets.overlay_view import OverlayEvent, OverlayView
 from workbench.widgets.picture_layers import PictureLayers
@@ -95,7 +94,7 @@ class LandmarkTools:
     def _weights(self) -> np.ndarray:
         """What each landmark counts in the last stage."""
         config = self._session.config
-        last = running_stages(config, start=False)[-1]
+        last = config.running(start=False)[-1]
         return np.multiply(last.landmark_weights(config.subsets), config.point_weights())
 
     # --- parts ---

@@ -1,7 +1,7 @@
 """The schedule as a table: reorder, switch, free parameters, landmark groups, limits; run, run to here, step."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import ipywidgets as widgets
 
@@ -9,9 +9,17 @@ from workbench.config import Config, Stage
 from workbench.errors import ConfigError
 from workbench.widgets.controls import small_button
 
-BLOCKS = {"rotation": "R", "translation": "t", "expression": "w"}
-DEEP_BLOCKS = {"jaw_open": "j1", "jaw": "j6", "identity": "i", "scale": "s"}
-"""What only Deep Energies frees: the jaw's opening, all of its joint, the face's shape, one scale."""
+LETTERS = {
+    "rotation": "R",
+    "translation": "t",
+    "expression": "w",
+    "jaw_open": "j1",
+    "jaw": "j6",
+    "identity": "i",
+    "scale": "s",
+}
+"""Of what a stage can free: head rotation and translation, blendshape weights, the jaw's opening, all of its joint, the
+face's shape, one scale."""
 TITLE = "<b style='white-space:nowrap'>{}</b>"
 
 
@@ -24,7 +32,7 @@ class StageRow:
         self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_fixed("128px"))
         self.free = {
             block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=_tiny())
-            for block, letter in (BLOCKS | DEEP_BLOCKS).items()
+            for block, letter in LETTERS.items()
         }
         self.landmarks = widgets.Text(
             continuous_update=False, layout=widgets.Layout(width="190px"),
@@ -52,11 +60,11 @@ class StageRow:
             *self.buttons.values(), self.result,
         ], layout=widgets.Layout(flex="0 0 auto"))  # fmt: skip
 
-    def show(self, stage: Stage, deep: bool = False) -> None:
-        """Show a stage without calling back; `deep`: with what only Deep Energies frees."""
+    def show(self, stage: Stage, blocks: Collection[str]) -> None:
+        """Show a stage without calling back, and toggles for what its system can free."""
         self._quiet = True
-        for block in DEEP_BLOCKS:
-            self.free[block].layout.display = None if deep else "none"
+        for block, toggle in self.free.items():
+            toggle.layout.display = None if block in blocks else "none"
         try:
             self.enabled.value, self.name.value, self.limit.value = stage.enabled, stage.name, stage.limit
             self.when.value, self.landmarks.value = stage.when, landmarks_text(stage.landmarks)
@@ -114,7 +122,7 @@ class StageEditor:
 
     def show(self, config: Config) -> None:
         """Show the stages of a configuration."""
-        self._stages, deep = config.stages, config.system == "deep-energies"
+        self._stages = config.stages
         if len(self._rows) < len(config.stages):
             more = range(len(self._rows), len(config.stages))
             self._rows += [StageRow(k, self._on_row, self._on_action) for k in more]
@@ -123,7 +131,7 @@ class StageEditor:
         for k, row in enumerate(self._rows):
             row.widget.layout.display = None if k < len(config.stages) else "none"
             if k < len(config.stages):
-                row.show(config.stages[k], deep)
+                row.show(config.stages[k], config.traits.blocks)
         for title, below in zip(
             self._header.children, self._rows[0].widget.children if self._rows else (), strict=True
         ):

@@ -123,12 +123,12 @@ class TimePage:
         """Follow the configuration and the fits."""
         if not self.is_clip:
             return
-        deep = self._session.config.system == "deep-energies"
-        notes = [DEEP_NOTE] if deep else []
+        slow = not self._session.config.traits.real_time
+        notes = [DEEP_NOTE] if slow else []
         notes += [] if self._session.material.pictures.real else [POINTS_NOTE]
         self.note.value = "<br>".join(notes)
         self.note.layout.display = None if notes else "none"
-        if deep and not self.part.value.strip():
+        if slow and not self.part.value.strip():
             last = len(self._session) - 1
             first = max(min(self.frame, last - DEEP_FRAMES + 1), 0)
             self.part.value = f"{first}-{min(first + DEEP_FRAMES - 1, last)}"

@@ -9,7 +9,6 @@ from workbench.diagnosis.records import Change
 from workbench.diagnosis.reference import jointly
 from workbench.diagnosis.trial import Finding, Trial
 from workbench.solvers import Status
-from workbench.tracking.face_it_fitter import running_stages
 
 MORE_ITERATIONS = 20
 LARGEST_LIMIT = 500
@@ -26,7 +25,7 @@ LEAST_STUCK_PERCENT = 2.0
 
 def not_converged(trial: Trial) -> Iterator[Finding]:
     """A stage stops at its limit (ρ or ε) although more iterations would help."""
-    stages = running_stages(trial.case.config, start=trial.case.context.last is None)
+    stages = trial.case.config.running(start=trial.case.context.last is None)
     status = trial.fit.status[len(trial.fit.status) - len(stages) :]
     best = None
     for stage, ended in zip(stages, status, strict=True):
@@ -131,7 +130,7 @@ def pose_expression_tradeoff(trial: Trial) -> Iterator[Finding]:
         return
     patient = {
         stage.name: JOINT_LIMIT
-        for stage in running_stages(config, trial.case.context.last is None)
+        for stage in config.running(trial.case.context.last is None)
         if stage.limit < JOINT_LIMIT
     }
     alternated = trial.refit(Change("", limits=patient))
