@@ -32,7 +32,8 @@ from workbench.rendering import (
     render_model,
 )
 from workbench.samples import samples_folder
-from workbench.tracking import FaceTracker, FrameFit, FrameObservation
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameFit, FrameObservation
 
 SIDE_PX = 384
 """Side of the square around the face."""

@@ -43,7 +43,7 @@ def fit_one_frame() -> None:
     from synthetic_clip import synthetic_clip
 
     from workbench.config import preset
-    from workbench.tracking import FaceTracker
+    from workbench.tracker import FaceTracker
 
     clip = synthetic_clip(1)
     tracker = FaceTracker(clip.head, preset("calibrated"))

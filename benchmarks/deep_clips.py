@@ -20,6 +20,7 @@ from workbench.frames import FrameRange, open_frames
 from workbench.landmarks.detectors import make_detector
 from workbench.pictures.deep_strip import write_stage_strip
 from workbench.pipeline.sources import DeepSource, PictureSource
+from workbench.planning import plan_of
 from workbench.rendering import face_vertices, render
 from workbench.samples import samples_folder
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
@@ -58,8 +59,8 @@ def compared(clip: Path, options: argparse.Namespace) -> tuple[list[dict], dict]
         source = DeepSource(PictureSource(frames, make_detector(options.detector), config, True), config)
     except MissingDependencyError as error:
         raise SystemExit(str(error)) from None
-    fitter = DeepFitter(head, config)
-    points = FaceItFitter(head, preset("joint").changed(camera={"fov_deg": options.fov}))
+    fitter = DeepFitter(head, plan_of(config))
+    points = FaceItFitter(head, plan_of(preset("joint").changed(camera={"fov_deg": options.fov})))
     observations = list(source.observations(0, {}, False))
     calibrated = fitter.calibrate(observations[: config.identity.window], config.identity.frames)
     chosen = [item for item in observations[:: options.every] if item.landmarks is not None]

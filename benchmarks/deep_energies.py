@@ -30,6 +30,7 @@ from result import print_result
 from workbench.config import Config, preset
 from workbench.face import FaceParameters, load_default_head
 from workbench.geometry import write_rig
+from workbench.planning import plan_of
 from workbench.tracking.deep_fitter import DeepFitter, DeepSolution
 
 CONVERGED_DEG, CONVERGED_DEPTH = 3.0, 0.05
@@ -57,7 +58,7 @@ class Bench:
 
     def solve(self, config: Config, count: int, name: str, views: int = 1, identity: bool = True, **how) -> list[Row]:
         """A row of errors for every frame; frames without a detection have `found` False."""
-        fitter, rows = DeepFitter(self.scenes.head, config), []
+        fitter, rows = DeepFitter(self.scenes.head, plan_of(config)), []
         for k, truth in enumerate(self.truths(count, **how)):
             if truth.landmarks[0] is None:
                 rows.append({"found": False})

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from workbench.config import Config
 from workbench.diagnosis import FrameCase, diagnose_frame, flag_frames, reference_of
+from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, Track
 from workbench.tracking.records import stack_fits
 
@@ -33,7 +34,7 @@ def main() -> None:
     arguments.add_argument("--stream", choices=sorted(STREAMS), default="test")
     chosen = arguments.parse_args()
     config = good_config(chosen.preset)
-    fitter = FaceItFitter(clip().head, config)
+    fitter = FaceItFitter(clip().head, plan_of(config))
     diagnose_frame(clip().head, case_at(30, clip().landmarks, config), fitter)  # compile before anything is timed
     table, seconds, ranks = Table("fault", "right reason", "ranks", "seconds"), [], {}
     for fault, (code, _) in FAULTS.items():

@@ -17,7 +17,8 @@ from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.pictures import HeadRenderer
 from workbench.pictures.gl_probe import gl_available
-from workbench.tracking import FaceTracker, FrameObservation
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameObservation
 
 SIZE = (512, 512)
 FOV_DEG = 30.0

@@ -19,8 +19,10 @@ from workbench.face import FaceParameters, load_default_head
 from workbench.frames import open_frames
 from workbench.landmarks.detectors import make_detector
 from workbench.pipeline.sources import FileSource, PictureSource
+from workbench.planning import plan_of
 from workbench.samples import sample
-from workbench.tracking import FaceTracker, FrameFit
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameFit
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.infill import fill_by_flow, fill_by_spline, fill_linearly
 from workbench.tracking.interpolation import SPLINE_FRAMES
@@ -51,7 +53,7 @@ def main() -> None:
 def films(people: int, flow: dict) -> None:
     """The table of the films."""
     made = MovingPeople()
-    fitter = FlowFitter(made.head, config().changed(flow=flow))
+    fitter = FlowFitter(made.head, plan_of(config().changed(flow=flow)))
     rows: dict[tuple[str, int], list[dict[str, float]]] = {}
     seconds = []
     for motion in MOTIONS:
@@ -83,7 +85,7 @@ def hidden(clip: Path, flow: dict, detector: str) -> None:
     fits = list(FaceTracker(head, settings).fit_all(source.observations(0, {}, False)))
     pictures = [frame.picture for frame in frames.iterate()]
     stream = [Moment(fit, (picture,)) for fit, picture in zip(fits, pictures, strict=True)]
-    fitter = FlowFitter(head, settings)
+    fitter = FlowFitter(head, plan_of(settings))
     rows: dict[int, list[dict[str, float]]] = {gap: [] for gap in GAPS}
     against: dict[int, list[dict[str, float]]] = {gap: [] for gap in GAPS}
     for gap in GAPS:

@@ -19,6 +19,7 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures.extras import Extras
 from workbench.pictures.head_scene import HeadScene
 from workbench.pictures.mesh import to_camera
+from workbench.planning import plan_of
 from workbench.tracking import FrameFit
 from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.fitting import FrameContext, FrameObservation
@@ -92,8 +93,8 @@ class MovingPeople:
         blank = np.full((8, 8, 3), 255, np.uint8)
         self._scene = HeadScene(self.head, SIZE, blank, supersampling=1.6, fade_neck=False)
         self._painter = skin_painter(self.head)
-        self.fitter = FlowFitter(self.head, config())
-        self._frames = FaceItFitter(self.head, config())
+        self.fitter = FlowFitter(self.head, plan_of(config()))
+        self._frames = FaceItFitter(self.head, plan_of(config()))
 
     def film(self, seed: int, motion: Callable[[float], tuple], frames: int = FRAMES) -> Film:
         """A random person who moves as `motion` says for a time in frames from `EVENT`."""

@@ -22,6 +22,7 @@ from workbench.frames import open_frames
 from workbench.geometry import Camera
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS, MIRROR, outer_eye_distance
+from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
 from workbench.tracking.fitting import Calibrated
@@ -100,7 +101,12 @@ def follow(
     until: int | None = None,
 ) -> list[tuple[FrameFit, FrameContext]]:
     """Track the clip as `FaceTracker` does, up to and with frame `until`; `identity` replaces the calibrated one."""
-    walk = Walk(FaceItFitter(clip().head, config))
+    walk = Walk(FaceItFitter(clip().head, plan_of(config)))
+    if identity is None:
+        walk.begin_shot(walk.fitter.calibrate(observations[: config.identity.window], config.identity.frames))
+    else:
+        walk.begin_shot(Calibrated(identity, {}))
+    return [walk.step(observation) for observation in observations[: None if until is None else until + 1]]
     if identity is None:
         walk.begin_shot(walk.fitter.calibrate(observations[: config.identity.window], config.identity.frames))
     else:

@@ -13,6 +13,7 @@ import numpy as np
 from moving_people import EVENT, MovingPeople, config, landmark_error, talking_at, weights_at
 from result import print_result
 
+from workbench.planning import plan_of
 from workbench.tracking import FrameFit
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.moments import Moment
@@ -39,8 +40,8 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=1.0, help="of the landmarks, percent of the eye distance")
     options = parser.parse_args()
     made = MovingPeople()
-    fitters = {name: FlowFitter(made.head, config().changed(refinement=how)) for name, how in METHODS.items()}
-    anew = Reestimator(made.head, config())
+    fitters = {name: FlowFitter(made.head, plan_of(config().changed(refinement=how))) for name, how in METHODS.items()}
+    anew = Reestimator(made.head, plan_of(config()))
     rows: dict[str, list[dict[str, float]]] = {}
     for seed in range(options.people):
         film = made.film(seed, talking_at, FRAMES)

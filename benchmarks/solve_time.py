@@ -20,8 +20,10 @@ from synthetic_clip import Clip, synthetic_clip
 
 from workbench.config import Config, preset
 from workbench.face import FaceParameters, landmark_model
+from workbench.planning import plan_of
 from workbench.runtime import cache_folder
-from workbench.tracking import FaceTracker, FrameFit
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameFit
 from workbench.tracking.face_it_fitter import solve_settings, stage_program
 from workbench.tracking.frame_solver import FrameInput, solve_frame
 from workbench.tracking.initial_pose import initial_pose
@@ -122,9 +124,9 @@ class Batch:
     """
 
     def __init__(self, clip: Clip, fits: list[FrameFit], config: Config, spread: Callable):
-        program = stage_program(config, start=False)
+        program = stage_program(plan_of(config), start=False)
         model = landmark_model(clip.head).personal(np.zeros(len(clip.head.identity_deltas)))
-        settings = solve_settings(config)
+        settings = solve_settings(plan_of(config))
         camera, model = jax.tree.map(jnp.asarray, (clip.camera, model))
         self._clip = clip
         self._frames = _stacked_inputs(fits)

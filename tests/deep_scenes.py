@@ -11,6 +11,7 @@ from workbench.config import Config, Stage, preset
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import axis_angle_from_yaw_pitch_roll
 from workbench.landmarks.observations import Landmarks2D
+from workbench.planning import plan_of
 from workbench.tracking import FrameContext, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_solver import predict
@@ -75,7 +76,7 @@ def make_deep_scene(fitter: DeepFitter, parameters: FaceParameters) -> DeepScene
 
 def fitter_with(fitter: DeepFitter, config: Config) -> DeepFitter:
     """The shared fitter under another configuration."""
-    fitter.configure(config)
+    fitter.configure(plan_of(config))
     return fitter
 
 

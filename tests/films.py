@@ -10,6 +10,7 @@ from workbench.face import FaceModel, FaceParameters
 from workbench.frames import Frame
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov
 from workbench.landmarks.observations import Landmarks2D
+from workbench.planning import plan_of
 from workbench.rendering import ambient_light, directional_light, render_face, render_model
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
 from workbench.tracking.flow_fitter import FlowFitter
@@ -66,8 +67,8 @@ class FilmMaker:
 
     def __init__(self, head: FaceModel):
         self.head = head
-        self.flow = FlowFitter(head, film_config())
-        self._frames = FaceItFitter(head, film_config())
+        self.flow = FlowFitter(head, plan_of(film_config()))
+        self._frames = FaceItFitter(head, plan_of(film_config()))
         self._model = render_model(head)
         speckles = np.random.default_rng(1).uniform(0.75, 1.25, (len(head.neutral), 1))
         self._albedo = np.clip(np.asarray(self._model.colors) * speckles, 0.0, 1.0).astype(np.float32)

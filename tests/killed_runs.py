@@ -17,7 +17,8 @@ from workbench.config import preset
 from workbench.face import FaceModel
 from workbench.geometry import Camera
 from workbench.pipeline import track
-from workbench.tracking import FaceTracker, FrameFit, Track, track_writer
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameFit, Track, track_writer
 
 FRAMES = 5
 WRITES = {"os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.chmod", "shutil.rmtree"}

@@ -21,7 +21,8 @@ from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.samples import sample
-from workbench.tracking import FaceTracker, FrameObservation, Track
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameObservation, Track
 
 
 @pytest.fixture

@@ -28,6 +28,7 @@ from workbench.geometry import project, rotation_matrix, write_rig
 from workbench.landmarks.observations import Landmarks2D
 from workbench.networks import landmarks_of, soft_argmax, to_picture
 from workbench.pictures.mesh import corner_sum, vertex_normals
+from workbench.planning import plan_of
 from workbench.rendering import (
     Appearance,
     CropCamera,
@@ -38,7 +39,8 @@ from workbench.rendering import (
     shading,
 )
 from workbench.solvers.dogleg import dogleg_step, judge_step
-from workbench.tracking import FaceTracker, Track
+from workbench.tracker import FaceTracker
+from workbench.tracking import Track
 from workbench.tracking.deep_fitter import FAR_MM, DeepFitter
 from workbench.tracking.deep_programs import (
     look,
@@ -59,7 +61,7 @@ CROP_SIDE = 256
 @pytest.fixture(scope="session")
 def shared(head):
     """One fitter whose programs all tests of this file share."""
-    return DeepFitter(head, DEEP)
+    return DeepFitter(head, plan_of(DEEP))
 
 
 @pytest.fixture
@@ -380,7 +382,8 @@ def _dumped(stages, **changes):
 def test_moving_numbers_compiles_nothing(shared, solved):
     scene, _ = solved
     programs = (look, project_points, points_derivative, quadratic, term_energies, dogleg_step, judge_step)
-    fitter = fitter_with(shared, DEEP.changed(stages=_dumped(DEEP.stages[:1], limit=2)))
+    config = DEEP.changed(stages=_dumped(DEEP.stages[:1], limit=2))
+    fitter = fitter_with(shared, config)
     fitter.fit(scene.observation(), scene.context())
     before = [program._cache_size() for program in programs]
     changes = (
@@ -391,7 +394,8 @@ def test_moving_numbers_compiles_nothing(shared, solved):
         {"stages": _dumped(DEEP.stages[4:5], limit=3, landmarks={"all": 0.5, "8": 4.0})},
     )
     for change in changes:
-        fitter.configure(fitter.config.changed(**change))
+        config = config.changed(**change)
+        fitter.configure(plan_of(config))
         fitter.fit(scene.observation(), scene.context())
     assert [program._cache_size() for program in programs] == before
 
@@ -583,7 +587,7 @@ def test_face_it_has_neither_jaw_nor_parallel_views(change, words):
 
 def test_a_rig_has_perspective_cameras(head, rig_file):
     with pytest.raises(ConfigError, match="rig's cameras are perspective"):
-        make_fitter(head, preset("orthographic").changed(camera={"rig": str(rig_file)}))
+        make_fitter(head, plan_of(preset("orthographic").changed(camera={"rig": str(rig_file)})))
 
 
 def test_presets_of_both_systems_survive_their_file(tmp_path):

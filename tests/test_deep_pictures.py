@@ -25,6 +25,7 @@ from workbench.pictures.deep_strip import (
     SEEN_IN_PHOTO,
     SEEN_IN_RENDER,
 )
+from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_target import photo_landmarks
@@ -56,7 +57,7 @@ def observation(photo) -> FrameObservation:
 
 def solved(head, energy, observation, **changed):
     """Everything that a picture of the solve takes after the photo."""
-    fitter = DeepFitter(head, short(energy, **changed))
+    fitter = DeepFitter(head, plan_of(short(energy, **changed)))
     context = FrameContext(0, fitter.mean_identity(), None, None)
     return fitter, fitter.solve(fitter.problem(observation, context))
 
@@ -154,7 +155,7 @@ def test_each_view_of_a_rig_has_its_strip_also_one_that_saw_no_face(head, tmp_pa
     seen = Landmarks2D(scene.points[0, 0], np.ones(68), size)
     observation = FrameObservation(0, seen, size, others=(None,))
     config = short("points", camera={"rig": str(tmp_path / "rig.toml")})
-    fitter = DeepFitter(head, config)
+    fitter = DeepFitter(head, plan_of(config))
     context = FrameContext(0, fitter.mean_identity(), None, None)
     given = fitter, fitter.solve(fitter.problem(observation, context))
     picture = np.full((size[1], size[0], 3), 90, np.uint8)

@@ -22,6 +22,7 @@ from workbench.diagnosis.causes.person import best_factor, fov_with
 from workbench.diagnosis.picture_evidence import carried_by_flow, directional_blur, gradient_energy
 from workbench.errors import InputError
 from workbench.landmarks.scheme import GROUPS, MIRROR, face_size
+from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, Track
 from workbench.tracking.records import stack_fits
 
@@ -46,7 +47,7 @@ def config():
 
 @pytest.fixture(scope="module")
 def fitter(head, config):
-    return FaceItFitter(head, config)
+    return FaceItFitter(head, plan_of(config))
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +88,8 @@ def test_the_right_reason_comes_first_and_its_change_mends(head, fitter, fault):
         context = reason.change.applied(case.context)
         observation = reason.change.moved(case.observation)
         contexts = [context, context._replace(last=None)]
-        fits = [FaceItFitter(head, reason.change.apply_to(case.config)).fit(observation, each)[0] for each in contexts]
+        fitter = FaceItFitter(head, plan_of(reason.change.apply_to(case.config)))
+        fits = [fitter.fit(observation, each)[0] for each in contexts]
         assert min(abs(fit.errors[2] - reason.after_percent) for fit in fits) < 0.05
 
 
@@ -121,7 +123,7 @@ def test_the_alternation_of_the_calibrated_preset_is_accused_where_the_truth_say
     found = diagnose_frame(head, FrameCase(observations[worst], fits[worst][1], config, observations))
     reason = found.reasons[0]
     assert reason.code == "pose_expression_tradeoff"
-    mended, _ = FaceItFitter(head, reason.change.apply_to(config)).fit(observations[worst], fits[worst][1])
+    mended, _ = FaceItFitter(head, plan_of(reason.change.apply_to(config))).fit(observations[worst], fits[worst][1])
     truth = faults.clip().parameters[worst].rotation
     before, after = (np.degrees(np.linalg.norm(fit.rotation - truth)) for fit in (found.fit, mended))
     assert after < 0.5 * before
@@ -155,12 +157,13 @@ def test_a_frame_without_landmarks_cannot_be_diagnosed(head, config, clean):
 
 
 def test_diagnosing_leaves_the_fitter_as_it_was(head, config, clean, reference):
-    fitter = FaceItFitter(head, config)
+    plan = plan_of(config)
+    fitter = FaceItFitter(head, plan)
     case = clean_case(clean, config, 60)
     before, _ = fitter.fit(case.observation, case.context)
     diagnose_frame(head, case, fitter, reference)
     after, _ = fitter.fit(case.observation, case.context)
-    assert fitter.config is config
+    assert fitter.plan is plan
     np.testing.assert_array_equal(after.expression, before.expression)
 
 
@@ -239,7 +242,7 @@ def test_flags_name_what_stands_out(head, config):
 
 def test_frames_without_a_face_are_not_flagged(head, config, clean):
     observations = [replace(found, landmarks=None) if found.index in (5, 6) else found for found in clean[0][:20]]
-    fitter, fits, last = FaceItFitter(head, config), [], None
+    fitter, fits, last = FaceItFitter(head, plan_of(config)), [], None
     for observation in observations:
         fit, last = fitter.fit(observation, clean[1][observation.index][1]._replace(last=last))
         fits.append((fit, None))

@@ -11,6 +11,7 @@ from workbench.diagnosis import estimate_uncertainty, vertex_uncertainty
 from workbench.diagnosis.reference import JOINT_STAGES
 from workbench.diagnosis.uncertainty import correlated_pairs, inverse_on, linearise
 from workbench.errors import InputError
+from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, FrameContext
 
 SHAPES = ("jawOpen", "mouthSmileLeft", "mouthSmileRight", "browInnerUp", "eyeBlinkLeft", "mouthPucker")
@@ -37,13 +38,13 @@ def scene(small):
 
 
 def context(model, config=CONFIG):
-    return FrameContext(0, FaceItFitter(model, config).mean_identity(), None, None)
+    return FrameContext(0, FaceItFitter(model, plan_of(config)).mean_identity(), None, None)
 
 
 @pytest.fixture(scope="module")
 def refits(small, scene):
     """The unknowns of 300 fits, each with its own landmark noise."""
-    fitter, rows = FaceItFitter(small, CONFIG), []
+    fitter, rows = FaceItFitter(small, plan_of(CONFIG)), []
     for seed in range(300):
         fit, _ = fitter.fit(scene.observation(noise_px=NOISE_PX, seed=seed), context(small))
         rows.append(np.concatenate([fit.rotation, fit.translation, fit.expression]))
@@ -53,7 +54,7 @@ def refits(small, scene):
 def test_the_scatter_of_weighted_landmarks_is_that_of_noisy_refits(small, scene):
     """Weights that do not mirror the noise: the fit is no longer the best one, and theory must say by how much."""
     weighted = CONFIG.changed(landmarks={"weights": {"jaw": 0.1, "mouth": 3.0}})
-    fitter, rows = FaceItFitter(small, weighted), []
+    fitter, rows = FaceItFitter(small, plan_of(weighted)), []
     for seed in range(300):
         fit, _ = fitter.fit(scene.observation(noise_px=NOISE_PX, seed=seed), context(small, weighted))
         rows.append(np.concatenate([fit.rotation, fit.translation, fit.expression]))
@@ -62,7 +63,7 @@ def test_the_scatter_of_weighted_landmarks_is_that_of_noisy_refits(small, scene)
 
 
 def test_the_covariance_is_the_scatter_of_noisy_refits(small, scene, refits):
-    fit, _ = FaceItFitter(small, CONFIG).fit(scene.observation(noise_px=NOISE_PX, seed=1000), context(small))
+    fit, _ = FaceItFitter(small, plan_of(CONFIG)).fit(scene.observation(noise_px=NOISE_PX, seed=1000), context(small))
     found = estimate_uncertainty(small, CONFIG, context(small), fit)
     theory, measured = np.sqrt(np.diagonal(found.covariance)), refits.std(axis=0)
     # The noise is estimated from one frame of 136 coordinates (6 %), the scatter from 300 fits (4 %).
@@ -76,7 +77,9 @@ def test_the_covariance_is_the_scatter_of_noisy_refits(small, scene, refits):
 def test_the_noise_is_found_in_the_residual(small, scene):
     noise = []
     for seed in range(20):
-        fit, _ = FaceItFitter(small, CONFIG).fit(scene.observation(noise_px=NOISE_PX, seed=seed), context(small))
+        fit, _ = FaceItFitter(small, plan_of(CONFIG)).fit(
+            scene.observation(noise_px=NOISE_PX, seed=seed), context(small)
+        )
         problem = linearise(small, CONFIG, context(small), fit)
         unit_px = np.linalg.norm(fit.projected - fit.observed) / np.linalg.norm(problem.residual)
         noise.append(estimate_uncertainty(small, CONFIG, context(small), fit).noise_percent * unit_px)
@@ -85,14 +88,14 @@ def test_the_noise_is_found_in_the_residual(small, scene):
 
 def test_priors_make_refits_scatter_less_than_the_weights_are_uncertain(small, scene):
     config = CONFIG.changed(weights={"sigma_smooth": 20.0})
-    fit, _ = FaceItFitter(small, config).fit(scene.observation(noise_px=NOISE_PX), context(small, config))
+    fit, _ = FaceItFitter(small, plan_of(config)).fit(scene.observation(noise_px=NOISE_PX), context(small, config))
     found = estimate_uncertainty(small, config, context(small, config), fit)
     assert np.linalg.eigvalsh(found.covariance - found.scatter).min() > -1e-9
     assert (np.diagonal(found.scatter) < np.diagonal(found.covariance) + 1e-12).all()
 
 
 def test_the_condition_number_is_that_of_the_scaled_matrix(small, scene):
-    fit, _ = FaceItFitter(small, CONFIG).fit(scene.observation(noise_px=NOISE_PX), context(small))
+    fit, _ = FaceItFitter(small, plan_of(CONFIG)).fit(scene.observation(noise_px=NOISE_PX), context(small))
     matrix = linearise(small, CONFIG, context(small), fit).matrix
     scale = np.array([0.1] * 3 + [10.0] * 3 + [0.3] * len(SHAPES))
     expected = np.linalg.cond(matrix * scale[:, None] * scale[None, :])
@@ -101,7 +104,7 @@ def test_the_condition_number_is_that_of_the_scaled_matrix(small, scene):
 
 
 def test_the_matrix_is_that_of_finite_differences(small, scene):
-    fit, _ = FaceItFitter(small, CONFIG).fit(scene.observation(noise_px=NOISE_PX), context(small))
+    fit, _ = FaceItFitter(small, plan_of(CONFIG)).fit(scene.observation(noise_px=NOISE_PX), context(small))
     problem = linearise(small, CONFIG, context(small), fit)
     step, column = 1e-5, 6 + SHAPES.index("jawOpen")
     moved = fit.expression.copy()
@@ -113,7 +116,7 @@ def test_the_matrix_is_that_of_finite_differences(small, scene):
 def test_weights_that_rest_on_a_bound_have_no_deviation(head):
     config = preset("joint").changed(camera={"fov_deg": FOV_DEG})
     scene = make_scene(head, weights={"jawOpen": 0.6}, sliding=True)
-    fit, _ = FaceItFitter(head, config).fit(scene.observation(noise_px=NOISE_PX), context(head, config))
+    fit, _ = FaceItFitter(head, plan_of(config)).fit(scene.observation(noise_px=NOISE_PX), context(head, config))
     found = estimate_uncertainty(head, config, context(head, config), fit)
     opened = head.expression_names.index("jawOpen")
     assert not found.on_bound[opened]
@@ -126,7 +129,7 @@ def test_weights_that_rest_on_a_bound_have_no_deviation(head):
 def test_unseen_weights_are_as_uncertain_as_their_range(head):
     config = preset("joint").changed(camera={"fov_deg": FOV_DEG}, weights={"sigma_smooth": 0.0})
     scene = make_scene(head, weights={"tongueOut": 0.0}, sliding=True)
-    fit, _ = FaceItFitter(head, config).fit(scene.observation(noise_px=NOISE_PX), context(head, config))
+    fit, _ = FaceItFitter(head, plan_of(config)).fit(scene.observation(noise_px=NOISE_PX), context(head, config))
     middle = fit.expression.copy()
     tongue = head.expression_names.index("tongueOut")
     middle[tongue] = 0.5
@@ -153,7 +156,7 @@ def test_what_nothing_fixes_keeps_its_typical_size():
 def test_vertices_are_uncertain_where_uncertain_shapes_move_them(head):
     config = preset("joint").changed(camera={"fov_deg": FOV_DEG})
     scene = make_scene(head, weights={"jawOpen": 0.6}, sliding=True)
-    fit, _ = FaceItFitter(head, config).fit(scene.observation(noise_px=NOISE_PX), context(head, config))
+    fit, _ = FaceItFitter(head, plan_of(config)).fit(scene.observation(noise_px=NOISE_PX), context(head, config))
     found = estimate_uncertainty(head, config, context(head, config), fit)
     shape, place = (vertex_uncertainty(head, found, fit, pose=pose) for pose in (False, True))
     assert shape.shape == (len(head.neutral),)
@@ -167,7 +170,7 @@ def test_vertices_are_uncertain_where_uncertain_shapes_move_them(head):
 
 
 def test_a_frame_without_a_face_has_no_uncertainty(small, scene):
-    fitter = FaceItFitter(small, CONFIG)
+    fitter = FaceItFitter(small, plan_of(CONFIG))
     fit, _ = fitter.fit(replace(scene.observation(), landmarks=None), context(small))
     with pytest.raises(InputError, match="Frame 0 has no landmarks; ask for"):
         estimate_uncertainty(small, CONFIG, context(small), fit)

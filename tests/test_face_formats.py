@@ -43,7 +43,7 @@ from workbench.face.formats.landmark_fit import outward
 from workbench.face.formats.pickled_arrays import read_arrays
 from workbench.landmarks.scheme import MIRROR
 from workbench.samples import sample
-from workbench.tracking import FaceTracker
+from workbench.tracker import FaceTracker
 
 NAMED_POINTS = {
     "right.eye.corner_outer": 36,

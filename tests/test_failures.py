@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from tests.performances import GAP, performance
-from workbench.config import InfillConfig
+from workbench.config import preset
 from workbench.diagnosis import flag_frames
 from workbench.export.clip import without_failures
 from workbench.export.report import worst_frames
 from workbench.export.summary import summary_of
 from workbench.landmarks.scheme import outer_eye_distance
 from workbench.pictures import OverlayParts, draw_overlay
+from workbench.planning import infill_plan
 from workbench.tracking.failures import NO_FACE, failure_of_residuals, failures_of, why_failed
 from workbench.tracking.infill import usable_frames
 from workbench.tracking.records import frame_errors
@@ -62,7 +63,7 @@ class TestFailures:
 
     def test_infill_exports_summary_report_and_diagnosis_agree(self, track):
         failed = {RECORDED, BROKEN}
-        assert set(np.flatnonzero(~usable_frames(track, InfillConfig()))) == {*failed, GAP, FAR}
+        assert set(np.flatnonzero(~usable_frames(track, infill_plan(preset("joint"))))) == {*failed, GAP, FAR}
         assert set(np.flatnonzero(~without_failures(track).found)) == {*failed, GAP}
         assert summary_of([track])["frames_failed"] == {"jaw and face disagree": 1, "not finite": 1}
         flags = flag_frames(track)

@@ -11,6 +11,7 @@ from workbench.errors import ConfigError, InputError
 from workbench.flow import DisFlow
 from workbench.geometry import Rig, pose_in_view
 from workbench.geometry.rig_files import write_rig
+from workbench.planning import infill_plan, plan_of
 from workbench.tracking import moments as moments_module
 from workbench.tracking.flow_fitter import FlowFitter, Neighbour, parameters_of
 from workbench.tracking.infill import fill_by_flow, fill_linearly, infilled, usable, usable_frames
@@ -32,7 +33,7 @@ def film(film_maker):
 
 
 def fitter_of(film_maker, **infill):
-    return FlowFitter(film_maker.head, film_config(infill={"method": "flow", **infill}))
+    return FlowFitter(film_maker.head, plan_of(film_config(infill={"method": "flow", **infill})))
 
 
 def with_lost(film, frames):
@@ -152,7 +153,7 @@ def test_frames_are_asked_for_as_they_are_needed(film_maker, film):
 def test_renders_may_go_through_the_estimator_of_the_photos(film_maker, film):
     config = film_config(infill={"method": "flow"}, flow={"renders": "estimated"})
     gap = (4, 5)
-    result = list(infilled(FlowFitter(film_maker.head, config), with_lost(film, gap)))
+    result = list(infilled(FlowFitter(film_maker.head, plan_of(config)), with_lost(film, gap)))
     line = list(infilled(fitter_of(film_maker, method="linear"), with_lost(film, gap)))
     assert errors(result, film, gap).mean() < 0.7 * errors(line, film, gap).mean()
 
@@ -162,14 +163,14 @@ def test_more_rounds_and_other_estimators_are_settings(film_maker, film):
     line = list(infilled(fitter_of(film_maker, method="linear"), with_lost(film, gap)))
     for estimator, rounds in (("farneback", 1), ("network", 2)):
         config = film_config(infill={"method": "flow", "rounds": rounds}, flow={"estimator": estimator})
-        result = list(infilled(FlowFitter(film_maker.head, config), with_lost(film, gap)))
+        result = list(infilled(FlowFitter(film_maker.head, plan_of(config)), with_lost(film, gap)))
         assert errors(result, film, gap).mean() < errors(line, film, gap).mean()
     with pytest.raises(ConfigError, match="flow estimators are"):
-        FlowFitter(film_maker.head, film_config(flow={"estimator": "guess"}))
+        FlowFitter(film_maker.head, plan_of(film_config(flow={"estimator": "guess"})))
 
 
 def test_usable_fits_are_those_that_hit_their_landmarks(film, film_maker):
-    infill = film_config().infill
+    infill = infill_plan(film_config())
     fit = film.truth[0]
     assert usable(fit, infill)
     assert not usable(lost(fit), infill)
@@ -182,7 +183,7 @@ def test_the_usable_frames_of_a_track_are_its_usable_fits(film):
     fit, other = film.truth[0], film.truth[1]
     far = replace(fit, projected=fit.projected + 50.0)
     fits = [fit, lost(fit), replace(fit, failure="not finite"), replace(far, confidence=np.zeros(68)), far, other]
-    infill = film_config(infill={"frames": ((other.index, other.index),)}).infill
+    infill = infill_plan(film_config(infill={"frames": ((other.index, other.index),)}))
     found = usable_frames(Track(meta={}, **stack_fits(fits)), infill).tolist()
     assert found == [usable(each, infill) for each in fits] == [True, False, False, True, False, False]
 
@@ -209,7 +210,7 @@ def test_two_cameras_fill_a_gap_together(head, tmp_path):
         rotation, translation = pose_in_view(state.rotation, state.translation, rig.placed_view(1))
         other = maker.picture(state._replace(rotation=rotation, translation=translation))
         seen.append(Moment(lost(fit) if fit.index in (2, 3, 4) else fit, (picture, other)))
-    result = [moment.fit for moment in infilled(FlowFitter(head, config), seen)]
+    result = [moment.fit for moment in infilled(FlowFitter(head, plan_of(config)), seen)]
     depth = [fit.translation[2] - truth.translation[2] for fit, truth in zip(result, film.truth, strict=True)]
     assert np.abs(depth[2:5]).max() < 2.5
     alone = [m._replace(pictures=m.pictures[:1]) for m in seen]
@@ -239,7 +240,7 @@ def test_renders_for_the_estimator_are_lit_by_one_light_in_all_views(film_maker,
     second = replace(first, name="over", rotation_view_world=turned[0], translation_view_world_mm=turned[1])
     write_rig(Rig((first, second)), tmp_path / "rig.toml")
     config = film_config(camera={"rig": str(tmp_path / "rig.toml")}, flow={"renders": "estimated"})
-    fitter = FlowFitter(film_maker.head, config)
+    fitter = FlowFitter(film_maker.head, plan_of(config))
     fitter.estimator = watching = Watching()
     known, wanted = (parameters_of(film.truth[k]) for k in (0, 1))
     pictures = [(film.pictures[k], film.pictures[k][::-1, ::-1]) for k in (0, 1)]

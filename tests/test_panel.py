@@ -19,7 +19,6 @@ from workbench.session import FittedHead, Material, TuningSession, gesture, mate
 from workbench.session.knobs import (
     CONSTANTS,
     DEEP,
-    FACE_IT_SOLVER,
     KNOBS,
     METHODS,
     OMEGA,
@@ -514,7 +513,7 @@ def test_settings_of_the_other_system_are_greyed_out_and_a_sentence_says_why(pan
     assert "Deep Energies" in panel.controls.notes["deep"].value
     assert [title for title, note in panel.controls.notes.items() if is_shown(note)] == ["deep"]
     panel.controls.show(preset("deep-energies"))
-    of_face_it = {knob.path for knob in (*OMEGA, *CONSTANTS)} | {*FACE_IT_SOLVER}
+    of_face_it = {knob.path for knob in (*OMEGA, *CONSTANTS)} | {"solver.method", "solver.tolerance"}
     assert controls_of(panel, enabled=False) == of_face_it | {"deep.prior"}  # a term that no stage names
     assert [title for title, note in panel.controls.notes.items() if is_shown(note)] == ["ω", "ρ ε", "a b c", "deep"]
     assert "no stage names" in panel.controls.notes["deep"].value

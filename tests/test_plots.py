@@ -15,7 +15,8 @@ from workbench.frames import read_picture
 from workbench.geometry import project, rotation_matrix
 from workbench.landmarks.files import read_landmark_file
 from workbench.samples import sample
-from workbench.tracking import FaceTracker, FrameObservation, Track
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameObservation, Track
 from workbench.tracking.records import stack_fits
 
 

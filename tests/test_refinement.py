@@ -8,6 +8,7 @@ import pytest
 from tests.films import film_config, landmark_error_px, lost
 from workbench.config import Stage
 from workbench.errors import ConfigError
+from workbench.planning import plan_of
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.reestimation import Reestimator, reestimation_stage
 from workbench.tracking.refinement import averaging_pass, passes, plate_flow_pass, refined, self_flow_pass
@@ -36,7 +37,7 @@ def noisy(film_maker, film):
 
 
 def fitter_with(film_maker, **refinement):
-    return FlowFitter(film_maker.head, film_config(refinement=refinement))
+    return FlowFitter(film_maker.head, plan_of(film_config(refinement=refinement)))
 
 
 def steadied(film_maker, film, fits, **refinement):
@@ -145,7 +146,7 @@ def test_landmarks_and_confidence_of_a_refined_frame_are_its_own(film_maker, fil
 
 
 def test_methods_are_passes_in_order():
-    named = lambda **refinement: passes(film_config(refinement=refinement))  # noqa: E731
+    named = lambda **refinement: passes(plan_of(film_config(refinement=refinement)).refinement)  # noqa: E731
     assert named(method="none") == []
     assert named(method="averaging", sweeps=2) == [averaging_pass] * 2
     assert named(method="self") == [self_flow_pass]
@@ -155,7 +156,7 @@ def test_methods_are_passes_in_order():
 
 def test_reestimation_holds_the_pose_and_finds_the_expression(film_maker, film):
     dull = [replace(fit, expression=0.5 * fit.expression) for fit in film.truth]
-    stream = Reestimator(film_maker.head, film_config()).stream(film.moments(dull))
+    stream = Reestimator(film_maker.head, plan_of(film_config())).stream(film.moments(dull))
     result = [moment.fit for moment in stream]
     jaw = film_maker.head.expression_names.index("jawOpen")
     for fit, truth in zip(result, film.truth, strict=True):
@@ -168,18 +169,18 @@ def test_reestimation_holds_the_pose_and_finds_the_expression(film_maker, film):
 def test_filled_frames_have_nothing_to_be_fitted_to(film_maker, film):
     filled = replace(film.truth[2], source="filled", confidence=np.zeros(68))
     fits = [filled if fit.index == 2 else fit for fit in film.truth]
-    result = list(Reestimator(film_maker.head, film_config()).stream(film.moments(fits)))
+    result = list(Reestimator(film_maker.head, plan_of(film_config())).stream(film.moments(fits)))
     assert result[2].fit is filled
 
 
-def test_the_stage_is_the_configurations_own_or_its_last():
-    joint = reestimation_stage(film_config())
-    assert (joint.free, joint.when, joint.limit) == (("expression",), "always", 30)
+def test_the_stage_is_the_plans_own_or_its_last():
+    joint = reestimation_stage(plan_of(film_config()))
+    assert (joint.free, joint.first_only, joint.limit) == (("expression",), False, 30)
     from workbench.config import preset
 
-    deep = reestimation_stage(preset("deep-energies"))
+    deep = reestimation_stage(plan_of(preset("deep-energies")))
     assert deep.enabled
     assert deep.free == ("expression", "jaw")
     rigid = film_config().model_copy(update={"stages": (Stage(name="pose", free=("rotation",)),)})
     with pytest.raises(ConfigError, match="no enabled stage frees"):
-        reestimation_stage(rigid)
+        reestimation_stage(plan_of(rigid))

@@ -17,11 +17,13 @@ from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import track as run_track
+from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.session import Material, TuningSession, material_of_photo, material_of_track, open_session
 from workbench.session.exports import free_file
 from workbench.session.material import PictureStore
-from workbench.tracking import FaceTracker, FrameObservation, Track
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameObservation, Track
 from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
@@ -540,7 +542,7 @@ def test_threads_that_calibrate_at_the_same_time_all_come_to_an_end(head, clip):
 
     def calibrate() -> None:
         for _ in range(3):
-            identities.append(FaceItFitter(head, config).calibrate(observations, 12).identity)
+            identities.append(FaceItFitter(head, plan_of(config)).calibrate(observations, 12).identity)
 
     threads = [threading.Thread(target=calibrate, daemon=True) for _ in range(4)]
     for thread in threads:

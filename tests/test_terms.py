@@ -20,8 +20,10 @@ from workbench.energies.terms import table_page
 from workbench.errors import ConfigError, InputError
 from workbench.face import contour_blend, landmark_model, model_landmarks
 from workbench.pipeline import track
+from workbench.planning import plan_of
 from workbench.session.knobs import KNOBS, is_inert
-from workbench.tracking import FaceTracker, FrameContext
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameContext
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.face_it_fitter import FaceItFitter
 
@@ -61,7 +63,7 @@ def test_lambda_in_face_it_is_a_ridge_fit(head):
         camera={"fov_deg": 45.0},
     )
     observation = scene.observation(noise_px=1.0)
-    fitter = FaceItFitter(head, config)
+    fitter = FaceItFitter(head, plan_of(config))
     start = scene.parameters._replace(expression=np.zeros(44), identity=np.zeros(0))
     fit, _ = fitter.fit(observation, FrameContext(0, np.zeros(50), start, None))
 
@@ -85,9 +87,9 @@ def test_the_edge_term_changes_a_fit_of_face_it_and_shows_in_its_energies(head):
     observation = make_scene(head, (10.0, 0.0, 0.0), {"jawOpen": 0.5}).observation(noise_px=2.0)
     context = FrameContext(0, np.zeros(50), None, None)
     stages = [stage.model_dump() | {"terms": ("edges",)} for stage in preset("joint").stages]
-    plain = FaceItFitter(head, preset("joint")).fit(observation, context)[0]
+    plain = FaceItFitter(head, plan_of(preset("joint"))).fit(observation, context)[0]
     config = preset("joint").changed(stages=stages, deep={"edges": 5.0})
-    edged = FaceItFitter(head, config).fit(observation, context)[0]
+    edged = FaceItFitter(head, plan_of(config)).fit(observation, context)[0]
     column = config.terms.index("edges")
     assert edged.energies[-1, column] > 0.0
     assert np.abs(edged.expression - plain.expression).max() > 1e-3
@@ -96,7 +98,7 @@ def test_the_edge_term_changes_a_fit_of_face_it_and_shows_in_its_energies(head):
 
 
 def test_e_tau_steadies_a_clip_of_deep_energies(head):
-    fitter = DeepFitter(head, POINTS)
+    fitter = DeepFitter(head, plan_of(POINTS))
     observations = list(nodding(head, fitter, 8, noise_px=3.0))
     jitter = []
     for tau in (0.0, 30.0):
@@ -212,7 +214,7 @@ assert effective_weights(preset("joint"))["weights.symmetry"] == 7.0
 
 head, smile = load_default_head(), {"mouthSmileLeft": 0.8, "jawOpen": 0.4}
 scene = make_scene(head, weights=smile)
-deep = make_deep_scene(DeepFitter(head, POINTS), make_parameters(head, weights=smile))
+deep = make_deep_scene(DeepFitter(head, plan_of(POINTS)), make_parameters(head, weights=smile))
 stage = Stage(name="all", free=("rotation", "translation", "expression"), limit=10)
 rough = []
 for base, fitter, observation in (

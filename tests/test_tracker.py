@@ -12,7 +12,8 @@ from workbench.face import contour_blend, landmark_model, model_landmarks
 from workbench.geometry import camera_from_fov
 from workbench.landmarks.observations import Landmarks2D
 from workbench.solvers import Status
-from workbench.tracking import FaceTracker, FrameObservation
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameObservation
 from workbench.tracking.frame_solver import solve_frame
 
 EXACT = Config(

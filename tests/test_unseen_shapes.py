@@ -11,8 +11,10 @@ from tests.scenes import make_scene
 from workbench.config import FACE_IT_PRESETS, PRESETS, Stage, preset
 from workbench.face import FaceParameters, landmark_model, load_default_head, seen_shapes
 from workbench.landmarks.files import read_landmark_file
+from workbench.planning import plan_of
 from workbench.samples import sample
-from workbench.tracking import FaceItFitter, FaceTracker, FrameContext, FrameObservation
+from workbench.tracker import FaceTracker
+from workbench.tracking import FaceItFitter, FrameContext, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.flow_fitter import FlowFitter
 
@@ -82,7 +84,7 @@ def test_the_tongue_stays_in_on_the_sample_clip(head, tongue, name):
 def test_every_method_holds_it_whatever_the_fit_starts_from(head, tongue, method):
     config = preset("face-it").changed(solver={"method": method})
     context = FrameContext(0, np.zeros(50), with_tongue_out(head), None)
-    fit, handed_on = FaceItFitter(head, config).fit(make_scene(head, weights=TALKING).observation(), context)
+    fit, handed_on = FaceItFitter(head, plan_of(config)).fit(make_scene(head, weights=TALKING).observation(), context)
     assert fit.expression[tongue] == 0.0
     assert handed_on.parameters.expression[tongue] == 0.0
     assert fit.expression[head.expression_names.index("jawOpen")] > 0.3
@@ -90,7 +92,7 @@ def test_every_method_holds_it_whatever_the_fit_starts_from(head, tongue, method
 
 def test_calibration_holds_it_too(head, tongue):
     observations = [make_scene(head, (yaw, 0, 0), TALKING).observation(k) for k, yaw in enumerate((-20, 0, 20))]
-    found = FaceItFitter(head, preset("calibrated")).calibrate(observations, 12)
+    found = FaceItFitter(head, plan_of(preset("calibrated"))).calibrate(observations, 12)
     assert all(start.expression[tongue] == 0.0 for start in found.starts.values())
 
 
@@ -99,17 +101,19 @@ def test_calibration_holds_it_too(head, tongue):
 
 @pytest.mark.parametrize("name", [name for name in PRESETS if name not in FACE_IT_PRESETS])
 def test_deep_energies_frees_it_in_no_stage(head, tongue, name):
-    fitter = DeepFitter(head, preset(name))
+    config = preset(name)
     everything = Stage(name="all of it", free=("rotation", "translation", "expression"))
     named = Stage(name="tongue", free=("expression",), shapes=("tongue", "mouth"))
-    for stage in (*fitter.config.stages, everything, named):
+    plan = plan_of(config.model_copy(update={"stages": (*config.stages, named, everything)}))
+    fitter = DeepFitter(head, plan)
+    for stage in plan.stages:
         assert not fitter.free(stage)[6 + tongue], stage.name
-    assert fitter.free(everything)[6:][: len(head.expression_names)].sum() == len(head.expression_names) - 1
+    assert fitter.free(plan.stages[-1])[6:][: len(head.expression_names)].sum() == len(head.expression_names) - 1
 
 
 def test_deep_energies_starts_with_the_tongue_in(head, tongue):
     everything = (Stage(name="all of it", free=("rotation", "translation", "expression"), limit=3),)
-    fitter = DeepFitter(head, POINTS.model_copy(update={"stages": everything}))
+    fitter = DeepFitter(head, plan_of(POINTS.model_copy(update={"stages": everything})))
     scene = make_deep_scene(fitter, make_parameters(head, weights=TALKING))
     fit, _ = fitter.fit(scene.observation(), scene.context()._replace(start=with_tongue_out(head)))
     assert fit.expression[tongue] == 0.0
@@ -117,5 +121,5 @@ def test_deep_energies_starts_with_the_tongue_in(head, tongue):
 
 
 def test_flow_moves_everything_but_it(head, tongue):
-    free = FlowFitter(head, film_config()).free[6 : 6 + len(head.expression_names)]
+    free = FlowFitter(head, plan_of(film_config())).free[6 : 6 + len(head.expression_names)]
     assert np.flatnonzero(~free).tolist() == [tongue]

@@ -11,7 +11,8 @@ from workbench.config import FACE_IT_PRESETS, PRESETS, preset
 from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.samples import sample
-from workbench.tracking import FaceTracker, FrameObservation
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameObservation
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
 from workbench.widgets import FitPlayground, adjusted

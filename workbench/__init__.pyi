@@ -42,7 +42,7 @@ from .pipeline import work_over as work_over
 from .samples import sample as sample
 from .session import TuningSession as TuningSession
 from .session import open_session as open_session
-from .tracking import FaceTracker as FaceTracker
+from .tracker import FaceTracker as FaceTracker
 from .tracking import FrameFit as FrameFit
 from .tracking import FrameObservation as FrameObservation
 from .tracking import Track as Track

@@ -24,7 +24,8 @@ from workbench.pictures.overlay import ALL_BUT_MESH, draw_overlay
 from workbench.pipeline import wanted_steps
 from workbench.pipeline.sources import PictureSource
 from workbench.plots import close_up, pictures_in_a_row
-from workbench.tracking import FaceTracker, FrameFit, FrameObservation
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameFit, FrameObservation
 from workbench.tracking.deep_target import energy_network, photo_landmarks
 
 CLOSE_UP_PX, CLOSE_UP_MARGIN = 640, 2.0

@@ -13,6 +13,7 @@ from workbench.diagnosis.trial import Finding, Trial
 from workbench.diagnosis.uncertainty import estimate_uncertainty
 from workbench.errors import InputError
 from workbench.face import FaceModel
+from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter
 
 
@@ -61,7 +62,7 @@ def start_trial(
         raise InputError(
             f"A diagnosis needs a frame with landmarks; frame {observation.index} has none: choose a frame with a face."
         )
-    fitter = fitter or FaceItFitter(model, case.config)
+    fitter = fitter or FaceItFitter(model, plan_of(case.config))
     if reference is None:
         others = [other for other in case.shot if other.index != observation.index]
         reference = ShotReference(model, case.config, others, fitter)

@@ -15,6 +15,7 @@ from workbench.geometry import Camera
 from workbench.landmarks.alignment import fit_similarity
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS, face_size
+from workbench.planning import plan_of
 from workbench.runtime import COMPUTING
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
 from workbench.tracking.identity import CalibrationSettings, calibrate_identity
@@ -55,7 +56,7 @@ class ShotReference:
         # Pose and expression together, with enough iterations: what is usual must not hang on what is under suspicion.
         self._config = jointly(config)
         self._fitter = copy.copy(fitter)
-        self._fitter.configure(self._config)
+        self._fitter.configure(plan_of(self._config))
         self._model = model
         self._offsets: dict[str, np.ndarray] = {}
 
@@ -74,7 +75,7 @@ class ShotReference:
         if not self.knows_person:
             return None
         fitter = copy.copy(self._fitter)
-        fitter.configure(config)
+        fitter.configure(plan_of(config))
         return fitter.calibrate(self._sound_frames, config.identity.frames).identity
 
     def identity_of(self, frames: Sequence[FrameObservation]) -> Float[np.ndarray, "i"]:
@@ -244,4 +245,4 @@ def reference_of(
     """What is usual in a shot, to be shared by the diagnoses of its frames. Raises `InputError` without landmarks."""
     if not any(observation.landmarks is not None for observation in shot):
         raise InputError("A shot's reference needs landmarks; none of these frames has any.")
-    return ShotReference(model, config, shot, fitter or FaceItFitter(model, config))
+    return ShotReference(model, config, shot, fitter or FaceItFitter(model, plan_of(config)))

@@ -19,6 +19,7 @@ from workbench.diagnosis.picture_evidence import Blur, carried_by_flow, directio
 from workbench.diagnosis.records import Change, FrameCase
 from workbench.diagnosis.reference import ShotReference, between
 from workbench.landmarks.scheme import face_size
+from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
 
 DOUBTED = 3.0
@@ -64,10 +65,10 @@ class Trial:
         self.reference = reference
         self.names = fitter.model.expression_names
         self._fitter = copy.copy(fitter)
-        self._fitter.configure(case.config)
+        self._fitter.configure(plan_of(case.config))
         self.points = case.observation.landmarks.points
         self.face_px = float(face_size(self.points))
-        self._others: dict[bytes, FaceItFitter] = {}
+        self._others: dict[bytes, tuple[Config, FaceItFitter]] = {}
         self.fit = self._best_fit(self._fitter, case.observation, case.context)
 
     def with_config(self, config: Config) -> "Trial":
@@ -92,11 +93,11 @@ class Trial:
     def fitter(self, config: Config, context: FrameContext) -> FaceItFitter:
         """A fitter for this configuration; one is kept for each identity."""
         key = np.asarray(context.identity).tobytes()
-        if key not in self._others:
-            self._others[key] = copy.copy(self._fitter)
-        fitter = self._others[key]
-        if fitter.config is not config:
-            fitter.configure(config)
+        followed, fitter = self._others.get(key, (None, None))
+        if followed is not config:
+            fitter = copy.copy(self._fitter) if fitter is None else fitter
+            fitter.configure(plan_of(config))
+            self._others[key] = (config, fitter)
         return fitter
 
     # --- the measure ---

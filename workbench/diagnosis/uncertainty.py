@@ -14,6 +14,7 @@ from workbench.energies import normal_system, reprojection_with_jacobian, stage_
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, rotation_matrix
+from workbench.planning import plan_of
 from workbench.runtime import COMPUTING
 from workbench.tracking import FrameContext, FrameFit
 from workbench.tracking.face_it_fitter import solve_settings
@@ -72,7 +73,8 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
         np.asarray(float(last is not None and last.frames >= 2)),
         parameters,
     )
-    arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (fit.camera, personal, solve_settings(config)))
+    settings = solve_settings(plan_of(config))
+    arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (fit.camera, personal, settings))
     with COMPUTING:
         residual, jacobian, matrix, gradient, unit = _linearised(
             *arrays, jnp.asarray(weights), jnp.asarray(factors), frame, parameters, config.terms

@@ -38,7 +38,8 @@ from workbench.pipeline.temporal_run import Step as Step
 from workbench.pipeline.temporal_run import config_of as config_of
 from workbench.pipeline.temporal_run import over_time, views_of, wanted_steps, worked_meta
 from workbench.pipeline.temporal_run import work_over as work_over
-from workbench.tracking import FaceTracker, FrameFit, Track
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameFit, Track
 from workbench.tracking.track_reader import TrackReader
 from workbench.tracking.track_writer import TrackWriter, has_parts
 

@@ -8,14 +8,15 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.pictures.deep_strip import write_stage_strip
 from workbench.pipeline.sources import DeepSource, RigSource
 from workbench.pipeline.still_pictures import StillPictures
-from workbench.tracking import FaceTracker, FrameContext, FrameFit, FrameObservation
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameContext, FrameFit, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking.plan import Plan
 from workbench.tracking.track_writer import TrackWriter
 
 BATCH = 16
@@ -97,13 +98,16 @@ def _pairs(source: DeepSource | RigSource, tracker: FaceTracker, stills: bool) -
 
 
 def _mapper(tracker: FaceTracker, workers: int, stack: ExitStack):
-    """What fits a batch: here, or in processes that each hold model and configuration."""
+    """What fits a batch: here, or in processes that each hold model and plan."""
     if workers <= 1:
         return lambda batch: (tracker.fit_prepared(*pair) for pair in batch)
     # Spawned: a forked child of a process that runs JAX's threads hangs.
     pool = stack.enter_context(
         ProcessPoolExecutor(
-            workers, multiprocessing.get_context("spawn"), initializer=_start, initargs=(tracker.model, tracker.config)
+            workers,
+            multiprocessing.get_context("spawn"),
+            initializer=_start,
+            initargs=(tracker.model, tracker.fitter.plan),
         )
     )
     return lambda batch: pool.map(
@@ -115,8 +119,8 @@ _FITTER: list[DeepFitter] = []
 """The worker's own fitter, made once when the process starts."""
 
 
-def _start(model: FaceModel, config: Config) -> None:
-    _FITTER.append(DeepFitter(model, config))
+def _start(model: FaceModel, plan: Plan) -> None:
+    _FITTER.append(DeepFitter(model, plan))
 
 
 def _fit(pair: Pair) -> FrameFit:

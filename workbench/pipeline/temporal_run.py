@@ -11,6 +11,7 @@ from workbench.export.sources import tracked_part
 from workbench.face import FaceModel
 from workbench.frames import IMAGE_SUFFIXES, VIDEO_SUFFIXES, Frames, open_frames
 from workbench.geometry import read_rig
+from workbench.planning import plan_of
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.infill import infilled
 from workbench.tracking.moments import Moment, moments
@@ -47,7 +48,8 @@ def over_time(
         raise InputError(
             f"The method {need!r} looks at the pictures, and there are none; name them, or choose another."
         )
-    fitter = FlowFitter(model, config)
+    plan = plan_of(config)
+    fitter = FlowFitter(model, plan)
     done = dict.fromkeys(STEPS, 0)
 
     def counted(step: Step) -> Callable[[FrameFit], None]:
@@ -64,7 +66,7 @@ def over_time(
         if "refine" in steps:
             stream = refined(fitter, stream, counted("refine"))
         if "reestimate" in steps:
-            stream = Reestimator(model, config).stream(stream, counted("reestimate"))
+            stream = Reestimator(model, plan).stream(stream, counted("reestimate"))
     for count, moment in enumerate(stream, start=1):
         yield moment.fit
         progress("time", count, total)

@@ -14,6 +14,7 @@ from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.scheme import outer_eye_distance
 from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
+from workbench.planning import plan_of
 from workbench.session.gesture import Gesture, Gestures
 from workbench.session.live_frame import LIVE_SIZE, LiveFrame
 from workbench.session.recording import Recorder, Recording
@@ -83,7 +84,7 @@ class LiveSession:
         self._gestures = Gestures()
         self._detector = detector
         self._landmarks: LandmarkTracker | None = None
-        self._fitter = FaceItFitter(model, config)
+        self._fitter, self._fitter_config = FaceItFitter(model, plan_of(config)), config
         self._identity = self._fitter.mean_identity()
         self._identity_of: tuple[str, Calibration | None] = (_identity_key(config), None)
         self._recorder: Recorder | None = None
@@ -248,8 +249,9 @@ class LiveSession:
     def _follow_state(self) -> None:
         """Bring fitter and identity to the present state."""
         state = self._state
-        if state.config is not self._fitter.config:
-            self._fitter.configure(state.config)
+        if state.config is not self._fitter_config:
+            self._fitter.configure(plan_of(state.config))
+            self._fitter_config = state.config
         elif state.calibration is self._identity_of[1]:
             return
         key = (_identity_key(state.config), state.calibration)
@@ -265,11 +267,11 @@ class LiveSession:
         observations = list(calibration.observations)
         if not calibration.neutral:
             return self._fitter.calibrate(observations, state.config.identity.frames).identity
-        self._fitter.configure(state.config.changed(identity={"expression": NEUTRAL_EXPRESSION}))
+        self._fitter.configure(plan_of(state.config.changed(identity={"expression": NEUTRAL_EXPRESSION})))
         try:
             return self._fitter.calibrate(observations, state.config.identity.frames).identity
         finally:
-            self._fitter.configure(state.config)
+            self._fitter.configure(plan_of(state.config))
 
     def _record(self, fit: FrameFit, frame: LiveFrame) -> None:
         with self._lock:

@@ -15,6 +15,7 @@ from workbench.errors import InputError
 from workbench.frames import FrameRange, Frames
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.pipeline.temporal_run import STEPS, Step, needs_pictures, over_time, wanted_steps
+from workbench.planning import infill_plan, plan_of
 from workbench.session.metrics import metrics_of
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.infill import usable, usable_frames
@@ -134,10 +135,11 @@ class TemporalWork:
         """Frames that infill would fill, as far as they are fitted: marked, without a face, or with a bad fit."""
         first, last = self._part(part)
         config = self._session.config
+        infill = infill_plan(config)
         if self._ran(config):
-            bad = set(np.flatnonzero(~usable_frames(self._session.run.track, config.infill)).tolist())
+            bad = set(np.flatnonzero(~usable_frames(self._session.run.track, infill)).tolist())
         else:
-            bad = {frame for frame, fit in self._singles(config).items() if not usable(fit, config.infill)}
+            bad = {frame for frame, fit in self._singles(config).items() if not usable(fit, infill)}
         bad |= self._marked()
         return tuple(frame for frame in range(first, last + 1) if frame in bad)
 
@@ -395,10 +397,11 @@ def name_of(config: Config) -> str:
 def work_of(fits: Sequence[FrameFit], config: Config, steps: Sequence[str]) -> int:
     """About how many solves the steps take on these fits."""
     turns = max(1, config.refinement.reestimate)
-    failed = sum(not usable(fit, config.infill) for fit in fits)
+    infill = infill_plan(config)
+    failed = sum(not usable(fit, infill) for fit in fits)
     each = 2 + config.infill.rounds if config.infill.method == "flow" else 1
     work = failed * each if "infill" in steps else 0
-    work += turns * len(passes(config)) * len(fits) if "refine" in steps else 0
+    work += turns * len(passes(plan_of(config).refinement)) * len(fits) if "refine" in steps else 0
     work += turns * len(fits) if "reestimate" in steps else 0
     return max(work, 1)
 

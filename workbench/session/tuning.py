@@ -30,6 +30,7 @@ from workbench.face import FaceModel, load_default_head
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures.deep_strip import stage_strip
 from workbench.pipeline import software_versions
+from workbench.planning import plan_of
 from workbench.session.exports import taken_text
 from workbench.session.gesture import Gesture, Gestures
 from workbench.session.material import Material, Progress, load_material, material_of_track
@@ -49,7 +50,6 @@ from workbench.tracking.fitting import (
 )
 from workbench.tracking.records import Fits, stack_fits
 from workbench.tracking.systems import configured, make_fitter
-from workbench.tracking.tracker import calibration_window
 from workbench.tracking.walk import Walk, context_of
 
 HISTORY = 200
@@ -117,7 +117,9 @@ class TuningSession:
         self._fitting = threading.RLock()
         self._calibrating = threading.Lock()
         self._diagnosing = threading.Lock()
-        self._fitter = make_fitter(model, self.base)
+        self._fitter = make_fitter(model, plan_of(self.base))
+        self._fitter_config = self.base
+        """What the fitter follows now."""
         self._diagnostic_fitter: FaceItFitter | None = None
         self._targets: dict[tuple[int, str], Landmarks2D] = {}
         self._solution: tuple[tuple, FrameSolution] | None = None
@@ -273,7 +275,10 @@ class TuningSession:
         config = self._config if config is None else config
         if not 0 <= frame < len(self):
             raise InputError(f"There is no frame {frame}; {self.material.name} has frames 0 to {len(self) - 1}.")
-        return corrected(self._detected(frame, config), config)
+        return self._observed(frame, config)
+
+    def _observed(self, frame: int, config: Config, pictured: bool = False) -> FrameObservation:
+        return corrected(self._detected(frame, config, pictured), config.moved_points(frame))
 
     def _detected(self, frame: int, config: Config, pictured: bool = False) -> FrameObservation:
         """A frame as the system wants it: Deep Energies looks at the photo with its own network, N(F*).
@@ -350,13 +355,14 @@ class TuningSession:
         with self._fitting:
             config, problem = self._config, self._problem(frame, coarse=False)
         observation, context = problem.observation, problem.context
-        shot = [corrected(self.material.observations[k], config) for k in self.material.shots[context.shot]]
+        frames = self.material.shots[context.shot]
+        shot = [corrected(self.material.observations[k], config.moved_points(k)) for k in frames]
         real = self.material.pictures.real
-        previous = self.picture(frame - 1) if real and frame - 1 in self.material.shots[context.shot] else None
+        previous = self.picture(frame - 1) if real and frame - 1 in frames else None
         case = FrameCase(observation, context, config, shot, self.picture(frame) if real else None, previous)
         with self._diagnosing:
             if self._diagnostic_fitter is None:
-                self._diagnostic_fitter = FaceItFitter(self.model, config)
+                self._diagnostic_fitter = FaceItFitter(self.model, plan_of(config))
             key = (context.shot, config)
             if self._reference is None or self._reference[0] != key:
                 self._reference = (key, reference_of(self.model, config, shot, self._diagnostic_fitter))
@@ -386,7 +392,7 @@ class TuningSession:
         cancelled run leaves the fits of the last whole one.
         """
         config = self._config if config is None else config
-        walk = Walk(make_fitter(self.model, config))
+        walk = Walk(make_fitter(self.model, plan_of(config)))
         fits, before = [], []
         for shot, frames in enumerate(self.material.shots):
             walk.begin_shot(self._calibrated(shot, config, walk.fitter))
@@ -461,7 +467,8 @@ class TuningSession:
             self.fit_frame(0)
             return
         for changes in ({}, {"method": "optimistix-lm"}, {"method": "optimistix-dogleg"}):
-            fitter = FaceItFitter(self.model, self.base.changed(solver={"method": "lm", "bounded": False, **changes}))
+            solver = {"method": "lm", "bounded": False, **changes}
+            fitter = FaceItFitter(self.model, plan_of(self.base.changed(solver=solver)))
             fitter.warm_up(size, trace=True)
         for frames in {1, self.base.identity.frames}:
             fitter.calibrate([fitter.neutral_observation(size)], frames)
@@ -540,8 +547,8 @@ class TuningSession:
     # --- within ---
 
     def _configure(self, config: Config) -> None:
-        if self._fitter.config is not config:
-            self._fitter = configured(self._fitter, config)
+        if self._fitter_config is not config:
+            self._fitter, self._fitter_config = configured(self._fitter, plan_of(config)), config
 
     def _solved(self, problem: FrameProblem, traced: bool = False) -> FrameSolution:
         """A frame's problem solved. Where a solution holds renders the newest is kept: a panel asks for its fit, its
@@ -550,7 +557,7 @@ class TuningSession:
         if not self._fitter.renders or observation.landmarks is None:
             return self._fitter.solve(problem, traced)
         points, identity = observation.landmarks.points.tobytes(), context.identity.tobytes()
-        key = (observation.index, _without_moves(self._fitter.config), identity, points)
+        key = (observation.index, _without_moves(self._fitter_config), identity, points)
         if self._solution is None or self._solution[0] != key:
             self._solution = (key, self._fitter.solve(problem))
         return self._solution[1]
@@ -578,7 +585,7 @@ class TuningSession:
         frames = self.material.shots[shot]
         seen = self.material.observations[frames.start : frames.stop]
         window = calibration_window(seen, 1 if stills else config.identity.window)
-        window = [corrected(self._detected(item.index, config, pictured=True), config) for item in window]
+        window = [self._observed(item.index, config, pictured=True) for item in window]
         if not any(observation.landmarks is not None for observation in window):
             return Calibrated(fitter.mean_identity(), {})
         key = (shot, _identity_key(config, window))

@@ -2,8 +2,8 @@ from .face_it_fitter import FaceItFitter as FaceItFitter
 from .fitting import FrameContext as FrameContext
 from .fitting import FrameObservation as FrameObservation
 from .fitting import StageTrace as StageTrace
+from .plan import Plan as Plan
 from .records import FrameFit as FrameFit
 from .records import Track as Track
 from .track_reader import TrackReader as TrackReader
-from .tracker import FaceTracker as FaceTracker
 from .walk import Walk as Walk

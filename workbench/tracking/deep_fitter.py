@@ -7,7 +7,6 @@ frame's own landmarks, nothing of the frame before, unless a stage names a term 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,12 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from workbench.config import Config, Stage, preset
-from workbench.energies import TABLE, EnergyConstants, TermContext
+from workbench.energies import TermContext
 from workbench.energies.deep import DeepView, crop_of, deep_model
-from workbench.errors import ConfigError, InputError
+from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, seen_shapes
-from workbench.geometry import Camera, Rig, read_rig, yaw_pitch_roll_deg
+from workbench.geometry import Camera, yaw_pitch_roll_deg
 from workbench.landmarks.network_detector import CROP_BOXES
 from workbench.landmarks.observations import Landmarks2D
 from workbench.rendering import (
@@ -36,7 +34,7 @@ from workbench.solvers import Status
 from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solver import StageProblem, StageResult, solve_stage
 from workbench.tracking.deep_target import energy_network
-from workbench.tracking.face_it_fitter import FaceItFitter, camera_of
+from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.failures import failure_of_residuals
 from workbench.tracking.fitting import (
     Calibrated,
@@ -51,6 +49,7 @@ from workbench.tracking.fitting import (
     never,
 )
 from workbench.tracking.free_parameters import free_parameters, parameter_range
+from workbench.tracking.plan import Plan, StagePlan
 from workbench.tracking.records import FAILURES, FrameFit
 
 EYES_PER_BOX = 0.726
@@ -67,7 +66,7 @@ NEUTRAL_YAW_DEG = 25.0
 class DeepProblem(FrameProblem):
     """A frame as the stages take it; without a face in any view there is nothing to solve."""
 
-    stages: tuple[Stage, ...]
+    stages: tuple[StagePlan, ...]
     scene: DeepScene | None = None
     views: tuple[DeepView, ...] = ()
     """What each camera brings, every landmark in full."""
@@ -87,7 +86,7 @@ class DeepSolution(FrameSolution):
     """Of each stage."""
 
     @property
-    def stages(self) -> tuple[Stage, ...]:
+    def stages(self) -> tuple[StagePlan, ...]:
         """Those that ran."""
         return self.problem.stages[: len(self.results)]
 
@@ -107,39 +106,35 @@ class DeepFitter(Fitter):
 
     renders = True
 
-    def __init__(self, model: FaceModel, config: Config):
+    def __init__(self, model: FaceModel, plan: Plan):
         self.model = model
         self._deep_model = deep_model(model)
-        self._points = FaceItFitter(model, _points_config(config))
+        self._points = FaceItFitter(model, plan.by_points)
         self._seen = jnp.asarray(seen_shapes(model), float)
-        self.configure(config)
+        self.configure(plan)
 
-    def configure(self, config: Config) -> None:
-        """Use another configuration from now on. Raises `InputError` and `ConfigError` for a rig or network file that
-        cannot be used."""
-        self.config = config
-        self.rig: Rig | None = read_rig(Path(config.camera.rig)) if config.camera.rig else None
-        if self.rig is not None and config.camera.projection == "orthographic":
-            raise ConfigError("A rig's cameras are perspective; set camera.projection or leave camera.rig empty.")
-        self._network = energy_network(config.deep.network)
-        self._points.configure(_points_config(config))
+    def configure(self, plan: Plan) -> None:
+        """Follow another plan from now on. Raises `InputError` for a network file that cannot be used."""
+        self.plan, self.rig = plan, plan.camera.rig
+        self._network = energy_network(plan.deep.network)
+        self._points.configure(plan.by_points)
 
     @property
     def links_frames(self) -> bool:
         """Whether a frame depends on the one before: where a stage names a term that does."""
-        return any(TABLE[name].links_frames for name in self.config.summed_terms)
+        return self.plan.linked
 
     @property
     def calibrates(self) -> bool:
         """Whether a shot is looked at before its frames are fitted: for the identity, the appearance, or both."""
-        return self.config.identity.calibrate or self.config.deep.appearance == "estimate"
+        return self.plan.identity.calibrate or self.plan.deep.appearance == "estimate"
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """The camera of the reference view; for a parallel view one far away that looks alike."""
         if self.rig is not None:
             return self.rig.views[0].camera
-        guessed = camera_of(self.config, image_size)
-        if self.config.camera.projection == "perspective":
+        guessed = self.plan.camera.of(image_size)
+        if not self.plan.camera.parallel:
             return guessed
         scale = self._start_scale(guessed)
         return Camera(np.full(2, scale * FAR_MM), np.asarray(guessed.principal_point_px, float), np.zeros(8))
@@ -159,7 +154,7 @@ class DeepFitter(Fitter):
 
         Raises `InputError` if none has landmarks.
         """
-        if self.config.identity.calibrate:
+        if self.plan.identity.calibrate:
             calibrated = self._points.calibrate(observations, frames)
         else:
             calibrated = Calibrated(self.mean_identity(), {})
@@ -170,7 +165,7 @@ class DeepFitter(Fitter):
     ) -> Appearance | None:
         """Colours and light of the frame nearest to neutral and frontal; None without pictures or by configuration."""
         pictured = [item for item in observations if item.picture is not None and item.landmarks is not None]
-        if self.config.deep.appearance == "model" or not pictured:
+        if self.plan.deep.appearance == "model" or not pictured:
             return None
         fits = [self._points.fit(item, FrameContext(0, identity, None, None))[0] for item in pictured]
         best = min(range(len(fits)), key=lambda k: _unfitness(fits[k]))
@@ -184,7 +179,7 @@ class DeepFitter(Fitter):
 
     def problem(self, observation: FrameObservation, context: FrameContext) -> DeepProblem:
         """What each camera brings, colours, start and stages of a frame."""
-        problem = DeepProblem(observation, context, self.config.running(start=True))
+        problem = DeepProblem(observation, context, self.plan.running(start=True))
         if not observation.faces:
             return problem
         start = self._start(observation, context)
@@ -244,11 +239,11 @@ class DeepFitter(Fitter):
     def scene(self, appearance: Appearance | None) -> DeepScene:
         """Network, model and colours of a shot."""
         albedo = self._deep_model.render.colors if appearance is None else jnp.asarray(appearance.albedo, jnp.float32)
-        sliding = jnp.asarray(float(self.config.contour.mode == "sliding"))
+        sliding = jnp.asarray(float(self.plan.sliding))
         return DeepScene(self._network, self._deep_model, albedo, sliding)
 
     def views(
-        self, observation: FrameObservation, context: FrameContext, stage: Stage | None = None
+        self, observation: FrameObservation, context: FrameContext, stage: StagePlan | None = None
     ) -> tuple[DeepView, ...]:
         """What each camera brings to a stage; every landmark in full for None."""
         if stage is not None:
@@ -269,9 +264,9 @@ class DeepFitter(Fitter):
             for view, (rotation, translation), landmarks in zip(self.rig.views, places, seen, strict=True)
         )
 
-    def _weighed(self, views: tuple[DeepView, ...], stage: Stage) -> tuple[DeepView, ...]:
+    def _weighed(self, views: tuple[DeepView, ...], stage: StagePlan) -> tuple[DeepView, ...]:
         """The views with what each landmark counts in a stage."""
-        weights = np.multiply(stage.landmark_weights(self.config.subsets), self.config.point_weights())
+        weights = stage.landmark_weights
         return tuple(view._replace(weights=jnp.asarray(weights * np.asarray(view.weights))) for view in views)
 
     def record(self, solution: DeepSolution) -> FrameFit:
@@ -283,7 +278,7 @@ class DeepFitter(Fitter):
         parameters = jax.tree.map(lambda part: np.array(part, float), solution.parameters)
         prediction, camera = results[-1].prediction, self.camera(observation.image_size)
         translation, scale = parameters.translation, float(parameters.scale[0])
-        if self.config.camera.projection == "orthographic":
+        if self.plan.camera.parallel:
             translation = np.array([translation[0], translation[1], FAR_MM])
         landmarks = observation.landmarks
         # A view that saw nothing has no residual either: its confidence of 0 keeps it out of all means.
@@ -317,7 +312,7 @@ class DeepFitter(Fitter):
         count = len(self.model.expression_names)
         return FaceParameters(
             rotation=jnp.zeros(3),
-            translation=jnp.array([0.0, 0.0, self.config.deep.distance_mm]),
+            translation=jnp.array([0.0, 0.0, self.plan.deep.distance_mm]),
             expression=jnp.zeros(count),
             identity=jnp.asarray(identity, float),
             jaw=jnp.zeros(6),
@@ -335,19 +330,19 @@ class DeepFitter(Fitter):
                 expression=self._seen * given.expression if len(given.expression) == count else start.expression,
                 jaw=jnp.asarray(given.jaw, float) if len(given.jaw) else start.jaw,
             )
-        if self.config.deep.start == "frontal" or observation.landmarks is None:
+        if self.plan.deep.start == "frontal" or observation.landmarks is None:
             return start
         fit = self._points.fit(observation, FrameContext(0, context.identity, None, None))[0]
         return start._replace(rotation=jnp.asarray(fit.rotation), translation=jnp.asarray(fit.translation))
 
-    def _stage_problem(self, problem: DeepProblem, views: tuple[DeepView, ...], stage: Stage) -> StageProblem:
-        deep, free = self.config.deep, self.free(stage)
+    def _stage_problem(self, problem: DeepProblem, views: tuple[DeepView, ...], stage: StagePlan) -> StageProblem:
+        deep, free = self.plan.deep, self.free(stage)
         lower, upper = self._bounds()
         return StageProblem(
             scene=problem.scene,
             views=views,
             terms=self.terms,
-            omega=np.array(self.config.factors(stage)),
+            omega=stage.omega,
             context=problem.history,
             free=free,
             lower=lower,
@@ -359,30 +354,30 @@ class DeepFitter(Fitter):
 
     def _history(self, last: Continuation | None, start: FaceParameters) -> TermContext:
         """What terms that link frames are told of the frames before."""
-        constants = EnergyConstants(**self.config.constants.model_dump())
+        constants = self.plan.constants
         if last is None:
             return TermContext(constants, np.zeros(6), np.zeros(6), np.zeros(()), start)
         known = np.asarray(float(last.frames >= 2))
         return TermContext(constants, np.asarray(last.last_pose), np.asarray(last.pose), known, start)
 
-    def free(self, stage: Stage) -> Bool[np.ndarray, "n"]:
+    def free(self, stage: StagePlan) -> Bool[np.ndarray, "n"]:
         """Which entries of the flattened parameters a stage frees. Raises `ConfigError` for shapes the model lacks."""
-        return np.concatenate(free_parameters(self.model, self.config, [stage]))
+        return np.concatenate(free_parameters(self.model, [stage], self.plan.camera.parallel))
 
     def _bounds(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        lower, upper = parameter_range(self.model, self.config.solver.bounded)
+        lower, upper = parameter_range(self.model, self.plan.solver.bounded)
         return np.concatenate(lower), np.concatenate(upper)
 
     def _solver_camera(self, image_size: tuple[int, int]) -> Camera | OrthographicCamera:
-        guessed = camera_of(self.config, image_size)
-        if self.config.camera.projection == "perspective":
+        guessed = self.plan.camera.of(image_size)
+        if not self.plan.camera.parallel:
             return Camera(*(jnp.asarray(part, float) for part in guessed))
         made = orthographic_camera(image_size, self._start_scale(guessed))
         return OrthographicCamera(*(jnp.asarray(part, float) for part in made))
 
     def _start_scale(self, guessed: Camera) -> float:
         """Pixels per millimetre at the start's distance."""
-        return float(np.mean(np.asarray(guessed.focal_px))) / self.config.deep.distance_mm
+        return float(np.mean(np.asarray(guessed.focal_px))) / self.plan.deep.distance_mm
 
     def _view(self, camera, rotation, translation, landmarks: Landmarks2D | None, light) -> DeepView:
         if landmarks is None:
@@ -390,9 +385,9 @@ class DeepFitter(Fitter):
         else:
             target, confidence = landmarks.points, landmarks.confidence
             unit = 1.0
-            if self.config.solver.unit == "percent":
+            if self.plan.solver.percent:
                 unit = self._percent_px(target)
-        share = {"deep": np.ones(68), "points": np.zeros(68), "mixed": confidence}[self.config.deep.energy]
+        share = {"deep": np.ones(68), "points": np.zeros(68), "mixed": confidence}[self.plan.deep.energy]
         if landmarks is None:
             share = np.zeros(68)
         return DeepView(
@@ -423,11 +418,11 @@ class DeepFitter(Fitter):
         ]
         if not percent:
             return ""
-        limits = self.config.deep.largest_error, self.config.deep.largest_disagreement
+        limits = self.plan.deep.largest_error, self.plan.deep.largest_disagreement
         return FAILURES[next(filter(None, failure_of_residuals(np.stack(percent), *limits)), 0)]
 
     def _empty(self, observation: FrameObservation, shot: int) -> FrameFit:
-        rows = len(self.config.running(start=True))
+        rows = len(self.plan.running(start=True))
         empty, _ = self._points.fit(
             replace(observation, landmarks=None), FrameContext(shot, self.mean_identity(), None, None)
         )
@@ -445,14 +440,6 @@ def _rows(values: list, count: int, missing: float | int) -> np.ndarray:
     """Values of the stages that ran, filled up to all of them."""
     known = np.asarray(values)
     return np.concatenate([known, np.full((count - len(known), *known.shape[1:]), missing, known.dtype)])
-
-
-def _points_config(config: Config) -> Config:
-    """FACE IT!'s configuration for identity and first pose, with this one's camera, landmarks and identity."""
-    base = preset("joint")
-    camera = config.camera.model_copy(update={"projection": "perspective", "rig": ""})
-    kept = {name: getattr(config, name) for name in ("identity", "landmarks", "subsets", "contour")}
-    return base.model_copy(update={**kept, "camera": camera})
 
 
 def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:

@@ -9,11 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from workbench.config import Config
-from workbench.energies import EnergyConstants
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
-from workbench.geometry import Camera, camera_from_fov, camera_from_matrix, project, yaw_pitch_roll_deg
+from workbench.geometry import Camera, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
 from workbench.runtime import COMPUTING
 from workbench.tracking.fitting import (
@@ -40,6 +38,7 @@ from workbench.tracking.frame_solver import (
 )
 from workbench.tracking.identity import CalibrationSettings, calibrate_identity, spread_over_yaw
 from workbench.tracking.initial_pose import initial_pose
+from workbench.tracking.plan import Plan
 from workbench.tracking.records import FrameFit
 
 TRACE_LENGTH = 500
@@ -73,38 +72,30 @@ class FaceItSolution(FrameSolution):
     milliseconds: float
 
 
-def camera_of(config: Config, image_size: tuple[int, int]) -> Camera:
-    """The configured camera of a picture (width, height): given, or guessed from the field of view."""
-    if config.camera.matrix is not None:
-        return camera_from_matrix(np.array(config.camera.matrix), np.array(config.camera.distortion))
-    return camera_from_fov(image_size, config.camera.fov_deg)
-
-
-def solve_settings(config: Config) -> SolveSettings:
-    """The traced part of a configuration."""
-    lower, upper = (0.0, 1.0) if config.solver.bounded else (-np.inf, np.inf)
+def solve_settings(plan: Plan) -> SolveSettings:
+    """The traced part of a plan that all stages share."""
+    lower, upper = (0.0, 1.0) if plan.solver.bounded else (-np.inf, np.inf)
     return _on_device(
         SolveSettings(
-            constants=EnergyConstants(**config.constants.model_dump()),
+            constants=plan.constants,
             lower=lower,
             upper=upper,
-            tolerance=config.solver.tolerance,
-            percent=float(config.solver.unit == "percent"),
-            sliding=float(config.contour.mode == "sliding"),
+            tolerance=plan.solver.tolerance,
+            percent=float(plan.solver.percent),
+            sliding=float(plan.sliding),
         )
     )
 
 
-def stage_program(config: Config, start: bool) -> StageProgram:
+def stage_program(plan: Plan, start: bool) -> StageProgram:
     """The stages of a first or a later frame as data for `solve_frame`."""
-    chosen = config.running(start)
-    slots = STAGE_SLOTS * -(-len(config.stages) // STAGE_SLOTS)
+    chosen = plan.running(start)
+    slots = STAGE_SLOTS * -(-len(plan.stages) // STAGE_SLOTS)
     moves, limit = np.zeros((slots, len(UNKNOWNS)), bool), np.zeros(slots, int)
-    weights, omega = np.zeros((slots, 68)), np.zeros((slots, len(config.terms)))
+    weights, omega = np.zeros((slots, 68)), np.zeros((slots, len(plan.terms)))
     for k, stage in enumerate(chosen):
         moves[k], limit[k] = [name in stage.free for name in UNKNOWNS], stage.limit
-        weights[k] = np.multiply(stage.landmark_weights(config.subsets), config.point_weights())
-        omega[k] = config.factors(stage)
+        weights[k], omega[k] = stage.landmark_weights, stage.omega
     return StageProgram(*(jnp.asarray(part) for part in (moves, limit, weights, omega, len(chosen))))
 
 
@@ -113,19 +104,19 @@ class FaceItFitter(Fitter):
 
     renders = False
 
-    def __init__(self, model: FaceModel, config: Config):
+    def __init__(self, model: FaceModel, plan: Plan):
         self.model = model
         self._landmarks = landmark_model(model)
         self._identity: np.ndarray | None = None
-        self.configure(config)
+        self.configure(plan)
 
-    def configure(self, config: Config) -> None:
-        """Use another configuration from now on; nothing compiles unless the solver's method is a new one."""
-        self.config = config
-        self._settings = solve_settings(config)
-        self._terms = config.terms
-        self._used = np.array(config.point_weights()) > 0.0
-        self._programs = {start: stage_program(config, start) for start in (True, False)}
+    def configure(self, plan: Plan) -> None:
+        """Follow another plan from now on; nothing compiles unless the solver's method is a new one."""
+        self.plan = plan
+        self._settings = solve_settings(plan)
+        self._terms = plan.terms
+        self._used = plan.point_weights > 0.0
+        self._programs = {start: stage_program(plan, start) for start in (True, False)}
         self._cameras: dict[tuple[int, int], tuple[Camera, Camera]] = {}
 
     @property
@@ -136,7 +127,7 @@ class FaceItFitter(Fitter):
     @property
     def calibrates(self) -> bool:
         """Whether a shot is looked at before its frames are fitted."""
-        return self.config.identity.calibrate
+        return self.plan.identity.calibrate
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """The camera used for pictures of this size."""
@@ -189,7 +180,7 @@ class FaceItFitter(Fitter):
                 problem.settings,
                 problem.program,
                 problem.frame,
-                method=self.config.solver.method,
+                method=self.plan.solver.method,
                 trace_length=TRACE_LENGTH if traced else 0,
                 terms=self._terms,
             )
@@ -206,7 +197,7 @@ class FaceItFitter(Fitter):
 
     def traces(self, solution: FaceItSolution) -> tuple[StageTrace, ...]:
         """The iterations of a traced solution, by stage."""
-        stages = self.config.running(start=solution.problem.context.last is None)
+        stages = self.plan.running(start=solution.problem.context.last is None)
         energies, residuals = (np.asarray(rows) for rows in solution.found.traces)
         return tuple(
             StageTrace(stages[k].name, energies[k, : count + 1], residuals[k, : count + 1])
@@ -250,7 +241,7 @@ class FaceItFitter(Fitter):
 
     def _camera_pair(self, image_size):
         if image_size not in self._cameras:
-            camera = camera_of(self.config, image_size)
+            camera = self.plan.camera.of(image_size)
             self._cameras[image_size] = (camera, _on_device(camera))
         return self._cameras[image_size]
 
@@ -289,11 +280,11 @@ class FaceItFitter(Fitter):
         padding = count - len(observations)
         observations = observations + observations[-1:] * padding
         poses = poses + poses[-1:] * padding
-        identity = self.config.identity
+        identity = self.plan.identity
         weights = np.stack([observation.landmarks.confidence for observation in observations])
         weights[count - padding :] = 0.0
         cameras = [self.camera(observation.image_size) for observation in observations]
-        first_pass = np.array(self.config.point_weights())
+        first_pass = self.plan.point_weights.copy()
         second_pass = first_pass.copy()
         first_pass[:17] = 0.0
         second_pass[:17] *= identity.jaw
@@ -302,7 +293,7 @@ class FaceItFitter(Fitter):
             expression=identity.expression,
             limits=tuple(identity.limits),
             landmark_weights=np.stack([first_pass, second_pass]),
-            sliding=float(self.config.contour.mode == "sliding"),
+            sliding=float(self.plan.sliding),
         )
         starts = FaceParameters(
             rotation=np.array([rotation for rotation, _ in poses]),

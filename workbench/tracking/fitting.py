@@ -4,7 +4,7 @@ A fitter knows of no order of frames. What came before a frame reaches it by the
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.arrays import AnyArray
-from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera
 from workbench.landmarks.observations import Landmarks2D
 from workbench.rendering import Appearance
+from workbench.tracking.plan import Plan
 from workbench.tracking.records import FrameFit
 
 
@@ -82,7 +82,7 @@ class StageTrace(NamedTuple):
 
     stage: str
     energies: Float[np.ndarray, "steps t"]
-    """Weighted energy of each term of the configuration (`Config.terms`)."""
+    """Weighted energy of each term of the plan (`Plan.terms`)."""
     residuals_px: Float[np.ndarray, "steps 68"]
     """Distance of each model landmark from the observed one."""
 
@@ -108,22 +108,22 @@ def never() -> bool:
 
 
 class Fitter(ABC):
-    """Fits frames in their context. Holds the arrays of one model and one configuration, no order of frames."""
+    """Fits frames in their context. Holds the arrays of one model and one plan, no order of frames."""
 
     renders: ClassVar[bool]
     """Whether a solution holds every step of every stage with its renders, so that one solve serves fit, path and
     pictures."""
     model: FaceModel
-    config: Config
+    plan: Plan
 
     @abstractmethod
-    def configure(self, config: Config) -> None:
-        """Use another configuration from now on."""
+    def configure(self, plan: Plan) -> None:
+        """Follow another plan from now on."""
 
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the energy's terms."""
-        return self.config.terms
+        return self.plan.terms
 
     @property
     @abstractmethod
@@ -205,9 +205,8 @@ def with_face(observation: FrameObservation) -> FrameObservation:
     return observation
 
 
-def corrected(observation: FrameObservation, config: Config) -> FrameObservation:
-    """The observation with the detections that the configuration moves; these count as certain."""
-    moved = config.moved_points(observation.index)
+def corrected(observation: FrameObservation, moved: Mapping[int, tuple[float, float]]) -> FrameObservation:
+    """The observation with the detections that were put right by hand, by point; these count as certain."""
     if not moved or observation.landmarks is None:
         return observation
     points, confidence = observation.landmarks.points.copy(), observation.landmarks.confidence.copy()

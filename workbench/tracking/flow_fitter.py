@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -11,14 +10,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt8
 
 from workbench.arrays import AnyArray
-from workbench.config import Config
 from workbench.energies.deep import DeepView, deep_model, preselected_points
 from workbench.energies.flow import FlowTargets, FlowView, FlowWeights, choose_surface, points_in_views
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.flow import SurfacePoints, flow_estimator, points_in_camera, seen_surface, surface_points
 from workbench.flow.geometric import shown_at
-from workbench.geometry import Camera, read_rig
+from workbench.geometry import Camera
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 from workbench.networks.crop import CropBox
 from workbench.rendering import (
@@ -35,6 +33,7 @@ from workbench.tracking.deep_fitter import light_of
 from workbench.tracking.flow_solver import FlowLimits, FlowSolution, solve_flow
 from workbench.tracking.free_parameters import free_parameters, parameter_range
 from workbench.tracking.photo_flow import Cutout, cutout_about, photo_flow, read_at
+from workbench.tracking.plan import Plan
 from workbench.tracking.records import FrameFit
 
 VISIBILITY_SIDE = 128
@@ -68,26 +67,25 @@ class Links(NamedTuple):
 
 
 class FlowFitter:
-    """Solves frames from the flow to their neighbours. Holds the arrays of one model and one configuration."""
+    """Solves frames from the flow to their neighbours. Holds the arrays of one model and one plan."""
 
-    def __init__(self, model: FaceModel, config: Config):
-        """Raises `InputError` and `ConfigError` for a rig, weights or settings that cannot be used."""
-        self.model, self.config = model, config
-        self.rig = read_rig(Path(config.camera.rig)) if config.camera.rig else None
-        self.estimator = flow_estimator(config.flow.estimator, config.flow.side)
+    def __init__(self, model: FaceModel, plan: Plan):
+        """Raises `InputError` and `ConfigError` for weights or settings that cannot be used."""
+        self.model, self.plan, self.rig = model, plan, plan.camera.rig
+        self.estimator = flow_estimator(plan.flow.estimator, plan.flow.side)
         self._model = deep_model(model)
         self._render = self._model.render
-        self._points = surface_points(self._render, *choose_surface(model, config.flow.points))
+        self._points = surface_points(self._render, *choose_surface(model, plan.flow.points))
         corners = model.landmarks.vertices[[RIGHT_EYE_OUTER_CORNER, LEFT_EYE_OUTER_CORNER]]
         self._eyes_mm = float(np.linalg.norm(np.diff(model.neutral[corners].mean(axis=1), axis=0)))
-        stages = [stage for stage in config.stages if stage.enabled]
-        self.free = np.concatenate(self._of_moving(free_parameters(model, config, stages)))
-        """Which of rotation, translation, expression and jaw the configuration's stages ever free."""
+        stages = [stage for stage in plan.stages if stage.enabled]
+        self.free = np.concatenate(self._of_moving(free_parameters(model, stages, plan.camera.parallel)))
+        """Which of rotation, translation, expression and jaw the plan's stages ever free."""
         self._appearances: dict[int, Appearance | None] = {}
 
     @property
     def _estimates_renders(self) -> bool:
-        return self.config.flow.renders == "estimated"
+        return self.plan.flow.renders == "estimated"
 
     @property
     def view_count(self) -> int:
@@ -122,7 +120,7 @@ class FlowFitter:
             there = np.asarray(_places(self._points, views, guess), float)
         places, weights, cutouts = [], [], []
         for view in range(self.view_count):
-            cutout = cutout_about(np.stack([here[view], there[view]]), self.config.flow.side)
+            cutout = cutout_about(np.stack([here[view], there[view]]), self.plan.flow.side)
             found = photo_flow(self.estimator, neighbour.pictures[view], pictures[view], here[view], cutout)
             visible = self._visible(neighbour.parameters, views, view, cutout_about(here[view], VISIBILITY_SIDE))
             places.append(found.places)
@@ -226,7 +224,7 @@ class FlowFitter:
         """The model's landmarks in the reference picture, pixels."""
         nothing = np.zeros((68, 2)), np.zeros(68), np.zeros(68), np.ones(()), np.zeros((9, 3)), np.zeros(3)
         view = DeepView(fit.camera, np.eye(3), np.zeros(3), *nothing)
-        sliding = float(self.config.contour.mode == "sliding")
+        sliding = float(self.plan.sliding)
         with COMPUTING:
             return np.asarray(_landmarks(self._model, view, parameters, sliding), float)
 
@@ -242,12 +240,12 @@ class FlowFitter:
         return FlowTargets(places, weights, np.zeros_like(places), np.array(unit))
 
     def _weights(self, stay_pose: float) -> FlowWeights:
-        flow = self.config.flow
+        flow = self.plan.flow
         return FlowWeights(*(np.asarray(weight, float) for weight in (1.0, flow.stay, stay_pose, flow.robust)))
 
     def _limits(self, start: FaceParameters) -> FlowLimits:
         lower, upper = (
-            np.concatenate(self._of_moving(limit)) for limit in parameter_range(self.model, self.config.solver.bounded)
+            np.concatenate(self._of_moving(limit)) for limit in parameter_range(self.model, self.plan.solver.bounded)
         )
         held = np.concatenate([np.asarray(part, float) for part in self._of_moving(start)])
         # What may not move, and what stood beyond its range before: there the range gives way.
@@ -255,7 +253,7 @@ class FlowFitter:
         return FlowLimits(
             np.where(self.free, lower, held),
             np.where(self.free, upper, held),
-            np.asarray(self.config.flow.iterations),
+            np.asarray(self.plan.flow.iterations),
             np.asarray(TOLERANCE),
         )
 

@@ -5,9 +5,9 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Bool
 
-from workbench.config import Config, Stage
 from workbench.errors import ConfigError
 from workbench.face import FaceModel, FaceParameters, seen_shapes
+from workbench.tracking.plan import StagePlan
 
 JAW_LOWER = (-0.05, -0.25, -0.15, -12.0, -6.0, -12.0)
 JAW_UPPER = (0.70, 0.25, 0.15, 12.0, 12.0, 12.0)
@@ -15,9 +15,9 @@ JAW_UPPER = (0.70, 0.25, 0.15, 12.0, 12.0, 12.0)
 every model."""
 
 
-def free_parameters(model: FaceModel, config: Config, stages: Iterable[Stage]) -> FaceParameters:
+def free_parameters(model: FaceModel, stages: Iterable[StagePlan], parallel: bool = False) -> FaceParameters:
     """True for what any of the stages frees, shaped like the parameters of a fit; never a blendshape that no landmark
-    sees.
+    sees, nor the distance of a head that is seen in `parallel` projection.
 
     Raises `ConfigError` for blendshapes that the model lacks.
     """
@@ -41,7 +41,7 @@ def free_parameters(model: FaceModel, config: Config, stages: Iterable[Stage]) -
                 names = model.expression_names if name == "expression" else [""] * len(model.identity_deltas)
                 getattr(free, name)[:] |= _chosen_shapes(stage, tuple(names))
     free.expression[:] &= seen_shapes(model)
-    if config.camera.projection == "orthographic":
+    if parallel:
         free.translation[2] = False
     return free
 
@@ -63,7 +63,7 @@ def parameter_range(model: FaceModel, bounded: bool) -> tuple[FaceParameters, Fa
     return limits[0], limits[1]
 
 
-def _chosen_shapes(stage: Stage, names: tuple[str, ...]) -> Bool[np.ndarray, "k"]:
+def _chosen_shapes(stage: StagePlan, names: tuple[str, ...]) -> Bool[np.ndarray, "k"]:
     if not stage.shapes:
         return np.ones(len(names), bool)
     chosen = np.zeros(len(names), bool)

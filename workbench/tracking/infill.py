@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool
 
-from workbench.config import InfillConfig
 from workbench.errors import InputError
 from workbench.face import FaceParameters
 from workbench.tracking.failures import failures_of, why_failed
 from workbench.tracking.flow_fitter import FlowFitter, Neighbour, Pictures, parameters_of
 from workbench.tracking.interpolation import SPLINE_FRAMES, between, splined
 from workbench.tracking.moments import Moment, PictureSpool
+from workbench.tracking.plan import InfillPlan
 from workbench.tracking.records import FrameFit, Track
 
 Advanced = Callable[[FrameFit], None]
@@ -37,11 +37,11 @@ def infilled(
     a shot without any good frame, and gaps longer than the configuration allows, stay as they are. Holds a gap and its
     ends in memory, pictures of a long one on disk.
     """
-    ahead = SPLINE_FRAMES if fitter.config.infill.method == "spline" else 1
+    ahead = SPLINE_FRAMES if fitter.plan.infill.method == "spline" else 1
     window = _Window()
     try:
         for moment in stream:
-            good = usable(moment.fit, fitter.config.infill)
+            good = usable(moment.fit, fitter.plan.infill)
             another_gap = not good and bool(window.after)  # begins before the spline has all of its frames
             if another_gap or (window.shot is not None and moment.fit.shot != window.shot):
                 yield from _closed(fitter, window, advanced)
@@ -62,12 +62,12 @@ def infilled(
         window.pictures.close()
 
 
-def usable(fit: FrameFit, infill: InfillConfig) -> bool:
+def usable(fit: FrameFit, infill: InfillPlan) -> bool:
     """Whether a fit stays and may be an anchor: not named by the configuration, and not failed (`why_failed`)."""
     return not infill.named(fit.index) and not why_failed(fit, infill.largest_error)
 
 
-def usable_frames(track: Track, infill: InfillConfig) -> Bool[np.ndarray, "n"]:
+def usable_frames(track: Track, infill: InfillPlan) -> Bool[np.ndarray, "n"]:
     """`usable` for every frame of a track at once."""
     named = np.array([infill.named(int(index)) for index in track.index], bool)
     return ~named & (failures_of(track, infill.largest_error) == "")
@@ -97,7 +97,7 @@ def _closed(fitter: FlowFitter, window: _Window, advanced: Advanced) -> Iterator
         before, after = window.before, window.after
         ends = (before[-1] if before else None), (after[0] if after else None)
         filled = window.gap
-        if any(ends) and len(window.gap) <= fitter.config.infill.longest:
+        if any(ends) and len(window.gap) <= fitter.plan.infill.longest:
             like = next(end for end in ends if end is not None).fit
             found = _filled(fitter, window, ends, advanced)
             filled = [fitter.filled(fit, like, at) for fit, at in zip(window.gap, found, strict=True)]
@@ -108,7 +108,7 @@ def _closed(fitter: FlowFitter, window: _Window, advanced: Advanced) -> Iterator
 
 
 def _filled(fitter: FlowFitter, window: _Window, ends, advanced: Advanced) -> list[FaceParameters]:
-    method, count = fitter.config.infill.method, len(window.gap)
+    method, count = fitter.plan.infill.method, len(window.gap)
     if method == "flow":
         return fill_by_flow(fitter, *ends, window.pictures, lambda k: advanced(window.gap[k]))
     fits = [[moment.fit for moment in side] for side in (window.before, window.after)]
@@ -173,7 +173,7 @@ def fill_by_flow(
     forward, backward = along(forth, ends[0]), along(back, ends[1])
     path = [between(forward[k], backward[k], (k + 1) / (count + 1)) for k in range(count)]
     expected = fill_linearly(before.fit, after.fit, count)
-    for turn in range(fitter.config.infill.rounds):
+    for turn in range(fitter.plan.infill.rounds):
         path = polished(forth if turn % 2 == 0 else back, path)
     return path
 

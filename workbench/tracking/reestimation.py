@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.config import Config, Stage
 from workbench.errors import ConfigError
 from workbench.face import FaceModel
 from workbench.landmarks.observations import Landmarks2D
@@ -13,31 +12,35 @@ from workbench.rendering import Appearance
 from workbench.tracking.fitting import FrameContext, FrameObservation
 from workbench.tracking.flow_fitter import parameters_of
 from workbench.tracking.moments import Moment
+from workbench.tracking.plan import Plan, StagePlan
 from workbench.tracking.records import FrameFit
 from workbench.tracking.systems import make_fitter
 
 NAME = "re-estimation"
 
 
-def reestimation_stage(config: Config) -> Stage:
-    """The stage that fits expressions with the pose held: the configuration's own of that name, or its last one."""
-    named = next((stage for stage in config.stages if stage.name == NAME), None)
+def reestimation_stage(plan: Plan) -> StagePlan:
+    """The stage that fits expressions with the pose held: the plan's own of that name, or its last one.
+
+    Raises `ConfigError` if no stage frees the expression.
+    """
+    named = next((stage for stage in plan.stages if stage.name == NAME), None)
     if named is not None:
-        return named.model_copy(update={"enabled": True})
-    able = [stage for stage in config.stages if stage.enabled and "expression" in stage.free]
+        return replace(named, enabled=True)
+    able = [stage for stage in plan.stages if stage.enabled and "expression" in stage.free]
     if not able:
         raise ConfigError("Re-estimation fits the expression, which no enabled stage frees; enable one that does.")
     last = able[-1]
     kept = tuple(name for name in last.free if name in ("expression", "jaw"))
-    return last.model_copy(update={"name": NAME, "free": kept, "when": "always"})
+    return replace(last, name=NAME, free=kept, first_only=False)
 
 
 class Reestimator:
     """Fits the expressions of a stream's frames to their own landmarks, poses held."""
 
-    def __init__(self, model: FaceModel, config: Config):
-        """Raises `ConfigError` if no stage of the configuration frees the expression."""
-        self._fitter = make_fitter(model, config.model_copy(update={"stages": (reestimation_stage(config),)}))
+    def __init__(self, model: FaceModel, plan: Plan):
+        """Raises `ConfigError` if no stage of the plan frees the expression."""
+        self._fitter = make_fitter(model, replace(plan, stages=(reestimation_stage(plan),)))
         self._appearances: dict[int, Appearance | None] = {}
 
     def stream(

@@ -10,12 +10,12 @@ averaging goes first in the hybrid: weights of ¼, ½, ¼ take out exactly that 
 
 from collections.abc import Callable, Iterable, Iterator
 
-from workbench.config import Config
 from workbench.energies.flow import FlowTargets
 from workbench.tracking.failures import why_failed
 from workbench.tracking.flow_fitter import FlowFitter, Neighbour, parameters_of
 from workbench.tracking.interpolation import averaged
 from workbench.tracking.moments import Moment
+from workbench.tracking.plan import RefinementPlan
 from workbench.tracking.records import FrameFit
 
 LEAST_POINTS = 0.1
@@ -26,15 +26,14 @@ def refined(
     fitter: FlowFitter, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
 ) -> Iterator[Moment]:
     """The stream after the configuration's method and sweeps. `advanced` is called with each frame of each pass."""
-    for make in passes(fitter.config):
+    for make in passes(fitter.plan.refinement):
         stream = make(fitter, stream, advanced)
     yield from stream
 
 
-def passes(config: Config) -> list[Callable[..., Iterator[Moment]]]:
+def passes(refinement: RefinementPlan) -> list[Callable[..., Iterator[Moment]]]:
     """The passes of a method in order, each once for every sweep but the hybrid's averaging, which runs once."""
     flow = {"self": self_flow_pass, "plate": plate_flow_pass, "hybrid": plate_flow_pass}
-    refinement = config.refinement
     if refinement.method == "none":
         return []
     if refinement.method == "averaging":
@@ -47,7 +46,7 @@ def averaging_pass(
     fitter: FlowFitter, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
 ) -> Iterator[Moment]:
     """Each frame the weighted mean of itself and its neighbours (Appendix B)."""
-    centre = fitter.config.refinement.centre
+    centre = fitter.plan.refinement.centre
     side = 0.5 * (1.0 - centre)
 
     def mean(before: Moment, here: Moment, after: Moment) -> FrameFit:
@@ -68,7 +67,7 @@ def self_flow_pass(
         targets = fitter.midway_targets(parameters_of(before.fit), parameters_of(after.fit), views)
         return _moved(fitter, here, targets, views)
 
-    yield from _windowed(stream, midway, advanced, fitter.config.refinement.order == "gauss-seidel")
+    yield from _windowed(stream, midway, advanced, fitter.plan.refinement.order == "gauss-seidel")
 
 
 def plate_flow_pass(
@@ -86,16 +85,16 @@ def plate_flow_pass(
         if any(links.weights.mean() < LEAST_POINTS for _, links in sides):
             return here.fit
         appearance = fitter.appearance_of_shot(here)
-        stay = fitter.config.refinement.prior
+        stay = fitter.plan.refinement.prior
         solution = fitter.solve(sides, guess, guess, views, stay_pose=stay, appearance=appearance)
         return fitter.placed(here.fit, solution.parameters)
 
-    yield from _windowed(stream, between, advanced, fitter.config.refinement.order == "gauss-seidel")
+    yield from _windowed(stream, between, advanced, fitter.plan.refinement.order == "gauss-seidel")
 
 
 def _moved(fitter: FlowFitter, here: Moment, targets: FlowTargets, views) -> FrameFit:
     start = parameters_of(here.fit)
-    solution = fitter.solve_targets(targets, start, start, views, fitter.config.refinement.prior)
+    solution = fitter.solve_targets(targets, start, start, views, fitter.plan.refinement.prior)
     return fitter.placed(here.fit, solution.parameters)
 
 

@@ -15,7 +15,8 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures import HeadPanel, draw_overlay, side_by_side
 from workbench.pictures.overlay import OverlayParts
 from workbench.plots import close_up
-from workbench.tracking import FaceTracker, FrameFit, FrameObservation
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameFit, FrameObservation
 
 PARTS = OverlayParts(text=False)
 JPEG_QUALITY = 90

@@ -7,8 +7,8 @@ import numpy as np
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial
 from workbench.landmarks.scheme import face_size
+from workbench.planning import plan_of
 from workbench.tracking import FrameFit
-from workbench.tracking.face_it_fitter import camera_of
 
 LEAST_IDENTITY_GAIN = 0.2
 """Part of the shot's unexplained evidence that another face must explain."""
@@ -89,7 +89,7 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
     )
     fit = trial.refit(change)
     size = trial.case.observation.image_size
-    focal = float(np.mean(camera_of(config, size).focal_px))
+    focal = float(np.mean(plan_of(config).camera.of(size).focal_px))
     yield Finding(
         code="wrong_focal",
         title="The focal length does not suit the face",

@@ -9,6 +9,7 @@ import numpy as np
 from workbench.config import Config
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera
+from workbench.planning import plan_of
 from workbench.rendering import Appearance
 from workbench.tracking.fitting import (
     Calibrated,
@@ -32,14 +33,15 @@ class FaceTracker:
         """`stills`: every frame is its own shot, no term links it to another."""
         self.model = model
         self.stills = stills
-        self._walk = Walk(make_fitter(model, config))
+        self._config = config
+        self._walk = Walk(make_fitter(model, plan_of(config)))
         self._pending: list[FrameObservation] = []
         self._start_shot()
 
     @property
     def config(self) -> Config:
         """The configuration of the next frame."""
-        return self.fitter.config
+        return self._config
 
     def warm_up(self, image_size: tuple[int, int]) -> None:
         """Compile (or load from the cache) all that a run needs, so that its first frames are as fast as the others."""
@@ -49,7 +51,7 @@ class FaceTracker:
 
     def configure(self, config: Config) -> None:
         """Use another configuration from the next frame on."""
-        self._walk.fitter = configured(self.fitter, config)
+        self._config, self._walk.fitter = config, configured(self.fitter, plan_of(config))
 
     def push(self, observation: FrameObservation) -> list[FrameFit]:
         """Take the next frame; return the fits that are ready, in order."""
@@ -64,7 +66,7 @@ class FaceTracker:
 
         Only where frames are independent (`Fitter.links_frames`) may they be fitted elsewhere, and in any order.
         """
-        observation = corrected(observation, self.config)
+        observation = corrected(observation, self.config.moved_points(observation.index))
         if (observation.cut or self.stills) and (self._pending or self._seen):
             yield from self.prepare_rest()
             self._start_shot()
@@ -105,7 +107,7 @@ class FaceTracker:
         The identity is the calibrated one if the shot has it, else (and for stills) calibrated on this frame alone.
         Raises `InputError` for a frame without landmarks.
         """
-        observation = with_face(corrected(observation, self.config))
+        observation = with_face(corrected(observation, self.config.moved_points(observation.index)))
         calibrated = self._walk.calibrated
         if (self.stills or not self._calibrated) and self.fitter.calibrates:
             calibrated = self.fitter.calibrate([observation], self._calibration_frames())

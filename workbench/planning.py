@@ -1,0 +1,95 @@
+"""From a configuration to the plan of a run, at the door: below it nobody reads a configuration."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from workbench.config import Config, Stage, preset
+from workbench.energies import TABLE, EnergyConstants
+from workbench.errors import ConfigError
+from workbench.geometry import read_rig
+from workbench.tracking.plan import (
+    CameraPlan,
+    DeepPlan,
+    FlowPlan,
+    IdentityPlan,
+    InfillPlan,
+    Plan,
+    RefinementPlan,
+    SolverPlan,
+    StagePlan,
+)
+
+Section = TypeVar("Section", IdentityPlan, DeepPlan, FlowPlan, InfillPlan, RefinementPlan)
+
+
+def plan_of(config: Config) -> Plan:
+    """The plan of a configuration.
+
+    Raises `InputError` and `ConfigError` for a rig that cannot be used.
+    """
+    points = np.array(config.point_weights())
+    return Plan(
+        system=config.system,
+        terms=config.terms,
+        linked=any(TABLE[name].links_frames for name in config.summed_terms),
+        stages=tuple(_stage(config, stage, points) for stage in config.stages),
+        camera=_camera(config),
+        solver=SolverPlan(
+            config.solver.method, config.solver.bounded, config.solver.tolerance, config.solver.unit == "percent"
+        ),
+        constants=EnergyConstants(**config.constants.model_dump()),
+        sliding=config.contour.mode == "sliding",
+        point_weights=points,
+        identity=_taken(IdentityPlan, config.identity),
+        deep=_taken(DeepPlan, config.deep),
+        flow=_taken(FlowPlan, config.flow),
+        infill=infill_plan(config),
+        refinement=_taken(RefinementPlan, config.refinement),
+        by_points=plan_of(_by_points(config)) if config.traits.renders else None,
+    )
+
+
+def infill_plan(config: Config) -> InfillPlan:
+    """Which frames of a track are usable, and how others are filled."""
+    return _taken(InfillPlan, config.infill)
+
+
+def _camera(config: Config) -> CameraPlan:
+    camera = config.camera
+    if camera.rig and camera.projection == "orthographic":
+        raise ConfigError("A rig's cameras are perspective; set camera.projection or leave camera.rig empty.")
+    return CameraPlan(
+        fov_deg=camera.fov_deg,
+        matrix=None if camera.matrix is None else np.array(camera.matrix),
+        distortion=np.array(camera.distortion, float),
+        parallel=camera.projection == "orthographic",
+        rig=read_rig(Path(camera.rig)) if camera.rig else None,
+    )
+
+
+def _stage(config: Config, stage: Stage, points: np.ndarray) -> StagePlan:
+    return StagePlan(
+        name=stage.name,
+        enabled=stage.enabled,
+        first_only=stage.when == "start",
+        free=stage.free,
+        shapes=stage.shapes,
+        limit=stage.limit,
+        landmark_weights=np.multiply(stage.landmark_weights(config.subsets), points),
+        omega=np.array(config.factors(stage)),
+    )
+
+
+def _taken(kind: type[Section], section: Any) -> Section:
+    """The values of a section that a plan has."""
+    return kind(**{field.name: getattr(section, field.name) for field in fields(kind)})
+
+
+def _by_points(config: Config) -> Config:
+    """FACE IT!'s configuration for identity and first pose, with this one's camera, landmarks and identity."""
+    camera = config.camera.model_copy(update={"projection": "perspective", "rig": ""})
+    kept = {name: getattr(config, name) for name in ("identity", "landmarks", "subsets", "contour")}
+    return preset("joint").model_copy(update={**kept, "camera": camera})
