@@ -23,6 +23,7 @@ from workbench.config import PARALLEL_STAGES, Config, Stage, preset
 from workbench.energies import still
 from workbench.energies.deep import DEEP_TERMS, DeepView, deep_residuals, view_vertices
 from workbench.errors import ConfigError, InputError
+from workbench.face import typical_sizes
 from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
 from workbench.geometry import project, rotation_matrix, write_rig
 from workbench.landmarks.observations import Landmarks2D
@@ -48,7 +49,6 @@ from workbench.tracking.deep_programs import (
     points_derivative,
     project_points,
     quadratic,
-    scales,
     term_energies,
 )
 from workbench.tracking.deep_solver import solve_stage
@@ -91,7 +91,7 @@ def solved(shared, truth):
 def derivative_of(function, parameters, column, step):
     """Central difference in scaled unknowns."""
     vector, unravel = jax.flatten_util.ravel_pytree(parameters)
-    size = flat(scales(parameters))[column]
+    size = typical_sizes(parameters)[column]
     above, below = (np.asarray(function(unravel(vector.at[column].add(sign * step * size))), float) for sign in (1, -1))
     return (above - below) / (2.0 * step)
 
@@ -150,7 +150,7 @@ def test_the_quadratic_model_is_that_of_the_residuals(points, truth):
     def energy(vector):
         moved = jax.flatten_util.ravel_pytree(start)[1](vector)
         seen = predicted + np.einsum(
-            "n,vnij->vij", (np.asarray(vector) - flat(start)) / flat(scales(start)), derivative
+            "n,vnij->vij", (np.asarray(vector) - flat(start)) / typical_sizes(start), derivative
         )
         return 0.5 * float(np.asarray(term_energies(views, omega, seen, moved, context)).sum())
 
@@ -158,7 +158,7 @@ def test_the_quadratic_model_is_that_of_the_residuals(points, truth):
     rng = np.random.default_rng(1)
     step = rng.normal(size=len(flat(start))) * 0.1
     value = float(model.value) + step @ np.asarray(model.gradient) + 0.5 * step @ np.asarray(model.hessian) @ step
-    assert energy(jnp.asarray(flat(start) + step * flat(scales(start)))) == pytest.approx(value, rel=1e-6)
+    assert energy(jnp.asarray(flat(start) + step * typical_sizes(start))) == pytest.approx(value, rel=1e-6)
 
 
 # What the network sees.
@@ -223,7 +223,7 @@ def test_the_forward_derivative_is_that_of_a_crop_that_stands_still(deep, truth)
 
     agreement = []
     for column, slope in zip(columns[:-1], forward, strict=False):
-        way = jnp.zeros_like(vector).at[column].set(flat(scales(truth))[column])
+        way = jnp.zeros_like(vector).at[column].set(typical_sizes(truth)[column])
         np.testing.assert_allclose(held(vector, way)[1], slope, rtol=0.01, atol=0.01 * np.abs(slope).max())
         ends = [np.asarray(held(vector + sign * way / 2, way)[0], float) for sign in (1.0, -1.0)]
         secant = ends[0] - ends[1]

@@ -23,7 +23,6 @@ from workbench.energies import (
     landmark_errors,
     landmark_residual,
     normal_system,
-    pack,
     reprojection_with_jacobian,
     residual_of,
     residuals,
@@ -31,9 +30,8 @@ from workbench.energies import (
     smoothed_l1,
     stage_factors,
     still,
-    unpack,
 )
-from workbench.face import FaceParameters, contour_blend, landmark_model, model_landmarks
+from workbench.face import FaceParameters, contour_blend, landmark_model, model_landmarks, pack, unpack
 
 FREE_SETS = [
     ("rotation", "translation"),

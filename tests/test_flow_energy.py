@@ -17,11 +17,11 @@ from workbench.energies.flow import (
     robust_scales,
 )
 from workbench.errors import InputError
-from workbench.face import FaceParameters
+from workbench.face import FaceParameters, pack, unpack
 from workbench.flow import surface_points
 from workbench.geometry import Camera, camera_from_fov
 from workbench.rendering import render_model
-from workbench.tracking.flow_solver import FlowLimits, moving, placed, solve_flow
+from workbench.tracking.flow_solver import MOVING, FlowLimits, solve_flow
 
 SIZE = (640, 480)
 COUNT = 200
@@ -64,7 +64,7 @@ def weights(flow=1.0, stay=0.0, stay_pose=0.0, robust=np.inf):
 
 
 def limits(start, free=None):
-    held = np.asarray(moving(start))
+    held = np.asarray(pack(start, MOVING))
     free = np.ones(len(held), bool) if free is None else free
     bounds = (np.where(free, sign * np.inf, held) for sign in (-1.0, 1.0))
     return FlowLimits(*bounds, np.asarray(15), np.asarray(1e-8))
@@ -98,10 +98,11 @@ def test_residuals_change_as_finite_differences_say(head, points):
 
     @jax.jit
     def residual(vector):
-        terms = flow_residuals(points, views, targets, weights(1.0, 2.0, 0.1), scales, placed(vector, start), start)
+        at = unpack(vector, start, MOVING)
+        terms = flow_residuals(points, views, targets, weights(1.0, 2.0, 0.1), scales, at, start)
         return jnp.concatenate([part.astype(float) for part in terms.values()])
 
-    vector = moving(start)
+    vector = pack(start, MOVING)
     jacobian = np.asarray(jax.jit(jax.jacfwd(residual))(vector))
     for column in (0, 2, 4, 5, 6 + head.expression_names.index("jawOpen"), len(vector) - 6, len(vector) - 1):
         step = np.zeros(len(vector))
@@ -131,7 +132,7 @@ def test_pose_and_weights_are_found_from_exact_flow(head, points, views):
 
 def test_what_is_not_free_stays(head, points):
     truth, start, views = state(head, 0.5), state(head, 0.1), one_view()
-    free = np.zeros(len(moving(start)), bool)
+    free = np.zeros(len(pack(start, MOVING)), bool)
     free[:6] = True
     found = solve_flow(points, views, targets_of(points, views, truth), weights(), start, start, limits(start, free))
     assert np.array_equal(found.parameters.expression, start.expression)

@@ -32,8 +32,6 @@ from .total import EnergyProblem as EnergyProblem
 from .total import energy as energy
 from .total import energy_by_term as energy_by_term
 from .total import normal_system as normal_system
-from .total import pack as pack
 from .total import residual_of as residual_of
 from .total import residuals as residuals
-from .total import unpack as unpack
 from .total import weighed_residuals as weighed_residuals

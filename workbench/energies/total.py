@@ -19,6 +19,7 @@ from workbench.energies.reprojection import Observation, landmark_errors, reproj
 from workbench.energies.terms import TABLE, Term, terms_of
 from workbench.face.landmark_model import PointModel
 from workbench.face.parameters import FaceParameters
+from workbench.face.unknowns import pack, slots, unpack
 from workbench.geometry import Camera
 from workbench.solvers import DenseSystem
 
@@ -136,26 +137,6 @@ def normal_system(
     return DenseSystem(cost + others, gradient, matrix + jnp.diag(diagonal))
 
 
-def pack(parameters: FaceParameters, free: tuple[str, ...]) -> Float[AnyArray, "n"]:
-    """The free parameters as one vector."""
-    return jnp.concatenate([getattr(parameters, name) for name in free])
-
-
-def unpack(vector: Float[AnyArray, "n"], parameters: FaceParameters, free: tuple[str, ...]) -> FaceParameters:
-    """`parameters` with the free ones replaced by the entries of `vector`."""
-    slots = _slots(parameters, free)
-    return parameters._replace(**{name: vector[slot] for name, slot in slots.items()})
-
-
-def _slots(parameters: FaceParameters, names: tuple[str, ...]) -> dict[str, slice]:
-    slots, start = {}, 0
-    for name in names:
-        size = len(getattr(parameters, name))
-        slots[name] = slice(start, start + size)
-        start += size
-    return slots
-
-
 def _moves(term: Term, free: tuple[str, ...]) -> bool:
     """Whether free parameters can change a term."""
     return term.of == "landmarks" or bool(set(term.unknowns) & set(free))
@@ -182,9 +163,9 @@ def _on_unknowns(term: Term, context: TermContext, parameters: FaceParameters, f
 
 def _spread(entries, blocks: tuple[str, ...], parameters: FaceParameters, free: tuple[str, ...]):
     """Entries by block as a vector over the free parameters, 0 for the other ones."""
-    slots = _slots(parameters, blocks)
+    places = slots(parameters, blocks)
     return jnp.concatenate(
-        [entries[slots[name]] if name in slots else jnp.zeros(len(getattr(parameters, name))) for name in free]
+        [entries[places[name]] if name in places else jnp.zeros(len(getattr(parameters, name))) for name in free]
     )
 
 

@@ -36,6 +36,7 @@ from workbench.session.gesture import Gesture, Gestures
 from workbench.session.material import Material, Progress, load_material, material_of_track
 from workbench.session.metrics import metrics_of, metrics_of_track
 from workbench.session.temporal import TIME_SECTIONS, TemporalWork
+from workbench.tracker import calibration_window
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation, StageTrace, Track
 from workbench.tracking.deep_fitter import DeepSolution
 from workbench.tracking.deep_target import energy_network, photo_landmarks

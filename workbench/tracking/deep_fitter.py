@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from workbench.energies import TermContext
 from workbench.energies.deep import DeepView, crop_of, deep_model
 from workbench.errors import InputError
-from workbench.face import FaceModel, FaceParameters, seen_shapes
+from workbench.face import FaceModel, FaceParameters, free_parameters, parameter_range, seen_shapes
 from workbench.geometry import Camera, yaw_pitch_roll_deg
 from workbench.landmarks.network_detector import CROP_BOXES
 from workbench.landmarks.observations import Landmarks2D
@@ -48,7 +48,6 @@ from workbench.tracking.fitting import (
     continued,
     never,
 )
-from workbench.tracking.free_parameters import free_parameters, parameter_range
 from workbench.tracking.plan import Plan, StagePlan
 from workbench.tracking.records import FAILURES, FrameFit
 
@@ -362,7 +361,9 @@ class DeepFitter(Fitter):
 
     def free(self, stage: StagePlan) -> Bool[np.ndarray, "n"]:
         """Which entries of the flattened parameters a stage frees. Raises `ConfigError` for shapes the model lacks."""
-        return np.concatenate(free_parameters(self.model, [stage], self.plan.camera.parallel))
+        return np.concatenate(
+            free_parameters(self.model, stage.free, stage.shapes, self.plan.camera.parallel, stage.name)
+        )
 
     def _bounds(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         lower, upper = parameter_range(self.model, self.plan.solver.bounded)

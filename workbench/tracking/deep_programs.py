@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from workbench.arrays import AnyArray, Scalar
@@ -24,15 +22,12 @@ from workbench.energies.deep import (
     network_view,
     preselected_points,
 )
-from workbench.face import FaceParameters
+from workbench.face import FaceParameters, pack, typical_sizes, unpack
 from workbench.networks import Fan, LandmarkNetwork
 from workbench.solvers.dogleg import Quadratic
 
 CHUNK = 8
 """Tangents pushed through renderer and network at a time: more fill the processor's cache, fewer waste forwards."""
-SCALES = FaceParameters(rotation=0.1, translation=10.0, expression=0.3, identity=1.0, jaw=0.1, scale=0.05)
-"""Typical size of an unknown: the dogleg's region is round in unknowns divided by these."""
-JAW_TRAVEL_SCALE_MM = 3.0
 
 
 class DeepScene(NamedTuple):
@@ -42,14 +37,6 @@ class DeepScene(NamedTuple):
     model: DeepModel
     albedo: Float[AnyArray, "v 3"]
     sliding: Scalar
-
-
-def scales(like: FaceParameters) -> FaceParameters:
-    """The typical size of every unknown, shaped like the parameters."""
-    sizes = FaceParameters(*(np.full(np.shape(part), size) for part, size in zip(like, SCALES, strict=True)))
-    if len(like.jaw):
-        sizes.jaw[3:] = JAW_TRAVEL_SCALE_MM
-    return sizes
 
 
 @partial(jax.jit, static_argnames=("side", "samples"))
@@ -73,12 +60,13 @@ def look_derivative(
 
     One chunk of `CHUNK` columns a call: a linearisation pushed through a loop takes ten times as long on a CPU.
     """
-    vector, unravel = ravel_pytree(parameters)
+    vector = pack(parameters)
 
     def points(vector):
-        return network_view(scene.network, scene.model, scene.albedo, view, unravel(vector), side, samples).points
+        at = unpack(vector, parameters)
+        return network_view(scene.network, scene.model, scene.albedo, view, at, side, samples).points
 
-    tangents = jax.nn.one_hot(columns, len(vector), dtype=vector.dtype) * ravel_pytree(scales(parameters))[0]
+    tangents = jax.nn.one_hot(columns, len(vector), dtype=vector.dtype) * jnp.asarray(typical_sizes(parameters))
     return jax.vmap(lambda tangent: jax.jvp(points, (vector,), (tangent,))[1])(tangents)
 
 
@@ -91,10 +79,10 @@ def project_points(scene: DeepScene, view: DeepView, parameters: FaceParameters)
 @jax.jit
 def points_derivative(scene: DeepScene, view: DeepView, parameters: FaceParameters) -> Float[Array, "n 68 2"]:
     """Their derivative by all scaled unknowns."""
-    vector, unravel = ravel_pytree(parameters)
-    sizes = ravel_pytree(scales(parameters))[0]
+    vector = pack(parameters)
+    sizes = jnp.asarray(typical_sizes(parameters))
     derivative = jax.jacfwd(
-        lambda scaled: preselected_points(scene.model, view, unravel(vector + scaled * sizes), scene.sliding)
+        lambda scaled: preselected_points(scene.model, view, unpack(vector + scaled * sizes, parameters), scene.sliding)
     )(jnp.zeros_like(vector))
     return jnp.moveaxis(derivative, -1, 0)
 
@@ -110,11 +98,11 @@ def quadratic(
     terms: tuple[str, ...] = DEEP_TERMS,
 ) -> Quadratic:
     """½Σr² with gradient and Gauss–Newton curvature in scaled unknowns, from predictions and their derivative."""
-    vector, unravel = ravel_pytree(parameters)
-    sizes = ravel_pytree(scales(parameters))[0]
+    vector = pack(parameters)
+    sizes = jnp.asarray(typical_sizes(parameters))
 
     def residual(predicted, vector):
-        parts = deep_residuals(views, omega, predicted, unravel(vector), context, terms)
+        parts = deep_residuals(views, omega, predicted, unpack(vector, parameters), context, terms)
         return jnp.concatenate(list(parts.values()))
 
     by_column = jnp.moveaxis(derivative, 1, 0).astype(vector.dtype)

@@ -15,12 +15,11 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 
 from workbench.energies.context import TermContext
 from workbench.energies.deep import DeepView, NetworkView
-from workbench.face import FaceParameters
+from workbench.face import FaceParameters, pack, typical_sizes, unpack
 from workbench.runtime import COMPUTING
 from workbench.solvers import Status
 from workbench.solvers.dogleg import Quadratic, dogleg_step, judge_step
@@ -32,7 +31,6 @@ from workbench.tracking.deep_programs import (
     points_derivative,
     project_points,
     quadratic,
-    scales,
     term_energies,
 )
 
@@ -105,7 +103,7 @@ class StageProblem:
     context: TermContext
     """What the frames before left; the stage's start is put in."""
     free: Bool[np.ndarray, "n"]
-    """Over the flattened `FaceParameters`."""
+    """Over the vector of unknowns (`face/unknowns.py`)."""
     lower: Float[np.ndarray, "n"]
     upper: Float[np.ndarray, "n"]
     limit: int
@@ -137,8 +135,7 @@ def solve_stage(
     problem: StageProblem, start: FaceParameters, cancelled: Callable[[], bool] = lambda: False
 ) -> StageResult:
     """Up to `limit` dogleg steps from `start`; each evaluates the network once in every view, plus its derivative."""
-    vector, unravel = ravel_pytree(start)
-    vector, sizes = np.asarray(vector), np.asarray(ravel_pytree(scales(start))[0])
+    vector, sizes = np.asarray(pack(start)), typical_sizes(start)
     views, state = problem.stacked, _State(problem, start)
     parameters, prediction, radius = start, predict(problem.scene, problem.views, start), 1.0
     energies = state.energies(views, prediction, parameters)
@@ -152,7 +149,7 @@ def solve_stage(
         step = np.asarray(dogleg_step(model, movable, radius))
         candidate = np.clip(vector + step * sizes, problem.lower, problem.upper)
         step = (candidate - vector) / sizes
-        tried_parameters = unravel(jnp.asarray(candidate))
+        tried_parameters = unpack(jnp.asarray(candidate), start)
         tried = predict(problem.scene, problem.views, tried_parameters)
         tried_energies = state.energies(views, tried, tried_parameters)
         accepted, radius = judge_step(model, movable, step, 0.5 * tried_energies.sum(), radius)
@@ -231,14 +228,13 @@ class _State:
         return np.concatenate(parts)[: len(columns)]
 
     def _differences(self, view, parameters, columns):
-        vector, unravel = ravel_pytree(parameters)
-        steps = DIFFERENCE_STEP * np.asarray(ravel_pytree(scales(parameters))[0])
+        vector, steps = pack(parameters), DIFFERENCE_STEP * typical_sizes(parameters)
         rows = []
         for column in columns:
             ends = []
             for sign in (1.0, -1.0):
                 with COMPUTING:
-                    moved = unravel(vector.at[column].add(sign * steps[column]))
+                    moved = unpack(vector.at[column].add(sign * steps[column]), parameters)
                     ends.append(np.asarray(look(self._problem.scene, view, moved).points, float))
             rows.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))
         self.evaluations += 2 * len(columns)

@@ -27,8 +27,8 @@ from workbench.tracking.fitting import (
     never,
 )
 from workbench.tracking.frame_solver import (
+    BLOCKS,
     STAGE_SLOTS,
-    UNKNOWNS,
     FrameInput,
     SolvedFrame,
     SolveSettings,
@@ -91,10 +91,10 @@ def stage_program(plan: Plan, start: bool) -> StageProgram:
     """The stages of a first or a later frame as data for `solve_frame`."""
     chosen = plan.running(start)
     slots = STAGE_SLOTS * -(-len(plan.stages) // STAGE_SLOTS)
-    moves, limit = np.zeros((slots, len(UNKNOWNS)), bool), np.zeros(slots, int)
+    moves, limit = np.zeros((slots, len(BLOCKS)), bool), np.zeros(slots, int)
     weights, omega = np.zeros((slots, 68)), np.zeros((slots, len(plan.terms)))
     for k, stage in enumerate(chosen):
-        moves[k], limit[k] = [name in stage.free for name in UNKNOWNS], stage.limit
+        moves[k], limit[k] = [name in stage.free for name in BLOCKS], stage.limit
         weights[k], omega[k] = stage.landmark_weights, stage.omega
     return StageProgram(*(jnp.asarray(part) for part in (moves, limit, weights, omega, len(chosen))))
 

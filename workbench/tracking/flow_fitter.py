@@ -13,7 +13,7 @@ from workbench.arrays import AnyArray
 from workbench.energies.deep import DeepView, deep_model, preselected_points
 from workbench.energies.flow import FlowTargets, FlowView, FlowWeights, choose_surface, points_in_views
 from workbench.errors import InputError
-from workbench.face import FaceModel, FaceParameters
+from workbench.face import FaceModel, FaceParameters, free_parameters, parameter_range
 from workbench.flow import SurfacePoints, flow_estimator, points_in_camera, seen_surface, surface_points
 from workbench.flow.geometric import shown_at
 from workbench.geometry import Camera
@@ -30,8 +30,7 @@ from workbench.rendering import (
 from workbench.rendering.camera import CropCamera, to_screen
 from workbench.runtime import COMPUTING
 from workbench.tracking.deep_fitter import light_of
-from workbench.tracking.flow_solver import FlowLimits, FlowSolution, solve_flow
-from workbench.tracking.free_parameters import free_parameters, parameter_range
+from workbench.tracking.flow_solver import MOVING, FlowLimits, FlowSolution, solve_flow
 from workbench.tracking.photo_flow import Cutout, cutout_about, photo_flow, read_at
 from workbench.tracking.plan import Plan
 from workbench.tracking.records import FrameFit
@@ -43,7 +42,6 @@ ESTIMATED_PASSES = 3
 RENDER_GREY = 0.45
 TOLERANCE = 1e-4
 """A solve ends when a step lowers the energy by less than this part."""
-MOVING = ("rotation", "translation", "expression", "jaw")
 
 Pictures = tuple[UInt8[np.ndarray, "_ _ 3"], ...]
 """A moment in each view of a rig; one for a single camera."""
@@ -78,8 +76,12 @@ class FlowFitter:
         self._points = surface_points(self._render, *choose_surface(model, plan.flow.points))
         corners = model.landmarks.vertices[[RIGHT_EYE_OUTER_CORNER, LEFT_EYE_OUTER_CORNER]]
         self._eyes_mm = float(np.linalg.norm(np.diff(model.neutral[corners].mean(axis=1), axis=0)))
-        stages = [stage for stage in plan.stages if stage.enabled]
-        self.free = np.concatenate(self._of_moving(free_parameters(model, stages, plan.camera.parallel)))
+        freed = [
+            free_parameters(model, stage.free, stage.shapes, plan.camera.parallel, stage.name)
+            for stage in plan.stages
+            if stage.enabled
+        ]
+        self.free = np.any([np.concatenate(self._of_moving(one)) for one in freed], axis=0)
         """Which of rotation, translation, expression and jaw the plan's stages ever free."""
         self._appearances: dict[int, Appearance | None] = {}
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from workbench.arrays import AnyArray, Count, Scalar
@@ -20,10 +19,12 @@ from workbench.energies.flow import (
     flow_residuals,
     robust_scales,
 )
-from workbench.face import FaceParameters
+from workbench.face import FaceParameters, pack, unpack
 from workbench.flow import SurfacePoints
 from workbench.solvers.levenberg_marquardt import minimise, normal_equations
 
+MOVING = ("rotation", "translation", "expression", "jaw")
+"""What flow moves; identity and scale stay."""
 REWEIGHTINGS = 3
 """Least squares in turn, each with the robust weights that the one before left."""
 
@@ -32,7 +33,7 @@ class FlowLimits(NamedTuple):
     """What may move, and how far and how long."""
 
     lower: Float[AnyArray, "n"]
-    """Least value of each unknown: rotation, translation, expression, jaw; equal to `upper` where it stays."""
+    """Least value of each of the `MOVING` unknowns; equal to `upper` where it stays."""
     upper: Float[AnyArray, "n"]
     iterations: Count
     """Of each of the robust least squares."""
@@ -51,19 +52,6 @@ class FlowSolution(NamedTuple):
     iterations: Int[Array, ""]
 
 
-def moving(parameters: FaceParameters) -> Float[Array, "n"]:
-    """The unknowns as one vector: rotation, translation, expression, jaw."""
-    chosen = (parameters.rotation, parameters.translation, parameters.expression, parameters.jaw)
-    return jnp.concatenate([jnp.asarray(part, float) for part in chosen])
-
-
-def placed(vector: Float[AnyArray, "n"], like: FaceParameters) -> FaceParameters:
-    """The parameters with these unknowns; identity and scale stay."""
-    ends = np.cumsum([3, 3, len(like.expression)])
-    rotation, translation, expression, jaw = jnp.split(vector, ends)
-    return like._replace(rotation=rotation, translation=translation, expression=expression, jaw=jaw)
-
-
 @jax.jit
 def solve_flow(
     points: SurfacePoints,
@@ -77,7 +65,7 @@ def solve_flow(
     """The frame whose points lie where its neighbours and the flow say, near the prior."""
 
     def terms(vector, scales):
-        return flow_residuals(points, views, targets, weights, scales, placed(vector, start), prior)
+        return flow_residuals(points, views, targets, weights, scales, unpack(vector, start, MOVING), prior)
 
     def least_squares(carry, _):
         vector, scales = carry
@@ -97,14 +85,14 @@ def solve_flow(
             limits.tolerance,
             cost=lambda vector: jnp.sum(residual(vector) ** 2),
         )
-        missed = flow_distances(points, views, targets, placed(found.x, start))
+        missed = flow_distances(points, views, targets, unpack(found.x, start, MOVING))
         return (found.x, robust_scales(missed, weights.robust)), (found.status, found.iterations)
 
-    vector = jnp.clip(moving(start), limits.lower, limits.upper)
-    missed = flow_distances(points, views, targets, placed(vector, start))
+    vector = jnp.clip(pack(start, MOVING), limits.lower, limits.upper)
+    missed = flow_distances(points, views, targets, unpack(vector, start, MOVING))
     first = (vector, robust_scales(missed, weights.robust))
     (vector, scales), (status, iterations) = jax.lax.scan(least_squares, first, None, length=REWEIGHTINGS)
-    result = placed(vector, start)
+    result = unpack(vector, start, MOVING)
     energies = jnp.stack([jnp.sum(part**2) for part in terms(vector, scales).values()])
     missed = jnp.linalg.norm(flow_distances(points, views, targets, result), axis=-1)
     counted = targets.weights * scales**2

@@ -23,18 +23,25 @@ from workbench.energies import (
     energy,
     energy_by_term,
     normal_system,
-    pack,
     project_landmarks,
     residuals,
+)
+from workbench.energies.systems import SYSTEMS
+from workbench.face import (
+    FaceParameters,
+    LandmarkModel,
+    contour_blend,
+    model_landmarks,
+    pack,
+    typical_sizes,
     unpack,
 )
-from workbench.face import FaceParameters, LandmarkModel, contour_blend, model_landmarks
 from workbench.geometry import Camera, head_yaw
 from workbench.solvers import Solution, minimise, minimise_with_optimistix
 
-UNKNOWNS = ("rotation", "translation", "expression")
+BLOCKS = SYSTEMS["face-it"].blocks
 """What a stage may move, in the order of the solver's vector."""
-BRANCHES = (("rotation", "translation"), UNKNOWNS)
+BRANCHES = (("rotation", "translation"), BLOCKS)
 """One branch each of one compiled program: a stage of the pose alone costs a small solve, any other that of the whole
 vector. What a stage does not move is masked, so that no schedule compiles anew."""
 STAGE_SLOTS = 8
@@ -46,7 +53,7 @@ class StageProgram(NamedTuple):
     """The stages to run, as data."""
 
     moves: Bool[AnyArray, "s 3"]
-    """Which of `UNKNOWNS` each stage frees."""
+    """Which of `BLOCKS` each stage frees."""
     limit: Int[AnyArray, "s"]
     """ρ or ε."""
     landmark_weights: Float[AnyArray, "s 68"]
@@ -204,7 +211,7 @@ def stage_problem(
 def _moving(parameters: FaceParameters, moves: Bool[AnyArray, "3"], free: tuple[str, ...]) -> Bool[AnyArray, "n"]:
     """Which entries of the solver's vector a stage moves."""
     return jnp.concatenate(
-        [jnp.broadcast_to(moves[UNKNOWNS.index(name)], getattr(parameters, name).shape) for name in free]
+        [jnp.broadcast_to(moves[BLOCKS.index(name)], getattr(parameters, name).shape) for name in free]
     )
 
 
@@ -227,7 +234,7 @@ def _solve_stage(problem, parameters, settings, limit, free, moving, terms, meth
         kind = method.removeprefix("optimistix-")
         return minimise_with_optimistix(
             _residual_holding(problem, parameters, free, terms, start, held),
-            start, _scale(parameters, free), limit, settings.tolerance, kind, *recorded,
+            start, typical_sizes(parameters, free), limit, settings.tolerance, kind, *recorded,
         )  # fmt: skip
     upper = jnp.full(start.shape, jnp.inf)
     lower = -upper
@@ -249,9 +256,3 @@ def _residual_holding(problem: EnergyProblem, parameters: FaceParameters, free, 
         return jnp.concatenate([*found.values(), moved])
 
     return residual
-
-
-def _scale(parameters: FaceParameters, free: tuple[str, ...]):
-    """Typical size of each unknown: Optimistix damps all alike."""
-    sizes = {"rotation": 0.1, "translation": 10.0, "expression": 0.3}
-    return jnp.concatenate([jnp.full(len(getattr(parameters, name)), sizes[name]) for name in free])

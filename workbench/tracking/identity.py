@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from workbench.arrays import AnyArray, Count, Scalar
-from workbench.energies import FACE_IT_TERMS, EnergyConstants, normal_system, pack, unpack
-from workbench.face import FaceParameters, LandmarkModel
+from workbench.energies import FACE_IT_TERMS, EnergyConstants, normal_system
+from workbench.face import FaceParameters, LandmarkModel, pack, unpack
 from workbench.geometry import Camera
 from workbench.solvers import ArrowheadSystem, DenseSystem, minimise
 from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem
