@@ -262,6 +262,20 @@ def within(widget):
         yield from within(child)
 
 
+def test_a_stage_names_terms_beside_those_of_its_system():
+    handed = []
+    editor = StageEditor(lambda stages, label: handed.append(stages), lambda what, number: None, 190)
+    editor.show(preset("deep-energies"))
+    row = editor._rows[0]
+    assert row.terms.value == "edges"
+    row.terms.value = "edges, tau"
+    assert handed[-1][0]["terms"] == ("edges", "tau")
+    for text, said in {"tao": "did you mean 'tau'?", "wings": "the terms are edges, tau"}.items():
+        row.terms.value = text
+        assert said in row.result.value
+    assert len(handed) == 1
+
+
 def test_a_stage_that_cannot_be_is_explained_and_put_back(panel):
     shown = panel.stages._rows[: len(panel.session.config.stages)]
     for row in shown:

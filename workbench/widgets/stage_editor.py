@@ -1,12 +1,15 @@
 """The schedule as a table: reorder, switch, free parameters, landmark groups, limits; run, run to here, step."""
 
+import difflib
 import itertools
+import re
 from collections.abc import Callable, Collection
 
 import ipywidgets as widgets
 
-from workbench.config import Config, Stage
+from workbench.config import NAMED_TERMS, Config, Stage
 from workbench.errors import ConfigError
+from workbench.reading import shortened
 from workbench.widgets.controls import small_button
 
 LETTERS = {
@@ -35,8 +38,12 @@ class StageRow:
             for block, letter in LETTERS.items()
         }
         self.landmarks = widgets.Text(
-            continuous_update=False, layout=widgets.Layout(width="190px"),
+            continuous_update=False, layout=widgets.Layout(width="150px"),
             tooltip="groups, subsets or point numbers with their weights, later ones win: all 1, jaw 0.25, 30 2",
+        )  # fmt: skip
+        self.terms = widgets.Text(
+            continuous_update=False, layout=widgets.Layout(width="110px"),
+            tooltip=f"terms beside those of every stage: {', '.join(NAMED_TERMS)}",
         )  # fmt: skip
         self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=_fixed("58px"))
         self.when = widgets.Dropdown(
@@ -51,12 +58,12 @@ class StageRow:
             button = widgets.Button(description=text, tooltip=tip, layout=_tiny())
             button.on_click(lambda _button, action=action: act(action, number))
             self.buttons[action] = button
-        for name in ("enabled", "name", "landmarks", "limit", "when"):
+        for name in ("enabled", "name", "landmarks", "terms", "limit", "when"):
             getattr(self, name).observe(self._on_change, "value")
         for toggle in self.free.values():
             toggle.observe(self._on_change, "value")
         self.widget = widgets.HBox([
-            self.enabled, self.name, *self.free.values(), self.landmarks, self.limit, self.when,
+            self.enabled, self.name, *self.free.values(), self.landmarks, self.terms, self.limit, self.when,
             *self.buttons.values(), self.result,
         ], layout=widgets.Layout(flex="0 0 auto"))  # fmt: skip
 
@@ -68,6 +75,7 @@ class StageRow:
         try:
             self.enabled.value, self.name.value, self.limit.value = stage.enabled, stage.name, stage.limit
             self.when.value, self.landmarks.value = stage.when, landmarks_text(stage.landmarks)
+            self.terms.value = ", ".join(stage.terms)
             for block, toggle in self.free.items():
                 toggle.value = block in stage.free
         finally:
@@ -77,7 +85,7 @@ class StageRow:
         if self._quiet:
             return
         try:
-            landmarks = read_landmarks(self.landmarks.value)
+            landmarks, terms = read_landmarks(self.landmarks.value), read_terms(self.terms.value)
         except ConfigError as error:
             self.result.value = str(error)
             return
@@ -86,6 +94,7 @@ class StageRow:
             "name": self.name.value,
             "free": tuple(block for block, toggle in self.free.items() if toggle.value),
             "landmarks": landmarks,
+            "terms": terms,
             "limit": self.limit.value,
             "when": self.when.value,
         })  # fmt: skip
@@ -182,8 +191,8 @@ def _fixed(width: str) -> widgets.Layout:
 
 def _titles(row: StageRow) -> tuple[widgets.HTML, ...]:
     """A title above each part of a row, as wide as it is, so that both shrink alike on a narrow page."""
-    titles = {row.name: "stage", row.free["rotation"]: "free", row.landmarks: "landmarks and weights",
-              row.limit: "limit", row.when: "when", row.result: "last fit"}  # fmt: skip
+    titles = {row.name: "stage", row.free["rotation"]: "free", row.landmarks: "landmarks, weights",
+              row.terms: "more terms", row.limit: "limit", row.when: "when", row.result: "last fit"}  # fmt: skip
     return tuple(
         widgets.HTML(
             TITLE.format(titles.get(below, "")),
@@ -207,4 +216,15 @@ def read_landmarks(text: str) -> dict[str, float]:
             found[name.strip() or weight] = float(weight) if name else 1.0
         except ValueError:
             raise ConfigError(f"Expected a group and its weight, as 'jaw 0.25', got {part!r}.") from None
+    return found
+
+
+def read_terms(text: str) -> tuple[str, ...]:
+    """Names of terms in a text like "tau, edges". Raises `ConfigError` for one that does not exist."""
+    found = tuple(filter(None, re.split(r"[,\s]+", text)))
+    for name in found:
+        if name not in NAMED_TERMS:
+            near = difflib.get_close_matches(name, NAMED_TERMS, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"the terms are {', '.join(NAMED_TERMS)}."
+            raise ConfigError(f"There is no term {shortened(repr(name))}; {hint}")
     return found
