@@ -200,6 +200,7 @@ from tests.scenes import make_scene
 from workbench.config import Stage, config_schema, config_toml, preset
 from workbench.energies.terms import table_page
 from workbench.face import load_default_head
+from workbench.planning import plan_of
 from workbench.session.knobs import KNOBS, effective_weights
 from workbench.tracking import FrameContext
 from workbench.tracking.deep_fitter import DeepFitter
@@ -222,7 +223,7 @@ for base, fitter, observation in (
 ):
     for terms in ((), ("symmetry",)):
         config = base.changed(stages=[stage.model_dump() | {"terms": terms}], weights={"symmetry": 1e4})
-        made = fitter(head, config)
+        made = fitter(head, plan_of(config))
         fit, traces = made.explain(observation, FrameContext(0, np.zeros(50), None, None))
         rough.append(np.abs(np.diff(fit.expression)).sum())
         assert ("symmetry" in made.terms) == bool(terms)
