@@ -23,7 +23,7 @@ from workbench.config import PARALLEL_STAGES, Config, Stage, preset
 from workbench.energies import still
 from workbench.energies.deep import DEEP_TERMS, DeepView, deep_residuals, view_vertices
 from workbench.errors import ConfigError, InputError
-from workbench.face import typical_sizes
+from workbench.face import typical_sizes, unpack
 from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
 from workbench.geometry import project, rotation_matrix, write_rig
 from workbench.landmarks.observations import Landmarks2D
@@ -52,6 +52,7 @@ from workbench.tracking.deep_programs import (
     term_energies,
 )
 from workbench.tracking.deep_solver import solve_stage
+from workbench.tracking.plan import StagePlan
 from workbench.tracking.records import FAILURES, meta_array, stack_fits
 from workbench.tracking.systems import make_fitter
 
@@ -86,6 +87,11 @@ def solved(shared, truth):
     """The truth's own render as photo, and all seven stages on it."""
     scene = make_deep_scene(fitter_with(shared, DEEP), truth)
     return scene, shared.solve(shared.problem(scene.observation(), scene.context()))
+
+
+def planned(**stage) -> StagePlan:
+    """A stage as the fitter takes it."""
+    return plan_of(DEEP.model_copy(update={"stages": (Stage(**stage),)})).stages[0]
 
 
 def derivative_of(function, parameters, column, step):
@@ -148,7 +154,7 @@ def test_the_quadratic_model_is_that_of_the_residuals(points, truth):
     assert float(model.value) == pytest.approx(0.5 * energies.sum())
 
     def energy(vector):
-        moved = jax.flatten_util.ravel_pytree(start)[1](vector)
+        moved = unpack(jnp.asarray(vector), start)
         seen = predicted + np.einsum(
             "n,vnij->vij", (np.asarray(vector) - flat(start)) / typical_sizes(start), derivative
         )
@@ -296,10 +302,11 @@ def test_weights_and_jaw_keep_their_ranges(solved, head):
 
 def test_a_bound_that_the_energy_pushes_against_is_met_exactly(points, truth):
     scene = make_deep_scene(points, truth)
-    stage = Stage(name="jaw", free=("jaw_open",), limit=20)
+    stage = planned(name="jaw", free=("jaw_open",), limit=20)
     views = points.views(scene.observation(), scene.context(), stage)
     start = truth._replace(jaw=jnp.zeros(6))
-    problem = points._problem(points.scene(None), views, stage, still(truth))
+    given = replace(points.problem(scene.observation(), scene.context()), history=still(truth))
+    problem = points._stage_problem(given, views, stage)
     column = _column(points, "jaw")
     upper = problem.upper.copy()
     upper[column] = 0.1
@@ -559,18 +566,18 @@ def test_a_parallel_view_is_recorded_as_a_camera_far_away(shared, head):
 
 def test_stages_free_named_blendshapes_and_parts_of_the_jaw(deep):
     names = deep.model.expression_names
-    mouth = deep.free(Stage(name="m", free=("expression", "jaw_open"), shapes=("mouth",)))
+    mouth = deep.free(planned(name="m", free=("expression", "jaw_open"), shapes=("mouth",)))
     assert mouth[6 : 6 + len(names)].tolist() == [name.startswith("mouth") for name in names]
     assert mouth[_column(deep, "jaw") : _column(deep, "jaw") + 6].tolist() == [True, *[False] * 5]
-    ten = deep.free(Stage(name="s", free=("identity",), shapes=("first:10",)))
+    ten = deep.free(planned(name="s", free=("identity",), shapes=("first:10",)))
     assert ten.sum() == 10
     assert not ten[: 6 + len(names)].any()
-    assert deep.free(Stage(name="r", free=("rotation", "translation", "scale"))).sum() == 7
+    assert deep.free(planned(name="r", free=("rotation", "translation", "scale"))).sum() == 7
 
 
 def test_unknown_blendshapes_are_refused(deep):
-    with pytest.raises(ConfigError, match=r"'brow_up'.*does not have; name blendshapes"):
-        deep.free(Stage(name="odd", free=("expression",), shapes=("brow_up",)))
+    with pytest.raises(ConfigError, match=r"'odd' frees the blendshapes 'brow_up'.*does not have; name blendshapes"):
+        deep.free(planned(name="odd", free=("expression",), shapes=("brow_up",)))
 
 
 @pytest.mark.parametrize(
