@@ -7,7 +7,7 @@ TEST_STAMP := $(VENV)/.installed-test
 TRAIN_STAMP := $(VENV)/.installed-train
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 # Processes that test files are handed to; 0: in one, as for a test that hangs or with little memory.
-JOBS ?= 0
+JOBS ?= 2
 PYTEST := $(BIN)/python -m pytest --numprocesses $(JOBS)
 OUT ?= demo_out
 # Programs that read what we export, for tests/test_export_gltf.py: Blender as a Python package (for Python 3.11 only)

@@ -1,7 +1,7 @@
 """Which tests run, and in which order: marks of whole test files, what a run leaves out, long files first.
 
-`make test JOBS=2` runs in two processes. A file stays in one of them, with what its tests share; notebooks have kernels
-of their own and are handed out one by one. A long file begun last would leave all processes but one idle.
+`make test` runs in two processes (`JOBS`). A file stays in one of them, with what its tests share; notebooks have
+kernels of their own and are handed out one by one. A long file begun last would leave all processes but one idle.
 """
 
 from importlib.util import find_spec
