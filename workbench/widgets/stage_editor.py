@@ -32,25 +32,25 @@ class StageRow:
     def __init__(self, number: int, changed: Callable[[int, dict], None], act: Callable[[str, int], None]) -> None:
         self._number, self._changed, self._quiet = number, changed, False
         self.enabled = widgets.Checkbox(indent=False, tooltip="run this stage", layout=widgets.Layout(width="24px"))
-        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_fixed("128px"))
+        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_fixed("116px"))
         self.free = {
             block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=_tiny())
             for block, letter in LETTERS.items()
         }
         self.landmarks = widgets.Text(
-            continuous_update=False, layout=widgets.Layout(width="150px"),
+            continuous_update=False, layout=_growing("96px", "200px"),
             tooltip="groups, subsets or point numbers with their weights, later ones win: all 1, jaw 0.25, 30 2",
         )  # fmt: skip
         self.terms = widgets.Text(
-            continuous_update=False, layout=widgets.Layout(width="110px"),
+            continuous_update=False, layout=_growing("90px", "150px"),
             tooltip=f"terms beside those of every stage: {', '.join(NAMED_TERMS)}",
         )  # fmt: skip
-        self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=_fixed("58px"))
+        self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=_fixed("48px"))
         self.when = widgets.Dropdown(
             options=["always", "start"], tooltip="start: on the first frame of a shot only",
-            layout=widgets.Layout(width="86px"),
+            layout=_fixed("76px"),
         )  # fmt: skip
-        self.result = widgets.Label(layout=widgets.Layout(width="150px"))
+        self.result = widgets.Label(layout=widgets.Layout(width="118px", flex="1 0 118px", max_width="260px"))
         buttons = {"up": ("↑", "earlier"), "down": ("↓", "later"), "here": ("▶|", "run to here and stop"),
                    "drop": ("✕", "remove this stage")}  # fmt: skip
         self.buttons = {}
@@ -181,7 +181,7 @@ class StageEditor:
 
 def _tiny() -> widgets.Layout:
     """For a button with a letter; one each, for a layout that is hidden hides all that have it."""
-    return widgets.Layout(width="30px", padding="0")
+    return widgets.Layout(width="24px", padding="0", flex="0 0 auto")
 
 
 def _fixed(width: str) -> widgets.Layout:
@@ -189,14 +189,25 @@ def _fixed(width: str) -> widgets.Layout:
     return widgets.Layout(width=width, flex="0 0 auto")
 
 
+def _growing(width: str, most: str) -> widgets.Layout:
+    """For what takes the room that a wide page leaves."""
+    return widgets.Layout(width=width, flex=f"1 1 {width}", max_width=most)
+
+
 def _titles(row: StageRow) -> tuple[widgets.HTML, ...]:
     """A title above each part of a row, as wide as it is, so that both shrink alike on a narrow page."""
-    titles = {row.name: "stage", row.free["rotation"]: "free", row.landmarks: "landmarks, weights",
-              row.terms: "more terms", row.limit: "limit", row.when: "when", row.result: "last fit"}  # fmt: skip
+    titles = {row.name: "stage", row.free["rotation"]: "free", row.landmarks: "landmarks",
+              row.terms: "terms", row.limit: "limit", row.when: "when", row.result: "last fit"}  # fmt: skip
     return tuple(
         widgets.HTML(
             TITLE.format(titles.get(below, "")),
-            layout=widgets.Layout(width=below.layout.width, flex=below.layout.flex, min_width="0", overflow="visible"),
+            layout=widgets.Layout(
+                width=below.layout.width,
+                flex=below.layout.flex,
+                max_width=below.layout.max_width,
+                min_width="0",
+                overflow="visible",
+            ),
         )
         for below in row.widget.children
     )
