@@ -68,8 +68,9 @@ def _row(path: Path, detector: str, head: FaceModel, shut: list[int], opened: li
     config = preset("joint").changed(landmarks={"detector": detector})
     with tempfile.TemporaryDirectory() as folder:
         result = track(path, folder, head, config, pictures=False)
-        fits = [result.track[row] for row in range(len(result.track))]
-    blinks = result.track.expression[:, [head.expression_names.index(name) for name in BLINKS]]
+        fitted = result.track
+    fits = [fitted[row] for row in range(len(fitted))]
+    blinks = fitted.expression[:, [head.expression_names.index(name) for name in BLINKS]]
     if opened is None:
         opened = [row for row in range(len(fits)) if min((abs(row - one) for one in shut), default=AWAY + 1) > AWAY]
     opened = [row for row in opened if fits[row].found]
@@ -78,7 +79,7 @@ def _row(path: Path, detector: str, head: FaceModel, shut: list[int], opened: li
     numbers["open_p95"] = float(np.percentile(blinks[opened], 95))
     if shut:
         numbers["shut_least"], numbers["shut_median"] = float(blinks[shut].min()), float(np.median(blinks[shut]))
-    numbers["landmark_ms"] = float(np.median(result.track.milliseconds[:, :2].sum(axis=1)))
+    numbers["landmark_ms"] = float(np.median(fitted.milliseconds[:, :2].sum(axis=1)))
     return numbers
 
 

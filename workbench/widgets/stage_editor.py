@@ -32,7 +32,7 @@ class StageRow:
     def __init__(self, number: int, changed: Callable[[int, dict], None], act: Callable[[str, int], None]) -> None:
         self._number, self._changed, self._quiet = number, changed, False
         self.enabled = widgets.Checkbox(indent=False, tooltip="run this stage", layout=widgets.Layout(width="24px"))
-        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_fixed("116px"))
+        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_fixed("114px"))
         self.free = {
             block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=_tiny())
             for block, letter in LETTERS.items()
@@ -45,10 +45,10 @@ class StageRow:
             continuous_update=False, layout=_growing("90px", "150px"),
             tooltip=f"terms beside those of every stage: {', '.join(NAMED_TERMS)}",
         )  # fmt: skip
-        self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=_fixed("48px"))
+        self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=_fixed("44px"))
         self.when = widgets.Dropdown(
             options=["always", "start"], tooltip="start: on the first frame of a shot only",
-            layout=_fixed("76px"),
+            layout=_fixed("82px"),
         )  # fmt: skip
         self.result = widgets.Label(layout=widgets.Layout(width="118px", flex="1 0 118px", max_width="260px"))
         buttons = {"up": ("↑", "earlier"), "down": ("↓", "later"), "here": ("▶|", "run to here and stop"),
