@@ -5,7 +5,10 @@ import threading
 import time
 from dataclasses import replace
 
+import anywidget
 import cv2
+import ipywidgets as widgets
+import k3d
 import numpy as np
 import pytest
 
@@ -32,9 +35,11 @@ from workbench.session.material import PictureStore
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
 from workbench.widgets import FitPlayground, LivePanel, SessionOpener, TuningPanel
+from workbench.widgets.chart_view import ChartView
 from workbench.widgets.controls import KnobControl, place_of, value_at
 from workbench.widgets.diagnosis_view import found_text
 from workbench.widgets.film_strip import FilmStrip
+from workbench.widgets.k3d_plot import ReadyPlot
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.light_panel import LightPanel
 from workbench.widgets.overlay_view import OverlayEvent
@@ -88,6 +93,38 @@ def clip_panel(head, clip):
     assert made.wait_idle(550)
     yield made
     made.close()
+
+
+# --- in the browser ---
+
+
+def test_the_views_are_made_before_the_controls_so_that_a_browser_has_time_to_load_them(head, clip, monkeypatch):
+    """A view whose program is not there within two seconds never hears of the kernel again."""
+    opened, usual = [], widgets.Widget.open
+
+    def record(widget):
+        opened.append(type(widget))
+        usual(widget)
+
+    monkeypatch.setattr(widgets.Widget, "open", record)
+    made = TuningPanel(TuningSession(head, clip), backend="k3d")
+    made.close()
+    views = [k for k, kind in enumerate(opened) if issubclass(kind, anywidget.AnyWidget)]
+    assert len(views) >= 12
+    assert max(views) < 0.5 * len(opened)
+    loading_long = [k for k, kind in enumerate(opened) if issubclass(kind, ReadyPlot)]
+    ours = [k for k in views if not issubclass(opened[k], k3d.Plot | k3d.objects.Drawable)]
+    assert max(ours) < min(loading_long)
+
+
+def test_a_chart_can_be_drawn_from_what_the_browser_hears_first(monkeypatch):
+    first = []
+    usual = widgets.Widget.open
+    monkeypatch.setattr(widgets.Widget, "open", lambda widget: (first.append(widget.get_state()), usual(widget)))
+    ChartView(title="empty")
+    (sent,) = [state for state in first if "_series" in state]
+    assert sent["_series"]["data"] == b""
+    assert sent["_series"]["names"] == []
 
 
 # --- knobs ---

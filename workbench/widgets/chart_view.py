@@ -49,6 +49,24 @@ def pack_series(
     return {"names": list(series), "colors": [chosen[name] for name in series], "count": len(x), "data": data}
 
 
+def series_message(
+    x: Num[np.ndarray, "..."],
+    series: Mapping[str, Num[np.ndarray, "..."]],
+    colors: Mapping[str, str] | None = None,
+    y_label: str = "",
+    x_label: str = "",
+    marks: Sequence[tuple[Number, str]] = (),
+    selected: tuple[Number, Number] | None = None,
+) -> dict[str, object]:
+    """All that a chart draws: `pack_series` with labels, marks and the selected range of `ChartView.set_series`."""
+    return pack_series(x, series, colors) | {
+        "marks": [[float(place), str(label)] for place, label in marks],
+        "selected": None if selected is None else [float(selected[0]), float(selected[1])],
+        "x_label": x_label,
+        "y_label": y_label,
+    }
+
+
 class ChartView(anywidget.AnyWidget):
     """Lines over a common x, with a legend that switches them and a readout under the mouse.
 
@@ -68,8 +86,10 @@ class ChartView(anywidget.AnyWidget):
 
     def __init__(self, height_px: int = 180, y_log: bool = False, title: str = "", **traits: object) -> None:
         self._callbacks: list[Callable[[float], object]] = []
-        super().__init__(height_px=height_px, y_log=y_log, title=title, **traits)
-        self.set_series(np.zeros(0), {})
+        # With its empty series from the start: a browser may draw the chart before it hears of the first change.
+        super().__init__(
+            height_px=height_px, y_log=y_log, title=title, _series=series_message(np.zeros(0), {}), **traits
+        )
         self.on_msg(self._on_message)
 
     def __repr__(self) -> str:
@@ -92,11 +112,7 @@ class ChartView(anywidget.AnyWidget):
         `colors` by name are CSS colours (the default is `series_colors`); `marks` are vertical lines with a label, as
         where stages begin; `selected` is a range of x that is shaded; `cursor` None leaves the line where it is.
         """
-        packed = pack_series(x, series, colors)
-        packed["marks"] = [[float(place), str(label)] for place, label in marks]
-        packed["selected"] = None if selected is None else [float(selected[0]), float(selected[1])]
-        packed |= {"x_label": x_label, "y_label": y_label}
-        self._series = packed
+        self._series = series_message(x, series, colors, y_label, x_label, marks, selected)
         if cursor is not None:
             self.cursor = float(cursor)
 

@@ -65,6 +65,7 @@ class K3dHeadView:
         self._lock = threading.RLock()
         self._shown = Shown(model.neutral.astype(np.float32))
         viewpoint = front_viewpoint(model, size)
+        self._probe = WebGLProbe()  # before k3d's program keeps the browser busy
         self.plot = ReadyPlot(
             height=size[1], antialias=ANTIALIAS, logarithmic_depth_buffer=False, lighting=LIGHTING,
             background_color=_packed(np.array([SLATE]))[0].item(),
@@ -81,7 +82,6 @@ class K3dHeadView:
         if self._textured is None:
             self._colored = self._colored_mesh(model.colors)
         self.plot += self.mesh
-        self._probe = WebGLProbe()
         self._legend = Legend(size[0])
         self.widget = widgets.VBox([self.plot, self._probe, self._legend], layout=widgets.Layout(overflow="hidden"))
 

@@ -67,9 +67,9 @@ class TimePage:
             self._worker = None
             return
         self._worker: LatestWins[str] = LatestWins(self._work, self._failed, "panel-time")
+        self.methods = Methods(session, go)
         self.knobs = {knob.path: KnobControl(knob, turned) for knob in (*METHODS, *TIME)}
         self.widget = widgets.VBox(self._rows(), layout=layout)
-        self.methods = Methods(session, go)
         self.show_config()
 
     # --- for scripts and tests ---

@@ -62,10 +62,10 @@ class TuningPanel(widgets.VBox):
         self.say = self.status.say
         self._worker: LatestWins[Show] = LatestWins(self._refit, self._failed, "panel-fit")
         self._slow = SlowJobs(self._failed, "panel-slow")
+        self._build_views(backend, height_px)
         self._build_bars()
-        self._build_columns(backend, height_px)
+        self._build_controls(height_px)
         self._build_pages()
-        self.drags = DragWatch()
         self._leave = session.listen(self._on_session)
         super().__init__([style_sheet(), self.drags, *self._rows()])
         self.add_class("fw-panel")
@@ -114,9 +114,24 @@ class TuningPanel(widgets.VBox):
 
     # --- parts ---
 
+    def _build_views(self, backend: str, height_px: int) -> None:
+        # First of all, as a browser gives their programs two seconds to load: not beside the hundreds of controls, nor
+        # while it lays out the panel. One that comes later would never hear of the kernel again.
+        session, head = self.session, FittedHead(self.session.model)
+        self.drags, self.clip = DragWatch(), ClipViews(session, self.go)
+        self._iterations = Iterations(session, self.status, self._redraw, TABS_PX)
+        self.energy, self.stages = self._iterations.energy, self._iterations.stages
+        self._diagnosing = FrameDiagnosis(session, self.status, self._slow.submit, lambda: self.frame, TABS_PX)
+        self.diagnosis = self._diagnosing.view
+        self.time = TimePage(session, self._on_knob, self.go, self._redraw, self.clip.in_view, height_px)
+        self.overlay = LandmarkTools(session, head, height_px - 96, self.say, self._redraw)
+        size = (HEAD_PX, height_px - 64)
+        self.head = HeadColumn(session, head, size, backend, self._diagnosing.uncertainty, self._redraw)
+        self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
+
     def _build_bars(self) -> None:
         session = self.session
-        self.clip, self.changes = ClipViews(session, self.go), ChangesPage(session, TABS_PX)
+        self.changes = ChangesPage(session, TABS_PX)
         self._history_bar = HistoryBar(session, self.status)
         self._export_bar = ExportBar(session, self._slow.submit)
         self._clip_bar = ClipBar(
@@ -131,21 +146,11 @@ class TuningPanel(widgets.VBox):
         self.step_buttons, self.run_clip = self._clip_bar.step_buttons, self._clip_bar.run_clip
         self.follow, self.cancel, self.progress = self._clip_bar.follow, self._clip_bar.cancel, self._clip_bar.progress
 
-    def _build_columns(self, backend: str, height_px: int) -> None:
-        session, head = self.session, FittedHead(self.session.model)
-        self._diagnosing = FrameDiagnosis(session, self.status, self._slow.submit, lambda: self.frame, TABS_PX)
-        self.diagnosis = self._diagnosing.view
-        self.controls = Controls(session.config, self._on_knob, height_px)
-        self.overlay = LandmarkTools(session, head, height_px - 96, self.say, self._redraw)
-        size = (HEAD_PX, height_px - 64)
-        self.head = HeadColumn(session, head, size, backend, self._diagnosing.uncertainty, self._redraw)
-        self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
-        self.time = TimePage(session, self._on_knob, self.go, self._redraw, self.clip.in_view, height_px)
-        self.controls.add("time", self.time.widget, self.time.knobs, session.config)
+    def _build_controls(self, height_px: int) -> None:
+        self.controls = Controls(self.session.config, self._on_knob, height_px)
+        self.controls.add("time", self.time.widget, self.time.knobs, self.session.config)
 
     def _build_pages(self) -> None:
-        self._iterations = Iterations(self.session, self.status, self._redraw, TABS_PX)
-        self.energy, self.stages = self._iterations.energy, self._iterations.stages
         self.strip = FilmStrip(self.session)
         pages = {"Energy": self.energy, "Stages": self.stages.widget, "Diagnosis": self.diagnosis.widget}
         pages |= {"Curves": self.clip.curves} if self._is_clip else {}
