@@ -36,7 +36,7 @@ def plan_of(config: Config) -> Plan:
         terms=config.terms,
         linked=any(TABLE[name].links_frames for name in config.summed_terms),
         stages=tuple(_stage(config, stage, points) for stage in config.stages),
-        camera=_camera(config),
+        camera=camera_plan(config),
         solver=SolverPlan(
             config.solver.method, config.solver.bounded, config.solver.tolerance, config.solver.unit == "percent"
         ),
@@ -47,7 +47,7 @@ def plan_of(config: Config) -> Plan:
         deep=_taken(DeepPlan, config.deep),
         flow=_taken(FlowPlan, config.flow),
         infill=infill_plan(config),
-        refinement=_taken(RefinementPlan, config.refinement),
+        refinement=refinement_plan(config),
         by_points=plan_of(_by_points(config)) if config.traits.renders else None,
     )
 
@@ -57,7 +57,16 @@ def infill_plan(config: Config) -> InfillPlan:
     return _taken(InfillPlan, config.infill)
 
 
-def _camera(config: Config) -> CameraPlan:
+def refinement_plan(config: Config) -> RefinementPlan:
+    """How a track is steadied."""
+    return _taken(RefinementPlan, config.refinement)
+
+
+def camera_plan(config: Config) -> CameraPlan:
+    """The camera or the rig, of which the files are read.
+
+    Raises `InputError` and `ConfigError` for a rig that cannot be used.
+    """
     camera = config.camera
     if camera.rig and camera.projection == "orthographic":
         raise ConfigError("A rig's cameras are perspective; set camera.projection or leave camera.rig empty.")

@@ -15,7 +15,7 @@ from workbench.errors import InputError
 from workbench.frames import FrameRange, Frames
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.pipeline.temporal_run import STEPS, Step, needs_pictures, over_time, wanted_steps
-from workbench.planning import infill_plan, plan_of
+from workbench.planning import infill_plan, refinement_plan
 from workbench.session.metrics import metrics_of
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.infill import usable, usable_frames
@@ -401,7 +401,7 @@ def work_of(fits: Sequence[FrameFit], config: Config, steps: Sequence[str]) -> i
     failed = sum(not usable(fit, infill) for fit in fits)
     each = 2 + config.infill.rounds if config.infill.method == "flow" else 1
     work = failed * each if "infill" in steps else 0
-    work += turns * len(passes(plan_of(config).refinement)) * len(fits) if "refine" in steps else 0
+    work += turns * len(passes(refinement_plan(config))) * len(fits) if "refine" in steps else 0
     work += turns * len(fits) if "reestimate" in steps else 0
     return max(work, 1)
 

@@ -114,7 +114,6 @@ class FaceItFitter(Fitter):
         """Follow another plan from now on; nothing compiles unless the solver's method is a new one."""
         self.plan = plan
         self._settings = solve_settings(plan)
-        self._terms = plan.terms
         self._used = plan.point_weights > 0.0
         self._programs = {start: stage_program(plan, start) for start in (True, False)}
         self._cameras: dict[tuple[int, int], tuple[Camera, Camera]] = {}
@@ -182,7 +181,7 @@ class FaceItFitter(Fitter):
                 problem.frame,
                 method=self.plan.solver.method,
                 trace_length=TRACE_LENGTH if traced else 0,
-                terms=self._terms,
+                terms=self.plan.terms,
             )
         report = read_report(found)
         return FaceItSolution(problem, found, report, 1e3 * (time.perf_counter() - problem.began))
@@ -323,7 +322,7 @@ class FaceItFitter(Fitter):
         rows, running = (int(self._programs[start].count) for start in (True, context.last is None))
         count = int(problem.program.count)
         place = slice(rows - running, rows - running + count)
-        energies = np.full((rows, len(self._terms)), np.nan)
+        energies = np.full((rows, len(self.plan.terms)), np.nan)
         status, iterations = np.full(rows, -1), np.zeros(rows, int)
         energies[place], status[place] = found.energies[:count], found.status[:count]
         iterations[place] = found.iterations[:count]
@@ -349,7 +348,6 @@ class FaceItFitter(Fitter):
 
     def _empty(self, observation: FrameObservation, shot: int) -> FrameFit:
         rows = int(self._programs[True].count)
-        missing = lambda *shape: np.full(shape, np.nan)  # noqa: E731
         return FrameFit(
             index=observation.index,
             found=False,
@@ -357,18 +355,22 @@ class FaceItFitter(Fitter):
             source="none",
             image_size=observation.image_size,
             camera=self.camera(observation.image_size),
-            rotation=missing(3),
-            translation=missing(3),
-            expression=missing(len(self.model.expression_names)),
-            identity=missing(len(self.model.identity_deltas)),
-            observed=missing(68, 2),
-            confidence=missing(68),
-            projected=missing(68, 2),
-            energies=missing(rows, len(self._terms)),
+            rotation=_missing(3),
+            translation=_missing(3),
+            expression=_missing(len(self.model.expression_names)),
+            identity=_missing(len(self.model.identity_deltas)),
+            observed=_missing(68, 2),
+            confidence=_missing(68),
+            projected=_missing(68, 2),
+            energies=_missing(rows, len(self.plan.terms)),
             status=np.full(rows, -1),
             iterations=np.zeros(rows, int),
             milliseconds=np.array([*observation.milliseconds, 0.0]),
         )
+
+
+def _missing(*shape: int) -> Float[np.ndarray, "..."]:
+    return np.full(shape, np.nan)
 
 
 def _on_device(tree):

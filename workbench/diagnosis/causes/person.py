@@ -7,7 +7,7 @@ import numpy as np
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial
 from workbench.landmarks.scheme import face_size
-from workbench.planning import plan_of
+from workbench.planning import camera_plan
 from workbench.tracking import FrameFit
 
 LEAST_IDENTITY_GAIN = 0.2
@@ -89,7 +89,7 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
     )
     fit = trial.refit(change)
     size = trial.case.observation.image_size
-    focal = float(np.mean(plan_of(config).camera.of(size).focal_px))
+    focal = float(np.mean(camera_plan(config).of(size).focal_px))
     yield Finding(
         code="wrong_focal",
         title="The focal length does not suit the face",
