@@ -50,7 +50,6 @@ ORDER = [
 LONGEST_CLASS = 200
 LONGER_CLASSES = {
     "TuningPanel": 205,  # here alone meet fits, session and views, each of which has a class of its own
-    "TimePage": 275,  # marks, part and runs of one page; the next to be taken apart
     "LivePanel": 220,  # a third of it is what cells call, with its documentation
 }
 """Lines of classes in the widgets. Take a class apart along what it does before you name it here."""

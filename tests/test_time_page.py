@@ -9,7 +9,8 @@ from workbench.session import Material, TuningSession
 from workbench.session.knobs import METHODS, TIME, value_of
 from workbench.session.material import PictureStore
 from workbench.widgets import TuningPanel
-from workbench.widgets.time_page import chosen, colors_of, failed_html, longest_gap, numbers_html
+from workbench.widgets.failed_frames import failed_html
+from workbench.widgets.methods_page import chosen, colors_of, longest_gap, numbers_html
 
 
 @pytest.fixture(scope="module")

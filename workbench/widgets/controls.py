@@ -232,6 +232,11 @@ def small_button(text: str, tip: str, style: str = "") -> widgets.Button:
     return widgets.Button(description=text, tooltip=tip, button_style=style, layout=layout)
 
 
+def narrow() -> widgets.Layout:
+    """For a field that takes the room that its neighbours leave."""
+    return widgets.Layout(width="84px", flex="1 1 auto", min_width="0")
+
+
 def menu(
     options: Sequence[str] | Mapping[str, str], width: str, tip: str, value: str | None = None
 ) -> widgets.Dropdown:

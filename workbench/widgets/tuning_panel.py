@@ -27,7 +27,8 @@ from workbench.widgets.latest import LatestWins
 from workbench.widgets.panel_layout import in_columns, in_line, style_sheet
 from workbench.widgets.slow_jobs import SlowJobs
 from workbench.widgets.status_line import StatusLine
-from workbench.widgets.time_page import AFTER, TimePage
+from workbench.widgets.time_page import TimePage
+from workbench.widgets.time_part import AFTER
 
 HEAD_PX, TABS_PX = 304, 190
 PAUSE_S = 0.1
@@ -63,7 +64,6 @@ class TuningPanel(widgets.VBox):
         self._worker: LatestWins[Show] = LatestWins(self._refit, self._failed, "panel-fit")
         self._slow = SlowJobs(self._failed, "panel-slow")
         self._build_views(backend, height_px)
-        self._build_bars()
         self._build_controls(height_px)
         self._build_pages()
         self._leave = session.listen(self._on_session)
@@ -129,8 +129,10 @@ class TuningPanel(widgets.VBox):
         self.head = HeadColumn(session, head, size, backend, self._diagnosing.uncertainty, self._redraw)
         self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
 
-    def _build_bars(self) -> None:
+    def _build_controls(self, height_px: int) -> None:
         session = self.session
+        self.controls = Controls(session.config, self._on_knob, height_px)
+        self.controls.add("time", self.time.widget, self.time.knobs, session.config)
         self.changes = ChangesPage(session, TABS_PX)
         self._history_bar = HistoryBar(session, self.status)
         self._export_bar = ExportBar(session, self._slow.submit)
@@ -145,10 +147,6 @@ class TuningPanel(widgets.VBox):
         self.file, self.export, self.overwrite, self.exported = self._export_bar.widgets
         self.step_buttons, self.run_clip = self._clip_bar.step_buttons, self._clip_bar.run_clip
         self.follow, self.cancel, self.progress = self._clip_bar.follow, self._clip_bar.cancel, self._clip_bar.progress
-
-    def _build_controls(self, height_px: int) -> None:
-        self.controls = Controls(self.session.config, self._on_knob, height_px)
-        self.controls.add("time", self.time.widget, self.time.knobs, self.session.config)
 
     def _build_pages(self) -> None:
         self.strip = FilmStrip(self.session)

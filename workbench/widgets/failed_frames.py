@@ -1,0 +1,73 @@
+"""Which frames of a clip count as failed: those that the user marks, and those that diagnosis flags."""
+
+import html
+from collections.abc import Callable
+
+import ipywidgets as widgets
+
+from workbench.session import TuningSession
+from workbench.session.temporal import parts_text, read_parts
+from workbench.widgets.controls import narrow, small_button
+from workbench.widgets.status_line import StatusLine
+
+
+class FailedFrames:
+    """Buttons that mark frames (`rows`), and a line about the marked ones.
+
+    `frame` gives the number of the shown frame, `flag` is called to mark the frames that diagnosis flags.
+    """
+
+    def __init__(
+        self, session: TuningSession, status: StatusLine, frame: Callable[[], int], flag: Callable[[], None]
+    ) -> None:
+        self._session, self._status, self._frame = session, status, frame
+        temporal = session.temporal
+        self.this = small_button("this frame", "toggle failed for the shown frame")
+        self.this.on_click(lambda _button: status.guarded(self._mark_this))
+        self.flagged = small_button("⚑ flagged", "the frames that diagnosis flags have failed")
+        self.flagged.on_click(lambda _button: flag())
+        self.clear = small_button("clear", "no frame is marked")
+        self.clear.on_click(lambda _button: status.guarded(self._clear))
+        self.range = widgets.Text(
+            placeholder="40-52, 60", tooltip="frames, first and last", layout=narrow(), continuous_update=False
+        )
+        self.mark = small_button("mark", "these frames have failed, whatever their fit")
+        self.mark.on_click(lambda _button: status.guarded(self._mark_range, temporal.mark))
+        self.unmark = small_button("unmark", "these frames stand as they were fitted")
+        self.unmark.on_click(lambda _button: status.guarded(self._mark_range, temporal.unmark))
+        self.summary = widgets.HTML()
+        label = widgets.HTML("<b>failed</b>", layout=widgets.Layout(width="38px", flex="0 0 auto"))
+        self.rows = ((label, self.this, self.flagged, self.clear), (self.range, self.mark, self.unmark))
+
+    def show(self, part: tuple[int, int] | None) -> None:
+        """Follow the session; frames that fail without being marked are counted in a part, None: in the whole clip."""
+        self.summary.value = failed_html(self._session, part)
+
+    def _mark_this(self) -> None:
+        temporal, frame = self._session.temporal, self._frame()
+        marked = any(first <= frame <= last for first, last in temporal.marked)
+        (temporal.unmark if marked else temporal.mark)([frame])
+
+    def _mark_range(self, act: Callable) -> None:
+        parts = read_parts(self.range.value)
+        if not parts:
+            self._status.say("Name frames first, as 40-52 or 60.", wrong=True)
+            return
+        act(frame for first, last in parts for frame in range(first, last + 1))
+
+    def _clear(self) -> None:
+        marked = self._session.temporal.marked
+        self._session.temporal.unmark(frame for first, last in marked for frame in range(first, last + 1))
+
+
+def failed_html(session: TuningSession, part: tuple[int, int] | None) -> str:
+    """Which frames are marked, and how many others fail, in a line."""
+    temporal = session.temporal
+    marked = temporal.marked
+    count = sum(last - first + 1 for first, last in marked)
+    inside = {frame for first, last in marked for frame in range(first, last + 1)}
+    others = len([frame for frame in temporal.failed(part) if frame not in inside])
+    text = f"marked: {html.escape(parts_text(marked, 4))}" if count else "none marked"
+    if count > 1:
+        text += f" ({count} frames)"
+    return text + (f"; {others} more without a good fit" if others else "")

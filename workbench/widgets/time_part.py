@@ -1,0 +1,103 @@
+"""The part of a clip that infill and refinement work on: named, played, seen before and after."""
+
+from collections.abc import Callable
+
+import ipywidgets as widgets
+
+from workbench.errors import WorkbenchError
+from workbench.session import TuningSession
+from workbench.session.temporal import read_parts
+from workbench.widgets.controls import narrow, small_button
+
+BEFORE, AFTER = "before", "after"
+RATE = 25.0
+"""Frames per second where the clip does not say."""
+
+
+class TimePart:
+    """The field with first and last frame, the player that keeps to them, and the choice of a side.
+
+    `changed` is called when another part is named, `go` with the frame that is played, `redraw` when another side is to
+    be shown; `in_view` gives the first and last frame that the strip shows.
+    """
+
+    def __init__(
+        self,
+        session: TuningSession,
+        changed: Callable[[], None],
+        go: Callable[[int], None],
+        redraw: Callable[[], None],
+        in_view: Callable[[], tuple[int, int]],
+    ) -> None:
+        self._session, self._go, self._in_view, self._quiet = session, go, in_view, False
+        self.part = widgets.Text(
+            placeholder="whole clip", tooltip="frames that are worked on, first and last; empty: the whole clip",
+            layout=narrow(), continuous_update=False,
+        )  # fmt: skip
+        self.part.observe(lambda _change: changed(), "value")
+        self.view = small_button("in view", "the frames that the strip shows")
+        self.view.on_click(lambda _button: self._take_view())
+        self.sides = widgets.ToggleButtons(options=[BEFORE, AFTER], style={"button_width": "auto"})
+        self.sides.add_class("fw-sides")
+        self.sides.observe(lambda _change: redraw(), "value")
+        rate = getattr(session.material.pictures.frames, "rate", None) or RATE
+        self.play = widgets.Play(
+            min=0, max=len(session) - 1, interval=max(40, round(1000.0 / rate)), show_repeat=True,
+            layout=widgets.Layout(width="auto"),
+        )  # fmt: skip
+        self.play.observe(self._on_play, "value")
+        label = widgets.HTML("<b>frames</b>", layout=widgets.Layout(width="44px", flex="0 0 auto"))
+        self.named, self.played = (label, self.part, self.view), (self.sides, self.play)
+
+    @property
+    def wanted(self) -> tuple[int, int] | None:
+        """First and last frame that are named; None for the whole clip. Raises `WorkbenchError` for other texts."""
+        parts = read_parts(self.part.value)
+        return (parts[0][0], parts[-1][1]) if parts else None
+
+    @property
+    def usable(self) -> tuple[int, int] | None:
+        """As `wanted`, but None where the text names no part of the clip."""
+        try:
+            part = self.wanted
+            self._session.temporal.failed(part)
+        except WorkbenchError:
+            return None
+        return part
+
+    @property
+    def whole(self) -> tuple[int, int]:
+        """First and last frame, named or not."""
+        return self.usable or (0, len(self._session) - 1)
+
+    def begin_short(self, frame: int, length: int) -> None:
+        """Name a short part around a frame, where none is named."""
+        if not self.part.value.strip():
+            last = len(self._session) - 1
+            first = max(min(frame, last - length + 1), 0)
+            self.part.value = f"{first}-{min(first + length - 1, last)}"
+
+    def show_frame(self, frame: int) -> None:
+        """Follow the shown frame."""
+        if not self.play.playing and self.play.min <= frame <= self.play.max:
+            self.play.value = frame
+
+    def limit_play(self) -> None:
+        """Play the part that is worked on."""
+        first, last = self.whole
+        if (first, last) != (self.play.min, self.play.max):
+            self._quiet = True  # the value moves into its range, the shown frame stays
+            try:
+                self.play.min, self.play.max = 0, last
+                self.play.min = first
+            finally:
+                self._quiet = False
+
+    def _take_view(self) -> None:
+        first, last = self._in_view()
+        whole = (first, last) == (0, len(self._session) - 1)
+        self.part.value = "" if whole else f"{first}-{last}"
+
+    def _on_play(self, change) -> None:
+        if not self._quiet:
+            self._go(change["new"])
