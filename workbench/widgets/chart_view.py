@@ -20,6 +20,8 @@ YELLOW = "#F0E442"
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", YELLOW, INK)
 """Okabe and Ito's colours, readable with colour-blindness; their black follows the theme. Further series use them
 again with dashed lines."""
+UNMARKED = {"marks": [], "selected": None, "x_label": "", "y_label": ""}
+"""What a chart shows beside its series, before there is anything."""
 
 
 def series_colors(count: int) -> list[str]:
@@ -49,24 +51,6 @@ def pack_series(
     return {"names": list(series), "colors": [chosen[name] for name in series], "count": len(x), "data": data}
 
 
-def series_message(
-    x: Num[np.ndarray, "..."],
-    series: Mapping[str, Num[np.ndarray, "..."]],
-    colors: Mapping[str, str] | None = None,
-    y_label: str = "",
-    x_label: str = "",
-    marks: Sequence[tuple[Number, str]] = (),
-    selected: tuple[Number, Number] | None = None,
-) -> dict[str, object]:
-    """All that a chart draws: `pack_series` with labels, marks and the selected range of `ChartView.set_series`."""
-    return pack_series(x, series, colors) | {
-        "marks": [[float(place), str(label)] for place, label in marks],
-        "selected": None if selected is None else [float(selected[0]), float(selected[1])],
-        "x_label": x_label,
-        "y_label": y_label,
-    }
-
-
 class ChartView(anywidget.AnyWidget):
     """Lines over a common x, with a legend that switches them and a readout under the mouse.
 
@@ -87,9 +71,8 @@ class ChartView(anywidget.AnyWidget):
     def __init__(self, height_px: int = 180, y_log: bool = False, title: str = "", **traits: object) -> None:
         self._callbacks: list[Callable[[float], object]] = []
         # With its empty series from the start: a browser may draw the chart before it hears of the first change.
-        super().__init__(
-            height_px=height_px, y_log=y_log, title=title, _series=series_message(np.zeros(0), {}), **traits
-        )
+        traits["_series"] = pack_series(np.zeros(0), {}) | UNMARKED
+        super().__init__(height_px=height_px, y_log=y_log, title=title, **traits)
         self.on_msg(self._on_message)
 
     def __repr__(self) -> str:
@@ -112,7 +95,11 @@ class ChartView(anywidget.AnyWidget):
         `colors` by name are CSS colours (the default is `series_colors`); `marks` are vertical lines with a label, as
         where stages begin; `selected` is a range of x that is shaded; `cursor` None leaves the line where it is.
         """
-        self._series = series_message(x, series, colors, y_label, x_label, marks, selected)
+        packed = pack_series(x, series, colors)
+        packed["marks"] = [[float(place), str(label)] for place, label in marks]
+        packed["selected"] = None if selected is None else [float(selected[0]), float(selected[1])]
+        packed |= {"x_label": x_label, "y_label": y_label}
+        self._series = packed
         if cursor is not None:
             self.cursor = float(cursor)
 
