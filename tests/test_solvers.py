@@ -104,6 +104,19 @@ def test_the_trace_records_the_start_and_every_step_and_changes_nothing():
     assert plain.trace is None
 
 
+@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("limit", [0, 1, 4, 300])
+def test_a_cost_of_its_own_spares_normal_equations_and_changes_nothing(name, limit):
+    residual, start = PROBLEMS[name]
+    cost = lambda x: residual(x) @ residual(x)  # noqa: E731
+    asked = (evaluator(residual), jnp.asarray(start), *unbounded(start), limit, 1e-12)
+    plain, spared = minimise(*asked), minimise(*asked, cost=cost)
+    np.testing.assert_allclose(spared.x, plain.x, rtol=1e-9)
+    np.testing.assert_allclose(spared.cost, plain.cost, rtol=1e-9, atol=1e-15)
+    assert int(spared.iterations) == int(plain.iterations)
+    assert int(spared.status) == int(plain.status)
+
+
 @pytest.mark.parametrize("route", ["lm", "dogleg"])
 def test_the_trace_of_optimistix_ends_at_its_solution_and_its_numbers_are_traced(route):
     residual, start = PROBLEMS["rosenbrock"]
@@ -157,3 +170,9 @@ def test_the_arrowhead_system_solves_like_the_dense_one():
     np.testing.assert_allclose(arrow.product(right), dense.product(right), rtol=1e-10)
     np.testing.assert_allclose(arrow.diagonal(), dense.diagonal(), rtol=1e-12)
     np.testing.assert_allclose(arrow.gradient, dense.gradient, rtol=1e-12)
+    moving = jnp.asarray(rng.uniform(size=full.shape[1]) < 0.6)
+    held_arrow, held_dense = arrow.restricted(moving), dense.restricted(moving)
+    np.testing.assert_allclose(held_arrow.solve(extra, right), held_dense.solve(extra, right), rtol=1e-9)
+    np.testing.assert_allclose(held_arrow.gradient, held_dense.gradient, rtol=1e-12)
+    move = held_arrow.solve(extra, -held_arrow.gradient)
+    np.testing.assert_array_equal(move[~moving], 0.0)

@@ -103,6 +103,19 @@ class ArrowheadSystem(NamedTuple):
         top = jnp.einsum("fmn,fn->fm", self.local, local) + self.border @ shared
         return jnp.concatenate([top.ravel(), jnp.einsum("fms,fm->s", self.border, local) + self.shared @ shared])
 
+    def restricted(self, moving: Bool[AnyArray, "n"]) -> "ArrowheadSystem":
+        """The problem in which only some unknowns move; see `DenseSystem.restricted`."""
+        count, size = self.local_gradient.shape
+        local, shared = moving[: count * size].reshape(count, size), moving[count * size :]
+        return ArrowheadSystem(
+            self.cost,
+            self.local_gradient * local,
+            self.shared_gradient * shared,
+            self.local * (local[:, :, None] & local[:, None, :]),
+            self.border * (local[:, :, None] & shared),
+            self.shared * (shared[:, None] & shared),
+        )
+
 
 System = DenseSystem | ArrowheadSystem
 Evaluate = Callable[[Float[AnyArray, "n"]], System]
@@ -113,7 +126,10 @@ class SolverState(NamedTuple):
     """Everything that one step hands to the next."""
 
     x: Float[AnyArray, "n"]
+    cost: Float[AnyArray, ""]
     system: System
+    """Normal equations at `x`, once `formed`; before that, those of an earlier place."""
+    formed: Bool[AnyArray, ""]
     damping: Float[AnyArray, ""]
     growth: Float[AnyArray, ""]
     """Factor by which the next rejected step raises the damping."""
@@ -129,8 +145,6 @@ class Solution(NamedTuple):
     status: Int[AnyArray, ""]
     """A `Status` value."""
     iterations: Int[AnyArray, ""]
-    system: Any
-    """Normal equations at the solution (None from solvers that do not form them)."""
     trace: Any
     """What `record` returned at the start and after each step, stacked (rows beyond the last step repeat it)."""
 
@@ -140,11 +154,24 @@ def normal_equations(residual: Float[AnyArray, "m"], jacobian: Float[AnyArray, "
     return DenseSystem(residual @ residual, residual @ jacobian, jacobian.T @ jacobian)
 
 
-def init(evaluate: Evaluate, start: Float[AnyArray, "n"]) -> SolverState:
-    """State before the first step."""
-    system = evaluate(start)
-    status = jnp.where(jnp.isfinite(system.cost), Status.RUNNING.value, Status.NOT_FINITE.value)
-    return SolverState(start, system, jnp.asarray(INITIAL_DAMPING), jnp.asarray(2.0), jnp.asarray(True), status)
+def init(evaluate: Evaluate, start: Float[AnyArray, "n"], cost: Cost | None = None) -> SolverState:
+    """State before the first step; `cost` as for `step`."""
+    if cost is None:
+        system = evaluate(start)
+        value, formed = system.cost, True
+    else:
+        system = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), jax.eval_shape(evaluate, start))
+        value, formed = cost(start), False
+    return SolverState(
+        x=start,
+        cost=value,
+        system=system,
+        formed=jnp.asarray(formed),
+        damping=jnp.asarray(INITIAL_DAMPING),
+        growth=jnp.asarray(2.0),
+        accepted=jnp.asarray(True),
+        status=jnp.where(jnp.isfinite(value), Status.RUNNING.value, Status.NOT_FINITE.value),
+    )
 
 
 def step(
@@ -158,15 +185,21 @@ def step(
     """One damped Gauss–Newton step, taken if it lowers the cost; converged when it lowers it by less than `tolerance`
     of itself.
 
-    `cost` gives what `evaluate(x).cost` would: with it only steps that are taken pay for their normal equations.
+    `cost` gives what `evaluate(x).cost` would: with it normal equations are formed only where a step starts, so that
+    neither a rejected place nor the last one pays for them.
     """
-    x, system, damping = state.x, state.system, state.damping
+    x, damping = state.x, state.damping
+    if cost is None:
+        system = state.system
+    else:
+        system = jax.lax.cond(state.formed, lambda: state.system, lambda: evaluate(x))
     gradient, diagonal = system.gradient, system.diagonal()
     extra = damping * jnp.clip(diagonal, 1e-6, 1e32)
     move = _bounded_move(system, extra, lower - x, upper - x)
     candidate = x + move
     proposed = evaluate(candidate) if cost is None else None
-    decrease = system.cost - (proposed.cost if cost is None else cost(candidate))
+    value = proposed.cost if cost is None else cost(candidate)
+    decrease = system.cost - value
     predicted = -(2.0 * gradient @ move + move @ system.product(move))
     accepted = decrease > 0.0
     gain = decrease / jnp.where(predicted > 0.0, predicted, 1.0)
@@ -179,14 +212,13 @@ def step(
     converged = (accepted & (decrease <= tolerance * system.cost)) | still
     stalled = ~accepted & (damping >= LARGEST_DAMPING)
     status = jnp.where(converged, Status.CONVERGED.value, jnp.where(stalled, Status.STALLED.value, state.status))
-    choose = lambda new, old: jnp.where(accepted, new, old)  # noqa: E731
     if cost is None:
-        system = jax.tree.map(choose, proposed, system)
-    else:
-        system = jax.lax.cond(accepted, lambda: evaluate(candidate), lambda: system)
+        system = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), proposed, system)
     return SolverState(
-        x=choose(candidate, x),
+        x=jnp.where(accepted, candidate, x),
+        cost=jnp.where(accepted, value, system.cost),
         system=system,
+        formed=~accepted if cost is not None else state.formed,
         damping=new_damping,
         growth=jnp.where(accepted, 2.0, state.growth * 2.0),
         accepted=accepted,
@@ -235,7 +267,7 @@ def minimise(
     steps beyond that length are not taken. Without it no trace is computed. `cost`: see `step`.
     """
     start = jnp.clip(start, lower, upper)
-    first = init(evaluate, start)
+    first = init(evaluate, start, cost)
     limit = jnp.asarray(limit)
 
     def running(carry):
@@ -255,7 +287,7 @@ def minimise(
         limit = jnp.minimum(limit, record_length)
     count, state, trace = jax.lax.while_loop(running, body, (jnp.asarray(0), first, trace))
     status = jnp.where(state.status == Status.RUNNING.value, Status.ITERATION_LIMIT.value, state.status)
-    return Solution(state.x, state.system.cost, status, count, state.system, trace)
+    return Solution(state.x, state.cost, status, count, trace)
 
 
 def trace_rows(first: Any, length: int) -> Any:

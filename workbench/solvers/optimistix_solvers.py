@@ -76,4 +76,4 @@ def minimise_with_optimistix(
     cost = final @ final
     status = jnp.where(done, Status.CONVERGED.value, Status.ITERATION_LIMIT.value)
     status = jnp.where(jnp.isfinite(cost), status, Status.NOT_FINITE.value)
-    return Solution(x, cost, status, count, None, trace)
+    return Solution(x, cost, status, count, trace)

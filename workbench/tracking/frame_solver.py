@@ -16,10 +16,12 @@ from jaxtyping import Bool, Float, Int
 from workbench.arrays import AnyArray
 from workbench.energies import (
     FACE_IT_TERMS,
+    TABLE,
     EnergyConstants,
     EnergyProblem,
     Observation,
     TermContext,
+    changed_by,
     energy,
     energy_by_term,
     normal_system,
@@ -122,26 +124,30 @@ def solve_frame(
     settings = _within_range(settings, model)
 
     def branch(free: tuple[str, ...]):
-        def run(parameters: FaceParameters, moves, limit, landmark_weights, omega):
-            # A pose that does not move has no E_τ.
-            seen = frame._replace(history=frame.history * moves[:2].any())
-            problem = stage_problem(camera, model, settings, landmark_weights, omega, seen, parameters)
+        def run(problem: EnergyProblem, parameters: FaceParameters, moves, limit):
             moving = _moving(parameters, moves, free)
             solution = _solve_stage(problem, parameters, settings, limit, free, moving, terms, method, trace_length)
-            parameters = unpack(solution.x, parameters, free)
-            energies = energy_by_term(problem, parameters, free, terms)
-            projected = project_landmarks(camera, problem.points, parameters)
-            return parameters, projected, energies, solution.status, solution.iterations, solution.trace
+            return unpack(solution.x, parameters, free), solution.status, solution.iterations, solution.trace
 
         return run
 
     pose_only, everything = (branch(free) for free in BRANCHES)
+    of_pose = np.array([changed_by(TABLE[name], BRANCHES[0]) for name in terms])
 
     def body(carry):
         k, parameters, _, rows = carry
-        arguments = (parameters, program.moves[k], program.limit[k], program.landmark_weights[k], program.omega[k])
-        parameters, projected, *new = jax.lax.cond(program.moves[k, 2], everything, pose_only, *arguments)
-        return k + 1, parameters, projected, jax.tree.map(lambda old, row: old.at[k].set(row), rows, tuple(new))
+        moves = program.moves[k]
+        # A pose that does not move has no E_τ.
+        seen = frame._replace(history=frame.history * moves[:2].any())
+        omega, landmark_weights = program.omega[k], program.landmark_weights[k]
+        problem = stage_problem(camera, model, settings, landmark_weights, omega, seen, parameters)
+        parameters, status, iterations, trace = jax.lax.cond(
+            moves[2], everything, pose_only, problem, parameters, moves, program.limit[k]
+        )
+        energies = jnp.where(moves[2] | of_pose, energy_by_term(problem, parameters, BLOCKS, terms), 0.0)
+        projected = project_landmarks(camera, problem.points, parameters)
+        new = (energies, status, iterations, trace)
+        return k + 1, parameters, projected, jax.tree.map(lambda old, row: old.at[k].set(row), rows, new)
 
     slots = len(program.moves)
     trace = None

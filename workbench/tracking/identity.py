@@ -13,15 +13,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from workbench.arrays import AnyArray, Count, Scalar
-from workbench.energies import FACE_IT_TERMS, EnergyConstants, normal_system
+from workbench.energies import FACE_IT_TERMS, EnergyConstants, energy, normal_system
 from workbench.face import FaceParameters, LandmarkModel, pack, unpack
 from workbench.geometry import Camera
 from workbench.solvers import ArrowheadSystem, DenseSystem, minimise
 from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem
 
-PASSES = (("rotation", "translation", "expression"), ("expression",))
-"""What each pass frees in every frame, beside the shared identity: first everything on the inner landmarks, then, with
-the poses held, expression and identity on all landmarks."""
+OWN = ("rotation", "translation", "expression")
+"""What each frame has for itself; it stands before the shared identity in the solver's vector."""
+MOVES = ((True, True, True), (False, False, True))
+"""Which of `OWN` each pass frees, beside the identity: first everything on the inner landmarks, then, with the poses
+held, expression and identity on all landmarks."""
 
 
 class CalibrationSettings(NamedTuple):
@@ -32,9 +34,9 @@ class CalibrationSettings(NamedTuple):
     expression: Scalar
     """ω of the smoothed L1 norm of each frame's weights: high, because identity should explain what stays."""
     limits: tuple[Count, ...]
-    """Iterations of each of the `PASSES`."""
+    """Iterations of each of the passes (`MOVES`)."""
     landmark_weights: Float[AnyArray, "passes 68"]
-    """Landmark weights of each of the `PASSES`."""
+    """Landmark weights of each of the passes (`MOVES`)."""
     sliding: Scalar
 
 
@@ -62,15 +64,19 @@ def calibrate_identity(
     A frame with all weights zero takes no part. Weights are kept in the model's range. Each pass fixes contour and
     blink travel from where the pass before ended.
     """
-    frames, iterations = starts, []
-    for k in range(len(PASSES)):
-        frames, solution = _solve_pass(cameras, model, settings, k, frames, points, weights)
-        iterations.append(solution.iterations)
-    return Calibration(frames.identity[0], frames, solution.cost, jnp.stack(iterations))
+    steps = (jnp.asarray(MOVES), jnp.asarray(settings.limits), jnp.asarray(settings.landmark_weights))
+
+    def run(frames, a_pass):
+        frames, solution = _solve_pass(cameras, model, settings, a_pass, frames, points, weights)
+        return frames, (solution.cost, solution.iterations)
+
+    frames, (costs, iterations) = jax.lax.scan(run, jax.tree.map(jnp.asarray, starts), steps)
+    return Calibration(frames.identity[0], frames, costs[-1], iterations)
 
 
-def _solve_pass(cameras, model, settings, k, frames, points, weights):
-    free = (*PASSES[k], "identity")
+def _solve_pass(cameras, model, settings, a_pass, frames, points, weights):
+    moves, limit, landmark_weights = a_pass
+    free = (*OWN, "identity")
     # The prior of the shared identity counts once, not once per frame: it is added to the whole system below.
     factors = {"landmarks": 1.0, "sigma_smooth": settings.expression}
     omega = jnp.stack([jnp.asarray(factors.get(name, 0.0), float) for name in FACE_IT_TERMS])
@@ -79,65 +85,79 @@ def _solve_pass(cameras, model, settings, k, frames, points, weights):
     def problem_of(camera, parameters, observed, weight):
         measured = jnp.concatenate([observed, weight[:, None]], axis=1)
         frame = FrameInput(measured, jnp.zeros(6), jnp.zeros(6), jnp.zeros(()), parameters)
-        return stage_problem(camera, model, solve_settings, settings.landmark_weights[k], omega, frame, parameters)
+        return stage_problem(camera, model, solve_settings, landmark_weights, omega, frame, parameters)
 
     problems = jax.vmap(problem_of)(cameras, frames, points, weights)
-    packed = jax.vmap(lambda frame: pack(frame, PASSES[k]))(frames)
-    own, common = slice(0, packed.shape[1]), slice(packed.shape[1], None)
+    packed = jax.vmap(lambda frame: pack(frame, OWN))(frames)
+    count, common = len(packed), slice(packed.shape[1], None)
+    first = jax.tree.map(lambda stacked: stacked[0], frames)
+    moving = jnp.concatenate(
+        [jnp.broadcast_to(move, getattr(first, name).shape) for move, name in zip(moves, OWN, strict=True)]
+    )
+    moving = jnp.concatenate([jnp.tile(moving, count), jnp.ones(len(first.identity), bool)])
 
     def split(x):
         return x[: packed.size].reshape(packed.shape), x[packed.size :]
 
-    def evaluate_alone(x):
-        # A single frame needs no Schur complement: one dense system is solved several times as fast.
-        problem, frame = jax.tree.map(lambda stacked: stacked[0], (problems, frames))
-        system = normal_system(problem, unpack(x, frame, free), free)
-        identity, weight = x[common], jnp.zeros(len(x)).at[common].set(settings.identity)
-        return DenseSystem(
-            system.cost + settings.identity * identity @ identity,
-            system.gradient + weight * x,
-            system.matrix + jnp.diag(weight),
-        )
+    def of_frames(function, x):
+        """What `function(problem, parameters)` is for each frame."""
+        locals_, identity = split(x)
+
+        def of_frame(problem, local, frame):
+            return function(problem, unpack(jnp.concatenate([local, identity]), frame, free), free)
+
+        return jax.vmap(of_frame)(problems, locals_, frames)
+
+    def cost(x):
+        identity = split(x)[1]
+        return of_frames(energy, x).sum() + settings.identity * identity @ identity
 
     def evaluate(x):
-        locals_, identity = split(x)
-        systems = jax.vmap(
-            lambda problem, local, frame: normal_system(
-                problem, unpack(jnp.concatenate([local, identity]), frame, free), free
-            )
-        )(problems, locals_, frames)
+        identity = split(x)[1]
+        systems = of_frames(normal_system, x)
+        prior = jnp.zeros(packed.shape[1] + len(identity)).at[common].set(settings.identity)
+        total = systems.cost.sum() + settings.identity * identity @ identity
+        if count == 1:
+            # A single frame needs no Schur complement: one dense system is solved several times as fast.
+            system = DenseSystem(total, systems.gradient[0] + prior * x, systems.matrix[0] + jnp.diag(prior))
+        else:
+            system = arrowhead(total, systems, prior, identity)
+        return system.restricted(moving)
+
+    def arrowhead(total, systems, prior, identity):
+        own = slice(0, packed.shape[1])
         return ArrowheadSystem(
-            cost=systems.cost.sum() + settings.identity * identity @ identity,
+            cost=total,
             local_gradient=systems.gradient[:, own],
-            shared_gradient=systems.gradient[:, common].sum(0) + settings.identity * identity,
+            shared_gradient=systems.gradient[:, common].sum(0) + prior[common] * identity,
             local=systems.matrix[:, own, own],
             border=systems.matrix[:, own, common],
-            shared=systems.matrix[:, common, common].sum(0) + settings.identity * jnp.eye(len(identity)),
+            shared=systems.matrix[:, common, common].sum(0) + jnp.diag(prior[common]),
         )
 
-    lower, upper = _bounds(frames, PASSES[k], model)
+    lower, upper = _bounds(frames, model)
     solution = minimise(
-        evaluate if len(packed) > 1 else evaluate_alone,
+        evaluate,
         jnp.concatenate([packed.ravel(), frames.identity[0]]),
         lower,
         upper,
-        settings.limits[k],
+        limit,
         1e-6,
+        cost=cost,
     )
     locals_, identity = split(solution.x)
-    moved = jax.vmap(lambda local, frame: unpack(local, frame, PASSES[k]))(locals_, frames)
+    moved = jax.vmap(lambda local, frame: unpack(local, frame, OWN))(locals_, frames)
     return moved._replace(identity=jnp.broadcast_to(identity, frames.identity.shape)), solution
 
 
-def _bounds(frames: FaceParameters, free: tuple[str, ...], model: LandmarkModel):
-    rigid = jnp.full(3 * (len(free) - 1), jnp.inf)
+def _bounds(frames: FaceParameters, model: LandmarkModel):
+    pose, identity = jnp.full(6, jnp.inf), jnp.full(frames.identity.shape[1], jnp.inf)
     frame_count = len(frames.expression)
-    unbounded = jnp.full(frames.identity.shape[1], jnp.inf)
-    lower = jnp.concatenate([-rigid, model.expression_lower])
-    upper = jnp.concatenate([rigid, model.expression_upper])
+    lower = jnp.concatenate([-pose, model.expression_lower])
+    upper = jnp.concatenate([pose, model.expression_upper])
     return (
-        jnp.concatenate([jnp.tile(lower, frame_count), -unbounded]),
-        jnp.concatenate([jnp.tile(upper, frame_count), unbounded]),
+        jnp.concatenate([jnp.tile(lower, frame_count), -identity]),
+        jnp.concatenate([jnp.tile(upper, frame_count), identity]),
     )
 
 
