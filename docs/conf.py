@@ -1,7 +1,9 @@
 """How the documentation is built: `make docs`, without network."""
 
 import ast
+import inspect
 import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -64,11 +66,20 @@ pygments_style, pygments_dark_style = "friendly", "monokai"
 copybutton_prompt_text = "$ "
 
 
-def without_field_numbers(_app, _what, _name, _object, _options, lines):
-    """Take out what Python says of the fields of a named tuple that nobody documented."""
-    lines[:] = [line for line in lines if not line.startswith("Alias for field number")]
+ESCAPED = re.compile(r"(`[^`]*`)|([|*]|(?<=\w)_(?!\w))")
+
+
+def as_prose(_app, _what, _name, thing, _options, lines):
+    """Docstrings are prose with `code`: whatever else has a meaning in reStructuredText stands for itself."""
+    if (
+        isinstance(thing, dict | list | tuple | str | int | float)
+        and lines[:1] == inspect.getdoc(type(thing)).splitlines()[:1]
+    ):
+        lines.clear()  # what Python says of every dictionary
+    kept = [line for line in lines if not line.startswith("Alias for field number")]
+    lines[:] = [ESCAPED.sub(lambda found: found[1] or "\\" + found[2], line) for line in kept]
 
 
 def setup(app):
     """Connect what changes docstrings on their way to a page."""
-    app.connect("autodoc-process-docstring", without_field_numbers)
+    app.connect("autodoc-process-docstring", as_prose)

@@ -67,11 +67,14 @@ def offered(root: Path, package: str) -> dict[str, str]:
     stub = next((file for file in (folder / "__init__.pyi", folder / "__init__.py") if file.is_file()), None)
     if stub is None:
         return {}
-    taken = [node for node in ast.parse(stub.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)]
+    body = ast.parse(stub.read_text(encoding="utf-8")).body
+    taken = [node for node in body if isinstance(node, ast.ImportFrom)]
     ours = [node for node in taken if node.level or (node.module or "").startswith("workbench")]
-    names = {alias.asname or alias.name for node in ours for alias in node.names}
+    names = {alias.asname for node in ours for alias in node.names if alias.asname}
+    names |= {node.name for node in body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    public = sorted((name for name in names if not name.startswith("_")), key=str.lower)
     module = importlib.import_module(package)
-    directives = {name: directive(getattr(module, name)) for name in sorted(names - {"prepare_jax"}, key=str.lower)}
+    directives = {name: directive(getattr(module, name)) for name in public}
     return {name: kind for name, kind in directives.items() if kind}
 
 
@@ -84,9 +87,22 @@ def directive(thing: object) -> str:
     return "autofunction" if callable(thing) else "autodata"
 
 
+def shown_before(root: Path, package: str, name: str) -> bool:
+    """Whether a package below offers the same thing, whose page is then the one that the index leads to."""
+    thing = getattr(importlib.import_module(package), name)
+    below = [*packages(root)[1:], "workbench"]
+    for other in below[: below.index(package)]:
+        if name in offered(root, other) and getattr(importlib.import_module(other), name) is thing:
+            return True
+    return False
+
+
 def api_page(root: Path, package: str) -> str:
     """The page of a package: what it says of itself, and every name that it offers."""
     lines = [f"# `{package}`", "", "```{eval-rst}", f".. automodule:: {package}", ""]
     for name, kind in offered(root, package).items():
-        lines += [f".. {kind}:: {package}.{name}", *(["   :members:"] if kind == "autoclass" else []), ""]
+        options = ["   :members:"] if kind == "autoclass" else []
+        if shown_before(root, package, name):
+            options.append("   :no-index:")
+        lines += [f".. {kind}:: {package}.{name}", *options, ""]
     return "\n".join([*lines, "```", ""])
