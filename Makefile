@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
 TRAIN_STAMP := $(VENV)/.installed-train
+DOCS_STAMP := $(VENV)/.installed-docs
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 # Processes that test files are handed to; 0: in one, as for a test that hangs or with little memory.
 JOBS ?= 2
@@ -14,7 +15,7 @@ OUT ?= demo_out
 # and the Khronos validator with its own Node.
 VALIDATORS := .cache/validators
 
-.PHONY: help lab demo test test-fast test-train validators notebooks lint format bench head clip clean
+.PHONY: help lab demo test test-fast test-train docs validators notebooks lint format bench head clip clean
 
 help:
 	@echo "make lab    open JupyterLab on the first notebook"
@@ -22,6 +23,7 @@ help:
 	@echo "make test   lint and run all tests that need no PyTorch"
 	@echo "make test-fast   without the long tests and those in a browser"
 	@echo "make test-train  the tests of training and of PyTorch's models; installs PyTorch"
+	@echo "make docs   the documentation as pages, in docs/_build/html; runs the notebooks"
 	@echo "make bench  run the benchmarks and print a table"
 	@echo "make validators  install Blender and the Khronos validator for the tests of .glb files (1 GB)"
 	@echo "make lint, make format, make head, make clip, make clean"
@@ -44,6 +46,10 @@ $(TRAIN_STAMP): $(TEST_STAMP)
 	$(BIN)/python -m pip install --quiet --no-deps face-alignment==1.5.0
 	@touch $(TRAIN_STAMP)
 
+$(DOCS_STAMP): $(STAMP)
+	$(INSTALL) --editable ".[dlib,app,docs]"
+	@touch $(DOCS_STAMP)
+
 lab: $(STAMP)
 	$(BIN)/workbench lab
 
@@ -58,6 +64,9 @@ test-fast: $(TEST_STAMP)
 
 test-train: $(TRAIN_STAMP)
 	$(PYTEST) -m train
+
+docs: $(DOCS_STAMP)
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs docs/_build/html
 
 validators:
 	$(PYTHON) -m venv $(VALIDATORS)

@@ -1,13 +1,12 @@
 """`workbench export`: what is typed, what is written, what is told."""
 
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from tests.pages import code_blocks, snippet
 from tests.performances import FRAMES, performance
 from workbench.errors import InputError
 from workbench.export import FORMATS, export_track, format_of, read_mapping
@@ -110,16 +109,14 @@ def test_a_character_plays_by_its_surface(run, stored, head, tmp_path):
     assert weights["two"] == pytest.approx(1.0, abs=0.1)
 
 
-def test_the_example_of_the_readme_runs(stored, head, tmp_path, monkeypatch):
-    readme = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
-    snippet = next(text for text in re.findall(r"```python\n(.*?)```", readme, re.S) if "AvatarPlayer" in text)
-    mapping = next(text for text in re.findall(r"```toml\n(.*?)```", readme, re.S) if "[shapes]" in text)
+def test_the_example_of_the_documentation_runs(stored, head, tmp_path, monkeypatch):
+    mapping = next(text for _, text in code_blocks("toml") if "[shapes]" in text)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").mkdir()
     stored.rename(tmp_path / "out" / "talk")
     export_track(performance(head), head, tmp_path / "hero.glb")
     names = {}
-    exec(compile(snippet, "README.md", "exec"), names)
+    exec(compile(snippet("AvatarPlayer"), "documentation", "exec"), names)
     assert (tmp_path / "hero.usd").is_file()
     np.testing.assert_allclose(names["played"].expression[-1].max(), 1.0)
     names["player"].close()

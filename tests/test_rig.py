@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.pages import code_blocks
 from tests.scenes import make_scene
 from tests.stereo_scenes import make_rig, make_stereo_scene
 from workbench.errors import InputError
@@ -707,9 +708,9 @@ def test_rigs_are_written_as_toml_only(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_rig_in_the_readme_is_one(tmp_path):
-    readme = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
-    (tmp_path / "rig.toml").write_text(re.search(r"```toml\n(.*?)```", readme, re.S)[1], encoding="utf-8")
+def test_the_rig_in_the_documentation_is_one(tmp_path):
+    (text,) = [text for page, text in code_blocks("toml") if page == "docs/guides/stereo.md"]
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
     rig = read_rig(tmp_path / "rig.toml")
     assert rig.names == ("left", "right")
     assert rig_report(rig).warnings == ()

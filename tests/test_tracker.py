@@ -1,10 +1,9 @@
 """FACE IT! on landmarks with known truth: pose, expression, identity, shots, and nothing compiled twice."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.pages import PAGES
 from tests.scenes import FOV_DEG, IMAGE_SIZE, make_scene, random_expression
 from workbench.config import PRESETS, Config, Stage
 from workbench.diagnosis.identifiability import indistinguishable_groups
@@ -63,10 +62,9 @@ def test_weights_that_the_landmarks_can_tell_apart_are_recovered(seed, head, tel
     assert fit.residuals_px.max() < 0.1
 
 
-def test_the_readme_names_the_indistinguishable_groups(telling):
-    readme = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
+def test_the_limits_name_the_indistinguishable_groups(telling):
     for group in (*telling.groups, telling.unseen):
-        assert ", ".join(f"`{name}`" for name in group) in readme
+        assert ", ".join(f"`{name}`" for name in group) in PAGES["docs/limits.md"]
 
 
 def test_a_calibrated_identity_is_shared_by_the_frames_and_explains_them(head):

@@ -247,37 +247,34 @@ stages name."""
 
 
 def table_page() -> str:
-    """The table as a page of Markdown."""
-    head = ("term", "name", "ω", "what it is", "formula", "from", "in every stage of")
-    rows = [
-        (
-            *(term.symbol, f"`{term.name}`", _place(term), term.says, term.formula, term.source or "ours"),
-            ", ".join(term.systems) or "neither system: a stage names it",
-        )
-        for term in TABLE.values()
-    ]
+    """The table as a page of Markdown, a section per term."""
     nodes = [f"- `weights.{node.name}`, {node.symbol}: {node.says} ({node.source})." for node in NODES]
     return "\n".join(
         [
             "# Terms of the energy",
             "",
             'Every term can be switched on in any stage of either system: `terms = ["tau"]` in a `[[stages]]` table.',
-            "The factor in front of a term is the product of ω down its branch.",
-            "",
-            _table_row(head),
-            "|---" * len(head) + "|",
-            *map(_table_row, rows),
-            "",
-            "Weights that multiply those below them (FACE IT! Eqs. 5-7):",
+            "The factor in front of a term is the product of ω down its branch. Weights that multiply those below them",
+            "(FACE IT! Eqs. 5-7):",
             "",
             *nodes,
             "",
+            *(line for term in TABLE.values() for line in _section(term)),
         ]
     )
 
 
-def _table_row(cells: Iterable[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+def _section(term: Term) -> tuple[str, ...]:
+    systems = f"every stage of {' and '.join(term.systems)}" if term.systems else "stages that name it"
+    return (
+        f"## {term.symbol}: `{term.name}`",
+        "",
+        f"`{term.formula}`",
+        "",
+        f"{term.says[0].upper()}{term.says[1:]}. Source: {term.source or 'ours'}.",
+        f"Weight: {_place(term)}. In {systems}.",
+        "",
+    )
 
 
 def _place(term: Term) -> str:

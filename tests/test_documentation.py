@@ -1,24 +1,22 @@
-"""What the README promises exists and runs."""
+"""What the README and the documentation promise exists and runs."""
 
 import re
 import shlex
-from pathlib import Path
 from typing import get_args
 
 import pytest
 from typer.main import get_command
 
 import workbench
+from tests.pages import EVERYTHING, PAGES, ROOT, snippet
 from workbench.cli import app
 from workbench.config import PRESETS, InfillConfig, LandmarksConfig, RefinementConfig
 from workbench.pipeline import OUTPUTS
 from workbench.samples import sample
 
-ROOT = Path(__file__).resolve().parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS = sorted(set(re.findall(r"^(?:\.venv/bin/)?(workbench [^#\n]*)", README, re.M)))
-SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.S)
-TARGETS = sorted(set(re.findall(r"^make (\w+)", README, re.M)))
+COMMANDS = sorted(set(re.findall(r"^(?:\.venv/bin/)?(workbench [^#\n]*)", EVERYTHING, re.M)))
+TARGETS = sorted(set(re.findall(r"^make ([\w-]+)", EVERYTHING, re.M)))
+LINKS = sorted({(page, link) for page, text in PAGES.items() for link in re.findall(r"\]\(([^)#]+)\)", text)})
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -39,24 +37,29 @@ def test_every_make_target_exists(target):
     assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
 
 
-def test_the_readme_has_commands_to_check():
-    assert len(COMMANDS) >= 7
-    assert {"lab", "test", "demo"} <= set(TARGETS)
+def test_there_are_commands_to_check():
+    assert len(COMMANDS) >= 40
+    assert {"lab", "test", "demo", "docs"} <= set(TARGETS)
 
 
 def test_the_first_snippet_fits_one_picture():
     names = {}
-    exec(compile(SNIPPETS[0].replace('"portrait.jpg"', f'r"{sample("astronaut")}"'), "README.md", "exec"), names)
+    exec(
+        compile(
+            snippet("workbench.fit(").replace('"portrait.jpg"', f'r"{sample("astronaut")}"'), "documentation", "exec"
+        ),
+        names,
+    )
     assert names["fit"].weights["mouthSmileLeft"] > 0.2
     assert len(names["mesh"][0]) == names["mesh"][1].max() + 1
     assert len(names["figure"].axes) == 2
 
 
 def test_the_panel_snippet_runs():
-    snippet = next(text for text in SNIPPETS if "TuningPanel" in text)
-    snippet = snippet.replace('"talk.mp4"', f'r"{sample("astronaut-landmarks")}"')
+    text = snippet("TuningPanel")
+    text = text.replace('"talk.mp4"', f'r"{sample("astronaut-landmarks")}"')
     names = {}
-    exec(compile(snippet, "README.md", "exec"), names)
+    exec(compile(text, "documentation", "exec"), names)
     assert names["panel"].wait_idle(300)
     assert names["panel"].fit.found
     names["panel"].close()
@@ -64,25 +67,25 @@ def test_the_panel_snippet_runs():
 
 def test_the_live_snippet_runs():
     names = {}
-    exec(compile(next(text for text in SNIPPETS if "LivePanel" in text), "README.md", "exec"), names)
+    exec(compile(snippet("LivePanel"), "documentation", "exec"), names)
     assert not names["panel"].running
     names["panel"].close()
 
 
 def test_the_tracking_snippet_runs(tmp_path):
-    snippet = next(text for text in SNIPPETS if "smile" in text)
-    snippet = snippet.replace('"talk.mp4", "out/talk"', f'r"{sample("astronaut-landmarks")}", r"{tmp_path}"')
+    text = snippet("smile")
+    text = text.replace('"talk.mp4", "out/talk"', f'r"{sample("astronaut-landmarks")}", r"{tmp_path}"')
     names = {}
-    exec(compile(snippet, "README.md", "exec"), names)
+    exec(compile(text, "documentation", "exec"), names)
     assert names["smile"].shape == (1,)
     assert names["smile"][0] > 0.2
 
 
 def test_the_deep_energies_snippet_runs():
-    snippet = next(text for text in SNIPPETS if "stage_strip" in text)
-    snippet = snippet.replace('"talk.mp4"', f'r"{sample("astronaut")}"').replace("(12)", "(0)")
+    text = snippet("stage_strip")
+    text = text.replace('"talk.mp4"', f'r"{sample("astronaut")}"').replace("(12)", "(0)")
     names = {}
-    exec(compile(snippet, "README.md", "exec"), names)
+    exec(compile(text, "documentation", "exec"), names)
     assert names["fit"].jaw.shape == (6,)
     assert names["fit"].failure == ""
     assert names["strip"].shape[2] == 3
@@ -93,24 +96,26 @@ def test_the_infill_snippet_runs(tmp_path):
     clip = sample("performance")
     workbench.track(clip, tmp_path, workbench.load_default_head(), workbench.preset("joint"), pictures=False,
                     landmarks=sample("performance-landmarks"), frames=(0, 8))  # fmt: skip
-    snippet = next(text for text in SNIPPETS if "work_over" in text)
-    snippet = snippet.replace('"out/talk/track.npz"', f'r"{tmp_path / "track.npz"}"').replace(
-        '"talk.mp4"', f'r"{clip}"'
-    )
+    text = snippet("work_over")
+    text = text.replace('"out/talk/track.npz"', f'r"{tmp_path / "track.npz"}"').replace('"talk.mp4"', f'r"{clip}"')
     names = {}
-    exec(compile(snippet, "README.md", "exec"), names)
+    exec(compile(text, "documentation", "exec"), names)
     assert [names["filled"][k].source for k in (3, 4, 5, 6)] == ["given", "filled", "filled", "given"]
 
 
 def test_every_output_file_is_described():
     for name in OUTPUTS:
-        assert f"`{name}`" in README
+        assert f"`{name}`" in EVERYTHING
 
 
-@pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\(([^)#]+)\)", README))))
-def test_links_lead_to_files(link):
+@pytest.mark.parametrize(("page", "link"), LINKS)
+def test_links_lead_to_files(page, link):
     if not link.startswith("http"):
-        assert (ROOT / link).exists()
+        assert (ROOT / page).parent.joinpath(link).exists()
+
+
+def test_the_readme_is_short():
+    assert len(PAGES["README.md"].encode()) <= 9 * 1024
 
 
 def test_every_bundled_file_has_its_source_stated():
@@ -122,23 +127,23 @@ def test_every_bundled_file_has_its_source_stated():
 
 
 def test_the_face_model_snippet_runs(tmp_path):
-    snippet = next(text for text in SNIPPETS if "load_face_model" in text)
+    text = snippet("generic_model.pkl")
     for written, meant in {
         "generic_model.pkl": sample("head"),
         "talk.mp4": sample("astronaut-landmarks"),
         "out/talk": tmp_path,
     }.items():
-        snippet = snippet.replace(f'"{written}"', f'r"{meant}"')
+        text = text.replace(f'"{written}"', f'r"{meant}"')
     names = {}
-    exec(compile(snippet, "README.md", "exec"), names)
+    exec(compile(text, "documentation", "exec"), names)
     assert names["result"].summary["frames_with_face"] == 1
 
 
 def test_the_flow_snippet_runs():
-    snippet = next(text for text in SNIPPETS if "bundled_flow" in text)
-    snippet = snippet.replace('"talk.mp4"', f'r"{sample("performance")}"')
+    text = snippet("bundled_flow")
+    text = text.replace('"talk.mp4"', f'r"{sample("performance")}"')
     names = {}
-    exec(compile(snippet, "README.md", "exec"), names)
+    exec(compile(text, "documentation", "exec"), names)
     height, width = names["first"].shape[:2]
     assert names["flow"].shape == (height, width, 2)
     assert names["colors"].shape == (height, width, 3)
