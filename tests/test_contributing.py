@@ -14,12 +14,42 @@ TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 RECIPES = dict(re.findall(r"^## (A [^\n]*)\n(.*?)(?=^## |\Z)", TEXT, re.S | re.M))
 TRIED = {
     "A term of the energy": """
-from workbench.config import config_toml, preset
+import json, sys
+import numpy as np
+from tests.deep_scenes import POINTS, make_deep_scene, make_parameters
+from tests.scenes import make_scene
+from workbench.config import Stage, config_schema, config_toml, preset
 from workbench.energies.terms import table_page
-from workbench.session.knobs import KNOBS
+from workbench.face import load_default_head
+from workbench.planning import plan_of
+from workbench.session.knobs import KNOBS, effective_weights
+from workbench.tracking import FrameContext
+from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking.face_it_fitter import FaceItFitter
+
+assert "symmetry" in json.loads(config_schema())["$defs"]["WeightsConfig"]["properties"]
 assert "symmetry = 0.0 # ω_sym: neighbouring weights alike." in config_toml(preset("joint"))
-assert "| E_sym |" in table_page()
-assert "weights.symmetry" in {knob.path for knob in KNOBS}
+assert "## E_sym: `symmetry`" in table_page()
+(knob,) = [knob for knob in KNOBS if knob.path == "weights.symmetry"]
+assert "neighbouring weights alike" in knob.tip and knob.label == "ω_sym"
+assert effective_weights(preset("joint").changed(weights={"symmetry": 7.0}))["weights.symmetry"] == 7.0
+
+head, smile = load_default_head(), {"mouthSmileLeft": 0.8, "jawOpen": 0.4}
+scene = make_scene(head, weights=smile)
+deep = make_deep_scene(DeepFitter(head, plan_of(POINTS)), make_parameters(head, weights=smile))
+stage = Stage(name="all", free=("rotation", "translation", "expression"), limit=10)
+rough = []
+for base, fitter, observation in (
+    (preset("joint"), FaceItFitter, scene.observation()), (POINTS, DeepFitter, deep.observation())
+):
+    for terms in ((), ("symmetry",)):
+        config = base.changed(stages=[stage.model_dump() | {"terms": terms}], weights={"symmetry": 1e4})
+        made = fitter(head, plan_of(config))
+        fit, traces = made.explain(observation, FrameContext(0, np.zeros(50), None, None))
+        rough.append(np.abs(np.diff(fit.expression)).sum())
+        assert ("symmetry" in made.terms) == bool(terms)
+        assert traces[0].energies.shape[1] == len(made.terms) == fit.energies.shape[1]
+    assert rough[-1] < 0.5 * rough[-2], rough
 """,
     "A detector": """
 import numpy as np
@@ -66,7 +96,8 @@ def test_every_recipe_is_tried():
 
 @pytest.mark.parametrize("recipe", TRIED)
 def test_a_recipe_works_as_it_is_written(recipe, tmp_path):
-    shutil.copytree(ROOT / "workbench", tmp_path / "workbench", ignore=shutil.ignore_patterns("__pycache__", "*.pyc"))
+    for name in ("workbench", "tests"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "*.pyc"))
     (tmp_path / "data_samples").symlink_to(ROOT / "data_samples")
     blocks = re.findall(r"```(python|diff)\n# (\S+)\n(.*?)```", RECIPES[recipe], re.S)
     assert {kind for kind, _, _ in blocks} == {"python", "diff"}

@@ -1,10 +1,6 @@
 """One table of terms for both systems: from a row follow configuration, slider, chart and effect; any term works in any
 system and stage."""
 
-import os
-import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -172,83 +168,3 @@ def test_every_term_with_a_weight_of_its_own_has_a_slider_and_a_comment():
 
 def test_the_page_of_the_documentation_is_that_of_the_table():
     assert (ROOT / "docs" / "terms.md").read_text(encoding="utf-8") == table_page()
-
-
-MADE_UP = '''"""A made-up term: neighbouring weights alike."""
-
-
-def symmetry_residual(parameters, context):
-    """Differences of neighbouring weights."""
-    return parameters.expression[1:] - parameters.expression[:-1]
-'''
-ROW = """    Term(
-        name="symmetry",
-        symbol="E_sym",
-        source="made up",
-        says="neighbouring weights alike",
-        formula="(w_i+1 - w_i)^2",
-        residual="symmetry:symmetry_residual",
-        unknowns=("expression",),
-        default=7.0,
-    ),
-"""
-LOOKED_FOR = """
-import json, sys
-import numpy as np
-from tests.deep_scenes import POINTS, make_deep_scene, make_parameters
-from tests.scenes import make_scene
-from workbench.config import Stage, config_schema, config_toml, preset
-from workbench.energies.terms import table_page
-from workbench.face import load_default_head
-from workbench.planning import plan_of
-from workbench.session.knobs import KNOBS, effective_weights
-from workbench.tracking import FrameContext
-from workbench.tracking.deep_fitter import DeepFitter
-from workbench.tracking.face_it_fitter import FaceItFitter
-
-assert "symmetry" in json.loads(config_schema())["$defs"]["WeightsConfig"]["properties"]
-assert "symmetry = 7.0 # ω_sym: neighbouring weights alike (made up)." in config_toml(preset("joint"))
-assert "| E_sym |" in table_page()
-(knob,) = [knob for knob in KNOBS if knob.path == "weights.symmetry"]
-assert "neighbouring weights alike" in knob.tip and knob.label == "ω_sym"
-assert effective_weights(preset("joint"))["weights.symmetry"] == 7.0
-
-head, smile = load_default_head(), {"mouthSmileLeft": 0.8, "jawOpen": 0.4}
-scene = make_scene(head, weights=smile)
-deep = make_deep_scene(DeepFitter(head, plan_of(POINTS)), make_parameters(head, weights=smile))
-stage = Stage(name="all", free=("rotation", "translation", "expression"), limit=10)
-rough = []
-for base, fitter, observation in (
-    (preset("joint"), FaceItFitter, scene.observation()), (POINTS, DeepFitter, deep.observation())
-):
-    for terms in ((), ("symmetry",)):
-        config = base.changed(stages=[stage.model_dump() | {"terms": terms}], weights={"symmetry": 1e4})
-        made = fitter(head, plan_of(config))
-        fit, traces = made.explain(observation, FrameContext(0, np.zeros(50), None, None))
-        rough.append(np.abs(np.diff(fit.expression)).sum())
-        assert ("symmetry" in made.terms) == bool(terms)
-        assert traces[0].energies.shape[1] == len(made.terms) == fit.energies.shape[1]
-    assert rough[-1] < 0.5 * rough[-2], rough
-print("found everywhere")
-"""
-
-
-def test_a_made_up_term_of_one_file_and_one_row_is_found_everywhere_and_works_in_both_systems(tmp_path):
-    for name in ("workbench", "tests"):
-        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "*.pyc"))
-    (tmp_path / "data_samples").symlink_to(ROOT / "data_samples")
-    energies = tmp_path / "workbench" / "energies"
-    (energies / "symmetry.py").write_text(MADE_UP)
-    table = (energies / "terms.py").read_text()
-    end = ")\nTABLE: dict"
-    assert table.count(end) == 1
-    (energies / "terms.py").write_text(table.replace(end, ROW + end))
-    done = subprocess.run(
-        [sys.executable, "-c", LOOKED_FOR],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(tmp_path)},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "found everywhere" in done.stdout
