@@ -114,8 +114,10 @@ def normal_system(
         problem.camera, problem.points, parameters, problem.observation, free
     )
     cost = omega["landmarks"] * (residual @ residual)
-    gradient = omega["landmarks"] * (residual @ jacobian)
-    matrix = omega["landmarks"] * (jacobian.T @ jacobian)
+    # Jᵀr is one more column of the same product.
+    rows = jnp.concatenate([jacobian.T, residual[None]])
+    product = omega["landmarks"] * (rows @ rows.T)
+    gradient, matrix = product[:-1, -1], product[:-1, :-1]
     diagonal, others = jnp.zeros(len(gradient)), 0.0
     for name in terms:
         term, root = TABLE[name], jnp.sqrt(omega[name])
