@@ -218,7 +218,8 @@ def test_cells_run_meanwhile_and_the_panel_goes_on(live):
     wait_until(lambda: live.ask_kernel("number = 1 + 1") < 1000, "an answer of the kernel within a second")
     live.run_cell(FIRST)
     live.run_cell(BUSY)
-    assert int(said(live).split("fits meanwhile")[1].split()[0]) >= 3
+    panel = live.page.evaluate("() => document.querySelector('.fw-live-panel').innerText")
+    assert int(said(live).split("fits meanwhile")[1].split()[0]) >= 3, panel
     to_top(live)
 
 

@@ -11,7 +11,8 @@ import { makeHead } from "./head.js";
 const KEPT = 6; // frames that wait for their fit
 const SLOW_MS = 3000, SILENT_MS = 60000; // without an answer from the kernel
 const LOOK_MS = 500, BEAT_MS = 10000; // between looking for its silence, and between signs of life to it
-const GONE_MS = 1500; // a display that is moved within a notebook vanishes for a moment
+const GONE_MS = 1500; // a display that is moved within a notebook vanishes for a moment: then the camera closes
+const LEFT_MS = 8000; // and then nobody is expected to come back
 const LOG = 2000; // frames whose times are kept for whoever measures
 
 // The state of a widget in a page; `tell` sends a message to Python, which knows the page by its name.
@@ -21,7 +22,7 @@ function makeLive() {
     waiting: new Map(), // frames by number, until their fit comes
     log: [], // {number, grabbed, drawn} of the newest frames
     current: null, shown: null, // the fit that is drawn, and what the next message says of it
-    sentAt: 0, heardAt: 0, slow: false, leaving: 0,
+    sentAt: 0, askedAt: 0, heardAt: 0, slow: false, leaving: 0, // askedAt: the first frame without an answer
   };
   live.tell = (content, buffers = []) => {
     try {
@@ -43,7 +44,9 @@ function sendFrame(live, grab, bytes) {
   const { waiting } = live;
   waiting.set(grab.number, grab);
   while (waiting.size > KEPT) waiting.delete(waiting.keys().next().value);
-  live.sentAt = performance.now();
+  const now = performance.now();
+  if (live.sentAt <= live.heardAt) live.askedAt = now;
+  live.sentAt = now;
   live.tell({ kind: "frame", number: grab.number, time: grab.grabbed, shown: live.shown }, [bytes]);
   live.shown = null;
 }
@@ -110,7 +113,7 @@ async function onMessage(live, content, buffers) {
 // Notices that the kernel is silent, and after long closes the camera.
 function onLook(live) {
   if (!live.camera.isOpen()) return;
-  const silent = live.sentAt > live.heardAt ? performance.now() - live.heardAt : 0;
+  const silent = live.sentAt > live.heardAt ? performance.now() - live.askedAt : 0;
   live.slow = silent > SLOW_MS;
   if (silent > SILENT_MS) live.camera.close(), live.tell({ kind: "trouble", why: "silent" });
   live.write(live.current);
@@ -168,9 +171,11 @@ function render(live, model, el) {
     display.close();
     if (displays.size) return;
     live.leaving = setTimeout(() => {
-      live.leaving = 0;
       camera.close();
-      live.tell({ kind: "left" });
+      live.leaving = setTimeout(() => {
+        live.leaving = 0;
+        live.tell({ kind: "left" });
+      }, LEFT_MS - GONE_MS);
     }, GONE_MS);
   };
 }
