@@ -3,6 +3,7 @@
 import ast
 import importlib
 import inspect
+from functools import cache
 from pathlib import Path
 
 
@@ -55,12 +56,14 @@ def architecture_page(root: Path) -> str:
     )
 
 
-def packages(root: Path) -> list[str]:
+@cache
+def packages(root: Path) -> tuple[str, ...]:
     """The front door and the packages behind it, from the bottom to the top; not the command line."""
     within = [f"workbench.{name}" for name in layers(root) if name != "cli"]
-    return ["workbench", *(name for name in within if offered(root, name))]
+    return ("workbench", *(name for name in within if offered(root, name)))
 
 
+@cache
 def offered(root: Path, package: str) -> dict[str, str]:
     """The names that a package offers, with the directive that documents each."""
     folder = root.joinpath(*package.split("."))

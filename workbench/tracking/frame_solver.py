@@ -125,7 +125,7 @@ def solve_frame(
 
     def branch(free: tuple[str, ...]):
         def run(problem: EnergyProblem, parameters: FaceParameters, moves, limit):
-            moving = _moving(parameters, moves, free)
+            moving = moving_unknowns(parameters, moves, free)
             solution = _solve_stage(problem, parameters, settings, limit, free, moving, terms, method, trace_length)
             return unpack(solution.x, parameters, free), solution.status, solution.iterations, solution.trace
 
@@ -214,8 +214,10 @@ def stage_problem(
     return EnergyProblem(camera, points, observation, omega, context)
 
 
-def _moving(parameters: FaceParameters, moves: Bool[AnyArray, "3"], free: tuple[str, ...]) -> Bool[AnyArray, "n"]:
-    """Which entries of the solver's vector a stage moves."""
+def moving_unknowns(
+    parameters: FaceParameters, moves: Bool[AnyArray, "3"], free: tuple[str, ...]
+) -> Bool[AnyArray, "n"]:
+    """Which entries of the solver's vector a stage moves; `moves` says it for each of `BLOCKS`."""
     return jnp.concatenate(
         [jnp.broadcast_to(moves[BLOCKS.index(name)], getattr(parameters, name).shape) for name in free]
     )

@@ -17,13 +17,11 @@ from workbench.energies import FACE_IT_TERMS, EnergyConstants, energy, normal_sy
 from workbench.face import FaceParameters, LandmarkModel, pack, unpack
 from workbench.geometry import Camera
 from workbench.solvers import ArrowheadSystem, DenseSystem, minimise
-from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem
+from workbench.tracking.frame_solver import BLOCKS, FrameInput, SolveSettings, moving_unknowns, stage_problem
 
-OWN = ("rotation", "translation", "expression")
-"""What each frame has for itself; it stands before the shared identity in the solver's vector."""
 MOVES = ((True, True, True), (False, False, True))
-"""Which of `OWN` each pass frees, beside the identity: first everything on the inner landmarks, then, with the poses
-held, expression and identity on all landmarks."""
+"""Which of `BLOCKS` each pass frees in every frame, beside the shared identity: first everything on the inner
+landmarks, then, with the poses held, expression and identity on all landmarks."""
 
 
 class CalibrationSettings(NamedTuple):
@@ -76,7 +74,7 @@ def calibrate_identity(
 
 def _solve_pass(cameras, model, settings, a_pass, frames, points, weights):
     moves, limit, landmark_weights = a_pass
-    free = (*OWN, "identity")
+    free = (*BLOCKS, "identity")
     # The prior of the shared identity counts once, not once per frame: it is added to the whole system below.
     factors = {"landmarks": 1.0, "sigma_smooth": settings.expression}
     omega = jnp.stack([jnp.asarray(factors.get(name, 0.0), float) for name in FACE_IT_TERMS])
@@ -88,13 +86,11 @@ def _solve_pass(cameras, model, settings, a_pass, frames, points, weights):
         return stage_problem(camera, model, solve_settings, landmark_weights, omega, frame, parameters)
 
     problems = jax.vmap(problem_of)(cameras, frames, points, weights)
-    packed = jax.vmap(lambda frame: pack(frame, OWN))(frames)
+    packed = jax.vmap(lambda frame: pack(frame, BLOCKS))(frames)
     count, common = len(packed), slice(packed.shape[1], None)
     first = jax.tree.map(lambda stacked: stacked[0], frames)
-    moving = jnp.concatenate(
-        [jnp.broadcast_to(move, getattr(first, name).shape) for move, name in zip(moves, OWN, strict=True)]
-    )
-    moving = jnp.concatenate([jnp.tile(moving, count), jnp.ones(len(first.identity), bool)])
+    moving = jnp.tile(moving_unknowns(first, moves, BLOCKS), count)
+    moving = jnp.concatenate([moving, jnp.ones(len(first.identity), bool)])
 
     def split(x):
         return x[: packed.size].reshape(packed.shape), x[packed.size :]
@@ -146,7 +142,7 @@ def _solve_pass(cameras, model, settings, a_pass, frames, points, weights):
         cost=cost,
     )
     locals_, identity = split(solution.x)
-    moved = jax.vmap(lambda local, frame: unpack(local, frame, OWN))(locals_, frames)
+    moved = jax.vmap(lambda local, frame: unpack(local, frame, BLOCKS))(locals_, frames)
     return moved._replace(identity=jnp.broadcast_to(identity, frames.identity.shape)), solution
 
 
