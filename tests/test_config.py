@@ -58,7 +58,6 @@ def test_a_short_file_takes_the_rest_from_its_preset(tmp_path):
         ('[[stages]]\nname = "a"\nfree = ["rotation"]\nlandmarks = {noose = 1}\n', "did you mean 'nose"),
         ('[[stages]]\nname = "a"\nfree = ["rotation", "rotation"]\n', "twice"),
         ("version = 99\n", "version is 99, this workbench reads 1 to 2"),
-        ('[solver]\nmethod = "optimistix-lm"\n', "knows no bounds: set bounded = false"),
         (
             "[landmarks]\nweights = {noose = 0}\n",
             "landmarks.weights knows no landmark group 'noose'; did you mean 'nose",

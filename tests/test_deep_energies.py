@@ -39,7 +39,7 @@ from workbench.rendering import (
     render,
     shading,
 )
-from workbench.solvers.dogleg import dogleg_step, judge_step
+from workbench.solvers import judge, propose
 from workbench.tracker import FaceTracker
 from workbench.tracking import Track
 from workbench.tracking.deep_fitter import FAR_MM, DeepFitter
@@ -48,7 +48,7 @@ from workbench.tracking.deep_programs import (
     look_derivative,
     points_derivative,
     project_points,
-    quadratic,
+    stage_system,
     term_energies,
 )
 from workbench.tracking.deep_solver import solve_stage
@@ -140,8 +140,8 @@ def test_the_energy_is_the_sum_of_its_terms_as_written_out_here(head, truth):
         assert energy[name] == pytest.approx(value, rel=1e-9), name
 
 
-def test_the_quadratic_model_is_that_of_the_residuals(points, truth):
-    """Value, gradient and curvature from landmarks' derivative: as by differentiating everything at once."""
+def test_the_normal_equations_are_those_of_the_residuals(points, truth):
+    """Cost, Jᵀr and JᵀJ from landmarks' derivative: as by differentiating everything at once."""
     scene = make_deep_scene(points, truth)
     views = jax.tree.map(lambda part: jnp.asarray(part)[None], points.views(scene.observation(), scene.context())[0])
     start = points.start(np.asarray(truth.identity))
@@ -149,22 +149,22 @@ def test_the_quadratic_model_is_that_of_the_residuals(points, truth):
     view = jax.tree.map(lambda part: part[0], views)
     predicted = np.asarray(project_points(points.scene(None), view, start), float)[None]
     derivative = np.asarray(points_derivative(points.scene(None), view, start), float)[None]
-    model = quadratic(views, omega, predicted, derivative, start, context)
+    system = stage_system(views, omega, predicted, derivative, start, context)
     energies = np.asarray(term_energies(views, omega, predicted, start, context))
-    assert float(model.value) == pytest.approx(0.5 * energies.sum())
+    assert float(system.cost) == pytest.approx(energies.sum())
 
     def energy(vector):
         moved = unpack(jnp.asarray(vector), start)
         seen = predicted + np.einsum(
             "n,vnij->vij", (np.asarray(vector) - flat(start)) / typical_sizes(start), derivative
         )
-        return 0.5 * float(np.asarray(term_energies(views, omega, seen, moved, context)).sum())
+        return float(np.asarray(term_energies(views, omega, seen, moved, context)).sum())
 
     # Landmarks linear in the unknowns: the energy is exactly quadratic.
     rng = np.random.default_rng(1)
-    step = rng.normal(size=len(flat(start))) * 0.1
-    value = float(model.value) + step @ np.asarray(model.gradient) + 0.5 * step @ np.asarray(model.hessian) @ step
-    assert energy(jnp.asarray(flat(start) + step * typical_sizes(start))) == pytest.approx(value, rel=1e-6)
+    step = rng.normal(size=len(flat(start))) * 0.1 * typical_sizes(start)
+    value = float(system.cost) + 2.0 * step @ np.asarray(system.gradient) + step @ np.asarray(system.matrix) @ step
+    assert energy(jnp.asarray(flat(start) + step)) == pytest.approx(value, rel=1e-6)
 
 
 # What the network sees.
@@ -388,7 +388,7 @@ def _dumped(stages, **changes):
 
 def test_moving_numbers_compiles_nothing(shared, solved):
     scene, _ = solved
-    programs = (look, project_points, points_derivative, quadratic, term_energies, dogleg_step, judge_step)
+    programs = (look, project_points, points_derivative, stage_system, term_energies, propose, judge)
     config = DEEP.changed(stages=_dumped(DEEP.stages[:1], limit=2))
     fitter = fitter_with(shared, config)
     fitter.fit(scene.observation(), scene.context())

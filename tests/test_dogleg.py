@@ -1,4 +1,4 @@
-"""The dogleg that a caller drives: Optimistix' own, step for step; and Broyden's update."""
+"""The loop over a trust region that a caller drives: Optimistix' own, step for step; and Broyden's update."""
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from workbench.solvers.dogleg import Quadratic, dogleg_step, judge_step
+from workbench.solvers import Status, TrustRegion, init, judge, normal_equations, propose
 from workbench.tracking.deep_solver import broyden
 
 TANH = jnp.asarray(np.random.default_rng(0).normal(size=(30, 6)))
@@ -21,29 +21,44 @@ PROBLEMS = {
 }
 
 
-def quadratic_at(residual, x):
-    values, jacobian = residual(x), jax.jacfwd(residual)(x)
-    return Quadratic(0.5 * values @ values, jacobian.T @ values, jacobian.T @ jacobian)
+SOLVERS = {"dogleg": optx.Dogleg, "damped": optx.LevenbergMarquardt}
 
 
-def path_of(residual, start, steps, free=None):
+def system_at(residual, x):
+    return normal_equations(residual(x), jax.jacfwd(residual)(x))
+
+
+def region(count, descent="dogleg", **sizes):
+    return TrustRegion(jnp.ones(count), descent, **sizes)
+
+
+def bounds(start, free):
+    return (jnp.where(free, bound, jnp.asarray(start)) for bound in (-jnp.inf, jnp.inf))
+
+
+def step_from(method, system, radius=1.0, free=True):
+    """The move that a method proposes at the origin."""
+    origin = jnp.zeros(len(system.gradient))
+    state = init(method, origin, system.cost)._replace(trust=jnp.asarray(radius))
+    return np.asarray(propose(method, system, state, *bounds(origin, free))[1])
+
+
+def path_of(residual, start, steps, free=True, descent="dogleg"):
     """Every place that the loop stands at, by our two calls."""
-    place = jnp.asarray(start)
-    free = np.ones(len(start), bool) if free is None else free
-    radius, path = 1.0, []
+    method, place, path = region(len(start), descent), jnp.asarray(start), []
+    lower, upper = bounds(start, free)
+    state = init(method, place, jnp.sum(residual(place) ** 2))
     for _ in range(steps):
-        model = quadratic_at(residual, place)
-        step = dogleg_step(model, free, radius)
-        tried = residual(place + step)
-        accepted, radius = judge_step(model, free, step, 0.5 * tried @ tried, radius)
-        place = place + step if accepted else place
-        path.append(np.asarray(place))
+        system = system_at(residual, state.x)
+        candidate, move = propose(method, system, state, lower, upper)
+        state = judge(method, system, state, candidate, move, jnp.sum(residual(candidate) ** 2), 0.0)
+        path.append(np.asarray(state.x))
     return np.array(path)
 
 
-def optimistix_path(residual, start, steps):
-    """The same by `optimistix.Dogleg`, driven one step at a time; it tells of an accepted step one call later."""
-    solver = optx.Dogleg(rtol=1e-30, atol=1e-30)
+def optimistix_path(residual, start, steps, descent):
+    """The same by Optimistix' solver, driven one step at a time; it tells of an accepted step one call later."""
+    solver = SOLVERS[descent](rtol=1e-30, atol=1e-30)
     start = jnp.asarray(start)
     wrapped = lambda x, args: (residual(x), None)  # noqa: E731
     shape = jax.eval_shape(lambda: wrapped(start, None))[0]
@@ -56,10 +71,11 @@ def optimistix_path(residual, start, steps):
     return np.array(path)
 
 
+@pytest.mark.parametrize("descent", SOLVERS)
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_the_path_is_that_of_optimistix(name):
+def test_the_path_is_that_of_optimistix(name, descent):
     residual, start = PROBLEMS[name]
-    ours, theirs = path_of(residual, start, 8), optimistix_path(residual, start, 8)
+    ours, theirs = path_of(residual, start, 8, descent=descent), optimistix_path(residual, start, 8, descent)
     # Optimistix' first call only evaluates the start.
     np.testing.assert_allclose(ours, theirs[1:], atol=1e-5)
 
@@ -75,11 +91,11 @@ def test_it_ends_in_scipys_minimum(name):
 def test_what_is_not_free_stays_and_the_rest_solves_the_smaller_problem():
     residual, start = PROBLEMS["far tanh"]
     free = np.array([True, False, True, True, False, True])
-    model = quadratic_at(residual, jnp.asarray(start))
-    step = np.asarray(dogleg_step(model, free, 1.0))
+    system = system_at(residual, jnp.asarray(start))
+    step = step_from(region(6), system, free=free)
     assert (step[~free] == 0.0).all()
     part = np.ix_(free, free)
-    alone = np.linalg.solve(np.asarray(model.hessian)[part], -np.asarray(model.gradient)[free])
+    alone = np.linalg.solve(np.asarray(system.matrix)[part], -np.asarray(system.gradient)[free])
     np.testing.assert_allclose(step[free], alone, rtol=1e-6)
     smaller = lambda y: residual(jnp.asarray(start).at[np.flatnonzero(free)].set(y))  # noqa: E731
     whole, reduced = path_of(residual, start, 5, free), path_of(smaller, start[free], 5)
@@ -92,38 +108,58 @@ def test_what_is_not_free_stays_and_the_rest_solves_the_smaller_problem():
 def test_a_step_is_as_long_as_its_radius_and_goes_downhill(radius, seed):
     rng = np.random.default_rng(seed)
     jacobian, values = rng.normal(size=(10, 4)), rng.normal(size=10)
-    model = Quadratic(0.5 * values @ values, jacobian.T @ values, jacobian.T @ jacobian)
-    free = np.ones(4, bool)
-    whole, step = (np.asarray(dogleg_step(model, free, share)) for share in (1.0, radius))
+    system = normal_equations(jnp.asarray(values), jnp.asarray(jacobian))
+    whole, step = (step_from(region(4), system, share) for share in (1.0, radius))
     np.testing.assert_allclose(whole, np.linalg.lstsq(jacobian, -values, rcond=None)[0], rtol=1e-5, atol=1e-8)
     assert np.linalg.norm(step) == pytest.approx(radius * np.linalg.norm(whole), rel=1e-5)
-    assert step @ np.asarray(model.gradient) < 0.0
+    assert step @ np.asarray(system.gradient) < 0.0
 
 
 def test_a_tiny_step_is_steepest_descent():
     residual, start = PROBLEMS["rosenbrock"]
-    model = quadratic_at(residual, jnp.asarray(start))
-    step, slope = np.asarray(dogleg_step(model, np.ones(2, bool), 1e-3)), np.asarray(model.gradient)
+    system = system_at(residual, jnp.asarray(start))
+    step, slope = step_from(region(2), system, 1e-3), np.asarray(system.gradient)
     assert step @ slope == pytest.approx(-np.linalg.norm(step) * np.linalg.norm(slope))
 
 
 def test_unknowns_without_any_effect_stay_where_they_are():
-    jacobian, values = np.zeros((5, 3)), np.ones(5)
-    jacobian[:, 0] = 1.0
-    model = Quadratic(0.5 * values @ values, jacobian.T @ values, jacobian.T @ jacobian)
-    np.testing.assert_allclose(dogleg_step(model, np.ones(3, bool), 1.0), [-1.0, 0.0, 0.0], atol=1e-6)
+    jacobian, values = jnp.zeros((5, 3)).at[:, 0].set(1.0), jnp.ones(5)
+    np.testing.assert_allclose(step_from(region(3), normal_equations(values, jacobian)), [-1.0, 0.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [0.1, 7.0])
+def test_the_scale_is_the_unit_of_the_radius_and_not_of_the_answer(scale):
+    residual, start = PROBLEMS["far tanh"]
+    sizes = jnp.asarray([scale, 1.0, 1.0, scale, 1.0, 1.0])
+    system, rescaled = (
+        system_at(function, place)
+        for function, place in (
+            (residual, jnp.asarray(start)),
+            (lambda y: residual(y * sizes), jnp.asarray(start) / sizes),
+        )
+    )
+    for radius in (0.3, 1.0):
+        ours, theirs = step_from(TrustRegion(sizes), system, radius), step_from(region(6), rescaled, radius)
+        np.testing.assert_allclose(ours, theirs * np.asarray(sizes), rtol=1e-6)
 
 
 def test_a_step_that_leads_uphill_is_refused_and_the_next_one_shorter():
     residual, start = PROBLEMS["rosenbrock"]
-    model, free = quadratic_at(residual, jnp.asarray(start)), np.ones(2, bool)
-    step = dogleg_step(model, free, 1.0)
-    accepted, radius = judge_step(model, free, step, 2.0 * float(model.value), 1.0)
-    assert not accepted
-    assert float(radius) < 1.0
-    accepted, radius = judge_step(model, free, step, 0.0, 1.0)
-    assert accepted
-    assert float(radius) >= 1.0
+    method, place = region(2, smallest=0.3), jnp.asarray(start)
+    system = system_at(residual, place)
+    state = init(method, place, system.cost)
+    candidate, move = propose(method, system, state, *bounds(start, True))
+    refused = judge(method, system, state, candidate, move, 2.0 * system.cost)
+    assert not refused.accepted
+    np.testing.assert_array_equal(refused.x, start)
+    assert float(refused.trust) < 1.0
+    # Shorter than the smallest radius.
+    assert int(refused.status) == Status.STALLED
+    taken = judge(method, system, state, candidate, move, 0.0)
+    assert taken.accepted
+    assert float(taken.trust) >= 1.0
+    capped = judge(region(2, largest=1.0), system, state, candidate, move, 0.0)
+    assert float(capped.trust) == 1.0
 
 
 numbers = st.integers(0, 10_000).map(lambda seed: np.random.default_rng(seed))

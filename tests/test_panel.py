@@ -140,14 +140,6 @@ def test_every_knob_shows_and_sets_its_number_in_every_preset(path):
     assert len(knob.tip) > 10
 
 
-def test_a_solver_that_knows_no_bounds_switches_them_off_and_back():
-    config = preset("calibrated")
-    dogleg = config.changed(**changed_by(config, "solver.method", "optimistix-dogleg"))
-    assert not dogleg.solver.bounded
-    bounded = dogleg.changed(**changed_by(dogleg, "solver.bounded", True))
-    assert bounded.solver.method == "lm"
-
-
 def test_the_effective_weight_is_the_product_down_its_branch():
     config = preset("calibrated").changed(weights={"prior": 3.0, "tau": 0.5, "sparse": 2.0, "fit": 0.25})
     effective = effective_weights(config)

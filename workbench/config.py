@@ -95,19 +95,13 @@ class SolverConfig(_Section):
     """How each stage is solved."""
 
     method: Literal["lm", "optimistix-lm", "optimistix-dogleg"] = Field(
-        "lm", description="lm: ours, which knows bounds; Optimistix' two need bounded = false."
+        "lm", description="lm: ours, which keeps bounds by an active set; Optimistix' two cut a step off at them."
     )
     bounded: bool = Field(True, description="Keep every weight in [0, 1] (off: only the terms hold them).")
     tolerance: NonNegative = Field(1e-6, description="Stop when a step lowers the energy by less than this part.")
     unit: Literal["px", "percent"] = Field(
         "percent", description="Unit of landmark residuals: pixels, or percent of the outer-eye distance."
     )
-
-    @model_validator(mode="after")
-    def _bounds_need_our_solver(self):
-        if self.bounded and self.method != "lm":
-            raise ValueError(f"the method {self.method!r} knows no bounds: set bounded = false, or method = 'lm'")
-        return self
 
 
 class ContourConfig(_Section):

@@ -29,7 +29,7 @@ from .terms import stage_factors as stage_factors
 from .terms import terms_of as terms_of
 from .total import FACE_IT_TERMS as FACE_IT_TERMS
 from .total import EnergyProblem as EnergyProblem
-from .total import changed_by as changed_by
+from .total import depends_on as depends_on
 from .total import energy as energy
 from .total import energy_by_term as energy_by_term
 from .total import normal_system as normal_system

@@ -69,7 +69,7 @@ def residuals(
     terms: tuple[str, ...] = FACE_IT_TERMS,
 ) -> dict[str, Float[Array, "_"]]:
     """Weighed residuals of every term that `free` parameters can change, for points on the mesh."""
-    chosen = [k for k, name in enumerate(terms) if changed_by(TABLE[name], free)]
+    chosen = [k for k, name in enumerate(terms) if depends_on(TABLE[name], free)]
     errors = landmark_errors(problem.camera, problem.points, parameters, problem.observation)
     omega = jnp.asarray(problem.omega)[np.array(chosen)]
     return weighed_residuals(tuple(terms[k] for k in chosen), omega, errors, parameters, problem.context)
@@ -121,7 +121,7 @@ def normal_system(
     diagonal, others = jnp.zeros(len(gradient)), 0.0
     for name in terms:
         term, root = TABLE[name], jnp.sqrt(omega[name])
-        if name == "landmarks" or not changed_by(term, free):
+        if name == "landmarks" or not depends_on(term, free):
             continue
         if term.of == "parameters" and term.structure != "dense":
             values, slopes, forces = _on_unknowns(term, problem.context, parameters, free)
@@ -139,8 +139,8 @@ def normal_system(
     return DenseSystem(cost + others, gradient, matrix + jnp.diag(diagonal))
 
 
-def changed_by(term: Term, free: tuple[str, ...]) -> bool:
-    """Whether free parameters can change a term."""
+def depends_on(term: Term, free: tuple[str, ...]) -> bool:
+    """Whether a term changes with the free parameters."""
     return term.of == "landmarks" or bool(set(term.unknowns) & set(free))
 
 

@@ -48,9 +48,9 @@ SOLVE = (
     Knob("rho", "ρ", "iterations of the stages that free the pose alone (Eq. 8; the paper: 15)", "whole", 0, 100),
     Knob("epsilon", "ε", "iterations of the stages that free weights (Eq. 10; the paper: 15)", "whole", 0, 100),
     Knob("solver.tolerance", "tolerance", "stop when a step lowers E by less than this part", "log", 1e-14, 1e-1),
-    Knob("solver.method", "solver", "lm: ours, with bounds; Optimistix' LM and dogleg know no bounds", "choice",
+    Knob("solver.method", "solver", "lm: ours, which solves along bounds; Optimistix' two stop at them", "choice",
          choices=("lm", "optimistix-lm", "optimistix-dogleg")),
-    Knob("solver.bounded", "0 ≤ w ≤ 1", "keep every weight in [0, 1] by an active set in each step", "switch"),
+    Knob("solver.bounded", "0 ≤ w ≤ 1", "keep every weight in [0, 1]", "switch"),
     Knob("solver.unit", "unit", "landmark residuals in pixels, or in % of the outer-eye distance", "choice",
          choices=("px", "percent")),
     Knob("contour.mode", "jaw contour", "sliding: the 17 jaw points follow the silhouette with the yaw", "choice",
@@ -165,10 +165,6 @@ def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
         singles = {name: factor for name, factor in weights.items() if name.isdigit()}
         return {"landmarks": {"weights": groups | ({} if value == 1.0 else {key: float(value)}) | singles}}
     changes: dict[str, Any] = {section: {key: value}}
-    if path == "solver.method" and value != "lm":
-        changes["solver"]["bounded"] = False
-    if path == "solver.bounded" and value:
-        changes["solver"]["method"] = "lm"
     if path == "camera.fov_deg":
         changes["camera"]["matrix"] = None
     return changes

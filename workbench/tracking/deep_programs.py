@@ -1,4 +1,4 @@
-"""The compiled parts of a Deep Energies solve: what the network sees, how that changes, and the quadratic model of it.
+"""The compiled parts of a Deep Energies solve: what the network sees, how that changes, their normal equations.
 
 Few programs for everything: which parameters a stage frees, weights, camera, light and detections are data. A change
 of the network's architecture, of the model's size or of the number of views compiles anew.
@@ -24,7 +24,7 @@ from workbench.energies.deep import (
 )
 from workbench.face import FaceParameters, pack, typical_sizes, unpack
 from workbench.networks import Fan, LandmarkNetwork
-from workbench.solvers.dogleg import Quadratic
+from workbench.solvers import DenseSystem, normal_equations
 
 CHUNK = 8
 """Tangents pushed through renderer and network at a time: more fill the processor's cache, fewer waste forwards."""
@@ -88,7 +88,7 @@ def points_derivative(scene: DeepScene, view: DeepView, parameters: FaceParamete
 
 
 @partial(jax.jit, static_argnames="terms")
-def quadratic(
+def stage_system(
     views: DeepView,
     omega: Float[AnyArray, "t"],
     predicted: Float[AnyArray, "views 68 2"],
@@ -96,8 +96,8 @@ def quadratic(
     parameters: FaceParameters,
     context: TermContext,
     terms: tuple[str, ...] = DEEP_TERMS,
-) -> Quadratic:
-    """½Σr² with gradient and Gauss–Newton curvature in scaled unknowns, from predictions and their derivative."""
+) -> DenseSystem:
+    """Normal equations of a stage, from predictions and their derivative by the scaled unknowns."""
     vector = pack(parameters)
     sizes = jnp.asarray(typical_sizes(parameters))
 
@@ -111,9 +111,8 @@ def quadratic(
     def push(tangent, column):
         return jax.jvp(residual, (predicted, vector), (tangent, column))
 
-    values, jacobian = jax.vmap(push)(by_column, jnp.diag(sizes))
-    value = values[0]
-    return Quadratic(0.5 * value @ value, jacobian @ value, jacobian @ jacobian.T)
+    values, by_scaled = jax.vmap(push)(by_column, jnp.diag(sizes))
+    return normal_equations(values[0], (by_scaled / sizes[:, None]).T)
 
 
 @partial(jax.jit, static_argnames="terms")

@@ -21,8 +21,7 @@ from workbench.energies.context import TermContext
 from workbench.energies.deep import DeepView, NetworkView
 from workbench.face import FaceParameters, pack, typical_sizes, unpack
 from workbench.runtime import COMPUTING
-from workbench.solvers import Status
-from workbench.solvers.dogleg import Quadratic, dogleg_step, judge_step
+from workbench.solvers import Status, TrustRegion, init, judge, propose
 from workbench.tracking.deep_programs import (
     CHUNK,
     DeepScene,
@@ -30,7 +29,7 @@ from workbench.tracking.deep_programs import (
     look_derivative,
     points_derivative,
     project_points,
-    quadratic,
+    stage_system,
     term_energies,
 )
 
@@ -136,43 +135,40 @@ def solve_stage(
 ) -> StageResult:
     """Up to `limit` dogleg steps from `start`; each evaluates the network once in every view, plus its derivative."""
     vector, sizes = np.asarray(pack(start)), typical_sizes(start)
-    views, state = problem.stacked, _State(problem, start)
-    parameters, prediction, radius = start, predict(problem.scene, problem.views, start), 1.0
-    energies = state.energies(views, prediction, parameters)
+    views, stage = problem.stacked, _Stage(problem, start)
+    parameters, prediction = start, predict(problem.scene, problem.views, start)
+    energies = stage.energies(views, prediction, parameters)
     path = [Iteration(parameters, energies, prediction.points)]
-    derivative, status, count = None, Status.ITERATION_LIMIT, 0
-    while count < problem.limit and not cancelled():
+    method = TrustRegion(sizes, smallest=SMALLEST_RADIUS, largest=1.0)
+    lower, upper = (np.where(problem.free, bound, vector) for bound in (problem.lower, problem.upper))
+    state, derivative, count = init(method, vector, energies.sum()), None, 0
+    while int(state.status) == Status.RUNNING and count < problem.limit and not cancelled():
         if derivative is None:
-            derivative = state.derivative(parameters, prediction)
-        model = quadratic(views, problem.omega, prediction.points, derivative, parameters, state.context, problem.terms)
-        movable = _movable(problem, vector, model)
-        step = np.asarray(dogleg_step(model, movable, radius))
-        candidate = np.clip(vector + step * sizes, problem.lower, problem.upper)
-        step = (candidate - vector) / sizes
-        tried_parameters = unpack(jnp.asarray(candidate), start)
+            derivative = stage.derivative(parameters, prediction)
+        system = stage_system(
+            views, problem.omega, prediction.points, derivative, parameters, stage.context, problem.terms
+        )
+        candidate, move = propose(method, system, state, lower, upper)
+        tried_parameters = unpack(candidate, start)
         tried = predict(problem.scene, problem.views, tried_parameters)
-        tried_energies = state.energies(views, tried, tried_parameters)
-        accepted, radius = judge_step(model, movable, step, 0.5 * tried_energies.sum(), radius)
+        tried_energies = stage.energies(views, tried, tried_parameters)
+        state = judge(method, system, state, candidate, move, tried_energies.sum(), problem.tolerance)
         count += 1
         if not np.isfinite(tried_energies).all():
-            status = Status.NOT_FINITE
+            state = state._replace(status=Status.NOT_FINITE)
             break
         if problem.derivative == "broyden":
-            derivative = broyden(derivative, step, tried.points - prediction.points)
-        if accepted:
-            small = energies.sum() - tried_energies.sum() <= problem.tolerance * energies.sum()
-            vector, parameters, prediction, energies = candidate, tried_parameters, tried, tried_energies
+            derivative = broyden(derivative, np.asarray(move) / sizes, tried.points - prediction.points)
+        if state.accepted:
+            parameters, prediction, energies = tried_parameters, tried, tried_energies
             path.append(Iteration(parameters, energies, prediction.points))
             if problem.derivative != "broyden":
                 derivative = None
-            if small:
-                status = Status.CONVERGED
-                break
-        elif float(radius) < SMALLEST_RADIUS or not np.any(step):
-            status = Status.CONVERGED
-            break
-        radius = float(min(radius, 1.0)) if accepted else float(radius)
-    return StageResult(parameters, prediction, energies, status, count, state.evaluations + count + 1, tuple(path))
+    # Below the smallest radius the network's answer is not smooth: there is nothing left to gain.
+    ends = {Status.RUNNING: Status.ITERATION_LIMIT, Status.STALLED: Status.CONVERGED}
+    status = Status(int(state.status))
+    evaluations = stage.evaluations + count + 1
+    return StageResult(parameters, prediction, energies, ends.get(status, status), count, evaluations, tuple(path))
 
 
 def broyden(
@@ -186,7 +182,7 @@ def broyden(
     return derivative + step[None, :, None, None] * missing[:, None] / length
 
 
-class _State:
+class _Stage:
     """Counts evaluations and makes derivatives for one stage."""
 
     def __init__(self, problem: StageProblem, start: FaceParameters):
@@ -239,10 +235,3 @@ class _State:
             rows.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))
         self.evaluations += 2 * len(columns)
         return np.stack(rows)
-
-
-def _movable(problem: StageProblem, vector, model: Quadratic) -> Bool[np.ndarray, "n"]:
-    """Free unknowns but those on a bound that the energy pushes against."""
-    slope = np.asarray(model.gradient)
-    pushed = ((vector <= problem.lower) & (slope > 0.0)) | ((vector >= problem.upper) & (slope < 0.0))
-    return problem.free & ~pushed

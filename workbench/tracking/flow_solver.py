@@ -21,7 +21,7 @@ from workbench.energies.flow import (
 )
 from workbench.face import FaceParameters, pack, unpack
 from workbench.flow import SurfacePoints
-from workbench.solvers.levenberg_marquardt import minimise, normal_equations
+from workbench.solvers import LevenbergMarquardt, minimise, normal_equations
 
 MOVING = ("rotation", "translation", "expression", "jaw")
 """What flow moves; identity and scale stay."""
@@ -77,6 +77,7 @@ def solve_flow(
             return normal_equations(residual(vector), jax.jacfwd(residual)(vector))
 
         found = minimise(
+            LevenbergMarquardt(),
             evaluate,
             vector,
             limits.lower,

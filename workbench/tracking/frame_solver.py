@@ -21,12 +21,11 @@ from workbench.energies import (
     EnergyProblem,
     Observation,
     TermContext,
-    changed_by,
+    depends_on,
     energy,
     energy_by_term,
     normal_system,
     project_landmarks,
-    residuals,
 )
 from workbench.energies.systems import SYSTEMS
 from workbench.face import (
@@ -39,7 +38,7 @@ from workbench.face import (
     unpack,
 )
 from workbench.geometry import Camera, head_yaw
-from workbench.solvers import Solution, minimise, minimise_with_optimistix
+from workbench.solvers import LevenbergMarquardt, Solution, TrustRegion, minimise
 
 BLOCKS = SYSTEMS["face-it"].blocks
 """What a stage may move, in the order of the solver's vector."""
@@ -49,6 +48,7 @@ vector. What a stage does not move is masked, so that no schedule compiles anew.
 STAGE_SLOTS = 8
 """Schedules are padded to a multiple of this many stages."""
 Method = Literal["lm", "optimistix-lm", "optimistix-dogleg"]
+DESCENTS = {"optimistix-lm": "damped", "optimistix-dogleg": "dogleg"}
 
 
 class StageProgram(NamedTuple):
@@ -132,7 +132,7 @@ def solve_frame(
         return run
 
     pose_only, everything = (branch(free) for free in BRANCHES)
-    of_pose = np.array([changed_by(TABLE[name], BRANCHES[0]) for name in terms])
+    of_pose = np.array([depends_on(TABLE[name], BRANCHES[0]) for name in terms])
 
     def body(carry):
         k, parameters, _, rows = carry
@@ -234,33 +234,16 @@ def _solve_stage(problem, parameters, settings, limit, free, moving, terms, meth
     def cost(x):
         return energy(problem, unpack(x, parameters, free), free, terms)
 
-    recorded = (record if trace_length else None, trace_length)
     held = ~moving
-    if "expression" in free:
-        held = held.at[-len(parameters.expression) :].set(held[-1] | _held(settings))
-    if method != "lm":
-        kind = method.removeprefix("optimistix-")
-        return minimise_with_optimistix(
-            _residual_holding(problem, parameters, free, terms, start, held),
-            start, typical_sizes(parameters, free), limit, settings.tolerance, kind, *recorded,
-        )  # fmt: skip
     upper = jnp.full(start.shape, jnp.inf)
     lower = -upper
     if "expression" in free:
         at = slice(len(start) - len(parameters.expression), None)
         lower, upper = lower.at[at].set(settings.lower), upper.at[at].set(settings.upper)
+    recorded = (record if trace_length else None, trace_length)
     return minimise(
+        LevenbergMarquardt() if method == "lm" else TrustRegion(typical_sizes(parameters, free), DESCENTS[method]),
         lambda x: normal_system(problem, unpack(x, parameters, free), free, terms).restricted(moving),
-        start, lower, upper, limit, settings.tolerance, *recorded, cost,
+        start, jnp.where(held, start, lower), jnp.where(held, start, upper),
+        limit, settings.tolerance, *recorded, cost,
     )  # fmt: skip
-
-
-def _residual_holding(problem: EnergyProblem, parameters: FaceParameters, free, terms, start, held):
-    """All residuals for solvers without bounds and masks: unknowns that are held change none of them but their own."""
-
-    def residual(x):
-        moved = jnp.where(held, x - start, 0.0)
-        found = residuals(problem, unpack(x - moved, parameters, free), free, terms)
-        return jnp.concatenate([*found.values(), moved])
-
-    return residual

@@ -16,7 +16,7 @@ from workbench.arrays import AnyArray, Count, Scalar
 from workbench.energies import FACE_IT_TERMS, EnergyConstants, energy, normal_system
 from workbench.face import FaceParameters, LandmarkModel, pack, unpack
 from workbench.geometry import Camera
-from workbench.solvers import ArrowheadSystem, DenseSystem, minimise
+from workbench.solvers import ArrowheadSystem, DenseSystem, LevenbergMarquardt, minimise
 from workbench.tracking.frame_solver import BLOCKS, FrameInput, SolveSettings, moving_unknowns, stage_problem
 
 MOVES = ((True, True, True), (False, False, True))
@@ -133,6 +133,7 @@ def _solve_pass(cameras, model, settings, a_pass, frames, points, weights):
 
     lower, upper = _bounds(frames, model)
     solution = minimise(
+        LevenbergMarquardt(),
         evaluate,
         jnp.concatenate([packed.ravel(), frames.identity[0]]),
         lower,
