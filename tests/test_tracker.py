@@ -262,15 +262,19 @@ def test_the_status_tells_a_limit_from_convergence(head):
 
 
 @pytest.mark.parametrize("method", ["optimistix-lm", "optimistix-dogleg"])
-def test_the_papers_solvers_find_the_same_fit(head, method):
-    """Two routes to one answer: no bounds, no term that only one of them could treat well."""
+@pytest.mark.parametrize("bounded", [False, True])
+def test_every_method_finds_the_same_fit(head, method, bounded):
+    """Two routes to one answer: no term that only one of them could treat well."""
     scene = make_scene(head, (15, 5, 0), {"jawOpen": 0.4, "mouthSmileLeft": 0.5})
-    free = EXACT.changed(solver={"bounded": False}, weights={"range": 1.0, "sigma_smooth": 5.0})
+    free = EXACT.changed(solver={"bounded": bounded}, weights={"range": 1.0, "sigma_smooth": 5.0})
     ours = FaceTracker(head, free).push(scene.observation(0, 0.3))[0]
     other = FaceTracker(head, free.changed(solver={"method": method})).push(scene.observation(0, 0.3))[0]
     assert other.energies[-1].sum() == pytest.approx(ours.energies[-1].sum(), rel=1e-4)
     np.testing.assert_allclose(other.angles_deg, ours.angles_deg, atol=0.02)
     np.testing.assert_allclose(other.projected, ours.projected, atol=0.05)
+    if bounded:
+        assert other.expression.min() >= 0.0
+        assert other.expression.max() <= 1.0
 
 
 def test_a_muted_point_takes_no_part_in_any_stage_nor_in_the_identity(head):
