@@ -16,6 +16,9 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).resolve().
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 os.environ.setdefault("MPLBACKEND", "agg")
+# Before NumPy and JAX make a thread a core: with two processes their threads wait for one another most of the time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+selection.keep_to_its_cores(browser=False)
 # PyTorch's builds for CUDA load triton, whose LLVM crashes in a process that has drawn with a software GL's.
 sys.modules.setdefault("triton", None)
 
@@ -49,6 +52,11 @@ def pytest_itemcollected(item):
 
 def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: selection.turn(item.path))
+
+
+def pytest_runtest_setup(item):
+    # Chromium, server and kernel of a browser test are processes of their own.
+    selection.keep_to_its_cores(browser=item.get_closest_marker("browser") is not None)
 
 
 @pytest.hookimpl(wrapper=True)

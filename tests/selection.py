@@ -4,6 +4,7 @@
 kernels of their own and are handed out one by one. A long file begun last would leave all processes but one idle.
 """
 
+import os
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -86,6 +87,24 @@ def unit(nodeid: str) -> str:
     """What one process runs without a break: a notebook, or else all tests of a file."""
     file = nodeid.split("::")[0]
     return nodeid if Path(file).name == NOTEBOOKS else file
+
+
+CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+
+
+def share(cores: list[int], process: int, processes: int) -> list[int]:
+    """The cores of one of several processes; with fewer cores than processes, some share one."""
+    if processes >= len(cores):
+        return cores[process % len(cores) :][:1]
+    return cores[process * len(cores) // processes : (process + 1) * len(cores) // processes]
+
+
+def keep_to_its_cores(browser: bool) -> None:
+    """Let a process of several compute on its share of the cores, or on all of them where it starts a browser."""
+    name = os.environ.get("PYTEST_XDIST_WORKER")
+    if name and CORES:
+        mine = share(CORES, int(name.removeprefix("gw")), int(os.environ["PYTEST_XDIST_WORKER_COUNT"]))
+        os.sched_setaffinity(0, CORES if browser else mine)
 
 
 def in_order(config, log):

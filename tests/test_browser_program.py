@@ -221,3 +221,57 @@ class TestOverlay:
         }})({view})"""
         found = asked_of_node(self.PLACES, "makeView, zoomedAt", ask)
         assert found == [[50, 100], [50, 100], 3, 60, 0.5]
+
+
+@needs_node
+class TestLivePanel:
+    SILENCE, LEAVING = BROWSER / "live" / "silence.js", BROWSER / "live" / "leaving.js"
+    CLOCK = """
+        let now = 0, timers = [];
+        globalThis.setTimeout = (run, ms) => (timers.push({ run, at: now + ms }), timers.at(-1));
+        globalThis.clearTimeout = (timer) => (timers = timers.filter((other) => other !== timer));
+        const until = (then) => {
+            for (let next; (next = timers.filter(({ at }) => at <= then).sort((a, b) => a.at - b.at)[0]); ) {
+                now = next.at;
+                clearTimeout(next);
+                next.run();
+            }
+            now = then;
+        };
+        const told = [], leaving = makeLeaving(() => told.push(["gone", now]), () => told.push(["left", now]));
+    """
+    """A clock of the test's own, and whom a display that has gone is told to."""
+
+    def told(self, happened: str) -> object:
+        return asked_of_node(self.LEAVING, "makeLeaving", f"(() => {{ {self.CLOCK} {happened}; return told; }})()")
+
+    def test_silence_counts_from_the_first_frame_without_an_answer(self):
+        ask = """(() => {
+            const silence = makeSilence(), seen = [];
+            const look = (now) => seen.push([silence.isSlow(now), silence.isOver(now)]);
+            silence.onFrame(0), silence.onAnswer(), look(90000); // a long pause: nothing is owed
+            silence.onFrame(100000), look(102000), silence.onFrame(102500), look(103500), look(161000);
+            silence.onAnswer(), look(161000);
+            return seen;
+        })()"""
+        quiet, slow, over = [False, False], [True, False], [True, True]
+        assert asked_of_node(self.SILENCE, "makeSilence", ask) == [quiet, quiet, slow, over, quiet]
+
+    def test_a_display_that_has_gone_closes_the_camera_and_only_later_ends_the_run(self):
+        assert self.told("leaving.start(), until(20000)") == [["gone", 1500], ["left", 8000]]
+
+    @pytest.mark.parametrize(("back_ms", "told"), [(1000, []), (5000, [["gone", 1500]])])
+    def test_a_display_that_comes_back_does_not_end_the_run(self, back_ms, told):
+        assert self.told(f"leaving.start(), until({back_ms}), leaving.stop(), until(20000)") == told
+
+    def test_a_second_display_that_goes_starts_the_wait_again(self):
+        happened = "leaving.start(), until(1000), leaving.stop(), until(1200), leaving.start(), until(20000)"
+        assert self.told(happened) == [["gone", 2700], ["left", 9200]]
+
+    def test_it_is_under_way_until_somebody_is_back_or_all_is_over(self):
+        happened = """for (const [then, act] of [[0, "start"], [1600], [2000, "stop"], [2100, "start"], [20000]]) {
+            until(then);
+            if (act) leaving[act]();
+            told.push(leaving.isUnderWay());
+        }"""
+        assert [word for word in self.told(happened) if isinstance(word, bool)] == [True, True, False, True, False]

@@ -67,6 +67,17 @@ def test_slow_files_come_first_then_browsers():
     assert [path.name for path in paths] == names[::-1]
 
 
+@pytest.mark.parametrize(("cores", "processes"), [(2, 2), (8, 3), (5, 2), (3, 3)])
+def test_processes_share_the_cores_between_them(cores, processes):
+    shares = [selection.share(list(range(cores)), k, processes) for k in range(processes)]
+    assert sorted(core for share in shares for core in share) == list(range(cores))
+    assert min(map(len, shares)) >= cores // processes
+
+
+def test_with_fewer_cores_than_processes_each_has_one():
+    assert [selection.share([4, 6], k, 3) for k in range(3)] == [[4], [6], [4]]
+
+
 def test_a_test_that_hangs_ends_with_the_stack_of_every_thread_in_one_process_or_several(tmp_path):
     pytest.importorskip("xdist")
     (tmp_path / "test_hang.py").write_text("import time\ndef test_hangs():\n    time.sleep(60)\n")

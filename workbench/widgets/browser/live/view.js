@@ -7,12 +7,11 @@ import { makeCamera } from "./camera.js";
 import { makeDisplay } from "./display.js";
 import { readFit } from "./fit.js";
 import { makeHead } from "./head.js";
+import { makeLeaving } from "./leaving.js";
+import { makeSilence } from "./silence.js";
 
 const KEPT = 6; // frames that wait for their fit
-const SLOW_MS = 3000, SILENT_MS = 60000; // without an answer from the kernel
 const LOOK_MS = 500, BEAT_MS = 10000; // between looking for its silence, and between signs of life to it
-const GONE_MS = 1500; // a display that is moved within a notebook vanishes for a moment: then the camera closes
-const LEFT_MS = 8000; // and then nobody is expected to come back
 const LOG = 2000; // frames whose times are kept for whoever measures
 
 // The state of a widget in a page; `tell` sends a message to Python, which knows the page by its name.
@@ -22,7 +21,7 @@ function makeLive() {
     waiting: new Map(), // frames by number, until their fit comes
     log: [], // {number, grabbed, drawn} of the newest frames
     current: null, shown: null, // the fit that is drawn, and what the next message says of it
-    sentAt: 0, askedAt: 0, heardAt: 0, slow: false, leaving: 0, // askedAt: the first frame without an answer
+    silence: makeSilence(),
   };
   live.tell = (content, buffers = []) => {
     try {
@@ -36,6 +35,7 @@ function makeLive() {
     (grab, bytes) => sendFrame(live, grab, bytes),
     (why, detail = "") => live.tell({ kind: "trouble", why, detail }),
   );
+  live.leaving = makeLeaving(() => live.camera.close(), () => live.tell({ kind: "left" }));
   Object.assign(live, makeDrawing(live));
   return live;
 }
@@ -44,9 +44,7 @@ function sendFrame(live, grab, bytes) {
   const { waiting } = live;
   waiting.set(grab.number, grab);
   while (waiting.size > KEPT) waiting.delete(waiting.keys().next().value);
-  const now = performance.now();
-  if (live.sentAt <= live.heardAt) live.askedAt = now;
-  live.sentAt = now;
+  live.silence.onFrame(performance.now());
   live.tell({ kind: "frame", number: grab.number, time: grab.grabbed, shown: live.shown }, [bytes]);
   live.shown = null;
 }
@@ -96,10 +94,9 @@ function makeDrawing(live) {
 
 async function onMessage(live, content, buffers) {
   const { camera, tell } = live, { kind } = content, arrived = performance.now();
-  live.heardAt = arrived;
+  live.silence.onAnswer();
   if (kind === "call" && live.displays.size) tell({ kind: "here" });
   if (kind === "open" && content.page === live.page) {
-    live.heardAt = live.sentAt = performance.now();
     live.waiting.clear();
     camera.open(content.size);
   }
@@ -113,9 +110,7 @@ async function onMessage(live, content, buffers) {
 // Notices that the kernel is silent, and after long closes the camera.
 function onLook(live) {
   if (!live.camera.isOpen()) return;
-  const silent = live.sentAt > live.heardAt ? performance.now() - live.askedAt : 0;
-  live.slow = silent > SLOW_MS;
-  if (silent > SILENT_MS) live.camera.close(), live.tell({ kind: "trouble", why: "silent" });
+  if (live.silence.isOver(performance.now())) live.camera.close(), live.tell({ kind: "trouble", why: "silent" });
   live.write(live.current);
 }
 
@@ -134,7 +129,7 @@ function initialize(live, model) {
   }
   function onGone() {
     camera.close();
-    if (live.displays.size || live.leaving) tell({ kind: "left" });
+    if (live.displays.size || live.leaving.isUnderWay()) tell({ kind: "left" });
   }
 
   onPerson();
@@ -152,31 +147,23 @@ function initialize(live, model) {
     camera.close();
     clearInterval(looks);
     clearInterval(beats);
-    clearTimeout(live.leaving);
+    live.leaving.stop();
     stops.forEach((stop) => stop());
   };
 }
 
 function render(live, model, el) {
   const { camera, displays, log, page } = live;
-  const display = makeDisplay(model, el, live.mesh, live.head, () => live.slow, live.draw);
+  const display = makeDisplay(model, el, live.mesh, live.head, () => live.silence.isSlow(performance.now()), live.draw);
   display.root.live = { log, page, camera: camera.isOpen, unplug: camera.unplug }; // for whoever measures and tests
   displays.add(display);
-  clearTimeout(live.leaving);
-  live.leaving = 0;
+  live.leaving.stop();
   live.tell({ kind: "here" });
   live.draw();
   return () => {
     displays.delete(display);
     display.close();
-    if (displays.size) return;
-    live.leaving = setTimeout(() => {
-      camera.close();
-      live.leaving = setTimeout(() => {
-        live.leaving = 0;
-        live.tell({ kind: "left" });
-      }, LEFT_MS - GONE_MS);
-    }, GONE_MS);
+    if (!displays.size) live.leaving.start();
   };
 }
 

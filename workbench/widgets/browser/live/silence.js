@@ -1,0 +1,13 @@
+const SLOW_MS = 3000, SILENT_MS = 60000; // without an answer from the kernel
+
+// How long the kernel owes an answer: from the first frame without one, however long nothing was asked before it.
+export function makeSilence() {
+  let owed = null;
+  const since = (now) => (owed === null ? 0 : now - owed);
+  return {
+    onFrame: (now) => void (owed ??= now),
+    onAnswer: () => void (owed = null),
+    isSlow: (now) => since(now) > SLOW_MS,
+    isOver: (now) => since(now) > SILENT_MS,
+  };
+}
