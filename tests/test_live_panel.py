@@ -1,5 +1,6 @@
 """The live panel without a browser: its camera, what it sends, its buttons, and what is left when it ends."""
 
+import sys
 import threading
 import time
 
@@ -94,6 +95,17 @@ def test_the_browser_can_build_the_very_head_of_a_fit(head):
     order = np.frombuffer(mesh["order"], "<u4")
     drawn = np.frombuffer(mesh["drawn"], "<u4").reshape(-1, 3)
     np.testing.assert_array_equal(np.sort(order[drawn]), np.sort(head.triangles))
+
+
+def test_while_it_runs_busy_cells_leave_other_threads_their_turn_each_millisecond(panel, head):
+    usual = sys.getswitchinterval()
+    other = LivePanel(HandCamera(), head)
+    panel.start()
+    other.start()
+    panel.stop()
+    assert sys.getswitchinterval() == pytest.approx(0.001)
+    other.close()
+    assert sys.getswitchinterval() == pytest.approx(usual)
 
 
 def test_a_frame_without_a_face_is_told_as_that(panel, camera):

@@ -10,6 +10,7 @@ import numpy as np
 from workbench.config import Config
 from workbench.errors import WorkbenchError
 from workbench.face import FaceModel, load_default_head
+from workbench.runtime import ShortTurns
 from workbench.session.live import LiveFit, LiveSession
 from workbench.session.live_frame import FrameSource, LiveFrame
 from workbench.session.recording import Recording
@@ -58,7 +59,7 @@ class LivePanel(widgets.VBox):
         self._warm = False
         self._person: np.ndarray = self.session.identity
         self.view, self.drags = LiveView(model, height_px - 32), DragWatch()
-        self._slow = SlowJobs(self._failed, "live-save")
+        self._slow, self._turns = SlowJobs(self._failed, "live-save"), ShortTurns()
         self._cameras = CameraBar(
             self.view, cameras_by_name(self.view, camera), self._switch, self._on_camera, self.calibrate
         )
@@ -181,10 +182,12 @@ class LivePanel(widgets.VBox):
         self.session.start_anew()
         self.say(READYING)
         self._source.start(self._worker.submit, self._on_trouble)
+        self._turns.turn(on=True)
 
     def _end(self) -> None:
         source, self._source = self._source, None
         source.stop()
+        self._turns.turn(on=False)
         self.view.forget_unseen()
         self._recording.end()
 
