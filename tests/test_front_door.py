@@ -65,6 +65,17 @@ def test_jax_counts_in_double_precision_whatever_is_imported_first(code):
     assert output_of(f"{code}; print(jnp.arange(3.0).dtype)") == "float64"
 
 
+@pytest.mark.parametrize(
+    ("first", "user", "threads"),
+    [("import workbench", None, "1"), ("import workbench", "3", "3"), ("import numpy, workbench", None, "None")],
+)
+def test_blas_uses_one_thread_unless_numpy_is_there_or_the_user_has_chosen(monkeypatch, first, user, threads):
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    if user is not None:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", user)
+    assert output_of(f"{first}; import os; print(os.environ.get('OPENBLAS_NUM_THREADS'))") == threads
+
+
 def test_what_the_user_set_of_the_compilation_cache_stays():
     code = "import workbench, jax; print(jax.config.jax_compilation_cache_dir)"
     setting = "import os; os.environ['JAX_COMPILATION_CACHE_DIR'] = '/somewhere'; "

@@ -6,9 +6,10 @@ folder, as `workbench.energies`.
 
 import lazy_loader
 
-from workbench.runtime import prepare_jax
+from workbench.runtime import prepare_blas, prepare_jax
 
 __version__ = "0.2.0"
 
+prepare_blas()
 prepare_jax()
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
