@@ -60,6 +60,8 @@ LEFT_OUT = {
     "train": "tests of training and of PyTorch's models (make test-train)",
 }
 """What the marks stand for, and the command that runs it."""
+CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+"""What the process may compute on when it starts; empty where a system does not tell."""
 
 
 def left_out(expression: str, torch: bool) -> list[str]:
@@ -87,9 +89,6 @@ def unit(nodeid: str) -> str:
     """What one process runs without a break: a notebook, or else all tests of a file."""
     file = nodeid.split("::")[0]
     return nodeid if Path(file).name == NOTEBOOKS else file
-
-
-CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 
 
 def share(cores: list[int], process: int, processes: int) -> list[int]:

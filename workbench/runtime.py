@@ -13,6 +13,7 @@ COMPUTING = threading.RLock()
 """Held while a large compiled program runs. XLA splits such a program over a pool of one thread a core; two programs
 at once, called from two threads, can fill the pool with parts that wait for each other, and then wait for ever."""
 SHORT_TURN_S = 0.001
+"""Python's own turn is 5 ms."""
 
 
 class ShortTurns:
