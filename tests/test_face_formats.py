@@ -319,6 +319,14 @@ def test_units_are_recognised_by_the_heads_size(unit_mm, subject, tmp_path):
     assert width == pytest.approx(np.ptp(subject.vertices[:, 0]), rel=1e-3)
 
 
+@pytest.mark.parametrize("size", [1.0, 0.8])
+def test_the_jaw_of_a_small_head_travels_less(size, subject, tmp_path):
+    model = load_face_model(write_obj_folder(tmp_path / "objs", subject, lambda points: y_up(size * points, 1.0)))
+    whole = load_face_model(write_obj_folder(tmp_path / "whole", subject, lambda points: y_up(points, 1.0)))
+    np.testing.assert_array_equal(model.jaw_range[:, :3], whole.jaw_range[:, :3])  # angles know no size
+    np.testing.assert_allclose(model.jaw_range[:, 3:], size * whole.jaw_range[:, 3:], rtol=1e-3)
+
+
 def test_a_head_of_no_human_size_needs_its_unit(subject, tmp_path):
     folder = write_obj_folder(tmp_path / "objs", subject, lambda points: y_up(points, 33.0))
     with pytest.raises(ModelError, match=r"no human size.*--unit cm"):

@@ -10,12 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from workbench.face import FaceParameters
+from workbench.energies.context import still
+from workbench.energies.magnitude import magnitude_residual
+from workbench.energies.stay import expression_residual
+from workbench.face import FaceParameters, parameter_range
 from workbench.face.jaw import (
     JAW_SHAPES,
     OPEN_DEG,
     TRAVEL_MM,
     JawJoint,
+    in_blendshapes,
     jaw_joint,
     jaw_of_weights,
     move_jaw,
@@ -142,6 +146,22 @@ def test_weights_and_joint_say_the_same(head, openness, forward, sideways):
     np.testing.assert_allclose(
         weights_with_jaw(head.expression_names, np.zeros_like(weights), jaw), weights, atol=1e-12
     )
+
+
+def test_a_whole_shapes_travel_counts_as_one_in_every_term(head):
+    """λ and `stay` count the jaw in one unit: that of the blendshapes it replaces."""
+    moved = np.array([np.radians(OPEN_DEG), 0.0, 0.0, TRAVEL_MM, 0.0, -TRAVEL_MM])
+    np.testing.assert_allclose(in_blendshapes(moved), [1, 0, 0, 1, 0, -1], atol=1e-12)
+    rest = FaceParameters(np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(0), np.zeros(6), np.ones(1))
+    for residual in (magnitude_residual, expression_residual):
+        jaw = residual(rest._replace(jaw=moved), still(rest))[2:]
+        np.testing.assert_allclose(jaw, in_blendshapes(moved), rtol=1e-12)
+
+
+def test_the_range_of_the_jaw_is_the_models_own(head):
+    assert [limit.jaw.tolist() for limit in parameter_range(head, bounded=True)] == head.jaw_range.tolist()
+    stiff = replace(head, jaw_range=0.5 * head.jaw_range)
+    assert parameter_range(stiff, bounded=False)[1].jaw[0] == 0.5 * head.jaw_range[1, 0]
 
 
 def test_weights_of_many_frames_are_made_at_once(head):

@@ -5,10 +5,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from workbench.energies.context import TermContext
+from workbench.face.jaw import in_blendshapes
 from workbench.face.parameters import FaceParameters
-
-JAW_RADIAN, JAW_MM = 0.46, 20.0
-"""Jaw motions that count as a blendshape's whole travel."""
 
 
 def pose_residual(parameters: FaceParameters, context: TermContext) -> Float[Array, "6"]:
@@ -20,8 +18,6 @@ def pose_residual(parameters: FaceParameters, context: TermContext) -> Float[Arr
 
 def expression_residual(parameters: FaceParameters, context: TermContext) -> Float[Array, "n"]:
     """Distance of blendshapes and jaw from the expected ones, the jaw counted in blendshapes."""
-    parts = [jnp.asarray(parameters.expression) - context.start.expression]
-    if len(parameters.jaw):
-        sizes = jnp.asarray([JAW_RADIAN] * 3 + [JAW_MM] * 3)
-        parts.append((jnp.asarray(parameters.jaw) - context.start.jaw) / sizes)
-    return jnp.concatenate(parts)
+    moved = jnp.asarray(parameters.expression) - context.start.expression
+    jaw = [in_blendshapes(jnp.asarray(parameters.jaw) - context.start.jaw)] if len(parameters.jaw) else []
+    return jnp.concatenate([moved, *jaw])

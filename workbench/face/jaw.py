@@ -15,10 +15,9 @@ from workbench.face.model import FaceModel
 from workbench.geometry import rotation_matrix
 
 OPEN_DEG = 26.5
-"""Angle about +x (head frame) at which the joint is `jawOpen` at weight 1: the best hinge for that shape of the default
-head, taken for every model."""
+"""Angle about +x (head frame) at which the joint is `jawOpen` at weight 1, by each model's corrective."""
 TRAVEL_MM = 8.0
-"""What `jawForward`, `jawLeft` and `jawRight` at weight 1 move the default head's lower teeth by."""
+"""Shift of the joint that counts as `jawForward`, `jawLeft` or `jawRight` at weight 1, in every model."""
 JAW_SHAPES = ("jawOpen", "jawForward", "jawLeft", "jawRight")
 """Blendshapes that the joint replaces."""
 
@@ -79,6 +78,11 @@ def posed_vertices(
     return vertices if scale == 1.0 else scale * vertices
 
 
+def in_blendshapes(jaw: Float[AnyArray, "*n 6"]) -> Float[AnyArray, "*n 6"]:
+    """The joint's motion counted in jaw blendshapes, its unit in every term: 1 is what a shape moves at weight 1."""
+    return jaw / np.repeat([np.radians(OPEN_DEG), TRAVEL_MM], 3)
+
+
 def jaw_of_weights(model: FaceModel, expression: Float[np.ndarray, "k"]) -> Float[np.ndarray, "6"]:
     """The joint motion nearest to the jaw blendshapes of an expression."""
     weight = {
@@ -99,13 +103,12 @@ def weights_with_jaw(
 
     Turns about other axes than x have no blendshape and are lost.
     """
-    weights = np.array(expression, float)
-    sideways = jaw[..., 3] / TRAVEL_MM
+    weights, counted = np.array(expression, float), in_blendshapes(jaw)
     parts = {
-        "jawOpen": jaw[..., 0] / np.radians(OPEN_DEG),
-        "jawForward": np.maximum(-jaw[..., 5] / TRAVEL_MM, 0.0),
-        "jawLeft": np.maximum(sideways, 0.0),
-        "jawRight": np.maximum(-sideways, 0.0),
+        "jawOpen": counted[..., 0],
+        "jawForward": np.maximum(-counted[..., 5], 0.0),
+        "jawLeft": np.maximum(counted[..., 3], 0.0),
+        "jawRight": np.maximum(-counted[..., 3], 0.0),
     }
     for name, part in parts.items():
         if name in names:

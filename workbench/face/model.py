@@ -1,7 +1,7 @@
 """The face model as data: neutral, blendshapes, identity basis, jaw, and where the 68 landmarks lie on it."""
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int, Integer, UInt8
@@ -10,6 +10,9 @@ from workbench.errors import ModelError
 
 BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
 BLINK_SCALE_RANGE = (0.3, 2.0)
+JAW_RANGE = np.array([[-0.05, -0.25, -0.15, -12.0, -6.0, -12.0], [0.70, 0.25, 0.15, 12.0, 12.0, 12.0]])
+"""Least and most that the jaw joint of a head of the default head's size moves: radians about x (opening), y and z,
+then millimetres."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ class FaceModel:
     """How that scale changes with each identity coefficient."""
     expression_range: Float[np.ndarray, "k 2"] | None = None
     """Least and largest weight of each blendshape; None: [0, 1] for all. Statistical components have −3 to 3."""
+    jaw_range: Float[np.ndarray, "2 6"] = field(default_factory=JAW_RANGE.copy)
+    """Least and most that the jaw joint moves: radians about x, y and z, then millimetres."""
     notes: tuple[str, ...] = ()
     """What a user should know about how the model was read."""
 

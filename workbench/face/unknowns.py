@@ -36,10 +36,6 @@ UNKNOWNS = {
     "scale": Unknown("1", (0.05,)),
 }
 BLOCKS = tuple(UNKNOWNS)
-JAW_LOWER = (-0.05, -0.25, -0.15, -12.0, -6.0, -12.0)
-JAW_UPPER = (0.70, 0.25, 0.15, 12.0, 12.0, 12.0)
-"""Range of the jaw joint: radians about x (opening), y, z, then millimetres. It suits the default head and is taken for
-every model."""
 
 
 def pack(parameters: FaceParameters, blocks: tuple[str, ...] = BLOCKS) -> Float[AnyArray, "n"]:
@@ -71,14 +67,14 @@ def typical_sizes(parameters: FaceParameters, blocks: tuple[str, ...] = BLOCKS) 
 def parameter_range(model: FaceModel, bounded: bool) -> tuple[FaceParameters, FaceParameters]:
     """Least and largest value of every parameter; blendshapes have none unless `bounded`."""
     limits, (lowest, highest) = [], model.weight_range().T
-    for sign, expression, jaw in ((-1.0, lowest, JAW_LOWER), (1.0, highest, JAW_UPPER)):
+    for sign, expression, jaw in ((-1.0, lowest, model.jaw_range[0]), (1.0, highest, model.jaw_range[1])):
         limits.append(
             FaceParameters(
                 rotation=np.full(3, sign * np.inf),
                 translation=np.full(3, sign * np.inf),
                 expression=np.array(expression, float) if bounded else np.full(len(expression), sign * np.inf),
                 identity=np.full(len(model.identity_deltas), sign * np.inf),
-                jaw=np.array(jaw),
+                jaw=np.array(jaw, float),
                 scale=np.full(1, sign * np.inf),
             )
         )
