@@ -35,6 +35,12 @@ def magnitude(values: np.ndarray) -> np.ndarray:
     return values * np.sign(np.real(values))
 
 
+def agrees(ours: np.ndarray, papers: np.ndarray, relative: float = 1e-9) -> bool:
+    """Whether numbers are the paper's, relative to the largest of them."""
+    ours, papers = np.real(np.asarray(ours)), np.real(np.asarray(papers))
+    return ours.shape == papers.shape and bool(np.abs(ours - papers).max() <= relative * np.abs(papers).max())
+
+
 # FACE IT!
 
 
