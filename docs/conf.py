@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 HERE = ROOT / "docs"
 sys.path.insert(0, str(HERE))
 
-from pages import api_page, architecture_page, packages  # noqa: E402
+from pages import api_page, architecture_page, packages, papers_page  # noqa: E402
 
 project = "Face Energy Workbench"
 copyright = "the authors of the Face Energy Workbench"
@@ -22,11 +22,12 @@ version = release = next(
     if line.startswith("__version__")
 )
 
-# What is written elsewhere and shown here: the notebooks, the layers of the package, the changes.
+# What is written elsewhere and shown here: the notebooks, the layers of the package, the papers' lines, the changes.
 MADE = HERE / "_made"
 shutil.rmtree(MADE, ignore_errors=True)
 shutil.copytree(ROOT / "notebooks", MADE / "notebooks", ignore=shutil.ignore_patterns(".ipynb_checkpoints"))
 (MADE / "architecture.md").write_text(architecture_page(ROOT), encoding="utf-8")
+(MADE / "papers.md").write_text(papers_page(ROOT), encoding="utf-8")
 shutil.copy(ROOT / "CHANGELOG.md", MADE / "changelog.md")
 (MADE / "api").mkdir()
 for package in packages(ROOT):

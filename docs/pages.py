@@ -1,10 +1,15 @@
-"""Pages of the documentation that follow from the code: the interface, and the layers of the package."""
+"""Pages of the documentation that follow from the code: the interface, the layers of the package, the papers' lines."""
 
 import ast
 import importlib
 import inspect
+import json
+import tomllib
 from functools import cache
 from pathlib import Path
+from typing import Any
+
+from workbench.energies.terms import TABLE
 
 
 def layers(root: Path) -> list[str]:
@@ -109,3 +114,72 @@ def api_page(root: Path, package: str) -> str:
             options.append("   :no-index:")
         lines += [f".. {kind}:: {package}.{name}", *options, ""]
     return "\n".join([*lines, "```", ""])
+
+
+def paper_table(root: Path) -> list[dict[str, Any]]:
+    """The papers with their lines, as `docs/papers.toml` has them."""
+    return tomllib.loads((root / "docs" / "papers.toml").read_text(encoding="utf-8"))["papers"]
+
+
+def papers_page(root: Path) -> str:
+    """Every equation and setting of the papers: where it is, what shows and tests it, and where ours differs."""
+    lines = [
+        "# The papers, line by line",
+        "",
+        "Every equation and setting: the function that has it, the cell that shows it, its tests, and what is ours",
+        "instead. `tests/paper_formulas.py` has the printed formulas in plain NumPy, written from the papers alone;",
+        "`test_paper_face_it.py` and `test_paper_deep_energies.py` compare them with ours after the conversions that",
+        "are told here: values and gradients agree to 1e-9, and to 1e-4 where a render or a network in single",
+        "precision is inside.",
+        "",
+    ]
+    for paper in paper_table(root):
+        lines += [f"## {paper['title']}", "", "| | | |", "|---|---|---|"]
+        lines += [f"| {line['place']} | {line['says']} | {_verdict(line)} |" for line in paper["lines"]]
+        lines.append("")
+        for line in paper["lines"]:
+            lines += paper_line(root, line)
+    return "\n".join(lines)
+
+
+def paper_line(root: Path, line: dict[str, Any]) -> list[str]:
+    """One line of a paper as a section."""
+    code = [name.replace(":", ".") for name in line.get("code", ())]
+    settings = list(line.get("settings", ()))
+    made = [f"### {line['place']}: {line['says']}", ""]
+    if "term" in line:
+        term = TABLE[line["term"]]
+        made += [f"`{term.formula}`, the term `{term.name}`", ""]
+        code.insert(0, "workbench.energies." + term.residual.replace(":", "."))
+        if term.of != "landmarks":
+            settings = list(dict.fromkeys([*(term.omega_key(name) for name in _systems(term)), *settings]))
+    shown = [_notebook_link(root, place) for place in line.get("notebooks", ())]
+    rows = {
+        "Code": [f"{{py:obj}}`{name}`" for name in code],
+        "Settings": [f"`{key}`" for key in settings],
+        "Notebook": shown,
+        "Tests": [f"`tests/{test}`" for test in line.get("tests", ())],
+    }
+    made += [f"- {name}: {', '.join(parts)}" for name, parts in rows.items() if parts]
+    return [*made, f"- {_verdict(line)}{': ' + line['differs'] if 'differs' in line else '.'}", ""]
+
+
+def notebook_headings(root: Path, name: str) -> list[str]:
+    """The headings of a notebook, without their marks."""
+    cells = json.loads((root / "notebooks" / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+    written = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    return [line.lstrip("# ") for line in written.splitlines() if line.startswith("#")]
+
+
+def _verdict(line: dict[str, Any]) -> str:
+    return "Ours differs" if "differs" in line else "As printed"
+
+
+def _systems(term) -> tuple[str, ...]:
+    return tuple(dict.fromkeys([*term.systems, *term.listed])) or ("face-it",)
+
+
+def _notebook_link(root: Path, place: str) -> str:
+    name, begins = place.split("#")
+    heading = next(heading for heading in notebook_headings(root, name) if heading.startswith(begins))
+    return f"[{name[:2]}, {heading}](notebooks/{name}.ipynb)"
