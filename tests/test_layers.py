@@ -41,6 +41,7 @@ ORDER = [
     "export",
     "pipeline",
     "one_picture",
+    "reproduction",
     "session",
     "widgets",
     "cli",
