@@ -24,6 +24,7 @@ from workbench.networks import torch_checkpoints
 from workbench.networks.landmark_network import read_landmark_network, save_landmark_network
 from workbench.networks.weights import named_arrays
 from workbench.rendering.appearance import Appearance, load_appearance
+from workbench.reproduction import read_truth, write_truth
 from workbench.session.material import material_of_track
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import frame_errors, stack_fits
@@ -60,6 +61,18 @@ def read_mapping(folder: Path) -> None:
     mapping = retargeting.read_mapping(folder / "mapping.toml", NAMES, CHARACTER)
     assert mapping.matrix.shape == (3, 2)
     assert np.isfinite(mapping.matrix).all()
+
+
+def make_boston(folder: Path) -> None:
+    rng = np.random.default_rng(2)
+    write_truth(folder / "jam1.dat", rng.uniform(-30.0, 30.0, (4, 3)), rng.normal(0.0, 100.0, (4, 3)))
+
+
+def read_boston(folder: Path) -> None:
+    angles, places = read_truth(folder / "jam1.dat")
+    assert angles.shape == places.shape == (len(angles), 3)
+    assert np.isfinite(angles).all()
+    assert np.isfinite(places).all()
 
 
 def _records() -> list[landmark_files.LandmarkRecord]:
@@ -279,6 +292,7 @@ def read_checkpoint(folder: Path) -> None:
 READERS = (
     Reader("configuration", make_config, read_config),
     Reader("retargeting", make_mapping, read_mapping),
+    Reader("head-tracking readings", make_boston, read_boston),
     Reader("landmarks csv", make_landmarks_csv, read_landmarks),
     Reader("landmarks json", make_landmarks_json, read_landmarks),
     Reader("landmarks pts", make_landmarks_pts, read_landmarks),

@@ -112,11 +112,12 @@ def test_the_part_of_uniform_light_is_found_in_the_whole_set(folder, tmp_path_fa
         ([*LINES, LINES[-1]], f"has {FRAMES + 2} lines, expected {FRAMES + 1}"),
         ([*LINES[:-1], "6 3.0 0."], f"has 3 numbers in line {FRAMES + 1}, expected 7; copy it from the set again."),
         ([LINES[0].replace("20", "twenty"), *LINES[1:]], "could not convert string to float: 'twenty'"),
-        ([LINES[0].replace("20", "nan"), *LINES[1:]], "not all of its numbers are finite"),
+        ([LINES[0], LINES[1].replace("21", "nan"), *LINES[2:]], "it holds numbers that no sensor reads"),
+        (LINES[:1], "it has nothing after its first line"),
         (["\N{FACE WITH COLD SWEAT}"], "cannot be read as a sequence's readings"),
         ([], "is empty"),
     ],
-    ids=["torn", "too long", "torn in a line", "words", "not finite", "no text", "empty"],
+    ids=["torn", "too long", "torn in a line", "words", "not finite", "one line", "no text", "empty"],
 )
 def test_damaged_readings_are_refused_in_one_sentence(folder, lines, words):
     (folder / "jam1.dat").write_text("\n".join(lines), encoding="utf-8")

@@ -8,4 +8,5 @@ from workbench.reproduction.boston import mean_errors as mean_errors
 from workbench.reproduction.boston import pose_errors as pose_errors
 from workbench.reproduction.boston import read_sequence as read_sequence
 from workbench.reproduction.boston import read_set as read_set
+from workbench.reproduction.boston import read_truth as read_truth
 from workbench.reproduction.boston import write_truth as write_truth

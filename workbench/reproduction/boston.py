@@ -37,6 +37,8 @@ AXES = np.array([-1.0, 1.0, 1.0])
 """X, Y, Z of the sensor as camera axes: to the right, down, away."""
 TURNS = np.array([-1.0, -1.0, -1.0])
 """Yaw, pitch and roll of the sensor as the workbench's."""
+LARGEST = 1e5
+"""Beyond any frame's number, inch or degree."""
 AS_TRUTH = ("a sequence's readings", "copy it from the set again")
 
 PRINTED_DEG: Mapping[str, tuple[float, float, float, float]] = MappingProxyType({
@@ -121,19 +123,38 @@ def read_sequence(folder: str | Path, name: str) -> BostonSequence:
     video, truth = Path(folder) / f"{name}.avi", Path(folder) / f"{name}.dat"
     if not video.exists() and video.with_suffix(".mp4").exists():
         video = video.with_suffix(".mp4")
-    readings = _readings(truth)
+    angles_deg, places_mm = read_truth(truth)
     frames = open_frames(video)
     if frames.image_size != SIZE:
         width, height = frames.image_size
         raise InputError(f"{video} has {width} × {height} pixels, expected 320 × 240; supply the set's own files.")
     count = sum(1 for _ in frames.iterate())
-    if len(readings) != count + 1:
+    if len(angles_deg) != count:
         raise InputError(
-            f"{truth} has {len(readings)} lines, expected {count + 1}, one before and one for each of the {count} "
-            f"frames of {video.name}; copy both from the set again."
+            f"{truth} has {len(angles_deg) + 1} lines, expected {count + 1}, one before and one for each of the "
+            f"{count} frames of {video.name}; copy both from the set again."
         )
-    roll, yaw, pitch = readings[1:, 4:].T
-    return BostonSequence(name, video, TURNS * np.stack([yaw, pitch, roll], axis=1), INCH_MM * AXES * readings[1:, 1:4])
+    return BostonSequence(name, video, angles_deg, places_mm)
+
+
+def read_truth(path: str | Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Angles and places of a sequence's readings, as in `BostonSequence`; the first line is left out.
+
+    Raises `InputError` for a missing or damaged file.
+    """
+    content = checked_content(path, AS_TRUTH[0])
+    with reading(path, *AS_TRUTH):
+        lines = [line.split() for line in content.decode("ascii").splitlines() if line.strip()]
+        for number, line in enumerate(lines, 1):
+            if len(line) != COLUMNS:
+                raise InputError(f"{path} has {len(line)} numbers in line {number}, expected {COLUMNS}; {AS_TRUTH[1]}.")
+        readings = np.array(lines, float).reshape(-1, COLUMNS)[1:]
+        if not len(readings):
+            raise ValueError("it has nothing after its first line")
+        if not (np.abs(readings) < LARGEST).all():
+            raise ValueError("it holds numbers that no sensor reads")
+    roll, yaw, pitch = readings[:, 4:].T
+    return TURNS * np.stack([yaw, pitch, roll], axis=1), INCH_MM * AXES * readings[:, 1:4]
 
 
 def write_truth(path: str | Path, angles_deg: Float[np.ndarray, "n 3"], places_mm: Float[np.ndarray, "n 3"]) -> None:
@@ -181,19 +202,6 @@ def mean_errors(errors: Sequence[PoseErrors]) -> MeanErrors:
     yaw, pitch, roll = (float(value) for value in np.concatenate([one.angles_deg for one in errors]).mean(axis=0))
     x, y, z = (float(value) for value in np.concatenate([one.places_in for one in errors]).mean(axis=0))
     return MeanErrors(roll, pitch, yaw, (roll + pitch + yaw) / 3.0, (x, y, z), frames, missed)
-
-
-def _readings(path: Path) -> Float[np.ndarray, "m 7"]:
-    content = checked_content(path, AS_TRUTH[0])
-    with reading(path, *AS_TRUTH):
-        lines = [line.split() for line in content.decode("ascii").splitlines() if line.strip()]
-        for number, line in enumerate(lines, 1):
-            if len(line) != COLUMNS:
-                raise InputError(f"{path} has {len(line)} numbers in line {number}, expected {COLUMNS}; {AS_TRUTH[1]}.")
-        readings = np.array(lines, float)
-        if not np.isfinite(readings).all():
-            raise ValueError("not all of its numbers are finite")
-    return readings
 
 
 def _from_first(rotations: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3"]:
