@@ -36,9 +36,10 @@ def magnitude(values: np.ndarray) -> np.ndarray:
 
 
 def agrees(ours: np.ndarray, papers: np.ndarray, relative: float = 1e-9) -> bool:
-    """Whether numbers are the paper's, relative to the largest of them."""
+    """Whether numbers are the paper's, relative to the largest of them; never where those are all zero."""
     ours, papers = np.real(np.asarray(ours)), np.real(np.asarray(papers))
-    return ours.shape == papers.shape and bool(np.abs(ours - papers).max() <= relative * np.abs(papers).max())
+    largest = np.abs(papers).max()
+    return ours.shape == papers.shape and bool(largest > 0.0 and np.abs(ours - papers).max() <= relative * largest)
 
 
 # FACE IT!

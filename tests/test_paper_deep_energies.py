@@ -311,6 +311,16 @@ def test_the_rigid_prior_penalises_deviations_from_the_start(rng):
     assert agrees(ours, paper.deviation(pose, initial, strength))
 
 
+def test_the_prior_of_sec_7_penalises_deviations_of_weights_and_jaw(rng):
+    """Without a formula as well; the jaw counts in blendshapes."""
+    at, start = parameters(rng), parameters(rng)
+    views, strength = view(np.zeros((1, 68, 2)), np.ones((1, 68))), 3.0
+    ours = terms(np.zeros((1, 68, 2)), views, ("stay",), [strength**2], at, start)["stay"]
+    counted = np.repeat([1.0, np.radians(OPEN_DEG), TRAVEL_MM], [len(at.expression), 3, 3])
+    moved, initial = (np.concatenate([one.expression, one.jaw]) / counted for one in (at, start))
+    assert agrees(ours, paper.deviation(moved, initial, strength))
+
+
 def test_several_cameras_duplicate_the_energy(rng):
     """Sec. 8.4."""
     target, predicted, w = rng.normal(size=(3, 68, 2)), rng.normal(size=(3, 68, 2)), rng.uniform(0.0, 2.0, (3, 68))
