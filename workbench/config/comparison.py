@@ -1,0 +1,57 @@
+"""What two configurations do not share."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from workbench.config.configuration import Config
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One value that two configurations do not share."""
+
+    path: str
+    """As `weights.tau`; `stages.pose.limit` for a stage by its name."""
+    before: Any
+    """None where the value is new."""
+    after: Any
+    """None where it is gone."""
+
+    def __str__(self) -> str:
+        return f"{self.path}: {_short(self.before)} → {_short(self.after)}"
+
+
+def differences(before: Config, after: Config) -> list[Difference]:
+    """What differs, in the order of the file; `provenance` and `preset` are no settings."""
+    old, new = _flat(before), _flat(after)
+    paths = [*new, *(path for path in old if path not in new)]
+    return [Difference(path, old.get(path), new.get(path)) for path in paths if old.get(path) != new.get(path)]
+
+
+def _flat(config: Config) -> dict[str, Any]:
+    stored = config.model_dump(exclude={"version", "preset", "provenance", "stages"})
+    found: dict[str, Any] = {}
+    for section, values in stored.items():
+        if not isinstance(values, dict):
+            found[section] = values
+            continue
+        for key, value in values.items():
+            if isinstance(value, dict):
+                found |= {f"{section}.{key}.{name}": entry for name, entry in value.items()}
+            else:
+                found[f"{section}.{key}"] = value
+    found["stages"] = [stage.name for stage in config.stages]
+    for stage in config.stages:
+        for key, value in stage.model_dump(exclude={"name"}).items():
+            found[f"stages.{stage.name}.{key}"] = value
+    return found
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(str(entry) for entry in value) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_short(entry)}" for key, entry in value.items()) + "}"
+    return "(none)" if value is None else str(value)

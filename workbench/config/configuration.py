@@ -1,0 +1,176 @@
+"""The whole configuration: its sections and stages, the rules that join them, and what is wrong with bad values."""
+
+import difflib
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, Field, ValidationError, model_validator
+
+from workbench.config.schedules import PRESET_STAGES, Stage, unknown_group, weights_in_turn
+from workbench.config.sections import (
+    CameraConfig,
+    ConstantsConfig,
+    ContourConfig,
+    DeepConfig,
+    FlowConfig,
+    IdentityConfig,
+    InfillConfig,
+    LandmarksConfig,
+    Provenance,
+    RefinementConfig,
+    Section,
+    SolverConfig,
+    WeightsConfig,
+)
+from workbench.energies.systems import SYSTEMS
+from workbench.energies.systems import System as SystemTraits
+from workbench.energies.terms import NODES, TABLE, stage_factors, terms_of
+from workbench.errors import ConfigError
+from workbench.landmarks.scheme import GROUPS
+from workbench.reading import shortened
+
+VERSION = 2
+DEFAULT_PRESET = "joint"
+System = Literal[tuple(SYSTEMS)]
+LONGEST_PROBLEM = 400
+"""Characters of what is wrong with a configuration: names in it may be of any length."""
+
+
+class Config(Section):
+    """A whole configuration."""
+
+    version: Literal[2] = Field(VERSION, description="Of this file's format.")
+    preset: str = Field(DEFAULT_PRESET, description="The preset this configuration started from.")
+    system: System = Field("face-it", description="face-it: from landmarks; deep-energies: from renders as well.")
+    camera: CameraConfig = CameraConfig()
+    weights: WeightsConfig = WeightsConfig()
+    constants: ConstantsConfig = ConstantsConfig()
+    solver: SolverConfig = SolverConfig()
+    contour: ContourConfig = ContourConfig()
+    identity: IdentityConfig = IdentityConfig()
+    landmarks: LandmarksConfig = LandmarksConfig()
+    deep: DeepConfig = DeepConfig()
+    flow: FlowConfig = FlowConfig()
+    infill: InfillConfig = InfillConfig()
+    refinement: RefinementConfig = RefinementConfig()
+    subsets: dict[str, tuple[Annotated[int, Field(ge=0, lt=68)], ...]] = Field(
+        {}, description="Named sets of landmark numbers, used like the built-in groups."
+    )
+    stages: tuple[Stage, ...] = Field(min_length=1, default=(), description="Solved in this order.")
+    provenance: Provenance | None = Field(None, description="Where an exported configuration comes from.")
+
+    def point_weights(self) -> list[float]:
+        """Factor of each of the 68 landmarks in every stage: one, then each entry of `landmarks.weights` in turn."""
+        return weights_in_turn(self.landmarks.weights, self.subsets, 1.0)
+
+    def moved_points(self, frame: int) -> dict[int, tuple[float, float]]:
+        """The detections of a frame that were put right by hand, by point."""
+        return {int(point): place for point, place in self.landmarks.moved.get(str(frame), {}).items()}
+
+    @property
+    def traits(self) -> SystemTraits:
+        """What its system can do."""
+        return SYSTEMS[self.system]
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the energy's terms: the system's, and those that any stage names."""
+        return terms_of(self.system, self.named_terms(self.stages))
+
+    @property
+    def summed_terms(self) -> set[str]:
+        """The terms that count in some stage that runs."""
+        own = {name for name, term in TABLE.items() if self.system in term.systems}
+        return own | self.named_terms(stage for stage in self.stages if stage.enabled)
+
+    @staticmethod
+    def named_terms(stages: Iterable[Stage]) -> set[str]:
+        """The terms that stages name beside their system's own."""
+        return {name for stage in stages for name in stage.terms}
+
+    def running(self, start: bool) -> tuple[Stage, ...]:
+        """The stages that run on the first frame of a shot (`start`) or on a later one."""
+        return tuple(stage for stage in self.stages if stage.enabled and (start or stage.when == "always"))
+
+    def omega(self) -> dict[str, float]:
+        """Every ω by its place, as `weights.tau`."""
+        places = {f"weights.{node.name}" for node in NODES}
+        places |= {term.omega_key(self.system) for term in TABLE.values() if term.name != "landmarks"}
+        return {place: getattr(getattr(self, place.split(".")[0]), place.split(".")[1]) for place in places}
+
+    def factors(self, stage: Stage) -> list[float]:
+        """The factor in front of each of `terms` in a stage: the product of ω down its branch; 0 where it is off."""
+        return stage_factors(self.omega(), self.system, stage.free, stage.terms, self.terms)
+
+    def changed(self, **sections: Any) -> "Config":
+        """The configuration with some keys of some sections replaced, checked again.
+
+        Raises `ConfigError` for unknown keys and bad values.
+        """
+        stored = self.model_dump()
+        for section, values in sections.items():
+            stored[section] = {**(stored.get(section) or {}), **values} if isinstance(values, dict) else values
+        return validated(stored, "The configuration")
+
+    @model_validator(mode="after")
+    def _names_are_known(self):
+        for name in self.subsets:
+            if name in GROUPS or name.isdigit() or not name:
+                raise ValueError(f"a subset cannot be called {name!r}: that is a built-in group or a point number")
+        tables = {"landmarks.weights": self.landmarks.weights}
+        tables |= {f"stage {stage.name!r}": stage.landmarks for stage in self.stages}
+        for place, table in tables.items():
+            for name in table:
+                if problem := unknown_group(name, self.subsets):
+                    raise ValueError(f"{place} {problem}")
+        for stage in self.stages:
+            foreign = [name for name in stage.free if name not in self.traits.blocks]
+            if foreign:
+                raise ValueError(f"stage {stage.name!r} frees {foreign[0]!r}, which takes system = 'deep-energies'")
+        if self.system == "face-it" and self.camera.projection == "orthographic":
+            raise ValueError("an orthographic camera takes system = 'deep-energies'")
+        if not any(stage.enabled and stage.when == "always" for stage in self.stages):
+            raise ValueError("no enabled stage runs on every frame: enable one with when = 'always'")
+        return self
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_stages(cls, data: Any):
+        return {"stages": PRESET_STAGES[DEFAULT_PRESET], **data} if isinstance(data, dict) else data
+
+
+def validated(stored: dict[str, Any], origin: str) -> Config:
+    """The configuration of these values. Raises `ConfigError` for the first problem, `origin` naming where it lies."""
+    try:
+        return Config.model_validate(stored)
+    except ValidationError as error:
+        raise ConfigError(f"{origin}: {shortened(_first_problem(error), LONGEST_PROBLEM)}") from error
+
+
+def _first_problem(error: ValidationError) -> str:
+    problem = error.errors()[0]
+    place = shortened(".".join(str(part) for part in problem["loc"]))
+    if problem["type"] == "value_error":
+        return f"{place + ': ' if place else ''}{problem['ctx']['error']}."
+    if problem["type"] == "extra_forbidden":
+        known = _known_keys(problem["loc"][:-1])
+        near = difflib.get_close_matches(str(problem["loc"][-1]), known, 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"the keys here are {', '.join(known)}."
+        return f"there is no key {place!r}; {hint}"
+    return f"{place}: {problem['msg']} (got {quoted(problem.get('input'))})."
+
+
+def quoted(value: Any) -> str:
+    """A value as messages show it: whole where it is short."""
+    return shortened(repr(value))
+
+
+def _known_keys(location: tuple) -> list[str]:
+    section: Any = Config
+    for part in location:
+        if part == "stages":
+            section = Stage
+        elif isinstance(part, str) and part in section.model_fields:
+            annotation = section.model_fields[part].annotation
+            section = next((kind for kind in get_args(annotation) if issubclass(kind, BaseModel)), annotation)
+    return list(section.model_fields)

@@ -1,0 +1,115 @@
+"""Configurations as commented TOML, read from any version of the format."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from pydantic import BaseModel
+
+from workbench.config.configuration import DEFAULT_PRESET, VERSION, Config, quoted, validated
+from workbench.config.presets import preset
+from workbench.config.schedules import Stage
+from workbench.errors import ConfigError
+from workbench.files import atomic_path
+from workbench.reading import checked_file, reading, toml_tables
+
+
+def read_config(path: str | Path) -> Config:
+    """Configuration of a TOML file; what it leaves out comes from its `preset` (default: `DEFAULT_PRESET`).
+
+    Raises `ConfigError` for a missing file, invalid TOML, unknown keys (with the nearest known one) and bad values.
+    """
+    absent = f"The configuration {path} does not exist; `workbench track` writes one as config.toml."
+    path = checked_file(path, "a configuration", ConfigError, absent, may_be_empty=True)
+    with reading(path, "a configuration", "begin with what `workbench config show` prints", ConfigError):
+        return parse_config(toml_tables(path, ConfigError), str(path))
+
+
+def parse_config(stored: Mapping[str, Any], origin: str) -> Config:
+    """Configuration of a plain dictionary of any version; what it leaves out comes from its `preset`.
+
+    `origin` names it in messages. Raises `ConfigError` as `read_config`.
+    """
+    stored = _migrated(dict(stored), origin)
+    base = preset(str(stored.get("preset", DEFAULT_PRESET))).model_dump()
+    for key, value in stored.items():
+        base[key] = {**base[key], **value} if isinstance(value, dict) and isinstance(base.get(key), dict) else value
+    return validated(base, origin)
+
+
+def _migrated(stored: dict[str, Any], origin: str) -> dict[str, Any]:
+    version = stored.get("version", VERSION)
+    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
+        raise ConfigError(f"{origin}: version is {quoted(version)}, this workbench reads 1 to {VERSION}; upgrade it.")
+    for step in range(version, VERSION):
+        stored = MIGRATIONS[step](stored)
+    return {**stored, "version": VERSION}
+
+
+def _from_1(stored: dict[str, Any]) -> dict[str, Any]:
+    """1 → 2: `contour.sliding` became `contour.mode`; what names no preset stands on the default of that time."""
+    stored = {"preset": "calibrated", **stored}
+    contour = stored.get("contour")
+    if not isinstance(contour, dict) or "sliding" not in contour:
+        return stored
+    renamed = {key: value for key, value in contour.items() if key != "sliding"}
+    return {**stored, "contour": {**renamed, "mode": "sliding" if contour["sliding"] else "fixed"}}
+
+
+MIGRATIONS = {1: _from_1}
+"""By version: what turns a stored configuration into one of the next version."""
+
+
+def write_config(config: Config, path: str | Path) -> None:
+    """Write a configuration as TOML with a comment at each value, whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(config_toml(config), encoding="utf-8")
+
+
+def config_toml(config: Config) -> str:
+    """The configuration as TOML text with a comment at each value, in stable order."""
+    document = tomlkit.document()
+    document.add(tomlkit.comment("Face Energy Workbench configuration. Lengths in millimetres and pixels."))
+    for name, field in type(config).model_fields.items():
+        value = getattr(config, name)
+        if isinstance(value, BaseModel):
+            document.add(name, _table(value))
+        elif name == "subsets":
+            document.add(name, _subsets_table(value, field.description))
+        elif name == "stages":
+            stages = tomlkit.aot()
+            for stage in value:
+                stages.append(_table(stage))
+            document.add(name, stages)
+        elif value is not None:
+            document.add(name, _commented(value, field.description))
+    return tomlkit.dumps(document)
+
+
+def _table(section: BaseModel):
+    table = tomlkit.table()
+    if section.__doc__ and not isinstance(section, Stage):
+        table.comment(section.__doc__.splitlines()[0])
+    for name, field in type(section).model_fields.items():
+        value = getattr(section, name)
+        if value is None or (value == () and isinstance(section, Stage)):
+            continue
+        table.add(name, _commented(value, field.description))
+    return table
+
+
+def _subsets_table(subsets: Mapping[str, Sequence[int]], description: str | None):
+    table = tomlkit.table().comment(description or "")
+    for name, points in subsets.items():
+        table.add(name, list(points))
+    return table
+
+
+def _commented(value: Any, description: str | None):
+    if isinstance(value, dict):
+        item = tomlkit.inline_table()
+        item.update(value)
+    else:
+        item = tomlkit.item(list(value) if isinstance(value, tuple) else value)
+    return item.comment(description) if description else item

@@ -1,0 +1,131 @@
+"""Schedules: the stages that a frame is solved by, and those of the presets."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from workbench.config.sections import Iterations, NonNegative, Section
+from workbench.energies.systems import PARAMETER_BLOCKS
+from workbench.energies.terms import TABLE
+from workbench.landmarks.scheme import GROUPS
+
+NAMED_TERMS = tuple(name for name in TABLE if name not in ("landmarks", "identity"))
+"""What a stage may name: the landmarks are in every stage, and the identity's prior wherever the identity is free."""
+
+
+class Stage(Section):
+    """One solve: what is free, what each landmark counts, how many iterations."""
+
+    name: str = Field(min_length=1, description="What tables and plots call it.")
+    free: tuple[Literal[PARAMETER_BLOCKS], ...] = Field(
+        min_length=1, description="What the stage solves for; the rest stays."
+    )
+    shapes: tuple[str, ...] = Field(
+        (), description="Deep Energies: free blendshapes by name or start of name, or first:N; empty: all."
+    )
+    terms: tuple[Literal[NAMED_TERMS], ...] = Field(
+        (), description="Terms beside those that the system has in every stage."
+    )
+    landmarks: dict[str, NonNegative] = Field({"all": 1.0}, description="Weight by group; later entries win.")
+    limit: Iterations = Field(15, description="Most iterations.")
+    when: Literal["always", "start"] = Field("always", description="start: only on the first frame of a shot.")
+    enabled: bool = Field(True, description="Off: the stage is left out.")
+
+    @field_validator("free")
+    @classmethod
+    def _in_order(cls, value):
+        if len(set(value)) != len(value):
+            raise ValueError("lists a parameter twice")
+        return tuple(name for name in PARAMETER_BLOCKS if name in value)
+
+    def landmark_weights(self, subsets: Mapping[str, Sequence[int]] = MappingProxyType({})) -> list[float]:
+        """Weight of each of the 68 landmarks: zero, then each group or subset in turn."""
+        return weights_in_turn(self.landmarks, subsets, 0.0)
+
+
+def weights_in_turn(table: Mapping[str, float], subsets: Mapping[str, Sequence[int]], start: float) -> list[float]:
+    """Weight of each of the 68 landmarks: `start`, then each group, subset or point number of the table in turn."""
+    weights = [start] * 68
+    for name, weight in table.items():
+        for index in (int(name),) if name.isdigit() else (GROUPS | dict(subsets))[name]:
+            weights[index] = weight
+    return weights
+
+
+def unknown_group(name: str, subsets: Mapping[str, Sequence[int]]) -> str | None:
+    """What is wrong with the name of a landmark group, None if nothing."""
+    if name in GROUPS or name in subsets or (name.isdigit() and int(name) < 68):
+        return None
+    near = difflib.get_close_matches(name, [*GROUPS, *subsets], 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"the groups are {', '.join([*GROUPS, *subsets])}"
+    return f"knows no landmark group {name!r}; {hint}"
+
+
+POSE = ("rotation", "translation")
+ROBUST_START = Stage(name="initial pose", free=POSE, landmarks={"robust": 1.0}, when="start")
+
+DEEP_STAGES = (
+    # Few iterations on purpose: translation alone would grow and shrink the face to reach the landmarks.
+    Stage(name="translation", free=("translation",), landmarks={"non_jaw": 1.0}, limit=5, terms=("edges",)),
+    Stage(name="rigid, not the jaw", free=POSE, landmarks={"non_jaw": 1.0}, limit=10, terms=("edges",)),
+    Stage(name="rigid, jaw alone", free=POSE, landmarks={"jaw": 1.0}, limit=3, terms=("edges",)),
+    Stage(name="rigid, all", free=POSE, limit=10, terms=("edges",)),
+    Stage(
+        name="jaw open",
+        free=(*POSE, "jaw_open"),
+        landmarks={"all": 1.0, "mouth": 3.0},
+        limit=8,
+        terms=("regularisation",),
+    ),
+    Stage(name="jaw", free=("jaw",), landmarks={"all": 1.0, "mouth": 3.0}, limit=8, terms=("regularisation",)),
+    Stage(
+        name="jaw and mouth",
+        free=(*POSE, "expression", "jaw"),
+        shapes=("mouth",),
+        limit=12,
+        terms=("regularisation",),
+    ),
+    Stage(
+        name="re-estimation",
+        free=("expression", "jaw"),
+        shapes=("mouth",),
+        limit=12,
+        terms=("regularisation",),
+        enabled=False,
+    ),
+)
+"""After Deep Energies Sec. 8.1 and 8.2; limits and the mouth's weight of 3 are ours. The last one is B.1's, for after a
+temporal refinement."""
+
+FIRST_10 = ("first:10",)
+PARALLEL_STAGES = (
+    Stage(name="translation", free=("translation",), landmarks={"non_jaw": 1.0}, limit=5, terms=("edges",)),
+    Stage(name="rigid and scale", free=(*POSE, "scale"), limit=15, terms=("edges",)),
+    Stage(name="shape", free=(*POSE, "identity"), shapes=FIRST_10, limit=12),
+    Stage(name="expression", free=(*POSE, "expression"), shapes=FIRST_10, limit=12, terms=("regularisation",)),
+)
+"""After Deep Energies Appendix C.2; the priors on shape and expression are ours. The first ten are the largest of a
+statistical basis. The default head's blendshapes are in alphabetical order: no jaw, no mouth among the first ten."""
+
+PRESET_STAGES: dict[str, tuple[Stage, ...]] = {
+    "face-it": (
+        ROBUST_START,
+        Stage(name="pose", free=POSE),
+        Stage(name="expression", free=("expression",)),
+    ),
+    "calibrated": (
+        ROBUST_START,
+        Stage(name="first pose", free=POSE, landmarks={"non_jaw": 1.0}, when="start"),
+        Stage(name="first expression", free=("expression",), when="start"),
+        Stage(name="pose", free=POSE, landmarks={"non_jaw": 1.0}),
+        Stage(name="expression", free=("expression",)),
+    ),
+    "joint": (
+        ROBUST_START,
+        # The contour of a detector is a silhouette, not a set of points: in full it would turn the head.
+        Stage(name="pose and expression", free=(*POSE, "expression"), landmarks={"all": 1.0, "jaw": 0.1}, limit=30),
+    ),
+}

@@ -1,0 +1,224 @@
+"""The sections of a configuration: each value with its default, its range and its comment in a file."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator
+
+from workbench.energies.terms import NODES, TABLE, Term
+
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
+PointKey = Annotated[str, Field(pattern=r"^([0-9]|[1-5][0-9]|6[0-7])$")]
+"""A point number from 0 to 67; TOML's keys are text."""
+Iterations = Annotated[int, Field(ge=0, le=500)]
+
+
+class Section(BaseModel):
+    """A part of a configuration: unknown keys and numbers that are not finite are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class CameraConfig(Section):
+    """Camera: given as a matrix, or guessed from a field of view."""
+
+    fov_deg: Annotated[float, Field(gt=0.0, lt=180.0)] = Field(
+        45.0, description="Field of view over the longer side, degrees; a guess unless you know it."
+    )
+    matrix: list[list[float]] | None = Field(None, description="OpenCV camera matrix in pixels; replaces fov_deg.")
+    distortion: list[float] = Field([], description="OpenCV distortion, 0, 4, 5 or 8 coefficients.")
+    projection: Literal["perspective", "orthographic"] = Field(
+        "perspective", description="orthographic: no perspective, as by a tele lens; the head's scale replaces z."
+    )
+    rig: str = Field("", description="Rig file of several cameras (Deep Energies); replaces the camera above.")
+
+
+def _omega(name: str) -> Any:
+    """The field of a term's ω, with default and comment from the table."""
+    term = TABLE[name]
+    source = f" ({term.equation})" if term.equation else ""
+    return Field(term.default, description=f"{term.omega_symbol}: {term.says}{source}.")
+
+
+def own_weights() -> list[Term]:
+    """The terms whose ω lies in the section `weights`."""
+    return [term for term in TABLE.values() if term.of != "landmarks" and not term.key]
+
+
+WeightsConfig = create_model(
+    "WeightsConfig",
+    __base__=Section,
+    __doc__="ω in the hierarchy of FACE IT! Eqs. 5-7: a term's factor is the product down its branch.",
+    **{
+        node.name: (NonNegative, Field(1.0, description=f"{node.symbol}: {node.says} ({node.source})."))
+        for node in NODES
+    },
+    **{term.name: (NonNegative, _omega(term.name)) for term in own_weights()},
+)
+
+
+class ConstantsConfig(Section):
+    """Constants inside the terms."""
+
+    a: float = Field(1.002, description="E_β: upper bound.")
+    b: Annotated[float, Field(gt=0.0)] = Field(2e-5, description="E_β: width of its steps.")
+    c: float = Field(2.5, description="E_β: offset.")
+    delta: Annotated[float, Field(gt=0.0)] = Field(0.01, description="Smoothed L1: where it turns quadratic.")
+    rotation_mm: NonNegative = Field(100.0, description="E_τ: millimetres that one radian counts as.")
+
+
+class SolverConfig(Section):
+    """How each stage is solved."""
+
+    method: Literal["lm", "optimistix-lm", "optimistix-dogleg"] = Field(
+        "lm", description="lm: ours, which keeps bounds by an active set; Optimistix' two cut a step off at them."
+    )
+    bounded: bool = Field(True, description="Keep every weight in [0, 1] (off: only the terms hold them).")
+    tolerance: NonNegative = Field(1e-6, description="Stop when a step lowers the energy by less than this part.")
+    unit: Literal["px", "percent"] = Field(
+        "percent", description="Unit of landmark residuals: pixels, or percent of the outer-eye distance."
+    )
+
+
+class ContourConfig(Section):
+    """The jaw contour."""
+
+    mode: Literal["sliding", "fixed"] = Field(
+        "sliding", description="sliding: the 17 jaw points slide along the face with the yaw; fixed: they stay."
+    )
+
+
+class IdentityConfig(Section):
+    """Calibration of the subject's face shape before tracking."""
+
+    calibrate: bool = Field(True, description="Estimate one identity per shot (or photo); off: the model's mean face.")
+    window: Annotated[int, Field(ge=1, le=1000)] = Field(90, description="Frames of a shot to choose from.")
+    frames: Annotated[int, Field(ge=1, le=24)] = Field(12, description="Frames of the window that are used.")
+    weight: NonNegative = _omega("identity")
+    expression: NonNegative = Field(40.0, description="ω of the smoothed L1 norm of the weights during calibration.")
+    jaw: NonNegative = Field(0.3, description="Landmark weight of the jaw contour in the second pass.")
+    limits: tuple[Iterations, Iterations] = Field((30, 15), description="Iterations of the two passes.")
+
+
+class LandmarksConfig(Section):
+    """Detection and tracking of the 68 points."""
+
+    detector: Literal["auto", "dlib+network", "network", "dlib", "dlib-hog", "dlib-cnn"] = Field(
+        "auto", description="Face detector and predictor; auto: dlib+network where dlib is installed, else network."
+    )
+    face: tuple[float, float] | None = Field(None, description="A point in the wanted face, pixels; else the largest.")
+    weights: dict[str, NonNegative] = Field(
+        {}, description="Factor by group, subset or point number, in every stage and in the identity; 0 mutes."
+    )
+    moved: dict[FrameKey, dict[PointKey, tuple[float, float]]] = Field(
+        {}, description="Detections put right by hand: frame number, then point number, then its place in pixels."
+    )
+
+
+class DeepConfig(Section):
+    """Deep Energies: photo and render through one network (Sec. 4 to 8); FACE IT! reads none of this."""
+
+    energy: Literal["deep", "points", "mixed"] = Field(
+        "deep", description="Landmarks of the model: seen in its render, preselected on it, or mixed by confidence."
+    )
+    derivative: Literal["broyden", "forward", "differences"] = Field(
+        "broyden", description="forward: through renderer and network, as published; broyden: 8 times faster."
+    )
+    start: Literal["frontal", "landmarks"] = Field(
+        "frontal", description="frontal: facing the camera in the picture's middle; landmarks: the pose they give."
+    )
+    distance_mm: Annotated[float, Field(gt=0.0)] = Field(650.0, description="Distance of the frontal start.")
+    appearance: Literal["estimate", "model"] = Field(
+        "estimate", description="Colours and light: from the most neutral frame, or the model's own."
+    )
+    network: str = Field("", description="Weights of the landmark network (.safetensors); empty: the bundled one.")
+    edges: NonNegative = _omega("edges")
+    regularisation: NonNegative = _omega("regularisation")
+    tolerance: NonNegative = Field(1e-3, description="A stage stops when a step gains less than this part.")
+    identity: NonNegative = Field(10.0, description="Weight of ‖identity‖² in stages that free it.")
+    prior: NonNegative = _omega("prior")
+    largest_error: NonNegative = Field(6.0, description="Failed above this mean landmark error, % of eye distance.")
+    largest_disagreement: NonNegative = Field(
+        12.0, description="Failed if jaw and other landmarks differ by more in their mean error, % of eye distance."
+    )
+
+
+class FlowConfig(Section):
+    """Optical flow between neighbouring frames, for infill and refinement (Deep Energies Sec. 6 and 7)."""
+
+    estimator: str = Field("dis", min_length=1, description="dis, farneback, network, or the path of a weights file.")
+    side: Annotated[int, Field(ge=64, le=1024)] = Field(
+        384, description="Pixels that the square about the face is brought to; the paper has 512."
+    )
+    points: Annotated[int, Field(ge=16, le=5000)] = Field(600, description="Surface points that are compared.")
+    renders: Literal["exact", "estimated"] = Field(
+        "exact", description="Flow of the renders: of the moving mesh, or by the same estimator as the photos."
+    )
+    robust: Annotated[float, Field(gt=0.0)] = Field(
+        1.0, description="Percent of the eye distance from which a point counts less and less."
+    )
+    stay: NonNegative = _omega("stay")
+    iterations: Iterations = Field(8, description="Step limit of each robust least-squares fit.")
+
+
+class InfillConfig(Section):
+    """Frames without a usable fit, filled from their neighbours (Deep Energies Sec. 6, 8.3, Appendix A)."""
+
+    method: Literal["none", "flow", "linear", "spline"] = Field("none", description="none leaves failed frames as is.")
+    rounds: Annotated[int, Field(ge=1, le=10)] = Field(
+        1, description="Flow: passes through a gap, forward and backward in turn."
+    )
+    longest: Annotated[int, Field(ge=1)] = Field(10_000, description="Gaps of more frames stay.")
+    largest_error: NonNegative = Field(
+        10.0, description="Mean landmark error, % of eye distance, above which a fit counts as failed."
+    )
+    frames: tuple[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], ...] = Field(
+        (), description="Frames that are filled although they have a fit: first and last of each part."
+    )
+
+    @field_validator("frames")
+    @classmethod
+    def _in_order(cls, value):
+        for first, last in value:
+            if last < first:
+                raise ValueError(f"a part goes from its first to its last frame, got {first} to {last}")
+        return tuple(sorted(value))
+
+    def named(self, frame: int) -> bool:
+        """Whether a frame is filled although it has a fit."""
+        return any(first <= frame <= last for first, last in self.frames)
+
+
+class RefinementConfig(Section):
+    """Steadier tracks (Deep Energies Sec. 7, Appendix B)."""
+
+    method: Literal["none", "averaging", "self", "plate", "hybrid"] = Field(
+        "none", description="hybrid: averaging, then the flow of the pictures (plate)."
+    )
+    sweeps: Annotated[int, Field(ge=1, le=20)] = Field(1, description="Times that every frame is solved.")
+    order: Literal["jacobi", "gauss-seidel"] = Field(
+        "jacobi", description="jacobi: from the neighbours of the last sweep; gauss-seidel: from the newest."
+    )
+    centre: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
+        0.5, description="Averaging: weight of the frame itself; its neighbours share the rest."
+    )
+    prior: NonNegative = Field(0.0, description="Flow: weight of staying at the fit before, pose in mm, 1 rad as 100.")
+    reestimate: Annotated[int, Field(ge=0, le=10)] = Field(
+        0, description="Times that the expression is re-fitted with the pose held (B.1), each with its refinement."
+    )
+
+
+class Provenance(Section):
+    """Where an exported configuration comes from; a run does not read it."""
+
+    # Metrics of frames without a face are not finite.
+    model_config = ConfigDict(allow_inf_nan=True)
+
+    exported: str = Field("", description="Date and time, UTC.")
+    versions: dict[str, str] = Field({}, description="Software that the numbers below were computed with.")
+    model: str = Field("", description="Name and SHA-256 of the face model.")
+    inputs: list[str] = Field([], description="Path and SHA-256 of each input.")
+    landmarks: str = Field("", description="Path and SHA-256 of the landmark file, if one was used.")
+    changed: list[str] = Field([], description="What differs from the preset that the tuning started from.")
+    before: dict[str, float] = Field({}, description="Metrics with that preset.")
+    after: dict[str, float] = Field({}, description="Metrics with this configuration.")
