@@ -14,7 +14,8 @@ from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame, frame_from_poin
 from workbench.landmarks.detection import FaceDetection
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
+from workbench.landmarks.tracker_options import TrackerOptions
+from workbench.landmarks.tracking import LandmarkTracker
 
 ASTRONAUT = Path(__file__).resolve().parents[1] / "data_samples" / "astronaut.png"
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

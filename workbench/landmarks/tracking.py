@@ -6,86 +6,30 @@ that the flow carried (no drift, but it jitters), and each point is a scalar Kal
 section 4, "Non-rigid tracking", names the same two parts.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Literal
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Float, UInt8
 
-from workbench.errors import ConfigError, InputError
+from workbench.errors import InputError
 from workbench.landmarks.alignment import (
-    FaceFrame,
-    fit_similarity,
     frame_from_points,
-    grey_face_crop,
     shape_deviation,
 )
 from workbench.landmarks.detection import Box, Effort, FaceDetection, LandmarkDetector
+from workbench.landmarks.fusion import fused
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.point_flow import CarriedPoints, FaceCrop, carried, crop_about
 from workbench.landmarks.scheme import GROUPS
+from workbench.landmarks.shot_cuts import correlation, thumbnail_of
+from workbench.landmarks.tracker_options import TrackerOptions
 
-FLOW_BOX, FLOW_MARGIN = 128, 64
-"""Pixels of the face box, and around it, in the crops that flow is measured on: cost independent of picture size."""
-THUMBNAIL = 32
 LONGEST_RETRY = 8
 """Times the retry interval: how rare thorough searches become in a long shot without a face."""
-LIDS = np.isin(np.arange(68), (37, 38, 40, 41, 43, 44, 46, 47))
-LID_NOISE = 10.0
-"""Times the flow's noise on the lids: in a blink the lid runs over the eye, whose texture flow follows instead."""
-FLOW_NOISE = np.where(LIDS, LID_NOISE, 1.0)
 CANDIDATES = 5
 """Faces aligned, at most, when one is chosen."""
-
-
-@dataclass(frozen=True)
-class TrackerOptions:
-    """Numbers that steer the tracker. Lengths named `_sides` are in sides of the face box (about the face's width)."""
-
-    face: tuple[float, float] | None = None
-    """A point (x, y) in pixels: follow the face nearest to it instead of the largest."""
-    check_interval: int = 45
-    """Frames between checks: the face is aligned again, as if just detected, and lost if that finds no face there."""
-    retry_interval: int = 10
-    """Frames between thorough searches while no face is found, doubled after each in vain up to eight times this. A
-    shot starts with a full search, and a quick one is made at every frame."""
-    patience: int = 5
-    """Frames that flow alone bridges where the predictor fails, as when a hand passes; doubtful fits are checked again
-    after as many."""
-    accept_confidence: float = 0.3
-    """Median confidence from which a newly aligned face is believed."""
-    sure_confidence: float = 0.5
-    """Median confidence below which a quickly found face is compared with those of a thorough search."""
-    keep_confidence: float = 0.1
-    """Median confidence below which a followed face is lost."""
-    cut_correlation: float = 0.5
-    """Correlation of consecutive thumbnails below which the shot has changed."""
-    flow_window: int = 13
-    """Side of the Lucas-Kanade window, in pixels of a crop whose face box has 128."""
-    round_trip_sides: float = 0.02
-    """Largest distance between a point and itself carried forward and back."""
-    flow_noise_sides: float = 0.003
-    """Standard deviation by which flow misplaces a point from one frame to the next."""
-    predictor_noise_sides: float = 0.006
-    """Standard deviation of the predictor from frame to frame; its measured scatter is added."""
-    surprise: float = 3.0
-    """Deviations beyond which predictor and flow contradict each other; then the predictor is followed faster."""
-    smallest_visible: float = 0.6
-    """Part of the inner 51 points that must lie inside the picture."""
-    largest_deviation_sides: float = 0.1
-    """Mean deviation from an average face beyond which a shape is no face."""
-
-    def __post_init__(self) -> None:
-        for name in ("check_interval", "retry_interval", "flow_window"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"tracker option {name} must be at least 1, got {getattr(self, name)}")
-        for name in ("accept_confidence", "sure_confidence", "keep_confidence", "cut_correlation", "smallest_visible"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"tracker option {name} must lie in 0..1, got {getattr(self, name)}")
-        for name in ("round_trip_sides", "flow_noise_sides", "predictor_noise_sides", "surprise"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"tracker option {name} must be positive, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +46,6 @@ class TrackedLandmarks:
     """The upright face box around the landmarks, in pixels."""
     milliseconds: dict[str, float] = field(default_factory=dict)
     """Time spent: "detect" on finding faces, "landmarks" on everything else."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Flow:
-    points: Float[np.ndarray, "68 2"]
-    """Where the flow puts the points; points that it lost move with the others."""
-    valid: Bool[np.ndarray, "68"]
-    round_trip: Float[np.ndarray, "68"]
-    """Distance between each point and itself carried forward and back, in box sides."""
 
 
 class LandmarkTracker:
@@ -130,7 +65,7 @@ class LandmarkTracker:
 
     def reset(self) -> None:
         """Forget everything: the next picture is the first."""
-        self._points: np.ndarray | None = None
+        self._face: FaceCrop | None = None
         self._variance = np.zeros(68)
         self._place: np.ndarray | None = None  # where the face was, within this shot
         self._side = 0.0
@@ -139,21 +74,19 @@ class LandmarkTracker:
         self._bridged = 0
         self._search_at_once()
         self._thumbnail: np.ndarray | None = None
-        self._flow_crop: np.ndarray | None = None
-        self._flow_frame: FaceFrame | None = None
 
     def step(self, picture: UInt8[np.ndarray, "h w 3"]) -> TrackedLandmarks:
         """Find or follow the face in the next picture."""
         started = perf_counter()
         self._detect_seconds = 0.0
-        thumbnail = _thumbnail(picture)
+        thumbnail = thumbnail_of(picture)
         cut = self._is_cut(thumbnail)
         self._thumbnail = thumbnail
         self._since_search += 1
         if cut:
-            self._points = self._place = None
+            self._face = self._place = None
             self._search_at_once()
-        landmarks = self._follow(picture) if self._points is not None else None
+        landmarks = self._follow(picture) if self._face is not None else None
         source: Literal["detected", "tracked", "none"] = "tracked"
         if landmarks is None:
             landmarks = self._find(picture)
@@ -168,13 +101,12 @@ class LandmarkTracker:
 
     def _follow(self, picture: np.ndarray) -> Landmarks2D | None:
         """Flow, predictor and their fusion; None when the face is lost. Updates the filter's variances."""
-        flow = self._flow(picture)
+        flow = carried(self._face, picture, self.options.flow_window, self.options.round_trip_sides)
         refined = self.detector.refine(picture, flow.points)
         side = frame_from_points(flow.points).side
         difference = np.linalg.norm(refined.points - flow.points, axis=1) / side
         if np.median(difference) > 2 * self.options.predictor_noise_sides * self.options.surprise:
             refined = self.detector.refine(picture, refined.points)  # the flow's box was off: start from a better one
-            difference = np.linalg.norm(refined.points - flow.points, axis=1) / side
         self._since_check += 1
         if not self._plausible(picture, refined):
             return self._realign(picture, flow.points) or self._bridge(picture, flow, refined)
@@ -183,7 +115,8 @@ class LandmarkTracker:
         due = self.options.patience if doubtful else self.options.check_interval
         if self._since_check >= due and self._realign(picture, refined.points) is None:
             return None
-        return self._fuse(flow, refined, difference, side)
+        landmarks, self._variance = fused(flow, refined, self._variance, side, self.options)
+        return replace(landmarks, confidence=landmarks.confidence * self._trust)
 
     def _realign(self, picture: np.ndarray, points: Float[np.ndarray, "68 2"]) -> Landmarks2D | None:
         """Align the face near `points` as if it had just been detected; None where there is none."""
@@ -200,32 +133,12 @@ class LandmarkTracker:
         quick = float(np.median(self.detector.refine(picture, aligned.points).confidence))
         self._trust = min(1.0, float(np.median(aligned.confidence)) / max(quick, 1e-6))
 
-    def _bridge(self, picture: np.ndarray, flow: _Flow, refined: Landmarks2D) -> Landmarks2D | None:
+    def _bridge(self, picture: np.ndarray, flow: CarriedPoints, refined: Landmarks2D) -> Landmarks2D | None:
         """Flow alone, for a few frames, if most points are followed surely; with the predictor's low confidence."""
         self._bridged += 1
         carried = Landmarks2D(flow.points, refined.confidence.clip(max=0.1), refined.image_size)
         steady = flow.valid.mean() >= 0.7 and self._bridged <= self.options.patience
         return carried if steady and self._is_face(picture, carried) else None
-
-    def _flow(self, picture: np.ndarray) -> _Flow:
-        """Carry the points from the last picture's face crop to the same place of this picture, and back to check."""
-        frame = self._flow_frame
-        crop, _ = grey_face_crop(picture, frame, FLOW_BOX, FLOW_MARGIN)
-        to_crop = _crop_similarity(frame)
-        before = to_crop.to_face(self._points).astype(np.float32)
-        window = (self.options.flow_window, self.options.flow_window)
-        after, found, _ = cv2.calcOpticalFlowPyrLK(self._flow_crop, crop, before[:, None], None, winSize=window)
-        back, found_back, _ = cv2.calcOpticalFlowPyrLK(crop, self._flow_crop, after, None, winSize=window)
-        round_trip = np.linalg.norm(back[:, 0].astype(np.float64) - before, axis=1) / FLOW_BOX
-        inside = ((after[:, 0] > 0) & (after[:, 0] < crop.shape[0] - 1)).all(axis=1)
-        valid = found.ravel().astype(bool) & found_back.ravel().astype(bool) & inside
-        valid &= round_trip < self.options.round_trip_sides
-        points = to_crop.to_image(after[:, 0].astype(np.float64))
-        if valid.sum() >= 6:
-            points[~valid] = fit_similarity(self._points[valid], points[valid]).to_image(self._points[~valid])
-        else:
-            points = self._points.copy()
-        return _Flow(points, valid, round_trip)
 
     def _plausible(self, picture: np.ndarray, landmarks: Landmarks2D) -> bool:
         """Does the predictor see a face here that can be the one of the last frame?"""
@@ -242,24 +155,6 @@ class LandmarkTracker:
         if inside.mean() < self.options.smallest_visible:
             return False
         return shape_deviation(landmarks.points) <= self.options.largest_deviation_sides
-
-    def _fuse(self, flow: _Flow, refined: Landmarks2D, difference: Float[np.ndarray, "68"], side: float) -> Landmarks2D:
-        """A Kalman step for each point, in box sides: flow predicts, the predictor measures."""
-        options = self.options
-        lost = np.where(flow.valid, 0.0, 10 * options.predictor_noise_sides)
-        variance = (
-            self._variance + (options.flow_noise_sides * FLOW_NOISE) ** 2 + flow.round_trip.clip(max=1) ** 2 + lost**2
-        )
-        noise = options.predictor_noise_sides**2 * (1 - 2 * np.log(refined.confidence.clip(1e-3)))
-        # What flow and predictor cannot both explain is real motion that the flow missed, as a blink: open the gate.
-        surplus = difference**2 - options.surprise**2 * (variance + noise)
-        variance = variance + surplus.clip(min=0)
-        gain = variance / (variance + noise)
-        points = flow.points + gain[:, None] * (refined.points - flow.points)
-        self._variance = (1 - gain) * variance
-        agreement = np.exp(-0.5 * (difference / (10 * options.predictor_noise_sides)) ** 2)
-        agreement[LIDS] = 1.0  # flow is no witness of them
-        return Landmarks2D(points, refined.confidence * agreement * self._trust, refined.image_size)
 
     # --- finding ---
 
@@ -316,22 +211,19 @@ class LandmarkTracker:
     def _is_cut(self, thumbnail: np.ndarray) -> bool:
         if self._thumbnail is None:
             return False
-        return _correlation(self._thumbnail, thumbnail) < self.options.cut_correlation
+        return correlation(self._thumbnail, thumbnail) < self.options.cut_correlation
 
     def _keep(self, picture: np.ndarray, landmarks: Landmarks2D | None) -> None:
         """Remember what the next frame needs: the points, and a crop of this picture to measure flow from."""
-        self._points = None if landmarks is None else landmarks.points
-        self._flow_crop = self._flow_frame = None
-        if landmarks is not None:
-            self._flow_frame = frame_from_points(landmarks.points)
-            self._place, self._side = self._flow_frame.origin, self._flow_frame.side
-            self._flow_crop, _ = grey_face_crop(picture, self._flow_frame, FLOW_BOX, FLOW_MARGIN)
+        self._face = None if landmarks is None else crop_about(picture, landmarks.points)
+        if self._face is not None:
+            self._place, self._side = self._face.frame.origin, self._face.frame.side
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything that the next step depends on, besides the last picture, as plain arrays."""
         empty = np.zeros((0, 2))
         return {
-            "points": empty if self._points is None else self._points.copy(),
+            "points": empty if self._face is None else self._face.points.copy(),
             "variance": self._variance.copy(),
             "place": empty[0:0, 0] if self._place is None else self._place.copy(),
             "side": np.array(self._side),
@@ -368,7 +260,7 @@ class LandmarkTracker:
         if started and previous_picture is None:
             raise InputError("a tracker state is restored with the last picture before it: pass that picture")
         if started:
-            self._thumbnail = _thumbnail(previous_picture)
+            self._thumbnail = thumbnail_of(previous_picture)
             height, width = previous_picture.shape[:2]
             if len(state["points"]):
                 points = np.array(state["points"], np.float64)
@@ -380,28 +272,5 @@ class LandmarkTracker:
         self.detections = detections
 
 
-def _crop_similarity(frame: FaceFrame) -> FaceFrame:
-    """From pixels of the flow crop to pixels of the picture."""
-    size = FLOW_BOX + 2 * FLOW_MARGIN
-    matrix = frame.matrix / FLOW_BOX
-    return FaceFrame(matrix, frame.origin - matrix @ np.full(2, (size - 1) / 2))
-
-
 def _distance(box: Box, point: np.ndarray | tuple[float, float]) -> float:
     return float(np.hypot((box[0] + box[2]) / 2 - point[0], (box[1] + box[3]) / 2 - point[1]))
-
-
-def _thumbnail(picture: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "s s"]:
-    """A tiny grey picture; taking every k-th pixel first makes its cost that of any size."""
-    step = max(1, min(picture.shape[:2]) // 144)
-    small = cv2.resize(
-        np.ascontiguousarray(picture[::step, ::step]), (THUMBNAIL, THUMBNAIL), interpolation=cv2.INTER_AREA
-    )
-    return cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32)
-
-
-def _correlation(first: np.ndarray, second: np.ndarray) -> float:
-    """Normalised correlation of two thumbnails; grey levels within a deviation of 2 count as equal (dark pictures)."""
-    a, b = first - first.mean(), second - second.mean()
-    floor = a.size * 2.0**2
-    return float(((a * b).sum() + floor) / (np.sqrt((a * a).sum() * (b * b).sum()) + floor))

@@ -17,7 +17,8 @@ from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import fallback_note, make_detector
 from workbench.landmarks.files import LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
+from workbench.landmarks.tracker_options import TrackerOptions
+from workbench.landmarks.tracking import LandmarkTracker
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import energy_network, photo_landmarks
 

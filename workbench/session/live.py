@@ -13,7 +13,8 @@ from workbench.face import FaceModel
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.scheme import outer_eye_distance
-from workbench.landmarks.tracking import LandmarkTracker, TrackerOptions
+from workbench.landmarks.tracker_options import TrackerOptions
+from workbench.landmarks.tracking import LandmarkTracker
 from workbench.planning import plan_of
 from workbench.session.gesture import Gesture, Gestures
 from workbench.session.live_frame import LIVE_SIZE, LiveFrame
