@@ -42,7 +42,7 @@ from workbench.rendering import (
 from workbench.solvers import judge, propose
 from workbench.tracker import FaceTracker
 from workbench.tracking import Track
-from workbench.tracking.deep_fitter import FAR_MM, DeepFitter
+from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_programs import (
     look,
     look_derivative,
@@ -52,6 +52,7 @@ from workbench.tracking.deep_programs import (
     term_energies,
 )
 from workbench.tracking.deep_solver import solve_stage
+from workbench.tracking.deep_views import FAR_MM
 from workbench.tracking.plan import StagePlan
 from workbench.tracking.records import FAILURES, meta_array, stack_fits
 from workbench.tracking.systems import make_fitter

@@ -6,98 +6,40 @@ frame's own landmarks, nothing of the frame before, unless a stage names a term 
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from workbench.energies import TermContext
-from workbench.energies.deep import DeepView, crop_of, deep_model
+from workbench.energies.deep import DeepView, deep_model
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, free_parameters, parameter_range, seen_shapes
 from workbench.geometry import Camera, yaw_pitch_roll_deg
-from workbench.landmarks.network_detector import CROP_BOXES
-from workbench.landmarks.observations import Landmarks2D
-from workbench.rendering import (
-    Appearance,
-    ambient_light,
-    directional_light,
-    estimate_appearance,
-    orthographic_camera,
-    turned_light,
-)
-from workbench.rendering.camera import OrthographicCamera
-from workbench.solvers import Status
+from workbench.rendering import Appearance, estimate_appearance
 from workbench.tracking.deep_programs import DeepScene
-from workbench.tracking.deep_solver import StageProblem, StageResult, solve_stage
+from workbench.tracking.deep_solution import DeepProblem, DeepSolution, record_of
+from workbench.tracking.deep_solver import StageProblem, solve_stage
 from workbench.tracking.deep_target import energy_network
+from workbench.tracking.deep_views import light_of, recorded_camera, views_of, weighed
 from workbench.tracking.face_it_fitter import FaceItFitter
-from workbench.tracking.failures import failure_of_residuals
 from workbench.tracking.fitting import (
     Calibrated,
     Continuation,
     Fitter,
     FrameContext,
     FrameObservation,
-    FrameProblem,
-    FrameSolution,
     StageTrace,
     continued,
     never,
 )
 from workbench.tracking.plan import Plan, StagePlan
-from workbench.tracking.records import FAILURES, FrameFit
+from workbench.tracking.records import FrameFit
 
-EYES_PER_BOX = 0.726
-"""Outer-eye distance of an average face in face-box sides (`landmarks.alignment.MEAN_SHAPE`): unlike the distance in
-the picture it does not shrink with the yaw."""
-FAR_MM = 1e5
-"""A parallel view is recorded as a camera at this distance, so that everything that reads a fit can draw it."""
-BACKGROUND = (0.45, 0.45, 0.45)
 NEUTRAL_YAW_DEG = 25.0
 """A weight of 1 makes a frame as unfit for the appearance as this yaw."""
-
-
-@dataclass(frozen=True)
-class DeepProblem(FrameProblem):
-    """A frame as the stages take it; without a face in any view there is nothing to solve."""
-
-    stages: tuple[StagePlan, ...]
-    scene: DeepScene | None = None
-    views: tuple[DeepView, ...] = ()
-    """What each camera brings, every landmark in full."""
-    start: FaceParameters | None = None
-    history: TermContext | None = None
-
-
-@dataclass(frozen=True)
-class DeepSolution(FrameSolution):
-    """What every stage made of a frame; no results where there was nothing to solve."""
-
-    problem: DeepProblem
-    results: tuple[StageResult, ...]
-    views: tuple[DeepView, ...]
-    """As the last stage had them."""
-    seconds: tuple[float, ...]
-    """Of each stage."""
-
-    @property
-    def stages(self) -> tuple[StagePlan, ...]:
-        """Those that ran."""
-        return self.problem.stages[: len(self.results)]
-
-    @property
-    def start(self) -> FaceParameters:
-        """Where the first stage began."""
-        return self.problem.start
-
-    @property
-    def parameters(self) -> FaceParameters:
-        """Where the last stage ended."""
-        return self.results[-1].parameters
 
 
 class DeepFitter(Fitter):
@@ -130,13 +72,7 @@ class DeepFitter(Fitter):
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """The camera of the reference view; for a parallel view one far away that looks alike."""
-        if self.rig is not None:
-            return self.rig.views[0].camera
-        guessed = self.plan.camera.of(image_size)
-        if not self.plan.camera.parallel:
-            return guessed
-        scale = self._start_scale(guessed)
-        return Camera(np.full(2, scale * FAR_MM), np.asarray(guessed.principal_point_px, float), np.zeros(8))
+        return recorded_camera(self.plan, image_size)
 
     def neutral_observation(self, image_size: tuple[int, int]) -> FrameObservation:
         """What a perfect detector would see of the neutral face in front of this camera; nothing in a rig's others."""
@@ -196,7 +132,7 @@ class DeepFitter(Fitter):
         parameters = problem.start
         for stage in problem.stages if problem.views else ():
             began = time.perf_counter()
-            views = self._weighed(problem.views, stage)
+            views = weighed(problem.views, stage)
             result = solve_stage(self._stage_problem(problem, views, stage), parameters, cancelled)
             parameters = result.parameters
             results.append(result)
@@ -214,26 +150,11 @@ class DeepFitter(Fitter):
 
     def traces(self, solution: DeepSolution) -> tuple[StageTrace, ...]:
         """The accepted steps, by stage."""
-        target = solution.problem.observation.landmarks.points
-        return tuple(
-            StageTrace(
-                stage.name,
-                np.stack([step.energies for step in result.path]),
-                np.stack([np.linalg.norm(step.points[0] - target, axis=1) for step in result.path]),
-            )
-            for stage, result in zip(solution.stages, solution.results, strict=True)
-        )
+        return solution.traces()
 
     def stopped(self, solution: DeepSolution, steps: int) -> DeepSolution:
         """The solution as it stood after `steps` accepted steps, counted through all stages."""
-        results, left = [], max(steps, 0)
-        for result in solution.results:
-            kept = min(left, len(result.path) - 1)
-            results.append(result.stopped(kept))
-            left -= kept
-            if kept < len(result.path) - 1 or left == 0:
-                break
-        return replace(solution, results=tuple(results), seconds=solution.seconds[: len(results)])
+        return solution.stopped(steps)
 
     def scene(self, appearance: Appearance | None) -> DeepScene:
         """Network, model and colours of a shot."""
@@ -246,65 +167,15 @@ class DeepFitter(Fitter):
     ) -> tuple[DeepView, ...]:
         """What each camera brings to a stage; every landmark in full for None."""
         if stage is not None:
-            return self._weighed(self.views(observation, context), stage)
-        light = light_of(context.appearance)
-        if self.rig is None:
-            camera = self._solver_camera(observation.image_size)
-            return (self._view(camera, np.eye(3), np.zeros(3), observation.landmarks, light),)
-        seen = (observation.landmarks, *observation.others)
-        if len(seen) != len(self.rig):
-            raise InputError(
-                f"The rig has {len(self.rig)} views ({', '.join(self.rig.names)}), the frame landmarks of {len(seen)}; "
-                "give one clip for each view."
-            )
-        places = zip(self.rig.rotation_view_reference, self.rig.translation_view_reference_mm, strict=True)
-        return tuple(
-            self._view(view.camera, rotation, translation, landmarks, turned_light(light, rotation))
-            for view, (rotation, translation), landmarks in zip(self.rig.views, places, seen, strict=True)
-        )
-
-    def _weighed(self, views: tuple[DeepView, ...], stage: StagePlan) -> tuple[DeepView, ...]:
-        """The views with what each landmark counts in a stage."""
-        weights = stage.landmark_weights
-        return tuple(view._replace(weights=jnp.asarray(weights * np.asarray(view.weights))) for view in views)
+            return weighed(self.views(observation, context), stage)
+        return views_of(self.plan, self._network, observation, light_of(context.appearance))
 
     def record(self, solution: DeepSolution) -> FrameFit:
         """A solution as what tables, pictures and exports read."""
-        observation, context = solution.problem.observation, solution.problem.context
+        observation = solution.problem.observation
         if not solution.results:
-            return self._empty(observation, context.shot)
-        results, rows = solution.results, len(solution.problem.stages)
-        parameters = jax.tree.map(lambda part: np.array(part, float), solution.parameters)
-        prediction, camera = results[-1].prediction, self.camera(observation.image_size)
-        translation, scale = parameters.translation, float(parameters.scale[0])
-        if self.plan.camera.parallel:
-            translation = np.array([translation[0], translation[1], FAR_MM])
-        landmarks = observation.landmarks
-        # A view that saw nothing has no residual either: its confidence of 0 keeps it out of all means.
-        observed = prediction.points[0] if landmarks is None else landmarks.points
-        rotation = np.array(parameters.rotation)
-        return FrameFit(
-            index=observation.index,
-            found=True,
-            shot=context.shot,
-            source=observation.source,
-            image_size=observation.image_size,
-            camera=camera,
-            rotation=rotation,
-            translation=translation,
-            expression=parameters.expression,
-            identity=parameters.identity,
-            observed=observed,
-            confidence=np.zeros(68) if landmarks is None else landmarks.confidence,
-            projected=prediction.points[0],
-            energies=_rows([result.energies for result in results], rows, np.nan),
-            status=_rows([int(result.status.value) for result in results], rows, -1),
-            iterations=_rows([result.iterations for result in results], rows, 0),
-            milliseconds=np.array([*observation.milliseconds, 1e3 * sum(solution.seconds)]),
-            jaw=parameters.jaw,
-            scale=scale,
-            failure=self._failure(solution),
-        )
+            return self._empty(observation, solution.problem.context.shot)
+        return record_of(solution, self.plan, self._network, self.camera(observation.image_size))
 
     def start(self, identity: Float[np.ndarray, "i"]) -> FaceParameters:
         """The frontal start: facing the camera, in the middle of the picture."""
@@ -369,59 +240,6 @@ class DeepFitter(Fitter):
         lower, upper = parameter_range(self.model, self.plan.solver.bounded)
         return np.concatenate(lower), np.concatenate(upper)
 
-    def _solver_camera(self, image_size: tuple[int, int]) -> Camera | OrthographicCamera:
-        guessed = self.plan.camera.of(image_size)
-        if not self.plan.camera.parallel:
-            return Camera(*(jnp.asarray(part, float) for part in guessed))
-        made = orthographic_camera(image_size, self._start_scale(guessed))
-        return OrthographicCamera(*(jnp.asarray(part, float) for part in made))
-
-    def _start_scale(self, guessed: Camera) -> float:
-        """Pixels per millimetre at the start's distance."""
-        return float(np.mean(np.asarray(guessed.focal_px))) / self.plan.deep.distance_mm
-
-    def _view(self, camera, rotation, translation, landmarks: Landmarks2D | None, light) -> DeepView:
-        if landmarks is None:
-            target, confidence, unit = np.zeros((68, 2)), np.zeros(68), 1.0
-        else:
-            target, confidence = landmarks.points, landmarks.confidence
-            unit = 1.0
-            if self.plan.solver.percent:
-                unit = self._percent_px(target)
-        share = {"deep": np.ones(68), "points": np.zeros(68), "mixed": confidence}[self.plan.deep.energy]
-        if landmarks is None:
-            share = np.zeros(68)
-        return DeepView(
-            camera=Camera(*(jnp.asarray(part, float) for part in camera)) if isinstance(camera, Camera) else camera,
-            rotation=jnp.asarray(rotation, jnp.float32),
-            translation=jnp.asarray(translation, jnp.float32),
-            target=jnp.asarray(target),
-            weights=jnp.asarray(confidence),
-            share=jnp.asarray(share),
-            unit_px=jnp.asarray(unit),
-            light=jnp.asarray(light, jnp.float32),
-            background=jnp.asarray(BACKGROUND, jnp.float32),
-        )
-
-    def _percent_px(self, points: Float[np.ndarray, "68 2"]) -> float:
-        """One percent of a face's outer-eye distance, pixels, by the size of its crop."""
-        return 0.01 * EYES_PER_BOX / CROP_BOXES * float(crop_of(self._network, jnp.asarray(points)).side)
-
-    def _failure(self, solution: DeepSolution) -> str:
-        """Why the result should not be used, by its errors in the first view that shows something wrong."""
-        result = solution.results[-1]
-        if result.status is Status.NOT_FINITE:
-            return FAILURES[3]
-        percent = [
-            np.linalg.norm(points - np.asarray(view.target), axis=1) / self._percent_px(np.asarray(view.target))
-            for view, points in zip(solution.views, result.prediction.points, strict=True)
-            if np.any(np.asarray(view.weights) > 0.0)
-        ]
-        if not percent:
-            return ""
-        limits = self.plan.deep.largest_error, self.plan.deep.largest_disagreement
-        return FAILURES[next(filter(None, failure_of_residuals(np.stack(percent), *limits)), 0)]
-
     def _empty(self, observation: FrameObservation, shot: int) -> FrameFit:
         rows = len(self.plan.running(start=True))
         empty, _ = self._points.fit(
@@ -435,20 +253,6 @@ class DeepFitter(Fitter):
             iterations=np.zeros(rows, int),
             jaw=np.full(6, np.nan),
         )
-
-
-def _rows(values: list, count: int, missing: float | int) -> np.ndarray:
-    """Values of the stages that ran, filled up to all of them."""
-    known = np.asarray(values)
-    return np.concatenate([known, np.full((count - len(known), *known.shape[1:]), missing, known.dtype)])
-
-
-def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
-    """The light of an appearance, in the reference camera's frame; a plain one from the front where none was
-    estimated."""
-    if appearance is not None:
-        return appearance.light
-    return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
 
 
 def _unfitness(fit: FrameFit) -> float:

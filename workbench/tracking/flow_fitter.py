@@ -29,7 +29,7 @@ from workbench.rendering import (
 )
 from workbench.rendering.camera import CropCamera, to_screen
 from workbench.runtime import COMPUTING
-from workbench.tracking.deep_fitter import light_of
+from workbench.tracking.deep_views import light_of
 from workbench.tracking.flow_solver import MOVING, FlowLimits, FlowSolution, solve_flow
 from workbench.tracking.photo_flow import Cutout, cutout_about, photo_flow, read_at
 from workbench.tracking.plan import Plan

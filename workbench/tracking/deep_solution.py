@@ -1,0 +1,141 @@
+"""A frame of Deep Energies before and after its stages: the problem, the solution, and what both are read as."""
+
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+
+from workbench.energies import TermContext
+from workbench.energies.deep import DeepView
+from workbench.face import FaceParameters
+from workbench.geometry import Camera
+from workbench.networks import Fan, LandmarkNetwork
+from workbench.solvers import Status
+from workbench.tracking.deep_programs import DeepScene
+from workbench.tracking.deep_solver import StageResult
+from workbench.tracking.deep_views import FAR_MM, percent_px
+from workbench.tracking.failures import failure_of_residuals
+from workbench.tracking.fitting import FrameProblem, FrameSolution, StageTrace
+from workbench.tracking.plan import Plan, StagePlan
+from workbench.tracking.records import FAILURES, FrameFit
+
+
+@dataclass(frozen=True)
+class DeepProblem(FrameProblem):
+    """A frame as the stages take it; without a face in any view there is nothing to solve."""
+
+    stages: tuple[StagePlan, ...]
+    scene: DeepScene | None = None
+    views: tuple[DeepView, ...] = ()
+    """What each camera brings, every landmark in full."""
+    start: FaceParameters | None = None
+    history: TermContext | None = None
+
+
+@dataclass(frozen=True)
+class DeepSolution(FrameSolution):
+    """What every stage made of a frame; no results where there was nothing to solve."""
+
+    problem: DeepProblem
+    results: tuple[StageResult, ...]
+    views: tuple[DeepView, ...]
+    """As the last stage had them."""
+    seconds: tuple[float, ...]
+    """Of each stage."""
+
+    @property
+    def stages(self) -> tuple[StagePlan, ...]:
+        """Those that ran."""
+        return self.problem.stages[: len(self.results)]
+
+    @property
+    def start(self) -> FaceParameters:
+        """Where the first stage began."""
+        return self.problem.start
+
+    @property
+    def parameters(self) -> FaceParameters:
+        """Where the last stage ended."""
+        return self.results[-1].parameters
+
+    def stopped(self, steps: int) -> "DeepSolution":
+        """The solution as it stood after `steps` accepted steps, counted through all stages."""
+        results, left = [], max(steps, 0)
+        for result in self.results:
+            kept = min(left, len(result.path) - 1)
+            results.append(result.stopped(kept))
+            left -= kept
+            if kept < len(result.path) - 1 or left == 0:
+                break
+        return replace(self, results=tuple(results), seconds=self.seconds[: len(results)])
+
+    def traces(self) -> tuple[StageTrace, ...]:
+        """The accepted steps, by stage; residuals in the reference view."""
+        target = self.problem.observation.landmarks.points
+        return tuple(
+            StageTrace(
+                stage.name,
+                np.stack([step.energies for step in result.path]),
+                np.stack([np.linalg.norm(step.points[0] - target, axis=1) for step in result.path]),
+            )
+            for stage, result in zip(self.stages, self.results, strict=True)
+        )
+
+
+def record_of(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork, camera: Camera) -> FrameFit:
+    """A solution that has results as what tables, pictures and exports read; `camera` is that of the record."""
+    observation, context = solution.problem.observation, solution.problem.context
+    results, rows = solution.results, len(solution.problem.stages)
+    parameters = jax.tree.map(lambda part: np.array(part, float), solution.parameters)
+    prediction = results[-1].prediction
+    translation, scale = parameters.translation, float(parameters.scale[0])
+    if plan.camera.parallel:
+        translation = np.array([translation[0], translation[1], FAR_MM])
+    landmarks = observation.landmarks
+    # A view that saw nothing has no residual either: its confidence of 0 keeps it out of all means.
+    observed = prediction.points[0] if landmarks is None else landmarks.points
+    rotation = np.array(parameters.rotation)
+    return FrameFit(
+        index=observation.index,
+        found=True,
+        shot=context.shot,
+        source=observation.source,
+        image_size=observation.image_size,
+        camera=camera,
+        rotation=rotation,
+        translation=translation,
+        expression=parameters.expression,
+        identity=parameters.identity,
+        observed=observed,
+        confidence=np.zeros(68) if landmarks is None else landmarks.confidence,
+        projected=prediction.points[0],
+        energies=_rows([result.energies for result in results], rows, np.nan),
+        status=_rows([int(result.status.value) for result in results], rows, -1),
+        iterations=_rows([result.iterations for result in results], rows, 0),
+        milliseconds=np.array([*observation.milliseconds, 1e3 * sum(solution.seconds)]),
+        jaw=parameters.jaw,
+        scale=scale,
+        failure=_failure(solution, plan, network),
+    )
+
+
+def _failure(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork) -> str:
+    """Why the result should not be used, by its errors in the first view that shows something wrong."""
+    result = solution.results[-1]
+    if result.status is Status.NOT_FINITE:
+        return FAILURES[3]
+    percent = [
+        np.linalg.norm(points - np.asarray(view.target), axis=1) / percent_px(network, np.asarray(view.target))
+        for view, points in zip(solution.views, result.prediction.points, strict=True)
+        if np.any(np.asarray(view.weights) > 0.0)
+    ]
+    if not percent:
+        return ""
+    limits = plan.deep.largest_error, plan.deep.largest_disagreement
+    return FAILURES[next(filter(None, failure_of_residuals(np.stack(percent), *limits)), 0)]
+
+
+def _rows(values: list, count: int, missing: float | int) -> np.ndarray:
+    """Values of the stages that ran, filled up to all of them."""
+    known = np.asarray(values)
+    return np.concatenate([known, np.full((count - len(known), *known.shape[1:]), missing, known.dtype)])

@@ -1,0 +1,114 @@
+"""What each camera brings to a Deep Energies solve: camera, landmarks and their weights, light."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from workbench.energies.deep import DeepView, crop_of
+from workbench.errors import InputError
+from workbench.geometry import Camera
+from workbench.landmarks.network_detector import CROP_BOXES
+from workbench.landmarks.observations import Landmarks2D
+from workbench.networks import Fan, LandmarkNetwork
+from workbench.rendering import Appearance, ambient_light, directional_light, orthographic_camera, turned_light
+from workbench.rendering.camera import OrthographicCamera
+from workbench.tracking.fitting import FrameObservation
+from workbench.tracking.plan import Plan, StagePlan
+
+EYES_PER_BOX = 0.726
+"""Outer-eye distance of an average face in face-box sides (`landmarks.alignment.MEAN_SHAPE`): unlike the distance in
+the picture it does not shrink with the yaw."""
+FAR_MM = 1e5
+"""A parallel view is recorded as a camera at this distance, so that everything that reads a fit can draw it."""
+BACKGROUND = (0.45, 0.45, 0.45)
+
+
+def recorded_camera(plan: Plan, image_size: tuple[int, int]) -> Camera:
+    """The camera of the reference view; for a parallel view one far away that looks alike."""
+    if plan.camera.rig is not None:
+        return plan.camera.rig.views[0].camera
+    guessed = plan.camera.of(image_size)
+    if not plan.camera.parallel:
+        return guessed
+    scale = _start_scale(plan, guessed)
+    return Camera(np.full(2, scale * FAR_MM), np.asarray(guessed.principal_point_px, float), np.zeros(8))
+
+
+def views_of(
+    plan: Plan, network: Fan | LandmarkNetwork, observation: FrameObservation, light: Float[np.ndarray, "9 3"]
+) -> tuple[DeepView, ...]:
+    """What each camera brings of a frame, every landmark in full; `light` in the reference camera's frame.
+
+    Raises `InputError` for landmarks of another number of views than the rig has.
+    """
+    rig = plan.camera.rig
+    if rig is None:
+        camera = _solver_camera(plan, observation.image_size)
+        return (_view(plan, network, camera, np.eye(3), np.zeros(3), observation.landmarks, light),)
+    seen = (observation.landmarks, *observation.others)
+    if len(seen) != len(rig):
+        raise InputError(
+            f"The rig has {len(rig)} views ({', '.join(rig.names)}), the frame landmarks of {len(seen)}; "
+            "give one clip for each view."
+        )
+    places = zip(rig.rotation_view_reference, rig.translation_view_reference_mm, strict=True)
+    return tuple(
+        _view(plan, network, view.camera, rotation, translation, landmarks, turned_light(light, rotation))
+        for view, (rotation, translation), landmarks in zip(rig.views, places, seen, strict=True)
+    )
+
+
+def weighed(views: Sequence[DeepView], stage: StagePlan) -> tuple[DeepView, ...]:
+    """The views with what each landmark counts in a stage."""
+    weights = stage.landmark_weights
+    return tuple(view._replace(weights=jnp.asarray(weights * np.asarray(view.weights))) for view in views)
+
+
+def percent_px(network: Fan | LandmarkNetwork, points: Float[np.ndarray, "68 2"]) -> float:
+    """One percent of a face's outer-eye distance, pixels, by the size of its crop."""
+    return 0.01 * EYES_PER_BOX / CROP_BOXES * float(crop_of(network, jnp.asarray(points)).side)
+
+
+def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
+    """The light of an appearance, in the reference camera's frame; a plain one from the front where none was
+    estimated."""
+    if appearance is not None:
+        return appearance.light
+    return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
+
+
+def _view(
+    plan: Plan, network: Fan | LandmarkNetwork, camera, rotation, translation, landmarks: Landmarks2D | None, light
+) -> DeepView:
+    if landmarks is None:
+        target, confidence, share, unit = np.zeros((68, 2)), np.zeros(68), np.zeros(68), 1.0
+    else:
+        target, confidence = landmarks.points, landmarks.confidence
+        share = {"deep": np.ones(68), "points": np.zeros(68), "mixed": confidence}[plan.deep.energy]
+        unit = percent_px(network, target) if plan.solver.percent else 1.0
+    return DeepView(
+        camera=Camera(*(jnp.asarray(part, float) for part in camera)) if isinstance(camera, Camera) else camera,
+        rotation=jnp.asarray(rotation, jnp.float32),
+        translation=jnp.asarray(translation, jnp.float32),
+        target=jnp.asarray(target),
+        weights=jnp.asarray(confidence),
+        share=jnp.asarray(share),
+        unit_px=jnp.asarray(unit),
+        light=jnp.asarray(light, jnp.float32),
+        background=jnp.asarray(BACKGROUND, jnp.float32),
+    )
+
+
+def _solver_camera(plan: Plan, image_size: tuple[int, int]) -> Camera | OrthographicCamera:
+    guessed = plan.camera.of(image_size)
+    if not plan.camera.parallel:
+        return Camera(*(jnp.asarray(part, float) for part in guessed))
+    made = orthographic_camera(image_size, _start_scale(plan, guessed))
+    return OrthographicCamera(*(jnp.asarray(part, float) for part in made))
+
+
+def _start_scale(plan: Plan, guessed: Camera) -> float:
+    """Pixels per millimetre at the start's distance."""
+    return float(np.mean(np.asarray(guessed.focal_px))) / plan.deep.distance_mm
