@@ -24,7 +24,7 @@ from workbench.planning import plan_of
 from workbench.runtime import cache_folder
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit
-from workbench.tracking.face_it_fitter import solve_settings, stage_program
+from workbench.tracking.face_it_solution import solve_settings, stage_program
 from workbench.tracking.frame_solver import FrameInput, solve_frame
 from workbench.tracking.initial_pose import initial_pose
 

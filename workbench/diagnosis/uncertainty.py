@@ -17,7 +17,7 @@ from workbench.geometry import Camera, rotation_matrix
 from workbench.planning import plan_of
 from workbench.runtime import COMPUTING
 from workbench.tracking import FrameContext, FrameFit
-from workbench.tracking.face_it_fitter import solve_settings
+from workbench.tracking.face_it_solution import solve_settings
 from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem
 
 FREE = ("rotation", "translation", "expression")

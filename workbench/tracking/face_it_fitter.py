@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -14,25 +14,29 @@ from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_mo
 from workbench.geometry import Camera, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
 from workbench.runtime import COMPUTING
+from workbench.tracking.face_it_solution import (
+    FaceItProblem,
+    FaceItSolution,
+    cut_off,
+    on_device,
+    record_of,
+    record_without_face,
+    solve_settings,
+    stage_program,
+    traces_of,
+)
 from workbench.tracking.fitting import (
     Calibrated,
     Continuation,
     Fitter,
     FrameContext,
     FrameObservation,
-    FrameProblem,
-    FrameSolution,
     StageTrace,
     continued,
     never,
 )
 from workbench.tracking.frame_solver import (
-    BLOCKS,
-    STAGE_SLOTS,
     FrameInput,
-    SolvedFrame,
-    SolveSettings,
-    StageProgram,
     read_report,
     solve_frame,
 )
@@ -43,60 +47,6 @@ from workbench.tracking.records import FrameFit
 
 TRACE_LENGTH = 500
 """Longest trace; the largest limit that a stage may have."""
-
-
-@dataclass(frozen=True)
-class FaceItProblem(FrameProblem):
-    """A frame as `solve_frame` takes it; without landmarks there is nothing to solve."""
-
-    began: float
-    """When the frame was taken up, seconds."""
-    camera: Camera
-    settings: SolveSettings
-    program: StageProgram
-    """The stages that run."""
-    camera_on_device: Camera | None = None
-    person: LandmarkModel | None = None
-    frame: FrameInput | None = None
-
-
-@dataclass(frozen=True)
-class FaceItSolution(FrameSolution):
-    """What `solve_frame` made of a frame; None where there was nothing to solve."""
-
-    problem: FaceItProblem
-    found: SolvedFrame | None
-    """On the device, for the next frame."""
-    report: SolvedFrame | None
-    """The same in NumPy arrays."""
-    milliseconds: float
-
-
-def solve_settings(plan: Plan) -> SolveSettings:
-    """The traced part of a plan that all stages share."""
-    lower, upper = (0.0, 1.0) if plan.solver.bounded else (-np.inf, np.inf)
-    return _on_device(
-        SolveSettings(
-            constants=plan.constants,
-            lower=lower,
-            upper=upper,
-            tolerance=plan.solver.tolerance,
-            percent=float(plan.solver.percent),
-            sliding=float(plan.sliding),
-        )
-    )
-
-
-def stage_program(plan: Plan, start: bool) -> StageProgram:
-    """The stages of a first or a later frame as data for `solve_frame`."""
-    chosen = plan.running(start)
-    slots = STAGE_SLOTS * -(-len(plan.stages) // STAGE_SLOTS)
-    moves, limit = np.zeros((slots, len(BLOCKS)), bool), np.zeros(slots, int)
-    weights, omega = np.zeros((slots, 68)), np.zeros((slots, len(plan.terms)))
-    for k, stage in enumerate(chosen):
-        moves[k], limit[k] = [name in stage.free for name in BLOCKS], stage.limit
-        weights[k], omega[k] = stage.landmark_weights, stage.omega
-    return StageProgram(*(jnp.asarray(part) for part in (moves, limit, weights, omega, len(chosen))))
 
 
 class FaceItFitter(Fitter):
@@ -196,29 +146,11 @@ class FaceItFitter(Fitter):
 
     def traces(self, solution: FaceItSolution) -> tuple[StageTrace, ...]:
         """The iterations of a traced solution, by stage."""
-        stages = self.plan.running(start=solution.problem.context.last is None)
-        energies, residuals = (np.asarray(rows) for rows in solution.found.traces)
-        return tuple(
-            StageTrace(stages[k].name, energies[k, : count + 1], residuals[k, : count + 1])
-            for k, count in enumerate(self._counts(solution))
-        )
+        return traces_of(solution, self.plan)
 
     def stopped(self, solution: FaceItSolution, steps: int) -> FaceItSolution:
-        """The frame solved again with its stages cut off.
-
-        Stages that are not reached do not run: even without an iteration they would move the jaw contour.
-        """
-        left, limits = max(steps, 0), []
-        for count in self._counts(solution):
-            limits.append(min(count, left))
-            left -= limits[-1]
-            if left == 0:
-                break
-        problem = solution.problem
-        limit = np.array(problem.program.limit)
-        limit[: len(limits)] = limits
-        cut = problem.program._replace(limit=jnp.asarray(limit), count=jnp.asarray(len(limits)))
-        return self.solve(replace(problem, program=cut))
+        """The frame solved again with its stages cut off."""
+        return self.solve(replace(solution.problem, program=cut_off(solution, steps)))
 
     def warm_up(self, image_size: tuple[int, int], trace: bool = False) -> None:
         """Compile (or load from the cache) the program of a fit, and that of `explain` if asked for."""
@@ -241,7 +173,7 @@ class FaceItFitter(Fitter):
     def _camera_pair(self, image_size):
         if image_size not in self._cameras:
             camera = self.plan.camera.of(image_size)
-            self._cameras[image_size] = (camera, _on_device(camera))
+            self._cameras[image_size] = (camera, on_device(camera))
         return self._cameras[image_size]
 
     def _personal_of(self, identity: Float[np.ndarray, "i"]) -> LandmarkModel:
@@ -249,14 +181,9 @@ class FaceItFitter(Fitter):
         if self._identity is None or not np.array_equal(identity, self._identity):
             personal = self._landmarks.personal(np.asarray(identity, float))
             self._neutral = personal.frontal_neutral()
-            self._personal = _on_device(personal)
+            self._personal = on_device(personal)
             self._identity = np.array(identity)
         return self._personal
-
-    @staticmethod
-    def _counts(solution: FaceItSolution) -> list[int]:
-        """Iterations of each stage that ran."""
-        return [int(count) for count in solution.report.iterations[: int(solution.problem.program.count)]]
 
     def _frame_input(self, observation: FrameObservation, context: FrameContext) -> FrameInput:
         points, last = observation.landmarks.points, context.last
@@ -314,67 +241,10 @@ class FaceItFitter(Fitter):
 
     def record(self, solution: FaceItSolution) -> FrameFit:
         """A solution as what tables, pictures and exports read."""
-        problem, found = solution.problem, solution.report
-        observation, context = problem.observation, problem.context
-        if found is None:
-            return self._empty(observation, context.shot)
-        # Rows are laid out for the stages of a first frame, so that first and later frames stack.
-        rows, running = (int(self._programs[start].count) for start in (True, context.last is None))
-        count = int(problem.program.count)
-        place = slice(rows - running, rows - running + count)
-        energies = np.full((rows, len(self.plan.terms)), np.nan)
-        status, iterations = np.full(rows, -1), np.zeros(rows, int)
-        energies[place], status[place] = found.energies[:count], found.status[:count]
-        iterations[place] = found.iterations[:count]
-        return FrameFit(
-            index=observation.index,
-            found=True,
-            shot=context.shot,
-            source=observation.source,
-            image_size=observation.image_size,
-            camera=problem.camera,
-            rotation=found.parameters.rotation,
-            translation=found.parameters.translation,
-            expression=found.parameters.expression,
-            identity=context.identity,
-            observed=observation.landmarks.points,
-            confidence=observation.landmarks.confidence,
-            projected=found.projected,
-            energies=energies,
-            status=status,
-            iterations=iterations,
-            milliseconds=np.array([*observation.milliseconds, solution.milliseconds]),
-        )
-
-    def _empty(self, observation: FrameObservation, shot: int) -> FrameFit:
-        rows = int(self._programs[True].count)
-        return FrameFit(
-            index=observation.index,
-            found=False,
-            shot=shot,
-            source="none",
-            image_size=observation.image_size,
-            camera=self.camera(observation.image_size),
-            rotation=_missing(3),
-            translation=_missing(3),
-            expression=_missing(len(self.model.expression_names)),
-            identity=_missing(len(self.model.identity_deltas)),
-            observed=_missing(68, 2),
-            confidence=_missing(68),
-            projected=_missing(68, 2),
-            energies=_missing(rows, len(self.plan.terms)),
-            status=np.full(rows, -1),
-            iterations=np.zeros(rows, int),
-            milliseconds=np.array([*observation.milliseconds, 0.0]),
-        )
-
-
-def _missing(*shape: int) -> Float[np.ndarray, "..."]:
-    return np.full(shape, np.nan)
-
-
-def _on_device(tree):
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
+        problem = solution.problem
+        if solution.report is None:
+            return record_without_face(problem.observation, problem.context.shot, problem.camera, self.model, self.plan)
+        return record_of(solution, self.plan)
 
 
 _ZERO, _ONE, _NO_POSE = jnp.zeros(()), jnp.ones(()), jnp.zeros(6)
