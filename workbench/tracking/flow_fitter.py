@@ -1,35 +1,22 @@
 """A frame placed from its neighbours by optical flow: photos, surface points, renders and solver put together."""
 
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt8
+from jaxtyping import Array, Float, UInt8
 
-from workbench.arrays import AnyArray
 from workbench.energies.deep import DeepView, deep_model, preselected_points
 from workbench.energies.flow import FlowTargets, FlowView, FlowWeights, choose_surface, points_in_views
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, free_parameters, parameter_range
-from workbench.flow import SurfacePoints, flow_estimator, points_in_camera, seen_surface, surface_points
-from workbench.flow.geometric import shown_at
+from workbench.flow import SurfacePoints, flow_estimator, surface_points
 from workbench.geometry import Camera
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
-from workbench.networks.crop import CropBox
-from workbench.rendering import (
-    Appearance,
-    RenderModel,
-    estimate_appearance,
-    face_vertices,
-    render,
-    turned_light,
-)
-from workbench.rendering.camera import CropCamera, to_screen
+from workbench.rendering import Appearance, estimate_appearance, face_vertices
 from workbench.runtime import COMPUTING
-from workbench.tracking.deep_views import light_of
+from workbench.tracking.flow_renders import points_shown, rendered_cutout
 from workbench.tracking.flow_solver import MOVING, FlowLimits, FlowSolution, solve_flow
 from workbench.tracking.photo_flow import Cutout, cutout_about, photo_flow, read_at
 from workbench.tracking.plan import Plan
@@ -39,7 +26,6 @@ VISIBILITY_SIDE = 128
 """Pixels across the face in the picture of depths that tells hidden points."""
 ESTIMATED_PASSES = 3
 """Solves with the estimator's word on the renders brought up to date in between."""
-RENDER_GREY = 0.45
 TOLERANCE = 1e-4
 """A solve ends when a step lowers the energy by less than this part."""
 
@@ -124,7 +110,8 @@ class FlowFitter:
         for view in range(self.view_count):
             cutout = cutout_about(np.stack([here[view], there[view]]), self.plan.flow.side)
             found = photo_flow(self.estimator, neighbour.pictures[view], pictures[view], here[view], cutout)
-            visible = self._visible(neighbour.parameters, views, view, cutout_about(here[view], VISIBILITY_SIDE))
+            close = cutout_about(here[view], VISIBILITY_SIDE)
+            visible = points_shown(self._render, self._points, neighbour.parameters, views, view, close)
             places.append(found.places)
             # An estimator that sees both pairs errs alike where something gets hidden: that is kept, as in the paper.
             weights.append((visible & (found.consistent | self._estimates_renders)).astype(float))
@@ -263,14 +250,6 @@ class FlowFitter:
     def _of_moving(parameters: FaceParameters) -> tuple[np.ndarray, ...]:
         return tuple(getattr(parameters, name) for name in MOVING)
 
-    def _visible(self, parameters: FaceParameters, views: FlowView, view: int, cutout: Cutout) -> Bool[np.ndarray, "n"]:
-        """Which of the points a view shows: nothing of the head is before them."""
-        camera, place = _view(views, view)
-        crop = _crop(camera, cutout)
-        with COMPUTING:
-            shown = _shown(self._render, self._points, parameters, crop, *place, size=(cutout.pixels,) * 2)
-            return np.asarray(shown)
-
     def _bias(self, sides, parameters: FaceParameters, views: FlowView, appearance: Appearance | None):
         """What the estimator says of the rendered pair beside the exact flow, at the neighbour's points; pixels."""
         count = len(self._points.barycentric)
@@ -283,31 +262,13 @@ class FlowFitter:
             neighbour, links = side
             for view, cutout in enumerate(links.cutouts):
                 renders = [
-                    self._rendered(state, views, view, cutout, appearance)
+                    rendered_cutout(self._render, state, views, view, cutout, appearance)
                     for state in (neighbour.parameters, parameters)
                 ]
                 flow = self.estimator(*renders)
                 said = read_at(flow, cutout.inside(links.starts[view])) / cutout.scale
                 bias[k, view] = said - (there[view] - links.starts[view])
         return bias
-
-    def _rendered(
-        self, parameters: FaceParameters, views: FlowView, view: int, cutout: Cutout, appearance: Appearance | None
-    ) -> UInt8[np.ndarray, "s s 3"]:
-        camera, place = _view(views, view)
-        albedo = self._render.colors if appearance is None else appearance.albedo
-        light = turned_light(light_of(appearance), views.rotation[view])
-        with COMPUTING:
-            seen = _look(
-                self._render,
-                parameters,
-                _crop(camera, cutout),
-                *place,
-                np.asarray(albedo, np.float32),
-                np.asarray(light, np.float32),
-                size=(cutout.pixels,) * 2,
-            )
-            return np.asarray(np.clip(255.0 * np.asarray(seen), 0.0, 255.0), np.uint8)
 
 
 def parameters_of(fit: FrameFit) -> FaceParameters:
@@ -322,16 +283,6 @@ def parameters_of(fit: FrameFit) -> FaceParameters:
     )
 
 
-def _view(views: FlowView, view: int):
-    camera = Camera(*(np.asarray(part[view], np.float32) for part in views.camera))
-    return camera, (np.asarray(views.rotation[view], np.float32), np.asarray(views.translation[view], np.float32))
-
-
-def _crop(camera: Camera, cutout: Cutout) -> CropCamera:
-    box = CropBox(*(np.asarray(part, np.float32) for part in (cutout.centre, cutout.side_px, 0.0)))
-    return CropCamera(camera, box, np.asarray(float(cutout.pixels), np.float32))
-
-
 @jax.jit
 def _places(points: SurfacePoints, views: FlowView, parameters: FaceParameters) -> Float[Array, "views n 2"]:
     return points_in_views(points, views, parameters)[0]
@@ -340,27 +291,3 @@ def _places(points: SurfacePoints, views: FlowView, parameters: FaceParameters) 
 @jax.jit
 def _landmarks(model, view: DeepView, parameters: FaceParameters, sliding) -> Float[Array, "68 2"]:
     return preselected_points(model, view, parameters, sliding)
-
-
-@partial(jax.jit, static_argnames=("size",))
-def _shown(
-    model: RenderModel,
-    points: SurfacePoints,
-    parameters: FaceParameters,
-    camera: CropCamera,
-    rotation: Float[AnyArray, "3 3"],
-    translation: Float[AnyArray, "3"],
-    *,
-    size: tuple[int, int],
-) -> Bool[Array, "n"]:
-    vertices = face_vertices(model, parameters) @ rotation.T + translation
-    surface = seen_surface(vertices, model.topology.triangles, camera, size=size)
-    at = points_in_camera(points, parameters) @ rotation.T + translation
-    return shown_at(surface, to_screen(camera, at).pixels, at[:, 2])
-
-
-@partial(jax.jit, static_argnames=("size",))
-def _look(model, parameters, camera: CropCamera, rotation, translation, albedo, light, *, size: tuple[int, int]):
-    vertices = face_vertices(model, parameters) @ rotation.T + translation
-    background = jnp.full(3, RENDER_GREY, jnp.float32)
-    return render(vertices, model.topology, camera, albedo, light, background, size=size).color
