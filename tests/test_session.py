@@ -377,7 +377,7 @@ def test_a_run_is_stacked_once_for_all_that_is_shown_of_it(head, clip, monkeypat
         stacked.append(len(fits))
         return stack_fits(fits)
 
-    for module in ("tuning", "metrics", "temporal"):
+    for module in ("clip_run", "metrics", "failed_frames"):
         monkeypatch.setattr(f"workbench.session.{module}.stack_fits", counted)
     session = TuningSession(head, clip, QUICK)
     session.fit_clip()

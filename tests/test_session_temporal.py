@@ -13,8 +13,10 @@ from workbench.frames import FrameRange, open_frames
 from workbench.pipeline.temporal_run import work_over
 from workbench.samples import sample
 from workbench.session import Material, TuningSession, load_material, material_of_photo, material_of_track, open_session
+from workbench.session.curves import curve, moving_weights
 from workbench.session.material import PictureStore
-from workbench.session.temporal import curve, moving_weights, name_of, parts_of, parts_text, read_parts
+from workbench.session.parts import parts_of, parts_text, read_parts
+from workbench.session.worked import name_of
 from workbench.tracking import Track
 from workbench.tracking.flow_solver import solve_flow
 from workbench.tracking.records import stack_fits
@@ -45,7 +47,7 @@ def fitted(head, material):
 @pytest.fixture
 def session(head, material, fitted):
     made = TuningSession(head, material, QUICK)
-    made._run = fitted.run
+    made._runs.last = fitted.run
     return made
 
 

@@ -4,6 +4,6 @@ from .material import load_material as load_material
 from .material import material_of_photo as material_of_photo
 from .material import material_of_track as material_of_track
 from .temporal import TemporalWork as TemporalWork
-from .temporal import Worked as Worked
 from .tuning import TuningSession as TuningSession
 from .tuning import open_session as open_session
+from .worked import Worked as Worked

@@ -1,9 +1,58 @@
-"""Files that an export would overwrite: what they were exported for, and a free name instead."""
+"""Exported configurations: their provenance, what runs them, and files that an export would overwrite."""
 
+import shlex
+from datetime import UTC, datetime
 from pathlib import Path
 
-from workbench.config import read_config
-from workbench.errors import WorkbenchError
+from workbench.config import Config, differences, read_config, write_config
+from workbench.errors import InputError, WorkbenchError
+from workbench.face import FaceModel
+from workbench.pipeline import software_versions
+from workbench.session.material import Material
+
+
+class Exports:
+    """Writes configurations that were tuned on a material, over nothing but what it wrote itself."""
+
+    def __init__(self, model: FaceModel, material: Material) -> None:
+        self._model, self._material = model, material
+        self._written: set[Path] = set()
+
+    def may_write(self, path: str | Path) -> bool:
+        """Whether nothing is lost by writing here."""
+        return not Path(path).exists() or Path(path).absolute() in self._written
+
+    def check(self, path: Path, overwrite: bool) -> None:
+        """Raises `InputError` for a file that is there already, unless it was written here or may be overwritten."""
+        if not overwrite and not self.may_write(path):
+            raise InputError(taken_text(path, self._material.name))
+
+    def write(
+        self, path: Path, config: Config, base: Config, before: dict[str, float], after: dict[str, float]
+    ) -> None:
+        """Write a configuration that was tuned from `base`, with the metrics under both."""
+        provenance = {
+            "exported": datetime.now(UTC).isoformat(timespec="seconds"),
+            "versions": software_versions(),
+            "model": f"{self._model.name} sha256:{self._model.fingerprint()}",
+            "inputs": self._material.sources(),
+            "landmarks": self._material.landmark_source(),
+            "changed": [str(item) for item in differences(base, config)],
+            "before": before,
+            "after": after,
+        }
+        write_config(config.changed(provenance=provenance), path)
+        self._written.add(path.absolute())
+
+
+def track_command(material: Material, path: str | Path) -> str:
+    """The command line that runs an exported configuration on a material."""
+    words = ["workbench", "track", *(material.inputs or ["INPUT"]), "--config", path]
+    if material.landmark_file is not None:
+        words += ["--landmarks", material.landmark_file]
+    if material.stills and len(material.observations) > 1:
+        words.append("--stills")
+    return shlex.join(str(word) for word in words)
 
 
 def exported_for(path: Path) -> str:

@@ -16,7 +16,8 @@ from workbench.landmarks.scheme import outer_eye_distance
 from workbench.landmarks.tracker_options import TrackerOptions
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.planning import plan_of
-from workbench.session.gesture import Gesture, Gestures
+from workbench.session.gesture import Gesture
+from workbench.session.history import History
 from workbench.session.live_frame import LIVE_SIZE, LiveFrame
 from workbench.session.recording import Recorder, Recording
 from workbench.tracking import FrameFit, FrameObservation
@@ -33,9 +34,10 @@ NEUTRAL_EXPRESSION = 1e4
 STEADY_FACE = 0.02
 """Motion of the face from frame to frame, in outer-eye distances, up to which a neutral frame is sharp enough."""
 HISTORY = 100
+"""Steps that can be taken back."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """Frames that an identity comes from, and whether the face was neutral in them."""
 
@@ -79,10 +81,8 @@ class LiveSession:
         config = preset(DEFAULT_PRESET) if config is None else config
         _check_live(config)
         self.model, self.base = model, config
-        self._state = LiveState(config, None)
+        self._history = History(LiveState(config, None), HISTORY)
         self._lock = threading.RLock()
-        self._undo: list[LiveState] = []
-        self._gestures = Gestures()
         self._detector = detector
         self._landmarks: LandmarkTracker | None = None
         self._fitter, self._fitter_config = FaceItFitter(model, plan_of(config)), config
@@ -100,7 +100,7 @@ class LiveSession:
     @property
     def config(self) -> Config:
         """The configuration of the next frame."""
-        return self._state.config
+        return self._history.present.config
 
     @property
     def identity(self) -> Float[np.ndarray, "i"]:
@@ -133,17 +133,13 @@ class LiveSession:
             names = [stage.name for stage in config.stages]
             if self._recorder is not None and names != [stage.name for stage in self.config.stages]:
                 raise InputError("Another preset has other stages; stop the recording first.")
-            if not self._gestures.goes_on(gesture):
-                self._remember()
-            self._state = replace(self._state, config=config)
+            self._history.change(replace(self._history.present, config=config), gesture=gesture)
 
     def undo(self) -> bool:
         """Take back the last change of settings or the last calibration; False if there is none."""
         with self._lock:
-            if not self._undo:
+            if self._history.undo() is None:
                 return False
-            self._state = self._undo.pop()
-            self._gestures.end()
             self._gathering = ""
             return True
 
@@ -155,10 +151,11 @@ class LiveSession:
     def start_anew(self) -> None:
         """Forget the face that was followed; the settings stay, and so does a neutral calibration."""
         with self._lock:
-            calibration = self._state.calibration
-            if calibration is not None and not calibration.neutral:
-                self._state = replace(self._state, calibration=None)
-            wanted = self.config.identity.calibrate and self._state.calibration is None
+            state = self._history.present
+            if state.calibration is not None and not state.calibration.neutral:
+                state = replace(state, calibration=None)
+                self._history.amend(state)
+            wanted = self.config.identity.calibrate and state.calibration is None
             self._gathering, self._gathered = ("first" if wanted else ""), []
             self._fresh = True
         self._frames = 0
@@ -242,14 +239,16 @@ class LiveSession:
             self._gathered.append(observation)
             if len(self._gathered) < (NEUTRAL_FRAMES if neutral else FIRST_FRAMES):
                 return
+            calibrated = replace(self._history.present, calibration=Calibration(tuple(self._gathered), neutral))
             if neutral:
-                self._remember()
-            self._state = replace(self._state, calibration=Calibration(tuple(self._gathered), neutral))
+                self._history.change(calibrated)
+            else:
+                self._history.amend(calibrated)
             self._gathering, self._gathered = "", []
 
     def _follow_state(self) -> None:
         """Bring fitter and identity to the present state."""
-        state = self._state
+        state = self._history.present
         if state.config is not self._fitter_config:
             self._fitter.configure(plan_of(state.config))
             self._fitter_config = state.config
@@ -278,9 +277,6 @@ class LiveSession:
         with self._lock:
             if self._recorder is not None:
                 self._recorder.add(fit, frame)
-
-    def _remember(self) -> None:
-        self._undo = [*self._undo[-HISTORY + 1 :], self._state]
 
 
 def _check_live(config: Config) -> None:

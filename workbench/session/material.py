@@ -110,6 +110,7 @@ class Material:
 
 
 Progress = Callable[[str, int, int | None], None]
+Cancelled = Callable[[], bool]
 
 
 def load_material(

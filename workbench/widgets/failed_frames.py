@@ -6,7 +6,7 @@ from collections.abc import Callable
 import ipywidgets as widgets
 
 from workbench.session import TuningSession
-from workbench.session.temporal import parts_text, read_parts
+from workbench.session.parts import parts_text, read_parts
 from workbench.widgets.controls import narrow, small_button
 from workbench.widgets.status_line import StatusLine
 

@@ -43,7 +43,7 @@ class Iterations:
         self.stages.show_results(stage_results(fit, traces), place)
 
     def _show_energy(self, traces: tuple[StageTrace, ...]) -> None:
-        terms = self._session.terms
+        terms = self._session.config.terms
         columns = {term: [] for term in terms}
         for trace in traces:
             for term, column in zip(terms, trace.energies.T, strict=True):

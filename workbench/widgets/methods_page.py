@@ -7,7 +7,9 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.session import TuningSession
-from workbench.session.temporal import ANGLES, AS_FITTED, PLACES, Worked, curve, moving_weights, parts_of
+from workbench.session.curves import ANGLES, PLACES, curve, moving_weights
+from workbench.session.parts import parts_of
+from workbench.session.worked import AS_FITTED, Worked
 from workbench.widgets.chart_view import COLORS, INK, YELLOW, ChartView
 from workbench.widgets.time_part import BEFORE
 

@@ -7,7 +7,7 @@ import ipywidgets as widgets
 
 from workbench.session import TuningSession
 from workbench.session.knobs import METHODS, TIME
-from workbench.session.temporal import Worked
+from workbench.session.worked import Worked
 from workbench.tracking import FrameFit
 from workbench.widgets.controls import KnobControl, Turned, small_button
 from workbench.widgets.failed_frames import FailedFrames

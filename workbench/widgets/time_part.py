@@ -6,7 +6,7 @@ import ipywidgets as widgets
 
 from workbench.errors import WorkbenchError
 from workbench.session import TuningSession
-from workbench.session.temporal import read_parts
+from workbench.session.parts import read_parts
 from workbench.widgets.controls import narrow, small_button
 
 BEFORE, AFTER = "before", "after"

@@ -1,0 +1,129 @@
+"""The run over a whole clip: its fits, what each frame was continued from, and which of them are out of date."""
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool
+
+from workbench.config import Config
+from workbench.diagnosis import FrameFlags, flag_frames
+from workbench.face import FaceModel
+from workbench.planning import plan_of
+from workbench.session.calibrations import Calibrations
+from workbench.session.dependence import stale_frames
+from workbench.session.material import Cancelled, Material, Progress
+from workbench.session.metrics import metrics_of_track
+from workbench.session.observed_frames import ObservedFrames
+from workbench.tracking import FrameFit, Track
+from workbench.tracking.fitting import Continuation, never
+from workbench.tracking.records import Fits, stack_fits
+from workbench.tracking.systems import make_fitter
+from workbench.tracking.walk import Walk
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The fits of all frames under one configuration."""
+
+    config: Config
+    track: Track
+    """The fits, without metadata: thousands of frames as a few arrays."""
+    before: tuple[Continuation | None, ...]
+    """What each frame was continued from, in NumPy's arrays: JAX's own take twenty times the memory of such few
+    numbers."""
+
+    @property
+    def fits(self) -> Sequence[FrameFit]:
+        """The fit of each frame."""
+        return Fits(self.track)
+
+    @cached_property
+    def flags(self) -> FrameFlags:
+        """Frames that stand out."""
+        return flag_frames(self.track, self.config)
+
+    @cached_property
+    def metrics(self) -> dict[str, float]:
+        """Errors and jitter."""
+        return metrics_of_track(self.track)
+
+
+class ClipRuns:
+    """Runs over all frames of a material, with the same numbers as `workbench track`; the last whole one is kept."""
+
+    def __init__(
+        self, model: FaceModel, material: Material, base: Config, frames: ObservedFrames, calibrations: Calibrations
+    ) -> None:
+        self.last: Run | None = None
+        """The last whole run."""
+        self._model, self._material, self._base = model, material, base
+        self._frames, self._calibrations = frames, calibrations
+        self._base_metrics: dict[str, float] | None = None
+        self._lock = threading.Lock()
+
+    def fit(self, config: Config, progress: Progress | None = None, cancelled: Cancelled = never) -> Run | None:
+        """Fit all frames and keep the run; None if cancelled, which leaves the last one."""
+        run = self._fitted(config, progress, cancelled)
+        if run is not None:
+            with self._lock:
+                self.last = run
+                if config == self._base:
+                    self._base_metrics = run.metrics
+        return run
+
+    def base_metrics(self, progress: Progress | None = None) -> dict[str, float]:
+        """Errors and jitter under the configuration that the session started from; runs all frames once for them."""
+        if self._base_metrics is None:
+            self._base_metrics = self._fitted(self._base, progress, never).metrics
+        return self._base_metrics
+
+    def continued_from(self, frame: int) -> Continuation | None:
+        """What a frame was continued from in the last run, as the frame before left it: nothing compiles again."""
+        last = None if self.last is None else self.last.before[frame]
+        if last is None:
+            return None
+        numbers = jax.tree.map(jnp.asarray, (last.parameters, last.pose, last.last_pose))
+        return Continuation(*numbers, last.frames, last.points)
+
+    def stale(self, config: Config) -> Bool[np.ndarray, "n"]:
+        """Frames whose fit in the last run is not that of a configuration."""
+        if self.last is None:
+            return np.ones(len(self._material.observations), bool)
+        return stale_frames(self.last.config, config, self._material.shots)
+
+    def _fitted(self, config: Config, progress: Progress | None, cancelled: Cancelled) -> Run | None:
+        walk = Walk(make_fitter(self._model, plan_of(config)))
+        fits, before = [], []
+        for shot, frames in enumerate(self._material.shots):
+            walk.begin_shot(self._calibrations.of_shot(shot, config, walk.fitter))
+            for frame in frames:
+                if cancelled():
+                    return None
+                fit, context = walk.step(self._frames.observation(frame, config))
+                fits.append(fit)
+                before.append(_on_host(context.last))
+                if progress is not None:
+                    progress("fit", len(fits), len(self._material.observations))
+        return Run(config, Track(meta={}, **stack_fits(fits)), tuple(before))
+
+
+def described_track(run: Run, model: FaceModel, stills: bool) -> Track:
+    """A run's track with the metadata that pictures and exports read."""
+    config = run.config
+    meta = {
+        "expression_names": list(model.expression_names),
+        "stages": [stage.name for stage in config.stages if stage.enabled],
+        "stills": stills,
+        "camera_guessed": config.camera.matrix is None,
+        "config": config.model_dump(mode="json"),
+    }
+    return replace(run.track, meta=meta)
+
+
+def _on_host(last: Continuation | None) -> Continuation | None:
+    return jax.tree.map(lambda leaf: np.array(leaf) if isinstance(leaf, jax.Array) else leaf, last)

@@ -1,0 +1,111 @@
+"""Fits of single frames, each in the context of the last whole run."""
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import UInt8
+
+from workbench.config import Config
+from workbench.face import FaceModel
+from workbench.pictures.deep_strip import stage_strip
+from workbench.planning import plan_of
+from workbench.session.calibrations import Calibrations
+from workbench.session.dependence import frame_key
+from workbench.session.material import Material
+from workbench.session.observed_frames import ObservedFrames
+from workbench.tracking import FaceItFitter, FrameFit, StageTrace
+from workbench.tracking.deep_fitter import DeepSolution
+from workbench.tracking.fitting import Continuation, FrameProblem, FrameSolution, with_face
+from workbench.tracking.systems import configured, make_fitter
+from workbench.tracking.walk import context_of
+
+
+class FrameFits:
+    """Fits frames of a material, one at a time and in any order; `last` says what the frame before a frame left.
+
+    One fitter serves all calls, from any thread, and follows the configuration of each. Where solutions hold renders
+    the newest is kept: a panel asks for its fit, its path and its pictures.
+    """
+
+    def __init__(
+        self,
+        model: FaceModel,
+        material: Material,
+        config: Config,
+        frames: ObservedFrames,
+        calibrations: Calibrations,
+        last: Callable[[int], Continuation | None],
+    ) -> None:
+        self._material, self._frames, self._calibrations, self._last = material, frames, calibrations, last
+        self._fitter, self._fitter_config = make_fitter(model, plan_of(config)), config
+        self._solution: tuple[tuple, FrameSolution] | None = None
+        self._lock = threading.RLock()
+
+    def fit(self, frame: int, config: Config, coarse: bool = False) -> FrameFit:
+        """The fit of one frame; `coarse` keeps an identity that an earlier configuration calibrated on the shot."""
+        with self._lock:
+            return self._fitter.record(self._solved(self.problem(frame, config, coarse)))
+
+    def explain(self, frame: int, config: Config) -> tuple[FrameFit, tuple[StageTrace, ...]]:
+        """The fit with every iteration kept. Raises `InputError` for a frame without landmarks."""
+        with self._lock:
+            solution = self._traced(frame, config)
+            return self._fitter.record(solution), self._fitter.traces(solution)
+
+    def stopped(self, frame: int, config: Config, steps: int) -> FrameFit:
+        """The fit after `steps` iterations of all stages. Raises `InputError` for a frame without landmarks."""
+        with self._lock:
+            return self._fitter.record(self._fitter.stopped(self._traced(frame, config), steps))
+
+    def solve(self, frame: int, config: Config) -> DeepSolution | None:
+        """What every stage of Deep Energies made of a frame; None under FACE IT! and without a face."""
+        with self._lock:
+            problem = self.problem(frame, config, coarse=True)
+            if not self._fitter.renders or problem.observation.landmarks is None:
+                return None
+            return self._solved(problem)
+
+    def stage_strip(self, frame: int, config: Config) -> UInt8[np.ndarray, "h w 3"] | None:
+        """The stages of Deep Energies on a frame as a film strip; None where there is nothing to draw."""
+        with self._lock:
+            solution, pictures = self.solve(frame, config), self._material.pictures
+            if solution is None or not pictures.real:
+                return None
+            return stage_strip(pictures[frame], self._fitter, solution)
+
+    def problem(self, frame: int, config: Config, coarse: bool = False) -> FrameProblem:
+        """What the solver is given of a frame, after the frame before it as the last whole run left that."""
+        with self._lock:
+            observation = self._frames.observation(frame, config)
+            shot = next(number for number, frames in enumerate(self._material.shots) if frame in frames)
+            if self._fitter_config is not config:
+                self._fitter, self._fitter_config = configured(self._fitter, plan_of(config)), config
+            calibrated = self._calibrations.of_shot(shot, config, self._fitter, coarse)
+            return self._fitter.problem(observation, context_of(observation, shot, calibrated, self._last(frame)))
+
+    def _traced(self, frame: int, config: Config) -> FrameSolution:
+        """A frame solved with every iteration kept. Raises `InputError` for one without landmarks."""
+        problem = self.problem(frame, config, coarse=True)
+        with_face(problem.observation)
+        return self._solved(problem, traced=True)
+
+    def _solved(self, problem: FrameProblem, traced: bool = False) -> FrameSolution:
+        observation, context = problem.observation, problem.context
+        if not self._fitter.renders or observation.landmarks is None:
+            return self._fitter.solve(problem, traced)
+        points, identity = observation.landmarks.points.tobytes(), context.identity.tobytes()
+        key = (observation.index, frame_key(self._fitter_config), identity, points)
+        if self._solution is None or self._solution[0] != key:
+            self._solution = (key, self._fitter.solve(problem))
+        return self._solution[1]
+
+
+def compile_solvers(model: FaceModel, config: Config, image_size: tuple[int, int]) -> None:
+    """Compile every solver that a panel offers for FACE IT!, with and without its trace, and the calibrations."""
+    for changes in ({}, {"method": "optimistix-lm"}, {"method": "optimistix-dogleg"}):
+        solver = {"method": "lm", "bounded": False, **changes}
+        fitter = FaceItFitter(model, plan_of(config.changed(solver=solver)))
+        fitter.warm_up(image_size, trace=True)
+    for frames in {1, config.identity.frames}:
+        fitter.calibrate([fitter.neutral_observation(image_size)], frames)

@@ -1,0 +1,44 @@
+"""The frames of a material as a fit takes them: detections put right, or looked at anew by the energy's own network."""
+
+from dataclasses import replace
+
+from workbench.config import Config
+from workbench.errors import InputError
+from workbench.landmarks.observations import Landmarks2D
+from workbench.session.material import Material
+from workbench.tracking import FrameObservation
+from workbench.tracking.deep_target import energy_network, photo_landmarks
+from workbench.tracking.fitting import corrected
+
+
+class ObservedFrames:
+    """Observations by frame and configuration; what Deep Energies' network saw in a photo is kept."""
+
+    def __init__(self, material: Material) -> None:
+        self._material = material
+        self._targets: dict[tuple[int, str], Landmarks2D] = {}
+
+    def check(self, frame: int) -> None:
+        """Raises `InputError` for a frame outside the material."""
+        count = len(self._material.observations)
+        if not 0 <= frame < count:
+            raise InputError(f"There is no frame {frame}; {self._material.name} has frames 0 to {count - 1}.")
+
+    def observation(self, frame: int, config: Config, pictured: bool = False) -> FrameObservation:
+        """A frame with the detections that were moved. Raises `InputError` outside the material.
+
+        `pictured`: with the picture, where the system renders and there is one.
+        """
+        self.check(frame)
+        return corrected(self._detected(frame, config, pictured), config.moved_points(frame))
+
+    def _detected(self, frame: int, config: Config, pictured: bool) -> FrameObservation:
+        """A frame as the system wants it: Deep Energies looks at the photo with its own network, N(F*)."""
+        observation, pictures = self._material.observations[frame], self._material.pictures
+        if not config.traits.renders or observation.landmarks is None or not pictures.real:
+            return observation
+        picture, key = pictures[frame], (frame, config.deep.network)
+        if key not in self._targets:
+            network = energy_network(config.deep.network)
+            self._targets[key] = photo_landmarks(network, picture, observation.landmarks)
+        return replace(observation, landmarks=self._targets[key], picture=picture if pictured else None)

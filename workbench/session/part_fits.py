@@ -1,0 +1,72 @@
+"""The fits that work over time begins with: of a whole clip, or of a part alone where fits take seconds."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+
+from workbench.config import Config
+from workbench.errors import InputError
+from workbench.session.dependence import fits_key
+from workbench.session.material import Cancelled, Progress
+from workbench.session.parts import Part
+from workbench.tracking import FrameFit
+
+KEPT_SETTINGS = 4
+"""Settings whose fits of single frames are kept."""
+
+
+class PartFits:
+    """Fits of parts of a session's clip under any configuration, made where they are not there yet."""
+
+    def __init__(self, session) -> None:
+        self._session = session
+        self._single: OrderedDict[str, dict[int, FrameFit]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def part(self, part: Part | None) -> Part:
+        """A part, the whole clip for None. Raises `InputError` for photos, and for a part outside the clip."""
+        count = len(self._session)
+        if self._session.material.stills or count < 2:
+            raise InputError("Infill and refinement use frames that follow each other; open a clip, not photos.")
+        first, last = (0, count - 1) if part is None else part
+        if not 0 <= first < last < count:
+            raise InputError(f"A part of this clip lies within 0-{count - 1} and has two frames, got {first}-{last}.")
+        return first, last
+
+    def fitted(
+        self, part: Part, config: Config, progress: Progress, cancelled: Cancelled
+    ) -> tuple[FrameFit, ...] | None:
+        """The fits of single frames of a part; None if cancelled."""
+        first, last = part
+        if not config.traits.real_time and not self.ran(config):
+            single = self.singles(config)
+            for frame in range(first, last + 1):
+                if cancelled():
+                    return None
+                if frame not in single:
+                    single[frame] = self._session.fit_frame(frame, config=config)
+                progress("fit", frame - first + 1, last - first + 1)
+            return tuple(single[frame] for frame in range(first, last + 1))
+        fits = self.whole(config, progress, cancelled)
+        return None if fits is None else fits[first : last + 1]
+
+    def whole(self, config: Config, progress: Progress, cancelled: Cancelled) -> Sequence[FrameFit] | None:
+        """The last whole run's fits if they are this configuration's; a whole run otherwise. None if cancelled."""
+        if not self.ran(config) and self._session.fit_clip(progress, cancelled, config) is None:
+            return None
+        return self._session.run.fits
+
+    def ran(self, config: Config) -> bool:
+        """Whether the last whole run has the fits of a configuration."""
+        run = self._session.run
+        return run is not None and fits_key(run.config) == fits_key(config)
+
+    def singles(self, config: Config) -> dict[int, FrameFit]:
+        """The fits under a configuration that were made one by one, by frame."""
+        key = fits_key(config)
+        with self._lock:
+            kept = self._single.setdefault(key, {})
+            self._single.move_to_end(key)
+            while len(self._single) > KEPT_SETTINGS:
+                self._single.popitem(last=False)
+        return kept

@@ -1,0 +1,37 @@
+"""Parts of a clip: frames that follow each other, as users write them."""
+
+from collections.abc import Iterable, Sequence
+
+from workbench.errors import InputError
+
+Part = tuple[int, int]
+"""First and last frame."""
+
+
+def parts_of(frames: Iterable[int]) -> tuple[Part, ...]:
+    """Frames as parts that do not touch."""
+    parts: list[Part] = []
+    for frame in sorted(set(frames)):
+        if parts and frame == parts[-1][1] + 1:
+            parts[-1] = (parts[-1][0], frame)
+        else:
+            parts.append((frame, frame))
+    return tuple(parts)
+
+
+def parts_text(parts: Sequence[Part], most: int = 6) -> str:
+    """Parts as a user writes them: 40-52, 60; the rest counted."""
+    words = [f"{first}-{last}" if last > first else str(first) for first, last in parts]
+    rest = f" and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(words[:most]) + rest
+
+
+def read_parts(text: str) -> tuple[Part, ...]:
+    """Parts from "40-52, 60". Raises `InputError` for anything else."""
+    parts = []
+    for word in text.replace("–", "-").replace(",", " ").split():
+        first, _, last = word.partition("-")
+        if not (first.isdigit() and (last or first).isdigit() and int(first) <= int(last or first)):
+            raise InputError(f"Frames are given as 40-52 or 60, got {word!r}.")
+        parts.append((int(first), int(last or first)))
+    return tuple(parts)
