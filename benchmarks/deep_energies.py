@@ -31,7 +31,8 @@ from workbench.config import Config, preset
 from workbench.face import FaceParameters, load_default_head
 from workbench.geometry import write_rig
 from workbench.planning import plan_of
-from workbench.tracking.deep_fitter import DeepFitter, DeepSolution
+from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking.deep_solution import DeepSolution
 
 CONVERGED_DEG, CONVERGED_DEPTH = 3.0, 0.05
 """A frame has converged within these errors of rotation and, as a share, of depth."""

@@ -19,7 +19,8 @@ from workbench.networks import BETA, CropBox, crop_and_resize, reduction_for, so
 from workbench.pictures.overlay import FONT, INK, PAPER, SHIFT
 from workbench.rendering import CropCamera, render
 from workbench.runtime import COMPUTING
-from workbench.tracking.deep_fitter import DeepFitter, DeepSolution
+from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking.deep_solution import DeepSolution
 from workbench.tracking.deep_solver import StageResult
 from workbench.tracking.failures import why_failed
 

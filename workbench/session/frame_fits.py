@@ -15,7 +15,7 @@ from workbench.session.dependence import frame_key
 from workbench.session.material import Material
 from workbench.session.observed_frames import ObservedFrames
 from workbench.tracking import FaceItFitter, FrameFit, StageTrace
-from workbench.tracking.deep_fitter import DeepSolution
+from workbench.tracking.deep_solution import DeepSolution
 from workbench.tracking.fitting import Continuation, FrameProblem, FrameSolution, with_face
 from workbench.tracking.systems import configured, make_fitter
 from workbench.tracking.walk import context_of

@@ -24,7 +24,7 @@ from workbench.session.observed_frames import ObservedFrames
 from workbench.session.temporal import TemporalWork
 from workbench.session.tuned_config import TunedConfig
 from workbench.tracking import FrameContext, FrameFit, FrameObservation, StageTrace, Track
-from workbench.tracking.deep_fitter import DeepSolution
+from workbench.tracking.deep_solution import DeepSolution
 from workbench.tracking.fitting import never
 
 
