@@ -196,14 +196,13 @@ class _Stage:
             return np.asarray(term_energies(views, omega, prediction.points, parameters, self.context, terms), float)
 
     def derivative(self, parameters: FaceParameters, prediction: Prediction) -> Float[np.ndarray, "views n 68 2"]:
-        """Of the mixed landmarks, by the scaled unknowns; 0 where not free."""
+        """Of the mixed landmarks, by the scaled unknowns; what the network sees is asked by the free ones alone."""
         return np.stack([self._of_view(view, parameters) for view in self._problem.views])
 
     def _of_view(self, view: DeepView, parameters: FaceParameters) -> Float[np.ndarray, "n 68 2"]:
         problem = self._problem
         with COMPUTING:
-            of_points = np.array(points_derivative(problem.scene, view, parameters), float)
-        of_points[~problem.free] = 0.0
+            of_points = np.asarray(points_derivative(problem.scene, view, parameters), float)
         share = np.asarray(view.share, float)[:, None]
         if problem.derivative == "broyden" or not np.any(share > 0.0):
             return of_points
