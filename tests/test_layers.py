@@ -52,7 +52,6 @@ LONGEST_CLASS = {"config": 150, "landmarks": 225, "session": 225, "tracking": 22
 """Lines of classes by package. Take a class apart along what it does before you name it among the longer ones."""
 LONGER_CLASSES = {
     "TuningPanel": 205,  # here alone meet fits, session and views, each of which has a class of its own
-    "LivePanel": 220,  # a third of it is what cells call, with its documentation
     "TuningSession": 260,  # what notebooks, panels and commands call: forty short calls with their documentation
 }
 

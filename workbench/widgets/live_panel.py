@@ -8,28 +8,23 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.config import Config
-from workbench.errors import WorkbenchError
 from workbench.face import FaceModel, load_default_head
 from workbench.runtime import ShortTurns
-from workbench.session.live import LiveFit, LiveSession
+from workbench.session.live import LiveSession
 from workbench.session.live_frame import FrameSource, LiveFrame
 from workbench.session.recording import Recording
 from workbench.tracking import FrameFit, Track
 from workbench.widgets.camera_bar import CameraBar, cameras_by_name
 from workbench.widgets.drag_watch import DragWatch
 from workbench.widgets.latest import LatestWins
+from workbench.widgets.live_messages import NEUTRAL, READYING, STOPPED, WELCOME, LiveMessages
 from workbench.widgets.live_settings import LiveSettings
 from workbench.widgets.live_status import LiveStatus
 from workbench.widgets.live_view import LiveView
 from workbench.widgets.panel_layout import in_columns, in_line, style_sheet
 from workbench.widgets.record_bar import NOT_STARTED, RecordBar
 from workbench.widgets.slow_jobs import SlowJobs
-from workbench.widgets.status_line import error_text
 
-WELCOME = "Press start. The pictures go from the browser to the kernel and nowhere else."
-STOPPED = "Stopped; the camera is off."
-READYING = "Getting ready …"
-NEUTRAL = "Look into the camera with a neutral face: mouth closed, brows at rest …"
 FORSAKEN_S = 150.0
 """The kernel's camera stops when no page has been heard of for so long."""
 
@@ -59,14 +54,15 @@ class LivePanel(widgets.VBox):
         self._warm = False
         self._person: np.ndarray = self.session.identity
         self.view, self.drags = LiveView(model, height_px - 32), DragWatch()
-        self._slow, self._turns = SlowJobs(self._failed, "live-save"), ShortTurns()
-        self._cameras = CameraBar(
-            self.view, cameras_by_name(self.view, camera), self._switch, self._on_camera, self.calibrate
-        )
+        self._messages = LiveMessages(self.view)
+        self.say = self._messages.say
+        self._slow, self._turns = SlowJobs(self._messages.failed, "live-save"), ShortTurns()
+        cameras = cameras_by_name(self.view, camera)
+        self._cameras = CameraBar(self.view, cameras, self._switch, self._on_camera, self.calibrate)
         self.run_button, self.camera, self.neutral = self._cameras.widgets
         self.mirror, self.looking = self._cameras.looks
         rows = self._build(height_px)
-        self._worker: LatestWins[LiveFrame] = LatestWins(self._work, self._failed, "live-fit")
+        self._worker: LatestWins[LiveFrame] = LatestWins(self._work, self._messages.failed, "live-fit")
         self.view.on_left(self.stop)
         self.view.observe(self._on_running, "running")
         super().__init__([style_sheet(), self.drags, *rows])
@@ -140,11 +136,6 @@ class LivePanel(widgets.VBox):
         """Turn a knob as a user would; `session.knobs.KNOBS` lists the paths."""
         self.controls.by_path[path].turn(value)
 
-    def say(self, text: str, wrong: bool = False) -> None:
-        """Show a sentence over the picture; an empty one takes it away."""
-        with self.view.hold_sync():
-            self.view.message, self.view.alert = text, wrong
-
     def close(self) -> None:
         """Switch the camera off, end the threads and free the views."""
         if self._closed:
@@ -159,14 +150,12 @@ class LivePanel(widgets.VBox):
     # --- parts ---
 
     def _build(self, height_px: int) -> list[widgets.Widget]:
-        session = self.session
+        session, messages = self.session, self._messages
         self.status = LiveStatus()
-        settings = LiveSettings(session, lambda: self.drags.drag, self._guarded, self.status.write, height_px - 34)
+        settings = LiveSettings(session, lambda: self.drags.drag, messages.guarded, self.status.write, height_px - 34)
         self.controls = settings.controls
         self.preset, self.undo, self.defaults = settings.widgets
-        self._recording = RecordBar(
-            session, lambda: self.running, lambda: self.camera.value, self.say, self._guarded, self._slow
-        )
+        self._recording = RecordBar(session, lambda: self.running, lambda: self.camera.value, messages, self._slow)
         self.record_button, self.pictures, self.folder, self.save_button, self.saved = self._recording.widgets
         return [
             in_line(*self._cameras.widgets, *settings.widgets, self.status),
@@ -208,14 +197,6 @@ class LivePanel(widgets.VBox):
         self.stop()
         self.say(sentence, wrong=True)
 
-    def _guarded(self, act, *arguments) -> None:
-        try:
-            act(*arguments)
-        except WorkbenchError as error:
-            self.say(str(error), wrong=True)
-        except OSError as error:
-            self.say(f"That could not be written ({error}); name another folder.", wrong=True)
-
     # --- in the worker's thread ---
 
     def _work(self, frame: LiveFrame) -> None:
@@ -237,20 +218,14 @@ class LivePanel(widgets.VBox):
             self._person = self.session.identity
             self.view.set_person(self._person)
         self.view.show(live.fit, frame, live.milliseconds, not source.in_browser)
-        self._tell(live)
+        self._tell()
         if not source.in_browser and self.view.silence_s > FORSAKEN_S:
             self.stop()
 
-    def _tell(self, live: LiveFit) -> None:
+    def _tell(self) -> None:
         """Say what the user waits for, and now and then how it goes."""
-        ended = self.session.recording_ended
-        if self.view.message == READYING or (self.view.message == NEUTRAL and self.session.gathering is None):
-            self.say("")
-        if ended:
+        self._messages.waited(self.session)
+        if ended := self.session.recording_ended:
             self._recording.end()
             self.say(ended, wrong=True)
         self.status.tell(self.session)
-
-    def _failed(self, error: Exception) -> None:
-        # A thread has nobody to raise to.
-        self.say(error_text(error), wrong=True)

@@ -10,6 +10,7 @@ from workbench.errors import InputError, WorkbenchError
 from workbench.session.live import LiveSession
 from workbench.session.recording import Recording
 from workbench.widgets.controls import small_button
+from workbench.widgets.live_messages import LiveMessages
 from workbench.widgets.slow_jobs import SlowJobs
 
 NOT_RECORDED = "Nothing has been recorded yet; press record while the camera runs."
@@ -19,8 +20,8 @@ NOT_STARTED = "Start the camera first."
 class RecordBar:
     """Buttons, the folder's name and a line of text; `recording` is the last recording.
 
-    `running` tells whether the camera is on, `camera` its name; `say` is called with what went wrong, `guarded` with
-    what may be refused; saving is one of the `slow` jobs.
+    `running` tells whether the camera is on, `camera` its name; `messages` say what is refused; saving is one of the
+    `slow` jobs.
     """
 
     def __init__(
@@ -28,11 +29,10 @@ class RecordBar:
         session: LiveSession,
         running: Callable[[], bool],
         camera: Callable[[], str],
-        say: Callable[[str, bool], None],
-        guarded: Callable[..., None],
+        messages: LiveMessages,
         slow: SlowJobs,
     ) -> None:
-        self._session, self._running, self._camera, self._say, self._guarded = session, running, camera, say, guarded
+        self._session, self._running, self._camera, self._messages = session, running, camera, messages
         self.recording: Recording | None = None
         self.record = widgets.ToggleButton(
             value=False, description="● record", tooltip="keep every frame from now on",
@@ -47,7 +47,7 @@ class RecordBar:
             str(free_folder(Path("recording"))), tooltip="folder to write", layout=widgets.Layout(width="150px")
         )
         self.save = small_button("save", "write the recording as track.npz and clip.mp4")
-        self.save.on_click(lambda _button: slow.submit(guarded, self._on_save))
+        self.save.on_click(lambda _button: slow.submit(messages.guarded, self._on_save))
         self.saved = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
         self.widgets = (self.record, self.pictures, self.folder, self.save, self.saved)
 
@@ -62,7 +62,7 @@ class RecordBar:
         """End a recording, if one is going on, and keep it."""
         if self._session.recording is None:
             return
-        self._guarded(self._keep, self._camera())
+        self._messages.guarded(self._keep, self._camera())
         self.record.value, self.record.button_style = False, ""
 
     def _keep(self, camera: str) -> None:
@@ -77,7 +77,7 @@ class RecordBar:
             self.record.button_style = "danger"
         else:
             self.record.value = False
-            self._say(NOT_STARTED, True)
+            self._messages.say(NOT_STARTED, wrong=True)
 
     def _on_save(self) -> None:
         folder = Path(self.folder.value.strip() or "recording").expanduser()
