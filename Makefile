@@ -3,9 +3,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+LAB_STAMP := $(VENV)/.installed-lab
 TEST_STAMP := $(VENV)/.installed-test
 TRAIN_STAMP := $(VENV)/.installed-train
 DOCS_STAMP := $(VENV)/.installed-docs
+BAKE_STAMP := $(VENV)/.installed-bake
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 # Processes that test files are handed to; 0: in one, as for a test that hangs or with little memory.
 JOBS ?= 2
@@ -28,29 +30,37 @@ help:
 	@echo "make validators  install Blender and the Khronos validator for the tests of .glb files (1 GB)"
 	@echo "make lint, make format, make head, make clip, make clean"
 
-# What the notebooks, the app and the demo need; the tests' tools come with the first target that uses them.
+# The library and the command line; what else a target needs comes with the first one that needs it.
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(INSTALL) --editable ".[dlib,app]"
+	$(INSTALL) --editable ".[dlib]"
 	@touch $(STAMP)
 
+$(LAB_STAMP): $(STAMP)
+	$(INSTALL) --editable ".[app,dlib,formats,lab]"
+	@touch $(LAB_STAMP)
+
 $(TEST_STAMP): $(STAMP)
-	$(INSTALL) --editable ".[dlib,app,test]"
+	$(INSTALL) --editable ".[test]"
 	@touch $(TEST_STAMP)
 
 $(TRAIN_STAMP): $(TEST_STAMP)
-	$(INSTALL) --editable ".[dlib,app,test,train]"
+	$(INSTALL) --editable ".[test,train]"
 	# The published PyTorch model that tests/test_networks_fan.py compares with. Without its dependencies, so not in an
 	# extra: opencv-python among them would overwrite the headless OpenCV.
 	$(BIN)/python -m pip install --quiet --no-deps face-alignment==1.5.0
 	@touch $(TRAIN_STAMP)
 
 $(DOCS_STAMP): $(STAMP)
-	$(INSTALL) --editable ".[dlib,app,docs]"
+	$(INSTALL) --editable ".[docs]"
 	@touch $(DOCS_STAMP)
 
-lab: $(STAMP)
+$(BAKE_STAMP): $(STAMP)
+	$(INSTALL) --editable ".[bake]"
+	@touch $(BAKE_STAMP)
+
+lab: $(LAB_STAMP)
 	$(BIN)/workbench lab
 
 demo: $(STAMP)
@@ -88,7 +98,7 @@ format: $(TEST_STAMP)
 bench: $(TEST_STAMP)
 	$(BIN)/python benchmarks/run_all.py
 
-head: $(STAMP)
+head: $(BAKE_STAMP)
 	$(BIN)/python data_samples/head/bake/bake.py --out data_samples/head
 
 clip: $(STAMP)

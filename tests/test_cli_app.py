@@ -188,7 +188,7 @@ def test_a_browser_is_opened_with_the_token_where_there_is_one(notebook, run, mo
 
 
 def test_without_voila_the_install_command_is_told(run, monkeypatch):
-    monkeypatch.setattr(servers.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "voila", None)
     code, _, err = run("app")
     assert code == 2
     assert 'pip install "face-energy-workbench[app]"' in err

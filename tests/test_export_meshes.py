@@ -158,7 +158,7 @@ def test_the_usd_camera_has_our_lens_also_where_its_axis_is_off_the_middle(head,
 
 def test_usd_without_its_package_says_what_to_install(clip, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pxr", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install 'face-energy-workbench\[usd\]'"):
+    with pytest.raises(MissingDependencyError, match=r'pip install "face-energy-workbench\[usd\]"'):
         write_usd(clip, tmp_path / "face.usd")
 
 

@@ -184,5 +184,5 @@ def test_parquet_holds_the_same_columns_and_the_units(track, tmp_path):
 
 def test_parquet_without_its_package_says_what_to_install(track, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install 'face-energy-workbench\[parquet\]'"):
+    with pytest.raises(MissingDependencyError, match=r'pip install "face-energy-workbench\[parquet\]"'):
         write_parquet(track, tmp_path / "face.parquet", 25.0)

@@ -11,7 +11,14 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-DECLARED = [*PROJECT["dependencies"], *(need for extra in PROJECT["optional-dependencies"].values() for need in extra)]
+EXTRAS = PROJECT["optional-dependencies"]
+OWN = f"{PROJECT['name']}["
+DECLARED = [
+    need
+    for group in (PROJECT["dependencies"], *EXTRAS.values())
+    for need in group
+    if not need.startswith(OWN)  # an extra may take in others
+]
 PINS = [line for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines() if line[0] != "#"]
 
 
@@ -34,17 +41,31 @@ def canonical(name: str) -> str:
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 @pytest.mark.parametrize(
-    ("target", "tools", "torch"),
-    [("lab", False, False), ("demo", False, False), ("test", True, False), ("test-train", True, True)],
+    ("target", "extras"),
+    [
+        ("demo", ["dlib"]),
+        ("lab", ["dlib", "app,dlib,formats,lab"]),
+        ("test", ["dlib", "test"]),
+        ("test-train", ["dlib", "test", "test,train"]),
+        ("docs", ["dlib", "docs"]),
+    ],
 )
-def test_the_tests_tools_come_with_the_tests_only_and_pytorch_with_those_of_training(target, tools, torch, tmp_path):
+def test_a_target_installs_what_it_needs_and_nothing_else(target, extras, tmp_path):
     planned = subprocess.run(
         ["make", "--dry-run", f"VENV={tmp_path}/fresh", target], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
     assert "--constraint constraints.txt" in planned
-    assert ("app,test" in planned) == tools
-    assert ("train]" in planned) == ("face-alignment" in planned) == torch
+    assert re.findall(r'--editable "\.\[(.+?)\]"', planned) == extras
+    assert ("face-alignment" in planned) == (target == "test-train")
 
 
-def test_the_tests_tools_hold_no_pytorch():
-    assert not any(need.startswith("torch") for need in PROJECT["optional-dependencies"]["test"])
+def test_pytorch_comes_with_training_and_vtks_full_size_with_baking_only():
+    for name, extra in (("torch", "train"), ("pyvista", "bake")):
+        assert [kind for kind, needs in EXTRAS.items() if any(need.startswith(name) for need in needs)] == [extra]
+    assert not any(need.startswith(("torch", "vtk", "pyvista")) for need in PROJECT["dependencies"])
+
+
+def test_an_extra_takes_in_only_extras_that_there_are():
+    taken = [need for needs in EXTRAS.values() for need in needs if need.startswith(OWN)]
+    assert taken
+    assert {name for need in taken for name in Requirement(need).extras} <= set(EXTRAS)

@@ -15,6 +15,7 @@ PACKAGE = ROOT / "workbench"
 # build their systems, so the solvers come first.
 ORDER = [
     "errors",
+    "extras",
     "arrays",
     "reading",
     "files",

@@ -12,10 +12,20 @@ from rich.table import Table
 import workbench
 from workbench.cli import screen
 from workbench.config import PRESETS
+from workbench.extras import install_command
 from workbench.runtime import cache_folder
 from workbench.samples import samples_folder
 
-PACKAGES = ("jax", "equinox", "optimistix", "opencv-contrib-python-headless", "pyvista", "vtk", "dlib-bin", "voila")
+PACKAGES = (
+    "jax",
+    "equinox",
+    "optimistix",
+    "opencv-contrib-python-headless",
+    "cvista-rendering",
+    "dlib-bin",
+    "jupyterlab",
+    "voila",
+)
 
 
 def info() -> None:
@@ -28,12 +38,10 @@ def info() -> None:
         "workbench": workbench.__version__,
         "Python": platform.python_version(),
         **{name: _version(name) for name in PACKAGES},
-        "dlib detector": "installed"
-        if automatic != "network"
-        else 'missing: pip install "face-energy-workbench[dlib]"',
+        "dlib detector": "installed" if automatic != "network" else f"missing: {install_command('dlib')}",
         "auto detector": automatic if automatic != "network" else f"{automatic}, as the dlib detector is missing",
         **{f"network {path.stem}": _network(path) for path in sorted(bundled.glob("*.safetensors"))},
-        "app": "installed" if _has("voila") else 'missing: pip install "face-energy-workbench[app]"',
+        "app": "installed" if _has("voila") else f"missing: {install_command('app')}",
         "3D pictures": "VTK off screen"
         if workbench.pictures.gl_available()
         else "plain (VTK found no usable OpenGL library)",

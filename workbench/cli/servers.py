@@ -1,6 +1,5 @@
 """`workbench lab` and `workbench app`: the notebooks in a browser, with and without their code."""
 
-import importlib.util
 import os
 import secrets
 import shutil
@@ -20,7 +19,8 @@ import typer
 import workbench
 from workbench.cli import screen
 from workbench.cli.tour_page import write_tour_page
-from workbench.errors import InputError, MissingDependencyError
+from workbench.errors import InputError
+from workbench.extras import check_installed
 from workbench.files import make_folder
 
 PACKAGE = Path(workbench.__file__).resolve().parent
@@ -57,6 +57,7 @@ def lab(
     browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
 ) -> None:
     """Open JupyterLab on the first notebook; prints its address. Ctrl-C ends it."""
+    check_installed("lab", "jupyterlab", "ipywidgets", "anywidget")
     folder = working_copies(notebooks_folder())
     page = sorted(folder.glob("*.ipynb"))[0].name
     port = next((free for free in range(port, port + PORTS_TRIED) if not answers(free)), port)
@@ -82,10 +83,7 @@ def serve_app(
     browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
 ) -> None:
     """Serve the app's notebook through Voilà; prints its address."""
-    if importlib.util.find_spec("voila") is None:
-        raise MissingDependencyError(
-            'The app needs Voilà, which is not installed: pip install "face-energy-workbench[app]".'
-        )
+    check_installed("app", "voila", "ipywidgets", "anywidget")
     notebook = working_copies(notebooks_folder()) / APP_NOTEBOOK
     if not notebook.is_file():
         raise InputError(f"The app's notebook {notebook} does not exist; install the workbench again.")

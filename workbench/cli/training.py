@@ -1,6 +1,5 @@
 """`workbench train`: the recipes of the bundled networks."""
 
-import importlib.util
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +9,7 @@ from typing import Annotated
 import typer
 
 from workbench.cli import screen
-from workbench.errors import MissingDependencyError
+from workbench.extras import check_installed
 
 TRAIN_HELP = """Train the networks that come with the package, from nothing but the default head.
 
@@ -49,7 +48,7 @@ def landmarks(
     folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu", overwrite: Overwrite = False
 ) -> None:
     """Train the landmark network."""
-    _check_torch()
+    check_installed("train", "torch")
     from workbench.training.recipe import QUICK, Recipe, train_landmark_network
 
     recipe = QUICK if quick else Recipe()
@@ -63,7 +62,7 @@ def finder(
     folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu", overwrite: Overwrite = False
 ) -> None:
     """Train the face finder."""
-    _check_torch()
+    check_installed("train", "torch")
     from workbench.training.recipe import FINDER_PLAN, QUICK, Recipe, train_face_finder
 
     recipe = QUICK if quick else Recipe(plan=FINDER_PLAN)
@@ -76,7 +75,7 @@ def flow(
     folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu", overwrite: Overwrite = False
 ) -> None:
     """Train the flow network."""
-    _check_torch()
+    check_installed("train", "torch")
     from workbench.training.flow_recipe import QUICK_FLOW, FlowRecipe, train_flow_network
 
     recipe = QUICK_FLOW if quick else FlowRecipe()
@@ -102,8 +101,3 @@ def training_folder(folder: Path, name: str, overwrite: bool = False) -> Iterato
         elif not begun or len(there) == len(RESULTS[name]):
             check_no_results(folder, there, "a finished training" if begun else f"a file {there[0]}" if there else "")
         yield
-
-
-def _check_torch() -> None:
-    if importlib.util.find_spec("torch") is None:
-        raise MissingDependencyError('training needs PyTorch: pip install "face-energy-workbench[train]"')

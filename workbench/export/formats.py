@@ -6,7 +6,6 @@ from pathlib import Path
 
 from workbench.errors import InputError
 from workbench.export.clip import RATE_OF_IMAGES, check_model, make_clip, track_of_shot
-from workbench.export.gltf import write_gltf
 from workbench.export.live_link import write_live_link_csv
 from workbench.export.meshes import write_arrays, write_meshes
 from workbench.export.report import write_report
@@ -87,6 +86,8 @@ def _in_3d(track, model, path: Path, kind: str, rate: float | None, progress: Pr
     elif kind == ".usd":
         write_usd(clip, path)
     else:
+        from workbench.export.gltf import write_gltf  # here: it needs an extra, the other formats do not
+
         write_gltf(clip, path)
     return Exported(path, clip.notes)
 

@@ -5,16 +5,19 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pygltflib
 from jaxtyping import Float, Int
 
 from workbench.export.clip import FLIP, Clip, quaternions, to_world
 from workbench.export.skinning import Shapes, clip_shapes
+from workbench.extras import needs
 from workbench.face import FaceModel
 from workbench.files import atomic_path
 from workbench.geometry import Camera
 from workbench.pictures.head_picture import bundled_texture
 from workbench.pictures.mesh import corner_sum, split_seams, vertex_normals
+
+with needs("formats"):
+    import pygltflib
 
 NEAR_M, FAR_M = 0.01, 100.0
 JPEG_QUALITY = 92

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
 from workbench.export.clip import Clip
+from workbench.extras import needs
 from workbench.face import FaceModel
 from workbench.files import atomic_path, make_folder, writing
 
@@ -24,7 +24,7 @@ def write_meshes(
     """Write `folder`/000012.obj (or .ply) for every frame with a face: the same vertices in the same order.
 
     The folder appears when all are written. Raises `InputError` where it already exists: it may hold frames of
-    another export, and `OutputError` where it cannot be written.
+    another export, `OutputError` where it cannot be written, and for PLY `MissingDependencyError` without trimesh.
     """
     folder = Path(folder)
     if kind not in KINDS:
@@ -108,6 +108,9 @@ def _obj_writer(person: FaceModel) -> Callable[[np.ndarray], bytes]:
 
 
 def _ply_writer(person: FaceModel) -> Callable[[np.ndarray], bytes]:
+    with needs("formats"):
+        import trimesh
+
     def write(vertices: np.ndarray) -> bytes:
         # Without `process=False` the library merges and reorders vertices.
         mesh = trimesh.Trimesh(vertices, person.triangles, vertex_colors=person.colors, process=False)

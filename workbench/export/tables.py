@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from workbench.errors import MissingDependencyError
+from workbench.extras import needs
 from workbench.files import atomic_path
 from workbench.tracking import Track
 from workbench.tracking.records import frame_errors
@@ -77,13 +77,9 @@ def write_parquet(track: Track, path: str | Path, rate: float) -> None:
 
     Raises `MissingDependencyError` without pyarrow.
     """
-    try:
+    with needs("parquet"):
         import pyarrow
         from pyarrow import parquet
-    except ImportError as error:
-        raise MissingDependencyError(
-            "Parquet needs pyarrow; pip install 'face-energy-workbench[parquet]', or write .csv."
-        ) from error
     table = pyarrow.table({name: np.ascontiguousarray(values) for name, values in curve_columns(track, rate).items()})
     units = {"rx, ry, rz": "radians", "tx, ty, tz": "mm", "frames_per_second": f"{rate:g}", "errors": "px, % of eyes"}
     with atomic_path(path) as temporary:

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from workbench.errors import MissingDependencyError
 from workbench.export.clip import Clip, quaternions, to_world
 from workbench.export.skinning import Shapes, clip_shapes
+from workbench.extras import needs
 from workbench.face import FaceModel
 from workbench.files import atomic_path
 
@@ -22,12 +22,8 @@ def write_usd(clip: Clip, path: str | Path) -> None:
     One unit of length is a metre, +y is up. Time codes are the input's frame numbers. Raises `MissingDependencyError`
     without usd-core.
     """
-    try:
+    with needs("usd"):
         from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel
-    except ImportError as error:
-        raise MissingDependencyError(
-            "USD needs usd-core; pip install 'face-energy-workbench[usd]', or write .glb."
-        ) from error
     with atomic_path(path) as temporary:
         stage = Usd.Stage.CreateInMemory(".usda")
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)

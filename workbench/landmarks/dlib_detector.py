@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.errors import ConfigError, MissingDependencyError
+from workbench.extras import install_command
 from workbench.landmarks.alignment import FaceFrame, frame_from_box, frame_from_points, grey_face_crop
 from workbench.landmarks.detection import Box, Effort, FaceDetection
 from workbench.landmarks.observations import Landmarks2D
@@ -259,7 +260,7 @@ def check_installed() -> None:
 
 
 def _install_line(what: str) -> str:
-    return f'the dlib detector needs {what}: pip install "face-energy-workbench[dlib]"'
+    return f"the dlib detector needs {what}: {install_command('dlib')}"
 
 
 @cache

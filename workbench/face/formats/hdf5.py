@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from workbench.face.formats import hdf5_process
+from workbench.extras import needs
 from workbench.reading import MOST_UNPACKED_BYTES, checked_arrays
 
 LEAST_S, BYTES_PER_S = 5.0, 5e6
@@ -21,8 +21,12 @@ START_S = 60.0
 def hdf5_arrays(path: Path, wanted: Collection[str]) -> dict[str, np.ndarray]:
     """The wanted data sets that the file has, of numbers or one text (its bytes). Raises ValueError for damage.
 
-    Links, numbers in other files, and lengths beyond what the file holds or `MOST_UNPACKED_BYTES` are refused.
+    Links, numbers in other files, and lengths beyond what the file holds or `MOST_UNPACKED_BYTES` are refused. Raises
+    `MissingDependencyError` without h5py.
     """
+    with needs("formats"):
+        from workbench.face.formats import hdf5_process  # here: it imports h5py
+
     seconds = LEAST_S + path.stat().st_size / BYTES_PER_S
     program = Path(hdf5_process.__file__)
     ended = subprocess.run(

@@ -10,10 +10,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Integer
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
+from workbench.extras import needs
 from workbench.face.formats.raw import Place
 from workbench.face.model import Embedding, FaceModel
 
@@ -214,11 +215,14 @@ def _jacobian(state: _State, x: np.ndarray, identity: np.ndarray) -> np.ndarray:
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
-    return trimesh.transformations.rotation_matrix(np.linalg.norm(vector), vector + 1e-15)[:3, :3]
+    return Rotation.from_rotvec(vector).as_matrix()
 
 
 def _on_surface(surface: _Surface, points: np.ndarray, normals: np.ndarray) -> Embedding:
     """The nearest points of the surface that face the same way, as barycentric points."""
+    with needs("formats"):
+        import trimesh
+
     shape = points.shape[:-1]
     points, normals = points.reshape(-1, 3), normals.reshape(-1, 3)
     around = _triangles_around(surface)
