@@ -120,14 +120,24 @@ def test_info_names_versions_and_places(run):
         assert word in out
 
 
-def test_the_demo_tracks_the_bundled_portrait_and_clip_without_a_detector(run, tmp_path):
-    code, _, err = run("demo", "--no-pictures")
+def test_the_demo_finds_the_faces_itself_and_says_what_to_open_next(run, monkeypatch, tmp_path):
+    """Of the clip its beginning: all of it is tracked where the wheel is tried (`tests/test_wheel.py`)."""
+    track = workbench.pipeline.track
+
+    def beginning(inputs, *rest, **options):
+        clip = inputs[0].suffix == ".mp4"
+        return track(inputs, *rest, **options, frames=(0, 5) if clip else None)
+
+    monkeypatch.setattr(workbench.pipeline, "track", beginning)
+    code, out, err = run("demo", "--no-pictures")
     assert code == 0, err
-    portrait = Track.load(tmp_path / "demo_out" / "astronaut" / "track.npz")
-    clip = Track.load(tmp_path / "demo_out" / "performance" / "track.npz")
-    assert len(portrait) == 1
-    assert len(clip) == 240
-    assert clip.found.all()
+    for name, frames in (("astronaut", 1), ("performance", 6)):
+        summary = json.loads((tmp_path / "demo_out" / name / "summary.json").read_text(encoding="utf-8"))
+        assert summary["detector"] == chosen_detector()
+        tracked = Track.load(tmp_path / "demo_out" / name / "track.npz")
+        assert len(tracked) == frames
+        assert tracked.found.all()
+    assert out.rstrip().splitlines()[-1].endswith("To tune it in the browser: workbench lab.")
 
 
 def test_the_demo_clip_is_tracked_close_to_its_truth(head):

@@ -1,11 +1,15 @@
 """Without an extra the library still works; what needs one says in one sentence which, and how to install it."""
 
+import ast
 import subprocess
 import sys
 import tomllib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from workbench import extras
 from workbench.errors import MissingDependencyError
@@ -91,6 +95,31 @@ def test_other_errors_of_an_import_pass():
     with pytest.raises(ImportError, match="no_such_name") as caught, extras.needs("formats"):
         from json import no_such_name  # noqa: F401
     assert not isinstance(caught.value, MissingDependencyError)
+
+
+def test_every_package_that_is_imported_is_declared():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    everything = [*project["dependencies"], *(need for needs in EXTRAS.values() for need in needs)]
+    declared = {canonicalize_name(Requirement(need).name) for need in everything}
+    of_module = {"dlib": ["dlib-bin"], "torch": ["torch"], **packages_distributions()}
+    undeclared = {
+        module
+        for path in (ROOT / "workbench").rglob("*.py")
+        for module in imported(path)
+        if not declared & {canonicalize_name(name) for name in of_module.get(module, ())}
+    }
+    assert not undeclared
+
+
+def imported(path: Path) -> set[str]:
+    """The packages of others that a file imports, at its top or late."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            names.add(node.module.partition(".")[0])
+    return names - sys.stdlib_module_names - {"workbench"}
 
 
 def test_the_library_itself_needs_none_of_the_extras_packages():

@@ -122,12 +122,19 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo_out"),
     pictures: Annotated[bool, typer.Option(help="Write the overlay video and picture.")] = True,
 ) -> None:
-    """Track the bundled portrait and performance clip from their stored landmarks; needs no detector."""
+    """Find and track the faces of the bundled portrait and clip: about a minute."""
     for name, changes in DEMO.items():
         screen.console.print(f"[bold]{name}[/bold]")
         config = preset(DEFAULT_PRESET).changed(**changes)
-        given = sample(f"{name}-landmarks")
-        _run([sample(name)], out / name, config, pictures=pictures, overwrite=True, landmarks=given)
+        _run([sample(name)], out / name, config, pictures=pictures, overwrite=True)
+    screen.console.print(f"\n{_next_steps(out, pictures)}", soft_wrap=True)
+
+
+def _next_steps(out: Path, pictures: bool) -> str:
+    """The last line of the demo."""
+    clip, portrait = out / "performance", out / "astronaut"
+    look = f"Look at {clip / 'overlay.mp4'} and {portrait / 'overlay.png'}. " if pictures else ""
+    return escape(f"{look}Why a frame is bad: workbench diagnose {clip}. To tune it in the browser: workbench lab.")
 
 
 def _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine) -> Config:
