@@ -75,6 +75,7 @@ def decimated(person: FaceModel, keep: float) -> tuple[np.ndarray, np.ndarray]:
     mesh.GetPointData().AddArray(number)
     decimate = vtkDecimatePro()
     decimate.SetTargetReduction(1.0 - keep)
+    decimate.SetFeatureAngle(45.0)
     decimate.PreserveTopologyOn()
     decimate.BoundaryVertexDeletionOff()
     decimate.SetInputData(mesh)
