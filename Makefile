@@ -17,7 +17,7 @@ OUT ?= demo_out
 # and the Khronos validator with its own Node.
 VALIDATORS := .cache/validators
 
-.PHONY: help lab demo test test-fast test-train docs validators notebooks lint format bench head clip clean
+.PHONY: help lab demo test test-fast test-train docs validators notebooks lint types format bench head clip clean
 
 help:
 	@echo "make lab    open JupyterLab on the first notebook"
@@ -28,7 +28,7 @@ help:
 	@echo "make docs   the documentation as pages, in docs/_build/html; runs the notebooks"
 	@echo "make bench  run the benchmarks and print a table"
 	@echo "make validators  install Blender and the Khronos validator for the tests of .glb files (1 GB)"
-	@echo "make lint, make format, make head, make clip, make clean"
+	@echo "make lint, make types, make format, make head, make clip, make clean"
 
 # The library and the command line; what else a target needs comes with the first one that needs it.
 $(STAMP): pyproject.toml constraints.txt
@@ -90,6 +90,9 @@ notebooks: $(TEST_STAMP)
 lint: $(TEST_STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(TEST_STAMP)
+	$(BIN)/mypy
 
 format: $(TEST_STAMP)
 	$(BIN)/ruff format .

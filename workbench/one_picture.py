@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -196,7 +197,8 @@ def _observation(picture, landmarks, config: Config, detector) -> FrameObservati
         observation = _found(picture, config, detector)
     if config.traits.renders:
         network = energy_network(config.deep.network)
-        return replace(observation, landmarks=photo_landmarks(network, picture, observation.landmarks))
+        begin = cast("Landmarks2D", observation.landmarks)  # given, or else found: no face is an error
+        return replace(observation, landmarks=photo_landmarks(network, picture, begin))
     return observation
 
 
@@ -234,10 +236,12 @@ def _read_landmarks(path: str | Path, size: tuple[int, int]) -> Landmarks2D:
 class _OnePicture:
     """A picture in memory as a stream of one frame."""
 
-    kind, name, rate, announced_count = "images", "picture", None, 1
+    kind, name = "images", "picture"
 
     def __init__(self, picture: np.ndarray) -> None:
         self._picture = picture
+        self.rate: float | None = None
+        self.announced_count: int | None = 1
         self.image_size = (picture.shape[1], picture.shape[0])
         self.notes: list[str] = []
 

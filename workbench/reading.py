@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BufferedIOBase
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -174,7 +174,7 @@ def checked_members(archive: zipfile.ZipFile, most_bytes: int = MOST_UNPACKED_BY
     return members
 
 
-def _check_header(name: str, content: BufferedIOBase, size: int) -> None:
+def _check_header(name: str, content: IO[bytes], size: int) -> None:
     shape, dtype = array_header(content)
     if dtype.hasobject:
         raise ValueError(f"{name} holds Python objects")
@@ -188,7 +188,7 @@ def check_numbers_held(name: str, shape: tuple[int, ...], dtype: np.dtype, size:
         raise ValueError(f"{name} declares {count} numbers and holds {size} bytes")
 
 
-def array_header(content: BufferedIOBase, by_rows: bool = False) -> tuple[tuple[int, ...], np.dtype]:
+def array_header(content: IO[bytes] | BufferedIOBase, by_rows: bool = False) -> tuple[tuple[int, ...], np.dtype]:
     """Shape and type that an .npy stream declares, which then stands at its numbers.
 
     Raises ValueError for damage and, if asked for an array `by_rows`, for one that is stored by columns.
