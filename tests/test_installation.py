@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+import workbench
+
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = PROJECT["optional-dependencies"]
@@ -69,3 +71,9 @@ def test_an_extra_takes_in_only_extras_that_there_are():
     taken = [need for needs in EXTRAS.values() for need in needs if need.startswith(OWN)]
     assert taken
     assert {name for need in taken for name in Requirement(need).extras} <= set(EXTRAS)
+
+
+def test_one_version_everywhere():
+    cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.M)[1]
+    latest = re.findall(r"^## (\d\S*)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.M)[0]
+    assert workbench.__version__ == cited == latest

@@ -8,7 +8,7 @@ import lazy_loader
 
 from workbench.runtime import prepare_blas, prepare_jax
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 prepare_blas()
 prepare_jax()
