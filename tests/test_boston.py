@@ -143,7 +143,7 @@ def test_a_video_of_another_size_is_refused(folder):
 def test_a_folder_without_the_set_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"has no sequence that can be read; of jam1: .*jam1\.dat does not exist"):
         read_set(tmp_path)
-    with pytest.raises(InputError, match="is no folder"):
+    with pytest.raises(InputError, match="is not a folder"):
         read_set(tmp_path / "nowhere")
 
 

@@ -138,7 +138,7 @@ def test_a_track_of_landmarks_alone_needs_methods_that_look_at_none(run, clip, h
     track(clip / "points.csv", tmp_path / "points", head, config, pictures=False)
     code, _, err = run("infill", "points", *QUICK)
     assert code == 2
-    assert "The method 'flow' looks at the pictures, and there are none" in err
+    assert "The method 'flow' needs the pictures, and there are none" in err
     assert run("infill", "points", "--method", "spline", *QUICK)[0] == 0
     assert run("refine", "points-infill", "--method", "self", *QUICK)[0] == 0
 

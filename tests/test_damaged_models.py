@@ -71,9 +71,9 @@ def test_no_changed_byte_of_a_matlab_file_ends_the_process(tmp_path):
 @pytest.mark.parametrize(
     ("variables", "message"),
     [
-        ({"tl": "text"}, "tl is no array of real numbers"),
-        ({"tl": np.array([["a", 1]], object)}, "tl is no array of real numbers"),
-        ({"tl": np.ones((4, 3)) * 1j}, "tl is no array of real numbers"),
+        ({"tl": "text"}, "tl is not an array of real numbers"),
+        ({"tl": np.array([["a", 1]], object)}, "tl is not an array of real numbers"),
+        ({"tl": np.ones((4, 3)) * 1j}, "tl is not an array of real numbers"),
         ({"tl": np.full((4, 3), 1.5)}, "not whole"),
         ({"tl": np.zeros((4, 3))}, "names vertex"),
         ({"shapeMU": np.full((216, 1), np.nan)}, "not finite"),

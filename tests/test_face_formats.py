@@ -329,7 +329,7 @@ def test_the_jaw_of_a_small_head_travels_less(size, subject, tmp_path):
 
 def test_a_head_of_no_human_size_needs_its_unit(subject, tmp_path):
     folder = write_obj_folder(tmp_path / "objs", subject, lambda points: y_up(points, 33.0))
-    with pytest.raises(ModelError, match=r"no human size.*--unit cm"):
+    with pytest.raises(ModelError, match=r"not of human size.*--unit cm"):
         load_face_model(folder)
     width = np.ptp(load_face_model(folder, unit="cm").neutral[:, 0])
     assert width == pytest.approx(np.ptp(subject.vertices[:, 0]) * 10.0 / 33.0, rel=1e-3)

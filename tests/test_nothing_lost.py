@@ -215,7 +215,7 @@ class TestFinishedRuns:
 
         with pytest.raises(KeyboardInterrupt):
             quick(points, tmp_path / "out", progress=interrupt)
-        with pytest.raises(OutputError, match="holds an interrupted run; go on with it by --resume"):
+        with pytest.raises(OutputError, match="holds an interrupted run; continue it with --resume"):
             quick(points, tmp_path / "out")
         assert len(quick(points, tmp_path / "out", resume=True).track) == FRAMES
 

@@ -199,8 +199,8 @@ AWAY = np.array([-200.0, 0.0, 0.0])
         (lambda: pair(np.eye(3), AWAY, name="left"), "stands for two views"),
         (lambda: pair(np.eye(3), AWAY, name=" "), "needs a name"),
         (lambda: pair(np.eye(3), AWAY, image_size=(0, 480)), "0 × 480"),
-        (lambda: pair(stretched(1.01), AWAY), "no rotation .* 0.02"),
-        (lambda: pair(np.full((3, 3), np.nan), AWAY), "no rotation"),
+        (lambda: pair(stretched(1.01), AWAY), "not a rotation .* 0.02"),
+        (lambda: pair(np.full((3, 3), np.nan), AWAY), "not a rotation"),
         (lambda: pair(stretched(-1.0), AWAY), "mirrors"),
         (lambda: pair(np.eye(3), np.array([np.inf, 0.0, 0.0])), "finite numbers"),
         (lambda: pair(np.eye(3), AWAY, camera=CAMERA._replace(focal_px=np.array([700.0, -1.0]))), "positive"),
@@ -211,7 +211,7 @@ AWAY = np.array([-200.0, 0.0, 0.0])
         (lambda: pair(np.eye(3), 1000.0 * AWAY), "mm apart.*unit"),
         (lambda: pair(np.diag([-1.0, 1.0, -1.0]), AWAY), "share no point.*world_from_view"),
         (lambda: make_rig().view("left"), "no view 'left'; its views are middle, side"),
-        (lambda: resized_view(make_rig().views[0], (640, 360)), "no scaled copies"),
+        (lambda: resized_view(make_rig().views[0], (640, 360)), "not scaled copies"),
     ],
 )
 def test_what_cannot_be_a_rig_is_refused_in_one_sentence(make, message):

@@ -198,7 +198,7 @@ def other_size(scene, *sizes):
             lambda scene: (scene.rig, [scene.records(0)[:3], scene.records(1)[5:]]),
             "No two of the views middle, side",
         ),
-        (lambda scene: (scene.rig, other_size(scene, (640, 360))), "no scaled copies"),
+        (lambda scene: (scene.rig, other_size(scene, (640, 360))), "not scaled copies"),
         (lambda scene: (scene.rig, other_size(scene, (640, 480), (320, 240))), "2 sizes"),
     ],
 )

@@ -176,7 +176,7 @@ def decoded_picture(content: bytes, name: object) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _declared_size(content: bytes) -> tuple[int, int]:
-    """(width, height) that a picture's header declares; (0, 0) for what is no picture."""
+    """(width, height) that a picture's header declares; (0, 0) for what is not a picture."""
     for kind in HEADERS:
         # `Image.open` does the same with a limit of its own, which it tells by a warning.
         with suppress(Exception), kind(BytesIO(content)) as header:

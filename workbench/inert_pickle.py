@@ -94,7 +94,7 @@ def _opcodes(stream: BufferedIOBase) -> Iterator[tuple[str, Any]]:
     while code := stream.read(1):
         opcode = code2op.get(code.decode("latin-1"))
         if opcode is None:
-            raise UnreadableError(f"it begins with or holds {code!r}, which is no opcode of a pickle")
+            raise UnreadableError(f"it begins with or holds {code!r}, which is not an opcode of a pickle")
         # `pickletools` reads these texts as ASCII; Python 2 wrote the bytes of arrays into them.
         reader = _quoted if opcode.name == "STRING" else opcode.arg.reader if opcode.arg else lambda _: None
         yield opcode.name, reader(stream)

@@ -19,10 +19,10 @@ MOST_WEIGHTS = 8
 MOST_CHANGES = 3
 MOST_PAIRS = 8
 
-DIAGNOSE_HELP = """Why a track fails where it fails: the frames that stand out, or the reasons for one frame.
+DIAGNOSE_HELP = """Find out where and why a track fails: the frames that stand out, or the reasons for one frame.
 
 Each reason comes with the change that was tried against it, and the error before and after. \
-Pictures are looked at if they lie where they were tracked.
+Pictures are used if they are still where they were tracked.
 
 [bold]Examples[/bold]
 

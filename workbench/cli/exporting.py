@@ -14,7 +14,7 @@ from workbench.export.suffixes import FORMATS, format_of
 from workbench.files import check_not_inputs
 
 EXPORT_HELP = (
-    """Write a track as what other programs read; the suffix of the file decides.
+    """Export a track for other programs; the file's suffix decides the format.
 
 [bold]Examples[/bold]
 
@@ -45,12 +45,12 @@ def export(
     shot: Annotated[int | None, typer.Option(help="Only the frames of this shot, counted from 0.")] = None,
     fps: Annotated[float | None, typer.Option(help="Frames per second in place of the input's.")] = None,
     character: Annotated[Path | None, typer.Option(help="Another face model that plays the performance.")] = None,
-    mapping: Annotated[Path | None, typer.Option("--map", help="Its blendshapes by ours (TOML).")] = None,
+    mapping: Annotated[Path | None, typer.Option("--map", help="How its blendshapes follow from ours (TOML).")] = None,
     surface: Annotated[
         bool, typer.Option("--surface", help="Match the character's surface, not the names; needs the same mesh.")
     ] = False,
     model: Annotated[Path | None, typer.Option(help="The face model of the track, if not the default head.")] = None,
-    pictures: Annotated[Path | None, typer.Option(help="The pictures, if they were moved since.")] = None,
+    pictures: Annotated[Path | None, typer.Option(help="The pictures, if they have been moved.")] = None,
 ) -> None:
     """Write a track as what other programs read."""
     stored = track_file(run)

@@ -22,7 +22,7 @@ from workbench.landmarks.scheme import outer_eye_distance
 
 LANDMARKS_HELP = """Find faces and their 68 landmarks, with a confidence for every point; no face model is fitted.
 
-Every picture stands alone, also those of a video. The CSV file is one that [bold]workbench track[/bold] reads.
+Every picture is treated independently, even in a video. The CSV file is one that [bold]workbench track[/bold] reads.
 
 [bold]Examples[/bold]
 
@@ -32,7 +32,7 @@ Every picture stands alone, also those of a video. The CSV file is one that [bol
 
   workbench landmarks talk.mp4 --no-pictures    a video, without landmarks.mp4
 
-  workbench landmarks us.jpg --face 320,180     not the largest face but this
+  workbench landmarks us.jpg --face 320,180     this face instead of the largest
 
   workbench track photos/ --stills --landmarks found.csv
 """

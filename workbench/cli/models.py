@@ -19,7 +19,7 @@ GROUP_HELP = """Face models of other people: FLAME, Basel, GNM Head, ICT-FaceKit
   workbench model show avatar.glb --picture check.png
 """
 
-SHOW_HELP = """Tell what a face model holds, and draw it with its 68 landmarks.
+SHOW_HELP = """Show what a face model holds, and draw it with its 68 landmarks.
 
 PATH is a FLAME file (.pkl, .npz), a Basel Face Model (.h5, .mat), GNM Head (.npz), a glTF with morph targets (.glb, \
 .gltf), a folder of OBJ files, or ICT-FaceKit's folder. Nothing in a .pkl is executed.
@@ -48,7 +48,7 @@ def show(
     identity: Annotated[int, typer.Option(min=0, help="Identity components to keep.")] = 50,
     expressions: Annotated[int, typer.Option(min=0, help="Expression components to keep.")] = 50,
 ) -> None:
-    """Tell what a face model holds."""
+    """Show what a face model holds."""
     if picture is not None:
         check_not_inputs([picture], [path, *([] if landmarks is None else [landmarks])])
     model = workbench.load_face_model(path, landmarks=landmarks, unit=unit, identity=identity, expressions=expressions)

@@ -11,17 +11,17 @@ from workbench.cli.tracking import OVERWRITE_HELP, face_model, frame_range, name
 from workbench.config import InfillConfig, RefinementConfig
 from workbench.errors import ConfigError
 
-INFILL_HELP = """Fill frames without a usable fit from their neighbours, into a new track.
+INFILL_HELP = """Fill frames without a usable fit from their neighbours; the result is a new track.
 
 [bold]Examples[/bold]
 
   workbench infill out/talk                          by optical flow, into out/talk-infill
 
-  workbench infill out/talk --frames 120-131         frames that were found, but badly
+  workbench infill out/talk --frames 120-131         frames that were found but fitted badly
 
   workbench infill out/talk --method spline          without looking at the pictures
 """
-REFINE_HELP = """Steady a track, into a new one.
+REFINE_HELP = """Stabilise a track; the result is a new one.
 
 [bold]Examples[/bold]
 
@@ -31,7 +31,7 @@ REFINE_HELP = """Steady a track, into a new one.
 
   workbench refine out/talk --reestimate 1           and re-fit the expression with the steadied pose
 """
-REESTIMATE_HELP = """Re-fit the expressions of a track with its poses held, into a new track.
+REESTIMATE_HELP = """Re-fit the expressions of a track with fixed poses; the result is a new track.
 
 [bold]Example[/bold]
 
@@ -50,7 +50,7 @@ INFILL_METHODS, REFINEMENT_METHODS = _choices(InfillConfig, "method"), _choices(
 Run = Annotated[Path, typer.Argument(metavar="TRACK", help="Folder of a run, or its track.npz.")]
 Out = Annotated[Path | None, typer.Option(help="Folder for the results (default: TRACK's, with the command's name).")]
 Model = Annotated[Path | None, typer.Option(help="The face model of the track, if not the default head.")]
-Clip = Annotated[Path | None, typer.Option("--clip", help="The pictures, if they were moved since.")]
+Clip = Annotated[Path | None, typer.Option("--clip", help="The pictures, if they have been moved.")]
 View = Annotated[list[str] | None, typer.Option(help="Clip of another view, if moved, as NAME=CLIP.")]
 Estimator = Annotated[str | None, typer.Option(help="dis, farneback, network, or a file of weights.")]
 Pictures = Annotated[bool, typer.Option(help="Write the overlay video.")]
@@ -73,7 +73,7 @@ def infill(
     pictures: Pictures = True,
     overwrite: Overwrite = False,
 ) -> None:
-    """Fill frames without a usable fit from their neighbours, into a new track."""
+    """Fill frames without a usable fit from their neighbours; the result is a new track."""
     _check(method, INFILL_METHODS)
     wanted = [frame_range(text) for text in frames or []]
     _check_range(wanted, run)
@@ -92,9 +92,9 @@ def refine(
     run: Run,
     out: Out = None,
     method: Annotated[str, typer.Option(help=f"One of: {', '.join(REFINEMENT_METHODS)}.")] = "hybrid",
-    sweeps: Annotated[int | None, typer.Option(min=1, max=20, help="Times that every frame is solved.")] = None,
+    sweeps: Annotated[int | None, typer.Option(min=1, max=20, help="How often every frame is solved.")] = None,
     order: Annotated[str | None, typer.Option(help="jacobi or gauss-seidel.")] = None,
-    prior: Annotated[float | None, typer.Option(min=0.0, help="Weight of staying at the pose before.")] = None,
+    prior: Annotated[float | None, typer.Option(min=0.0, help="Weight of staying at the previous pose.")] = None,
     reestimate: Annotated[int, typer.Option(min=0, max=10, help="Number of expression re-fits.")] = 0,
     estimator: Estimator = None,
     model: Model = None,
@@ -103,7 +103,7 @@ def refine(
     pictures: Pictures = True,
     overwrite: Overwrite = False,
 ) -> None:
-    """Steady a track, into a new one."""
+    """Stabilise a track; the result is a new one."""
     _check(method, REFINEMENT_METHODS)
     given = {"sweeps": sweeps, "order": order, "prior": prior}
     section = {"method": method, "reestimate": reestimate} | {k: v for k, v in given.items() if v is not None}
@@ -121,7 +121,7 @@ def reestimate(
     pictures: Pictures = True,
     overwrite: Overwrite = False,
 ) -> None:
-    """Re-fit the expressions of a track with its poses held, into a new track."""
+    """Re-fit the expressions of a track with fixed poses; the result is a new track."""
     changes = {"refinement": {"reestimate": 1}}
     _work(
         run, out, "reestimate", changes, ["reestimate"], model, view, clip=clip, pictures=pictures, overwrite=overwrite

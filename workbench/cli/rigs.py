@@ -37,9 +37,9 @@ one file for each camera, the reference first.
 
 CHECK_HELP = """Compare the landmarks of synchronised clips with a rig, frame by frame, without a face model.
 
-LANDMARKS is a file for each view, in the rig's order, as [bold]workbench landmarks[/bold] writes it. Tells how far \
-the 51 inner landmarks lie off their epipolar lines and off their triangulated places, which view is off (with three \
-or more), and whether another order, turned poses or a shift in time by some frames would fit better.
+LANDMARKS is a file for each view, in the rig's order, as [bold]workbench landmarks[/bold] writes it. Reports how \
+far the 51 inner landmarks are from their epipolar lines and from their triangulated points, which view is off (with \
+three or more), and whether another order, inverted poses or a shift in time by some frames would fit better.
 
 Exit code 0: nothing stands out; 1: something does; 2: the files cannot be compared.
 

@@ -41,7 +41,7 @@ PORTS_TRIED = 50
 
 APP_HELP = """Tune in the browser without seeing code: the workbench as an app, served by Voilà on this machine only.
 
-Each page has a Python process of its own; reloading the page starts it afresh. Ctrl-C ends the server. \
+Each page has its own Python process; reloading the page restarts it. Ctrl-C ends the server. \
 Voilà is an extra: pip install "face-energy-workbench\\[app]".
 
 [bold]Examples[/bold]

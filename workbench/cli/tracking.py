@@ -29,7 +29,7 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
   workbench track points.csv                        landmarks from a file, no detector
 
-  workbench track talk.mp4 --detector network       our own network, whatever is installed
+  workbench track talk.mp4 --detector network       our own network, even where dlib is installed
 
   workbench track talk.mp4 --preset face-it         as published
 
@@ -43,34 +43,34 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
   workbench track talk.mp4 --model flame.pkl        another face model
 
-  workbench track talk.mp4 --resume                 go on with an interrupted run
+  workbench track talk.mp4 --resume                 continue an interrupted run
 """
 
 INPUT, FIT, DEEP, RESULTS = "Input", "Fit", "Deep Energies", "Results"
 """Groups of the options."""
 OUT_HELP = "Folder for the results (default: out/NAME)."
 STILLS_HELP = "Unrelated photos: nothing links one to the next."
-GIVEN_HELP = "Stored landmarks of the pictures: no detector."
+GIVEN_HELP = "Take stored landmarks instead of a detector's."
 FOV_HELP = "Field of view over the longer side, degrees."
 PRESET_HELP = f"One of: {', '.join(PRESETS)}."
 IDENTITY_HELP = "Calibrate the subject's face shape first."
 PICTURES_HELP = "Write the overlay video or pictures."
-RESUME_HELP = "Go on with an interrupted run."
+RESUME_HELP = "Continue an interrupted run."
 DETECTOR_HELP = "auto (dlib+network where dlib is installed, else network), network, dlib, dlib-hog or dlib-cnn."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 ENERGY_HELP = "deep (network on the render), points (on the mesh) or mixed."
-FRAMES_HELP = "Only a part, first and last frame as A-B (or one frame); the results count from its start."
+FRAMES_HELP = "Only frames A-B (or one frame); the results are numbered from the part's start."
 WORKERS_HELP = "Processes that fit frames."
 RIG_HELP = "Calibration of several cameras; INPUT is its first view."
 VIEW_HELP = "Clip of another view of the rig as NAME=CLIP; may be given more than once."
 INFILL_HELP = "Fill failed frames: flow, linear or spline (none: leave them)."
-REFINE_HELP = "Steady the result: averaging, self, plate or hybrid (none: leave it)."
+REFINE_HELP = "Stabilise the result: averaging, self, plate or hybrid (none: leave it)."
 NO_FACE = (
     "No face was found in any frame; look at the pictures, try another --detector, or enlarge or turn the pictures so "
     "that the face is upright and at least 60 pixels wide."
 )
 OVERWRITE_HELP = "Replace what an earlier run left in the folder."
-FACE_HELP = "A point X,Y in the wanted face, pixels."
+FACE_HELP = "Pixel X,Y inside the face to follow."
 
 
 def track(
@@ -212,12 +212,12 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
         try:
             result = workbench.pipeline.track(inputs, folder, model, config, progress=progress, **options)
         except KeyboardInterrupt:
-            screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept, --resume goes on from there")
+            screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept; --resume continues from there")
             raise typer.Exit(130) from None
         except OutputError as error:
             if not workbench.pipeline.holds_parts(folder):
                 raise
-            raise OutputError(f"{error} Finished parts are kept, --resume goes on from there.") from error
+            raise OutputError(f"{error} Finished parts are kept; --resume continues from there.") from error
     print_result(result)
     if not result.summary["frames_with_face"]:
         screen.print_error(NO_FACE)

@@ -21,7 +21,7 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
 
   workbench train landmarks training              hours on a CPU, minutes on a GPU
 
-  workbench train landmarks training --quick      all of it in small, to see it work
+  workbench train landmarks training --quick      everything at a tiny size, to see it work
 
   workbench train finder training                 the face finder, from the same pool
 
@@ -30,7 +30,7 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
 
 train_app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich", help=TRAIN_HELP)
 Folder = Annotated[Path, typer.Argument(help="Folder for the pool, the checkpoints, the weights and the report.")]
-Quick = Annotated[bool, typer.Option("--quick", help="A tiny training, to see that it works.")]
+Quick = Annotated[bool, typer.Option("--quick", help="A tiny run, to check that everything works.")]
 Workers = Annotated[int, typer.Option(min=1, help="Processes that render and augment.")]
 Device = Annotated[str, typer.Option(help="Where PyTorch computes: cpu or cuda.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Train again, from the start; the pool is kept.")]

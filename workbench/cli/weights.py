@@ -9,7 +9,7 @@ from rich.markup import escape
 import workbench
 from workbench.cli import screen
 
-GROUP_HELP = """Convert published network weights to safetensors, and tell what a weights file holds.
+GROUP_HELP = """Convert published network weights to safetensors, and show what a weights file holds.
 
 [bold]Examples[/bold]
 
@@ -31,7 +31,7 @@ face-alignment, or torchvision's raft_small. It is read as data: nothing in it i
   workbench weights convert raft_small_C_T_V2-01064c6d.pth
 """
 
-SHOW_HELP = """Tell which network a weights file is of, and where it comes from.
+SHOW_HELP = """Show which network a weights file belongs to, and where it comes from.
 
 [bold]Example[/bold]
 

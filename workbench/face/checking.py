@@ -88,7 +88,7 @@ def check_indices(path: object, label: str, array: object, shape: Shape, count: 
 
 
 def check_embedding(path: object, label: str, embedding: Embedding, shape: Shape, count: int) -> None:
-    """Raise `ModelError` for barycentric points that are no points of a mesh of `count` vertices."""
+    """Raise `ModelError` for barycentric points that are not on a mesh of `count` vertices."""
     check_indices(path, f"{label} (vertices)", embedding.vertices, (*shape, 3), count)
     weights = embedding.barycentric
     check_numbers(path, f"{label} (barycentric)", weights, (*shape, 3))

@@ -79,11 +79,11 @@ class FaceModel:
                 raise ModelError(f"The {label} offsets need shape (n, {vertex_count}, 3), got {deltas.shape}.")
         if len(self.expression_names) != len(self.expression_deltas):
             raise ModelError(
-                f"{len(self.expression_deltas)} blendshapes need as many names, got {len(self.expression_names)}."
+                f"{len(self.expression_deltas)} blendshapes need one name each, got {len(self.expression_names)}."
             )
         if self.expression_range is not None and len(self.expression_range) != len(self.expression_names):
             raise ModelError(
-                f"{len(self.expression_names)} blendshapes need as many ranges, got {len(self.expression_range)}."
+                f"{len(self.expression_names)} blendshapes need one range each, got {len(self.expression_range)}."
             )
         if self.landmarks.vertices.shape != (68, 3):
             raise ModelError(f"The landmark embedding has 68 points, got {len(self.landmarks.vertices)}.")

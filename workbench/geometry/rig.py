@@ -199,7 +199,7 @@ def resized_view(view: View, image_size: tuple[int, int]) -> View:
     scale = np.array(image_size, float) / np.array(view.image_size, float)
     if abs(scale[0] / scale[1] - 1.0) > ASPECT_TOLERANCE:
         raise InputError(
-            f"Pictures of {_size(image_size)} are no scaled copies of view {view.name!r}'s {_size(view.image_size)}; "
+            f"Pictures of {_size(image_size)} are not scaled copies of view {view.name!r}'s {_size(view.image_size)}; "
             "calibrate the camera at the size that is used."
         )
     # Pixel centres: the picture's corner, half a pixel before the first centre, stays where it is.
@@ -220,7 +220,7 @@ def _check_intrinsics(name: str, camera: Camera, image_size: tuple[int, int]) ->
     if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
         raise InputError(
             f"The principal point ({x:.1f}, {y:.1f}) of view {name!r} lies outside its picture of {_size(image_size)}; "
-            "the calibration may be of another picture size."
+            "the calibration may be for another picture size."
         )
 
 
@@ -230,12 +230,12 @@ def _checked_rotation(view: View) -> Float[np.ndarray, "3 3"]:
     error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if not error <= ROTATION_TOLERANCE:
         raise InputError(
-            f"The rotation of view {view.name!r} is no rotation (RᵀR is off the identity by {error:.2g}); "
-            "its columns must have length 1 and stand at right angles."
+            f"The rotation of view {view.name!r} is not a rotation (RᵀR is off the identity by {error:.2g}); "
+            "its columns must be orthonormal."
         )
     if np.linalg.det(rotation) < 0:
         raise InputError(
-            f"The rotation of view {view.name!r} mirrors (determinant -1); turn one axis round: "
+            f"The rotation of view {view.name!r} mirrors (determinant -1); flip one axis: "
             "the frame is +x right, +y down, +z forward."
         )
     return rotation if error < 1e-12 else Rotation.from_matrix(rotation).as_matrix()

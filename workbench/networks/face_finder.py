@@ -24,7 +24,7 @@ UNIT_SIDE = 64.0
 PADDING_GREY = 114
 MAX_ENLARGEMENT = 4.0
 LEAST_SCORE = 0.2
-"""Low, because the landmark network turns down what is no face, and a face that is not proposed is lost."""
+"""Low, because the landmark network rejects what is not a face, and a face that is not proposed is lost."""
 SAME_FACE = 0.35
 """Boxes that share more of their union than this are one face."""
 

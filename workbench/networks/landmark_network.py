@@ -172,7 +172,7 @@ def network_size(weights: Weights) -> tuple[tuple[int, int, int, int], int]:
 
 def _counted(number: object, most: int) -> int:
     if not isinstance(number, int) or isinstance(number, bool) or not 1 <= number <= most:
-        raise ValueError(f"{number!r} is no count of at most {most}")
+        raise ValueError(f"{number!r} is not a count of at most {most}")
     return number
 
 

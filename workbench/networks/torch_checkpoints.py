@@ -36,7 +36,7 @@ STORAGE_TYPES = {
 LEGACY_MAGIC = 0x1950A86A20F9469CFC6C
 """First number of the stream that `torch.save` wrote before version 1.6."""
 DEEPEST, MOST = 40, 100_000
-"""Levels and entries beyond which a file is no state dict but a trap."""
+"""Levels and entries beyond which a file is not a state dict but a trap."""
 
 
 def read_checkpoint(path: str | Path) -> Weights:

@@ -83,7 +83,7 @@ def _check_free(folder: Path, resume: bool, overwrite: bool) -> None:
         return
     if begun:
         raise OutputError(
-            f"{folder} holds an interrupted run; go on with it by --resume, or replace it by --overwrite."
+            f"{folder} holds an interrupted run; continue it with --resume, or replace it with --overwrite."
         )
     check_no_results(folder, there, "a finished run" if "track.npz" in there else f"a file {there[0]}")
 

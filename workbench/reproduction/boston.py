@@ -103,7 +103,7 @@ def read_set(folder: str | Path) -> tuple[tuple[BostonSequence, ...], tuple[str,
     if (folder / FOLDER).is_dir():
         folder = folder / FOLDER
     if not folder.is_dir():
-        raise InputError(f"{folder} is no folder; name the one with {NAMES[0]}.avi, {NAMES[0]}.dat and the others.")
+        raise InputError(f"{folder} is not a folder; name the one with {NAMES[0]}.avi, {NAMES[0]}.dat and the others.")
     found, problems = [], []
     for name in NAMES:
         try:

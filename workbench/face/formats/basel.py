@@ -75,7 +75,7 @@ def _from_mat(path: Path, stored: Mapping[str, np.ndarray], identity: int | None
     missing = [key for key in MAT_KEYS if key not in stored]
     if missing:
         raise ModelError(
-            f"{path} is no Basel Face Model of 2009: {missing[0]} is missing; supply 01_MorphableModel.mat."
+            f"{path} is not a Basel Face Model of 2009: {missing[0]} is missing; supply 01_MorphableModel.mat."
         )
     vertices = _points(path, "shapeMU", stored["shapeMU"])
     basis = _basis(path, "shapePC", stored["shapePC"], np.ravel(stored["shapeEV"]), len(vertices), identity)
@@ -134,7 +134,7 @@ def _from_h5(path: Path, stored: Mapping[str, np.ndarray], identity: int | None,
 
 def _stored(path: Path, stored: Mapping[str, np.ndarray], key: str) -> np.ndarray:
     if key not in stored:
-        raise ModelError(f"{path} is no Basel Face Model of 2017 or 2019: {key} is missing.")
+        raise ModelError(f"{path} is not a Basel Face Model of 2017 or 2019: {key} is missing.")
     return stored[key]
 
 

@@ -148,7 +148,7 @@ class _Document:
         placing = self._placing(attributes, node, matrix, count)
         indices = self._accessor(primitive["indices"]) if "indices" in primitive else np.arange(count)
         if indices.ndim != 1 or indices.dtype.kind not in "iu":
-            raise ValueError("the corners of its triangles are no whole numbers")
+            raise ValueError("the corners of its triangles are not integers")
         names = (mesh.get("extras") or {}).get("targetNames", [])
         targets = {}
         for k, target in enumerate(primitive.get("targets", [])):
@@ -176,7 +176,7 @@ class _Document:
         weights = self._vectors(attributes["WEIGHTS_0"], count, 4)
         chosen = self._vectors(attributes["JOINTS_0"], count, 4)
         if chosen.dtype.kind not in "iu" or np.any(chosen < 0):
-            raise ValueError("the joints of its skin are no whole numbers")
+            raise ValueError("the joints of its skin are not integers")
         sums = weights.sum(1, keepdims=True)
         if not np.all(sums > 0.0):
             raise ValueError("vertices of its skin have no weight")

@@ -59,5 +59,5 @@ def read_ict_facekit(folder: Path, identity: int | None) -> RawModel:
 def _file_stem(name: object) -> str:
     """The name of a file in the folder itself."""
     if not isinstance(name, str) or not name or Path(name).name != name:
-        raise ValueError(f"{shortened(name)!r} is no name of an expression")
+        raise ValueError(f"{shortened(name)!r} is not the name of an expression")
     return name

@@ -53,7 +53,7 @@ def matlab_arrays(content: bytes, wanted: Collection[str]) -> dict[str, np.ndarr
     Raises ValueError or `zlib.error` where it is damaged, ValueError where one of them holds no numbers.
     """
     if _level(content) != LEVEL_5:
-        raise ValueError("it is no MATLAB file of level 5; save it with -v7")
+        raise ValueError("it is not a level 5 MATLAB file; save it with -v7")
     order, place = _order(content), HEADER_BYTES
     arrays: dict[str, np.ndarray] = {}
     while place < len(content):
@@ -120,7 +120,7 @@ def _start(body: memoryview, order: str) -> _Start:
 
 def _numbers(start: _Start, order: str, left: int) -> np.ndarray:
     if start.array_class not in CLASSES or start.complex:
-        raise ValueError(f"{start.name} is no array of real numbers")
+        raise ValueError(f"{start.name} is not an array of real numbers")
     element, _ = _element(start.numbers, 0, order, padded=True)
     if element.kind not in STORED:
         raise ValueError(f"{start.name} holds no numbers")

@@ -18,7 +18,7 @@ from workbench.inert_pickle import Name, Record, UnreadableError, named, unpickl
 from workbench.reading import array_header, check_numbers_held, checked_content, checked_members, reading, shortened
 
 DEEPEST = 30
-"""Levels beyond which a structure is no model but a trap."""
+"""Levels beyond which a structure is not a model but a trap."""
 SPARSE = {"csc_matrix": scipy.sparse.csc_matrix, "csr_matrix": scipy.sparse.csr_matrix}
 NAMED_BY_MODELS = re.compile(
     r"numpy((\._?core)?\.(multiarray|numeric))?\.(_reconstruct|scalar|dtype|ndarray|_frombuffer)"
@@ -26,7 +26,7 @@ NAMED_BY_MODELS = re.compile(
     r"|chumpy(\.\w+)*\.\w+"
     r"|torch\._utils\._rebuild_\w+|torch\.storage\._load_from_bytes|torch\.\w*Storage"
 )
-"""What published models call; none of it is called here, and what is no array stays an inert record."""
+"""What published models call; none of it is called here, and what is not an array stays an inert record."""
 
 
 def read_arrays(path: str | Path) -> dict[str, Any]:
@@ -207,5 +207,5 @@ def _sparse(kind: type, state: dict[str, Any]) -> np.ndarray:
     made = kind((state["data"], state["indices"], state["indptr"]), shape=tuple(int(length) for length in shape))
     made.check_format(full_check=True)
     if made.shape[0] * made.shape[1] > 100_000_000:
-        raise UnreadableError(f"a sparse matrix of shape {made.shape} is no part of a face model")
+        raise UnreadableError(f"a sparse matrix of shape {made.shape} is not part of a face model")
     return made.toarray()

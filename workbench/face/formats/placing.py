@@ -137,7 +137,7 @@ def _unit(scale: float, unit: str | None, path: object) -> float:
     nearest = min(misfit, key=misfit.__getitem__)
     if misfit[nearest] > np.log(LARGEST_MISFIT):
         raise ModelError(
-            f"{path}: with eyes about {63.0 / scale:.3g} units apart the head has no human size in any of "
+            f"{path}: with eyes about {63.0 / scale:.3g} units apart the head is not of human size in any of "
             f"{', '.join(RECOGNISED)}; say which it is: unit='cm', or --unit cm."
         )
     return nearest
