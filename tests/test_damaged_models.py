@@ -167,7 +167,7 @@ def endless(stored):
         (with_entry(numbers_of_another_file), "another file"),
         (with_entry(endless), "declares 4398046511104 bytes"),
         (replaced("shape/model/mean", data="text"), "holds|expected"),
-        (replaced("shape/model/mean", data=np.float64(3.0)), "three a vertex"),
+        (replaced("shape/model/mean", data=np.float64(3.0)), "three per vertex"),
         (replaced("shape/model/mean", data=np.zeros(3, [("a", "f8")])), "expected numbers"),
         (replaced("shape/model/mean", shape=(3,), dtype=h5py.vlen_dtype(float)), "expected numbers"),
         (replaced("shape/representer/cells", data=np.float64(1.0)), "no triangle mesh"),

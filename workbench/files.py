@@ -17,7 +17,7 @@ from workbench.errors import OutputError, WorkbenchError
 from workbench.reading import reason_of, shortened
 
 PARTIAL = ".partial-"
-"""In the names of temporary files, so that what a killed program left can be told from anything else."""
+"""In the names of temporary files, so that what a killed program left can be recognised."""
 _LONGEST_STEM = 40
 _LEFT_BEHIND = re.compile(rf"\.(.+){re.escape(PARTIAL)}[a-z0-9_]{{8}}(\.\w+)?")
 

@@ -156,7 +156,7 @@ def read_picture(path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def decoded_picture(content: bytes, name: object) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture that the bytes of an image file hold, as `read_picture` gives it; `name` stands in errors.
+    """The picture that the bytes of an image file hold, as `read_picture` gives it; errors quote `name`.
 
     The size is read from the header before anything is decoded. Raises `InputError` as `read_picture` does.
     """

@@ -85,7 +85,7 @@ class PictureFit:
 
     @property
     def vertices_camera(self) -> Float[np.ndarray, "v 3"]:
-        """The same mesh where it stands before the camera."""
+        """The same mesh in the camera frame."""
         return to_camera(self.vertices_head, self.rotation, self.translation)
 
     @property

@@ -189,7 +189,7 @@ def check_numbers_held(name: str, shape: tuple[int, ...], dtype: np.dtype, size:
 
 
 def array_header(content: IO[bytes] | BufferedIOBase, by_rows: bool = False) -> tuple[tuple[int, ...], np.dtype]:
-    """Shape and type that an .npy stream declares, which then stands at its numbers.
+    """Shape and type that an .npy stream declares; the stream is then at its data.
 
     Raises ValueError for damage and, if asked for an array `by_rows`, for one that is stored by columns.
     """

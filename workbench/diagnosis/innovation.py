@@ -1,4 +1,4 @@
-"""How far a group of landmarks lies from where all others predict it, and whether that is usual in the shot.
+"""How far a group of landmarks is from where all others predict it, and whether that is usual in the shot.
 
 A fit that includes a shifted group bends pose and expression towards it and shows little residual. The *innovation*
 of a group, its mean offset from a fit without it, does not bend. What is usual comes from the other frames of the shot,

@@ -23,7 +23,7 @@ from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
 
 DOUBTED = 3.0
-"""Price of a landmark that a hypothesis takes for wrong, nats: it lies some four usual distances off."""
+"""Price of a landmark that a hypothesis takes to be wrong, nats: it is off by some four typical distances."""
 PARAMETER = 2.0
 """Price of a number that a hypothesis chooses freely, nats."""
 MOTION_SHARE = 0.5

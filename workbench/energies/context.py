@@ -21,7 +21,7 @@ class LandmarkErrors(NamedTuple):
 
 
 class TermContext(NamedTuple):
-    """What a term may know of a frame besides the parameters."""
+    """What a term may know about a frame besides the parameters."""
 
     constants: EnergyConstants
     before_last_pose: Float[AnyArray, "6"]

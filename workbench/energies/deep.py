@@ -44,7 +44,7 @@ class DeepModel(NamedTuple):
 
 
 class DeepView(NamedTuple):
-    """What one camera brings: where it stands, what its photo shows, and how the render in it is lit."""
+    """What one camera contributes: its pose, what its photo shows, and how its render is lit."""
 
     camera: AnyCamera
     rotation: Float[AnyArray, "3 3"]

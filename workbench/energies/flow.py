@@ -45,7 +45,7 @@ class FlowTargets(NamedTuple):
     weights: Float[AnyArray, "sides views n"]
     """0 where a point is hidden, or a side or view has nothing to say."""
     bias_px: Float[AnyArray, "sides views n 2"]
-    """What the estimator says beside the mesh's exact flow on the rendered pair; 0: the exact flow counts."""
+    """The estimator's difference from the mesh's exact flow on the rendered pair; 0: the exact flow counts."""
     unit_px: Float[AnyArray, "views"]
     """One percent of the outer-eye distance in each view."""
 

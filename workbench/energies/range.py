@@ -41,5 +41,5 @@ def distance_from_range(weights: Weights) -> Weights:
 
 
 def range_residual(parameters: FaceParameters, context: TermContext) -> Weights:
-    """One residual a weight: its square pulls a weight back from any distance, unlike E_β."""
+    """One residual per weight: its square pulls a weight back from any distance, unlike E_β."""
     return distance_from_range(parameters.expression)

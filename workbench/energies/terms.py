@@ -37,7 +37,7 @@ class Term:
     links_frames: bool = False
     """Whether it looks at the frame before."""
     key: str = ""
-    """Where its ω lies in a configuration, as `weights.tau`; empty: `weights.` and the name."""
+    """The key of its ω in a configuration, as `weights.tau`; empty: `weights.` and the name."""
     deep_key: str = ""
     """The same under Deep Energies, where that differs."""
     weight: str = ""
@@ -63,7 +63,7 @@ class Term:
         return self.source.replace("FACE IT! ", "").replace("Deep Energies ", "")
 
     def omega_key(self, system: str) -> str:
-        """Where its ω lies in a configuration of this system."""
+        """The key of its ω in a configuration of this system."""
         own = self.key or f"weights.{self.name}"
         return self.deep_key or own if system == "deep-energies" else own
 
@@ -283,13 +283,13 @@ def _place(term: Term) -> str:
 
 
 def terms_of(system: str, named: Iterable[str] = ()) -> tuple[str, ...]:
-    """Names of the terms that a system has or lists, and of those that its stages name besides."""
+    """Names of the terms that a system has or lists, and of those that its stages name in addition."""
     named = set(named)
     return tuple(name for name, term in TABLE.items() if system in (*term.systems, *term.listed) or name in named)
 
 
 def factor(term: Term, omega: Mapping[str, float], system: str, pose_only: bool) -> float:
-    """What stands in front of a term: the product down its branch.
+    """The factor in front of a term: the product down its branch.
 
     `omega` holds the weights by their place in a configuration, as `weights.tau`.
     """

@@ -60,7 +60,7 @@ class Clip:
 
     @property
     def moves_jaw(self) -> bool:
-        """Whether the jaw joint moves, beside the blendshapes (Deep Energies)."""
+        """Whether the jaw joint moves, in addition to the blendshapes (Deep Energies)."""
         return bool(self.track.jaw[self.track.found].any())
 
     @property
@@ -76,7 +76,7 @@ class Clip:
         )
 
     def vertices_world(self, position: int) -> Float[np.ndarray, "v 3"]:
-        """The same where they stand before the camera, in the frame of reference of 3D files, metres."""
+        """The same before the camera, in the coordinate frame of 3D files, metres."""
         track = self.track
         points = to_camera(self.vertices_head(position), track.rotation[position], track.translation[position])
         return to_world(points)

@@ -170,7 +170,7 @@ def _animation(pool, clip: Clip, shapes: Shapes, found: Int[np.ndarray, "m"]) ->
 
 
 def _camera(camera: Camera, image_size: tuple[int, int]) -> pygltflib.Camera:
-    """The pinhole; what glTF cannot say (an axis off the middle, distortion) stands in `extras`."""
+    """The pinhole; what glTF cannot express (an off-centre axis, distortion) is in `extras`."""
     width, height = image_size
     fx, fy = (float(length) for length in camera.focal_px)
     lens = pygltflib.Perspective(

@@ -1,4 +1,4 @@
-"""The CSV file that Epic's Live Link Face writes on a phone: ARKit's 52 weights and three rotations a frame.
+"""The CSV file that Epic's Live Link Face writes on a phone: ARKit's 52 weights and three rotations per frame.
 
 Importers for Unreal, Blender, Maya, Houdini and MotionBuilder read it. The app's angles are radians. Their signs are
 documented nowhere; these are the ones that senders of the same data to Unreal use: yaw > 0 turns the face to the

@@ -1,4 +1,4 @@
-"""Blendshapes and a jaw joint for formats that apply them in turn: first the shapes, then the joints."""
+"""Blendshapes and a jaw joint for formats that apply them one after the other: first the shapes, then the joints."""
 
 from typing import NamedTuple
 

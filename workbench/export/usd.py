@@ -13,7 +13,7 @@ from workbench.files import atomic_path
 
 JOINTS = ("head", "head/jaw")
 APERTURE_MM = 36.0
-"""Width of the film that stands for the picture; USD states lenses in tenths of its unit of length."""
+"""Film width that represents the picture; USD gives lenses in tenths of its unit of length."""
 
 
 def write_usd(clip: Clip, path: str | Path) -> None:

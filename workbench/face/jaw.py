@@ -1,4 +1,4 @@
-"""The jaw joint: linear blend skinning with six degrees of freedom (Deep Energies Sec. 3), beside the blendshapes.
+"""The jaw joint: linear blend skinning with six degrees of freedom (Deep Energies Sec. 3), next to the blendshapes.
 
 A joint alone opens the mouth like a hinge; the blendshape `jawOpen` also shapes the lips. What the shape does beyond
 the hinge is kept as a corrective in proportion to the angle, so that the joint at `OPEN_DEG` is that shape at weight 1.

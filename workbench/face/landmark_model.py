@@ -65,7 +65,7 @@ class PointModel(NamedTuple):
 
 
 def seen_shapes(model: FaceModel) -> Bool[np.ndarray, "k"]:
-    """Which blendshapes move one of the 68 landmarks, wherever the jaw contour lies, by `LEAST_SEEN_MM` or more.
+    """Which blendshapes move one of the 68 landmarks, wherever the jaw contour is, by `LEAST_SEEN_MM` or more.
 
     Nothing in the landmarks says what the others do: fits leave them at 0.
     """

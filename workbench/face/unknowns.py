@@ -51,7 +51,7 @@ def unpack(
 
 
 def slots(parameters: FaceParameters, blocks: tuple[str, ...] = BLOCKS) -> dict[str, slice]:
-    """Where each block lies in the vector."""
+    """Position of each block in the vector."""
     ends = np.cumsum([len(getattr(parameters, name)) for name in blocks]).tolist()
     return {name: slice(start, end) for name, start, end in zip(blocks, [0, *ends], ends, strict=False)}
 

@@ -5,7 +5,7 @@ from jaxtyping import Float, UInt8
 
 SEGMENTS = (("red", "yellow", 15), ("yellow", "green", 6), ("green", "cyan", 4), ("cyan", "blue", 11),
             ("blue", "magenta", 13), ("magenta", "red", 6))  # fmt: skip
-"""Arcs of the wheel and their numbers of steps: more where the eye tells more hues apart."""
+"""Arcs of the wheel and their numbers of steps: more where the eye distinguishes more hues."""
 CORNERS = {
     "red": (255, 0, 0), "yellow": (255, 255, 0), "green": (0, 255, 0),
     "cyan": (0, 255, 255), "blue": (0, 0, 255), "magenta": (255, 0, 255),

@@ -1,4 +1,4 @@
-"""The exact flow of two states of a mesh: where the surface point that a pixel shows lies in the second picture.
+"""The exact flow of two states of a mesh: where the surface point seen by a pixel is in the second picture.
 
 Two forms. *Dense*: one vector for each pixel of the first picture. *Sparse*: at surface points that were chosen once,
 as cheap to differentiate as landmarks.

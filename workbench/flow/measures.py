@@ -37,7 +37,7 @@ def end_point_errors(
 
 
 def error_statistics(errors: Float[np.ndarray, "n"]) -> EndPointError:
-    """What is told of many errors."""
+    """A summary of many errors."""
     if not errors.size:
         return EndPointError(*(float("nan"),) * 4, 0)
     median, p90 = np.quantile(errors, [0.5, 0.9])

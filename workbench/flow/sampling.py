@@ -41,7 +41,7 @@ def grid(height: int, width: int) -> Float[Array, "h w 2"]:
 
 
 def warp(picture: Float[AnyArray, "h w c"], flow: Float[AnyArray, "h w 2"]) -> Float[Array, "h w c"]:
-    """The second picture as seen from the first: each pixel gets what lies where the flow points to."""
+    """The second picture as seen from the first: each pixel gets what is where the flow points."""
     return sample(picture, grid(*flow.shape[:2]) + flow)
 
 

@@ -72,7 +72,7 @@ def project(camera: Camera, points_camera: Float[AnyArray, "*n 3"]) -> Float[Any
 def project_with_derivative(
     camera: Camera, points_camera: Float[AnyArray, "n 3"]
 ) -> tuple[Float[AnyArray, "n 2"], Float[AnyArray, "n 2 3"]]:
-    """π and ∂π/∂(x, y, z) of each point, written out because it stands in the innermost loop of every solve."""
+    """π and ∂π/∂(x, y, z) of each point, written out because it is in the innermost loop of every solve."""
     x_camera, y_camera, z_camera = points_camera[:, 0], points_camera[:, 1], points_camera[:, 2]
     inverse_z = 1.0 / z_camera
     x, y = x_camera * inverse_z, y_camera * inverse_z

@@ -78,7 +78,7 @@ class View:
 
     @property
     def position_world_mm(self) -> Float[np.ndarray, "3"]:
-        """Where the camera stands in the world, millimetres."""
+        """Position of the camera in the world, millimetres."""
         return -self.rotation_view_world.T @ self.translation_view_world_mm
 
 
@@ -133,7 +133,7 @@ class Rig:
 
     @cached_property
     def position_reference_mm(self) -> Float[np.ndarray, "v 3"]:
-        """For each view, where its camera stands in the reference camera's frame, millimetres."""
+        """Position of each view's camera in the reference camera's frame, millimetres."""
         rotations, translations = self.rotation_view_reference, self.translation_view_reference_mm
         return _read_only(-np.einsum("vji,vj->vi", rotations, translations))
 

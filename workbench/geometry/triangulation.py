@@ -90,7 +90,7 @@ def triangulate(views: PlacedCamera, points_image: Float[np.ndarray, "v n 2"]) -
     rays = np.where(seen[..., None], rays, 0.0)
     weight = (seen[..., None] * focal)[..., None]
 
-    # x·(R_3·p + t_3) = R_1·p + t_1, and the same for y: two rows a view.
+    # x·(R_3·p + t_3) = R_1·p + t_1, and the same for y: two rows per view.
     rows = (rays[..., None] * rotation[:, None, 2:] - rotation[:, None, :2]) * weight
     right = (translation[:, None, :2] - rays * translation[:, None, 2:])[..., None] * weight
     points = _least_squares(rows, right, seen)

@@ -45,9 +45,9 @@ DOUBT_PERCENT = 3.0
 """Median epipolar distance, in percent of the eye distance, above which a rig is doubted. On renders of the default
 head, 30° apart, the network detector gives 0.4 and dlib 0.6 to 0.9; photos are harder."""
 BETTER = 0.8
-"""An offset in time is told if it lowers the median to this part."""
+"""An offset in time is reported if it lowers the median to this part."""
 EXPLAINS = 0.5
-"""Another explanation is told if it lowers the median to this part."""
+"""Another explanation is reported if it lowers the median to this part."""
 EYE_DISTANCE_MM = (70.0, 115.0)
 """Between the outer corners of adults' eyes; the default head has 88.5."""
 IN_FRONT = 0.95
@@ -93,7 +93,7 @@ class RigCheck:
     """Those that see the face together in some frame."""
     views: tuple[ViewCheck, ...]
     eye_distance_mm: float
-    """Median distance between the triangulated outer eye corners: tells a wrong unit."""
+    """Median distance between the triangulated outer eye corners: reveals a wrong unit."""
     warnings: tuple[str, ...]
     """What seems wrong and what would fit better, one plain sentence each."""
 

@@ -41,7 +41,7 @@ class LandmarkRecord:
     frame: int
     """0-based frame index."""
     name: str
-    """The name of the frame, or of the file where it has none of its own."""
+    """The name of the frame, or of the file if it has none."""
     landmarks: Landmarks2D | None
     """None where the frame has no face."""
     image_size: tuple[int, int] | None

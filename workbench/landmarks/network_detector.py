@@ -28,7 +28,7 @@ CROP_SIDE = 256
 CROP_BOXES = 1.6
 """Face boxes (see `landmarks.alignment`) across the network's input."""
 CROP_DROP = 0.1
-"""Box sides by which the crop's middle lies below the box's."""
+"""How far the crop's centre is below the box's, in box sides."""
 STILL_MOVES = ((0.0, 0.0, 1.0), (0.03, -0.02, 0.94), (-0.03, 0.02, 1.06))
 """Moved frames (x, y in box sides, scale) whose answers are averaged on a still, each also mirrored."""
 OTHER_ROLLS = (-0.9, 0.9)

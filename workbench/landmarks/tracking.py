@@ -220,7 +220,7 @@ class LandmarkTracker:
             self._place, self._side = self._face.frame.origin, self._face.frame.side
 
     def state(self) -> dict[str, np.ndarray]:
-        """Everything that the next step depends on, besides the last picture, as plain arrays."""
+        """Everything that the next step depends on, except the last picture, as plain arrays."""
         empty = np.zeros((0, 2))
         return {
             "points": empty if self._face is None else self._face.points.copy(),

@@ -99,7 +99,7 @@ def crop_and_resize(
 ) -> Float[Array, "c side side"]:
     """S(C(F, D), D): the picture inside the box as `side` × `side` samples, channels first as networks take it.
 
-    Bilinear as in the paper. A sample reads four pixels: where the box has more than twice the crop's pixels a side,
+    Bilinear as in the paper. A sample reads four pixels: where the box has more than twice the crop's pixels per side,
     plain sampling skips some; the crop aliases and the skipped pixels have no derivative. `reduction` > 1 first
     averages blocks of that many pixels squared, still linear in the picture; `reduction_for` tells which. It is
     static: another one compiles again. Root mean square distance from exact area averages on three photographs, in grey

@@ -150,7 +150,7 @@ def _empty_hour_glass() -> HourGlass:
 
 
 def read_fan(path: str | Path) -> Fan:
-    """The network of a published checkpoint (`read_checkpoint` tells which kinds) or of a converted file.
+    """The network of a published checkpoint (`read_checkpoint` lists the kinds) or of a converted file.
 
     Raises `InputError` for a file that cannot be read, `ModelError` for weights of another network.
     """

@@ -1,4 +1,4 @@
-"""Published checkpoints that the workbench knows, told apart by their arrays."""
+"""Published checkpoints that the workbench knows, recognised by their arrays."""
 
 from pathlib import Path
 

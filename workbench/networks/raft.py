@@ -24,7 +24,7 @@ STRIDE, SMALLEST_SIDE = 8, 128
 LEVELS, REACH = 4, 3
 """Halvings of the products plus one, and how far around the flow's target they are read at each."""
 HIDDEN, CONTEXT = 96, 64
-"""Channels of the recurrent unit's state, and of what it is told of the first picture."""
+"""Channels of the recurrent unit's state, and of its context from the first picture."""
 UPDATES = 12
 NORM_EPSILON = 1e-5
 """PyTorch's `InstanceNorm2d.eps`."""
@@ -65,7 +65,7 @@ class Encoder(eqx.Module):
 
 
 class MotionEncoder(eqx.Module):
-    """What the recurrent unit is told of flow and products."""
+    """What the recurrent unit receives about flow and correlation."""
 
     convcorr1: tuple[Conv]
     convflow1: tuple[Conv]

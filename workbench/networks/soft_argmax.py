@@ -37,7 +37,7 @@ def soft_argmax(heat_maps: Float[AnyArray, "n h w"], beta: Scalar = BETA) -> Flo
 
 
 def patch_mass(heat_maps: Float[AnyArray, "n h w"], beta: Scalar = BETA) -> Float[Array, "n"]:
-    """Share of the whole map's exp(β·H) that lies in the 3×3 patch around its maximum, 0..1.
+    """Share of the whole map's exp(β·H) that is in the 3×3 patch around its maximum, 0..1.
 
     Where softmax(β·H) is the probability of the landmark's place, this is the probability that it lies in the patch.
     """

@@ -1,4 +1,4 @@
-"""What lies behind a rendered head."""
+"""What is behind a rendered head."""
 
 import numpy as np
 from jaxtyping import Float, UInt8

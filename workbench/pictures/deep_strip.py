@@ -32,7 +32,7 @@ SAMPLES = 2
 FACE_SHARE = 0.8
 """Of a render over the photo: enough of the photo stays to see the contours of both."""
 FACES_ACROSS, MOST_FACES_ACROSS = 1.6, 2.4
-"""Side of a panel in sides of the landmarks' box; more where a stage stands further away, up to the second."""
+"""Side of a panel in sides of the landmarks' box; more where a stage's head is further away, up to the second."""
 SEEN_IN_RENDER, SEEN_IN_PHOTO, APART = (66, 224, 70), (0, 205, 215), (235, 60, 50)
 """The paper's colours of Fig. 3: green, teal, red."""
 PALE, OUTSIDE = (150, 158, 168), (38, 42, 48)

@@ -1,4 +1,4 @@
-"""What can be drawn with a head: colours of its own, points and segments in 3D, and a second, translucent head."""
+"""What can be drawn with a head: its own colours, points and segments in 3D, and a second, translucent head."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,7 +18,7 @@ ROD_SIDES = 6
 
 @dataclass(frozen=True, eq=False)
 class ColoredMesh:
-    """A surface of its own: hair, glasses, a hand; head frame, millimetres."""
+    """A separate surface: hair, glasses, a hand; head frame, millimetres."""
 
     vertices: Float[np.ndarray, "n 3"]
     triangles: Int[np.ndarray, "t 3"]
@@ -64,7 +64,7 @@ def marks_mesh(
 
 
 def outer_triangles(model: FaceModel) -> Integer[np.ndarray, "t 3"]:
-    """The triangles of the skin, without what lies in the eye sockets and in the mouth."""
+    """The triangles of the skin, without the eye sockets and the inside of the mouth."""
     inner = np.zeros(len(model.neutral), bool)
     for name in INNER_REGIONS:
         inner[model.regions.get(name, np.zeros(0, int))] = True

@@ -210,7 +210,7 @@ class HeadScene:
 
 
 class _Part:
-    """An actor with a mesh of its own, replaced as a whole."""
+    """An actor with its own mesh, replaced as a whole."""
 
     def __init__(self, translucent: bool) -> None:
         self.mesh = vtkPolyData()

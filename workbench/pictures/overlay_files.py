@@ -133,7 +133,7 @@ class OverlayPictures:
 
 
 class HeadPanel:
-    """The 3D head of one fit after the other, sized to stand beside frames of (width, height).
+    """The 3D head of one fit after the other, sized to go beside frames of (width, height).
 
     Raises `InputError` for another `view` than "pose" and "front".
     """
@@ -154,7 +154,7 @@ class HeadPanel:
         self._person = model
 
     def resize(self, frame_size: tuple[int, int]) -> None:
-        """Stand beside frames of another (width, height) from now on."""
+        """Go beside frames of another (width, height) from now on."""
         size = _size_beside(frame_size)
         if size != self.painter.size:
             self.painter.resize(size)

@@ -55,7 +55,7 @@ def _draw(axes: Axes, rig: Rig, meeting: Float[np.ndarray, "3"] | None, paper: F
 
 
 def _pyramid(rig: Rig, index: int, meeting: Float[np.ndarray, "3"] | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Reference frame: where the camera stands, the corners of what it sees at some depth, its axis there."""
+    """In the reference frame: the camera's position, the corners of its view at some depth, its axis there."""
     view, rotation = rig.views[index], rig.rotation_view_reference[index]
     apex, (width, height) = rig.position_reference_mm[index], view.image_size
     if meeting is not None:

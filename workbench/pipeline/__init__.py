@@ -111,7 +111,7 @@ def track(
 
 @dataclass(frozen=True)
 class _Job:
-    """What a call of `track` asks for, beside its input."""
+    """What a call of `track` asks for, apart from its input."""
 
     folder: Path
     model: FaceModel

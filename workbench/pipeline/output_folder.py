@@ -1,4 +1,4 @@
-"""The folder of a run: what lies in it afterwards, who writes in it now, and that nothing in it is lost."""
+"""The folder of a run: what it holds afterwards, who is writing to it now, and that nothing in it is lost."""
 
 import errno
 import os
@@ -28,9 +28,9 @@ OUTPUTS = {
 }
 UNREFINED = "unrefined.npz"
 DEEP_OUTPUTS = {"stages": "what each stage made of some frames, and of those that failed"}
-"""What a Deep Energies run leaves besides."""
+"""What a Deep Energies run writes in addition."""
 TIME_OUTPUTS = {UNREFINED: "the fits of single frames, before infill and refinement"}
-"""What a run with infill or refinement leaves besides."""
+"""What a run with infill or refinement writes in addition."""
 LOCK = "run.lock"
 FILES = (*OUTPUTS, *TIME_OUTPUTS, "overlay.png")
 PICTURE_FOLDERS = ("overlay", *DEEP_OUTPUTS)

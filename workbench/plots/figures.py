@@ -10,7 +10,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 Picture = UInt8[np.ndarray, "_ _ 3"]
 BLUE, RED, GREY, GREEN, AMBER = "#2a6f97", "#c0392b", "#8d99a6", "#2d936c", "#e09f3e"
 LINES = ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (AMBER, "-"), ("#5e548e", ":"))
-"""Colour and dash of the lines of one figure in turn: the dash tells them apart without colour."""
+"""Colour and dash of the lines of a figure, in order: the dash distinguishes them without colour."""
 STRIP_ROWS = ("jaw", "brows", "nose", "eyes", "mouth")
 """Parts of the face in the rows of a strip of residuals."""
 DPI = 100

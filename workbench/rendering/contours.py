@@ -1,4 +1,4 @@
-"""Contours: the mesh edges where the picture jumps, cut into one piece per pixel, and what lies behind each piece.
+"""Contours: the mesh edges where the picture jumps, cut into one piece per pixel, and what is behind each piece.
 
 A contour edge has the mesh on one side only, as seen by the camera: an outline, the rim of the nose before a cheek, a
 lip before the teeth, the border of an open mesh. Nothing here is differentiated; `antialias` turns the pieces into

@@ -13,7 +13,7 @@ from workbench.rendering.interpolation import Vector
 
 
 class Texture(NamedTuple):
-    """A picture, and where on it each corner of each triangle lies."""
+    """A picture, and where each corner of each triangle is on it."""
 
     picture: Float[AnyArray, "th tw 3"]
     """First row on top, values as the albedo of vertices."""

@@ -1,4 +1,4 @@
-"""What a renderer needs to know of a triangle mesh besides its vertices; made once for a mesh."""
+"""What a renderer needs to know about a triangle mesh besides its vertices; made once per mesh."""
 
 from typing import NamedTuple
 

@@ -32,7 +32,7 @@ class Damping(NamedTuple):
 
 
 class LevenbergMarquardt(NamedTuple):
-    """The method of `loop.step` that the workbench solves by unless told otherwise; it has no settings."""
+    """The method of `loop.step` that the workbench uses by default; it has no settings."""
 
     def start(self) -> Damping:
         """Damping of the first step."""

@@ -146,7 +146,7 @@ def _h5_basis(path: Path, stored: Mapping[str, np.ndarray], part: str, count: in
 
 def _points(path: Path, key: str, flat: np.ndarray) -> np.ndarray:
     if flat.size == 0 or flat.size % 3:
-        raise ModelError(f"{path}: {key} holds {flat.size} numbers, expected three a vertex; the file is damaged.")
+        raise ModelError(f"{path}: {key} holds {flat.size} numbers, expected three per vertex; the file is damaged.")
     return np.asarray(flat, float).reshape(-1, 3)
 
 
