@@ -263,7 +263,7 @@ OWN = dict(np.load(sample("head")))
         ({"colors": OWN["colors"].astype(float)}, "expected uint8"),
         ({"landmark_barycentric": 2.0 * OWN["landmark_barycentric"]}, "sum to 1"),
         ({"contour_yaw_deg": OWN["contour_yaw_deg"][::-1]}, "do not ascend"),
-        ({"expression_names": OWN["expression_names"][:1]}, "as many names"),
+        ({"expression_names": OWN["expression_names"][:1]}, "one name each"),
         ({"joint_names": np.arange(len(OWN["joint_names"]))}, "expected names"),
     ],
 )
@@ -411,7 +411,7 @@ def test_a_texture_index_beyond_the_list_is_refused(tmp_path):
     ("change", "message"),
     [
         (lambda text: '{"a":' * 100_000, "nested"),
-        (lambda text: text.replace('"jawOpen"', '"../jawOpen"'), "no name of an expression"),
+        (lambda text: text.replace('"jawOpen"', '"../jawOpen"'), "not the name of an expression"),
         (lambda text: text.replace('"jawOpen"', '"mouthSmile_L"'), "twice"),
         (lambda text: text.replace('"idx_to_landmark_verts": [0', '"idx_to_landmark_verts": [0.5'), "cannot be read"),
         (lambda text: text.replace('"idx_to_landmark_verts": [0', '"idx_to_landmark_verts": [-1'), "needs 68"),
