@@ -7,7 +7,6 @@ LAB_STAMP := $(VENV)/.installed-lab
 TEST_STAMP := $(VENV)/.installed-test
 TRAIN_STAMP := $(VENV)/.installed-train
 DOCS_STAMP := $(VENV)/.installed-docs
-BAKE_STAMP := $(VENV)/.installed-bake
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 # Processes that test files are handed to; 0: in one, as for a test that hangs or with little memory.
 JOBS ?= 2
@@ -56,10 +55,6 @@ $(DOCS_STAMP): $(STAMP)
 	$(INSTALL) --editable ".[docs]"
 	@touch $(DOCS_STAMP)
 
-$(BAKE_STAMP): $(STAMP)
-	$(INSTALL) --editable ".[bake]"
-	@touch $(BAKE_STAMP)
-
 lab: $(LAB_STAMP)
 	$(BIN)/workbench lab
 
@@ -101,7 +96,7 @@ format: $(TEST_STAMP)
 bench: $(TEST_STAMP)
 	$(BIN)/python benchmarks/run_all.py
 
-head: $(BAKE_STAMP)
+head: $(STAMP)
 	$(BIN)/python data_samples/head/bake/bake.py --out data_samples/head
 
 clip: $(STAMP)

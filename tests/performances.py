@@ -3,10 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from cvista.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
-from cvista.vtkCommonCore import vtkPoints
-from cvista.vtkCommonDataModel import vtkCellArray, vtkPolyData
-from cvista.vtkFiltersCore import vtkDecimatePro
+import pyvista as pv
 from scipy.spatial import cKDTree
 
 from tests.scenes import make_scene
@@ -52,37 +49,18 @@ def with_jaw(track: Track) -> Track:
 def other_character(head: FaceModel, identity: np.ndarray, keep: float = 0.5) -> FaceModel:
     """Another person on another mesh: `keep` of the triangles, the blendshapes of the vertices that stay."""
     person = head.personal(identity)
-    kept, triangles = decimated(person, keep)
+    corners = np.column_stack([np.full(len(person.triangles), 3), person.triangles]).ravel()
+    mesh = pv.PolyData(person.neutral, corners)
+    mesh.point_data["vertex"] = np.arange(len(person.neutral))
+    # Vertices that stay keep their place, so that closed lips are not mixed up, as nearest neighbours would be.
+    small = mesh.decimate_pro(1.0 - keep, preserve_topology=True, boundary_vertex_deletion=False)
+    kept = small.point_data["vertex"].astype(int)
     vertices, deltas = person.neutral[kept], person.expression_deltas[:, kept]
+    triangles = small.faces.reshape(-1, 4)[:, 1:].astype(np.int32)
     _, points = cKDTree(vertices).query(person.landmarks.of(person.neutral))
     landmarks = Embedding(np.repeat(points[:, None], 3, axis=1).astype(np.int32), np.tile([1.0, 0.0, 0.0], (68, 1)))
     made = linear_model("other", vertices, triangles, person.expression_names, deltas, landmarks)
     return replace(made, colors=person.colors[kept])
-
-
-def decimated(person: FaceModel, keep: float) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices that stay, and the triangles among them, when `keep` of a mesh's triangles shall be left.
-
-    Vertices that stay keep their place, so that closed lips are not mixed up, as nearest neighbours would be.
-    """
-    mesh, points, cells = vtkPolyData(), vtkPoints(), vtkCellArray()
-    points.SetData(numpy_to_vtk(person.neutral, deep=True))
-    cells.SetData(3, numpy_to_vtkIdTypeArray(person.triangles.astype(np.int64).ravel(), deep=True))
-    mesh.SetPoints(points)
-    mesh.SetPolys(cells)
-    number = numpy_to_vtk(np.arange(len(person.neutral)), deep=True)
-    number.SetName("vertex")
-    mesh.GetPointData().AddArray(number)
-    decimate = vtkDecimatePro()
-    decimate.SetTargetReduction(1.0 - keep)
-    decimate.SetFeatureAngle(45.0)
-    decimate.PreserveTopologyOn()
-    decimate.BoundaryVertexDeletionOff()
-    decimate.SetInputData(mesh)
-    decimate.Update()
-    small = decimate.GetOutput()
-    kept = vtk_to_numpy(small.GetPointData().GetArray("vertex")).astype(int)
-    return kept, vtk_to_numpy(small.GetPolys().GetConnectivityArray()).reshape(-1, 3).astype(np.int32)
 
 
 def _fit(scene, index: int, shot: int, found: bool) -> FrameFit:

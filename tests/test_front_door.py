@@ -13,7 +13,7 @@ import workbench
 PACKAGE = Path(workbench.__file__).parent
 LAZY = sorted(path.parent for path in PACKAGE.rglob("__init__.pyi"))
 HEAVY = (
-    "jax", "numpy", "scipy", "cv2", "av", "PIL", "trimesh", "networkx", "h5py", "matplotlib", "cvista",
+    "jax", "numpy", "scipy", "cv2", "av", "PIL", "trimesh", "networkx", "h5py", "matplotlib", "vtkmodules",
     "optimistix", "pydantic", "IPython", "ipywidgets", "k3d", "pygltflib", "pxr", "torch",
 )  # fmt: skip
 
@@ -43,12 +43,12 @@ def test_the_import_loads_nothing_heavy():
 
 def test_a_configuration_is_read_without_jax_and_without_pictures():
     loaded = output_of("import sys, workbench; workbench.preset('joint'); print(*sys.modules)").split()
-    assert not {"jax", "cv2", "matplotlib", "trimesh", "cvista"} & set(loaded)
+    assert not {"jax", "cv2", "matplotlib", "trimesh", "vtkmodules"} & set(loaded)
 
 
 def test_reading_a_track_needs_no_solver_and_no_drawing():
     loaded = output_of("import sys; from workbench import Track; print(*sys.modules)").split()
-    assert not {"optimistix", "matplotlib", "trimesh", "cvista", "IPython"} & set(loaded)
+    assert not {"optimistix", "matplotlib", "trimesh", "vtkmodules", "IPython"} & set(loaded)
 
 
 @pytest.mark.parametrize(
@@ -115,4 +115,4 @@ def test_the_command_line_tells_of_itself_without_jax_and_without_pictures(comma
     run = f"import sys; from workbench.cli import app; app({command.split()}, standalone_mode=False)"
     loaded = output_of(f"{run}; print('LOADED', *sys.modules)").rpartition("LOADED")[2].split()
     assert "workbench.cli" in loaded
-    assert not {"jax", "scipy", "cv2", "matplotlib", "trimesh", "cvista"} & set(loaded)
+    assert not {"jax", "scipy", "cv2", "matplotlib", "trimesh", "vtkmodules"} & set(loaded)

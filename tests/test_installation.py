@@ -61,10 +61,9 @@ def test_a_target_installs_what_it_needs_and_nothing_else(target, extras, tmp_pa
     assert ("face-alignment" in planned) == (target == "test-train")
 
 
-def test_pytorch_comes_with_training_and_vtks_full_size_with_baking_only():
-    for name, extra in (("torch", "train"), ("pyvista", "bake")):
-        assert [kind for kind, needs in EXTRAS.items() if any(need.startswith(name) for need in needs)] == [extra]
-    assert not any(need.startswith(("torch", "vtk", "pyvista")) for need in PROJECT["dependencies"])
+def test_pytorch_comes_with_training_only():
+    assert [kind for kind, needs in EXTRAS.items() if any(need.startswith("torch") for need in needs)] == ["train"]
+    assert not any(need.startswith("torch") for need in PROJECT["dependencies"])
 
 
 def test_an_extra_takes_in_only_extras_that_there_are():

@@ -474,8 +474,8 @@ def test_single_precision_goes_in_and_out(rendering):
 def vtk_view(head, points_camera, camera, lighting):
     """Colours 0 to 1, coverage and depth (mm, infinite where nothing is) of a matte head drawn by VTK."""
     # Where there is no GL these cannot even be imported.
-    from cvista.util.numpy_support import vtk_to_numpy
-    from cvista.vtkCommonCore import vtkFloatArray
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkCommonCore import vtkFloatArray
 
     from workbench.pictures.head_scene import HeadScene
 

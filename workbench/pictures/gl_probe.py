@@ -22,11 +22,11 @@ LINUX_WINDOWS = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "")
 TIMEOUT_S = 60
 
 PROBE = """
-from cvista.vtkFiltersSources import vtkConeSource
-from cvista.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
-import cvista.vtkRenderingOpenGL2
-from cvista.vtkCommonCore import vtkUnsignedCharArray
-from cvista.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkFiltersSources import vtkConeSource
+from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
+import vtkmodules.vtkRenderingOpenGL2
+from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.util.numpy_support import vtk_to_numpy
 
 cone, mapper, actor, renderer, window = (
     vtkConeSource(), vtkPolyDataMapper(), vtkActor(), vtkRenderer(), vtkRenderWindow()
@@ -63,7 +63,7 @@ def gl_available() -> bool:
 def _working_window() -> str | None:
     """Kind of render window that works ("" for VTK's own choice), None if none does."""
     try:
-        key = f"{sys.version}|{version('cvista-rendering')}|{platform.node()}|{os.environ.get(WINDOW_VARIABLE, '')}"
+        key = f"{sys.version}|{version('vtk')}|{platform.node()}|{os.environ.get(WINDOW_VARIABLE, '')}"
     except PackageNotFoundError:
         return None
     remembered = cache_folder() / f"gl-{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"

@@ -1,17 +1,20 @@
-"""The VTK scene of one head. Every call comes from one thread (`render_thread`): a GL context belongs to its maker."""
+"""The PyVista scene of one head. Every call comes from one thread (`render_thread`): a GL context belongs to its maker.
+
+Meshes, materials, textures and lights are PyVista's. The window is VTK's own: a `pyvista.Plotter` brings layers and an
+interactor that pictures without a viewer do not need, and no projection matrix of one's own.
+"""
 
 import math
 from collections.abc import Sequence
 
 import cv2
-import cvista.vtkRenderingOpenGL2  # noqa: F401  (registers the GL classes behind the abstract ones)
 import numpy as np
-from cvista.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
-from cvista.vtkCommonCore import vtkPoints, vtkUnsignedCharArray
-from cvista.vtkCommonDataModel import vtkCellArray, vtkImageData, vtkPolyData
-from cvista.vtkCommonMath import vtkMatrix4x4
-from cvista.vtkRenderingCore import vtkActor, vtkLight, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow, vtkTexture
+import pyvista
+import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  (registers the GL classes behind the abstract ones)
 from jaxtyping import Float, Int, UInt8
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
 
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
@@ -23,6 +26,8 @@ WET_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
 """Parts that shine."""
 SKIN_SHINE, WET_SHINE = (0.10, 14.0), (0.55, 70.0)
 """(strength, exponent) of the highlights."""
+COLORS = "colors"
+"""RGBA of the points."""
 VTK_AXES = np.array([1.0, -1.0, -1.0])
 """VTK's camera looks along -z with y up, ours along +z with y down."""
 
@@ -56,22 +61,20 @@ class HeadScene:
         self.blank = None if texture is None else _texture(np.full((2, 2, 3), 255, np.uint8))
         self.outer_triangles = outer_triangles(model).astype(np.int64)
         self.marks, self.ghost = _Part(translucent=False), _Part(translucent=True)
-        self.points = vtkPoints()
         self.renderer = vtkRenderer()
         self.renderer.SetBackgroundAlpha(0.0)
         self.renderer.AutomaticLightCreationOff()
         self.renderer.SetLightFollowCamera(False)
         self.meshes, self.actors = [], []
         for triangles, shine in zip(_by_shine(model, points_of_triangle), (SKIN_SHINE, WET_SHINE), strict=True):
-            mesh = _mesh(self.points, triangles)
+            mesh = _mesh(model.neutral[self.vertex_of_point], triangles)
             # The texture is multiplied by the colours of the points.
-            mesh.GetPointData().SetScalars(numpy_to_vtk(self.own_colors[self.vertex_of_point], deep=True))
+            mesh.point_data[COLORS] = self.own_colors[self.vertex_of_point]
             if texture is not None:
-                coordinates = np.ascontiguousarray(model.uv[uv_of_point], np.float32)
-                mesh.GetPointData().SetTCoords(numpy_to_vtk(coordinates, deep=True))
+                mesh.active_texture_coordinates = model.uv[uv_of_point].astype(np.float32)
             self.meshes.append(mesh)
             actor = _actor(mesh, shine, fade_neck)
-            actor.SetTexture(self.texture)
+            actor.texture = self.texture
             self.actors.append(actor)
             self.renderer.AddActor(actor)
         for part in (self.marks, self.ghost):
@@ -130,34 +133,32 @@ class HeadScene:
         """Another albedo for a head that was made with one."""
         self.texture = _texture(texture)
         for actor in self.actors:
-            actor.SetTexture(self.texture)
+            actor.texture = self.texture
 
     def set_shine(self, strength: float, exponent: float) -> None:
         """Highlights of the skin: their strength (0 to 1), and how small they are."""
-        self.actors[0].GetProperty().SetSpecular(strength)
-        self.actors[0].GetProperty().SetSpecularPower(exponent)
+        self.actors[0].prop.specular = strength
+        self.actors[0].prop.specular_power = exponent
 
     def close(self) -> None:
         """Give the GL context back."""
         self.window.Finalize()
 
     def _set_points(self, points_camera) -> None:
+        points = _vectors(points_camera, self.vertex_of_point)
         normals = vertex_normals(points_camera, self.triangles, self.corner_sum)
-        self.points.SetData(_vectors(points_camera, self.vertex_of_point))
-        self.points.Modified()
         normals = _vectors(normals, self.vertex_of_point)
         for mesh in self.meshes:
-            mesh.GetPointData().SetNormals(normals)
-            mesh.Modified()
+            mesh.points = points
+            mesh.point_data.active_normals = normals
 
     def _set_colors(self, colors: UInt8[np.ndarray, "v 3"] | None) -> None:
         if colors is self.shown_colors:
             return
         rgba = self.own_colors if colors is None else np.column_stack([colors, self.opacity])
-        scalars = numpy_to_vtk(rgba[self.vertex_of_point], deep=True)
         for mesh, actor in zip(self.meshes, self.actors, strict=True):
-            mesh.GetPointData().SetScalars(scalars)
-            actor.SetTexture(self.texture if colors is None else self.blank)
+            mesh.point_data[COLORS] = rgba[self.vertex_of_point]
+            actor.texture = self.texture if colors is None else self.blank
         self.shown_colors = colors
 
     def _set_extras(self, extras: Extras, camera: Camera, pose) -> list[Float[np.ndarray, "_"]]:
@@ -181,39 +182,40 @@ class HeadScene:
         self.renderer.RemoveAllLights()
         # Without any light VTK would show surfaces at full brightness.
         for light in lighting.lights or (Light((0.0, 0.0, -1.0), 0.0),):
-            distant = vtkLight()
-            distant.SetLightTypeToSceneLight()
-            distant.SetPositional(False)
-            distant.SetPosition(*(VTK_AXES * light.direction))
-            distant.SetFocalPoint(0.0, 0.0, 0.0)
-            distant.SetColor(*light.color)
-            distant.SetIntensity(light.intensity)
+            distant = pyvista.Light(
+                position=tuple((VTK_AXES * light.direction).tolist()),
+                focal_point=(0.0, 0.0, 0.0),
+                light_type="scene light",
+                intensity=light.intensity,
+                positional=False,
+            )
+            distant.SetColor(*light.color)  # PyVista's colours have eight bits
             self.renderer.AddLight(distant)
         for actor in self.renderer.GetActors():
-            actor.GetProperty().SetAmbient(lighting.ambient)
+            actor.prop.ambient = lighting.ambient
         self.lighting = lighting
 
     def _set_projection(self, camera: Camera, near: float, far: float) -> None:
         (fx, fy), (cx, cy) = camera.focal_px, camera.principal_point_px
         width, height = self.size
-        matrix = vtkMatrix4x4()
         # GL counts pixel edges: our pixel (0, 0), a centre, is its (0.5, 0.5).
-        rows = (
-            (2 * fx / width, 0.0, 1 - 2 * (cx + 0.5) / width, 0.0),
-            (0.0, 2 * fy / height, 2 * (cy + 0.5) / height - 1, 0.0),
-            (0.0, 0.0, (near + far) / (near - far), 2 * near * far / (near - far)),
-            (0.0, 0.0, -1.0, 0.0),
+        matrix = np.array(
+            [
+                (2 * fx / width, 0.0, 1 - 2 * (cx + 0.5) / width, 0.0),
+                (0.0, 2 * fy / height, 2 * (cy + 0.5) / height - 1, 0.0),
+                (0.0, 0.0, (near + far) / (near - far), 2 * near * far / (near - far)),
+                (0.0, 0.0, -1.0, 0.0),
+            ]
         )
-        matrix.DeepCopy([float(entry) for row in rows for entry in row])
         self.camera.SetClippingRange(near, far)
-        self.camera.SetExplicitProjectionTransformMatrix(matrix)
+        self.camera.SetExplicitProjectionTransformMatrix(pyvista.vtkmatrix_from_array(matrix))
 
 
 class _Part:
-    """An actor with its own mesh, replaced as a whole."""
+    """An actor with a mesh of its own, replaced as a whole."""
 
     def __init__(self, translucent: bool) -> None:
-        self.mesh = vtkPolyData()
+        self.mesh = pyvista.PolyData()
         # Only outer sides of a translucent head are drawn: blending them then needs no sorting.
         self.actor = _actor(self.mesh, SKIN_SHINE, fade_neck=translucent)
         if translucent:
@@ -227,13 +229,11 @@ class _Part:
 
     def set(self, points_camera, triangles: Int[np.ndarray, "t 3"], colors: UInt8[np.ndarray, "v _"]) -> None:
         order = np.arange(len(points_camera))
-        points = vtkPoints()
-        points.SetData(_vectors(points_camera, order))
-        made = _mesh(points, triangles)
+        made = _mesh(_vectors(points_camera, order), triangles)
         normals = vertex_normals(points_camera, triangles, corner_sum(triangles, len(points_camera)))
-        made.GetPointData().SetNormals(_vectors(normals, order))
-        made.GetPointData().SetScalars(numpy_to_vtk(np.ascontiguousarray(colors), deep=True))
-        self.mesh.ShallowCopy(made)
+        made.point_data.active_normals = _vectors(normals, order)
+        made.point_data[COLORS] = np.ascontiguousarray(colors)
+        self.mesh.shallow_copy(made)
 
 
 def _by_shine(model: FaceModel, points_of_triangle) -> tuple[Int[np.ndarray, "a 3"], Int[np.ndarray, "b 3"]]:
@@ -244,42 +244,35 @@ def _by_shine(model: FaceModel, points_of_triangle) -> tuple[Int[np.ndarray, "a 
     return points_of_triangle[~inside], points_of_triangle[inside]
 
 
-def _mesh(points: vtkPoints, triangles: Int[np.ndarray, "t 3"]) -> vtkPolyData:
-    cells = vtkCellArray()
-    cells.SetData(3, numpy_to_vtkIdTypeArray(np.ascontiguousarray(triangles, np.int64).ravel(), deep=True))
-    mesh = vtkPolyData()
-    mesh.SetPoints(points)
-    mesh.SetPolys(cells)
-    return mesh
+def _mesh(points: Float[np.ndarray, "p 3"], triangles: Int[np.ndarray, "t 3"]) -> pyvista.PolyData:
+    return pyvista.PolyData.from_regular_faces(np.asarray(points, np.float32), np.asarray(triangles, np.int64))
 
 
-def _actor(mesh: vtkPolyData, shine: Sequence[float], fade_neck: bool) -> vtkActor:
-    mapper = vtkPolyDataMapper()
-    mapper.SetInputData(mesh)
-    actor = vtkActor()
-    actor.SetMapper(mapper)
+def _actor(mesh: pyvista.PolyData, shine: Sequence[float], fade_neck: bool) -> pyvista.Actor:
+    mapper = pyvista.DataSetMapper(mesh)
+    mapper.SetScalarModeToUsePointFieldData()
+    mapper.SelectColorArray(COLORS)
+    mapper.color_mode = "direct"
+    mapper.interpolate_before_map = False
+    material = pyvista.Property(
+        color="white",
+        interpolation="Phong",
+        diffuse=1.0,
+        specular=shine[0],
+        specular_power=shine[1],
+        culling="back" if fade_neck else "none",
+    )
+    actor = pyvista.Actor(mapper, material)
     # A faded neck blends with the empty ground in the plain depth-tested pass. That needs no sorting as long as the
     # inner side of the neck, which would show through here and there, is not drawn.
     actor.ForceOpaqueOn()
-    material = actor.GetProperty()
-    material.SetBackfaceCulling(fade_neck)
-    material.SetInterpolationToPhong()
-    material.SetDiffuse(1.0)
-    material.SetSpecular(shine[0])
-    material.SetSpecularPower(shine[1])
     return actor
 
 
-def _texture(picture: UInt8[np.ndarray, "h w 3"]) -> vtkTexture:
-    height, width = picture.shape[:2]
-    image = vtkImageData()
-    image.SetDimensions(width, height, 1)
-    # VTK's first row is the lowest, where v = 0.
-    image.GetPointData().SetScalars(numpy_to_vtk(np.ascontiguousarray(picture[::-1]).reshape(-1, 3), deep=True))
-    texture = vtkTexture()
-    texture.SetInputData(image)
-    texture.InterpolateOn()
-    texture.MipmapOn()
+def _texture(picture: UInt8[np.ndarray, "h w 3"]) -> pyvista.Texture:
+    texture = pyvista.Texture(np.ascontiguousarray(picture))
+    texture.interpolate = True
+    texture.mipmap = True
     # Anisotropic filtering, VTK's default, costs a software GL three times the rest of the frame.
     texture.SetMaximumAnisotropicFiltering(1)
     return texture
@@ -293,5 +286,5 @@ def _distorted(camera: Camera, points_camera):
     return np.concatenate([rays * points_camera[:, 2:], points_camera[:, 2:]], axis=1)
 
 
-def _vectors(vectors: Float[np.ndarray, "v 3"], order: Int[np.ndarray, "s"]):
-    return numpy_to_vtk(np.ascontiguousarray((vectors * VTK_AXES)[order], np.float32), deep=True)
+def _vectors(vectors: Float[np.ndarray, "v 3"], order: Int[np.ndarray, "s"]) -> Float[np.ndarray, "s 3"]:
+    return np.ascontiguousarray((vectors * VTK_AXES)[order], np.float32)

@@ -43,7 +43,7 @@ from workbench.tracking import FrameFit, Track
 from workbench.tracking.track_reader import TrackReader
 from workbench.tracking.track_writer import TrackWriter, has_parts
 
-PACKAGES = ("jax", "optimistix", "numpy", "scipy", "opencv-contrib-python-headless", "cvista-rendering")
+PACKAGES = ("jax", "optimistix", "numpy", "scipy", "opencv-contrib-python-headless", "pyvista")
 
 Progress = Callable[[str, int, int | None], None]
 """Called with the name of a step, the frames done, and the frames in all if known."""
