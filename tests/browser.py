@@ -307,7 +307,7 @@ KEEP_PIXELS = """(() => {
     const canvas = document.querySelector(selector);
     if (!canvas) return null;
     small.width = small.height = side;
-    context.fillStyle = getComputedStyle(canvas.parentElement).backgroundColor; // k3d's ground is its parent's
+    context.fillStyle = getComputedStyle(canvas.parentElement).backgroundColor; // it may show through
     context.fillRect(0, 0, side, side);
     context.drawImage(canvas, 0, 0, side, side);
     return context.getImageData(0, 0, side, side).data;

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import nbformat
 
-MARKS, HEAD = ".fw-overlay .fw-marks", ".fw-head3d .k3d-target canvas"
+MARKS, HEAD = ".fw-overlay .fw-marks", ".fw-head3d > canvas"
 PANEL = """
     import time
     import workbench
@@ -12,7 +12,7 @@ PANEL = """
     from workbench.widgets import TuningPanel
 
     session = open_session(workbench.sample("{name}"), landmarks=workbench.sample("{name}-landmarks"))
-    panel = TuningPanel(session, backend="k3d")
+    panel = TuningPanel(session, backend="webgl")
     panel
     """
 READY = "ready = panel.wait_idle(300)"

@@ -1,14 +1,21 @@
 """The JavaScript of the widgets: modules become one program, no function is long, and what the pure ones compute."""
 
+import json
 import re
 from collections import Counter
 
+import cv2
 import numpy as np
 import pytest
 
 from tests.javascript import asked_of_node, functions, needs_node
 from workbench.errors import InputError
+from workbench.geometry import project
+from workbench.pictures.mesh import face_normals, to_camera
 from workbench.widgets.browser_program import BROWSER, browser_program
+from workbench.widgets.head_mesh import collar
+from workbench.widgets.viewpoint import front_viewpoint, orbited, panned, zoomed
+from workbench.widgets.webgl_head_view import viewpoint_numbers
 
 MODULES = sorted(BROWSER.rglob("*.js"))
 PROGRAMS = sorted(str(path.relative_to(BROWSER)) for path in MODULES if "\nexport default" in path.read_text("utf-8"))
@@ -221,6 +228,96 @@ class TestOverlay:
         }})({view})"""
         found = asked_of_node(self.PLACES, "makeView, zoomedAt", ask)
         assert found == [[50, 100], [50, 100], 3, 60, 0.5]
+
+
+@needs_node
+class TestHead:
+    VIEWPOINT, MOUSE = (BROWSER / "head" / name for name in ("viewpoint.js", "mouse.js"))
+    RODS, MESH, GEOMETRY, SCENE = (BROWSER / "drawing" / f"{name}.js" for name in ("rods", "mesh", "geometry", "scene"))
+    SIZE = (300, 240)
+
+    @pytest.mark.parametrize(
+        ("change", "expected"),
+        [
+            ({"turn": [40.0, -25.0]}, lambda start: orbited(start, np.pi * 40 / 240, -np.pi * 25 / 240)),
+            ({"turn": [0.0, 115.0]}, lambda start: orbited(start, 0.0, np.pi * 115 / 240)),
+            ({"pan": [12.0, -7.0]}, lambda start: panned(start, 12.0, -7.0)),
+            ({"zoom": 0.8}, lambda start: zoomed(start, 0.8)),
+            ({"zoom": 1e-6}, lambda start: zoomed(start, 1e-6)),
+            ({"zoom": 1e6}, lambda start: zoomed(start, 1e6)),
+            ({"zoom": 0.9, "pan": [3.0, 4.0]}, lambda start: panned(zoomed(start, 0.9), 3.0, 4.0)),
+        ],
+    )
+    def test_the_browser_moves_the_head_as_the_kernel_does(self, head, change, expected):
+        start = orbited(front_viewpoint(head, self.SIZE), 0.4, 0.2)
+        ask = f"numbersOf(moved(viewpointOf({viewpoint_numbers(start)}), {json.dumps(change)}, null, 240))"
+        found = asked_of_node(self.VIEWPOINT, "moved, viewpointOf, numbersOf", ask)
+        np.testing.assert_allclose(found, viewpoint_numbers(expected(start)), atol=1e-9)
+
+    def test_a_reset_leads_to_the_front(self, head):
+        front = viewpoint_numbers(front_viewpoint(head, self.SIZE))
+        turned = viewpoint_numbers(orbited(front_viewpoint(head, self.SIZE), 0.4, 0.2))
+        ask = f"numbersOf(moved(viewpointOf({turned}), {{ reset: true }}, viewpointOf({front}), 240))"
+        np.testing.assert_allclose(
+            asked_of_node(self.VIEWPOINT, "moved, viewpointOf, numbersOf", ask), front, atol=1e-9
+        )
+
+    def test_points_are_drawn_in_the_pixels_of_the_camera(self, head):
+        viewpoint, width, height = orbited(front_viewpoint(head, self.SIZE), 0.4, 0.2), *self.SIZE
+        pose = asked_of_node(
+            self.VIEWPOINT,
+            "poseOf, viewpointOf",
+            f"poseOf(viewpointOf({viewpoint_numbers(viewpoint)}), {[*self.SIZE]})",
+        )
+        ask = f"[...projectionOf({pose['camera']}, {pose['size']}, [1, 1])]"
+        matrix = np.reshape(asked_of_node(self.GEOMETRY, "projectionOf", ask), (4, 4)).T
+        seen = head.neutral @ np.reshape(pose["turn"], (3, 3)).T + pose["shift"]
+        clip = np.column_stack([seen, np.ones(len(seen))]) @ matrix.T
+        places = (clip[:, :2] / clip[:, 3:] * [1, -1] + 1) / 2 * [width, height] - 0.5
+        expected = project(viewpoint.camera, to_camera(head.neutral, *viewpoint.pose))
+        np.testing.assert_allclose(places, expected, atol=1e-3)
+        assert (np.abs(clip[:, 2]) < clip[:, 3]).all()
+
+    def test_the_inside_of_the_neck_is_drawn_only_for_a_look_from_below_its_cut(self, head):
+        looks = [orbited(front_viewpoint(head, self.SIZE), 0.0, pitch) for pitch in (0.0, 0.5, -0.5, -1.0)]
+        poses = [
+            {
+                "turn": cv2.Rodrigues(look.pose[0])[0].ravel().tolist(),
+                "shift": look.pose[1].tolist(),
+                "pivot": [0, 0, 0],
+            }
+            for look in looks
+        ]
+        plane = collar(head).tolist()
+        found = asked_of_node(self.SCENE, "seesInside", f"{json.dumps(poses)}.map((pose) => seesInside({plane}, pose))")
+        assert found == [look.position @ plane[:3] > plane[3] for look in looks] == [False, False, True, True]
+        assert not asked_of_node(self.SCENE, "seesInside", f"seesInside(null, {json.dumps(poses[3])})")
+
+    def test_one_finger_has_a_place_and_two_a_middle_and_a_distance(self):
+        found = asked_of_node(self.MOUSE, "spanOf", "[spanOf([{x: 1, y: 2}]), spanOf([{x: 1, y: 2}, {x: 7, y: 10}])]")
+        assert found == [{"x": 1, "y": 2, "length": 0}, {"x": 4, "y": 6, "length": 10}]
+
+    def test_normals_point_outwards_and_a_seam_s_points_share_their_vertex(self):
+        mesh = "{ vertices: 4, order: [0, 1, 2, 3, 0], triangles: [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3] }"
+        ask = f"(s => [[...s.places], [...s.normals], s.stamp])(makeShape({mesh}).take([0,0,0, 1,0,0, 0,1,0, 0,0,1]))"
+        places, normals, stamp = asked_of_node(self.MESH, "makeShape", ask)
+        places, normals = np.reshape(places, (5, 3)), np.reshape(normals, (5, 3))
+        assert np.array_equal(places[4], places[0])
+        assert np.array_equal(normals[4], normals[0])
+        assert (((places - places[:4].mean(0)) * normals).sum(1) > 0).all()
+        assert stamp == 1
+
+    def test_the_ends_of_a_rod_are_round_and_turn_their_outsides_out(self):
+        ask = "(r => [[...r.corners], [...r.triangles]])(roundEnds())"
+        corners, triangles = (np.array(part) for part in asked_of_node(self.RODS, "roundEnds", ask))
+        corners, triangles = corners.reshape(-1, 4), triangles.reshape(-1, 3)
+        assert np.linalg.norm(corners[:, :3], axis=1) == pytest.approx(1.0)
+        rod = corners[:, :3] + [0.0, 0.0, 5.0] * corners[:, 3:]
+        area = face_normals(rod, triangles)
+        drawn = np.linalg.norm(area, axis=1) > 1e-9
+        outwards = rod[triangles].mean(1) - np.clip(rod[triangles].mean(1) * [0, 0, 1], 0.0, 5.0)
+        assert ((area * outwards).sum(1) > 0)[drawn].all()
+        assert set(triangles.ravel()) == set(range(len(corners)))
 
 
 @needs_node

@@ -13,8 +13,8 @@ import workbench
 PACKAGE = Path(workbench.__file__).parent
 LAZY = sorted(path.parent for path in PACKAGE.rglob("__init__.pyi"))
 HEAVY = (
-    "jax", "numpy", "scipy", "cv2", "av", "PIL", "trimesh", "networkx", "h5py", "matplotlib", "vtkmodules",
-    "optimistix", "pydantic", "IPython", "ipywidgets", "k3d", "pygltflib", "pxr", "torch",
+    "jax", "numpy", "scipy", "cv2", "av", "PIL", "trimesh", "networkx", "h5py", "matplotlib", "vtkmodules", "pyvista",
+    "optimistix", "pydantic", "IPython", "ipywidgets", "pygltflib", "pxr", "torch",
 )  # fmt: skip
 
 

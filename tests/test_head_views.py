@@ -1,6 +1,5 @@
 """The live 3D head without a browser: both back ends show the same head from the same place, from any thread."""
 
-import gzip
 import sys
 import threading
 import types
@@ -13,11 +12,11 @@ import pytest
 from workbench.errors import InputError, WorkbenchError
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov, project
 from workbench.pictures import HeadRenderer, gl_available, gl_probe
-from workbench.pictures.extras import Extras, marks_mesh, outer_triangles
+from workbench.pictures.extras import SEGMENT_MM, Extras, marks_mesh, outer_triangles
 from workbench.pictures.mesh import face_normals, to_camera
 from workbench.widgets.head_backends import VSCODE_VARIABLES, chosen_backend, make_head_view
+from workbench.widgets.head_mesh import surface_message
 from workbench.widgets.head_view import value_colors
-from workbench.widgets.k3d_plot import PROGRAM
 from workbench.widgets.viewpoint import (
     FURTHEST_MM,
     NEAREST_MM,
@@ -38,7 +37,7 @@ WHITE = np.full((68, 3), 255, np.uint8)
 needs_gl = pytest.mark.skipif(not gl_available(), reason="VTK has no usable GL here")
 
 
-@pytest.fixture(params=["k3d", "pictures"])
+@pytest.fixture(params=["webgl", "pictures"])
 def view(request, head):
     made = make_head_view(head, SIZE, request.param)
     yield made
@@ -54,7 +53,7 @@ def pictures(head):
 
 @pytest.fixture
 def webgl(head):
-    made = make_head_view(head, SIZE, "k3d")
+    made = make_head_view(head, SIZE, "webgl")
     yield made
     made.close()
 
@@ -78,15 +77,13 @@ def expression(head, name):
 
 
 def webgl_pixels(view, points_head):
-    """Where three.js draws points: `lookAt` and a perspective with a vertical field of view."""
-    world = points_head * [1.0, -1.0, -1.0]
-    position, target, up = np.reshape(view.plot.camera, (3, 3))
-    backward = (position - target) / np.linalg.norm(position - target)
-    right = np.cross(up, backward) / np.linalg.norm(np.cross(up, backward))
-    x, y, z = ((world - position) @ axis for axis in (right, np.cross(backward, right), backward))
+    """Where the browser draws points that it looks at from a position towards a target."""
+    position, target, up, focal = np.split(view.canvas._viewpoint, [3, 6, 9])
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
+    x, y, z = ((points_head - position) @ axis for axis in (right, np.cross(forward, right), forward))
     width, height = SIZE
-    focal = 0.5 * height / np.tan(np.radians(view.plot.camera_fov) / 2)
-    return np.stack([width / 2 - focal * x / z, height / 2 + focal * y / z], axis=1) - 0.5
+    return np.stack([width / 2 + focal[0] * x / z, height / 2 + focal[1] * y / z], axis=1) - 0.5
 
 
 def picture_pixels(view, points_head):
@@ -94,7 +91,21 @@ def picture_pixels(view, points_head):
 
 
 def pixels_of(view, points_head):
-    return webgl_pixels(view, points_head) if hasattr(view, "plot") else picture_pixels(view, points_head)
+    return (webgl_pixels if is_webgl(view) else picture_pixels)(view, points_head)
+
+
+def is_webgl(view):
+    return hasattr(view.canvas, "_viewpoint")
+
+
+def sent_vertices(view):
+    return np.frombuffer(view.canvas._vertices, np.float32).reshape(-1, 3)
+
+
+def turned_by_the_mouse(view):
+    """What the browser tells of a drag."""
+    _, target, up, focal = np.split(view.canvas._viewpoint, [3, 6, 9])
+    view.canvas._viewpoint = [*(target + np.array([400.0, 0.0, -700.0])), *target, *up, *focal]
 
 
 def seen(view):
@@ -128,7 +139,7 @@ def test_the_camera_view_shows_vertices_in_the_pixels_of_the_input(view, head):
 def test_both_back_ends_look_from_the_same_place(head):
     for look in ("front", "camera"):
         pixels = []
-        for backend in ("k3d", "pictures"):
+        for backend in ("webgl", "pictures"):
             view = make_head_view(head, SIZE, backend)
             view.set_pose(ROTATION, TRANSLATION, CAMERA, IMAGE_SIZE)
             view.set_view(look)
@@ -215,25 +226,26 @@ def test_panning_moves_the_target_by_the_pixels_and_zoom_has_limits(head):
         assert np.linalg.norm(near.target - near.position) == pytest.approx(limit)
 
 
-# --- k3d ---
+# --- webgl ---
 
 
 def test_vertices_are_sent_as_float32_in_one_message(webgl, head, sent):
     vertices = expression(head, "jawOpen")
     webgl.set_vertices(vertices)
     ((widget, names, buffers),) = sent
-    assert widget is webgl.mesh
-    assert names == {"vertices"}
-    received = np.frombuffer(buffers[0], np.float32).reshape(-1, 3)
-    assert np.array_equal(received[: len(vertices)], vertices.astype(np.float32))
-    assert len(received) < 1.1 * len(vertices)  # the texture's seams double a few
+    assert widget is webgl.canvas
+    assert names == {"_vertices"}
+    assert np.array_equal(np.frombuffer(buffers[0], np.float32).reshape(-1, 3), vertices.astype(np.float32))
 
 
-def test_the_doubled_vertices_stay_on_their_seams(webgl, head):
-    webgl.set_vertices(expression(head, "jawOpen"))
-    triangles = webgl.mesh.indices.reshape(-1, 3)
-    corners = webgl.mesh.vertices[triangles]
-    assert np.array_equal(corners, expression(head, "jawOpen").astype(np.float32)[head.triangles])
+def test_a_mesh_doubles_vertices_on_seams_and_keeps_its_triangles_the_skin_first(head):
+    mesh = surface_message(head)
+    order, drawn = np.frombuffer(mesh["order"], "<u4"), np.frombuffer(mesh["drawn"], "<u4").reshape(-1, 3)
+    assert len(head.neutral) < len(order) < 1.1 * len(head.neutral)
+    assert len(mesh["uv"]) == 8 * len(order)
+    rows = np.lexsort(order[drawn].T), np.lexsort(head.triangles.T)
+    assert np.array_equal(order[drawn][rows[0]], head.triangles[rows[1]])
+    assert np.array_equal(order[drawn[: mesh["outer"]]], outer_triangles(head))
 
 
 def test_what_does_not_change_is_not_sent(webgl, head, sent):
@@ -242,70 +254,75 @@ def test_what_does_not_change_is_not_sent(webgl, head, sent):
     webgl.set_values(None, 0.0, 1.0, "")
     webgl.set_ghost(None)
     webgl.set_points(None, None)
+    webgl.set_segments(None, None)
     assert sent == []
 
 
-def test_the_browser_has_the_program_of_k3d_without_asking_the_kernel(webgl, head):
-    program = webgl.plot._program
-    assert gzip.decompress(program._packed) == PROGRAM.read_bytes()
-    assert program.comm is not None
-    other = make_head_view(head, SIZE, "k3d")
-    assert other.plot._program is program  # not once more for every view
-    other.close()
-    program.close()
-    later = make_head_view(head, SIZE, "k3d")
-    assert later.plot._program.comm is not None
-    later.close()
+def test_a_view_that_is_asked_for_again_is_sent_again(webgl, sent):
+    """The mouse may have turned the head in the browser, which tells that only when the kernel has time."""
+    webgl.set_view("front")
+    assert [(widget, names) for widget, names, _ in sent] == [(webgl.canvas, {"_viewpoint"})]
 
 
-def test_values_colour_a_second_mesh_that_follows(webgl, head):
+def test_all_that_the_browser_draws_comes_with_the_widget(webgl, head):
+    """A kernel that runs a cell could not answer."""
+    state = webgl.canvas.get_state()
+    assert state["_mesh"]["texture"]
+    assert len(state["_vertices"]) == 12 * len(head.neutral)
+    assert state["_esm"] == webgl.canvas._esm
+    assert "import(" not in state["_esm"]
+    assert "fetch(" not in state["_esm"]
+
+
+def test_values_colour_the_head_until_they_are_taken_away(webgl, head):
     webgl.set_values(np.linspace(0.0, 1.0, len(head.neutral)), 0.0, 1.0, "a < b")
-    first = webgl.mesh
-    assert len(first.colors) == len(head.neutral)
-    assert [mesh.visible for mesh in (first, webgl.plot.objects[0])] == [True, False]
+    assert len(webgl.canvas._colors) == 3 * len(head.neutral)
+    assert "a &lt; b" in webgl._legend.value
     webgl.set_vertices(expression(head, "jawOpen"))
-    assert np.array_equal(first.vertices, expression(head, "jawOpen").astype(np.float32))
+    assert np.array_equal(sent_vertices(webgl), expression(head, "jawOpen").astype(np.float32))
     webgl.set_values(None, 0.0, 1.0, "")
-    assert webgl.mesh is webgl.plot.objects[0]
-    assert np.array_equal(webgl.mesh.vertices[: len(head.neutral)], expression(head, "jawOpen").astype(np.float32))
-    assert not first.visible
+    assert webgl.canvas._colors == b""
+    assert webgl._legend.layout.display == "none"
 
 
 def test_a_model_without_texture_has_its_own_colours(head):
-    view = make_head_view(replace(head, name="other"), SIZE, "k3d")
-    assert view.mesh.colors[0] == int("{:02x}{:02x}{:02x}".format(*head.colors[0]), 16)
-    assert np.array_equal(view.mesh.vertices, head.neutral.astype(np.float32))
+    view = make_head_view(replace(head, name="other"), SIZE, "webgl")
+    mesh = view.canvas._mesh
+    assert mesh["texture"] == b""
+    assert np.array_equal(np.frombuffer(mesh["colors"], np.uint8).reshape(-1, 3), head.colors)
+    assert np.array_equal(np.frombuffer(mesh["order"], "<u4"), np.arange(len(head.neutral)))
     view.close()
 
 
 def test_marks_come_and_go(webgl, head):
     points = head.landmarks.of(head.neutral)
+    segments = np.stack([points, points - [0.0, 0.0, 9.0]], axis=1)
     for count in (68, 5):
         webgl.set_points(points[:count], WHITE[:count], 3.0)
-        webgl.set_segments(np.stack([points, points - [0.0, 0.0, 9.0]], axis=1)[:count], WHITE[:count])
+        webgl.set_segments(segments[:count], WHITE[:count])
     webgl.set_ghost(head.neutral, 0.4)
-    marks = webgl.plot.objects[1:]
-    assert [mark.visible for mark in marks] == [True, True, True]
-    assert np.array_equal(marks[0].positions, points[:5].astype(np.float32))
-    assert len(marks[1].vertices) == 10
-    assert marks[2].opacity == pytest.approx(0.4)
-    webgl.set_points(None, None)
+    canvas = webgl.canvas
+    balls, rods = (np.frombuffer(mark["ends"], "<f4").reshape(-1, 2, 3) for mark in (canvas._points, canvas._segments))
+    assert np.array_equal(balls, np.stack([points, points], axis=1)[:5].astype(np.float32))
+    assert np.array_equal(rods, segments[:5].astype(np.float32))
+    assert [mark["mm"] for mark in (canvas._points, canvas._segments)] == [3.0, SEGMENT_MM]
+    assert canvas._ghost == {"vertices": head.neutral.astype("<f4").tobytes(), "opacity": 0.4}
+    webgl.set_points(points[:0], WHITE[:0])
     webgl.set_segments(None, None)
     webgl.set_ghost(None)
-    assert [mark.visible for mark in marks] == [False, False, False]
+    assert [canvas._points, canvas._segments, canvas._ghost] == [{}, {}, {}]
 
 
 def test_the_mouse_of_the_browser_moves_the_snapshot(webgl):
     before = webgl.snapshot().astype(int)
-    _, target, up = np.reshape(webgl.plot.camera, (3, 3))
-    webgl.plot.camera = [*(target + np.array([400.0, 0.0, 700.0])), *target, *up]
+    turned_by_the_mouse(webgl)
     assert azimuth_deg(webgl.viewpoint) == pytest.approx(np.degrees(np.arctan2(400, 700)))
     assert np.abs(webgl.snapshot() - before).mean() > 5
 
 
 def test_a_browser_without_webgl_is_noted(webgl):
     assert webgl.note is None
-    webgl._probe._missing = True
+    webgl.canvas._missing = True
     assert "pictures" in webgl.note
 
 
@@ -368,8 +385,8 @@ def test_the_wheel_makes_the_head_larger_and_a_drag_with_the_other_button_moves_
 
 
 def test_new_vertices_leave_the_mouse_s_view_alone(view, head):
-    if hasattr(view, "plot"):
-        view.plot.camera = [400.0, 0.0, 700.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    if is_webgl(view):
+        turned_by_the_mouse(view)
     else:
         drag(view, turn=(50, 20))
     before = pixels_of(view, head.neutral)
@@ -545,17 +562,17 @@ def jupyterlab(monkeypatch):
     monkeypatch.delitem(sys.modules, "google.colab", raising=False)
 
 
-def test_jupyterlab_gets_k3d(jupyterlab):
-    assert chosen_backend("auto") == ("k3d", None)
+def test_jupyterlab_gets_webgl(jupyterlab):
+    assert chosen_backend("auto") == ("webgl", None)
 
 
 def test_vscode_gets_pictures_and_a_note_unless_told_otherwise(jupyterlab, monkeypatch, head):
     monkeypatch.setenv("VSCODE_PID", "4711")
     view = make_head_view(head, SIZE)
     assert "VS Code" in view.note
-    assert hasattr(view, "canvas")
+    assert not is_webgl(view)
     view.close()
-    assert chosen_backend("k3d") == ("k3d", None)
+    assert chosen_backend("webgl") == ("webgl", None)
 
 
 def test_colab_gets_pictures(jupyterlab, monkeypatch):
@@ -565,14 +582,9 @@ def test_colab_gets_pictures(jupyterlab, monkeypatch):
     assert "Colab" in note
 
 
-def test_without_k3d_pictures_come_or_the_remedy(jupyterlab, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    monkeypatch.delitem(sys.modules, "k3d", raising=False)
-    backend, note = chosen_backend("auto")
-    assert backend == "pictures"
-    assert "pip install k3d" in note
-    with pytest.raises(WorkbenchError, match="pip install k3d"):
-        chosen_backend("k3d")
+def test_the_back_end_of_earlier_versions_is_refused_with_its_new_name(head):
+    with pytest.raises(InputError, match="'k3d' of a 3D view is now called 'webgl'"):
+        make_head_view(head, SIZE, "k3d")
 
 
 def test_without_gl_the_pictures_say_what_is_missing(head, monkeypatch):

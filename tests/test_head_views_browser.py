@@ -17,7 +17,7 @@ lacking = browser.missing()
 if lacking and os.environ.get("CI") != "true":
     pytest.skip(f"browser tests: {lacking}", allow_module_level=True)
 
-CANVAS = {"k3d": ".fw-head3d .k3d-target canvas", "pictures": ".fw-head3d > canvas"}
+CANVAS = {"webgl": ".fw-head3d.fw-webgl > canvas", "pictures": ".fw-head3d.fw-pictures > canvas"}
 SLOWEST_MS = 600.0
 """Generous: software WebGL on a shared machine. Printed, so that a run shows what it was."""
 CELLS = (
@@ -30,7 +30,7 @@ CELLS = (
 
     head = load_default_head()
     jaw, smile = (head.expression_names.index(name) for name in ("jawOpen", "mouthSmileLeft"))
-    views = {name: make_head_view(head, (400, 400), name) for name in ("k3d", "pictures")}
+    views = {name: make_head_view(head, (400, 400), name) for name in ("webgl", "pictures")}
     widgets.HBox([view.widget for view in views.values()])
     """,
     """
@@ -218,7 +218,7 @@ def test_values_points_and_a_ghost_show_in_both(lab, screenshots):
         check_plausible(picture, share)
         violet = (picture[..., 2] > picture[..., 1] + 20).mean()
         assert violet > 0.1
-    lab.page.locator(CANVAS["k3d"]).first.scroll_into_view_if_needed()
+    lab.page.locator(CANVAS["webgl"]).first.scroll_into_view_if_needed()
     lab.page.screenshot(path=screenshots / "views-values.png")
     assert lab.page.locator(".fw-head3d-legend").count() == 2
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import anywidget
 import cv2
 import ipywidgets as widgets
-import k3d
 import numpy as np
 import pytest
 
@@ -39,11 +38,11 @@ from workbench.widgets.chart_view import ChartView
 from workbench.widgets.controls import KnobControl, place_of, value_at
 from workbench.widgets.diagnosis_view import found_text
 from workbench.widgets.film_strip import FilmStrip
-from workbench.widgets.k3d_plot import ReadyPlot
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.light_panel import LightPanel
 from workbench.widgets.overlay_view import OverlayEvent
 from workbench.widgets.stage_editor import StageEditor, landmarks_text, read_landmarks
+from workbench.widgets.webgl_head_view import WebGLCanvas
 
 BY_PATH = {knob.path: knob for knob in KNOBS}
 
@@ -63,7 +62,7 @@ def clip(head):
 
 @pytest.fixture(scope="module")
 def shared_panel(head, photo):
-    made = TuningPanel(TuningSession(head, photo), backend="k3d")
+    made = TuningPanel(TuningSession(head, photo), backend="webgl")
     assert made.wait_idle(550)
     yield made
     made.close()
@@ -81,7 +80,7 @@ def panel(shared_panel):
 @pytest.fixture
 def fresh_panel(head, photo):
     """A panel without history, to be spoiled."""
-    made = TuningPanel(TuningSession(head, photo), backend="k3d")
+    made = TuningPanel(TuningSession(head, photo), backend="webgl")
     assert made.wait_idle(550)
     yield made
     made.close()
@@ -89,7 +88,7 @@ def fresh_panel(head, photo):
 
 @pytest.fixture
 def clip_panel(head, clip):
-    made = TuningPanel(TuningSession(head, clip), backend="k3d")
+    made = TuningPanel(TuningSession(head, clip), backend="webgl")
     assert made.wait_idle(550)
     yield made
     made.close()
@@ -107,14 +106,12 @@ def test_the_views_are_made_before_the_controls_so_that_a_browser_has_time_to_lo
         usual(widget)
 
     monkeypatch.setattr(widgets.Widget, "open", record)
-    made = TuningPanel(TuningSession(head, clip), backend="k3d")
+    made = TuningPanel(TuningSession(head, clip), backend="webgl")
     made.close()
     views = [k for k, kind in enumerate(opened) if issubclass(kind, anywidget.AnyWidget)]
     assert len(views) >= 12
     assert max(views) < 0.5 * len(opened)
-    loading_long = [k for k, kind in enumerate(opened) if issubclass(kind, ReadyPlot)]
-    ours = [k for k in views if not issubclass(opened[k], k3d.Plot | k3d.objects.Drawable)]
-    assert max(ours) < min(loading_long)
+    assert WebGLCanvas in [opened[k] for k in views]
 
 
 def test_a_chart_can_be_drawn_from_what_the_browser_hears_first(monkeypatch):
@@ -618,7 +615,7 @@ def jumping_panel(head, clip, monkeypatch):
     landmarks = observations[JUMP].landmarks
     moved = replace(landmarks, points=landmarks.points + np.array([60.0, 0.0]))
     observations[JUMP] = replace(observations[JUMP], landmarks=moved)
-    made = TuningPanel(TuningSession(head, replace(clip, observations=tuple(observations))), backend="k3d")
+    made = TuningPanel(TuningSession(head, replace(clip, observations=tuple(observations))), backend="webgl")
     assert made.wait_idle(300)
     yield made
     made.close()
@@ -728,7 +725,7 @@ def test_a_browser_without_webgl_gets_pictures(fresh_panel):
 
 def test_a_closed_panel_no_longer_follows(head, photo):
     session = TuningSession(head, photo)
-    panel = TuningPanel(session, backend="k3d")
+    panel = TuningPanel(session, backend="webgl")
     panel.wait_idle(300)
     panel.close()
     panel.close()

@@ -343,7 +343,7 @@ def test_nothing_came_from_another_host_and_nothing_failed(clip, screenshots):
 
 
 def test_the_head_is_there_while_the_cell_below_still_runs(clip, screenshots):
-    """In a page that has seen no 3D view: of k3d's program, nothing is left of the notebooks before."""
+    """The kernel answers nothing meanwhile: all that the head needs has come with it."""
     clip.open("busy.ipynb")
     clip.page.evaluate("() => { window.jupyterapp.commands.execute('notebook:run-all-cells'); }")
     clip.page.wait_for_selector(MARKS)

@@ -22,7 +22,7 @@ def track(head):
 
 @pytest.fixture
 def player(track, head):
-    made = AvatarPlayer(track, head, backend="k3d")
+    made = AvatarPlayer(track, head, backend="webgl")
     yield made
     made.close()
 
@@ -56,10 +56,10 @@ def test_a_frame_without_a_face_keeps_the_last_one_and_says_so(player):
 
 def test_the_view_of_the_camera_moves_with_the_pose(player):
     player.looking.value = "camera"
-    first = list(player.view.plot.camera)
+    first = list(player.view.canvas._viewpoint)
     player.slider.value = FRAMES - 1
     assert player.wait_idle()
-    assert np.abs(np.array(player.view.plot.camera) - first).max() > 50.0
+    assert np.abs(np.array(player.view.canvas._viewpoint) - first).max() > 50.0
 
 
 def test_callbacks_from_many_threads_end_at_the_newest_frame(player, track, head):
@@ -75,7 +75,7 @@ def test_callbacks_from_many_threads_end_at_the_newest_frame(player, track, head
 
 def test_another_character_plays_the_same_track(track, head):
     character = other_character(head, np.zeros(50), keep=0.3)
-    player = AvatarPlayer(retarget(track, character), character, backend="k3d")
+    player = AvatarPlayer(retarget(track, character), character, backend="webgl")
     assert shown(player).shape == character.neutral.shape
     assert repr(player) == f"AvatarPlayer({FRAMES} frames, 'other')"
     player.close()
@@ -85,7 +85,7 @@ def test_the_input_stands_beside_the_head(track, head, tmp_path):
     with VideoWriter(tmp_path / "clip.mp4") as writer:
         for k in range(FRAMES):
             writer.write(np.full((480, 640, 3), 60 + 10 * k, np.uint8))
-    player = AvatarPlayer(track, head, open_frames(tmp_path / "clip.mp4"), height_px=240, backend="k3d")
+    player = AvatarPlayer(track, head, open_frames(tmp_path / "clip.mp4"), height_px=240, backend="webgl")
     player.slider.value = 7
     assert player.wait_idle()
     picture = cv2.imdecode(np.frombuffer(player.image.value, np.uint8), cv2.IMREAD_COLOR)

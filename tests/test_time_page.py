@@ -17,7 +17,7 @@ from workbench.widgets.methods_page import chosen, colors_of, longest_gap, numbe
 def shared_panel(head, material, fitted):  # noqa: F811 - fixtures
     session = TuningSession(head, material, QUICK)
     session._runs.last = fitted.run
-    made = TuningPanel(session, backend="k3d")
+    made = TuningPanel(session, backend="webgl")
     assert made.wait_idle(300)
     yield made
     made.close()
@@ -214,7 +214,7 @@ def test_the_chosen_methods_are_exported(panel, tmp_path):
 def test_a_photo_is_told_that_it_needs_a_clip(head, material):  # noqa: F811 - fixture
     pictures = PictureStore(None, [item.image_size for item in material.observations[:3]])
     stills = Material("stills", material.observations[:3], pictures, stills=True)
-    made = TuningPanel(TuningSession(head, stills, QUICK), backend="k3d")
+    made = TuningPanel(TuningSession(head, stills, QUICK), backend="webgl")
     assert made.wait_idle(300)
     assert "need a clip" in made.time.widget.children[0].value
     assert "these are 3 unrelated photos" in made.time.widget.children[0].value

@@ -1,10 +1,11 @@
 """What can be drawn with a head: its own colours, points and segments in 3D, and a second, translucent head."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Int, Integer, UInt8
+from jaxtyping import Bool, Float, Int, Integer, UInt8
 
 from workbench.face.model import FaceModel
 
@@ -13,6 +14,8 @@ SEGMENT_MM = 0.9
 """Thickness of a segment."""
 INNER_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue", "mouth_cavity", "eye_cavity")
 """Parts that would shine through a translucent skin."""
+WET_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
+"""Parts that shine."""
 ROD_SIDES = 6
 
 
@@ -65,10 +68,20 @@ def marks_mesh(
 
 def outer_triangles(model: FaceModel) -> Integer[np.ndarray, "t 3"]:
     """The triangles of the skin, without the eye sockets and the inside of the mouth."""
-    inner = np.zeros(len(model.neutral), bool)
-    for name in INNER_REGIONS:
-        inner[model.regions.get(name, np.zeros(0, int))] = True
-    return model.triangles[~inner[model.triangles].any(1)]
+    return model.triangles[is_outer(model)]
+
+
+def is_outer(model: FaceModel) -> Bool[np.ndarray, "t"]:
+    """Which of the model's triangles `outer_triangles` keeps."""
+    return ~of_regions(model, INNER_REGIONS)[model.triangles].any(1)
+
+
+def of_regions(model: FaceModel, names: Iterable[str]) -> Bool[np.ndarray, "v"]:
+    """Which of the model's vertices lie in one of these regions, as far as the model has them."""
+    inside = np.zeros(len(model.neutral), bool)
+    for name in names:
+        inside[model.regions.get(name, np.zeros(0, int))] = True
+    return inside
 
 
 def _balls(centres, radius, colors):

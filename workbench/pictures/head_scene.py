@@ -18,14 +18,18 @@ from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
 
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
-from workbench.pictures.extras import GHOST_COLOR, NOTHING, Extras, marks_mesh, outer_triangles
-from workbench.pictures.lighting import Light, Lighting
+from workbench.pictures.extras import (
+    GHOST_COLOR,
+    NOTHING,
+    WET_REGIONS,
+    Extras,
+    marks_mesh,
+    of_regions,
+    outer_triangles,
+)
+from workbench.pictures.lighting import SKIN_SHINE, WET_SHINE, Light, Lighting
 from workbench.pictures.mesh import corner_sum, neck_opacity, split_seams, to_camera, to_pixels, vertex_normals
 
-WET_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
-"""Parts that shine."""
-SKIN_SHINE, WET_SHINE = (0.10, 14.0), (0.55, 70.0)
-"""(strength, exponent) of the highlights."""
 COLORS = "colors"
 """RGBA of the points."""
 VTK_AXES = np.array([1.0, -1.0, -1.0])
@@ -237,10 +241,7 @@ class _Part:
 
 
 def _by_shine(model: FaceModel, points_of_triangle) -> tuple[Int[np.ndarray, "a 3"], Int[np.ndarray, "b 3"]]:
-    wet = np.zeros(len(model.neutral), bool)
-    for name in WET_REGIONS:
-        wet[model.regions.get(name, np.zeros(0, int))] = True
-    inside = wet[model.triangles].all(1)
+    inside = of_regions(model, WET_REGIONS)[model.triangles].all(1)
     return points_of_triangle[~inside], points_of_triangle[inside]
 
 

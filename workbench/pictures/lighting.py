@@ -33,3 +33,5 @@ STUDIO = Lighting(
     ambient=0.24,
 )
 """Warm key from the upper left, cool fill from the right, and a rim from behind that lifts the head off its ground."""
+SKIN_SHINE, WET_SHINE = (0.10, 14.0), (0.55, 70.0)
+"""(strength, exponent) of the highlights on skin, and on eyes, teeth and tongue."""

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import anywidget
-import cv2
 import numpy as np
 import traitlets
 from jaxtyping import Float, Float32
@@ -15,18 +14,16 @@ from jaxtyping import Float, Float32
 from workbench.face import FaceModel
 from workbench.geometry import rotation_matrix
 from workbench.landmarks.scheme import POLYLINES
-from workbench.pictures.head_picture import bundled_texture, portrait_view
-from workbench.pictures.mesh import split_seams
+from workbench.pictures.head_picture import portrait_view
 from workbench.session.live_frame import LIVE_SIZE, Deliver, LiveFrame, Trouble
 from workbench.tracking import FrameFit
 from workbench.widgets.browser_program import BROWSER, browser_program
-from workbench.widgets.k3d_head_view import collar_opacity
+from workbench.widgets.head_mesh import surface_message
 from workbench.widgets.overlay_view import color_table
 
 LOOKS = ("head", "camera", "expression")
 PIVOT_MM = (0.0, 40.0, 80.0)
 """Where the head turns about in the view "head": the middle of the skull's base, head frame."""
-TEXTURE_QUALITY = 90
 TIMES_KEPT = 300
 MARK_COLUMNS = 6
 NUMBERS_BEFORE_WEIGHTS = 16
@@ -229,29 +226,14 @@ def pack_fit(fit: FrameFit) -> Float32[np.ndarray, "n"]:
 
 
 def mesh_message(model: FaceModel) -> dict[str, object]:
-    """What never changes: triangles, morph targets in 16 bits, colours or texture, and the portrait's camera."""
-    picture = bundled_texture(model)
-    if picture is None:
-        order, triangles, uv, texture = np.arange(len(model.neutral)), model.triangles, np.zeros((0, 2)), b""
-    else:
-        order, uv_index, triangles = split_seams(model.triangles, model.triangles_uv)
-        uv = model.uv[uv_index] * [1.0, -1.0] + [0.0, 1.0]
-        quality = [cv2.IMWRITE_JPEG_QUALITY, TEXTURE_QUALITY]
-        texture = cv2.imencode(".jpg", picture[..., ::-1], quality)[1].tobytes()
+    """What never changes: the surface, morph targets in 16 bits, and the portrait's camera."""
     steps = np.maximum(np.abs(model.expression_deltas).max(axis=(1, 2)), 1e-9) / 32767.0
     deltas = np.rint(model.expression_deltas / steps[:, None, None])
     camera, translation = portrait_view(model, (1000, 1000))
     return {
-        "vertices": len(model.neutral),
+        **surface_message(model),
         "shapes": len(model.expression_names),
         "names": list(model.expression_names),
-        "triangles": np.ascontiguousarray(model.triangles, "<u4").tobytes(),
-        "drawn": np.ascontiguousarray(triangles, "<u4").tobytes(),
-        "order": np.ascontiguousarray(order, "<u4").tobytes(),
-        "uv": np.ascontiguousarray(uv, "<f4").tobytes(),
-        "texture": texture,
-        "colors": np.ascontiguousarray(model.colors[order]).tobytes(),
-        "shown": np.ascontiguousarray(collar_opacity(model)[order], "<f4").tobytes(),
         "deltas": np.ascontiguousarray(deltas, "<i2").tobytes(),
         "steps": steps.tolist(),
         "focal": float(camera.focal_px[0]) / 1000.0,

@@ -36,7 +36,7 @@ IDLE_S = 30.0
 class PictureCanvas(anywidget.AnyWidget):
     """The canvas in the browser: the newest JPEG, and the number of the last mouse movement that is in it."""
 
-    _esm = browser_program("head/view.js")
+    _esm = browser_program("head/pictures.js")
     _jpeg = traitlets.Bytes().tag(sync=True)
     _done = traitlets.Int(0).tag(sync=True)
     _size = traitlets.List(traitlets.Int()).tag(sync=True)

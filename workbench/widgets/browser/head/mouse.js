@@ -9,24 +9,35 @@ const KEYS = {
   "+": { zoom: 0.9 }, "-": { zoom: 1 / 0.9 }, Home: { reset: true },
 };
 
-// What the mouse, a finger or the keyboard does to the head: calls `move` with pixels of a picture so wide, or a zoom.
+// The middle of one or two pointers, and how far they are apart.
+export function spanOf([a, b = a]) {
+  return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, length: Math.hypot(a.x - b.x, a.y - b.y) };
+}
+
+// What the mouse, fingers or the keyboard do to the head: calls `move` with pixels of a picture so wide, or a zoom. One
+// finger turns it, two move and zoom it.
 export function listenTo(canvas, width, move) {
-  let held = null;
+  const held = new Map(); // places of the pointers that are down
+  let panning = false;
+  const placeOf = (event) => ({ x: event.clientX, y: event.clientY });
   function onDown(event) {
-    held = { id: event.pointerId, x: event.clientX, y: event.clientY, pan: event.button !== 0 || event.shiftKey };
+    if (held.size === 2) return;
+    held.set(event.pointerId, placeOf(event));
+    panning = event.button !== 0 || event.shiftKey;
     canvas.setPointerCapture(event.pointerId);
     canvas.style.cursor = "grabbing";
   }
   function onMove(event) {
-    if (!held || held.id !== event.pointerId) return;
-    const scale = width / canvas.getBoundingClientRect().width;
-    const by = [(event.clientX - held.x) * scale, (event.clientY - held.y) * scale];
-    Object.assign(held, { x: event.clientX, y: event.clientY });
-    if (by[0] || by[1]) move(held.pan ? { pan: by } : { turn: by });
+    if (!held.has(event.pointerId)) return;
+    const before = spanOf([...held.values()]), scale = width / canvas.getBoundingClientRect().width;
+    held.set(event.pointerId, placeOf(event));
+    const now = spanOf([...held.values()]), by = [(now.x - before.x) * scale, (now.y - before.y) * scale];
+    if (held.size === 2) move({ pan: by, zoom: now.length ? before.length / now.length : 1 });
+    else if (by[0] || by[1]) move(panning ? { pan: by } : { turn: by });
   }
-  function onUp() {
-    held = null;
-    canvas.style.cursor = "grab";
+  function onUp(event) {
+    held.delete(event.pointerId);
+    if (!held.size) canvas.style.cursor = "grab";
   }
   function onWheel(event) {
     event.preventDefault();

@@ -87,7 +87,7 @@ function makeWriting(model, { root, lamp, message, status }, isSlow) {
 export function makeDisplay(model, el, mesh, head, isSlow, redraw) {
   const page = makePage(el), { root, left, right, picture } = page;
   const scheme = model.get("_scheme"), colors = cssColors(new Uint8Array(bytesOf(scheme.colors)));
-  const avatar = makeAvatar(page.head, mesh, head), context = picture.getContext("2d", { alpha: false });
+  const avatar = makeAvatar(page.head, mesh, head, redraw), context = picture.getContext("2d", { alpha: false });
   const view = { turned: [0, 0], last: null, posed: null };
   const writing = makeWriting(model, page, isSlow), stages = followStages([left, right], redraw);
   page.note.hidden = Boolean(avatar);

@@ -1,5 +1,5 @@
 import { bytesOf } from "../shared/bytes.js";
-import { multiplied, orbit } from "./geometry.js";
+import { multiplied, orbit } from "../drawing/geometry.js";
 
 const BEFORE_WEIGHTS = 16; // numbers of a fit before its weights: see `pack_fit`
 

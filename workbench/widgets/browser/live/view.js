@@ -1,5 +1,6 @@
 // The browser's part of a live panel: its camera, the picture with the landmarks, and the avatar in WebGL.
 // One object per widget and page holds the camera; each place where the widget is displayed has its own drawings.
+import { readMesh } from "../drawing/mesh.js";
 import { bytesOf } from "../shared/bytes.js";
 import { follow, listen } from "../shared/following.js";
 import { onDemand } from "../shared/painting.js";
@@ -115,7 +116,7 @@ function onLook(live) {
 }
 
 function initialize(live, model) {
-  const { camera, tell } = live, mesh = model.get("_mesh"), head = makeHead(mesh);
+  const { camera, tell } = live, mesh = readMesh(model.get("_mesh")), head = makeHead(mesh);
   Object.assign(live, { model, mesh, head });
 
   function onPerson() {

@@ -1,21 +1,9 @@
 // Shows the newest picture of the head and sends what the mouse, a finger or the keyboard does to it.
 import { bytesOf } from "../shared/bytes.js";
 import { follow } from "../shared/following.js";
-import { makeMoves } from "./moves.js";
 import { listenTo } from "./mouse.js";
-
-function makePage(el, width, height) {
-  const canvas = document.createElement("canvas"), message = document.createElement("div");
-  Object.assign(canvas, { width, height, tabIndex: 0 });
-  canvas.setAttribute("role", "img");
-  canvas.setAttribute("aria-label", "Head in 3D: drag or arrow keys turn it, wheel or + and - zoom, Home resets");
-  canvas.style.cssText =
-    `display:block; width:${width}px; max-width:100%; aspect-ratio:${width}/${height}; cursor:grab; touch-action:none`;
-  message.style.cssText = "font-size:12px; color:var(--jp-error-color1, #b3261e)";
-  el.classList.add("fw-head3d");
-  el.append(canvas, message);
-  return { canvas, message };
-}
+import { makeMoves } from "./moves.js";
+import { makePage } from "./page.js";
 
 // Draws pictures as they come; one that is decoded after a newer one came is left out.
 function makeDrawing(model, canvas) {
@@ -32,7 +20,7 @@ function makeDrawing(model, canvas) {
 }
 
 function render({ model, el }) {
-  const [width, height] = model.get("_size"), { canvas, message } = makePage(el, width, height);
+  const [width, height] = model.get("_size"), { canvas, message } = makePage(el, "fw-pictures", width, height);
   const { draw, stop } = makeDrawing(model, canvas), moves = makeMoves(model);
   const onMessage = () => { message.textContent = model.get("_message"); };
   const stops = [

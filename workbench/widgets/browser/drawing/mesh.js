@@ -1,0 +1,50 @@
+import { bytesOf } from "../shared/bytes.js";
+
+export const floatsOf = (view) => new Float32Array(bytesOf(view));
+
+// A mesh as Python sends it (`surface_message`). Vertices that lie on a seam of the texture are several points.
+export function readMesh(message) {
+  const numbers = (name) => new Uint32Array(bytesOf(message[name])), letters = (name) => new Uint8Array(bytesOf(message[name]));
+  return {
+    ...message, triangles: numbers("triangles"), drawn: numbers("drawn"), order: numbers("order"),
+    uv: floatsOf(message.uv), shown: floatsOf(message.shown), wet: letters("wet"), colors: letters("colors"),
+  };
+}
+
+// Three numbers of each vertex to those of each point.
+export function spread(order, values, points) {
+  for (let i = 0; i < order.length; i++) {
+    for (let j = 0; j < 3; j++) points[3 * i + j] = values[3 * order[i] + j];
+  }
+  return points;
+}
+
+// Places and normals of a mesh's points, from the places of its vertices; `stamp` counts the changes.
+export function makeShape(mesh) {
+  const normals = new Float32Array(3 * mesh.vertices), count = 3 * mesh.order.length;
+  const shape = { places: new Float32Array(count), normals: new Float32Array(count), stamp: 0 };
+  shape.take = (places) => {
+    sumNormals(places, mesh.triangles, normals);
+    spread(mesh.order, places, shape.places);
+    spread(mesh.order, normals, shape.normals);
+    shape.stamp++;
+    return shape;
+  };
+  return shape;
+}
+
+// Normals of vertices, not of unit length: the sum over their triangles, each weighted by its area.
+export function sumNormals(places, triangles, normals) {
+  normals.fill(0);
+  for (let t = 0; t < triangles.length; t += 3) {
+    const a = 3 * triangles[t], b = 3 * triangles[t + 1], c = 3 * triangles[t + 2];
+    const ux = places[b] - places[a], uy = places[b + 1] - places[a + 1], uz = places[b + 2] - places[a + 2];
+    const vx = places[c] - places[a], vy = places[c + 1] - places[a + 1], vz = places[c + 2] - places[a + 2];
+    const x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx;
+    for (const corner of [a, b, c]) {
+      normals[corner] += x;
+      normals[corner + 1] += y;
+      normals[corner + 2] += z;
+    }
+  }
+}

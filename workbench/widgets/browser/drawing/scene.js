@@ -1,0 +1,100 @@
+import { projectionOf, transposed } from "./geometry.js";
+import { makeProgram } from "./program.js";
+import { makeRods } from "./rods.js";
+import { rodShaders, surfaceShaders } from "./shaders.js";
+import { loadTexture, makeSurface } from "./surface.js";
+import { dot } from "./vectors.js";
+
+// A head, a second translucent one, balls and rods in one WebGL context. `redraw` is called when the texture is there.
+export function makeScene(gl, mesh, redraw) {
+  const surfaces = makeProgram(gl, surfaceShaders()), rods = makeProgram(gl, rodShaders());
+  const head = makeSurface(gl, surfaces, mesh), texture = loadTexture(gl, mesh.texture, redraw);
+  const marks = { points: makeRods(gl, rods), segments: makeRods(gl, rods) }, ghost = makeGhost(gl, surfaces, mesh);
+  let colored = false;
+  head.setColors(mesh.colors);
+  gl.enable(gl.DEPTH_TEST);
+  gl.enable(gl.CULL_FACE);
+  gl.depthFunc(gl.LEQUAL);
+  gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+
+  // `pose`: {turn (3 × 3, row by row), shift, pivot, camera, size}, see `projectionOf`; `ground`: RGBA, 0 to 1.
+  function draw(pose, ground) {
+    gl.viewport(0, 0, gl.canvas.width, gl.canvas.height);
+    gl.clearColor(...ground);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    look(gl, rods, mesh, pose);
+    marks.points.draw();
+    marks.segments.draw();
+    look(gl, surfaces, mesh, pose);
+    gl.uniform1i(surfaces.uniform("textured"), texture.ready && !colored ? 1 : 0);
+    if (seesInside(mesh.collar, pose)) gl.disable(gl.CULL_FACE);
+    head.draw(mesh.drawn.length / 3);
+    gl.enable(gl.CULL_FACE);
+    ghost.draw();
+  }
+
+  return {
+    draw, setHead: head.setShape, setGhost: ghost.set,
+    // RGB of each vertex in place of the skin, or null.
+    setColors(colors) {
+      colored = Boolean(colors);
+      head.setColors(colors ?? mesh.colors);
+    },
+    setMarks: (name, message) => marks[name].set(message),
+  };
+}
+
+// The translucent head; it needs buffers only where there ever is one.
+function makeGhost(gl, program, mesh) {
+  let surface = null, opacity = 0;
+
+  function made() {
+    const ghost = makeSurface(gl, program, mesh);
+    ghost.setColors(Uint8Array.from({ length: mesh.colors.length }, (_, k) => mesh.ghost[k % 3]));
+    return ghost;
+  }
+
+  function set(shape, much) {
+    opacity = shape ? much : 0;
+    if (!shape) return;
+    surface ??= made();
+    surface.setShape(shape);
+  }
+
+  // Only what lies in front is blended: the depth is drawn first.
+  function draw() {
+    if (!opacity) return;
+    gl.uniform1i(program.uniform("textured"), 0);
+    gl.uniform1f(program.uniform("opacity"), opacity);
+    gl.colorMask(false, false, false, false);
+    surface.draw(mesh.outer);
+    gl.colorMask(true, true, true, true);
+    gl.enable(gl.BLEND);
+    surface.draw(mesh.outer);
+    gl.disable(gl.BLEND);
+  }
+  return { set, draw };
+}
+
+// What programs of heads and of rods draw from there, in the light of the mesh.
+function look(gl, program, mesh, pose) {
+  const { width, height } = gl.canvas, [w, h] = pose.size, fit = Math.min(width / w, height / h);
+  const stretch = [(fit * w) / width, (fit * h) / height];
+  program.use();
+  gl.uniformMatrix4fv(program.uniform("projection"), false, projectionOf(pose.camera, pose.size, stretch));
+  gl.uniformMatrix3fv(program.uniform("turn"), false, new Float32Array(transposed(pose.turn)));
+  gl.uniform3fv(program.uniform("shift"), pose.shift);
+  gl.uniform3fv(program.uniform("pivot"), pose.pivot);
+  gl.uniform3fv(program.uniform("from"), mesh.lights.from);
+  gl.uniform3fv(program.uniform("strength"), mesh.lights.strength);
+  gl.uniform1f(program.uniform("ambient"), mesh.lights.ambient);
+  gl.uniform2fv(program.uniform("shine"), mesh.shine);
+  gl.uniform1f(program.uniform("opacity"), 1);
+}
+
+// What lies behind the skin is seen through the cut neck alone, from beyond the plane that cuts it (null: no cut).
+export function seesInside(collar, { turn, shift, pivot }) {
+  if (!collar) return false;
+  const eye = [0, 1, 2].map((k) => pivot[k] - dot([turn[k], turn[3 + k], turn[6 + k]], shift));
+  return dot(eye, collar) > collar[3];
+}

@@ -1,0 +1,56 @@
+const HEADER = "#version 300 es\nprecision highp float;\n";
+// From the head's frame to the camera's and to the screen.
+const PLACING = `${HEADER}
+uniform mat4 projection; uniform mat3 turn; uniform vec3 shift, pivot;
+out vec3 n, p, tint;
+void show(vec3 place, vec3 normal, vec3 color) {
+  p = turn * (place - pivot) + shift;
+  n = turn * normal;
+  tint = color;
+  gl_Position = projection * vec4(p, 1.0);
+}`;
+// Distant lights in the camera's frame; of the first one also the gloss, as (strength, exponent).
+const LIGHTING = `${HEADER}
+in vec3 n, p, tint;
+uniform vec3 from[3], strength[3]; uniform float ambient, opacity;
+out vec4 result;
+void light(vec3 albedo, vec2 gloss) {
+  vec3 m = normalize(gl_FrontFacing ? n : -n), sum = vec3(ambient);
+  for (int k = 0; k < 3; k++) sum += max(dot(m, from[k]), 0.0) * strength[k];
+  float spark = pow(max(dot(reflect(normalize(p), m), from[0]), 0.0), gloss.y);
+  result = vec4(albedo * sum + gloss.x * spark * strength[0], opacity);
+}`;
+
+// A surface in the colours of its points or of a picture, cut off where it is shown by less than a half.
+export function surfaceShaders() {
+  return [`${PLACING}
+in vec3 place, normal, color; in vec2 uv; in float shown, wet;
+out vec2 at, kind;
+void main() {
+  at = uv;
+  kind = vec2(shown, wet);
+  show(place, normal, color);
+}`, `${LIGHTING}
+in vec2 at, kind;
+uniform sampler2D skin; uniform bool textured; uniform vec2 shine[2];
+void main() {
+  vec3 albedo = textured ? texture(skin, at).rgb : tint;
+  if (kind.x < 0.5) discard;
+  light(albedo, mix(shine[0], shine[1], kind.y));
+}`];
+}
+
+// Rods with round ends: each has a start and an end, which are the same place for a ball.
+export function rodShaders() {
+  return [`${PLACING}
+in vec4 corner; in vec3 start, end, color;
+uniform float radius;
+void main() {
+  vec3 along = end - start, axis = length(along) > 1e-6 ? normalize(along) : vec3(0.0, 0.0, 1.0);
+  vec3 side = normalize(cross(axis, abs(axis.x) < 0.7 ? vec3(1.0, 0.0, 0.0) : vec3(0.0, 1.0, 0.0)));
+  vec3 outwards = mat3(side, cross(axis, side), axis) * corner.xyz;
+  show(mix(start, end, corner.w) + radius * outwards, outwards, color);
+}`, `${LIGHTING}
+uniform vec2 shine[2];
+void main() { light(tint, shine[0]); }`];
+}

@@ -1,0 +1,83 @@
+// The head drawn in the browser: all of it comes with the widget, and the kernel only hears from where it is looked at.
+import { floatsOf, makeShape, readMesh } from "../drawing/mesh.js";
+import { makeScene } from "../drawing/scene.js";
+import { makeStage } from "../drawing/stage.js";
+import { bytesOf } from "../shared/bytes.js";
+import { follow } from "../shared/following.js";
+import { onDemand } from "../shared/painting.js";
+import { drawsInSoftware } from "../shared/webgl.js";
+import { listenTo } from "./mouse.js";
+import { makePage } from "./page.js";
+import { moved, numbersOf, poseOf, viewpointOf } from "./viewpoint.js";
+
+const SHARPEST = 2; // drawn pixels in one of CSS, along an axis
+
+// Brings what changed in the model into a scene.
+function makeFeeding(model, mesh) {
+  const head = makeShape(mesh), ghost = makeShape(mesh);
+  const feeds = {
+    _vertices: (scene) => scene.setHead(head.take(floatsOf(model.get("_vertices")))),
+    _colors(scene) {
+      const colors = model.get("_colors");
+      scene.setColors(colors.byteLength ? new Uint8Array(bytesOf(colors)) : null);
+    },
+    _ghost(scene) {
+      const { vertices, opacity } = model.get("_ghost");
+      scene.setGhost(vertices ? ghost.take(floatsOf(vertices)) : null, opacity);
+    },
+    _points: (scene) => scene.setMarks("points", model.get("_points")),
+    _segments: (scene) => scene.setMarks("segments", model.get("_segments")),
+  };
+  const names = Object.keys(feeds), stale = new Set();
+  return {
+    names, spoil: (name) => stale.add(name),
+    feed(scene, fresh) {
+      for (const name of fresh ? names : stale) feeds[name](scene);
+      stale.clear();
+    },
+  };
+}
+
+// As sharp as the screen, which may change with the window.
+function sharpen(canvas, [width, height]) {
+  const ratio = Math.min(window.devicePixelRatio || 1, SHARPEST);
+  const [wide, high] = [Math.round(ratio * width), Math.round(ratio * height)];
+  if (canvas.width !== wide || canvas.height !== high) Object.assign(canvas, { width: wide, height: high });
+}
+
+function render({ model, el }) {
+  const size = model.get("_size"), [width, height] = size, mesh = readMesh(model.get("_mesh"));
+  const ground = [...mesh.ground.map((value) => value / 255), 1];
+  const { canvas, message } = makePage(el, "fw-webgl", width, height), feeding = makeFeeding(model, mesh);
+  // Without a graphics card smooth edges cost as much as all the rest.
+  const options = { alpha: false, antialias: !drawsInSoftware() };
+  const stage = makeStage(canvas, options, (gl) => makeScene(gl, mesh, ask), ask);
+  if (!stage) message.textContent = model.get("_note");
+  const painting = onDemand(() => {
+    sharpen(canvas, size);
+    stage?.draw((scene, fresh) => {
+      feeding.feed(scene, fresh);
+      scene.draw(poseOf(viewpointOf(model.get("_viewpoint")), size), ground);
+    });
+    return true;
+  });
+  function ask() {
+    painting.ask();
+  }
+  function move(change) {
+    const [now, front] = [model.get("_viewpoint"), model.get("_front")].map(viewpointOf);
+    model.set("_viewpoint", numbersOf(moved(now, change, front, height)));
+    model.save_changes();
+  }
+  const onChange = (name) => [`change:${name}`, () => { feeding.spoil(name); ask(); }];
+  const stops = [
+    listenTo(canvas, width, move), painting.stop, () => stage?.close(),
+    follow(model, [...feeding.names.map(onChange), ["change:_viewpoint", ask]]),
+  ];
+  model.set("_missing", !stage);
+  model.save_changes();
+  ask();
+  return () => stops.forEach((stop) => stop());
+}
+
+export default { render };

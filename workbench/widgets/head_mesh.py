@@ -1,0 +1,78 @@
+"""What the browser draws of a face model: the surface, its colours and lights, and the balls and rods beside it."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from workbench.face.model import FaceModel
+from workbench.pictures.background import SLATE
+from workbench.pictures.extras import GHOST_COLOR, WET_REGIONS, is_outer, of_regions
+from workbench.pictures.head_picture import bundled_texture
+from workbench.pictures.lighting import SKIN_SHINE, STUDIO, WET_SHINE
+from workbench.pictures.mesh import neck_opacity, split_seams
+
+TEXTURE_QUALITY = 90
+COLLAR_TILT, COLLAR_MM = 0.25, 600.0
+"""The neck is cut by a plane that falls towards the front, just above the ragged rim of the mesh. What marks it goes
+from 0 to 1 over a length of more than a head: linear in every triangle, it makes the cut straight."""
+
+
+def surface_message(model: FaceModel) -> dict[str, object]:
+    """All of a head that does not move: triangles, texture or colours, lights; see `drawing/mesh.js`.
+
+    Vertices on a seam of the texture are several points: "order" has the vertex of each point, "drawn" the triangles
+    over points, the skin's ("outer" many) before those of eyes and mouth. "triangles" are the model's own.
+    """
+    picture = bundled_texture(model)
+    if picture is None:
+        order, drawn, uv, texture = np.arange(len(model.neutral)), model.triangles, np.zeros((0, 2)), b""
+    else:
+        order, uv_index, drawn = split_seams(model.triangles, model.triangles_uv)
+        uv = model.uv[uv_index] * [1.0, -1.0] + [0.0, 1.0]
+        quality = [cv2.IMWRITE_JPEG_QUALITY, TEXTURE_QUALITY]
+        texture = cv2.imencode(".jpg", picture[..., ::-1], quality)[1].tobytes()
+    outer = is_outer(model)
+    directions = np.array([light.direction for light in STUDIO.lights])
+    return {
+        "vertices": len(model.neutral),
+        "triangles": np.ascontiguousarray(model.triangles, "<u4").tobytes(),
+        "drawn": np.concatenate([drawn[outer], drawn[~outer]]).astype("<u4").tobytes(),
+        "outer": int(outer.sum()),
+        "order": np.ascontiguousarray(order, "<u4").tobytes(),
+        "uv": np.ascontiguousarray(uv, "<f4").tobytes(),
+        "texture": texture,
+        "colors": np.ascontiguousarray(model.colors).tobytes(),
+        "collar": None if (plane := collar(model)) is None else plane.tolist(),
+        "shown": np.ascontiguousarray(collar_opacity(model), "<f4").tobytes(),
+        "wet": (255 * of_regions(model, WET_REGIONS).astype(np.uint8)).tobytes(),
+        "lights": {
+            "from": (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel().tolist(),
+            "strength": [light.intensity * part for light in STUDIO.lights for part in light.color],
+            "ambient": STUDIO.ambient,
+        },
+        "shine": [*SKIN_SHINE, *WET_SHINE],
+        "ghost": list(GHOST_COLOR),
+        "ground": list(SLATE),
+    }
+
+
+def rods_message(
+    ends: Float[np.ndarray, "n 2 3"], colors: UInt8[np.ndarray, "n 3"], diameter_mm: float | int
+) -> dict[str, object]:
+    """Rods with round ends, or balls where both ends are one place; head frame, millimetres."""
+    return {"ends": ends.astype("<f4").tobytes(), "colors": colors.tobytes(), "mm": float(diameter_mm)}
+
+
+def collar(model: FaceModel) -> Float[np.ndarray, "4"] | None:
+    """The plane that cuts the neck off: what is cut has normal · x > distance (mm); None for a head without a rim."""
+    normal = np.array([0.0, 1.0, COLLAR_TILT])
+    rim = neck_opacity(model) == 0.0
+    return np.append(normal, (model.neutral[rim] @ normal).min() - 1.0) if rim.any() else None
+
+
+def collar_opacity(model: FaceModel) -> Float[np.ndarray, "v"]:
+    """More than 0.5 above the plane that cuts the neck off and less below it; 1 for a head without a rim."""
+    plane = collar(model)
+    if plane is None:
+        return np.ones(len(model.neutral))
+    return np.clip(0.5 + (plane[3] - model.neutral @ plane[:3]) / COLLAR_MM, 0.0, 1.0)
