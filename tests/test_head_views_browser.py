@@ -109,6 +109,15 @@ def settled(lab, backend, before=None):
     raise AssertionError(f"The canvas of {backend} did not settle, or did not change.")
 
 
+def wait_for_picture(lab, backend, wanted):
+    """Wait until the canvas shows this, but for the last digits of a JPEG."""
+    wait_for(lab, lambda: np.allclose(pixels(lab, backend), wanted, rtol=0, atol=6), f"the {backend} of before")
+
+
+def wait_for(lab, look, what):
+    browser.wait_until(look, what, pause=lambda: lab.page.wait_for_timeout(80))
+
+
 def changed_pixels(lab, backend, before):
     """The next picture and the share of pixels that changed."""
     now = settled(lab, backend, before)
@@ -193,6 +202,62 @@ def test_a_drag_turns_the_head_and_a_slider_keeps_it_turned(lab, screenshots, ba
 
 
 @pytest.mark.parametrize("backend", CANVAS)
+def test_two_fingers_zoom_the_head_and_a_double_click_brings_it_back(lab, backend):
+    canvas = lab.page.locator(CANVAS[backend]).first
+    canvas.scroll_into_view_if_needed()
+    before = settled(lab, backend)
+    canvas.press("ArrowLeft")
+    turned = settled(lab, backend, before)
+    canvas.dblclick()
+    front = settled(lab, backend, turned)
+    box = canvas.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    touches = lab.page.context.new_cdp_session(lab.page)
+
+    def touch(kind, apart=None):
+        ends = [] if apart is None else [{"x": x - apart, "y": y, "id": 1}, {"x": x + apart, "y": y, "id": 2}]
+        touches.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": ends})
+
+    touch("touchStart", 40)
+    for apart in (45, 50, 55, 60):
+        touch("touchMove", apart)
+    touch("touchEnd")
+    wait_for(lab, lambda: covered(pixels(lab, backend)) > 1.4 * covered(front), "a larger head")
+    canvas.dblclick()
+    wait_for_picture(lab, backend, front)
+
+
+def violet(picture):
+    """The share of pixels in the colour of low values."""
+    return float((picture[..., 2] > picture[..., 1] + 20).mean())
+
+
+def covered(picture):
+    """The share of pixels that differ from the upper left one."""
+    return float((np.abs(picture - picture[0, 0]).max(2) > 20).mean())
+
+
+def test_the_head_comes_back_when_the_browser_takes_its_webgl_context(lab):
+    press(lab, "webgl", "Home")
+    before = settled(lab, "webgl")
+    lab.page.evaluate(
+        """(selector) => {
+          window.context = document.querySelector(selector).getContext("webgl2");
+          window.taken = window.context.getExtension("WEBGL_lose_context");
+          window.taken.loseContext();
+        }""",
+        CANVAS["webgl"],
+    )
+    lab.page.wait_for_function("() => window.context.isContextLost()")
+    press(lab, "webgl", "End")
+    lab.page.evaluate("() => window.taken.restoreContext()")
+    check_plausible(*changed_pixels(lab, "webgl", before))
+    assert not lab.page.evaluate("() => window.context.isContextLost()")
+    press(lab, "webgl", "Home")
+    wait_for_picture(lab, "webgl", before)
+
+
+@pytest.mark.parametrize("backend", CANVAS)
 def test_the_slider_is_followed_at_once(lab, backend, capsys):
     handle, milliseconds = lab.slider(backend).element_handle(), []
     press(lab, backend, "Home")
@@ -214,10 +279,8 @@ def test_values_points_and_a_ghost_show_in_both(lab, screenshots):
     before = {backend: settled(lab, backend) for backend in CANVAS}
     lab.run_cell(4)
     for backend in CANVAS:
-        picture, share = changed_pixels(lab, backend, before[backend])
-        check_plausible(picture, share)
-        violet = (picture[..., 2] > picture[..., 1] + 20).mean()
-        assert violet > 0.1
+        wait_for(lab, lambda shown=backend: violet(pixels(lab, shown)) > 0.1, "the colours of the values")
+        check_plausible(*changed_pixels(lab, backend, before[backend]))
     lab.page.locator(CANVAS["webgl"]).first.scroll_into_view_if_needed()
     lab.page.screenshot(path=screenshots / "views-values.png")
     assert lab.page.locator(".fw-head3d-legend").count() == 2
