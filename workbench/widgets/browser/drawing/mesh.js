@@ -1,13 +1,15 @@
 import { bytesOf } from "../shared/bytes.js";
 
+const indicesOf = (view) => new Uint32Array(bytesOf(view));
+
 export const floatsOf = (view) => new Float32Array(bytesOf(view));
 
 // A mesh as Python sends it (`surface_message`). Vertices that lie on a seam of the texture are several points.
 export function readMesh(message) {
-  const numbers = (name) => new Uint32Array(bytesOf(message[name])), letters = (name) => new Uint8Array(bytesOf(message[name]));
+  const { triangles, drawn, order, uv, shown, wet, colors } = message;
   return {
-    ...message, triangles: numbers("triangles"), drawn: numbers("drawn"), order: numbers("order"),
-    uv: floatsOf(message.uv), shown: floatsOf(message.shown), wet: letters("wet"), colors: letters("colors"),
+    ...message, triangles: indicesOf(triangles), drawn: indicesOf(drawn), order: indicesOf(order),
+    uv: floatsOf(uv), shown: floatsOf(shown), wet: new Uint8Array(bytesOf(wet)), colors: new Uint8Array(bytesOf(colors)),
   };
 }
 

@@ -36,14 +36,14 @@ export function makeRods(gl, program) {
     [vertexArray, count, buffers] = [null, 0, []];
     if (!message.ends) return;
     const ends = floatsOf(message.ends);
+    const half = (end) => ends.filter((_, k) => Math.floor(k / 3) % 2 === end);
     count = ends.length / 6;
     radius = message.mm / 2;
-    const half = (from) => Float32Array.from({ length: 3 * count }, (_, k) => ends[6 * Math.floor(k / 3) + from + (k % 3)]);
     vertexArray = gl.createVertexArray();
     gl.bindVertexArray(vertexArray);
     buffers = [
       program.attribute("corner", 4, corners), program.attribute("start", 3, half(0), gl.STATIC_DRAW, true),
-      program.attribute("end", 3, half(3), gl.STATIC_DRAW, true),
+      program.attribute("end", 3, half(1), gl.STATIC_DRAW, true),
       program.attribute("color", 3, new Uint8Array(bytesOf(message.colors)), gl.STATIC_DRAW, true),
     ];
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, index);

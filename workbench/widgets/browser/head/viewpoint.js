@@ -36,8 +36,8 @@ function zoomed(viewpoint, factor) {
 
 // Moved sideways, so that the target moves by this many pixels in the picture.
 function panned(viewpoint, [dx, dy]) {
-  const { position, target, up, focal } = viewpoint, sight = added(target, position, -1), distance = Math.hypot(...sight);
-  const right = unit(cross(sight, up)), down = cross(unit(sight), right);
+  const { position, target, up, focal } = viewpoint, sight = added(target, position, -1);
+  const right = unit(cross(sight, up)), down = cross(unit(sight), right), distance = Math.hypot(...sight);
   const by = added(scaled(right, (-distance * dx) / focal[0]), down, (-distance * dy) / focal[1]);
   return { ...viewpoint, position: added(position, by), target: added(target, by) };
 }
