@@ -17,7 +17,7 @@ from workbench.errors import MissingDependencyError
 ROOT = Path(__file__).resolve().parent.parent
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
 MODULES = {
-    "lab": ("anywidget", "ipywidgets", "jupyterlab", "k3d", "IPython", "traitlets"),
+    "lab": ("anywidget", "ipywidgets", "jupyterlab", "IPython", "traitlets"),
     "formats": ("h5py", "pygltflib", "trimesh"),
     "usd": ("pxr",),
     "parquet": ("pyarrow",),
