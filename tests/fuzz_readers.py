@@ -3,6 +3,7 @@
 Everything here may be imported by the judge's process: functions of the module, nothing but the package behind them.
 """
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests import landmark_layouts
 from tests.fuzz_face_readers import FACE_READERS
 from tests.fuzzing import Reader
 from tests.networks import random_landmark_network
@@ -98,9 +100,47 @@ def make_landmarks_pts(folder: Path) -> None:
     landmark_files.write_landmark_file(folder / "points.pts", _records()[:1])
 
 
+def make_openface(folder: Path) -> None:
+    faces = [record.landmarks.points for record in _records() if record.landmarks is not None]
+    rows = [("1, 0, 0.000, 0.98, 1", faces[0]), ("1, 1, 0.000, 0.97, 1", faces[1]), ("3, 0, 0.067, 0.1, 0", faces[1])]
+    (folder / "points.csv").write_text(landmark_layouts.openface_csv(rows))
+
+
+def make_mesh_csv(folder: Path) -> None:
+    (folder / "points.csv").write_text(landmark_layouts.mediapipe_csv([_mesh(), None]))
+
+
+def make_mesh_json(folder: Path) -> None:
+    result = {"faceLandmarks": [landmark_layouts.named_points(_mesh())]}
+    (folder / "points.json").write_text(json.dumps([result, {"faceLandmarks": []}]))
+
+
+def make_points_npy(folder: Path) -> None:
+    faces = [record.landmarks.points for record in _records() if record.landmarks is not None]
+    np.save(folder / "points.npy", np.array([faces, [faces[0], np.full((68, 2), np.nan)]]))
+
+
+def make_imglab(folder: Path) -> None:
+    box = landmark_layouts.dlib_box(_records()[0].landmarks.points)
+    pictures = [("file='a.jpg' width='640' height='480'", [box, box]), ("file='b.jpg'", [])]
+    (folder / "points.xml").write_text(landmark_layouts.dlib_xml(pictures))
+
+
+def _mesh() -> np.ndarray:
+    return landmark_layouts.mesh_of(_records()[0].landmarks.points, (640, 480), 468)
+
+
+def read_sizeless_landmarks(folder: Path) -> None:
+    _use_landmarks(folder, (640, 480))
+
+
 def read_landmarks(folder: Path) -> None:
+    _use_landmarks(folder, None)
+
+
+def _use_landmarks(folder: Path, image_size: tuple[int, int] | None) -> None:
     (path,) = folder.iterdir()
-    for record in landmark_files.read_landmark_file(path):
+    for record in landmark_files.read_landmark_file(path, image_size):
         assert record.frame >= 0
         assert record.image_size is None or min(record.image_size) >= 1
         if record.landmarks is not None:
@@ -296,6 +336,11 @@ READERS = (
     Reader("landmarks csv", make_landmarks_csv, read_landmarks),
     Reader("landmarks json", make_landmarks_json, read_landmarks),
     Reader("landmarks pts", make_landmarks_pts, read_landmarks),
+    Reader("OpenFace csv", make_openface, read_sizeless_landmarks),
+    Reader("MediaPipe csv", make_mesh_csv, read_sizeless_landmarks),
+    Reader("MediaPipe json", make_mesh_json, read_sizeless_landmarks),
+    Reader("face-alignment npy", make_points_npy, read_sizeless_landmarks),
+    Reader("imglab xml", make_imglab, read_sizeless_landmarks),
     Reader("rig toml", make_rig_toml, read_rig),
     Reader("rig yaml", make_rig_yaml, read_rig),
     Reader("rig json", make_rig_json, read_rig),

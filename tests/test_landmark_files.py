@@ -8,13 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from workbench.errors import InputError
-from workbench.landmarks.files import (
-    CSV_COLUMNS,
-    LandmarkCsvWriter,
-    LandmarkRecord,
-    read_landmark_file,
-    write_landmark_file,
-)
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file, write_landmark_file
+from workbench.landmarks.formats.own_csv import CSV_COLUMNS
 from workbench.landmarks.observations import Landmarks2D
 
 
@@ -174,11 +169,11 @@ def test_a_wrong_pts_is_refused_with_its_line(tmp_path, content, message):
 
 
 def test_other_files_and_missing_files_are_refused(tmp_path):
-    (tmp_path / "points.xml").write_text("<xml/>")
-    with pytest.raises(InputError, match=r"\.csv, \.json or \.pts"):
-        read_landmark_file(tmp_path / "points.xml")
-    with pytest.raises(InputError, match=r"\.csv, \.json or \.pts"):
-        write_landmark_file(tmp_path / "points.xml", [record(0)])
+    (tmp_path / "points.txt").write_text("points")
+    with pytest.raises(InputError, match=r"landmark files are \.csv, \.json, \.npy, \.pts or \.xml, got points\.txt"):
+        read_landmark_file(tmp_path / "points.txt")
+    with pytest.raises(InputError, match=r"written as \.csv, \.json or \.pts, got points\.npy"):
+        write_landmark_file(tmp_path / "points.npy", [record(0)])
     with pytest.raises(InputError, match="does not exist"):
         read_landmark_file(tmp_path / "none.csv")
     with pytest.raises(InputError, match="holds one face, got 2 frames"):

@@ -74,7 +74,7 @@ FACE_HELP = "Pixel X,Y inside the face to follow."
 
 
 def track(
-    inputs: Annotated[list[Path], typer.Argument(help="Photos, a folder, a video, or .csv/.json/.pts landmarks.")],
+    inputs: Annotated[list[Path], typer.Argument(help="Photos, a folder, a video, or landmark files.")],
     frames: Annotated[str | None, typer.Option(help=FRAMES_HELP, rich_help_panel=INPUT)] = None,
     stills: Annotated[bool, typer.Option("--stills", help=STILLS_HELP, rich_help_panel=INPUT)] = False,
     detector: Annotated[str | None, typer.Option(help=DETECTOR_HELP, rich_help_panel=INPUT)] = None,

@@ -15,14 +15,13 @@ from workbench.frames import Frame, FrameRange, Frames, open_frames, range_notes
 from workbench.geometry import read_rig
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import fallback_note, make_detector
-from workbench.landmarks.files import LandmarkRecord, read_landmark_file
+from workbench.landmarks.files import SUFFIXES, LandmarkRecord, read_landmark_file, states_size
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.tracker_options import TrackerOptions
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import energy_network, photo_landmarks
 
-LANDMARK_SUFFIXES = (".csv", ".json", ".pts")
 STILL_CONFIDENCE = 0.5
 """Median landmark confidence that a photo needs: no later frame would put a doubtful face right."""
 CANVAS = 235
@@ -31,7 +30,7 @@ CANVAS = 235
 
 def is_landmark_file(path: Path) -> bool:
     """Whether a path names a landmark file and not a picture or a video."""
-    return path.suffix.lower() in LANDMARK_SUFFIXES
+    return path.suffix.lower() in SUFFIXES
 
 
 class PictureSource:
@@ -100,6 +99,7 @@ class FileSource:
         """`rows`: the part of the file that counts. `keep_pictures` hands the pictures on with the observations."""
         self._paths, self._rows, self._keep = paths, rows, keep_pictures and frames is not None
         self._count: int | None = None
+        self._given_size = None if frames is None else _given_size(paths, frames)
         first = next(iter(self._records()), None)
         if first is None:
             raise InputError(f"{paths[0]} holds no frame; a landmark file has one row or entry per frame.")
@@ -125,7 +125,7 @@ class FileSource:
         return {}
 
     def _records(self) -> Iterator[LandmarkRecord]:
-        records = chain.from_iterable(read_landmark_file(path) for path in self._paths)
+        records = chain.from_iterable(read_landmark_file(path, self._given_size) for path in self._paths)
         if self._rows is None:
             yield from records
             return
@@ -156,6 +156,18 @@ class _Canvas:
 def canvas(size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
     """A plain picture of this (width, height)."""
     return np.full((size[1], size[0], 3), CANVAS, np.uint8)
+
+
+def _given_size(paths: list[Path], frames: Frames) -> tuple[int, int]:
+    """The size of the pictures, for landmark files that do not say it. Raises `InputError` where sizes differ."""
+    if frames.kind == "images" and frames.announced_count != 1 and not all(states_size(path) for path in paths):
+        sizes = {frame.picture.shape[1::-1] for frame in frames.iterate()}
+        if len(sizes) > 1:
+            raise InputError(
+                f"{paths[0]} does not say how large its pictures are, and those of {frames.name} differ in size; track "
+                "them one by one."
+            )
+    return frames.image_size
 
 
 def _size(record: LandmarkRecord) -> tuple[int, int]:

@@ -1,0 +1,120 @@
+"""The workbench's CSV: one row per frame, streamed in both directions.
+
+Header `frame,width,height,x0,y0,...,x67,y67`, optionally followed by `c0,...,c67` (confidence, else 1). A row with
+empty x and y cells is a frame without a face. Frame indices ascend; frames may be left out.
+"""
+
+import csv
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.files import atomic_path
+from workbench.landmarks.formats.records import LandmarkRecord, cell_numbers, checked_landmarks, door, whole_numbers
+from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import POINT_COUNT
+from workbench.reading import shortened
+
+CSV_POINT_COLUMNS = [f"{axis}{i}" for i in range(POINT_COUNT) for axis in "xy"]
+CSV_COLUMNS = ["frame", "width", "height", *CSV_POINT_COLUMNS]
+CSV_CONFIDENCE_COLUMNS = [f"c{i}" for i in range(POINT_COUNT)]
+
+
+class LandmarkCsvWriter:
+    """Write a CSV one frame at a time, with constant memory; used in a `with` block, whole or not at all."""
+
+    def __init__(self, path: str | Path, confidence: bool = True) -> None:
+        self.path = Path(path)
+        self._confidence = confidence
+        self._stack = ExitStack()
+        self._last = -1
+
+    def __enter__(self) -> "LandmarkCsvWriter":
+        temporary = self._stack.enter_context(atomic_path(self.path))
+        file = self._stack.enter_context(open(temporary, "w", newline="", encoding="utf-8"))
+        self._rows = csv.writer(file, lineterminator="\n")
+        self._rows.writerow(CSV_COLUMNS + (CSV_CONFIDENCE_COLUMNS if self._confidence else []))
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        self._stack.__exit__(kind, error, traceback)
+
+    def write(self, record: LandmarkRecord) -> None:
+        """Append one frame. Coordinates keep 3 decimals, confidence 4. Raises `InputError` if indices do not ascend."""
+        size = record.landmarks.image_size if record.landmarks else record.image_size
+        if size is None:
+            raise InputError(f"frame {record.frame} has no image size: a CSV row needs width and height")
+        if record.frame <= self._last:
+            raise InputError(f"frames are written in ascending order, got {record.frame} after {self._last}")
+        self._last = record.frame
+        if record.landmarks is None:
+            cells = [""] * (len(CSV_POINT_COLUMNS) + (POINT_COUNT if self._confidence else 0))
+        else:
+            cells = [f"{value:.3f}" for value in record.landmarks.points.ravel()]
+            if self._confidence:
+                cells += [f"{value:.4f}" for value in record.landmarks.confidence]
+        self._rows.writerow([record.frame, *size, *cells])
+
+
+def csv_header(path: Path) -> list[str]:
+    """The column names of a CSV, without the spaces around them."""
+    with open(path, newline="", encoding="utf-8-sig", errors="replace") as file:
+        return [cell.strip() for cell in next(csv.reader(file), [])]
+
+
+def _has_confidence(path: Path, header: list[str]) -> bool:
+    if header in (CSV_COLUMNS, CSV_COLUMNS + CSV_CONFIDENCE_COLUMNS):
+        return len(header) > len(CSV_COLUMNS)
+    expected = "frame,width,height,x0,y0,...,x67,y67 and optionally c0,...,c67"
+    missing = [name for name in CSV_COLUMNS if name not in header]
+    if not header:
+        problem = "the file is empty"
+    elif not missing:
+        problem = "the columns are in another order, or there are others"
+    elif len(missing) > 8:
+        problem = f"it begins with {shortened(repr(','.join(header[:4])))} and {len(missing)} columns are missing"
+    else:
+        problem = f"missing: {', '.join(missing)}"
+    raise InputError(f"{path}, line 1: expected the header {expected}; {problem}")
+
+
+def read_csv(path: Path, header: list[str]) -> Iterator[LandmarkRecord]:
+    """Records row by row. Raises `InputError` for the header at once, for a row when it is reached."""
+    return _rows(path, _has_confidence(path, header))
+
+
+def _rows(path: Path, has_confidence: bool) -> Iterator[LandmarkRecord]:
+    width = len(CSV_COLUMNS) + (POINT_COUNT if has_confidence else 0)
+    last = -1
+    # Here as well as where the file is opened: the rows are read later.
+    with door(path), open(path, newline="", encoding="utf-8-sig", errors="replace") as file:
+        rows = csv.reader(file)
+        next(rows)
+        for row in rows:
+            where = f"{path}, line {rows.line_num}"
+            if not row:
+                continue
+            if len(row) != width:
+                raise InputError(f"{where}: expected {width} cells as in the header (68 points), got {len(row)}")
+            frame, *size = whole_numbers(where, row[:3])
+            if frame <= last:
+                raise InputError(f"{where}: frame indices must ascend, got {frame} after {last}: sort the rows")
+            last = frame
+            yield LandmarkRecord(frame, f"{path.stem}#{frame}", _landmarks(where, row, tuple(size)), tuple(size))
+
+
+def _landmarks(where: str, row: list[str], size: tuple[int, int]) -> Landmarks2D | None:
+    points, confidence = row[3 : len(CSV_COLUMNS)], row[len(CSV_COLUMNS) :]
+    empty = [not cell.strip() for cell in points]
+    if all(empty):
+        return None
+    if any(empty):
+        name = CSV_POINT_COLUMNS[empty.index(True)]
+        raise InputError(f"{where}: {name} is empty: fill it, or empty all x and y cells where there is no face")
+    xy = cell_numbers(where, points, CSV_POINT_COLUMNS)
+    certainty = cell_numbers(where, confidence, CSV_CONFIDENCE_COLUMNS) if any(c.strip() for c in confidence) else None
+    return checked_landmarks(where, np.reshape(xy, (POINT_COUNT, 2)), certainty, size)

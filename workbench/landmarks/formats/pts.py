@@ -1,0 +1,42 @@
+"""iBUG's .pts, as 300-W is published: one face of one picture, whose pixels are counted from 1."""
+
+from pathlib import Path
+
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.landmarks.formats.records import LandmarkRecord, checked_landmarks
+from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import POINT_COUNT
+from workbench.reading import shortened
+
+
+def pts_text(landmarks: Landmarks2D) -> str:
+    """The text of a file."""
+    rows = "\n".join(f"{x + 1:.3f} {y + 1:.3f}" for x, y in landmarks.points)
+    return f"version: 1\nn_points: {POINT_COUNT}\n{{\n{rows}\n}}\n"
+
+
+def read_pts(path: Path, image_size: tuple[int, int] | None) -> LandmarkRecord:
+    """The one record of a file; without `image_size` the smallest size that contains all points stands in."""
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    opening = next((i for i, line in enumerate(lines) if line.strip() == "{"), None)
+    closing = next((i for i, line in enumerate(lines) if line.strip() == "}"), None)
+    if not lines or not lines[0].strip().startswith("version") or opening is None:
+        raise InputError(f"{path}, line 1: expected an iBUG file: version: 1, n_points: 68, then points in braces")
+    if closing is None:
+        raise InputError(f"{path}, line {len(lines)}: the closing brace is missing: the file may be cut off")
+    rows = []
+    for number, line in enumerate(lines[opening + 1 : closing], opening + 2):
+        cells = line.split()
+        if not cells:
+            continue
+        try:
+            x, y = (float(cell) for cell in cells)
+        except ValueError:
+            told = shortened(repr(line.strip()))
+            raise InputError(f"{path}, line {number}: expected x and y, got {told}") from None
+        rows.append((x - 1, y - 1))
+    points = np.array(rows, np.float64).reshape(-1, 2)
+    size = image_size or tuple(int(v) + 1 for v in np.nan_to_num(points).max(axis=0, initial=0))
+    return LandmarkRecord(0, path.stem, checked_landmarks(str(path), points, None, size), image_size)

@@ -1,0 +1,99 @@
+"""What every landmark file is read into, and the checks that all layouts share."""
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import POINT_COUNT, face_size
+from workbench.reading import reading, shortened
+
+LARGEST_FRAME = 2**53
+LARGEST_SIDE = 10**6
+"""Pixels of a picture's side; more is a damaged number."""
+
+
+@dataclass(frozen=True)
+class LandmarkRecord:
+    """The landmarks of one frame as a file holds them."""
+
+    frame: int
+    """0-based frame index."""
+    name: str
+    """The name of the frame, or of the file if it has none."""
+    landmarks: Landmarks2D | None
+    """None where the frame has no face."""
+    image_size: tuple[int, int] | None
+    """(width, height), or None where the file does not say (.pts without its picture)."""
+
+
+def door(path: Path) -> AbstractContextManager[None]:
+    """What goes wrong while landmarks are read becomes one `InputError`."""
+    return reading(path, "landmarks", "export them again")
+
+
+def checked_landmarks(where: str, points: object, confidence: object, size: tuple[int, int]) -> Landmarks2D:
+    """Landmarks of points (68, 2) in pixels. Raises `InputError` that begins with the place in the file.
+
+    `confidence` is None where the file has none: every point is certain then.
+    """
+    try:
+        array = np.asarray(points, np.float64)
+        certainty = np.ones(POINT_COUNT) if confidence is None else np.asarray(confidence, np.float64)
+        landmarks = Landmarks2D(array, certainty, size)
+        far = np.flatnonzero((np.abs(landmarks.points) > LARGEST_SIDE).any(axis=1))
+        if far.size:
+            raise InputError(f"landmark {far[0]} lies at {landmarks.points[far[0]].tolist()}: outside of any picture")
+        return landmarks
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+    except (ValueError, TypeError, OverflowError) as error:
+        told = shortened(error)
+        raise InputError(f"{where}: the points are not 68 pairs of numbers ({told}): write them as [x, y]") from error
+
+
+def needed_size(path: Path, image_size: tuple[int, int] | None) -> tuple[int, int]:
+    """The (width, height) that was given with a file. Raises `InputError` where none was."""
+    if image_size is None:
+        raise InputError(
+            f"{path} does not say how large its pictures are: name the clip or photo as well, as in "
+            f"`workbench track CLIP --landmarks {path.name}`"
+        )
+    return image_size
+
+
+def largest_face(faces: Sequence[Landmarks2D]) -> Landmarks2D | None:
+    """The largest of the faces of one frame, None where there is none."""
+    return max(faces, key=lambda face: float(face_size(face.points)), default=None)
+
+
+def whole_numbers(where: str, cells: Sequence[str]) -> list[int]:
+    """Frame, width and height as numbers. Raises `InputError` for what they cannot be."""
+    try:
+        frame, width, height = (int(cell) for cell in cells)
+    except ValueError:
+        raise InputError(f"{where}: frame, width and height must be whole numbers, got {_listed(cells)}") from None
+    if frame < 0 or width < 1 or height < 1:
+        raise InputError(f"{where}: frame counts from 0, width and height from 1, got {_listed(cells)}")
+    if frame > LARGEST_FRAME or max(width, height) > LARGEST_SIDE:
+        raise InputError(f"{where}: frame, width and height are not those of a picture, got {_listed(cells)}")
+    return [frame, width, height]
+
+
+def cell_numbers(where: str, cells: Sequence[str], names: Sequence[str]) -> list[float]:
+    """The numbers of a table's cells. Raises `InputError` that names the column of one that is none."""
+    numbers = []
+    for cell, name in zip(cells, names, strict=True):
+        try:
+            numbers.append(float(cell))
+        except ValueError:
+            raise InputError(f"{where}: {name} is {shortened(repr(cell))}, expected a number") from None
+    return numbers
+
+
+def _listed(cells: Sequence[str]) -> str:
+    return shortened(",".join(cells))
