@@ -273,6 +273,12 @@ def damaged_arrays(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 @st.composite
+def damaged_npy(draw: st.DrawFn, content: bytes) -> bytes:
+    """An .npy of another shape or type or with odd numbers, or whose header lies."""
+    return draw(damaged_array(np.load(io.BytesIO(content), allow_pickle=False)))
+
+
+@st.composite
 def damaged_array(draw: st.DrawFn, array: np.ndarray) -> bytes:
     """The .npy bytes of an array that was changed, or whose header lies about it."""
     if array.dtype.kind == "U" and array.ndim == 0 and array.item()[:1] == "{" and draw(st.integers(0, 9)):
@@ -453,6 +459,7 @@ BY_SUFFIX: dict[str, tuple[Damage, ...]] = {
     ".json": (damaged_json, damaged_json),
     ".toml": (damaged_toml, damaged_toml),
     ".csv": (damaged_rows, damaged_rows),
+    ".npy": (damaged_npy, damaged_npy),
     ".npz": (damaged_arrays, damaged_arrays, damaged_members),
     ".glb": (damaged_glb, damaged_glb),
     ".mat": (damaged_matlab,),

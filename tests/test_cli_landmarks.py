@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.landmark_layouts import openface_csv
 from workbench.cli import screen
 from workbench.frames import VideoWriter, open_frames, read_picture
 from workbench.landmarks import dlib_detector
@@ -227,6 +228,20 @@ def test_the_command_that_it_names_next_tracks_from_the_table(run, tmp_path):
         np.testing.assert_array_equal(track[index].confidence, stored[index].landmarks.confidence)
 
 
+@pytest.mark.usefixtures("film")
+def test_a_clip_is_tracked_from_another_programs_table_in_the_clips_size(run, tmp_path):
+    face = expected_points(80, 60, 96).round(3)
+    rows = [(f"{1 + frame}, 0, 0.0, 0.9, {int(frame != 2)}", face + frame * np.array([4, 0])) for frame in range(6)]
+    (tmp_path / "openface.csv").write_text(openface_csv(rows))
+    code, out, err = run("track", "film.mp4", "--landmarks", "openface.csv", "--no-pictures", "--no-identity")
+    assert (code, err) == (0, "")
+    assert "5 of 6 with a face" in out
+    track = Track.load(tmp_path / "out" / "film" / "track.npz")
+    assert list(track.found) == [True, True, False, True, True, True]
+    assert track[5].image_size == (320, 240)
+    np.testing.assert_allclose(track[5].observed, face + np.array([20, 0]), atol=1e-9)
+
+
 @pytest.mark.usefixtures("detector", "photos")
 def test_the_next_command_stays_on_one_line_of_a_narrow_terminal(run, monkeypatch):
     monkeypatch.setattr(screen, "console", screen.Console(width=50, highlight=False))
@@ -240,6 +255,26 @@ def test_the_next_command_of_a_video_or_a_single_photo_is_no_row_of_stills(run):
 
 
 # --- what cannot be done ---
+
+
+def test_another_programs_landmarks_without_their_pictures_are_refused(run, tmp_path):
+    np.save(tmp_path / "points.npy", expected_points(80, 60, 96))
+    code, _, err = run("track", "points.npy", "--no-pictures")
+    assert code == 2
+    assert err == (
+        "error: points.npy does not say how large its pictures are: name the clip or photo as well, as in "
+        "`workbench track CLIP --landmarks points.npy`\n"
+    )
+
+
+def test_another_programs_landmarks_of_photos_that_differ_in_size_are_refused(run, tmp_path):
+    (tmp_path / "mixed").mkdir()
+    for index, size in enumerate([(320, 240), (300, 240)]):
+        cv2.imwrite(str(tmp_path / "mixed" / f"{index}.png"), face_picture(size=size))
+    np.save(tmp_path / "points.npy", np.array([expected_points(80, 60, 96)] * 2))
+    code, _, err = run("track", "mixed", "--stills", "--landmarks", "points.npy", "--no-pictures")
+    assert code == 2
+    assert "points.npy does not say how large its pictures are, and those of mixed differ in size" in err
 
 
 @pytest.mark.usefixtures("detector", "photos")

@@ -220,6 +220,15 @@ def files(stereo, tmp_path):
     return tmp_path
 
 
+@pytest.mark.usefixtures("files")
+def test_landmarks_of_another_program_are_of_the_size_that_the_rig_says(run, stereo, tmp_path):
+    own = run("rig", "check", "rig.toml", "middle.csv", "side.csv")
+    for name, records in zip(("middle", "side"), clips(stereo), strict=True):
+        np.save(tmp_path / f"{name}.npy", np.array([record.landmarks.points.round(3) for record in records]))
+    assert own[0] == 0
+    assert run("rig", "check", "rig.toml", "middle.npy", "side.npy") == own
+
+
 def test_show_prints_a_rig_and_draws_it(run, files):
     code, out, err = run("rig", "show", "rig.toml", "--picture", "rig.png")
     assert (code, err) == (0, "")

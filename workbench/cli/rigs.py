@@ -1,5 +1,6 @@
 """`workbench rig`: calibrated rigs of several cameras shown, checked against landmarks, converted."""
 
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Annotated
 
@@ -89,7 +90,9 @@ def check(
 ) -> None:
     """Compare landmarks with a rig."""
     placed = workbench.geometry.read_rig(rig, unit, _image_size(size))
-    found = workbench.landmarks.epipolar.check_rig(placed, [workbench.read_landmark_file(path) for path in landmarks])
+    sizes = chain((view.image_size for view in placed.views), repeat(None))  # too many files are told by the check
+    clips = [workbench.read_landmark_file(path, size) for path, size in zip(landmarks, sizes, strict=False)]
+    found = workbench.landmarks.epipolar.check_rig(placed, clips)
     _print_check(found)
     if found.warnings:
         raise typer.Exit(1)
