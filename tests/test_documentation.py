@@ -131,7 +131,7 @@ def test_the_face_model_snippet_runs(tmp_path):
     for written, meant in {
         "generic_model.pkl": sample("head"),
         "talk.mp4": sample("astronaut-landmarks"),
-        "out/talk": tmp_path,
+        "out/flame": tmp_path,
     }.items():
         text = text.replace(f'"{written}"', f'r"{meant}"')
     names = {}
