@@ -55,6 +55,8 @@ def test_options_end_up_in_the_stored_configuration(run, points, tmp_path):
     assert config.camera.fov_deg == 40.0
     assert config.landmarks.face == (320.0, 200.0)
     assert not config.identity.calibrate
+    summary = json.loads((tmp_path / "here" / "summary.json").read_text())
+    assert summary["camera"]["guessed"] is False
 
 
 def test_an_exported_configuration_gives_the_same_numbers_and_an_edited_one_does_not(run, points, tmp_path):

@@ -32,6 +32,11 @@ class CameraConfig(Section):
     )
     rig: str = Field("", description="Rig file of several cameras (Deep Energies); replaces the camera above.")
 
+    @property
+    def guessed(self) -> bool:
+        """Whether nobody has said anything of the lens."""
+        return self.matrix is None and not self.rig and self.fov_deg == type(self).model_fields["fov_deg"].default
+
 
 def _omega(name: str) -> Any:
     """The field of a term's ω, with default and comment from the table."""

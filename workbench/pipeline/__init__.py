@@ -360,7 +360,7 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
         "names": _names(source.frames) if stills else [],
         "stills": stills,
         "rate": source.frames.rate,
-        "camera_guessed": config.camera.matrix is None,
+        "camera_guessed": config.camera.guessed,
         "model": {"name": model.name, "sha256": model.fingerprint()},
         "versions": software_versions(),
     }

@@ -119,7 +119,7 @@ def described_track(run: Run, model: FaceModel, stills: bool) -> Track:
         "expression_names": list(model.expression_names),
         "stages": [stage.name for stage in config.stages if stage.enabled],
         "stills": stills,
-        "camera_guessed": config.camera.matrix is None,
+        "camera_guessed": config.camera.guessed,
         "config": config.model_dump(mode="json"),
     }
     return replace(run.track, meta=meta)

@@ -147,7 +147,7 @@ def live_meta(model: FaceModel, config: Config, source: str, detector: str, rate
         "names": [],
         "stills": False,
         "rate": rate,
-        "camera_guessed": config.camera.matrix is None,
+        "camera_guessed": config.camera.guessed,
         "model": {"name": model.name, "sha256": model.fingerprint()},
         "versions": software_versions(),
         "live": {"camera": source},

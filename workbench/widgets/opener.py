@@ -10,6 +10,7 @@ import ipywidgets as widgets
 
 from workbench.config import DEFAULT_PRESET, Config, preset
 from workbench.errors import WorkbenchError
+from workbench.landmarks.files import SUFFIXES
 from workbench.samples import sample
 from workbench.session import TuningSession, open_session
 from workbench.tracking import Track
@@ -17,7 +18,7 @@ from workbench.widgets.controls import small_button
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.tuning_panel import TuningPanel
 
-PATH_HINT = "photo, clip, folder, track.npz or landmark file (.csv .json .pts)"
+PATH_HINT = f"photo, clip, folder, track.npz or landmark file ({' '.join(SUFFIXES)})"
 
 
 @dataclass(frozen=True)
