@@ -13,11 +13,13 @@ import urllib.request
 import numpy as np
 import pytest
 
+import workbench
 from tests.scenes import make_scene
 from workbench import cli
 from workbench.cli import servers
 from workbench.config import PRESETS, preset, read_config
 from workbench.geometry import yaw_pitch_roll_deg
+from workbench.landmarks import chosen_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.samples import sample
