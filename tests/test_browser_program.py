@@ -342,6 +342,33 @@ class TestLivePanel:
     def told(self, happened: str) -> object:
         return asked_of_node(self.LEAVING, "makeLeaving", f"(() => {{ {self.CLOCK} {happened}; return told; }})()")
 
+    def test_no_more_than_two_frames_wait_for_an_answer_until_they_are_forgotten(self):
+        camera = """
+            const tracks = [{ stop() {}, addEventListener() {} }];
+            const stream = { getTracks: () => tracks, getVideoTracks: () => tracks };
+            const mediaDevices = { getUserMedia: async () => stream };
+            Object.defineProperty(globalThis, "navigator", { value: { mediaDevices } });
+            let next = null;
+            const frames = (count) => { for (let k = 0; k < count; k++) next(); };
+            const film = { videoWidth: 640, videoHeight: 480, play: async () => {} };
+            const video = { ...film, requestVideoFrameCallback: (run) => (next = run) };
+            const canvas = { getContext: () => ({ drawImage() {} }), toDataURL: () => "data:image/jpeg;base64,AAAA" };
+            globalThis.document = { createElement: (kind) => (kind === "video" ? video : canvas) };
+            const sent = [], camera = makeCamera(({ number }) => sent.push(number), () => {});
+        """
+        happened = """
+            const seen = [camera.isClosed()], look = () => seen.push(sent.splice(0));
+            await camera.open([640, 480]), frames(5), look();
+            camera.release(0), frames(5), look();
+            camera.forget(), frames(5), look();
+            await camera.open([640, 480]), frames(5), look(); // whoever asks has forgotten them, too
+            seen.push(camera.isClosed()), camera.close(), seen.push(camera.isClosed());
+            return seen;
+        """
+        path = BROWSER / "live" / "camera.js"
+        seen = asked_of_node(path, "makeCamera", f"await (async () => {{ {camera} {happened} }})()")
+        assert seen == [True, [0, 1], [2], [3, 4], [5, 6], False, True]
+
     def test_silence_counts_from_the_first_frame_without_an_answer(self):
         ask = """(() => {
             const silence = makeSilence(), seen = [];
@@ -353,6 +380,16 @@ class TestLivePanel:
         })()"""
         quiet, slow, over = [False, False], [True, False], [True, True]
         assert asked_of_node(self.SILENCE, "makeSilence", ask) == [quiet, quiet, slow, over, quiet]
+
+    def test_a_frame_without_an_answer_counts_as_lost_after_five_seconds_and_so_does_the_next(self):
+        ask = """(() => {
+            const silence = makeSilence(), seen = [];
+            const look = (now) => seen.push(silence.isLost(now));
+            look(9000), silence.onFrame(10000), look(14000), look(15500), silence.onFrame(15500), look(16000);
+            look(21000), silence.onAnswer(), look(30000);
+            return seen;
+        })()"""
+        assert asked_of_node(self.SILENCE, "makeSilence", ask) == [False, False, True, False, True, False]
 
     def test_a_display_that_has_gone_closes_the_camera_and_only_later_ends_the_run(self):
         assert self.told("leaving.start(), until(20000)") == [["gone", 1500], ["left", 8000]]

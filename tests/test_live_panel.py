@@ -215,6 +215,29 @@ def test_a_page_that_was_loaded_anew_gets_the_camera_of_the_one_before(browser_p
     assert [content["page"] for content, _ in browser_panel.sent if content["kind"] == "open"] == ["before", "after"]
 
 
+def test_a_page_whose_camera_closed_unasked_opens_it_again_with_its_next_sign_of_life(browser_panel):
+    """As when the connection to the kernel broke, and came back without anybody telling."""
+    browser_panel.start()
+    tell(browser_panel.view, {"kind": "here", "page": "one"})
+    tell(browser_panel.view, {"kind": "beat", "page": "one", "closed": False})
+    tell(browser_panel.view, {"kind": "beat", "page": "another", "closed": True})
+    assert kinds(browser_panel) == ["call", "open"]
+    tell(browser_panel.view, {"kind": "beat", "page": "one", "closed": True})
+    assert kinds(browser_panel) == ["call", "open", "open"]
+    browser_panel.stop()
+    tell(browser_panel.view, {"kind": "beat", "page": "one", "closed": True})
+    assert kinds(browser_panel) == ["call", "open", "open", "close"]
+
+
+def test_a_page_that_the_kernel_took_for_gone_gets_the_camera_with_its_next_sign_of_life(browser_panel):
+    browser_panel.start()
+    for page in ("one", "two"):
+        tell(browser_panel.view, {"kind": "here", "page": page})
+    tell(browser_panel.view, {"kind": "left", "page": "one"})
+    tell(browser_panel.view, {"kind": "beat", "page": "two", "closed": True})
+    assert [content["page"] for content, _ in browser_panel.sent if content["kind"] == "open"] == ["one", "two"]
+
+
 def test_a_frame_of_the_browser_is_fitted_and_its_picture_stays_there(browser_panel, frames):
     browser_panel.start()
     tell(browser_panel.view, {"kind": "here", "page": "one"})

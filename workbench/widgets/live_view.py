@@ -165,6 +165,8 @@ class LiveView(anywidget.AnyWidget):
         kind, page, before, self._heard = content.get("kind"), content["page"], self._heard, time.monotonic()
         if kind == "here":
             self._on_here(page, self._heard - before)
+        elif kind == "beat":
+            self._on_beat(page, content.get("closed") is True)
         elif kind == "left":
             self._on_page_left(page)
         elif kind == "shown":
@@ -184,7 +186,20 @@ class LiveView(anywidget.AnyWidget):
             if wanted:
                 self._page = page
         if wanted:
-            self.send({"kind": "open", "page": page, "size": list(LIVE_SIZE)})
+            self._open_on(page)
+
+    def _on_beat(self, page: str, closed: bool) -> None:
+        """A page lives; if its camera should be on and is not, as after a broken connection, ask for it again."""
+        with self._lock:
+            self._pages.add(page)
+            wanted = self._on_frame is not None and (self._page is None or (self._page == page and closed))
+            if wanted:
+                self._page = page
+        if wanted:
+            self._open_on(page)
+
+    def _open_on(self, page: str) -> None:
+        self.send({"kind": "open", "page": page, "size": list(LIVE_SIZE)})
 
     def _on_page_left(self, page: str) -> None:
         with self._lock:

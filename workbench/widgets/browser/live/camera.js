@@ -7,15 +7,18 @@ const WHY = {
 
 // Opens the browser's camera and hands out its newest frame whenever the kernel has few enough to answer.
 export function makeCamera(onFrame, onTrouble) {
-  let stream = null, video = null, turn = 0, fresh = false, number = 0, answered = -1;
+  let stream = null, video = null, opening = false, turn = 0, fresh = false, number = 0, answered = -1;
   let takeAgain = () => {};
 
+  // Asked for a camera that is open, whoever asks has forgotten the frames that wait for an answer.
   async function open([width, height]) {
-    if (stream) return;
+    if (stream) return forget();
+    if (opening) return;
     const mine = ++turn;
     if (!navigator.mediaDevices?.getUserMedia) return onTrouble("insecure");
+    opening = true;
     try {
-      const opened = await opening(width, height);
+      const opened = await streamOf(width, height);
       if (mine !== turn) return opened.getTracks().forEach((track) => track.stop()); // stopped meanwhile
       stream = opened;
       stream.getVideoTracks()[0].addEventListener("ended", () => {
@@ -29,7 +32,9 @@ export function makeCamera(onFrame, onTrouble) {
       close();
       return onTrouble(WHY[error.name] || "failed", error.name);
     }
-    if (mine === turn) watch(mine, width, height);
+    if (mine !== turn) return;
+    opening = false;
+    watch(mine, width, height);
   }
 
   function watch(mine, width, height) {
@@ -58,6 +63,7 @@ export function makeCamera(onFrame, onTrouble) {
     stream?.getTracks().forEach((track) => track.stop());
     if (video) video.srcObject = null;
     stream = video = null;
+    opening = false;
   }
 
   // The kernel has answered this frame; those before it were left out.
@@ -66,11 +72,13 @@ export function makeCamera(onFrame, onTrouble) {
     if (stream) takeAgain();
   }
 
+  const forget = () => release(number - 1);
   const ended = () => stream?.getVideoTracks()[0].dispatchEvent(new Event("ended"));
-  return { open, close, release, isOpen: () => Boolean(stream), unplug: ended };
+  const isOpen = () => Boolean(stream), isClosed = () => !stream && !opening;
+  return { open, close, release, forget, isOpen, isClosed, unplug: ended };
 }
 
-function opening(width, height) {
+function streamOf(width, height) {
   const video = { width: { ideal: width }, height: { ideal: height }, frameRate: { ideal: 30 } };
   return navigator.mediaDevices.getUserMedia({ audio: false, video });
 }

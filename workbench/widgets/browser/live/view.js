@@ -108,10 +108,12 @@ async function onMessage(live, content, buffers) {
   }
 }
 
-// Notices that the kernel is silent, and after long closes the camera.
+// Notices that the kernel is silent: sends it another frame now and then, and after long closes the camera.
 function onLook(live) {
-  if (!live.camera.isOpen()) return;
-  if (live.silence.isOver(performance.now())) live.camera.close(), live.tell({ kind: "trouble", why: "silent" });
+  const { camera, silence } = live, now = performance.now();
+  if (!camera.isOpen()) return;
+  if (silence.isOver(now)) camera.close(), live.tell({ kind: "trouble", why: "silent" });
+  else if (silence.isLost(now)) camera.forget();
   live.write(live.current);
 }
 
@@ -143,7 +145,8 @@ function initialize(live, model) {
     listen(window, { pagehide: onGone }), live.stopDrawing,
   ];
   const looks = setInterval(() => onLook(live), LOOK_MS);
-  const beats = setInterval(() => live.displays.size && tell({ kind: "beat" }), BEAT_MS);
+  // A camera that was closed here, as when the connection to the kernel broke, is opened again by the kernel's answer.
+  const beats = setInterval(() => live.displays.size && tell({ kind: "beat", closed: camera.isClosed() }), BEAT_MS);
   return () => {
     camera.close();
     clearInterval(looks);
@@ -155,7 +158,8 @@ function initialize(live, model) {
 
 function render(live, model, el) {
   const { camera, displays, log, page } = live;
-  const display = makeDisplay(model, el, live.mesh, live.head, () => live.silence.isSlow(performance.now()), live.draw);
+  const isSlow = () => camera.isOpen() && live.silence.isSlow(performance.now());
+  const display = makeDisplay(model, el, live.mesh, live.head, isSlow, live.draw);
   display.root.live = { log, page, camera: camera.isOpen, unplug: camera.unplug }; // for whoever measures and tests
   displays.add(display);
   live.leaving.stop();
