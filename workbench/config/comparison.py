@@ -1,4 +1,4 @@
-"""What two configurations do not share."""
+"""The differences between two configurations."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,21 +8,21 @@ from workbench.config.configuration import Config
 
 @dataclass(frozen=True)
 class Difference:
-    """One value that two configurations do not share."""
+    """One value that differs between two configurations."""
 
     path: str
-    """As `weights.tau`; `stages.pose.limit` for a stage by its name."""
+    """For example `weights.tau`, or `stages.pose.limit` for the stage named pose."""
     before: Any
-    """None where the value is new."""
+    """None if the value is new."""
     after: Any
-    """None where it is gone."""
+    """None if the value was removed."""
 
     def __str__(self) -> str:
         return f"{self.path}: {_short(self.before)} → {_short(self.after)}"
 
 
 def differences(before: Config, after: Config) -> list[Difference]:
-    """What differs, in the order of the file; `provenance` and `preset` are no settings."""
+    """The settings that differ, in the order of the file; `provenance` and `preset` are not settings."""
     old, new = _flat(before), _flat(after)
     paths = [*new, *(path for path in old if path not in new)]
     return [Difference(path, old.get(path), new.get(path)) for path in paths if old.get(path) != new.get(path)]

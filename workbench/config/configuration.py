@@ -1,4 +1,4 @@
-"""The whole configuration: its sections and stages, the rules that join them, and what is wrong with bad values."""
+"""The whole configuration: its sections and stages, the rules across them, and the messages for invalid values."""
 
 import difflib
 from collections.abc import Iterable
@@ -33,15 +33,15 @@ VERSION = 2
 DEFAULT_PRESET = "joint"
 System = Literal[tuple(SYSTEMS)]
 LONGEST_PROBLEM = 400
-"""Characters of what is wrong with a configuration: names in it may be of any length."""
+"""Most characters in an error message about a configuration, which may quote names of any length."""
 
 
 class Config(Section):
     """A whole configuration."""
 
-    version: Literal[2] = Field(VERSION, description="Of this file's format.")
+    version: Literal[2] = Field(VERSION, description="Version of this file's format.")
     preset: str = Field(DEFAULT_PRESET, description="The preset this configuration started from.")
-    system: System = Field("face-it", description="face-it: from landmarks; deep-energies: from renders as well.")
+    system: System = Field("face-it", description="face-it: fits landmarks; deep-energies: fits renders too.")
     camera: CameraConfig = CameraConfig()
     weights: WeightsConfig = WeightsConfig()
     constants: ConstantsConfig = ConstantsConfig()
@@ -60,32 +60,32 @@ class Config(Section):
     provenance: Provenance | None = Field(None, description="Where an exported configuration comes from.")
 
     def point_weights(self) -> list[float]:
-        """Factor of each of the 68 landmarks in every stage: one, then each entry of `landmarks.weights` in turn."""
+        """Factor of each of the 68 landmarks in every stage: 1 unless entries of `landmarks.weights` overwrite it."""
         return weights_in_turn(self.landmarks.weights, self.subsets, 1.0)
 
     def moved_points(self, frame: int) -> dict[int, tuple[float, float]]:
-        """The detections of a frame that were put right by hand, by point."""
+        """The detections of a frame that were corrected by hand, by point number."""
         return {int(point): place for point, place in self.landmarks.moved.get(str(frame), {}).items()}
 
     @property
     def traits(self) -> SystemTraits:
-        """What its system can do."""
+        """The capabilities of the configured system."""
         return SYSTEMS[self.system]
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Names of the energy's terms: the system's, and those that any stage names."""
+        """Names of the energy's terms: those of the system, plus those that any stage adds."""
         return terms_of(self.system, self.named_terms(self.stages))
 
     @property
     def summed_terms(self) -> set[str]:
-        """The terms that count in some stage that runs."""
+        """The terms in the energy of at least one enabled stage."""
         own = {name for name, term in TABLE.items() if self.system in term.systems}
         return own | self.named_terms(stage for stage in self.stages if stage.enabled)
 
     @staticmethod
     def named_terms(stages: Iterable[Stage]) -> set[str]:
-        """The terms that stages name beside their system's own."""
+        """The terms that stages add to those of their system."""
         return {name for stage in stages for name in stage.terms}
 
     def running(self, start: bool) -> tuple[Stage, ...]:
@@ -93,17 +93,17 @@ class Config(Section):
         return tuple(stage for stage in self.stages if stage.enabled and (start or stage.when == "always"))
 
     def omega(self) -> dict[str, float]:
-        """Every ω by its place, as `weights.tau`."""
+        """Every ω by its path, for example `weights.tau`."""
         places = {f"weights.{node.name}" for node in NODES}
         places |= {term.omega_key(self.system) for term in TABLE.values() if term.name != "landmarks"}
         return {place: getattr(getattr(self, place.split(".")[0]), place.split(".")[1]) for place in places}
 
     def factors(self, stage: Stage) -> list[float]:
-        """The factor in front of each of `terms` in a stage: the product of ω down its branch; 0 where it is off."""
+        """The factor in front of each of `terms` in a stage: the product of ω down its branch; 0 if the term is off."""
         return stage_factors(self.omega(), self.system, stage.free, stage.terms, self.terms)
 
     def changed(self, **sections: Any) -> "Config":
-        """The configuration with some keys of some sections replaced, checked again.
+        """A copy of the configuration with the given keys of the given sections replaced, validated again.
 
         Raises `ConfigError` for unknown keys and bad values.
         """
@@ -140,7 +140,7 @@ class Config(Section):
 
 
 def validated(stored: dict[str, Any], origin: str) -> Config:
-    """The configuration of these values. Raises `ConfigError` for the first problem, `origin` naming where it lies."""
+    """The configuration with these values. Raises `ConfigError` for the first problem; `origin` names its source."""
     try:
         return Config.model_validate(stored)
     except ValidationError as error:
@@ -161,7 +161,7 @@ def _first_problem(error: ValidationError) -> str:
 
 
 def quoted(value: Any) -> str:
-    """A value as messages show it: whole where it is short."""
+    """A value as messages show it: shortened if it is long."""
     return shortened(repr(value))
 
 

@@ -1,4 +1,4 @@
-"""Configurations as commented TOML, read from any version of the format."""
+"""Configurations as commented TOML; every version of the format can be read."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,9 +16,9 @@ from workbench.reading import checked_file, reading, toml_tables
 
 
 def read_config(path: str | Path) -> Config:
-    """Configuration of a TOML file; what it leaves out comes from its `preset` (default: `DEFAULT_PRESET`).
+    """The configuration in a TOML file; missing values come from its `preset` (default: `DEFAULT_PRESET`).
 
-    Raises `ConfigError` for a missing file, invalid TOML, unknown keys (with the nearest known one) and bad values.
+    Raises `ConfigError` for a missing file, invalid TOML, unknown keys (with the closest valid one) and invalid values.
     """
     absent = f"The configuration {path} does not exist; `workbench track` writes one as config.toml."
     path = checked_file(path, "a configuration", ConfigError, absent, may_be_empty=True)
@@ -27,9 +27,9 @@ def read_config(path: str | Path) -> Config:
 
 
 def parse_config(stored: Mapping[str, Any], origin: str) -> Config:
-    """Configuration of a plain dictionary of any version; what it leaves out comes from its `preset`.
+    """The configuration in a plain dictionary of any version; missing values come from its `preset`.
 
-    `origin` names it in messages. Raises `ConfigError` as `read_config`.
+    `origin` names it in messages. Raises `ConfigError` like `read_config`.
     """
     stored = _migrated(dict(stored), origin)
     base = preset(str(stored.get("preset", DEFAULT_PRESET))).model_dump()
@@ -48,7 +48,7 @@ def _migrated(stored: dict[str, Any], origin: str) -> dict[str, Any]:
 
 
 def _from_1(stored: dict[str, Any]) -> dict[str, Any]:
-    """1 → 2: `contour.sliding` became `contour.mode`; what names no preset stands on the default of that time."""
+    """1 → 2: `contour.sliding` became `contour.mode`; a file without a preset uses the default of that version."""
     stored = {"preset": "calibrated", **stored}
     contour = stored.get("contour")
     if not isinstance(contour, dict) or "sliding" not in contour:
@@ -58,17 +58,17 @@ def _from_1(stored: dict[str, Any]) -> dict[str, Any]:
 
 
 MIGRATIONS = {1: _from_1}
-"""By version: what turns a stored configuration into one of the next version."""
+"""By version: the function that turns a stored configuration into one of the next version."""
 
 
 def write_config(config: Config, path: str | Path) -> None:
-    """Write a configuration as TOML with a comment at each value, whole or not at all."""
+    """Write a configuration as TOML with a comment on each value. The file is written completely or not at all."""
     with atomic_path(path) as temporary:
         temporary.write_text(config_toml(config), encoding="utf-8")
 
 
 def config_toml(config: Config) -> str:
-    """The configuration as TOML text with a comment at each value, in stable order."""
+    """The configuration as TOML text with a comment on each value, in stable order."""
     document = tomlkit.document()
     document.add(tomlkit.comment("Face Energy Workbench configuration. Lengths in millimetres and pixels."))
     for name, field in type(config).model_fields.items():

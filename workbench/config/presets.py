@@ -17,14 +17,14 @@ from workbench.errors import ConfigError
 
 
 def _preset_weights(preset: str) -> Any:
-    """The ω of a preset, from the table."""
+    """The ω values of a preset, from the table."""
     return WeightsConfig(**{term.name: term.presets[preset] for term in own_weights() if preset in term.presets})
 
 
 PRESETS: dict[str, Config] = {
     # The paper's terms and schedule: residuals in pixels, E_β and E_σ as single residuals, no bounds, one fixed
-    # contour, no identity. It prints no values of ω; these leave E_fit in charge on a 640-pixel picture, while weights
-    # run far beyond [0, 1]. That points count with their confidence is ours.
+    # contour, no identity. The paper gives no values of ω; with these, E_fit dominates on a 640-pixel picture, and
+    # weights run far beyond [0, 1]. Weighting points by their confidence is our addition.
     "face-it": Config(
         preset="face-it",
         weights=_preset_weights("face-it"),
@@ -33,15 +33,15 @@ PRESETS: dict[str, Config] = {
         identity=IdentityConfig(calibrate=False),
         stages=PRESET_STAGES["face-it"],
     ),
-    # The same alternation on a calibrated identity, weights truly in [0, 1], contour sliding with the yaw.
+    # The same alternation with a calibrated identity, weights bounded to [0, 1] and a contour that slides with yaw.
     "calibrated": Config(
         preset="calibrated", weights=_preset_weights("calibrated"), stages=PRESET_STAGES["calibrated"]
     ),
-    # Ours: pose and expression as one problem of 50 unknowns, where the alternation sticks.
+    # Ours: pose and expression as one problem with 50 unknowns, because the alternation gets stuck.
     "joint": Config(preset="joint", weights=_preset_weights("joint"), stages=PRESET_STAGES["joint"]),
-    # Deep Energies: the order of the stages and what each frees are the paper's. It prints no iteration limits, no
-    # bounds, neither W nor the weight of its edge term: these are ours. So is λ: the paper's 100 stands beside errors
-    # in pixels, and in a residual λw that would be squared with it.
+    # Deep Energies: the order of the stages and their free parameters are the paper's. It gives no iteration limits, no
+    # bounds, no W and no weight for its edge term: these are ours. So is λ: the paper's 100 goes with errors in pixels,
+    # and in a residual λw it would be squared.
     "deep-energies": Config(preset="deep-energies", system="deep-energies", stages=DEEP_STAGES),
     # The same with the energy of Appendix C.1.
     "preselected-points": Config(
@@ -63,7 +63,7 @@ FACE_IT_PRESETS = tuple(name for name, config in PRESETS.items() if config.syste
 
 
 def preset(name: str) -> Config:
-    """A named preset. Raises `ConfigError` for a name that does not exist."""
+    """The preset with this name. Raises `ConfigError` if there is none."""
     if name not in PRESETS:
         raise ConfigError(f"There is no preset {quoted(name)}; the presets are {', '.join(PRESETS)}.")
     return PRESETS[name]

@@ -1,4 +1,4 @@
-"""Schedules: the stages that a frame is solved by, and those of the presets."""
+"""Schedules: the stages that solve a frame, and the schedules of the presets."""
 
 import difflib
 from collections.abc import Mapping, Sequence
@@ -13,26 +13,26 @@ from workbench.energies.terms import TABLE
 from workbench.landmarks.scheme import GROUPS
 
 NAMED_TERMS = tuple(name for name in TABLE if name not in ("landmarks", "identity"))
-"""What a stage may name: the landmarks are in every stage, and the identity's prior wherever the identity is free."""
+"""The terms a stage may add. Landmarks are in every stage; the identity prior is wherever the identity is free."""
 
 
 class Stage(Section):
-    """One solve: what is free, what each landmark counts, how many iterations."""
+    """One solve: its free parameters, the weight of each landmark, and the number of iterations."""
 
-    name: str = Field(min_length=1, description="What tables and plots call it.")
+    name: str = Field(min_length=1, description="Name in tables and plots.")
     free: tuple[Literal[PARAMETER_BLOCKS], ...] = Field(
-        min_length=1, description="What the stage solves for; the rest stays."
+        min_length=1, description="What the stage solves for; the rest is held."
     )
     shapes: tuple[str, ...] = Field(
-        (), description="Deep Energies: free blendshapes by name or start of name, or first:N; empty: all."
+        (), description="Deep Energies: free blendshapes by name or prefix, or first:N; empty: all."
     )
     terms: tuple[Literal[NAMED_TERMS], ...] = Field(
-        (), description="Terms beside those that the system has in every stage."
+        (), description="Terms in addition to those that the system always has."
     )
     landmarks: dict[str, NonNegative] = Field({"all": 1.0}, description="Weight by group; later entries win.")
-    limit: Iterations = Field(15, description="Most iterations.")
+    limit: Iterations = Field(15, description="Maximum number of iterations.")
     when: Literal["always", "start"] = Field("always", description="start: only on the first frame of a shot.")
-    enabled: bool = Field(True, description="Off: the stage is left out.")
+    enabled: bool = Field(True, description="false: the stage is skipped.")
 
     @field_validator("free")
     @classmethod
@@ -42,12 +42,12 @@ class Stage(Section):
         return tuple(name for name in PARAMETER_BLOCKS if name in value)
 
     def landmark_weights(self, subsets: Mapping[str, Sequence[int]] = MappingProxyType({})) -> list[float]:
-        """Weight of each of the 68 landmarks: zero, then each group or subset in turn."""
+        """Weight of each of the 68 landmarks: 0, then overwritten by each group or subset in turn."""
         return weights_in_turn(self.landmarks, subsets, 0.0)
 
 
 def weights_in_turn(table: Mapping[str, float], subsets: Mapping[str, Sequence[int]], start: float) -> list[float]:
-    """Weight of each of the 68 landmarks: `start`, then each group, subset or point number of the table in turn."""
+    """Weight of each of the 68 landmarks: `start`, then overwritten by each group, subset or point number in turn."""
     weights = [start] * 68
     for name, weight in table.items():
         for index in (int(name),) if name.isdigit() else (GROUPS | dict(subsets))[name]:
@@ -56,7 +56,7 @@ def weights_in_turn(table: Mapping[str, float], subsets: Mapping[str, Sequence[i
 
 
 def unknown_group(name: str, subsets: Mapping[str, Sequence[int]]) -> str | None:
-    """What is wrong with the name of a landmark group, None if nothing."""
+    """What is wrong with the name of a landmark group; None if it is valid."""
     if name in GROUPS or name in subsets or (name.isdigit() and int(name) < 68):
         return None
     near = difflib.get_close_matches(name, [*GROUPS, *subsets], 1)
@@ -68,7 +68,7 @@ POSE = ("rotation", "translation")
 ROBUST_START = Stage(name="initial pose", free=POSE, landmarks={"robust": 1.0}, when="start")
 
 DEEP_STAGES = (
-    # Few iterations on purpose: translation alone would grow and shrink the face to reach the landmarks.
+    # Few iterations on purpose: translation alone would move the face in depth, scaling it to reach the landmarks.
     Stage(name="translation", free=("translation",), landmarks={"non_jaw": 1.0}, limit=5, terms=("edges",)),
     Stage(name="rigid, not the jaw", free=POSE, landmarks={"non_jaw": 1.0}, limit=10, terms=("edges",)),
     Stage(name="rigid, jaw alone", free=POSE, landmarks={"jaw": 1.0}, limit=3, terms=("edges",)),
@@ -97,8 +97,8 @@ DEEP_STAGES = (
         enabled=False,
     ),
 )
-"""After Deep Energies Sec. 8.1 and 8.2; limits and the mouth's weight of 3 are ours. The last one is B.1's, for after a
-temporal refinement."""
+"""After Deep Energies Sec. 8.1 and 8.2; the limits and the mouth's weight of 3 are ours. The last stage is from B.1 and
+is meant for use after a temporal refinement."""
 
 FIRST_10 = ("first:10",)
 PARALLEL_STAGES = (
@@ -108,7 +108,8 @@ PARALLEL_STAGES = (
     Stage(name="expression", free=(*POSE, "expression"), shapes=FIRST_10, limit=12, terms=("regularisation",)),
 )
 """After Deep Energies Appendix C.2; the priors on shape and expression are ours. The first ten are the largest of a
-statistical basis. The default head's blendshapes are in alphabetical order: no jaw, no mouth among the first ten."""
+statistical basis. The default head's blendshapes are in alphabetical order: its first ten move neither jaw nor
+mouth."""
 
 PRESET_STAGES: dict[str, tuple[Stage, ...]] = {
     "face-it": (
@@ -125,7 +126,7 @@ PRESET_STAGES: dict[str, tuple[Stage, ...]] = {
     ),
     "joint": (
         ROBUST_START,
-        # The contour of a detector is a silhouette, not a set of points: in full it would turn the head.
+        # A detected contour is a silhouette, not a set of fixed points: with its full weight it would turn the head.
         Stage(name="pose and expression", free=(*POSE, "expression"), landmarks={"all": 1.0, "jaw": 0.1}, limit=30),
     ),
 }

@@ -11,7 +11,7 @@ from workbench.config.presets import PRESETS
 
 
 class _SchemaOfFiles(GenerateJsonSchema):
-    """As pydantic makes it, without titles made of keys and without defaults: those come from a file's preset."""
+    """Pydantic's schema without titles derived from keys, and without defaults, which come from a file's preset."""
 
     def field_title_should_be_set(self, schema) -> bool:
         return False
@@ -25,9 +25,9 @@ class _SchemaOfFiles(GenerateJsonSchema):
 
 
 def config_schema() -> str:
-    """JSON Schema (draft 2020-12) of configuration files of the present version, as text.
+    """JSON Schema (draft 2020-12) of configuration files of the current version, as text.
 
-    It knows keys, types, ranges and choices. Rules that join several values are left to `read_config`.
+    It covers keys, types, ranges and choices. Rules across several values are checked by `read_config`.
     """
     schema = Config.model_json_schema(schema_generator=_SchemaOfFiles)
     for name, field in Config.model_fields.items():
@@ -39,7 +39,7 @@ def config_schema() -> str:
         "$schema": GenerateJsonSchema.schema_dialect,
         "$id": f"urn:face-energy-workbench:configuration:{VERSION}",
         "title": "Face Energy Workbench configuration",
-        "description": "What a run does. What a file leaves out comes from its preset.",
+        "description": "Settings of a run. Values missing from a file come from its preset.",
     }
     rest = {key: value for key, value in schema.items() if key not in head}
     return json.dumps({**head, **rest}, indent=2, ensure_ascii=False) + "\n"

@@ -9,44 +9,45 @@ from workbench.energies.terms import NODES, TABLE, Term
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
 PointKey = Annotated[str, Field(pattern=r"^([0-9]|[1-5][0-9]|6[0-7])$")]
-"""A point number from 0 to 67; TOML's keys are text."""
+"""A point number from 0 to 67, as text because TOML keys are text."""
 Iterations = Annotated[int, Field(ge=0, le=500)]
 
 
 class Section(BaseModel):
-    """A part of a configuration: unknown keys and numbers that are not finite are refused."""
+    """A part of a configuration: unknown keys and non-finite numbers are rejected."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class CameraConfig(Section):
-    """Camera: given as a matrix, or guessed from a field of view."""
+    """Camera: given as a matrix, or derived from a field of view."""
 
     fov_deg: Annotated[float, Field(gt=0.0, lt=180.0)] = Field(
-        45.0, description="Field of view over the longer side, degrees; a guess unless you know it."
+        45.0, description="Field of view along the longer side, degrees; a guess unless you know it."
     )
     matrix: list[list[float]] | None = Field(None, description="OpenCV camera matrix in pixels; replaces fov_deg.")
     distortion: list[float] = Field([], description="OpenCV distortion, 0, 4, 5 or 8 coefficients.")
     projection: Literal["perspective", "orthographic"] = Field(
-        "perspective", description="orthographic: no perspective, as by a tele lens; the head's scale replaces z."
+        "perspective",
+        description="orthographic: no perspective, as with a telephoto lens; the head's scale replaces z.",
     )
     rig: str = Field("", description="Rig file of several cameras (Deep Energies); replaces the camera above.")
 
     @property
     def guessed(self) -> bool:
-        """Whether nobody has said anything of the lens."""
+        """Whether nothing is known about the lens."""
         return self.matrix is None and not self.rig and self.fov_deg == type(self).model_fields["fov_deg"].default
 
 
 def _omega(name: str) -> Any:
-    """The field of a term's ω, with default and comment from the table."""
+    """The configuration field of a term's ω, with default and comment from the table."""
     term = TABLE[name]
     source = f" ({term.equation})" if term.equation else ""
     return Field(term.default, description=f"{term.omega_symbol}: {term.says}{source}.")
 
 
 def own_weights() -> list[Term]:
-    """The terms whose ω lies in the section `weights`."""
+    """The terms whose ω is in the section `weights`."""
     return [term for term in TABLE.values() if term.of != "landmarks" and not term.key]
 
 
@@ -68,18 +69,18 @@ class ConstantsConfig(Section):
     a: float = Field(1.002, description="E_β: upper bound.")
     b: Annotated[float, Field(gt=0.0)] = Field(2e-5, description="E_β: width of its steps.")
     c: float = Field(2.5, description="E_β: offset.")
-    delta: Annotated[float, Field(gt=0.0)] = Field(0.01, description="Smoothed L1: where it turns quadratic.")
-    rotation_mm: NonNegative = Field(100.0, description="E_τ: millimetres that one radian counts as.")
+    delta: Annotated[float, Field(gt=0.0)] = Field(0.01, description="Smoothed L1: quadratic below this weight.")
+    rotation_mm: NonNegative = Field(100.0, description="E_τ: millimetres equivalent to one radian.")
 
 
 class SolverConfig(Section):
     """How each stage is solved."""
 
     method: Literal["lm", "optimistix-lm", "optimistix-dogleg"] = Field(
-        "lm", description="lm: ours, which keeps bounds by an active set; Optimistix' two cut a step off at them."
+        "lm", description="lm: ours, which holds bounds with an active set; the two of Optimistix clip steps at them."
     )
-    bounded: bool = Field(True, description="Keep every weight in [0, 1] (off: only the terms hold them).")
-    tolerance: NonNegative = Field(1e-6, description="Stop when a step lowers the energy by less than this part.")
+    bounded: bool = Field(True, description="Keep every weight in [0, 1] (false: only the terms limit them).")
+    tolerance: NonNegative = Field(1e-6, description="Stop when a step lowers the energy by less than this fraction.")
     unit: Literal["px", "percent"] = Field(
         "percent", description="Unit of landmark residuals: pixels, or percent of the outer-eye distance."
     )
@@ -89,14 +90,16 @@ class ContourConfig(Section):
     """The jaw contour."""
 
     mode: Literal["sliding", "fixed"] = Field(
-        "sliding", description="sliding: the 17 jaw points slide along the face with the yaw; fixed: they stay."
+        "sliding", description="sliding: the 17 jaw points slide along the face with the yaw; fixed: they do not."
     )
 
 
 class IdentityConfig(Section):
     """Calibration of the subject's face shape before tracking."""
 
-    calibrate: bool = Field(True, description="Estimate one identity per shot (or photo); off: the model's mean face.")
+    calibrate: bool = Field(
+        True, description="Estimate one identity per shot (or photo); false: the model's mean face."
+    )
     window: Annotated[int, Field(ge=1, le=1000)] = Field(90, description="Frames of a shot to choose from.")
     frames: Annotated[int, Field(ge=1, le=24)] = Field(12, description="Frames of the window that are used.")
     weight: NonNegative = _omega("identity")
@@ -111,40 +114,50 @@ class LandmarksConfig(Section):
     detector: Literal["auto", "dlib+network", "network", "dlib", "dlib-hog", "dlib-cnn"] = Field(
         "auto", description="Face detector and predictor; auto: dlib+network where dlib is installed, else network."
     )
-    face: tuple[float, float] | None = Field(None, description="A point in the wanted face, pixels; else the largest.")
+    face: tuple[float, float] | None = Field(
+        None, description="A pixel inside the face to track; default: the largest face."
+    )
     weights: dict[str, NonNegative] = Field(
         {}, description="Factor by group, subset or point number, in every stage and in the identity; 0 mutes."
     )
     moved: dict[FrameKey, dict[PointKey, tuple[float, float]]] = Field(
-        {}, description="Detections put right by hand: frame number, then point number, then its place in pixels."
+        {}, description="Detections corrected by hand: frame number, then point number, then position in pixels."
     )
 
 
 class DeepConfig(Section):
-    """Deep Energies: photo and render through one network (Sec. 4 to 8); FACE IT! reads none of this."""
+    """Deep Energies: photo and render go through one network (Sec. 4 to 8); FACE IT! uses none of this."""
 
     energy: Literal["deep", "points", "mixed"] = Field(
-        "deep", description="Landmarks of the model: seen in its render, preselected on it, or mixed by confidence."
+        "deep",
+        description="Landmarks of the model: detected in its render, preselected on its mesh, or mixed by confidence.",
     )
     derivative: Literal["broyden", "forward", "differences"] = Field(
-        "broyden", description="forward: through renderer and network, as published; broyden: 8 times faster."
+        "broyden",
+        description="forward: through renderer and network, as published; broyden: approximate, 8 times faster.",
     )
     start: Literal["frontal", "landmarks"] = Field(
-        "frontal", description="frontal: facing the camera in the picture's middle; landmarks: the pose they give."
+        "frontal",
+        description="frontal: facing the camera in the middle of the picture; landmarks: pose from the landmarks.",
     )
     distance_mm: Annotated[float, Field(gt=0.0)] = Field(650.0, description="Distance of the frontal start.")
     appearance: Literal["estimate", "model"] = Field(
-        "estimate", description="Colours and light: from the most neutral frame, or the model's own."
+        "estimate", description="Colours and light: estimated from the most neutral frame, or the model's own."
     )
     network: str = Field("", description="Weights of the landmark network (.safetensors); empty: the bundled one.")
     edges: NonNegative = _omega("edges")
     regularisation: NonNegative = _omega("regularisation")
-    tolerance: NonNegative = Field(1e-3, description="A stage stops when a step gains less than this part.")
+    tolerance: NonNegative = Field(
+        1e-3, description="A stage stops when a step lowers the energy by less than this fraction."
+    )
     identity: NonNegative = Field(10.0, description="Weight of ‖identity‖² in stages that free it.")
     prior: NonNegative = _omega("prior")
-    largest_error: NonNegative = Field(6.0, description="Failed above this mean landmark error, % of eye distance.")
+    largest_error: NonNegative = Field(
+        6.0, description="A fit has failed above this mean landmark error, % of eye distance."
+    )
     largest_disagreement: NonNegative = Field(
-        12.0, description="Failed if jaw and other landmarks differ by more in their mean error, % of eye distance."
+        12.0,
+        description="A fit has failed if the mean errors of jaw and other landmarks differ by more, % of eye distance.",
     )
 
 
@@ -153,32 +166,34 @@ class FlowConfig(Section):
 
     estimator: str = Field("dis", min_length=1, description="dis, farneback, network, or the path of a weights file.")
     side: Annotated[int, Field(ge=64, le=1024)] = Field(
-        384, description="Pixels that the square about the face is brought to; the paper has 512."
+        384, description="Size in pixels of the square crop around the face; the paper uses 512."
     )
-    points: Annotated[int, Field(ge=16, le=5000)] = Field(600, description="Surface points that are compared.")
+    points: Annotated[int, Field(ge=16, le=5000)] = Field(
+        600, description="Number of surface points that are compared."
+    )
     renders: Literal["exact", "estimated"] = Field(
-        "exact", description="Flow of the renders: of the moving mesh, or by the same estimator as the photos."
+        "exact", description="Flow of the renders: exact from the moving mesh, or by the estimator used for the photos."
     )
     robust: Annotated[float, Field(gt=0.0)] = Field(
-        1.0, description="Percent of the eye distance from which a point counts less and less."
+        1.0, description="Residual above which a point is downweighted (robust loss), % of eye distance."
     )
     stay: NonNegative = _omega("stay")
-    iterations: Iterations = Field(8, description="Step limit of each robust least-squares fit.")
+    iterations: Iterations = Field(8, description="Maximum iterations of each robust least-squares fit.")
 
 
 class InfillConfig(Section):
-    """Frames without a usable fit, filled from their neighbours (Deep Energies Sec. 6, 8.3, Appendix A)."""
+    """Frames without a usable fit are filled from their neighbours (Deep Energies Sec. 6, 8.3, Appendix A)."""
 
     method: Literal["none", "flow", "linear", "spline"] = Field("none", description="none leaves failed frames as is.")
     rounds: Annotated[int, Field(ge=1, le=10)] = Field(
-        1, description="Flow: passes through a gap, forward and backward in turn."
+        1, description="Flow: passes through a gap, alternately forward and backward."
     )
-    longest: Annotated[int, Field(ge=1)] = Field(10_000, description="Gaps of more frames stay.")
+    longest: Annotated[int, Field(ge=1)] = Field(10_000, description="Longer gaps, in frames, are not filled.")
     largest_error: NonNegative = Field(
         10.0, description="Mean landmark error, % of eye distance, above which a fit counts as failed."
     )
     frames: tuple[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], ...] = Field(
-        (), description="Frames that are filled although they have a fit: first and last of each part."
+        (), description="Frames to fill although they have a fit: first and last of each range."
     )
 
     @field_validator("frames")
@@ -186,11 +201,11 @@ class InfillConfig(Section):
     def _in_order(cls, value):
         for first, last in value:
             if last < first:
-                raise ValueError(f"a part goes from its first to its last frame, got {first} to {last}")
+                raise ValueError(f"a range of frames goes from first to last, got {first} to {last}")
         return tuple(sorted(value))
 
     def named(self, frame: int) -> bool:
-        """Whether a frame is filled although it has a fit."""
+        """Whether a frame is to be filled although it has a fit."""
         return any(first <= frame <= last for first, last in self.frames)
 
 
@@ -200,30 +215,32 @@ class RefinementConfig(Section):
     method: Literal["none", "averaging", "self", "plate", "hybrid"] = Field(
         "none", description="hybrid: averaging, then the flow of the pictures (plate)."
     )
-    sweeps: Annotated[int, Field(ge=1, le=20)] = Field(1, description="Times that every frame is solved.")
+    sweeps: Annotated[int, Field(ge=1, le=20)] = Field(1, description="Number of times each frame is solved.")
     order: Literal["jacobi", "gauss-seidel"] = Field(
-        "jacobi", description="jacobi: from the neighbours of the last sweep; gauss-seidel: from the newest."
+        "jacobi", description="jacobi: neighbours from the previous sweep; gauss-seidel: the latest neighbours."
     )
     centre: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
         0.5, description="Averaging: weight of the frame itself; its neighbours share the rest."
     )
-    prior: NonNegative = Field(0.0, description="Flow: weight of staying at the fit before, pose in mm, 1 rad as 100.")
+    prior: NonNegative = Field(
+        0.0, description="Flow: weight that holds each pose near its value before the pass; mm, 1 rad as 100 mm."
+    )
     reestimate: Annotated[int, Field(ge=0, le=10)] = Field(
-        0, description="Times that the expression is re-fitted with the pose held (B.1), each with its refinement."
+        0, description="Number of expression re-fits with the pose held (B.1), each followed by a refinement."
     )
 
 
 class Provenance(Section):
-    """Where an exported configuration comes from; a run does not read it."""
+    """Where an exported configuration comes from; runs ignore it."""
 
-    # Metrics of frames without a face are not finite.
+    # Metrics are not finite if no frame has a face.
     model_config = ConfigDict(allow_inf_nan=True)
 
     exported: str = Field("", description="Date and time, UTC.")
-    versions: dict[str, str] = Field({}, description="Software that the numbers below were computed with.")
+    versions: dict[str, str] = Field({}, description="Software versions that produced the numbers below.")
     model: str = Field("", description="Name and SHA-256 of the face model.")
     inputs: list[str] = Field([], description="Path and SHA-256 of each input.")
     landmarks: str = Field("", description="Path and SHA-256 of the landmark file, if one was used.")
-    changed: list[str] = Field([], description="What differs from the preset that the tuning started from.")
+    changed: list[str] = Field([], description="Differences from the preset that tuning started from.")
     before: dict[str, float] = Field({}, description="Metrics with that preset.")
     after: dict[str, float] = Field({}, description="Metrics with this configuration.")

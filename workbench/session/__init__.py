@@ -1,4 +1,4 @@
-"""The tuning session without a screen: material, configuration with undo, fits, diagnosis, export."""
+"""The tuning session without a user interface: material, configuration with undo, fits, diagnosis, export."""
 
 import lazy_loader
 

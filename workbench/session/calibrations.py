@@ -1,4 +1,4 @@
-"""What the frames of a shot share, kept by what it depends on."""
+"""Calibrations of shots, cached by everything that they depend on."""
 
 import threading
 
@@ -11,7 +11,7 @@ from workbench.tracking.fitting import Calibrated, Fitter
 
 
 class Calibrations:
-    """Identity and appearance of each shot under the configurations that were asked for. Calls from any thread."""
+    """Identity and appearance of each shot under the requested configurations. Thread-safe."""
 
     def __init__(self, material: Material, frames: ObservedFrames) -> None:
         self._material, self._frames = material, frames
@@ -19,9 +19,10 @@ class Calibrations:
         self._lock = threading.Lock()
 
     def of_shot(self, shot: int, config: Config, fitter: Fitter, coarse: bool = False) -> Calibrated:
-        """What the frames of a shot share, by a fitter that follows the configuration; calibrated on its first frames.
+        """The identity and appearance shared by the frames of a shot, calibrated on its first frames.
 
-        `coarse` keeps an identity that an earlier configuration calibrated on the shot.
+        `fitter` must already follow `config`. `coarse` accepts an identity that an earlier configuration calibrated on
+        the shot.
         """
         nothing = Calibrated(fitter.mean_identity(), {})
         if not fitter.calibrates:

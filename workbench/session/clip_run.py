@@ -1,4 +1,4 @@
-"""The run over a whole clip: its fits, what each frame was continued from, and which of them are out of date."""
+"""A run over a whole clip: its fits, the state each frame was continued from, and the fits that are out of date."""
 
 import threading
 from collections.abc import Sequence
@@ -32,10 +32,10 @@ class Run:
 
     config: Config
     track: Track
-    """The fits, without metadata: thousands of frames as a few arrays."""
+    """The fits as a few stacked arrays, without metadata, so that thousands of frames stay small."""
     before: tuple[Continuation | None, ...]
-    """What each frame was continued from, in NumPy's arrays: JAX's own take twenty times the memory of such few
-    numbers."""
+    """The state each frame was continued from, as NumPy arrays: for so few numbers, JAX arrays take twenty times the
+    memory."""
 
     @property
     def fits(self) -> Sequence[FrameFit]:
@@ -44,7 +44,7 @@ class Run:
 
     @cached_property
     def flags(self) -> FrameFlags:
-        """Frames that stand out."""
+        """Frames flagged as outliers."""
         return flag_frames(self.track, self.config)
 
     @cached_property
@@ -54,20 +54,20 @@ class Run:
 
 
 class ClipRuns:
-    """Runs over all frames of a material, with the same numbers as `workbench track`; the last whole one is kept."""
+    """Runs over all frames of a material, with the same numbers as `workbench track`; keeps the last complete run."""
 
     def __init__(
         self, model: FaceModel, material: Material, base: Config, frames: ObservedFrames, calibrations: Calibrations
     ) -> None:
         self.last: Run | None = None
-        """The last whole run."""
+        """The last complete run."""
         self._model, self._material, self._base = model, material, base
         self._frames, self._calibrations = frames, calibrations
         self._base_metrics: dict[str, float] | None = None
         self._lock = threading.Lock()
 
     def fit(self, config: Config, progress: Progress | None = None, cancelled: Cancelled = never) -> Run | None:
-        """Fit all frames and keep the run; None if cancelled, which leaves the last one."""
+        """Fit all frames and keep the run. None if cancelled; the last complete run then stays."""
         run = self._fitted(config, progress, cancelled)
         if run is not None:
             with self._lock:
@@ -77,13 +77,13 @@ class ClipRuns:
         return run
 
     def base_metrics(self, progress: Progress | None = None) -> dict[str, float]:
-        """Errors and jitter under the configuration that the session started from; runs all frames once for them."""
+        """Errors and jitter under the configuration that the session started from; fits all frames the first time."""
         if self._base_metrics is None:
             self._base_metrics = self._fitted(self._base, progress, never).metrics
         return self._base_metrics
 
     def continued_from(self, frame: int) -> Continuation | None:
-        """What a frame was continued from in the last run, as the frame before left it: nothing compiles again."""
+        """The state that a frame was continued from in the last run, in the form that needs no recompilation."""
         last = None if self.last is None else self.last.before[frame]
         if last is None:
             return None
@@ -91,7 +91,7 @@ class ClipRuns:
         return Continuation(*numbers, last.frames, last.points)
 
     def stale(self, config: Config) -> Bool[np.ndarray, "n"]:
-        """Frames whose fit in the last run is not that of a configuration."""
+        """Frames whose fit in the last run is out of date under a configuration."""
         if self.last is None:
             return np.ones(len(self._material.observations), bool)
         return stale_frames(self.last.config, config, self._material.shots)
@@ -113,7 +113,7 @@ class ClipRuns:
 
 
 def described_track(run: Run, model: FaceModel, stills: bool) -> Track:
-    """A run's track with the metadata that pictures and exports read."""
+    """The track of a run, with the metadata that pictures and exports need."""
     config = run.config
     meta = {
         "expression_names": list(model.expression_names),

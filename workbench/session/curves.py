@@ -1,4 +1,4 @@
-"""One number of each frame over a clip, as charts draw it."""
+"""One number per frame of a clip, for charts."""
 
 from collections.abc import Sequence
 
@@ -12,9 +12,9 @@ ANGLES, PLACES = ("yaw", "pitch", "roll"), ("x", "y", "z")
 
 
 def curve(fits: Sequence[FrameFit], quantity: str, names: Sequence[str] = ()) -> Float[np.ndarray, "n"]:
-    """One number of each frame: yaw, pitch or roll in degrees, x, y or z in mm, or the weight of a blendshape.
+    """One number per frame: yaw, pitch or roll in degrees, x, y or z in mm, or the weight of a blendshape.
 
-    `names` are those of the blendshapes; NaN in frames without a face.
+    `names` are the blendshape names. NaN in frames without a face.
     """
     if quantity in ANGLES:
         rotations = np.stack([np.asarray(fit.rotation, float) for fit in fits])
@@ -30,6 +30,6 @@ def curve(fits: Sequence[FrameFit], quantity: str, names: Sequence[str] = ()) ->
 
 
 def moving_weights(fits: Sequence[FrameFit], names: Sequence[str], count: int) -> list[str]:
-    """The blendshapes whose weights move most."""
+    """The `count` blendshapes whose weights vary most."""
     weights = np.stack([fit.expression for fit in fits if fit.found] or [np.zeros(len(names))])
     return [names[k] for k in np.argsort(-weights.std(axis=0), kind="stable")[:count]]

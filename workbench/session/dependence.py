@@ -1,4 +1,4 @@
-"""What each result of a session depends on: equal keys, equal numbers."""
+"""What each result of a session depends on, as keys: equal keys mean equal numbers."""
 
 from collections.abc import Sequence
 
@@ -13,23 +13,23 @@ TIME_SECTIONS = ("flow", "infill", "refinement")
 
 
 def fits_key(config: Config) -> str:
-    """What the fits of single frames depend on."""
+    """Key of the fits of single frames."""
     return config.model_dump_json(exclude={"preset", "provenance", *TIME_SECTIONS})
 
 
 def time_key(config: Config) -> str:
-    """What the frames after infill and refinement depend on."""
+    """Key of the frames after infill and refinement."""
     return fits_key(config) + config.model_dump_json(include=set(TIME_SECTIONS))
 
 
 def frame_key(config: Config) -> str:
-    """What the fit of a single frame depends on, but for the points that were moved."""
+    """Key of the fit of a single frame, not counting the points that were moved."""
     left_out = dict.fromkeys(("preset", "provenance", *TIME_SECTIONS), True)
     return config.model_dump_json(exclude={**left_out, "landmarks": {"moved"}})
 
 
 def identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
-    """What the identity of a shot depends on, `window` being the frames that it comes from."""
+    """Key of the identity of a shot; `window` holds the frames that it is calibrated on."""
     moved = {key: config.landmarks.moved[key] for item in window if (key := str(item.index)) in config.landmarks.moved}
     kept = {"system", "camera", "identity", "contour", "subsets"}
     kept |= {"deep"} if config.traits.reads("deep") else set()
@@ -38,13 +38,13 @@ def identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
 
 
 def stale_frames(fitted: Config, config: Config, shots: Sequence[range]) -> Bool[np.ndarray, "n"]:
-    """Frames whose fits under one configuration are not those of another."""
+    """Frames whose fits under the two configurations differ."""
     stale = np.zeros(sum(map(len, shots)), bool)
     if frame_key(fitted) != frame_key(config):
         return ~stale
     before, now = fitted.landmarks.moved, config.landmarks.moved
     frames = {int(key) for key in {*before, *now} if before.get(key) != now.get(key)}
     for shot in shots:
-        # A moved point can reach every frame of its shot: through the identity, and from frame to frame.
+        # A moved point can affect every frame of its shot, through the identity and from frame to frame.
         stale[shot.start : shot.stop] = any(frame in frames for frame in shot)
     return stale

@@ -1,4 +1,4 @@
-"""Diagnoses of a session's frames; what a shot is compared with is kept."""
+"""Diagnoses of a session's frames; the reference values of a shot are cached."""
 
 import threading
 from dataclasses import replace
@@ -16,7 +16,7 @@ from workbench.tracking.fitting import FrameProblem
 
 
 class Diagnosing:
-    """Diagnoses frames one after the other, with a fitter of its own; calls may come from any thread."""
+    """Diagnoses frames one at a time with its own fitter. Thread-safe."""
 
     def __init__(self, model: FaceModel, material: Material, frames: ObservedFrames) -> None:
         self._model, self._material, self._frames = model, material, frames
@@ -25,7 +25,7 @@ class Diagnosing:
         self._lock = threading.Lock()
 
     def diagnose(self, problem: FrameProblem, config: Config, run: Run | None) -> Diagnosis:
-        """Reasons why the fit of a frame may be bad, and why a whole run flags it if it does.
+        """Reasons why the fit of a frame may be bad, and why the run flags it, if it does.
 
         Raises `InputError` for a frame without landmarks.
         """
@@ -45,9 +45,9 @@ class Diagnosing:
 
 
 def check_diagnosed(config: Config) -> None:
-    """Raises `InputError` where the diagnosis has nothing to say of a system."""
+    """Raises `InputError` if the diagnosis does not support the configured system."""
     if not config.traits.diagnosed:
         raise InputError(
-            "The diagnosis tries changes to FACE IT!; go to a FACE IT! preset for it. What failed under Deep "
-            "Energies is named beside the frame, and the film strip shows at which stage."
+            "Diagnosis tries changes to FACE IT! only; choose a FACE IT! preset to use it. For Deep Energies, the "
+            "failure is shown next to the frame, and the film strip shows the stage at which it happened."
         )

@@ -1,4 +1,4 @@
-"""Exported configurations: their provenance, what runs them, and files that an export would overwrite."""
+"""Exported configurations: their provenance, the command that runs them, and protection of existing files."""
 
 import shlex
 from datetime import UTC, datetime
@@ -12,18 +12,18 @@ from workbench.session.material import Material
 
 
 class Exports:
-    """Writes configurations that were tuned on a material, over nothing but what it wrote itself."""
+    """Writes configurations tuned on a material. Only files that it wrote itself are overwritten unasked."""
 
     def __init__(self, model: FaceModel, material: Material) -> None:
         self._model, self._material = model, material
         self._written: set[Path] = set()
 
     def may_write(self, path: str | Path) -> bool:
-        """Whether nothing is lost by writing here."""
+        """Whether writing here overwrites nothing but this object's own exports."""
         return not Path(path).exists() or Path(path).absolute() in self._written
 
     def check(self, path: Path, overwrite: bool) -> None:
-        """Raises `InputError` for a file that is there already, unless it was written here or may be overwritten."""
+        """Raises `InputError` if the file exists, unless this object wrote it or `overwrite` is set."""
         if not overwrite and not self.may_write(path):
             raise InputError(taken_text(path, self._material.name))
 
@@ -56,7 +56,7 @@ def track_command(material: Material, path: str | Path) -> str:
 
 
 def exported_for(path: Path) -> str:
-    """Names of the inputs that an exported configuration was tuned on; empty where the file does not say."""
+    """Names of the inputs that an exported configuration was tuned on; empty if the file does not say."""
     try:
         provenance = read_config(path).provenance
     except (WorkbenchError, OSError):
@@ -66,7 +66,7 @@ def exported_for(path: Path) -> str:
 
 
 def free_file(folder: Path, name: str) -> Path:
-    """The first path of NAME-tuned.toml, NAME-tuned-2.toml, … that is not there yet."""
+    """The first of the paths NAME-tuned.toml, NAME-tuned-2.toml, … that does not exist."""
     number, found = 1, folder / f"{name}-tuned.toml"
     while found.exists():
         number += 1
@@ -75,9 +75,9 @@ def free_file(folder: Path, name: str) -> Path:
 
 
 def taken_text(path: Path, name: str) -> str:
-    """That a file is there already, and what to do; `name` is that of the material, for the proposed name."""
+    """Message that a file exists, and what to do. The proposed file name is made from `name`, the material's."""
     whose = exported_for(path)
     return (
-        f"{path} is there already{f', exported for {whose}' if whose else ''}; export to "
+        f"{path} exists already{f', exported for {whose}' if whose else ''}; export to "
         f"{free_file(path.parent, name).name} instead, or pass overwrite=True."
     )

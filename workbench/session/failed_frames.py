@@ -17,29 +17,29 @@ from workbench.tracking.records import stack_fits
 
 
 class FailedFrames:
-    """Marks stand in the session's configuration, which undo brings back."""
+    """Marks are part of the session's configuration, so undo restores them."""
 
     def __init__(self, session, fits: PartFits) -> None:
         self._session, self._fits = session, fits
 
     def marked(self) -> set[int]:
-        """Frames that the user named."""
+        """Frames marked by the user."""
         last = len(self._session) - 1
         parts = self._session.config.infill.frames
         return {frame for begin, end in parts for frame in range(begin, min(end, last) + 1)}
 
     def mark(self, frames: Iterable[int], label: str = "") -> Config:
-        """Count frames as failed; one step of undo. Raises `InputError` outside the clip."""
+        """Mark frames as failed; one undo step. Raises `InputError` outside the clip."""
         frames = self._checked(frames)
         return self._name(self.marked() | frames, label or f"failed: {parts_text(parts_of(frames))}")
 
     def unmark(self, frames: Iterable[int]) -> Config:
-        """Let frames stand as they were fitted. Raises `InputError` outside the clip."""
+        """Remove the mark from frames, so that their fits count again. Raises `InputError` outside the clip."""
         frames = self._checked(frames)
         return self._name(self.marked() - frames, f"not failed: {parts_text(parts_of(frames))}")
 
     def mark_flagged(self, part: Part, progress: Progress, cancelled: Cancelled) -> tuple[int, ...]:
-        """Count the frames of a part that diagnosis flags as failed, too; which they are, none if cancelled."""
+        """Also mark the frames of a part that diagnosis flags. Returns those frames; none if cancelled."""
         config = self._session.config
         fits = self._fits.fitted(part, config, progress, cancelled)
         if fits is None:
@@ -51,7 +51,7 @@ class FailedFrames:
         return flagged
 
     def within(self, part: Part) -> tuple[int, ...]:
-        """Failed frames of a part, as far as its frames are fitted."""
+        """Failed frames of a part, among those already fitted."""
         config = self._session.config
         infill = infill_plan(config)
         if self._fits.ran(config):

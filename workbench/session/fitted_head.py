@@ -1,4 +1,4 @@
-"""A fit as a 3D head: its vertices, its landmarks, what was observed in 3D, and numbers spread over the surface."""
+"""A fit as a 3D head: vertices, landmarks, observed landmarks lifted to 3D, and values spread over the surface."""
 
 import threading
 
@@ -11,11 +11,11 @@ from workbench.pictures.mesh import to_camera, to_pixels
 from workbench.tracking import FrameFit
 
 SPREAD_MM = 12.0
-"""Distance over which a landmark's number fades on the surface."""
+"""Distance over which a landmark's value fades out on the surface."""
 
 
 class FittedHead:
-    """What viewers show of a fit. The person's model is kept from fit to fit; calls may come from any thread."""
+    """The parts of a fit that viewers show. The personal model is cached between fits. Thread-safe."""
 
     def __init__(self, model: FaceModel):
         self.model = model
@@ -26,7 +26,7 @@ class FittedHead:
         self._spread = _spread(model)
 
     def personal(self, identity: Float[np.ndarray, "i"]) -> FaceModel:
-        """The model of one person; the newest is kept."""
+        """The model of one person; the latest is cached."""
         with self._lock:
             if self._identity is None or not np.array_equal(identity, self._identity):
                 self._personal, self._identity = self.model.personal(identity), np.array(identity)
@@ -34,7 +34,7 @@ class FittedHead:
             return self._personal
 
     def vertices(self, fit: FrameFit) -> Float[np.ndarray, "v 3"]:
-        """Head frame, millimetres, in single precision: half the memory to read for every picture."""
+        """Head frame, millimetres, in single precision to halve the memory read for each picture."""
         personal = self.personal(fit.identity)
         with self._lock:
             moved = fit.expression.astype(np.float32) @ self._basis
@@ -44,13 +44,13 @@ class FittedHead:
         return vertices
 
     def landmarks(self, fit: FrameFit) -> Float[np.ndarray, "68 3"]:
-        """The model's landmarks on the surface, head frame; the jaw contour at its frontal place."""
+        """The model's landmarks on the surface, head frame; the jaw contour at its frontal position."""
         return self.model.landmarks.of(self.vertices(fit))
 
     def observed(self, fit: FrameFit, landmarks: Float[np.ndarray, "68 3"]) -> Float[np.ndarray, "68 3"]:
-        """Where the observed pixels would lie in 3D: each residual of the picture at the depth of its landmark.
+        """The observed landmarks in 3D: each image residual is lifted to the depth of its landmark.
 
-        The contour's landmarks slide on the surface, so residuals start at the stored ones, not at their pixels.
+        Contour landmarks slide on the surface, so residuals are added to the stored landmarks, not the projected ones.
         """
         points_camera = to_camera(landmarks, fit.rotation, fit.translation)
         millimetres = points_camera[:, 2:] / np.asarray(fit.camera.focal_px, float)
@@ -58,7 +58,7 @@ class FittedHead:
         return landmarks + moved @ np.asarray(rotation_matrix(np.asarray(fit.rotation, float)))
 
     def surface_values(self, values: Float[np.ndarray, "68"]) -> Float[np.ndarray, "v"]:
-        """A number of each landmark spread over the face, NaN far from all of them."""
+        """One value per landmark, spread over the face; NaN far from all landmarks."""
         weights = self._spread
         total = weights.sum(axis=1)
         spread = weights @ values / np.maximum(total, 1e-12)

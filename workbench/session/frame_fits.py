@@ -22,10 +22,10 @@ from workbench.tracking.walk import context_of
 
 
 class FrameFits:
-    """Fits frames of a material, one at a time and in any order; `last` says what the frame before a frame left.
+    """Fits frames of a material, one at a time and in any order; `last` gives the state to continue a frame from.
 
-    One fitter serves all calls, from any thread, and follows the configuration of each. Where solutions hold renders
-    the newest is kept: a panel asks for its fit, its path and its pictures.
+    One fitter serves all calls, from any thread, and follows the configuration of each call. If solutions hold renders,
+    the latest is cached, because a panel asks for its fit, its path and its pictures.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class FrameFits:
         self._lock = threading.RLock()
 
     def fit(self, frame: int, config: Config, coarse: bool = False) -> FrameFit:
-        """The fit of one frame; `coarse` keeps an identity that an earlier configuration calibrated on the shot."""
+        """The fit of one frame; `coarse` accepts an identity that an earlier configuration calibrated on the shot."""
         with self._lock:
             return self._fitter.record(self._solved(self.problem(frame, config, coarse)))
 
@@ -59,7 +59,7 @@ class FrameFits:
             return self._fitter.record(self._fitter.stopped(self._traced(frame, config), steps))
 
     def solve(self, frame: int, config: Config) -> DeepSolution | None:
-        """What every stage of Deep Energies made of a frame; None under FACE IT! and without a face."""
+        """The result of each Deep Energies stage on a frame; None under FACE IT! or without a face."""
         with self._lock:
             problem = self.problem(frame, config, coarse=True)
             if not self._fitter.renders or problem.observation.landmarks is None:
@@ -67,7 +67,7 @@ class FrameFits:
             return self._solved(problem)
 
     def stage_strip(self, frame: int, config: Config) -> UInt8[np.ndarray, "h w 3"] | None:
-        """The stages of Deep Energies on a frame as a film strip; None where there is nothing to draw."""
+        """The Deep Energies stages on a frame as a film strip; None if there is nothing to draw."""
         with self._lock:
             solution, pictures = self.solve(frame, config), self._material.pictures
             if solution is None or not pictures.real:
@@ -75,7 +75,7 @@ class FrameFits:
             return stage_strip(pictures[frame], self._fitter, solution)
 
     def problem(self, frame: int, config: Config, coarse: bool = False) -> FrameProblem:
-        """What the solver is given of a frame, after the frame before it as the last whole run left that."""
+        """The solver's input for a frame, continued from the previous frame of the last complete run."""
         with self._lock:
             observation = self._frames.observation(frame, config)
             shot = next(number for number, frames in enumerate(self._material.shots) if frame in frames)

@@ -1,4 +1,4 @@
-"""Undo and redo of one value that is replaced as a whole."""
+"""Undo and redo for a value that is always replaced as a whole."""
 
 import threading
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ State = TypeVar("State")
 
 @dataclass(frozen=True)
 class Step(Generic[State]):
-    """One entry of the history: the state before a change, and what the change was called."""
+    """One entry of the history: the state before a change, and the label of the change."""
 
     state: State
     label: str
 
 
 class History(Generic[State]):
-    """The present state, and the steps that lead back from it and forth again. Calls may come from any thread."""
+    """The current state with its undo and redo steps. Thread-safe."""
 
     def __init__(self, state: State, longest: int) -> None:
-        """`longest`: steps that can be taken back."""
+        """`longest`: maximum number of undo steps."""
         self._present, self._longest = state, longest
         self._undo: list[Step[State]] = []
         self._redo: list[Step[State]] = []
@@ -30,23 +30,23 @@ class History(Generic[State]):
 
     @property
     def present(self) -> State:
-        """The state as it is."""
+        """The current state."""
         return self._present
 
     @property
     def undo_label(self) -> str | None:
-        """What `undo` would take back."""
+        """Label of the change that `undo` would revert."""
         return self._undo[-1].label if self._undo else None
 
     @property
     def redo_label(self) -> str | None:
-        """What `redo` would make again."""
+        """Label of the change that `redo` would repeat."""
         return self._redo[-1].label if self._redo else None
 
     def change(self, state: State, label: str = "", gesture: Gesture | str | None = None) -> bool:
-        """Make this the present state: one step of undo, or part of the last one if the `gesture` goes on.
+        """Make this the current state: a new undo step, or part of the last one if it continues the same `gesture`.
 
-        False, and no step, where it is the present state already.
+        Returns False and adds no step if it equals the current state.
         """
         with self._lock:
             if state == self._present:
@@ -58,16 +58,16 @@ class History(Generic[State]):
         return True
 
     def amend(self, state: State) -> None:
-        """Make this the present state without a step: what no user did, no undo takes back."""
+        """Make this the current state without an undo step, for changes that the user did not make."""
         with self._lock:
             self._present = state
 
     def undo(self) -> str | None:
-        """Take back the last change; its label, None if there is none."""
+        """Undo the last change. Returns its label, None if there is none."""
         return self._travel(self._undo, self._redo)
 
     def redo(self) -> str | None:
-        """Make the change again that was taken back last; its label, None if there is none."""
+        """Redo the change that was undone last. Returns its label, None if there is none."""
         return self._travel(self._redo, self._undo)
 
     def _travel(self, source: list[Step[State]], target: list[Step[State]]) -> str | None:

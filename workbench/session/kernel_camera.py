@@ -1,4 +1,4 @@
-"""A camera on the computer where Python runs, or a video file in its place, read in a thread of its own."""
+"""A camera on the computer that runs Python, or a video file in its place, read in a separate thread."""
 
 import threading
 import time
@@ -14,13 +14,13 @@ from workbench.session.live_frame import LIVE_SIZE, Deliver, LiveFrame, Trouble,
 PATIENCE_S = 2.0
 """Time without a picture after which a camera counts as unplugged."""
 SLOWEST_RATE, FASTEST_RATE = 1.0, 120.0
-"""Frames per second that a video's header is believed."""
+"""Range of plausible frame rates, in frames per second, in a video's header."""
 
 
 class KernelCamera:
-    """`cv2.VideoCapture` on a device number, or a video file that plays at its own rate over and over.
+    """`cv2.VideoCapture` on a device number, or a video file played in a loop at its own frame rate.
 
-    Whoever takes the frames may be slow: only the newest counts. Raises `InputError` for a file that does not exist.
+    The consumer may be slow: only the latest frame matters. Raises `InputError` for a file that does not exist.
     """
 
     mirrored = in_browser = False
@@ -43,7 +43,7 @@ class KernelCamera:
         return self._thread is not None and self._thread.is_alive()
 
     def start(self, deliver: Deliver, trouble: Trouble) -> None:
-        """See `FrameSource.start`. A camera that does not open is told through `trouble`."""
+        """See `FrameSource.start`. If the camera does not open, `trouble` is called."""
         self.stop()
         self._stopped = threading.Event()
         arguments = (self._stopped, deliver, trouble)
@@ -51,7 +51,7 @@ class KernelCamera:
         self._thread.start()
 
     def skipped(self, frame: LiveFrame) -> None:
-        """See `FrameSource.skipped`; a camera that is read anyway waits for nothing."""
+        """See `FrameSource.skipped`; nothing to do, because the camera is read continuously."""
 
     def stop(self) -> None:
         """See `FrameSource.stop`."""
@@ -70,7 +70,7 @@ class KernelCamera:
             trouble(problem)
 
     def _deliver_all(self, capture, stopped: threading.Event, deliver: Deliver) -> str | None:
-        """Deliver until it is stopped or fails; what the user should know."""
+        """Deliver frames until stopped or the camera fails; returns the message for the user."""
         if not capture.isOpened():
             return self._cannot_open()
         if not self._is_file:
@@ -107,13 +107,13 @@ class KernelCamera:
 
     def _fell_silent(self, number: int) -> str:
         if self._is_file or not number:
-            return f"{self.name.capitalize()} gives no pictures; try another one."
-        return f"{self.name.capitalize()} gives no pictures any more; plug it in again and press start."
+            return f"{self.name.capitalize()} delivers no pictures; try another one."
+        return f"{self.name.capitalize()} no longer delivers pictures; plug it in again and press start."
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """OpenCV writes a missing camera to the standard error; users get a sentence instead."""
+    """Silence OpenCV, which reports a missing camera on standard error; users get our message instead."""
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:

@@ -1,4 +1,4 @@
-"""The numbers of a configuration that a panel has a control for: where each lies, what it may be, what it means."""
+"""The configuration values that have a control in the panel: path, range and meaning of each."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -13,7 +13,7 @@ Value = float | int | bool | str
 
 @dataclass(frozen=True)
 class Knob:
-    """One control. `path` is `section.key`, or a name that `value_of` and `changed_by` know."""
+    """One control. `path` is `section.key`, or a special name handled by `value_of` and `changed_by`."""
 
     path: str
     label: str
@@ -22,7 +22,7 @@ class Knob:
     kind: Kind
     low: float | int = 0.0
     high: float | int = 1.0
-    """Of a "log" knob: the least value above zero and the largest; zero stands below the least."""
+    """For a "log" knob: the smallest value above zero and the largest; zero comes below the smallest."""
     step: float | int = 0.0
     choices: tuple[str, ...] = ()
     level: int = 0
@@ -45,10 +45,10 @@ OMEGA = (
     *(_of_term(term) for term in TABLE.values() if term.of == "parameters" and not term.key),
 )  # fmt: skip
 SOLVE = (
-    Knob("rho", "ρ", "iterations of the stages that free the pose alone (Eq. 8; the paper: 15)", "whole", 0, 100),
+    Knob("rho", "ρ", "iterations of the stages that free only the pose (Eq. 8; the paper: 15)", "whole", 0, 100),
     Knob("epsilon", "ε", "iterations of the stages that free weights (Eq. 10; the paper: 15)", "whole", 0, 100),
-    Knob("solver.tolerance", "tolerance", "stop when a step lowers E by less than this part", "log", 1e-14, 1e-1),
-    Knob("solver.method", "solver", "lm: ours, which solves along bounds; Optimistix' two stop at them", "choice",
+    Knob("solver.tolerance", "tolerance", "stop when a step lowers E by less than this fraction", "log", 1e-14, 1e-1),
+    Knob("solver.method", "solver", "lm: ours, which solves along bounds; the two of Optimistix stop there", "choice",
          choices=("lm", "optimistix-lm", "optimistix-dogleg")),
     Knob("solver.bounded", "0 ≤ w ≤ 1", "keep every weight in [0, 1]", "switch"),
     Knob("solver.unit", "unit", "landmark residuals in pixels, or in % of the outer-eye distance", "choice",
@@ -57,23 +57,23 @@ SOLVE = (
          choices=("sliding", "fixed")),
 )  # fmt: skip
 CAMERA = (
-    Knob("camera.fov_deg", "fov, °", "over the longer side; focal length f = side / (2·tan(fov/2))",
+    Knob("camera.fov_deg", "fov, °", "along the longer side; focal length f = side / (2·tan(fov/2))",
          "linear", 5.0, 120.0, 0.5),
 )  # fmt: skip
 IDENTITY = (
     Knob("identity.calibrate", "calibrate", "estimate one face shape per shot (or photo) before fitting", "switch"),
     _of_term(TABLE["identity"]),
-    Knob("identity.expression", "ω_expression", "L1 norm of the weights during calibration: what stays is identity",
+    Knob("identity.expression", "ω_expression", "L1 norm of the weights during calibration; the rest is identity",
          "log", 1e-2, 1e4),
-    Knob("identity.jaw", "jaw weight", "landmark weight of the jaw contour in its second pass",
+    Knob("identity.jaw", "jaw weight", "landmark weight of the jaw contour in calibration's second pass",
          "linear", 0.0, 3.0, 0.05),
 )  # fmt: skip
 CONSTANTS = (
     Knob("constants.a", "a", "E_β: upper bound; the paper: 1.002", "linear", 0.5, 2.0, 0.001),
     Knob("constants.b", "b", "E_β: width of its steps; the paper: 2·10⁻⁵", "log", 1e-6, 1.0),
     Knob("constants.c", "c", "E_β: offset; the paper: 2.5", "linear", -5.0, 5.0, 0.05),
-    Knob("constants.delta", "δ", "smoothed L1: the weight below which it turns quadratic", "log", 1e-4, 1.0),
-    Knob("constants.rotation_mm", "mm per rad", "E_τ: millimetres that one radian counts as", "log", 1.0, 1e4),
+    Knob("constants.delta", "δ", "smoothed L1: quadratic below this weight", "log", 1e-4, 1.0),
+    Knob("constants.rotation_mm", "mm per rad", "E_τ: millimetres equivalent to one radian", "log", 1.0, 1e4),
 )
 LANDMARK_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "right_eye", "left_eye", "outer_lips", "inner_lips")
 LANDMARKS = tuple(
@@ -82,34 +82,34 @@ LANDMARKS = tuple(
     for name in LANDMARK_GROUPS
 )  # fmt: skip
 DEEP = (
-    Knob("deep.energy", "energy", "N(F*) − N(F): seen in the render, Eq. 2; points on the mesh, C.1; or mixed",
+    Knob("deep.energy", "energy", "N(F*) − N(F): detected in the render, Eq. 2; points on the mesh, C.1; or mixed",
          "choice", choices=("deep", "points", "mixed")),
-    Knob("deep.derivative", "derivative", "forward: through renderer and network; broyden: from the points, corrected",
+    Knob("deep.derivative", "derivative", "forward: through renderer and network; broyden: from mesh points, corrected",
          "choice", choices=("broyden", "forward", "differences")),
-    Knob("deep.start", "start", "frontal in the middle of the picture, or the pose that the landmarks give", "choice",
+    Knob("deep.start", "start", "frontal in the middle of the picture, or the pose from the landmarks", "choice",
          choices=("frontal", "landmarks")),
     *(_of_term(term) for term in TABLE.values() if term.key.startswith("deep.")),
-    Knob("deep.tolerance", "tolerance", "a stage stops when a step gains less than this part", "log", 1e-6, 1e-1),
+    Knob("deep.tolerance", "tolerance", "a stage stops when a step lowers E by a smaller fraction", "log", 1e-6, 1e-1),
 )  # fmt: skip
 METHODS = (
-    Knob("infill.method", "infill", "failed frames from their neighbours: along the pictures' flow, Sec. 6, 8.3; or "
+    Knob("infill.method", "infill", "fills failed frames from their neighbours: by optical flow, Sec. 6, 8.3; or "
          "interpolated, App. A", "choice", choices=("none", "flow", "linear", "spline")),
     Knob("refinement.method", "refine", "steadier: average of three (App. B), self flow, plate flow (Sec. 7); hybrid: "
          "averaging, then plate", "choice", choices=("none", "averaging", "self", "plate", "hybrid")),
 )  # fmt: skip
 TIME = (
-    Knob("refinement.sweeps", "sweeps", "times that refinement solves every frame; hybrid averages once", "whole",
+    Knob("refinement.sweeps", "sweeps", "how often refinement solves each frame; hybrid averages once", "whole",
          1, 20),
-    Knob("refinement.reestimate", "re-estimate", "times that the expression is re-fitted with the pose held, App. "
+    Knob("refinement.reestimate", "re-estimate", "number of expression re-fits with the pose held, App. "
          "B.1", "whole", 0, 10),
-    Knob("refinement.order", "order", "jacobi: from the neighbours before the sweep; gauss-seidel: from the newest",
+    Knob("refinement.order", "order", "jacobi: neighbours from the previous sweep; gauss-seidel: the latest ones",
          "choice", choices=("jacobi", "gauss-seidel")),
-    Knob("refinement.prior", "prior", "flow: weight of staying at the pose before; mm, 1 rad as 100", "log",
+    Knob("refinement.prior", "prior", "flow: weight holding each pose near its earlier value; mm, 1 rad as 100", "log",
          1e-3, 1e3),
     Knob("refinement.centre", "centre", "averaging: weight of the frame itself; its neighbours share the rest",
          "linear", 0.05, 1.0, 0.05),
-    Knob("infill.rounds", "rounds", "flow infill: further passes through a gap, back and forth", "whole", 1, 10),
-    Knob("infill.largest_error", "bad above", "a frame has failed above this mean error, % of the eye distance",
+    Knob("infill.rounds", "rounds", "flow infill: passes through a gap, forward and backward in turn", "whole", 1, 10),
+    Knob("infill.largest_error", "bad above", "a fit has failed above this mean error, % of the eye distance",
          "linear", 0.5, 50.0, 0.5),
     Knob("flow.estimator", "flow", "of the pictures: OpenCV's DIS or Farnebäck, or our network (slower)", "choice",
          choices=("dis", "farneback", "network")),
@@ -119,7 +119,7 @@ KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP, *MET
 
 
 def is_inert(config: Config, path: str) -> bool:
-    """Whether a knob changes nothing under this configuration's system and stages."""
+    """Whether a knob has no effect under this configuration's system and stages."""
     section, _, key = path.rpartition(".")
     if section == "constants":
         return not any(key in TABLE[name].constants for name in config.summed_terms)
@@ -129,7 +129,7 @@ def is_inert(config: Config, path: str) -> bool:
 
 
 def _weighs(config: Config, path: str) -> bool:
-    """Whether an ω stands in front of a term that counts in some stage."""
+    """Whether an ω multiplies a term that is in some stage."""
     without = {**dict.fromkeys(config.omega(), 1.0), path: 0.0}
     return any(
         factor(TABLE[name], without, config.system, pose_only) == 0.0
@@ -139,7 +139,7 @@ def _weighs(config: Config, path: str) -> bool:
 
 
 def value_of(config: Config, path: str) -> Value:
-    """What a knob shows for this configuration."""
+    """The value that a knob shows for this configuration."""
     if path in ("rho", "epsilon"):
         limits = [stage.limit for stage in config.stages if _frees_weights(stage) == (path == "epsilon")]
         return limits[-1] if limits else 15
@@ -150,7 +150,7 @@ def value_of(config: Config, path: str) -> Value:
 
 
 def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
-    """Sections for `Config.changed` that set a knob; what must change with it changes too."""
+    """Arguments for `Config.changed` that set a knob, with any values that must change with it."""
     if path in ("rho", "epsilon"):
         stages = [
             stage.model_copy(update={"limit": int(value)}) if _frees_weights(stage) == (path == "epsilon") else stage
@@ -160,7 +160,7 @@ def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
     section, key = path.split(".")
     if section == "group":
         weights = {name: factor for name, factor in config.landmarks.weights.items() if name != key}
-        # Groups before single points: later entries win.
+        # Groups come before single points, because later entries win.
         groups = {name: factor for name, factor in weights.items() if not name.isdigit()}
         singles = {name: factor for name, factor in weights.items() if name.isdigit()}
         return {"landmarks": {"weights": groups | ({} if value == 1.0 else {key: float(value)}) | singles}}
@@ -171,7 +171,7 @@ def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
 
 
 def effective_weights(config: Config) -> dict[str, float]:
-    """The product down the branch of ω for each path of `OMEGA` that is a leaf."""
+    """The product of ω down the branch, for each path of `OMEGA` that is a leaf."""
     omega = config.omega()
     products = {
         f"weights.{name}": factor(TABLE["landmarks"], omega, "face-it", name == "pose") for name in ("pose", "fit")

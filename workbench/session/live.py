@@ -1,4 +1,4 @@
-"""Fitting a running camera: landmarks, identity, fit and recording, one frame after the other, without a screen."""
+"""Fitting a live camera: landmarks, identity, fit and recording, frame by frame, without a user interface."""
 
 import threading
 import time
@@ -26,20 +26,20 @@ from workbench.tracking.fitting import Calibrated, Continuation
 from workbench.tracking.walk import Walk
 
 FIRST_FRAMES = 24
-"""Frames with a face from which the first identity comes: about a second."""
+"""Frames with a face used for the first identity: about one second."""
 NEUTRAL_FRAMES = 16
-"""Frames that a neutral face is held for."""
+"""Frames for which the user holds a neutral face."""
 NEUTRAL_EXPRESSION = 1e4
-"""ω of the weights while a neutral face is calibrated: all that is seen is identity."""
+"""ω of the weights while calibrating on a neutral face: everything observed is identity."""
 STEADY_FACE = 0.02
-"""Motion of the face from frame to frame, in outer-eye distances, up to which a neutral frame is sharp enough."""
+"""Largest motion between frames, in outer-eye distances, at which a neutral frame is sharp enough."""
 HISTORY = 100
-"""Steps that can be taken back."""
+"""Maximum number of undo steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Frames that an identity comes from, and whether the face was neutral in them."""
+    """Frames used to calibrate an identity, and whether the face was neutral in them."""
 
     observations: tuple[FrameObservation, ...]
     neutral: bool
@@ -47,7 +47,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class LiveState:
-    """What undo goes back to."""
+    """The state that undo restores."""
 
     config: Config
     calibration: Calibration | None
@@ -61,15 +61,15 @@ class LiveFit:
     frame: LiveFrame
     fit: FrameFit
     milliseconds: float
-    """From the encoded picture to the fit."""
+    """Time from the encoded picture to the fit."""
 
 
 class LiveSession:
-    """Fits frame after frame of one person before a running camera.
+    """Fits one person in front of a live camera, frame by frame.
 
-    `step` is called by one thread; everything else may be called by any other and takes effect at the next frame. The
-    identity is calibrated on the first second with a face, and again by `calibrate_neutral`. Raises `InputError` for a
-    configuration of Deep Energies, which takes seconds per frame.
+    Call `step` from one thread only; everything else may be called from any thread and takes effect at the next frame.
+    The identity is calibrated on the first second with a face, and again by `calibrate_neutral`. Raises `InputError`
+    for a Deep Energies configuration, which takes seconds per frame.
     """
 
     def __init__(
@@ -117,14 +117,14 @@ class LiveSession:
 
     @property
     def gathering(self) -> tuple[int, int] | None:
-        """Frames that a neutral calibration has and wants; None if none is going on."""
+        """Frames that a neutral calibration has and needs; None if none is in progress."""
         with self._lock:
             return (len(self._gathered), NEUTRAL_FRAMES) if self._gathering == "neutral" else None
 
     def use(self, config: Config, gesture: Gesture | str | None = None) -> None:
-        """Change the configuration; one step of undo, or part of one: of the same drag, or shortly after.
+        """Change the configuration: a new undo step, or part of the last one within a drag or shortly after it.
 
-        Raises `InputError` for Deep Energies, and while recording for other stages.
+        Raises `InputError` for Deep Energies, and for other stages while recording.
         """
         _check_live(config)
         with self._lock:
@@ -136,7 +136,7 @@ class LiveSession:
             self._history.change(replace(self._history.present, config=config), gesture=gesture)
 
     def undo(self) -> bool:
-        """Take back the last change of settings or the last calibration; False if there is none."""
+        """Undo the last change of settings or the last calibration; False if there is none."""
         with self._lock:
             if self._history.undo() is None:
                 return False
@@ -144,12 +144,12 @@ class LiveSession:
             return True
 
     def calibrate_neutral(self) -> None:
-        """Take the next frames with a steady face as a neutral one: all that is seen in them becomes identity."""
+        """Treat the next frames with a steady face as neutral: the whole shape seen in them becomes identity."""
         with self._lock:
             self._gathering, self._gathered = "neutral", []
 
     def start_anew(self) -> None:
-        """Forget the face that was followed; the settings stay, and so does a neutral calibration."""
+        """Forget the face being tracked; settings and a neutral calibration are kept."""
         with self._lock:
             state = self._history.present
             if state.calibration is not None and not state.calibration.neutral:
@@ -164,23 +164,23 @@ class LiveSession:
 
     @property
     def recording(self) -> tuple[int, float] | None:
-        """Frames and seconds of the recording that is going on."""
+        """Frames and seconds of the recording in progress."""
         recorder = self._recorder
         return None if recorder is None else (len(recorder), recorder.seconds)
 
     @property
     def recording_ended(self) -> str:
-        """Why the recording takes no more frames, one sentence; empty if it goes on."""
+        """Why the recording takes no more frames, in one sentence; empty if it is in progress."""
         recorder = self._recorder
         return "" if recorder is None else recorder.ended
 
     def start_recording(self, keep_pictures: bool = True) -> None:
-        """Keep every frame from now on; a recording that is going on is dropped."""
+        """Keep every frame from now on; a recording in progress is discarded."""
         with self._lock:
             self._recorder = Recorder(keep_pictures)
 
     def stop_recording(self, source: str = "camera") -> Recording:
-        """End it. Raises `InputError` if none was going on or it has no face."""
+        """End the recording. Raises `InputError` if there is none or it has no face."""
         with self._lock:
             recorder, self._recorder = self._recorder, None
             if recorder is None:
@@ -191,13 +191,13 @@ class LiveSession:
     # --- frames, from one thread ---
 
     def warm_up(self) -> None:
-        """Load the detector and compile all that a frame can need, so that the first one is as fast as the others."""
+        """Load the detector and compile every program a frame can need, so that the first frame is not slow."""
         self._tracker()
         self._fitter.warm_up(LIVE_SIZE)
         self._fitter.calibrate([self._fitter.neutral_observation(LIVE_SIZE)], self.config.identity.frames)
 
     def step(self, frame: LiveFrame) -> LiveFit:
-        """Fit the next frame. Raises `InputError` for one that cannot be read."""
+        """Fit the next frame. Raises `InputError` for a frame that cannot be read."""
         began = time.perf_counter()
         picture = frame.picture
         tracker = self._tracker()
@@ -228,7 +228,7 @@ class LiveSession:
         return self._landmarks
 
     def _gather(self, observation: FrameObservation) -> None:
-        """Collect a frame for a calibration that is going on; the last one it wants makes it the state's."""
+        """Add a frame to the calibration in progress; once complete, it becomes part of the state."""
         with self._lock:
             if not self._gathering or observation.landmarks is None:
                 return
@@ -247,7 +247,7 @@ class LiveSession:
             self._gathering, self._gathered = "", []
 
     def _follow_state(self) -> None:
-        """Bring fitter and identity to the present state."""
+        """Bring fitter and identity in line with the current state."""
         state = self._history.present
         if state.config is not self._fitter_config:
             self._fitter.configure(plan_of(state.config))
@@ -288,12 +288,12 @@ def _check_live(config: Config) -> None:
 
 
 def _identity_key(config: Config) -> str:
-    """What an identity depends on besides its frames."""
+    """Key of everything that an identity depends on besides its frames."""
     sections = config.model_dump_json(include={"camera", "identity", "contour", "subsets"})
     return f"{sections}{config.point_weights()}"
 
 
 def _motion(last: Continuation, observation: FrameObservation) -> float:
-    """Mean way of the landmarks since the last frame, in outer-eye distances."""
+    """Mean motion of the landmarks since the last frame, in outer-eye distances."""
     before, now = last.points, observation.landmarks.points
     return float(np.linalg.norm(now - before, axis=1).mean() / outer_eye_distance(before))

@@ -1,4 +1,4 @@
-"""Frames of a camera while it runs, and where they come from."""
+"""Frames of a live camera, and the protocol of their sources."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -12,12 +12,12 @@ from workbench.errors import InputError
 from workbench.frames import decoded_picture
 
 LIVE_SIZE = (640, 480)
-"""What cameras are asked for, (width, height); larger pictures are reduced to it before anything is done with them."""
+"""Size requested from cameras, (width, height); larger pictures are reduced to it before any processing."""
 JPEG_QUALITY = 85
 
 
 class LiveFrame:
-    """One picture of a running camera, as RGB, as JPEG, or both; what is missing is made when it is asked for."""
+    """One picture of a live camera, as RGB, JPEG or both; the missing form is made on request."""
 
     def __init__(
         self,
@@ -26,7 +26,7 @@ class LiveFrame:
         picture: UInt8[np.ndarray, "h w 3"] | None = None,
         jpeg: bytes | None = None,
     ) -> None:
-        """`number` counts up, `time_s` is the source's clock. Raises `InputError` without a picture in any form."""
+        """`number` increases, `time_s` is the source's clock. Raises `InputError` without a picture in either form."""
         if picture is None and not jpeg:
             raise InputError(f"Frame {number} of the camera is empty; check the camera.")
         self.number, self.time_s = number, float(time_s)
@@ -37,24 +37,24 @@ class LiveFrame:
 
     @cached_property
     def picture(self) -> UInt8[np.ndarray, "h w 3"]:
-        """RGB. Raises `InputError` for bytes that are no JPEG."""
+        """RGB. Raises `InputError` if the bytes are not a JPEG."""
         if self._picture is not None:
             return self._picture
         try:
             return decoded_picture(self._jpeg, f"frame {self.number}")
         except InputError as error:
-            raise InputError(f"Frame {self.number} of the camera is no readable JPEG; it was left out.") from error
+            raise InputError(f"Frame {self.number} of the camera is not a readable JPEG; it was skipped.") from error
 
     @cached_property
     def jpeg(self) -> bytes:
-        """The picture as a browser shows it."""
+        """The picture as JPEG, for the browser."""
         if self._jpeg is not None:
             return self._jpeg
         return cv2.imencode(".jpg", self._picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
 def reduced(picture: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "a b 3"]:
-    """The picture no larger than `LIVE_SIZE` either way, in its own proportions."""
+    """The picture reduced to fit into `LIVE_SIZE`, with its proportions kept."""
     height, width = picture.shape[:2]
     scale = min(LIVE_SIZE[0] / width, LIVE_SIZE[1] / height)
     if scale >= 1.0:
@@ -64,30 +64,30 @@ def reduced(picture: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "a b 3"]:
 
 
 Deliver = Callable[[LiveFrame], None]
-"""Takes the newest frame; called from the source's thread, returns at once."""
+"""Receives the latest frame; called from the source's thread, returns at once."""
 Trouble = Callable[[str], None]
-"""Takes one sentence for the user; the source has stopped."""
+"""Receives a one-sentence message for the user after the source has stopped."""
 
 
 @runtime_checkable
 class FrameSource(Protocol):
-    """A camera, wherever it is plugged in."""
+    """A source of live frames, in the browser or on the kernel's computer."""
 
     name: str
-    """As it is shown to the user."""
+    """Name shown to the user."""
     mirrored: bool
-    """Whether users expect to see themselves as in a mirror."""
+    """Whether users expect a mirrored picture."""
     in_browser: bool
-    """Whether the browser has the pictures already, and need not be sent them."""
+    """Whether the browser already has the pictures, so that they need not be sent."""
 
     def start(self, deliver: Deliver, trouble: Trouble) -> None:
-        """Begin to deliver frames; returns at once."""
+        """Start delivering frames; returns at once."""
         ...
 
     def skipped(self, frame: LiveFrame) -> None:
-        """The frame was left without a fit; the next one may come."""
+        """Called when a frame was not fitted; the next one may be sent."""
         ...
 
     def stop(self) -> None:
-        """Let the camera go; afterwards nothing is delivered. Stopping twice is fine."""
+        """Release the camera; nothing is delivered afterwards. Stopping twice is fine."""
         ...

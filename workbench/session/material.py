@@ -1,4 +1,4 @@
-"""What is tuned on: the landmarks of every frame, and its pictures when they are looked at."""
+"""The material for tuning: the landmarks of every frame, and its pictures, decoded on demand."""
 
 import threading
 from collections import OrderedDict
@@ -20,13 +20,13 @@ from workbench.tracking import FrameObservation, Track
 from workbench.tracking.records import SOURCES
 
 KEPT_BYTES = 256 << 20
-"""Decoded pictures that a session keeps for going back and forth."""
+"""Number of decoded pictures that a session caches."""
 CANVAS = 235
 """Grey level where a frame has no picture."""
 
 
 class PictureStore:
-    """Pictures by frame index, decoded when asked for; the latest ones are kept. Calls may come from any thread."""
+    """Pictures by frame index, decoded on demand; the latest ones are cached. Thread-safe."""
 
     def __init__(
         self,
@@ -35,9 +35,9 @@ class PictureStore:
         kept_bytes: int = KEPT_BYTES,
         given: Sequence[UInt8[np.ndarray, "h w 3"]] = (),
     ):
-        """`sizes`: (width, height) of each frame, for blank pictures where `frames` is None or ends early.
+        """`sizes`: (width, height) of each frame, for blank pictures if `frames` is None or ends early.
 
-        `given` are pictures that are in memory already, in place of `frames`.
+        `given`: pictures already in memory, used instead of `frames`.
         """
         self._frames, self._sizes, self._kept_bytes, self._given = frames, sizes, kept_bytes, given
         self._kept: OrderedDict[int, np.ndarray] = OrderedDict()
@@ -46,7 +46,7 @@ class PictureStore:
 
     @property
     def real(self) -> bool:
-        """Whether there are pictures and not only their sizes."""
+        """Whether there are actual pictures rather than only their sizes."""
         return self._frames is not None or bool(self._given)
 
     @property
@@ -89,7 +89,7 @@ class Material:
     observations: tuple[FrameObservation, ...]
     pictures: PictureStore
     stills: bool
-    """Whether every frame stands alone."""
+    """Whether the frames are unrelated photos."""
     inputs: tuple[Path, ...] = ()
     landmark_file: Path | None = None
 
@@ -104,7 +104,7 @@ class Material:
         return [f"{path} sha256:{content_hash(path)}" for path in self.inputs if path.exists()]
 
     def landmark_source(self) -> str:
-        """Path and SHA-256 of the landmark file, empty if a detector made the landmarks."""
+        """Path and SHA-256 of the landmark file; empty if the landmarks came from a detector."""
         path = self.landmark_file
         return f"{path} sha256:{content_hash(path)}" if path is not None and path.exists() else ""
 
@@ -122,12 +122,12 @@ def load_material(
 ) -> Material:
     """Open pictures, a video or a landmark file as `workbench track` does, and find the landmarks of every frame.
 
-    `landmarks` is a file with the landmarks of the pictures: no detector runs. `progress(step, done, total)` is
-    called after each frame. Raises `InputError` for inputs that cannot be used.
+    `landmarks` is a file with the landmarks of the pictures, used instead of a detector. `progress(step, done, total)`
+    is called after each frame. Raises `InputError` for unusable inputs.
     """
     paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     if not paths:
-        raise InputError("There is nothing to tune on; name a photo, a folder, a video or a landmark file.")
+        raise InputError("There is nothing to tune on; give a photo, a folder, a video or a landmark file.")
     source = open_source(paths, config, None if landmarks is None else Path(landmarks))
     stills = stills or source.single_picture
     found = []
@@ -136,7 +136,7 @@ def load_material(
         if progress is not None:
             progress("landmarks", len(found), source.count)
     if not found:
-        raise InputError(f"{paths[0]} holds no frame to tune on; check that it plays.")
+        raise InputError(f"{paths[0]} contains no frame to tune on; check that it plays.")
     frames = None if is_landmark_file(paths[0]) else source.frames
     sizes = [observation.image_size for observation in found]
     file = None if landmarks is None else Path(landmarks)
@@ -145,16 +145,16 @@ def load_material(
 
 
 def material_of_photo(picture: UInt8[np.ndarray, "h w 3"], landmarks: Landmarks2D, name: str = "photo") -> Material:
-    """A picture that is already in memory, with its landmarks."""
+    """The material of a picture in memory with its landmarks."""
     observation = FrameObservation(0, landmarks, landmarks.image_size)
     store = PictureStore(None, [landmarks.image_size], given=[np.array(picture)])
     return Material(name, (observation,), store, stills=True)
 
 
 def material_of_track(track: Track) -> Material:
-    """The landmarks of a stored run, with its pictures where they still lie.
+    """The landmarks of a stored run, with its pictures if the files still exist.
 
-    Points that the run's configuration had moved by hand stay where they were put.
+    Points that the run's configuration moved by hand keep those positions.
     """
     inputs = tuple(Path(item["path"]) for item in track.meta.get("inputs", []))
     stored = track.meta.get("landmarks")

@@ -1,4 +1,4 @@
-"""Numbers over the fits of a clip: errors, and how much the head's pose trembles."""
+"""Metrics over the fits of a clip: errors, and jitter of the head pose."""
 
 from collections.abc import Sequence
 
@@ -10,15 +10,15 @@ from workbench.tracking.records import frame_errors, stack_fits
 
 
 def metrics_of(fits: Sequence[FrameFit]) -> dict[str, float]:
-    """`metrics_of_track` of these fits."""
+    """`metrics_of_track` for these fits."""
     return metrics_of_track(Track(meta={}, **stack_fits(list(fits))))
 
 
 def metrics_of_track(track: Track) -> dict[str, float]:
     """Errors in % of the outer-eye distance over all frames with landmarks, and the jitter of the head pose.
 
-    Frames that infill made have none. Jitter is the mean length of the second difference of the rotation in degrees,
-    within shots.
+    Frames made by infill have no landmarks. Jitter is the mean length of the second difference of the rotation, in
+    degrees, within shots.
     """
     found = track.found
     errors = frame_errors(track)

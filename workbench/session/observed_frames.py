@@ -1,4 +1,4 @@
-"""The frames of a material as a fit takes them: detections put right, or looked at anew by the energy's own network."""
+"""The observations for a fit: detections with manual corrections, or landmarks from the energy's own network."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from workbench.tracking.fitting import corrected
 
 
 class ObservedFrames:
-    """Observations by frame and configuration; what Deep Energies' network saw in a photo is kept."""
+    """Observations by frame and configuration; landmarks from the network of Deep Energies are cached."""
 
     def __init__(self, material: Material) -> None:
         self._material = material
@@ -25,15 +25,15 @@ class ObservedFrames:
             raise InputError(f"There is no frame {frame}; {self._material.name} has frames 0 to {count - 1}.")
 
     def observation(self, frame: int, config: Config, pictured: bool = False) -> FrameObservation:
-        """A frame with the detections that were moved. Raises `InputError` outside the material.
+        """A frame with its moved detections. Raises `InputError` outside the material.
 
-        `pictured`: with the picture, where the system renders and there is one.
+        `pictured`: include the picture if the system renders and there is one.
         """
         self.check(frame)
         return corrected(self._detected(frame, config, pictured), config.moved_points(frame))
 
     def _detected(self, frame: int, config: Config, pictured: bool) -> FrameObservation:
-        """A frame as the system wants it: Deep Energies looks at the photo with its own network, N(F*)."""
+        """A frame as the system needs it: Deep Energies runs its own network on the photo, N(F*)."""
         observation, pictures = self._material.observations[frame], self._material.pictures
         if not config.traits.renders or observation.landmarks is None or not pictures.real:
             return observation

@@ -1,4 +1,4 @@
-"""The fits that work over time begins with: of a whole clip, or of a part alone where fits take seconds."""
+"""The fits that infill and refinement start from: of the whole clip, or of one part if each fit takes seconds."""
 
 import threading
 from collections import OrderedDict
@@ -12,11 +12,11 @@ from workbench.session.parts import Part
 from workbench.tracking import FrameFit
 
 KEPT_SETTINGS = 4
-"""Settings whose fits of single frames are kept."""
+"""Number of settings whose single-frame fits are cached."""
 
 
 class PartFits:
-    """Fits of parts of a session's clip under any configuration, made where they are not there yet."""
+    """Fits of parts of a session's clip under any configuration, computed when missing."""
 
     def __init__(self, session) -> None:
         self._session = session
@@ -24,19 +24,21 @@ class PartFits:
         self._lock = threading.Lock()
 
     def part(self, part: Part | None) -> Part:
-        """A part, the whole clip for None. Raises `InputError` for photos, and for a part outside the clip."""
+        """The part, or the whole clip for None. Raises `InputError` for photos, and for a part outside the clip."""
         count = len(self._session)
         if self._session.material.stills or count < 2:
-            raise InputError("Infill and refinement use frames that follow each other; open a clip, not photos.")
+            raise InputError("Infill and refinement need consecutive frames; open a clip, not photos.")
         first, last = (0, count - 1) if part is None else part
         if not 0 <= first < last < count:
-            raise InputError(f"A part of this clip lies within 0-{count - 1} and has two frames, got {first}-{last}.")
+            raise InputError(
+                f"A part of this clip must lie within 0-{count - 1} and have at least two frames, got {first}-{last}."
+            )
         return first, last
 
     def fitted(
         self, part: Part, config: Config, progress: Progress, cancelled: Cancelled
     ) -> tuple[FrameFit, ...] | None:
-        """The fits of single frames of a part; None if cancelled."""
+        """The single-frame fits of a part; None if cancelled."""
         first, last = part
         if not config.traits.real_time and not self.ran(config):
             single = self.singles(config)
@@ -51,18 +53,18 @@ class PartFits:
         return None if fits is None else fits[first : last + 1]
 
     def whole(self, config: Config, progress: Progress, cancelled: Cancelled) -> Sequence[FrameFit] | None:
-        """The last whole run's fits if they are this configuration's; a whole run otherwise. None if cancelled."""
+        """The fits of the last complete run if it used this configuration, else of a new run. None if cancelled."""
         if not self.ran(config) and self._session.fit_clip(progress, cancelled, config) is None:
             return None
         return self._session.run.fits
 
     def ran(self, config: Config) -> bool:
-        """Whether the last whole run has the fits of a configuration."""
+        """Whether the last complete run has the fits of a configuration."""
         run = self._session.run
         return run is not None and fits_key(run.config) == fits_key(config)
 
     def singles(self, config: Config) -> dict[int, FrameFit]:
-        """The fits under a configuration that were made one by one, by frame."""
+        """The fits computed one by one under a configuration, by frame."""
         key = fits_key(config)
         with self._lock:
             kept = self._single.setdefault(key, {})

@@ -1,4 +1,4 @@
-"""Parts of a clip: frames that follow each other, as users write them."""
+"""Parts of a clip: ranges of consecutive frames, in the notation users type."""
 
 from collections.abc import Iterable, Sequence
 
@@ -9,7 +9,7 @@ Part = tuple[int, int]
 
 
 def parts_of(frames: Iterable[int]) -> tuple[Part, ...]:
-    """Frames as parts that do not touch."""
+    """Group frames into maximal parts of consecutive frames."""
     parts: list[Part] = []
     for frame in sorted(set(frames)):
         if parts and frame == parts[-1][1] + 1:
@@ -20,7 +20,7 @@ def parts_of(frames: Iterable[int]) -> tuple[Part, ...]:
 
 
 def parts_text(parts: Sequence[Part], most: int = 6) -> str:
-    """Parts as a user writes them: 40-52, 60; the rest counted."""
+    """Parts as text such as "40-52, 60"; beyond `most` only their number is given."""
     words = [f"{first}-{last}" if last > first else str(first) for first, last in parts]
     rest = f" and {len(words) - most} more" if len(words) > most else ""
     return ", ".join(words[:most]) + rest
@@ -32,6 +32,6 @@ def read_parts(text: str) -> tuple[Part, ...]:
     for word in text.replace("–", "-").replace(",", " ").split():
         first, _, last = word.partition("-")
         if not (first.isdigit() and (last or first).isdigit() and int(first) <= int(last or first)):
-            raise InputError(f"Frames are given as 40-52 or 60, got {word!r}.")
+            raise InputError(f"Write frames as 40-52 or 60, got {word!r}.")
         parts.append((int(first), int(last or first)))
     return tuple(parts)

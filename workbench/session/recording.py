@@ -1,4 +1,4 @@
-"""What was recorded live: fits with their times, put on an even grid as a track, and the pictures beside it."""
+"""Live recordings: timed fits resampled to a constant frame rate as a track, together with the pictures."""
 
 import json
 from collections.abc import Sequence
@@ -22,16 +22,16 @@ from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import stack_fits
 
 SLOWEST_RATE = 5.0
-"""Least frame rate of a recording, in frames per second, however slowly the frames came."""
+"""Lowest frame rate of a recording, in frames per second, however slowly the frames came."""
 MOST_BYTES, MOST_S = 256 << 20, 900.0
-"""Pictures in memory and seconds at which a recording ends by itself."""
+"""Limits on picture memory and seconds at which a recording ends automatically."""
 
 
 def even_frames(times_s: Sequence[float]) -> tuple[Int[np.ndarray, "n"], float]:
-    """For each instant of an even grid the nearest of these ascending times, and the rate of the grid, in 1/s.
+    """Index of the nearest of these ascending times for each instant of an even grid, and the grid's rate in 1/s.
 
-    The grid has the median interval of the times: a steady stream keeps every frame, and where frames were dropped the
-    nearest one is held, so that everything happens when it happened.
+    The grid interval is the median interval of the times: a steady stream keeps every frame, and dropped frames are
+    replaced by the nearest one, so that the timing is preserved.
     """
     times = np.asarray(times_s, float)
     intervals = np.diff(times)
@@ -46,11 +46,11 @@ def even_frames(times_s: Sequence[float]) -> tuple[Int[np.ndarray, "n"], float]:
 
 @dataclass(frozen=True)
 class Recording:
-    """A stretch of live fits. `track` is like that of any run; `save` writes it where `workbench export` finds it."""
+    """A series of live fits. `track` is like that of any run; `save` writes it for `workbench export`."""
 
     track: Track
     jpegs: tuple[bytes, ...]
-    """The picture of each frame; empty where pictures were not kept."""
+    """The picture of each frame; empty if pictures were not kept."""
 
     def __len__(self) -> int:
         return len(self.track)
@@ -60,13 +60,13 @@ class Recording:
 
     @property
     def seconds(self) -> float:
-        """How long it plays."""
+        """Duration."""
         return len(self) / self.track.meta["rate"]
 
     def save(self, folder: str | Path, overwrite: bool = False) -> Path:
         """Write track.npz into a folder, and clip.mp4 if pictures were kept; returns the path of the track.
 
-        Raises `OutputError` for a folder that holds one of them already, unless told to `overwrite`.
+        Raises `OutputError` for a folder that already contains one of them, unless `overwrite` is set.
         """
         folder = Path(folder)
         if not overwrite:
@@ -85,7 +85,7 @@ class Recording:
 
 
 class Recorder:
-    """Collects live fits, with their pictures if wanted, until `finish`."""
+    """Collects live fits, optionally with their pictures, until `finish`."""
 
     def __init__(self, keep_pictures: bool) -> None:
         self._keep = keep_pictures
@@ -94,18 +94,18 @@ class Recorder:
         self._jpegs: list[bytes] = []
         self._bytes = 0
         self.ended = ""
-        """Why no more frames are taken, one sentence; empty while they are."""
+        """Why no more frames are taken, in one sentence; empty while recording."""
 
     def __len__(self) -> int:
         return len(self._fits)
 
     @property
     def seconds(self) -> float:
-        """From the first frame to the newest."""
+        """Time from the first frame to the latest."""
         return self._times[-1] - self._times[0] if self._times else 0.0
 
     def add(self, fit: FrameFit, frame: LiveFrame) -> None:
-        """Take the next frame, unless the recording has ended by itself: `ended` says why."""
+        """Add the next frame, unless the recording has ended automatically; `ended` says why."""
         self.ended = self.ended or self._obstacle(fit)
         if self.ended:
             return
@@ -117,15 +117,15 @@ class Recorder:
 
     def _obstacle(self, fit: FrameFit) -> str:
         if self._fits and fit.image_size != self._fits[0].image_size:
-            return "The camera's pictures changed their size, so the recording ended."
+            return "The camera's picture size changed, so the recording ended."
         if self._bytes > MOST_BYTES or self.seconds > MOST_S:
-            return "The recording has reached its largest length and ended."
+            return "The recording reached its maximum length and ended."
         return ""
 
     def finish(self, model: FaceModel, config: Config, source: str, detector: str) -> Recording:
         """The recording as a track. Raises `InputError` if there is no frame with a face."""
         if not any(fit.found for fit in self._fits):
-            raise InputError("No face was seen while recording, so there is nothing to keep; record again.")
+            raise InputError("No face was found while recording, so nothing was kept; record again.")
         chosen, rate = even_frames(self._times)
         fits = [replace(self._fits[k], index=position) for position, k in enumerate(chosen.tolist())]
         columns = stack_fits(fits)
@@ -136,7 +136,7 @@ class Recorder:
 
 
 def live_meta(model: FaceModel, config: Config, source: str, detector: str, rate: float) -> dict[str, Any]:
-    """Metadata of a track that came from a camera: the keys of any run, and where it came from."""
+    """Metadata of a track from a camera: the keys of any run, plus the source."""
     return {
         "expression_names": list(model.expression_names),
         "stages": [stage.name for stage in config.stages if stage.enabled],

@@ -1,4 +1,4 @@
-"""Infill and refinement of a session's clip: methods that are tried, their results, before and after."""
+"""Infill and refinement of a session's clip: running and comparing methods, with results before and after."""
 
 import threading
 import time
@@ -23,23 +23,23 @@ from workbench.tracking.refinement import passes
 
 INFILLS, REFINEMENTS = ("flow", "linear", "spline"), ("averaging", "self", "plate", "hybrid")
 KEPT = 48
-"""Results that are kept for going back to."""
+"""Number of results that are cached."""
 NO_REFINEMENT = {"method": "none", "reestimate": 0}
 
 
 def silent(step: str, done: int, total: int | None) -> None:
-    """Progress that nobody follows."""
+    """A progress callback that does nothing."""
 
 
 class _CancelledError(Exception):
-    """Leaves the work that a user took back."""
+    """Raised to leave work that the user cancelled."""
 
 
 class TemporalWork:
-    """What uses time, on the clip of a `TuningSession`. Settings live in the session's configuration.
+    """Infill and refinement on the clip of a `TuningSession`. Settings are in the session's configuration.
 
-    Results are kept by the settings that made them: `current` is the one of the present configuration, so undo brings
-    it back. Methods may be called from any thread; work waits for work that is going on.
+    Results are cached by the settings that made them: `current` is the result for the current configuration, so undo
+    brings it back. Methods may be called from any thread; only one computation runs at a time.
     """
 
     def __init__(self, session) -> None:
@@ -56,25 +56,25 @@ class TemporalWork:
 
     @property
     def marked(self) -> tuple[Part, ...]:
-        """Frames that the user named, as parts that do not touch."""
+        """Frames marked by the user, as separate parts."""
         return parts_of(self._failed.marked())
 
     def mark(self, frames: Iterable[int], label: str = "") -> Config:
-        """Count frames as failed, whatever their fit; one step of undo. Raises `InputError` outside the clip."""
+        """Mark frames as failed, whatever their fit; one undo step. Raises `InputError` outside the clip."""
         return self._failed.mark(frames, label)
 
     def unmark(self, frames: Iterable[int]) -> Config:
-        """Let frames stand as they were fitted, if their fit is good. Raises `InputError` outside the clip."""
+        """Remove the mark from frames, so that good fits count again. Raises `InputError` outside the clip."""
         return self._failed.unmark(frames)
 
     def mark_flagged(
         self, part: Part | None = None, progress: Progress = silent, cancelled: Cancelled = never
     ) -> tuple[int, ...]:
-        """Count the frames that diagnosis flags as failed, too; which they are. Fits the frames first if need be."""
+        """Also mark the frames that diagnosis flags, and return them. Fits the frames first if necessary."""
         return self._failed.mark_flagged(self._fits.part(part), progress, cancelled)
 
     def failed(self, part: Part | None = None) -> tuple[int, ...]:
-        """Frames that infill would fill, as far as they are fitted: marked, without a face, or with a bad fit."""
+        """Frames that infill would fill, among those already fitted: marked, without a face, or with a bad fit."""
         return self._failed.within(self._fits.part(part))
 
     # --- work ---
@@ -86,17 +86,17 @@ class TemporalWork:
         progress: Progress = silent,
         cancelled: Cancelled = never,
     ) -> Worked | None:
-        """Infill and refine a part (None: the clip) by a configuration (None: the present one); None if cancelled.
+        """Infill and refine a part (None: the clip) by a configuration (None: the current one); None if cancelled.
 
-        Frames that are not fitted under it are fitted first: the whole clip, with Deep Energies the part alone. On
-        the whole clip the numbers are those of `workbench track`; a part ends like a clip, with neighbours on one side.
-        Raises `InputError` for photos, and where nothing is chosen or pictures are missing.
+        Missing fits are computed first: for the whole clip, or under Deep Energies for the part only. On the whole
+        clip the numbers equal those of `workbench track`; a part is treated like a clip, so its end frames have one
+        neighbour only. Raises `InputError` for photos, if no method is chosen, or if pictures are missing.
         """
         config = self._session.config if config is None else config
         part = self._fits.part(part)
         steps = wanted_steps(config)
         if not steps:
-            raise InputError("Nothing is chosen that uses time; choose a method of infill or refinement.")
+            raise InputError("No temporal method is chosen; choose a method of infill or refinement.")
         self._check_pictures(config, steps)
         key = time_key(config), part
         with self._working:
@@ -121,9 +121,9 @@ class TemporalWork:
         progress: Progress = silent,
         cancelled: Cancelled = never,
     ) -> list[Worked] | None:
-        """Every method of infill (where a frame fails) and of refinement, the other settings as they stand.
+        """Run every method of infill (if any frame failed) and of refinement, with the other settings unchanged.
 
-        Methods of refinement follow the infill that is chosen. None if cancelled; what was finished stays.
+        Refinement methods run after the chosen infill. None if cancelled; finished results are kept.
         """
         config, part = self._session.config, self._fits.part(part)
         if self._fits.fitted(part, config, progress, cancelled) is None:
@@ -155,20 +155,20 @@ class TemporalWork:
 
     @property
     def current(self) -> Worked | None:
-        """The newest result under the present configuration; None if there is none."""
+        """The latest result under the current configuration; None if there is none."""
         return self.result()
 
     def result(self, part: Part | None = None) -> Worked | None:
-        """The result under the present configuration on a part, or else the newest on any."""
+        """The result under the current configuration on a part, or else the latest on any part."""
         key = time_key(self._session.config)
         with self._lock:
             kept = [item for (of, _), item in reversed(self._kept.items()) if of == key]
         return next((item for item in kept if item.part == part), kept[0] if kept else None)
 
     def comparable(self, part: Part | None = None) -> dict[str, Worked]:
-        """Results that differ from the present settings by the methods alone, by name.
+        """Results that differ from the current settings only in their methods, by name.
 
-        They have their fits, failed frames and part in common: `part`, or else that of the newest.
+        They share fits, failed frames and part: `part`, or else that of the latest result.
         """
         with self._lock:
             kept = list(self._kept.values())
@@ -181,7 +181,7 @@ class TemporalWork:
     def fits_by(
         self, config: Config, progress: Progress | None = None, cancelled: Cancelled = never
     ) -> Sequence[FrameFit] | None:
-        """The clip's fits as `workbench track` leaves them: worked on over time if the configuration asks for it."""
+        """The clip's fits as `workbench track` returns them, with infill and refinement if configured."""
         progress = progress or silent
         if self._session.material.stills or not wanted_steps(config):
             return self._fits.whole(config, progress, cancelled)
@@ -210,8 +210,8 @@ class TemporalWork:
             return tuple(over_time(fits, views, self._session.model, config, some, told, len(fits)))
 
         fits, earlier = before, 0.0
-        # Filled frames serve every refinement. But renders that go through the estimator take their colours from the
-        # first frame of a run, and infill and refinement belong together.
+        # Filled frames are reused for every refinement, except when renders go through the estimator: those take their
+        # colours from the first frame of a run, so infill and refinement must run together.
         if "infill" in steps and config.flow.renders == "exact":
             fits, earlier = self._infilled(part, config, lambda: through(before, ("infill",)))
             done, steps = work_of(before, config, ("infill",)), steps[1:]
@@ -220,7 +220,7 @@ class TemporalWork:
         return Worked(name_of(config), config, part, before, after, earlier + time.perf_counter() - began)
 
     def _infilled(self, part: Part, config: Config, make) -> tuple[tuple[FrameFit, ...], float]:
-        """Filled frames, and the seconds that they took when they were made."""
+        """Filled frames, and the seconds that computing them took."""
         key = time_key(config.changed(refinement=NO_REFINEMENT)), part
         if key not in self._filled:
             began = time.perf_counter()
@@ -235,17 +235,17 @@ class TemporalWork:
 
     def _check_pictures(self, config: Config, steps) -> None:
         if config.camera.rig:
-            raise InputError("The other views of a rig are not in a session; export, and run `workbench track`.")
+            raise InputError("A session does not hold the other views of a rig; export, and run `workbench track`.")
         need = needs_pictures(config, steps)
         if need and not self._session.material.pictures.real:
             raise InputError(
-                f"The method {need!r} looks at the pictures, and there are landmarks alone; choose linear, spline, "
+                f"The method {need!r} needs pictures, and this material has only landmarks; choose linear, spline, "
                 "averaging or self."
             )
 
 
 def work_of(fits: Sequence[FrameFit], config: Config, steps: Sequence[str]) -> int:
-    """About how many solves the steps take on these fits."""
+    """Approximate number of solves that the steps take on these fits."""
     turns = max(1, config.refinement.reestimate)
     infill = infill_plan(config)
     failed = sum(not usable(fit, infill) for fit in fits)
@@ -257,7 +257,7 @@ def work_of(fits: Sequence[FrameFit], config: Config, steps: Sequence[str]) -> i
 
 
 def _setting(config: Config) -> tuple[str, str]:
-    """What results have in common that a chart compares."""
+    """Key of the settings that results must share to be compared in a chart."""
     return fits_key(config), config.infill.model_dump_json(exclude={"method"})
 
 

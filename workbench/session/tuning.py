@@ -1,4 +1,4 @@
-"""A tuning session: one configuration under change, its history, and the fits that belong to it. No widgets."""
+"""A tuning session: the configuration being tuned, its history, and its fits. No widgets."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -29,11 +29,10 @@ from workbench.tracking.fitting import never
 
 
 class TuningSession:
-    """Frames, landmarks, model and a configuration that is tuned; the panel is a view on this.
+    """Frames, landmarks, model and the configuration being tuned; the panel is a view of it.
 
-    `fit_frame` fits one frame under the present configuration in the context of the last whole run (the frame before
-    it, as that run left it). `fit_clip` runs all frames, with the same numbers as `workbench track`. Methods may be
-    called from any thread.
+    `fit_frame` fits one frame under the current configuration, continuing from the previous frame of the last complete
+    run. `fit_clip` fits all frames, with the same numbers as `workbench track`. Methods may be called from any thread.
     """
 
     def __init__(self, model: FaceModel, material: Material, config: Config | None = None):
@@ -60,96 +59,95 @@ class TuningSession:
 
     @property
     def config(self) -> Config:
-        """The present configuration."""
+        """The current configuration."""
         return self._tuned.present
 
     def set(self, label: str = "", gesture: Gesture | str | None = None, **sections: Any) -> Config:
-        """Change keys of sections, as `Config.changed`; one step of undo.
+        """Change keys of sections like `Config.changed`; one undo step.
 
-        Changes with the same `gesture` are one step: those of one drag of a slider however slow, others if they follow
-        each other within 0.8 s. Raises `ConfigError` for what a configuration cannot hold, and leaves everything as it
-        was.
+        Changes with the same `gesture` are one step: all changes of one slider drag, and other changes that follow
+        each other within 0.8 s. Raises `ConfigError` for invalid values and then changes nothing.
         """
         return self._tuned.set(label, gesture, **sections)
 
     def use(self, config: Config, label: str = "configuration", gesture: Gesture | str | None = None) -> Config:
-        """Replace the whole configuration; one step of undo."""
+        """Replace the whole configuration; one undo step."""
         return self._tuned.use(config, label, gesture)
 
     def undo(self) -> str | None:
-        """Take back the last change; its label, None if there is none."""
+        """Undo the last change. Returns its label, None if there is none."""
         return self._tuned.undo()
 
     def redo(self) -> str | None:
-        """Make the change again that was taken back last; its label, None if there is none."""
+        """Redo the change that was undone last. Returns its label, None if there is none."""
         return self._tuned.redo()
 
     @property
     def undo_label(self) -> str | None:
-        """What `undo` would take back."""
+        """Label of the change that `undo` would revert."""
         return self._tuned.history.undo_label
 
     @property
     def redo_label(self) -> str | None:
-        """What `redo` would make again."""
+        """Label of the change that `redo` would repeat."""
         return self._tuned.history.redo_label
 
     def take_snapshot(self, name: str) -> None:
-        """Keep the present configuration under a name. Raises `ConfigError` for an empty name."""
+        """Store the current configuration under a name. Raises `ConfigError` for an empty name."""
         self._tuned.take_snapshot(name)
 
     def restore_snapshot(self, name: str) -> Config:
-        """Return to a snapshot; one step of undo. Raises `ConfigError` for a name that was never taken."""
+        """Return to a snapshot; one undo step. Raises `ConfigError` for an unknown name."""
         return self.use(self._tuned.snapshot(name), f"snapshot {name}")
 
     @property
     def snapshots(self) -> Mapping[str, Config]:
-        """Configurations that were kept, by name."""
+        """Stored configurations, by name."""
         return self._tuned.snapshots
 
     def changes(self, since: Config | str | None = None) -> list[Difference]:
-        """What differs from a configuration, a snapshot by name, or the start of the session (default)."""
+        """Differences from a configuration, a snapshot by name, or the start of the session (default)."""
         return self._tuned.changes(since)
 
     @property
     def unexported(self) -> list[Difference]:
-        """What changed since the last export, or since the start if there was none."""
+        """Changes since the last export, or since the start if there was none."""
         return self.changes(self._tuned.exported)
 
     # --- landmarks ---
 
     def weigh(self, points: Iterable[int], factor: float | int, label: str = "") -> Config:
-        """Set the factor of single landmarks in every stage; 0 mutes, 1 is as configured."""
+        """Set the factor of single landmarks in every stage; 0 mutes, 1 leaves them as configured."""
         return self.use(weighed(self.config, points, factor), label or "landmark weight")
 
     def move(self, frame: int, point: int, place: tuple[float, float], gesture: Gesture | str | None = None) -> Config:
-        """Put a detection of one frame where it belongs, pixels."""
+        """Move a detection of one frame to its correct position, pixels."""
         self._frames.check(frame)
         return self.use(moved(self.config, frame, {point: place}), f"landmark {point} of frame {frame}", gesture)
 
     def put_back(self, frame: int, points: Iterable[int]) -> Config:
-        """Give points of a frame the places that the detector gave them."""
+        """Return points of a frame to their detected positions."""
         return self.use(put_back(self.config, frame, points), f"detections of frame {frame}")
 
     def save_subset(self, name: str, points: Iterable[int]) -> Config:
-        """Name a set of landmarks, for stages and weights. Raises `ConfigError` for an empty one or a group's name."""
+        """Name a set of landmarks for stages and weights. Raises `ConfigError` for an empty set or a group's name."""
         return self.use(with_subset(self.config, name, points), f"subset {name}")
 
     # --- frames ---
 
     def observation(self, frame: int, config: Config | None = None) -> FrameObservation:
-        """A frame's observation with the detections that were moved. Raises `InputError` outside the material."""
+        """A frame's observation with its moved detections. Raises `InputError` outside the material."""
         return self._frames.observation(frame, self.config if config is None else config)
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "h w 3"]:
-        """The picture of a frame; blank where the material has none. Raises `InputError` outside the material."""
+        """The picture of a frame; blank if the material has none. Raises `InputError` outside the material."""
         self._frames.check(frame)
         return self.material.pictures[frame]
 
     def fit_frame(self, frame: int, coarse: bool = False, config: Config | None = None) -> FrameFit:
-        """The fit of one frame under the present configuration, or another one that it is compared with.
+        """The fit of one frame under the current configuration, or under `config` for comparison.
 
-        `coarse` keeps an identity that an earlier configuration calibrated on the shot, for dragging in a clip.
+        `coarse` accepts an identity that an earlier configuration calibrated on the shot, for fast dragging in a clip.
         """
         return self._fits.fit(frame, self.config if config is None else config, coarse)
 
@@ -158,11 +156,11 @@ class TuningSession:
         return self._fits.explain(frame, self.config)
 
     def solve_frame(self, frame: int) -> DeepSolution | None:
-        """What every stage of Deep Energies made of a frame; None under FACE IT! and without a face."""
+        """The result of each Deep Energies stage on a frame; None under FACE IT! or without a face."""
         return self._fits.solve(frame, self.config)
 
     def stage_strip(self, frame: int) -> UInt8[np.ndarray, "h w 3"] | None:
-        """The stages of Deep Energies on a frame as a film strip; None where there is nothing to draw."""
+        """The Deep Energies stages on a frame as a film strip; None if there is nothing to draw."""
         return self._fits.stage_strip(frame, self.config)
 
     def fit_steps(self, frame: int, steps: int) -> FrameFit:
@@ -173,11 +171,11 @@ class TuningSession:
         return self._fits.stopped(frame, self.config, steps)
 
     def context(self, frame: int) -> FrameContext:
-        """What the fit of a frame starts from under the present configuration."""
+        """The state that the fit of a frame starts from under the current configuration."""
         return self._fits.problem(frame, self.config).context
 
     def diagnose(self, frame: int) -> Diagnosis:
-        """Reasons why the fit of a frame may be bad, and why the last whole run flags it if it does.
+        """Reasons why the fit of a frame may be bad, and why the last complete run flags it, if it does.
 
         Raises `InputError` for a frame without landmarks.
         """
@@ -186,7 +184,7 @@ class TuningSession:
         return self._diagnosing.diagnose(self._fits.problem(frame, config), config, self.run)
 
     def apply(self, change: Change, frame: int) -> Config:
-        """Make a change that a diagnosis of a frame proposes; one step of undo."""
+        """Apply a change proposed by the diagnosis of a frame; one undo step."""
         config = change.apply_to(self.config)
         return self.use(moved(config, frame, change.landmarks) if change.landmarks else config, change.label)
 
@@ -195,10 +193,10 @@ class TuningSession:
     def fit_clip(
         self, progress: Progress | None = None, cancelled: Cancelled = never, config: Config | None = None
     ) -> Track | None:
-        """Fit all frames under the present configuration, or another one; None if cancelled.
+        """Fit all frames under the current configuration, or another one; None if cancelled.
 
-        These are the fits of single frames, as `workbench track` makes them; `temporal` works on them over time. A
-        cancelled run leaves the fits of the last whole one.
+        These are the frame-by-frame fits of `workbench track`; `temporal` infills and refines them. After a cancelled
+        run, the fits of the last complete run stay.
         """
         if self._runs.fit(self.config if config is None else config, progress, cancelled) is None:
             return None
@@ -207,12 +205,12 @@ class TuningSession:
 
     @property
     def run(self) -> Run | None:
-        """The last whole run."""
+        """The last complete run."""
         return self._runs.last
 
     @property
     def track(self) -> Track:
-        """The last whole run as a track; runs all frames if there was none."""
+        """The last complete run as a track; fits all frames if there is none."""
         return described_track(self._whole_run(), self.model, self.material.stills)
 
     @property
@@ -221,11 +219,11 @@ class TuningSession:
         return self._runs.stale(self.config)
 
     def metrics(self) -> dict[str, float]:
-        """Errors and jitter of the last whole run; runs all frames if there was none."""
+        """Errors and jitter of the last complete run; fits all frames if there is none."""
         return self._whole_run().metrics
 
     def track_fits(self) -> Sequence[FrameFit]:
-        """The fits of the last whole run; runs all frames if there was none."""
+        """The fits of the last complete run; fits all frames if there is none."""
         return self._whole_run().fits
 
     def _whole_run(self) -> Run:
@@ -234,7 +232,7 @@ class TuningSession:
         return self.run
 
     def warm_up(self) -> None:
-        """Compile all that a panel can ask for: every solver, with and without its trace, and a diagnosis."""
+        """Compile everything a panel can request: every solver, with and without its trace, and a diagnosis."""
         if not self.base.traits.real_time:
             self.fit_frame(0)
             return
@@ -249,11 +247,11 @@ class TuningSession:
     def export(
         self, path: str | Path, progress: Progress | None = None, cancelled: Cancelled = never, overwrite: bool = False
     ) -> Path:
-        """Write the configuration with its provenance; `workbench track --config` runs it to the same numbers.
+        """Write the configuration with its provenance; `workbench track --config` reproduces the same numbers.
 
-        All frames are fitted first if the last run belongs to another configuration, and worked on over time if it
-        asks for that, so that the metrics in the file are those of the file. Raises `InputError` if `cancelled`, and
-        for a file that is there already, unless this session wrote it or `overwrite` is set.
+        If the last run belongs to another configuration, all frames are fitted first, with infill and refinement if
+        configured, so that the metrics in the file are those of its configuration. Raises `InputError` if `cancelled`,
+        and for a file that exists, unless this session wrote it or `overwrite` is set.
         """
         path, config = Path(path), self.config
         self._exports.check(path, overwrite)
@@ -266,7 +264,7 @@ class TuningSession:
         return path
 
     def may_write(self, path: str | Path) -> bool:
-        """Whether an export overwrites nothing but what this session exported before."""
+        """Whether an export would overwrite nothing, or only a file that this session exported."""
         return self._exports.may_write(path)
 
     def command(self, path: str | Path) -> str:
@@ -276,9 +274,9 @@ class TuningSession:
     # --- listeners ---
 
     def listen(self, callback: Callable[[str], None]) -> Callable[[], None]:
-        """Call `callback(what)` after each change of "config", "run", "time", "snapshots", "export"; returns what
-        ends it.
+        """Call `callback(what)` after each change of "config", "run", "time", "snapshots" or "export".
 
+        Returns a function that stops the calls.
         Callbacks run in the thread that made the change.
         """
         self._listeners.append(callback)
@@ -300,8 +298,8 @@ def open_session(
 ) -> TuningSession:
     """A session on a photo, photos, a clip, a landmark file, a `Track`, or a `Material`.
 
-    `config` is a configuration or the name of a preset; a track brings its own. Raises `InputError` and `ConfigError`
-    as reading them does.
+    `config` is a configuration or the name of a preset; a track has its own. Raises `InputError` and `ConfigError`
+    if one of them cannot be read.
     """
     model = load_default_head() if model is None else model
     if isinstance(config, str):

@@ -30,13 +30,13 @@ class Worked:
 
     @property
     def filled(self) -> tuple[int, ...]:
-        """Frames that infill made."""
+        """Frames that were filled by infill."""
         return tuple(fit.index for fit in self.after if fit.source == "filled")
 
     def numbers(self) -> dict[str, float]:
-        """Filled frames, jitter of the pose in degrees, errors in % of the eye distance, seconds.
+        """Number of filled frames, jitter of the pose in degrees, errors in % of the eye distance, seconds.
 
-        `hidden_percent` is over filled frames that had landmarks, which the infill did not look at.
+        `hidden_percent` covers filled frames that had landmarks, which infill did not use.
         """
         metrics = metrics_of(self.after)
         numbers = {"filled": float(len(self.filled)), "seconds": self.seconds}
