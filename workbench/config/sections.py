@@ -186,7 +186,7 @@ class InfillConfig(Section):
 
     method: Literal["none", "flow", "linear", "spline"] = Field("none", description="none leaves failed frames as is.")
     rounds: Annotated[int, Field(ge=1, le=10)] = Field(
-        1, description="Flow: passes through a gap, alternately forward and backward."
+        1, description="Flow: further passes through a gap, alternately forward and backward."
     )
     longest: Annotated[int, Field(ge=1)] = Field(10_000, description="Longer gaps, in frames, are not filled.")
     largest_error: NonNegative = Field(

@@ -108,7 +108,7 @@ TIME = (
          1e-3, 1e3),
     Knob("refinement.centre", "centre", "averaging: weight of the frame itself; its neighbours share the rest",
          "linear", 0.05, 1.0, 0.05),
-    Knob("infill.rounds", "rounds", "flow infill: passes through a gap, forward and backward in turn", "whole", 1, 10),
+    Knob("infill.rounds", "rounds", "flow infill: further passes through a gap, back and forth", "whole", 1, 10),
     Knob("infill.largest_error", "bad above", "a fit has failed above this mean error, % of the eye distance",
          "linear", 0.5, 50.0, 0.5),
     Knob("flow.estimator", "flow", "of the pictures: OpenCV's DIS or Farnebäck, or our network (slower)", "choice",

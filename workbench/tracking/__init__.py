@@ -1,4 +1,4 @@
-"""What a user runs: the FACE IT! tracker, identity calibration, and the records of a run."""
+"""Fitting frames under both systems, identity calibration, infill, refinement, and the records of a run."""
 
 import lazy_loader
 

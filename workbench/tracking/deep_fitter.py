@@ -1,7 +1,7 @@
-"""One frame under Deep Energies: renders in place of points on the mesh.
+"""One frame under Deep Energies: landmarks are compared in renders instead of as points on the mesh.
 
-Frames are independent (the paper's Sec. 7 starts from there): a fit needs the shot's identity and appearance and the
-frame's own landmarks, nothing of the frame before, unless a stage names a term that links frames (E_τ).
+Frames are independent, as Sec. 7 of the paper assumes: a fit needs the shot's identity and appearance and the frame's
+own landmarks, but nothing from the previous frame, unless a stage names a term that links frames (E_τ).
 """
 
 import time
@@ -39,7 +39,7 @@ from workbench.tracking.plan import Plan, StagePlan
 from workbench.tracking.records import FrameFit
 
 NEUTRAL_YAW_DEG = 25.0
-"""A weight of 1 makes a frame as unfit for the appearance as this yaw."""
+"""For choosing the appearance frame, a blendshape weight of 1 counts as much as this yaw."""
 
 
 class DeepFitter(Fitter):
@@ -55,27 +55,27 @@ class DeepFitter(Fitter):
         self.configure(plan)
 
     def configure(self, plan: Plan) -> None:
-        """Follow another plan from now on. Raises `InputError` for a network file that cannot be used."""
+        """Use another plan from now on. Raises `InputError` for an unusable network file."""
         self.plan, self.rig = plan, plan.camera.rig
         self._network = energy_network(plan.deep.network)
         self._points.configure(plan.by_points)
 
     @property
     def links_frames(self) -> bool:
-        """Whether a frame depends on the one before: where a stage names a term that does."""
+        """Whether a frame depends on the previous one, because a stage names a term that links frames."""
         return self.plan.linked
 
     @property
     def calibrates(self) -> bool:
-        """Whether a shot is looked at before its frames are fitted: for the identity, the appearance, or both."""
+        """Whether a shot is calibrated before its frames are fitted: its identity, its appearance, or both."""
         return self.plan.identity.calibrate or self.plan.deep.appearance == "estimate"
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
-        """The camera of the reference view; for a parallel view one far away that looks alike."""
+        """The camera of the reference view; for an orthographic view, an equivalent distant camera."""
         return recorded_camera(self.plan, image_size)
 
     def neutral_observation(self, image_size: tuple[int, int]) -> FrameObservation:
-        """What a perfect detector would see of the neutral face in front of this camera; nothing in a rig's others."""
+        """A perfect detector's observation of the neutral face in front of this camera; none in a rig's other views."""
         others = () if self.rig is None else (None,) * (len(self.rig) - 1)
         return replace(self._points.neutral_observation(image_size), others=others)
 
@@ -85,7 +85,7 @@ class DeepFitter(Fitter):
         self.fit(observation, FrameContext(0, self.mean_identity(), None, None))
 
     def calibrate(self, observations: Sequence[FrameObservation], frames: int) -> Calibrated:
-        """Identity as FACE IT! calibrates it, and the appearance from the frame nearest to neutral that has a picture.
+        """The identity, calibrated as under FACE IT!, and the appearance of the most neutral frame with a picture.
 
         Raises `InputError` if none has landmarks.
         """
@@ -98,7 +98,7 @@ class DeepFitter(Fitter):
     def appearance(
         self, observations: Sequence[FrameObservation], identity: Float[np.ndarray, "i"]
     ) -> Appearance | None:
-        """Colours and light of the frame nearest to neutral and frontal; None without pictures or by configuration."""
+        """Colours and light of the most neutral and frontal frame; None without pictures or if configured so."""
         pictured = [item for item in observations if item.picture is not None and item.landmarks is not None]
         if self.plan.deep.appearance == "model" or not pictured:
             return None
@@ -110,10 +110,10 @@ class DeepFitter(Fitter):
         try:
             return estimate_appearance(pictured[best].picture, person, from_head, fit.camera)
         except InputError:
-            return None  # too small a face: the model's own colours serve
+            return None  # the face is too small: use the model's own colours
 
     def problem(self, observation: FrameObservation, context: FrameContext) -> DeepProblem:
-        """What each camera brings, colours, start and stages of a frame."""
+        """The solver's input for a frame: views, colours, start and stages."""
         problem = DeepProblem(observation, context, self.plan.running(start=True))
         if not observation.faces:
             return problem
@@ -127,7 +127,7 @@ class DeepFitter(Fitter):
         )
 
     def solve(self, problem: DeepProblem, traced: bool = False, cancelled: Callable[[], bool] = never) -> DeepSolution:
-        """All stages in order, with what each left; every step is kept anyway. `cancelled` is asked before each."""
+        """Run all stages in order. Every step is kept, traced or not. `cancelled` is checked before each stage."""
         results, seconds, views = [], [], ()
         parameters = problem.start
         for stage in problem.stages if problem.views else ():
@@ -140,7 +140,7 @@ class DeepFitter(Fitter):
         return DeepSolution(problem, tuple(results), views, tuple(seconds))
 
     def hand_on(self, solution: DeepSolution) -> Continuation | None:
-        """The pose, where a term links frames."""
+        """The pose, if a term links frames."""
         problem = solution.problem
         if not self.links_frames or problem.observation.landmarks is None:
             return None
@@ -153,7 +153,7 @@ class DeepFitter(Fitter):
         return solution.traces()
 
     def stopped(self, solution: DeepSolution, steps: int) -> DeepSolution:
-        """The solution as it stood after `steps` accepted steps, counted through all stages."""
+        """The solution after `steps` accepted steps, counted across all stages."""
         return solution.stopped(steps)
 
     def scene(self, appearance: Appearance | None) -> DeepScene:
@@ -165,13 +165,13 @@ class DeepFitter(Fitter):
     def views(
         self, observation: FrameObservation, context: FrameContext, stage: StagePlan | None = None
     ) -> tuple[DeepView, ...]:
-        """What each camera brings to a stage; every landmark in full for None."""
+        """The views for a stage; with all landmarks at full weight for None."""
         if stage is not None:
             return weighed(self.views(observation, context), stage)
         return views_of(self.plan, self._network, observation, light_of(context.appearance))
 
     def record(self, solution: DeepSolution) -> FrameFit:
-        """A solution as what tables, pictures and exports read."""
+        """The solution as a record for tables, pictures and exports."""
         observation = solution.problem.observation
         if not solution.results:
             return self._empty(observation, solution.problem.context.shot)
@@ -223,7 +223,7 @@ class DeepFitter(Fitter):
         )
 
     def _history(self, last: Continuation | None, start: FaceParameters) -> TermContext:
-        """What terms that link frames are told of the frames before."""
+        """The state of previous frames, for terms that link frames."""
         constants = self.plan.constants
         if last is None:
             return TermContext(constants, np.zeros(6), np.zeros(6), np.zeros(()), start)
@@ -231,7 +231,7 @@ class DeepFitter(Fitter):
         return TermContext(constants, np.asarray(last.last_pose), np.asarray(last.pose), known, start)
 
     def free(self, stage: StagePlan) -> Bool[np.ndarray, "n"]:
-        """Which entries of the flattened parameters a stage frees. Raises `ConfigError` for shapes the model lacks."""
+        """Which entries of the flattened parameters a stage frees. Raises `ConfigError` for unknown blendshapes."""
         return np.concatenate(
             free_parameters(self.model, stage.free, stage.shapes, self.plan.camera.parallel, stage.name)
         )

@@ -1,7 +1,7 @@
-"""The compiled parts of a Deep Energies solve: what the network sees, how that changes, their normal equations.
+"""The compiled parts of a Deep Energies solve: network landmarks, their derivative, and the normal equations.
 
-Few programs for everything: which parameters a stage frees, weights, camera, light and detections are data. A change
-of the network's architecture, of the model's size or of the number of views compiles anew.
+A few programs serve everything: free parameters, weights, camera, light and detections are data. Only a change of the
+network's architecture, the model's size or the number of views triggers recompilation.
 """
 
 from functools import partial
@@ -27,11 +27,11 @@ from workbench.networks import Fan, LandmarkNetwork
 from workbench.solvers import DenseSystem, normal_equations
 
 CHUNK = 8
-"""Tangents pushed through renderer and network at a time: more fill the processor's cache, fewer waste forwards."""
+"""Tangents pushed through renderer and network at once: more overflow the CPU cache, fewer waste forward passes."""
 
 
 class DeepScene(NamedTuple):
-    """What stays the same over the frames of a clip."""
+    """The data that is constant over the frames of a clip."""
 
     network: Fan | LandmarkNetwork
     model: DeepModel
@@ -43,7 +43,7 @@ class DeepScene(NamedTuple):
 def look(
     scene: DeepScene, view: DeepView, parameters: FaceParameters, side: int = 256, samples: int = 1
 ) -> NetworkView:
-    """What the network sees in the render of one view."""
+    """The network's landmarks in the render of one view."""
     return network_view(scene.network, scene.model, scene.albedo, view, parameters, side, samples)
 
 
@@ -56,9 +56,9 @@ def look_derivative(
     side: int = 256,
     samples: int = 1,
 ) -> Float[Array, "c 68 2"]:
-    """Derivative of the seen landmarks by some of the scaled unknowns, forward mode; 0 for columns beyond them.
+    """Forward-mode derivative of the network's landmarks by some of the scaled unknowns; 0 for padding columns.
 
-    One chunk of `CHUNK` columns a call: a linearisation pushed through a loop takes ten times as long on a CPU.
+    Each call takes one chunk of `CHUNK` columns: linearising through a loop takes ten times as long on a CPU.
     """
     vector = pack(parameters)
 
@@ -78,7 +78,7 @@ def project_points(scene: DeepScene, view: DeepView, parameters: FaceParameters)
 
 @jax.jit
 def points_derivative(scene: DeepScene, view: DeepView, parameters: FaceParameters) -> Float[Array, "n 68 2"]:
-    """Their derivative by all scaled unknowns."""
+    """Derivative of the preselected points by all scaled unknowns."""
     vector = pack(parameters)
     sizes = jnp.asarray(typical_sizes(parameters))
     derivative = jax.jacfwd(
@@ -124,6 +124,6 @@ def term_energies(
     context: TermContext,
     terms: tuple[str, ...] = DEEP_TERMS,
 ) -> Float[Array, "t"]:
-    """Σr² of each of `terms`."""
+    """Energy Σr² of each of `terms`."""
     residuals = deep_residuals(views, omega, predicted, parameters, context, terms)
     return jnp.stack([residual @ residual for residual in residuals.values()])

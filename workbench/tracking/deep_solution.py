@@ -1,4 +1,4 @@
-"""A frame of Deep Energies before and after its stages: the problem, the solution, and what both are read as."""
+"""A frame under Deep Energies before and after its stages: the problem, the solution, and its record."""
 
 from dataclasses import dataclass, replace
 
@@ -22,44 +22,44 @@ from workbench.tracking.records import FAILURES, FrameFit
 
 @dataclass(frozen=True)
 class DeepProblem(FrameProblem):
-    """A frame as the stages take it; without a face in any view there is nothing to solve."""
+    """The input of the stages for one frame; without a face in any view there is nothing to solve."""
 
     stages: tuple[StagePlan, ...]
     scene: DeepScene | None = None
     views: tuple[DeepView, ...] = ()
-    """What each camera brings, every landmark in full."""
+    """One view per camera, with all landmarks at full weight."""
     start: FaceParameters | None = None
     history: TermContext | None = None
 
 
 @dataclass(frozen=True)
 class DeepSolution(FrameSolution):
-    """What every stage made of a frame; no results where there was nothing to solve."""
+    """The results of the stages on a frame; empty if there was nothing to solve."""
 
     problem: DeepProblem
     results: tuple[StageResult, ...]
     views: tuple[DeepView, ...]
-    """As the last stage had them."""
+    """The views as used in the last stage."""
     seconds: tuple[float, ...]
-    """Of each stage."""
+    """Duration of each stage."""
 
     @property
     def stages(self) -> tuple[StagePlan, ...]:
-        """Those that ran."""
+        """The stages that ran."""
         return self.problem.stages[: len(self.results)]
 
     @property
     def start(self) -> FaceParameters:
-        """Where the first stage began."""
+        """The start of the first stage."""
         return self.problem.start
 
     @property
     def parameters(self) -> FaceParameters:
-        """Where the last stage ended."""
+        """The result of the last stage."""
         return self.results[-1].parameters
 
     def stopped(self, steps: int) -> "DeepSolution":
-        """The solution as it stood after `steps` accepted steps, counted through all stages."""
+        """The solution after `steps` accepted steps, counted across all stages."""
         results, left = [], max(steps, 0)
         for result in self.results:
             kept = min(left, len(result.path) - 1)
@@ -83,7 +83,7 @@ class DeepSolution(FrameSolution):
 
 
 def record_of(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork, camera: Camera) -> FrameFit:
-    """A solution that has results as what tables, pictures and exports read; `camera` is that of the record."""
+    """The record of a solution with results, for tables, pictures and exports; `camera` is stored in the record."""
     observation, context = solution.problem.observation, solution.problem.context
     results, rows = solution.results, len(solution.problem.stages)
     parameters = jax.tree.map(lambda part: np.array(part, float), solution.parameters)
@@ -92,7 +92,7 @@ def record_of(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork
     if plan.camera.parallel:
         translation = np.array([translation[0], translation[1], FAR_MM])
     landmarks = observation.landmarks
-    # A view that saw nothing has no residual either: its confidence of 0 keeps it out of all means.
+    # A view without a face has no residual: its confidence of 0 keeps it out of all means.
     observed = prediction.points[0] if landmarks is None else landmarks.points
     rotation = np.array(parameters.rotation)
     return FrameFit(
@@ -120,7 +120,7 @@ def record_of(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork
 
 
 def _failure(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork) -> str:
-    """Why the result should not be used, by its errors in the first view that shows something wrong."""
+    """Why the result should not be used, from its errors in the first view that shows a failure."""
     result = solution.results[-1]
     if result.status is Status.NOT_FINITE:
         return FAILURES[3]
@@ -136,6 +136,6 @@ def _failure(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork)
 
 
 def _rows(values: list, count: int, missing: float | int) -> np.ndarray:
-    """Values of the stages that ran, filled up to all of them."""
+    """Values of the stages that ran, padded to the number of all stages."""
     known = np.asarray(values)
     return np.concatenate([known, np.full((count - len(known), *known.shape[1:]), missing, known.dtype)])

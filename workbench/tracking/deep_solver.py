@@ -1,11 +1,11 @@
-"""One stage of Deep Energies: dogleg on the difference between what the network sees in photo and render.
+"""One stage of Deep Energies: dogleg on the difference between the network's landmarks in photo and render.
 
-Three ways to the derivative of what the network sees in the render:
+There are three ways to the derivative of the network's landmarks in the render:
 
-* `forward`: the exact one, forward mode through renderer, crop, network and soft-argmax, as in the paper. The network
-  answers in small jumps as edges pass over pixels, so the slope at one place says little about a step of millimetres.
-* `differences`: central ones over steps of half the unknowns' typical sizes: the slope that a step will meet.
-* `broyden`: that of the preselected points, corrected by what each step really did. No extra render at all.
+* `forward`: exact, in forward mode through renderer, crop, network and soft-argmax, as in the paper. The network's
+  output jumps slightly as edges cross pixels, so the slope at one point says little about a step of millimetres.
+* `differences`: central differences over half the typical size of each unknown: the slope over the length of a step.
+* `broyden`: the derivative of the preselected points, corrected by the observed effect of each step. No extra renders.
 """
 
 from collections.abc import Callable
@@ -35,33 +35,33 @@ from workbench.tracking.deep_programs import (
 
 Derivative = Literal["forward", "differences", "broyden"]
 DIFFERENCE_STEP = 0.5
-"""Half the width of a central difference, in typical sizes of the unknown."""
+"""Half the width of a central difference, in units of the unknown's typical size."""
 SMALLEST_RADIUS = 1e-2
-"""Share of a Gauss–Newton step below which a stage gives up: the network's answer is not smooth below it."""
+"""Fraction of a Gauss–Newton step below which a stage stops, because the network's output is not smooth below it."""
 
 
 class Prediction(NamedTuple):
-    """The model's landmarks in every view, and what they come from."""
+    """The model's landmarks in every view, and the two sources that they are mixed from."""
 
     points: Float[np.ndarray, "views 68 2"]
-    """Mixed by each view's share."""
+    """Mixture of network and preselected landmarks, by each view's share."""
     preselected: Float[np.ndarray, "views 68 2"]
     looks: tuple[NetworkView | None, ...]
-    """None for views without the network."""
+    """None for views that do not use the network."""
 
 
 class Iteration(NamedTuple):
-    """One accepted place of a stage."""
+    """One accepted iterate of a stage."""
 
     parameters: FaceParameters
     energies: Float[np.ndarray, "t"]
-    """Of each of the problem's terms."""
+    """Energy of each of the problem's terms."""
     points: Float[np.ndarray, "views 68 2"]
 
 
 @dataclass(frozen=True)
 class StageResult:
-    """How a stage ended."""
+    """The result of a stage."""
 
     parameters: FaceParameters
     prediction: Prediction
@@ -69,12 +69,12 @@ class StageResult:
     status: Status
     iterations: int
     evaluations: int
-    """Looks of the network at renders, those for differences included."""
+    """Network evaluations on renders, including those for finite differences."""
     path: tuple[Iteration, ...]
     """The start and every accepted step."""
 
     def stopped(self, steps: int) -> "StageResult":
-        """The stage as it stood after `steps` accepted steps."""
+        """The result after `steps` accepted steps."""
         if steps >= len(self.path) - 1:
             return self
         at = self.path[steps]
@@ -92,7 +92,7 @@ class StageResult:
 
 @dataclass(frozen=True)
 class StageProblem:
-    """What one stage minimises."""
+    """The energy that one stage minimises."""
 
     scene: DeepScene
     views: tuple[DeepView, ...]
@@ -100,9 +100,9 @@ class StageProblem:
     omega: Float[np.ndarray, "t"]
     """Factor in front of each of `terms`."""
     context: TermContext
-    """What the frames before left; the stage's start is put in."""
+    """State of the previous frames; the stage's start is added."""
     free: Bool[np.ndarray, "n"]
-    """Over the vector of unknowns (`face/unknowns.py`)."""
+    """Mask over the vector of unknowns (`face/unknowns.py`)."""
     lower: Float[np.ndarray, "n"]
     upper: Float[np.ndarray, "n"]
     limit: int
@@ -116,7 +116,7 @@ class StageProblem:
 
 
 def predict(scene: DeepScene, views: tuple[DeepView, ...], parameters: FaceParameters) -> Prediction:
-    """Landmarks of the model in every view; the network runs where a view gives it a share."""
+    """Landmarks of the model in every view; the network runs only for views that give it a share."""
     points, preselected, looks = [], [], []
     for view in views:
         with COMPUTING:
@@ -133,7 +133,7 @@ def predict(scene: DeepScene, views: tuple[DeepView, ...], parameters: FaceParam
 def solve_stage(
     problem: StageProblem, start: FaceParameters, cancelled: Callable[[], bool] = lambda: False
 ) -> StageResult:
-    """Up to `limit` dogleg steps from `start`; each evaluates the network once in every view, plus its derivative."""
+    """Up to `limit` dogleg steps from `start`; each evaluates the network and its derivative once in every view."""
     vector, sizes = np.asarray(pack(start)), typical_sizes(start)
     views, stage = problem.stacked, _Stage(problem, start)
     parameters, prediction = start, predict(problem.scene, problem.views, start)
@@ -164,7 +164,7 @@ def solve_stage(
             path.append(Iteration(parameters, energies, prediction.points))
             if problem.derivative != "broyden":
                 derivative = None
-    # Below the smallest radius the network's answer is not smooth: there is nothing left to gain.
+    # Below the smallest radius the network's output is not smooth, so there is nothing left to gain.
     ends = {Status.RUNNING: Status.ITERATION_LIMIT, Status.STALLED: Status.CONVERGED}
     status = Status(int(state.status))
     evaluations = stage.evaluations + count + 1
@@ -174,7 +174,7 @@ def solve_stage(
 def broyden(
     derivative: Float[np.ndarray, "views n 68 2"], step: Float[np.ndarray, "n"], change: Float[np.ndarray, "views 68 2"]
 ) -> Float[np.ndarray, "views n 68 2"]:
-    """The derivative nearest to the present one that explains what a step did (Broyden's rank-one update)."""
+    """The derivative closest to the current one that explains the observed change (Broyden's rank-one update)."""
     length = step @ step
     if length == 0.0:
         return derivative
@@ -196,7 +196,7 @@ class _Stage:
             return np.asarray(term_energies(views, omega, prediction.points, parameters, self.context, terms), float)
 
     def derivative(self, parameters: FaceParameters, prediction: Prediction) -> Float[np.ndarray, "views n 68 2"]:
-        """Of the mixed landmarks, by the scaled unknowns; what the network sees is asked by the free ones alone."""
+        """Derivative of the mixed landmarks by the scaled unknowns; the network's part only by the free ones."""
         return np.stack([self._of_view(view, parameters) for view in self._problem.views])
 
     def _of_view(self, view: DeepView, parameters: FaceParameters) -> Float[np.ndarray, "n 68 2"]:

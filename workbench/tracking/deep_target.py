@@ -1,4 +1,4 @@
-"""N(F*): what the network of the energy sees in the photo, in the crop that a render of the same face would get."""
+"""N(F*): the network's landmarks in the photo, in the same crop that a render of this face would get."""
 
 from functools import cache, partial
 
@@ -17,14 +17,14 @@ from workbench.networks.landmark_network import landmark_network_from
 from workbench.runtime import COMPUTING
 
 LOOKS = 2
-"""The first look puts the crop right for the second."""
+"""The first evaluation corrects the crop for the second."""
 
 
 @cache
 def energy_network(path: str) -> Fan | LandmarkNetwork:
-    """The landmark network of a weights file, 3D-FAN's or our own kind; the bundled one for an empty path.
+    """The landmark network of a weights file, 3D-FAN's or our own; the bundled one for an empty path.
 
-    Raises `InputError` and `ModelError` as reading it does.
+    Raises `InputError` or `ModelError` if the file cannot be read.
     """
     if not path:
         return bundled_landmark_network()
@@ -35,7 +35,7 @@ def energy_network(path: str) -> Fan | LandmarkNetwork:
 def photo_landmarks(
     network: Fan | LandmarkNetwork, picture: UInt8[np.ndarray, "h w 3"], detected: Landmarks2D
 ) -> Landmarks2D:
-    """N(F*) of the face that a detector found, full-resolution pixels (Deep Energies Sec. 4)."""
+    """N(F*) for a detected face, in full-resolution pixels (Deep Energies Sec. 4)."""
     points = detected.points
     for _ in range(LOOKS):
         with COMPUTING:

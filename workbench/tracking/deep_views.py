@@ -1,4 +1,4 @@
-"""What each camera brings to a Deep Energies solve: camera, landmarks and their weights, light."""
+"""The views of a Deep Energies solve, one per camera: camera, landmarks with weights, and light."""
 
 from collections.abc import Sequence
 
@@ -18,15 +18,15 @@ from workbench.tracking.fitting import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
 
 EYES_PER_BOX = 0.726
-"""Outer-eye distance of an average face in face-box sides (`landmarks.alignment.MEAN_SHAPE`): unlike the distance in
-the picture it does not shrink with the yaw."""
+"""Outer-eye distance of an average face, in sides of the face box (`landmarks.alignment.MEAN_SHAPE`). Unlike the
+distance in the picture, it does not shrink with yaw."""
 FAR_MM = 1e5
-"""A parallel view is recorded as a camera at this distance, so that everything that reads a fit can draw it."""
+"""An orthographic view is recorded as a camera at this distance, so that every consumer of a fit can draw it."""
 BACKGROUND = (0.45, 0.45, 0.45)
 
 
 def recorded_camera(plan: Plan, image_size: tuple[int, int]) -> Camera:
-    """The camera of the reference view; for a parallel view one far away that looks alike."""
+    """The camera of the reference view; for an orthographic view, an equivalent distant camera."""
     if plan.camera.rig is not None:
         return plan.camera.rig.views[0].camera
     guessed = plan.camera.of(image_size)
@@ -39,9 +39,9 @@ def recorded_camera(plan: Plan, image_size: tuple[int, int]) -> Camera:
 def views_of(
     plan: Plan, network: Fan | LandmarkNetwork, observation: FrameObservation, light: Float[np.ndarray, "9 3"]
 ) -> tuple[DeepView, ...]:
-    """What each camera brings of a frame, every landmark in full; `light` in the reference camera's frame.
+    """The views of a frame, with all landmarks at full weight; `light` in the reference camera's frame.
 
-    Raises `InputError` for landmarks of another number of views than the rig has.
+    Raises `InputError` if the number of views with landmarks is not that of the rig.
     """
     rig = plan.camera.rig
     if rig is None:
@@ -50,7 +50,7 @@ def views_of(
     seen = (observation.landmarks, *observation.others)
     if len(seen) != len(rig):
         raise InputError(
-            f"The rig has {len(rig)} views ({', '.join(rig.names)}), the frame landmarks of {len(seen)}; "
+            f"The rig has {len(rig)} views ({', '.join(rig.names)}), but the frame has landmarks of {len(seen)}; "
             "give one clip for each view."
         )
     places = zip(rig.rotation_view_reference, rig.translation_view_reference_mm, strict=True)
@@ -61,19 +61,18 @@ def views_of(
 
 
 def weighed(views: Sequence[DeepView], stage: StagePlan) -> tuple[DeepView, ...]:
-    """The views with what each landmark counts in a stage."""
+    """The views with the landmark weights of a stage."""
     weights = stage.landmark_weights
     return tuple(view._replace(weights=jnp.asarray(weights * np.asarray(view.weights))) for view in views)
 
 
 def percent_px(network: Fan | LandmarkNetwork, points: Float[np.ndarray, "68 2"]) -> float:
-    """One percent of a face's outer-eye distance, pixels, by the size of its crop."""
+    """One percent of a face's outer-eye distance, in pixels, estimated from the size of its crop."""
     return 0.01 * EYES_PER_BOX / CROP_BOXES * float(crop_of(network, jnp.asarray(points)).side)
 
 
 def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
-    """The light of an appearance, in the reference camera's frame; a plain one from the front where none was
-    estimated."""
+    """The light of an appearance, in the reference camera's frame; plain frontal light if none was estimated."""
     if appearance is not None:
         return appearance.light
     return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)

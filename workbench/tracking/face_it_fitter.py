@@ -1,4 +1,4 @@
-"""One frame under FACE IT!: the head's pose and the weights of the blendshapes from 68 landmarks."""
+"""One frame under FACE IT!: head pose and blendshape weights from 68 landmarks."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -46,7 +46,7 @@ from workbench.tracking.plan import Plan
 from workbench.tracking.records import FrameFit
 
 TRACE_LENGTH = 500
-"""Longest trace; the largest limit that a stage may have."""
+"""Maximum length of a trace: the largest iteration limit that a stage may have."""
 
 
 class FaceItFitter(Fitter):
@@ -61,7 +61,7 @@ class FaceItFitter(Fitter):
         self.configure(plan)
 
     def configure(self, plan: Plan) -> None:
-        """Follow another plan from now on; nothing compiles unless the solver's method is a new one."""
+        """Use another plan from now on; nothing is recompiled unless the solver's method changes."""
         self.plan = plan
         self._settings = solve_settings(plan)
         self._used = plan.point_weights > 0.0
@@ -70,12 +70,12 @@ class FaceItFitter(Fitter):
 
     @property
     def links_frames(self) -> bool:
-        """Always: a frame starts where the one before ended."""
+        """Always true: a frame starts from the result of the previous one."""
         return True
 
     @property
     def calibrates(self) -> bool:
-        """Whether a shot is looked at before its frames are fitted."""
+        """Whether a shot is calibrated before its frames are fitted."""
         return self.plan.identity.calibrate
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
@@ -83,13 +83,13 @@ class FaceItFitter(Fitter):
         return self._camera_pair(image_size)[0]
 
     def calibrate(self, observations: Sequence[FrameObservation], frames: int) -> Calibrated:
-        """One identity from up to `frames` of these observations of one person, spread over the yaw.
+        """One identity from up to `frames` of these observations of one person, spread over the range of yaws.
 
         Raises `InputError` if none has landmarks.
         """
         usable = [observation for observation in observations if observation.landmarks is not None]
         if not usable:
-            raise InputError("An identity is calibrated on frames with a face; none of these has landmarks.")
+            raise InputError("Calibrating an identity needs frames with a face; none of these frames has landmarks.")
         neutral = self._landmarks.frontal_neutral()
         poses = [
             initial_pose(self.camera(observation.image_size), neutral, observation.landmarks.points, self._used)
@@ -104,7 +104,7 @@ class FaceItFitter(Fitter):
         return Calibrated(np.asarray(result.identity), starts)
 
     def problem(self, observation: FrameObservation, context: FrameContext) -> FaceItProblem:
-        """Camera, person, stages and start of a frame."""
+        """The solver's input for a frame: camera, person, stages and start."""
         began = time.perf_counter()
         camera, camera_on_device = self._camera_pair(observation.image_size)
         problem = FaceItProblem(
@@ -119,7 +119,7 @@ class FaceItFitter(Fitter):
     def solve(
         self, problem: FaceItProblem, traced: bool = False, cancelled: Callable[[], bool] = never
     ) -> FaceItSolution:
-        """All stages in one program, which nothing stops: it takes milliseconds."""
+        """Run all stages in one program. It takes milliseconds, so it cannot be cancelled."""
         if problem.frame is None:
             return FaceItSolution(problem, None, None, 0.0)
         with COMPUTING:
@@ -149,7 +149,7 @@ class FaceItFitter(Fitter):
         return traces_of(solution, self.plan)
 
     def stopped(self, solution: FaceItSolution, steps: int) -> FaceItSolution:
-        """The frame solved again with its stages cut off."""
+        """The frame solved again with its stages cut off after `steps` iterations."""
         return self.solve(replace(solution.problem, program=cut_off(solution, steps)))
 
     def warm_up(self, image_size: tuple[int, int], trace: bool = False) -> None:
@@ -165,7 +165,7 @@ class FaceItFitter(Fitter):
             self.explain(observation, afresh)
 
     def neutral_observation(self, image_size: tuple[int, int]) -> FrameObservation:
-        """What a perfect detector would see of the neutral face in front of this camera."""
+        """A perfect detector's observation of the neutral face in front of this camera."""
         neutral = self._landmarks.frontal_neutral()
         points = np.asarray(project(self.camera(image_size), neutral + np.array([0.0, 0.0, 600.0])))
         return FrameObservation(0, Landmarks2D(points, np.ones(68), image_size), image_size)
@@ -177,7 +177,7 @@ class FaceItFitter(Fitter):
         return self._cameras[image_size]
 
     def _personal_of(self, identity: Float[np.ndarray, "i"]) -> LandmarkModel:
-        # One person after the other: the newest is kept on the device.
+        # Persons come one after the other, so only the latest is kept on the device.
         if self._identity is None or not np.array_equal(identity, self._identity):
             personal = self._landmarks.personal(np.asarray(identity, float))
             self._neutral = personal.frontal_neutral()
@@ -197,12 +197,12 @@ class FaceItFitter(Fitter):
             rotation, translation = initial_pose(camera, self._neutral, points, self._used)
             expression = np.zeros(len(self.model.expression_names))
             start = FaceParameters(rotation, translation, expression, np.zeros(0))
-        # The identity is in the person's landmarks, and there is neither a joint nor a scale.
+        # The identity is already part of the personal landmarks, and there is neither a jaw joint nor a scale.
         start = FaceParameters(start.rotation, start.translation, start.expression, np.zeros(0))
         return FrameInput(measured, _NO_POSE, _NO_POSE, _ZERO, start)
 
     def _calibrate_on(self, observations, poses, count):
-        # A fixed number of frames, missing ones with weight zero, so that every shot runs the same program.
+        # The number of frames is fixed, padded with weight zero, so that every shot uses the same compiled program.
         padding = count - len(observations)
         observations = observations + observations[-1:] * padding
         poses = poses + poses[-1:] * padding
@@ -240,7 +240,7 @@ class FaceItFitter(Fitter):
             )
 
     def record(self, solution: FaceItSolution) -> FrameFit:
-        """A solution as what tables, pictures and exports read."""
+        """The solution as a record for tables, pictures and exports."""
         problem = solution.problem
         if solution.report is None:
             return record_without_face(problem.observation, problem.context.shot, problem.camera, self.model, self.plan)

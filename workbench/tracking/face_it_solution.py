@@ -1,4 +1,4 @@
-"""A frame of FACE IT! before and after its stages: the problem, the solution, and what both are read as."""
+"""A frame under FACE IT! before and after its stages: the problem, the solution, and its record."""
 
 from dataclasses import dataclass
 
@@ -24,10 +24,10 @@ from workbench.tracking.records import FrameFit
 
 @dataclass(frozen=True)
 class FaceItProblem(FrameProblem):
-    """A frame as `solve_frame` takes it; without landmarks there is nothing to solve."""
+    """The input of `solve_frame` for one frame; without landmarks there is nothing to solve."""
 
     began: float
-    """When the frame was taken up, seconds."""
+    """Time at which work on the frame began, seconds."""
     camera: Camera
     settings: SolveSettings
     program: StageProgram
@@ -39,13 +39,13 @@ class FaceItProblem(FrameProblem):
 
 @dataclass(frozen=True)
 class FaceItSolution(FrameSolution):
-    """What `solve_frame` made of a frame; None where there was nothing to solve."""
+    """The results of `solve_frame`; None if there was nothing to solve."""
 
     problem: FaceItProblem
     found: SolvedFrame | None
     """On the device, for the next frame."""
     report: SolvedFrame | None
-    """The same in NumPy arrays."""
+    """The same as NumPy arrays."""
     milliseconds: float
 
     @property
@@ -55,7 +55,7 @@ class FaceItSolution(FrameSolution):
 
 
 def solve_settings(plan: Plan) -> SolveSettings:
-    """The traced part of a plan that all stages share."""
+    """The settings shared by all stages, as traced values."""
     lower, upper = (0.0, 1.0) if plan.solver.bounded else (-np.inf, np.inf)
     return on_device(
         SolveSettings(
@@ -92,9 +92,9 @@ def traces_of(solution: FaceItSolution, plan: Plan) -> tuple[StageTrace, ...]:
 
 
 def cut_off(solution: FaceItSolution, steps: int) -> StageProgram:
-    """The stages of a solution limited to `steps` iterations, counted through all of them.
+    """The stages of a solution limited to `steps` iterations, counted across all stages.
 
-    Stages that are not reached do not run: even without an iteration they would move the jaw contour.
+    Stages beyond that do not run at all: even without an iteration they would move the jaw contour.
     """
     left, limits = max(steps, 0), []
     for count in solution.counts:
@@ -109,10 +109,10 @@ def cut_off(solution: FaceItSolution, steps: int) -> StageProgram:
 
 
 def record_of(solution: FaceItSolution, plan: Plan) -> FrameFit:
-    """A solution with a face as what tables, pictures and exports read."""
+    """The record of a solution with a face, for tables, pictures and exports."""
     problem, found = solution.problem, solution.report
     observation, context = problem.observation, problem.context
-    # Rows are laid out for the stages of a first frame, so that first and later frames stack.
+    # Rows are laid out for the stages of a first frame, so that first and later frames can be stacked.
     rows, running = (len(plan.running(start)) for start in (True, context.last is None))
     count = int(problem.program.count)
     place = slice(rows - running, rows - running + count)
@@ -172,5 +172,5 @@ def _missing(*shape: int) -> Float[np.ndarray, "..."]:
 
 
 def on_device(tree):
-    """A tree of numbers as JAX's arrays in double precision."""
+    """A tree of numbers as JAX arrays in double precision."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)

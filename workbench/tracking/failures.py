@@ -1,4 +1,4 @@
-"""Why a fit should not be used: the one definition, for infill and refinement, reports, pictures and the panel."""
+"""Why a fit should not be used: the single definition for infill, refinement, reports, pictures and the panel."""
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -13,10 +13,10 @@ _NUMBERS = ("rotation", "translation", "expression", "identity", "projected")
 def failure_of_residuals(
     percent: Float[np.ndarray, "n 68"], largest_error: float, largest_disagreement: float = np.inf
 ) -> Int[np.ndarray, "n"]:
-    """Which of `FAILURES` the residuals of each frame (or view) show, 0 for none (Deep Energies Sec. 8.2).
+    """Index in `FAILURES` for the residuals of each frame (or view), 0 for none (Deep Energies Sec. 8.2).
 
-    Both limits are in the unit of `percent`: on the mean over all points, and on the difference between the means over
-    the jaw line and over the inner points.
+    Both limits are in the unit of `percent`: the first applies to the mean over all points, the second to the
+    difference between the means over the jaw line and over the inner points.
     """
     disagreement = np.abs(percent[:, :17].mean(1) - percent[:, 17:].mean(1))
     shown = [~np.isfinite(percent).all(1), disagreement > largest_disagreement, percent.mean(1) > largest_error]
@@ -25,10 +25,10 @@ def failure_of_residuals(
 
 
 def failures_of(track: Track, largest_error: float = np.inf) -> Shaped[np.ndarray, "n"]:
-    """Why the fit of each frame should not be used: `NO_FACE` or one of `FAILURES`, empty if it may.
+    """Why the fit of each frame should not be used: `NO_FACE` or one of `FAILURES`, empty for a usable fit.
 
-    What the fit itself has recorded comes first. A mean error over all landmarks of more than `largest_error` % of the
-    outer-eye distance is a large one; frames that this view did not see have none.
+    A failure recorded by the fit itself takes precedence. An error is large if its mean over all landmarks exceeds
+    `largest_error` % of the outer-eye distance; frames that this view did not see have no error.
     """
     percent = np.where(track.seen[:, None], track.residuals_percent, 0.0)
     finite = np.stack([np.isfinite(getattr(track, name)).reshape(len(track), -1).all(1) for name in _NUMBERS]).all(0)

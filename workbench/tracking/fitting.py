@@ -1,6 +1,6 @@
 """The four calls that fit a frame, the same for both systems: problem, solve, record, hand on.
 
-A fitter knows of no order of frames. What came before a frame reaches it by the frame's context (`walk.py`).
+A fitter knows nothing of the order of frames: the previous frame enters through the context (`walk.py`).
 """
 
 from abc import ABC, abstractmethod
@@ -23,7 +23,7 @@ from workbench.tracking.records import FrameFit
 
 @dataclass(frozen=True)
 class FrameObservation:
-    """What a frame brings to the tracker."""
+    """The input of the tracker for one frame."""
 
     index: int
     landmarks: Landmarks2D | None
@@ -32,11 +32,11 @@ class FrameObservation:
     cut: bool = False
     """Whether this frame starts a new shot."""
     milliseconds: tuple[float, float] = (0.0, 0.0)
-    """Time that detection and landmarks took."""
+    """Time taken by face detection and by landmarks."""
     picture: UInt8[np.ndarray, "h w 3"] | None = None
-    """RGB, where the fit wants it: Deep Energies takes colours and light from one."""
+    """RGB, if the fit needs it: Deep Energies estimates colours and light from it."""
     others: tuple[Landmarks2D | None, ...] = ()
-    """Landmarks in the other views of a rig, in its order; None where that view found no face."""
+    """Landmarks in the other views of a rig, in the rig's order; None for a view without a face."""
 
     @property
     def faces(self) -> bool:
@@ -45,31 +45,31 @@ class FrameObservation:
 
 
 class Continuation(NamedTuple):
-    """What one frame hands to the next."""
+    """The state that one frame hands to the next."""
 
     parameters: FaceParameters
     pose: Float[AnyArray, "6"]
     last_pose: Float[AnyArray, "6"]
     frames: int
-    """Frames since the restart, this one included."""
+    """Frames since the restart, including this one."""
     points: Float[np.ndarray, "68 2"]
 
 
 class FrameContext(NamedTuple):
-    """What a frame is fitted from, besides its observation."""
+    """Everything that a frame is fitted from, besides its observation."""
 
     shot: int
     identity: Float[np.ndarray, "i"]
     start: FaceParameters | None
-    """Where the calibration left this frame, if it was one of its frames."""
+    """Result of the calibration for this frame, if it was used there."""
     last: Continuation | None
-    """The frame before; None where a shot, or the face after a gap or a jump, begins."""
+    """State of the previous frame; None at the start of a shot and after a gap or a jump."""
     appearance: Appearance | None = None
     """Colours and light of the shot, for renders."""
 
 
 class Calibrated(NamedTuple):
-    """Identity of a shot, and where its calibration left the frames that it used."""
+    """Identity of a shot, and the calibration's result for each frame that it used."""
 
     identity: Float[np.ndarray, "i"]
     starts: dict[int, FaceParameters]
@@ -89,7 +89,7 @@ class StageTrace(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameProblem:
-    """A frame ready to be solved; each system's own adds what its solver takes."""
+    """A frame ready to be solved; each system's subclass adds the input of its solver."""
 
     observation: FrameObservation
     context: FrameContext
@@ -97,28 +97,28 @@ class FrameProblem:
 
 @dataclass(frozen=True)
 class FrameSolution:
-    """What the stages made of a problem; each system's own adds their results."""
+    """The solution of a problem; each system's subclass adds the results of its stages."""
 
     problem: FrameProblem
 
 
 def never() -> bool:
-    """Nobody cancels."""
+    """The default for `cancelled`: never cancel."""
     return False
 
 
 class Fitter(ABC):
-    """Fits frames in their context. Holds the arrays of one model and one plan, no order of frames."""
+    """Fits frames in their context. Holds the arrays of one model and one plan, but no state between frames."""
 
     renders: ClassVar[bool]
-    """Whether a solution holds every step of every stage with its renders, so that one solve serves fit, path and
+    """Whether a solution holds every step of every stage with its renders, so that one solve gives fit, path and
     pictures."""
     model: FaceModel
     plan: Plan
 
     @abstractmethod
     def configure(self, plan: Plan) -> None:
-        """Follow another plan from now on."""
+        """Use another plan from now on."""
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -128,12 +128,12 @@ class Fitter(ABC):
     @property
     @abstractmethod
     def links_frames(self) -> bool:
-        """Whether a frame depends on the one before."""
+        """Whether a frame depends on the previous one."""
 
     @property
     @abstractmethod
     def calibrates(self) -> bool:
-        """Whether a shot is looked at before its frames are fitted."""
+        """Whether a shot is calibrated before its frames are fitted."""
 
     @abstractmethod
     def camera(self, image_size: tuple[int, int]) -> Camera:
@@ -141,11 +141,11 @@ class Fitter(ABC):
 
     @abstractmethod
     def calibrate(self, observations: Sequence[FrameObservation], frames: int) -> Calibrated:
-        """What a shot's frames share, from up to `frames` of these. Raises `InputError` if none has landmarks."""
+        """The data shared by a shot, from up to `frames` of these. Raises `InputError` if none has landmarks."""
 
     @abstractmethod
     def neutral_observation(self, image_size: tuple[int, int]) -> FrameObservation:
-        """What a perfect detector would see of the neutral face in front of this camera."""
+        """A perfect detector's observation of the neutral face in front of this camera."""
 
     @abstractmethod
     def warm_up(self, image_size: tuple[int, int], trace: bool = False) -> None:
@@ -153,19 +153,19 @@ class Fitter(ABC):
 
     @abstractmethod
     def problem(self, observation: FrameObservation, context: FrameContext) -> FrameProblem:
-        """What the solver is given of a frame."""
+        """The solver's input for a frame."""
 
     @abstractmethod
     def solve(self, problem: Any, traced: bool = False, cancelled: Callable[[], bool] = never) -> FrameSolution:
-        """All stages in order. `traced` keeps every iteration; `cancelled` is asked where a solver can stop."""
+        """Run all stages in order. `traced` keeps every iteration; `cancelled` is checked where a solver can stop."""
 
     @abstractmethod
     def record(self, solution: Any) -> FrameFit:
-        """A solution as what tables, pictures and exports read."""
+        """The solution as a record for tables, pictures and exports."""
 
     @abstractmethod
     def hand_on(self, solution: Any) -> Continuation | None:
-        """What a solved frame leaves to the next one; None where nothing links them."""
+        """The state that a solved frame hands to the next one; None if frames are not linked."""
 
     @abstractmethod
     def traces(self, solution: Any) -> tuple[StageTrace, ...]:
@@ -173,22 +173,22 @@ class Fitter(ABC):
 
     @abstractmethod
     def stopped(self, solution: Any, steps: int) -> FrameSolution:
-        """A traced solution as it stood after `steps` iterations, counted through all stages."""
+        """A traced solution after `steps` iterations, counted across all stages."""
 
     def appearance(
         self, observations: Sequence[FrameObservation], identity: Float[np.ndarray, "i"]
     ) -> Appearance | None:
-        """Colours and light of a shot for renders; None where nothing is rendered."""
+        """Colours and light of a shot for renders; None if nothing is rendered."""
         return None
 
     def mean_identity(self) -> Float[np.ndarray, "i"]:
-        """The identity used where none is calibrated."""
+        """The identity used if none is calibrated."""
         return np.zeros(len(self.model.identity_deltas))
 
     def fit(
         self, observation: FrameObservation, context: FrameContext, cancelled: Callable[[], bool] = never
     ) -> tuple[FrameFit, Continuation | None]:
-        """The fit of a frame, and what it hands to the next one."""
+        """The fit of a frame, and the state for the next one."""
         solution = self.solve(self.problem(observation, context), cancelled=cancelled)
         return self.record(solution), self.hand_on(solution)
 
@@ -206,7 +206,7 @@ def with_face(observation: FrameObservation) -> FrameObservation:
 
 
 def corrected(observation: FrameObservation, moved: Mapping[int, tuple[float, float]]) -> FrameObservation:
-    """The observation with the detections that were put right by hand, by point; these count as certain."""
+    """The observation with manually corrected detections, by point; these get full confidence."""
     if not moved or observation.landmarks is None:
         return observation
     points, confidence = observation.landmarks.points.copy(), observation.landmarks.confidence.copy()
@@ -221,6 +221,6 @@ def continued(
     last: Continuation | None,
     points: Float[np.ndarray, "68 2"],
 ) -> Continuation:
-    """What a fitted frame hands to the next one; `last` is what it was handed itself."""
+    """The state that a fitted frame hands to the next one; `last` is the state it received."""
     before = pose if last is None else last.pose
     return Continuation(parameters, pose, before, 1 if last is None else last.frames + 1, points)

@@ -1,4 +1,4 @@
-"""A frame placed from its neighbours by optical flow: photos, surface points, renders and solver put together."""
+"""Placing a frame from its neighbours by optical flow: combines photos, surface points, renders and solver."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -23,25 +23,25 @@ from workbench.tracking.plan import Plan
 from workbench.tracking.records import FrameFit
 
 VISIBILITY_SIDE = 128
-"""Pixels across the face in the picture of depths that tells hidden points."""
+"""Size of the depth map, in pixels across the face, that decides which points are hidden."""
 ESTIMATED_PASSES = 3
-"""Solves with the estimator's word on the renders brought up to date in between."""
+"""Number of solves; the estimator's flow of the renders is updated between them."""
 TOLERANCE = 1e-4
-"""A solve ends when a step lowers the energy by less than this part."""
+"""A solve ends when a step lowers the energy by less than this fraction."""
 
 Pictures = tuple[UInt8[np.ndarray, "_ _ 3"], ...]
-"""A moment in each view of a rig; one for a single camera."""
+"""The pictures of one frame, one for each view of a rig; a single one without a rig."""
 
 
 class Neighbour(NamedTuple):
-    """A frame beside the one that is solved."""
+    """A frame next to the one being solved."""
 
     parameters: FaceParameters
     pictures: Pictures
 
 
 class Links(NamedTuple):
-    """What the pictures say about one frame: from one neighbour's points, by flow, to places in each view."""
+    """What the pictures say about one frame: one neighbour's points moved by flow to positions in each view."""
 
     places: Float[np.ndarray, "views n 2"]
     weights: Float[np.ndarray, "views n"]
@@ -68,7 +68,7 @@ class FlowFitter:
             if stage.enabled
         ]
         self.free = np.any([np.concatenate(self._of_moving(one)) for one in freed], axis=0)
-        """Which of rotation, translation, expression and jaw the plan's stages ever free."""
+        """Which entries of rotation, translation, expression and jaw are free in any stage of the plan."""
         self._appearances: dict[int, Appearance | None] = {}
 
     @property
@@ -77,7 +77,7 @@ class FlowFitter:
 
     @property
     def view_count(self) -> int:
-        """Cameras that look at the face."""
+        """Number of cameras."""
         return 1 if self.rig is None else len(self.rig)
 
     def views(self, fit: FrameFit) -> FlowView:
@@ -93,14 +93,14 @@ class FlowFitter:
         return FlowView(stacked, np.asarray(rotations, float), np.asarray(translations, float))
 
     def links(self, neighbour: Neighbour, pictures: Pictures, guess: FaceParameters, views: FlowView) -> Links:
-        """Where the flow from a neighbour's pictures puts the face's points in these ones.
+        """Positions of the face's points in these pictures, by flow from a neighbour's pictures.
 
-        `guess` says about where the face is, so that the cut-outs hold it. Raises `InputError` for another number of
-        pictures than views.
+        `guess` is the approximate position of the face, to choose cut-outs that contain it. Raises `InputError` if the
+        numbers of pictures and views differ.
         """
         if not len(neighbour.pictures) == len(pictures) == self.view_count:
             raise InputError(
-                f"There are {self.view_count} views and pictures of {len(neighbour.pictures)} and {len(pictures)}; "
+                f"There are {self.view_count} views, but {len(neighbour.pictures)} and {len(pictures)} pictures; "
                 "give one picture for each view."
             )
         with COMPUTING:
@@ -113,7 +113,7 @@ class FlowFitter:
             close = cutout_about(here[view], VISIBILITY_SIDE)
             visible = points_shown(self._render, self._points, neighbour.parameters, views, view, close)
             places.append(found.places)
-            # An estimator that sees both pairs errs alike where something gets hidden: that is kept, as in the paper.
+            # An estimator applied to both pairs makes the same errors at occlusions: those points stay, as published.
             weights.append((visible & (found.consistent | self._estimates_renders)).astype(float))
             cutouts.append(cutout)
         return Links(np.stack(places), np.stack(weights), here, tuple(cutouts))
@@ -127,9 +127,9 @@ class FlowFitter:
         stay_pose: float | int = 0.0,
         appearance: Appearance | None = None,
     ) -> FlowSolution:
-        """The frame between two neighbours (None where there is none), near `prior`.
+        """The frame between two neighbours (None for a missing one), near `prior`.
 
-        `appearance`: for renders that go through the estimator, by configuration.
+        `appearance`: needed if the configuration runs the estimator on renders.
         """
         targets = self._targets(sides, start, views)
         solution = self.solve_targets(targets, start, prior, views, stay_pose)
@@ -148,16 +148,16 @@ class FlowFitter:
         views: FlowView,
         stay_pose: float | int = 0.0,
     ) -> FlowSolution:
-        """The frame whose points lie where the targets say, near `prior`."""
+        """The frame whose points lie closest to the targets, near `prior`."""
         limits, weights = self._limits(start), self._weights(stay_pose)
         with COMPUTING:
             solution = solve_flow(self._points, views, targets, weights, start, prior, limits)
             return jax.tree.map(np.asarray, solution)
 
     def midway_targets(self, before: FaceParameters, after: FaceParameters, views: FlowView) -> FlowTargets:
-        """Every point midway between its places in the neighbours' renders: there ‖N(F₁, F₂) − N(F₂, F₃)‖ is least.
+        """Targets midway between each point's positions in the neighbours: they minimise ‖N(F₁, F₂) − N(F₂, F₃)‖.
 
-        The difference of both flows at a point is twice its distance from there; hence the weight of 4.
+        The two flows at a point differ by twice its distance from the target; hence the weight of 4.
         """
         with COMPUTING:
             ends = [np.asarray(_places(self._points, views, state), float) for state in (before, after)]
@@ -167,7 +167,7 @@ class FlowFitter:
         return targets
 
     def appearance_of_shot(self, moment) -> Appearance | None:
-        """Colours and light of a shot, from the first of its frames that is asked for; None where none are wanted."""
+        """Colours and light of a shot, from the first of its frames requested; None if they are not needed."""
         if not self._estimates_renders:
             return None
         if moment.fit.shot not in self._appearances:
@@ -175,7 +175,7 @@ class FlowFitter:
         return self._appearances[moment.fit.shot]
 
     def appearance(self, fit: FrameFit, picture: UInt8[np.ndarray, "h w 3"]) -> Appearance | None:
-        """Colours and light for renders, from a frame that is fitted; None where the face is too small for them."""
+        """Colours and light for renders, from a fitted frame; None if the face is too small."""
         person = self.model.personal(fit.identity)
         vertices = np.asarray(face_vertices(self._render, parameters_of(fit)), float)
         try:
@@ -184,9 +184,9 @@ class FlowFitter:
             return None
 
     def placed(self, like: FrameFit, parameters: FaceParameters) -> FrameFit:
-        """A fit moved to other parameters, its landmarks kept; what the stages reported is no longer true of it.
+        """A fit moved to other parameters. Its landmarks are kept; the reports of the stages are removed.
 
-        Where it has none of its own, the model's go on to stand for them.
+        A fit without landmarks of its own continues to use the model's in their place.
         """
         parts = {name: np.asarray(getattr(parameters, name), float) for name in MOVING}
         projected = self.landmarks(like, parameters)
@@ -202,9 +202,9 @@ class FlowFitter:
         )
 
     def filled(self, empty: FrameFit, like: FrameFit, parameters: FaceParameters) -> FrameFit:
-        """The record of a frame that has no landmarks to fit: the model's own stand for them, with confidence 0.
+        """The record of a frame without landmarks: the model's are used in their place, with confidence 0.
 
-        `empty` brings the frame's number and times, `like` (an anchor) the camera, the person and the layout.
+        `empty` provides the frame's number and times; `like` (an anchor) provides camera, person and layout.
         """
         made = self.placed(replace(like, index=empty.index, milliseconds=empty.milliseconds), parameters)
         return replace(made, found=True, failure="", source="filled", observed=made.projected, confidence=np.zeros(68))
@@ -237,7 +237,7 @@ class FlowFitter:
             np.concatenate(self._of_moving(limit)) for limit in parameter_range(self.model, self.plan.solver.bounded)
         )
         held = np.concatenate([np.asarray(part, float) for part in self._of_moving(start)])
-        # What may not move, and what stood beyond its range before: there the range gives way.
+        # Fixed parameters get equal bounds; for values already outside their range the range is extended.
         lower, upper = np.minimum(lower, held), np.maximum(upper, held)
         return FlowLimits(
             np.where(self.free, lower, held),
@@ -251,7 +251,7 @@ class FlowFitter:
         return tuple(getattr(parameters, name) for name in MOVING)
 
     def _bias(self, sides, parameters: FaceParameters, views: FlowView, appearance: Appearance | None):
-        """What the estimator says of the rendered pair beside the exact flow, at the neighbour's points; pixels."""
+        """The estimator's flow of the rendered pair minus the exact flow, at the neighbour's points; pixels."""
         count = len(self._points.barycentric)
         bias = np.zeros((2, self.view_count, count, 2))
         with COMPUTING:
@@ -272,7 +272,7 @@ class FlowFitter:
 
 
 def parameters_of(fit: FrameFit) -> FaceParameters:
-    """The parameters that a fit recorded."""
+    """The parameters recorded in a fit."""
     return FaceParameters(
         rotation=np.asarray(fit.rotation, float),
         translation=np.asarray(fit.translation, float),

@@ -1,4 +1,4 @@
-"""The face as optical flow meets it in one view: which of its points are seen, and its render in a cut-out."""
+"""The face in one view, for optical flow: its visible points, and its render in a cut-out."""
 
 from functools import partial
 
@@ -26,7 +26,7 @@ RENDER_GREY = 0.45
 def points_shown(
     model: RenderModel, points: SurfacePoints, parameters: FaceParameters, views: FlowView, view: int, cutout: Cutout
 ) -> Bool[np.ndarray, "n"]:
-    """Which of the points a view shows: nothing of the head is before them."""
+    """Which of the points are visible in a view, not hidden by the head itself."""
     camera, place = _view(views, view)
     crop = _crop(camera, cutout)
     with COMPUTING:
@@ -41,7 +41,7 @@ def rendered_cutout(
     cutout: Cutout,
     appearance: Appearance | None,
 ) -> UInt8[np.ndarray, "s s 3"]:
-    """The face in a view's cut-out, in the colours and light of an appearance; the model's own for None."""
+    """The face rendered in a view's cut-out, with the colours and light of an appearance; the model's own for None."""
     camera, place = _view(views, view)
     albedo = model.colors if appearance is None else appearance.albedo
     light = turned_light(light_of(appearance), views.rotation[view])

@@ -1,7 +1,7 @@
 """One frame from the flow to its neighbours: pose, weights and jaw by robust Levenberg–Marquardt, compiled once.
 
-What is free, weights, bounds, targets and cameras are data. Another number of surface points, views or blendshapes
-compiles again.
+Free parameters, weights, bounds, targets and cameras are data. Only another number of surface points, views or
+blendshapes triggers recompilation.
 """
 
 from typing import NamedTuple
@@ -24,19 +24,19 @@ from workbench.flow import SurfacePoints
 from workbench.solvers import LevenbergMarquardt, minimise, normal_equations
 
 MOVING = ("rotation", "translation", "expression", "jaw")
-"""What flow moves; identity and scale stay."""
+"""The parameters estimated from flow; identity and scale are held."""
 REWEIGHTINGS = 3
-"""Least squares in turn, each with the robust weights that the one before left."""
+"""Number of reweighted least-squares solves, each with robust weights from the previous result."""
 
 
 class FlowLimits(NamedTuple):
-    """What may move, and how far and how long."""
+    """Bounds of the unknowns and limits of the iterations."""
 
     lower: Float[AnyArray, "n"]
-    """Least value of each of the `MOVING` unknowns; equal to `upper` where it stays."""
+    """Lower bound of each of the `MOVING` unknowns; equal to `upper` if it is held."""
     upper: Float[AnyArray, "n"]
     iterations: Count
-    """Of each of the robust least squares."""
+    """Limit for each reweighted least-squares solve."""
     tolerance: Scalar
 
 
@@ -45,9 +45,9 @@ class FlowSolution(NamedTuple):
 
     parameters: FaceParameters
     energies: Float[Array, "2"]
-    """Σr² of the flow (with its robust weights) and of the prior."""
+    """Energy Σr² of the flow (with robust weights) and of the prior."""
     missed: Float[Array, ""]
-    """Weighted mean distance of the points from where neighbours and flow have them, percent of the eye distance."""
+    """Weighted mean distance of the points from their targets, percent of the eye distance."""
     status: Int[Array, ""]
     iterations: Int[Array, ""]
 
@@ -62,7 +62,7 @@ def solve_flow(
     prior: FaceParameters,
     limits: FlowLimits,
 ) -> FlowSolution:
-    """The frame whose points lie where its neighbours and the flow say, near the prior."""
+    """The frame whose points lie closest to the targets from neighbours and flow, near the prior."""
 
     def terms(vector, scales):
         return flow_residuals(points, views, targets, weights, scales, unpack(vector, start, MOVING), prior)

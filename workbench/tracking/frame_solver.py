@@ -1,7 +1,7 @@
 """One frame through the stages of a schedule, as one compiled program.
 
-Which stages run, what each frees, their limits, all weights, bounds, camera and model are data: moving any of them
-compiles nothing. Only the solver's method and whether a trace is kept make another program.
+Which stages run, what each frees, their limits, all weights, bounds, camera and model are data: changing them does not
+recompile anything. Only another solver method, or keeping a trace, makes another program.
 """
 
 import math
@@ -41,10 +41,10 @@ from workbench.geometry import Camera, head_yaw
 from workbench.solvers import LevenbergMarquardt, Solution, TrustRegion, minimise
 
 BLOCKS = SYSTEMS["face-it"].blocks
-"""What a stage may move, in the order of the solver's vector."""
+"""Blocks of parameters that a stage may free, in the order of the solver's vector."""
 BRANCHES = (("rotation", "translation"), BLOCKS)
-"""One branch each of one compiled program: a stage of the pose alone costs a small solve, any other that of the whole
-vector. What a stage does not move is masked, so that no schedule compiles anew."""
+"""The branches of one compiled program: a pose-only stage costs a small solve, any other stage a solve of the whole
+vector. Parameters that a stage does not free are masked, so that no schedule triggers recompilation."""
 STAGE_SLOTS = 8
 """Schedules are padded to a multiple of this many stages."""
 Method = Literal["lm", "optimistix-lm", "optimistix-dogleg"]
@@ -60,31 +60,31 @@ class StageProgram(NamedTuple):
     """ρ or ε."""
     landmark_weights: Float[AnyArray, "s 68"]
     omega: Float[AnyArray, "s t"]
-    """Factor in front of each term; 0 where a stage leaves it out."""
+    """Factor in front of each term; 0 if a stage leaves it out."""
     count: Int[AnyArray, ""]
-    """Stages that run; rows beyond are padding."""
+    """Number of stages that run; the remaining rows are padding."""
 
 
 class SolveSettings(NamedTuple):
-    """The traced part of a configuration."""
+    """The settings of a solve, as traced values."""
 
     constants: EnergyConstants
     lower: Float[AnyArray, "*k"]
-    """Lowest blendshape weight, −∞ for none; gives way to the model's own bounds of each weight where it is finite, and
-    where the model holds the weight because no landmark sees it."""
+    """Lower bound of each blendshape weight, −∞ for none. The model's own bounds replace finite ones, and apply to
+    weights that the model holds because they move no landmark."""
     upper: Float[AnyArray, "*k"]
     tolerance: Float[AnyArray, ""]
     percent: Float[AnyArray, ""]
-    """1: residuals count in percent of the outer-eye distance; 0: in pixels."""
+    """1: residuals in percent of the outer-eye distance; 0: in pixels."""
     sliding: Float[AnyArray, ""]
-    """1: the jaw contour slides with the yaw; 0: it stays at its frontal place."""
+    """1: the jaw contour slides with the yaw; 0: it stays at its frontal position."""
 
 
 class FrameInput(NamedTuple):
-    """What one frame brings."""
+    """The input for one frame."""
 
     measured: Float[AnyArray, "68 3"]
-    """x and y in pixels, and confidence: one array, because each one handed over costs as much as an iteration."""
+    """x and y in pixels, and confidence. One array, because each array passed in costs as much as an iteration."""
     last_pose: Float[AnyArray, "6"]
     before_last_pose: Float[AnyArray, "6"]
     history: Float[AnyArray, ""]
@@ -92,7 +92,7 @@ class FrameInput(NamedTuple):
 
 
 class SolvedFrame(NamedTuple):
-    """What the stages make of it; rows of stages that did not run hold NaN, −1 and 0."""
+    """The results of the stages for one frame; rows of stages that did not run hold NaN, −1 and 0."""
 
     parameters: FaceParameters
     pose: Float[AnyArray, "6"]
@@ -104,9 +104,9 @@ class SolvedFrame(NamedTuple):
     status: Int[AnyArray, "s"]
     iterations: Int[AnyArray, "s"]
     report: Float[AnyArray, "n"]
-    """Everything above but the traces in one vector (`read_report`): one transfer instead of nine."""
+    """All of the above in one vector (`read_report`): one transfer instead of nine."""
     traces: Any
-    """None unless asked for: by stage, energies (s, steps, t) and landmark residuals in pixels (s, steps, 68)."""
+    """None unless requested: per stage, energies (s, steps, t) and landmark residuals in pixels (s, steps, 68)."""
 
 
 @partial(jax.jit, static_argnames=("method", "trace_length", "terms"))
@@ -120,7 +120,7 @@ def solve_frame(
     trace_length: int = 0,
     terms: tuple[str, ...] = FACE_IT_TERMS,
 ) -> SolvedFrame:
-    """Run the stages in order, each from where the one before ended. `terms` names the columns of `program.omega`."""
+    """Run the stages in order, each from the previous result. `terms` names the columns of `program.omega`."""
     settings = _within_range(settings, model)
 
     def branch(free: tuple[str, ...]):
@@ -137,7 +137,7 @@ def solve_frame(
     def body(carry):
         k, parameters, _, rows = carry
         moves = program.moves[k]
-        # A pose that does not move has no E_τ.
+        # A held pose has no E_τ.
         seen = frame._replace(history=frame.history * moves[:2].any())
         omega, landmark_weights = program.omega[k], program.landmark_weights[k]
         problem = stage_problem(camera, model, settings, landmark_weights, omega, seen, parameters)
@@ -165,7 +165,7 @@ def solve_frame(
 
 
 def _within_range(settings: SolveSettings, model: LandmarkModel) -> SolveSettings:
-    """The settings with the model's own bounds of each weight; where weights are unbounded, of those only that it
+    """The settings with the model's own bounds of each weight; if weights are unbounded, only of those that the model
     holds."""
     held = model.expression_lower == model.expression_upper
     return settings._replace(
@@ -175,16 +175,16 @@ def _within_range(settings: SolveSettings, model: LandmarkModel) -> SolveSetting
 
 
 def _held(settings: SolveSettings):
-    """Weights without any room between their bounds."""
+    """Weights whose lower and upper bounds are equal."""
     return settings.lower == settings.upper
 
 
 def read_report(solution: SolvedFrame) -> SolvedFrame:
-    """The solution with NumPy arrays, fetched in one transfer; traces stay where they are."""
+    """The solution as NumPy arrays, fetched in one transfer; traces stay on the device."""
     leaves, structure = jax.tree.flatten(tuple(solution)[:6])
     report = np.asarray(solution.report)
     host, start = [], 0
-    # Slices of one array: np.split and cumsum take longer here than two iterations of the solver.
+    # Plain slices of one array: here np.split and cumsum would take longer than two iterations of the solver.
     for leaf in leaves:
         shape, dtype = leaf.shape, leaf.dtype
         end = start + math.prod(shape)
@@ -202,7 +202,7 @@ def stage_problem(
     frame: FrameInput,
     parameters: FaceParameters,
 ) -> EnergyProblem:
-    """The energy of one stage: contour, blink travel and residual unit are fixed by where the stage starts."""
+    """The energy of one stage: contour, blink travel and residual unit are fixed at the start of the stage."""
     blend = contour_blend(model.contour_yaw, head_yaw(parameters.rotation), settings.sliding)
     points = model_landmarks(model, blend, parameters.identity)
     eye_distance_mm = jnp.linalg.norm(points.neutral[45] - points.neutral[36])
@@ -217,7 +217,7 @@ def stage_problem(
 def moving_unknowns(
     parameters: FaceParameters, moves: Bool[AnyArray, "3"], free: tuple[str, ...]
 ) -> Bool[AnyArray, "n"]:
-    """Which entries of the solver's vector a stage moves; `moves` says it for each of `BLOCKS`."""
+    """Which entries of the solver's vector a stage frees; `moves` is the same for each of `BLOCKS`."""
     return jnp.concatenate(
         [jnp.broadcast_to(moves[BLOCKS.index(name)], getattr(parameters, name).shape) for name in free]
     )

@@ -1,8 +1,8 @@
-"""Identity calibration: one shared identity over several frames, each with its own pose and expression.
+"""Identity calibration: one identity shared by several frames, each with its own pose and expression.
 
-FACE IT! animates a character or a reconstruction made beforehand; here the reconstruction is estimated from the
-landmarks themselves, by least squares with a normal prior on the identity coefficients. Chin and jaw come second:
-a detector's contour is a silhouette, and a pose fitted to it turns the head to explain a long face.
+FACE IT! animates a character or a reconstruction made beforehand. Here the reconstruction is estimated from the
+landmarks by least squares, with a normal prior on the identity coefficients. Chin and jaw are used only in the second
+pass: a detected contour is a silhouette, and a pose fitted to it turns the head to explain a long face.
 """
 
 from typing import NamedTuple
@@ -20,26 +20,26 @@ from workbench.solvers import ArrowheadSystem, DenseSystem, LevenbergMarquardt, 
 from workbench.tracking.frame_solver import BLOCKS, FrameInput, SolveSettings, moving_unknowns, stage_problem
 
 MOVES = ((True, True, True), (False, False, True))
-"""Which of `BLOCKS` each pass frees in every frame, beside the shared identity: first everything on the inner
-landmarks, then, with the poses held, expression and identity on all landmarks."""
+"""Which of `BLOCKS` each pass frees in every frame, in addition to the shared identity: first everything, on the inner
+landmarks; then expression and identity on all landmarks, with the poses held."""
 
 
 class CalibrationSettings(NamedTuple):
-    """Traced numbers of the calibration; residuals count in percent of the outer-eye distance."""
+    """Traced settings of the calibration; residuals are in percent of the outer-eye distance."""
 
     identity: Scalar
-    """ω of ‖identity‖²: the squared landmark noise in percent that one standard deviation of a face weighs."""
+    """ω of ‖identity‖²: the squared landmark noise, in percent, that one standard deviation of the face costs."""
     expression: Scalar
-    """ω of the smoothed L1 norm of each frame's weights: high, because identity should explain what stays."""
+    """ω of the smoothed L1 norm of each frame's weights: high, because identity should explain what is constant."""
     limits: tuple[Count, ...]
-    """Iterations of each of the passes (`MOVES`)."""
+    """Maximum iterations of each pass (`MOVES`)."""
     landmark_weights: Float[AnyArray, "passes 68"]
-    """Landmark weights of each of the passes (`MOVES`)."""
+    """Landmark weights of each pass (`MOVES`)."""
     sliding: Scalar
 
 
 class Calibration(NamedTuple):
-    """Shared identity, and the pose and expression of each frame in that solve."""
+    """Shared identity, and the pose and expression of each frame from the same solve."""
 
     identity: Float[AnyArray, "i"]
     frames: FaceParameters
@@ -59,8 +59,8 @@ def calibrate_identity(
 ) -> Calibration:
     """Solve for one identity and `f` poses and expressions; cameras and starts are stacked over the frames.
 
-    A frame with all weights zero takes no part. Weights are kept in the model's range. Each pass fixes contour and
-    blink travel from where the pass before ended.
+    A frame with all weights zero is ignored. Blendshape weights stay in the model's range. Each pass fixes contour and
+    blink travel at its start.
     """
     steps = (jnp.asarray(MOVES), jnp.asarray(settings.limits), jnp.asarray(settings.landmark_weights))
 
@@ -75,7 +75,7 @@ def calibrate_identity(
 def _solve_pass(cameras, model, settings, a_pass, frames, points, weights):
     moves, limit, landmark_weights = a_pass
     free = (*BLOCKS, "identity")
-    # The prior of the shared identity counts once, not once per frame: it is added to the whole system below.
+    # The prior of the shared identity counts once, not once per frame, so it is added to the whole system below.
     factors = {"landmarks": 1.0, "sigma_smooth": settings.expression}
     omega = jnp.stack([jnp.asarray(factors.get(name, 0.0), float) for name in FACE_IT_TERMS])
     solve_settings = SolveSettings(EnergyConstants(), 0.0, 1.0, 1e-6, 1.0, settings.sliding)
@@ -96,7 +96,7 @@ def _solve_pass(cameras, model, settings, a_pass, frames, points, weights):
         return x[: packed.size].reshape(packed.shape), x[packed.size :]
 
     def of_frames(function, x):
-        """What `function(problem, parameters)` is for each frame."""
+        """`function(problem, parameters)` evaluated for each frame."""
         locals_, identity = split(x)
 
         def of_frame(problem, local, frame):
@@ -114,7 +114,7 @@ def _solve_pass(cameras, model, settings, a_pass, frames, points, weights):
         prior = jnp.zeros(packed.shape[1] + len(identity)).at[common].set(settings.identity)
         total = systems.cost.sum() + settings.identity * identity @ identity
         if count == 1:
-            # A single frame needs no Schur complement: one dense system is solved several times as fast.
+            # A single frame needs no Schur complement: solving one dense system is several times faster.
             system = DenseSystem(total, systems.gradient[0] + prior * x, systems.matrix[0] + jnp.diag(prior))
         else:
             system = arrowhead(total, systems, prior, identity)
@@ -161,7 +161,7 @@ def _bounds(frames: FaceParameters, model: LandmarkModel):
 def spread_over_yaw(yaws_deg: Float[np.ndarray, "n"], count: int) -> Int[np.ndarray, "_"]:
     """Indices of up to `count` frames spread evenly over the range of head yaws, in ascending order of time.
 
-    Views from several sides are what separates depth from expression.
+    Views from several directions are needed to separate depth from expression.
     """
     order = np.argsort(yaws_deg, kind="stable")
     chosen = order[np.unique(np.round(np.linspace(0, len(order) - 1, min(count, len(order)))).astype(int))]

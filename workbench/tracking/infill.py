@@ -1,9 +1,9 @@
 """Failed frames filled from their neighbours (Deep Energies Sec. 6, 8.3 and Appendix A).
 
-Forward from the good frame before the gap, backward from the one behind it; then both ways are joined, each weighed by
-how near its anchor is (flow's errors add up on the way), and every frame is solved once more between its two
-neighbours. At the ends of a clip there is one anchor and one way. The paper's second way begins at the frames that the
-first has filled, and both may be repeated.
+By flow, the gap is filled forward from the good frame before it and backward from the good frame after it. The two
+passes are blended by distance from their anchors, because flow errors accumulate, and every frame is solved again
+between its two neighbours. At the ends of a clip there is only one anchor and one pass. In the paper, the second pass
+starts from the frames filled by the first, and both may be repeated.
 """
 
 from collections import deque
@@ -23,7 +23,7 @@ from workbench.tracking.plan import InfillPlan
 from workbench.tracking.records import FrameFit, Track
 
 Advanced = Callable[[FrameFit], None]
-"""Called with each frame as it was before, when it is solved (by flow several times)."""
+"""Called with the original fit of each frame when it has been solved (several times with flow)."""
 
 
 def infilled(
@@ -33,16 +33,16 @@ def infilled(
 ) -> Iterator[Moment]:
     """The stream with its gaps filled by the configuration's method, frames in order.
 
-    A gap are frames without a face, whose fit failed or misses its landmarks, or named by the configuration. Frames of
-    a shot without any good frame, and gaps longer than the configuration allows, stay as they are. Holds a gap and its
-    ends in memory, pictures of a long one on disk.
+    A gap consists of frames that have no face, a failed fit or a large error, or that the configuration names. Frames
+    of a shot without any good frame, and gaps longer than configured, stay as they are. A gap and its ends are held in
+    memory, the pictures of a long gap on disk.
     """
     ahead = SPLINE_FRAMES if fitter.plan.infill.method == "spline" else 1
     window = _Window()
     try:
         for moment in stream:
             good = usable(moment.fit, fitter.plan.infill)
-            another_gap = not good and bool(window.after)  # begins before the spline has all of its frames
+            another_gap = not good and bool(window.after)  # begins before the spline has all its frames
             if another_gap or (window.shot is not None and moment.fit.shot != window.shot):
                 yield from _closed(fitter, window, advanced)
                 window = window.continued(moment.fit.shot)
@@ -63,7 +63,7 @@ def infilled(
 
 
 def usable(fit: FrameFit, infill: InfillPlan) -> bool:
-    """Whether a fit stays and may be an anchor: not named by the configuration, and not failed (`why_failed`)."""
+    """Whether a fit is kept and may be an anchor: not named by the configuration, and not failed (`why_failed`)."""
     return not infill.named(fit.index) and not why_failed(fit, infill.largest_error)
 
 
@@ -88,7 +88,7 @@ class _Window:
         self.pictures.append(moment.pictures)
 
     def continued(self, shot: int) -> "_Window":
-        """What the next gap finds before it, nothing in another shot."""
+        """The window before the next gap; empty in another shot."""
         return _Window(shot, deque(self.after if shot == self.shot else (), maxlen=SPLINE_FRAMES))
 
 
@@ -128,9 +128,9 @@ def fill_by_flow(
     pictures: Sequence[Pictures] | PictureSpool,
     advanced: Callable[[int], None] = lambda k: None,
 ) -> list[FaceParameters]:
-    """Parameters of the frames between two anchors, or beyond one. `advanced` is called with each frame's place after
-    its solve.
+    """Parameters of the frames between two anchors, or beyond one.
 
+    `advanced` is called with the position of each frame in the gap after its solve.
     Raises `InputError` without any anchor.
     """
     anchor = before or after
@@ -192,9 +192,9 @@ def fill_linearly(before: FrameFit | None, after: FrameFit | None, count: int) -
 
 
 def fill_by_spline(before: Sequence[FrameFit], after: Sequence[FrameFit], count: int) -> list[FaceParameters]:
-    """Along splines through the good frames on both sides, nearest in the middle; beyond one side as `fill_linearly`.
+    """Splines through the good frames on both sides; with good frames on one side only, like `fill_linearly`.
 
-    `before` and `after` are in order; their frames stand without a gap next to the one that is filled.
+    `before` and `after` are in order, and consecutive up to the gap.
     """
     if not before or not after:
         return fill_linearly(before[-1] if before else None, after[0] if after else None, count)

@@ -1,4 +1,4 @@
-"""The first pose of a shot, from the landmarks that expressions move least (FACE IT! Sec. 4, after its ref. [24])."""
+"""The first pose of a shot, from the landmarks least affected by expressions (FACE IT! Sec. 4, after its ref. [24])."""
 
 import cv2
 import numpy as np
@@ -8,7 +8,7 @@ from workbench.geometry import Camera
 from workbench.landmarks.scheme import GROUPS
 
 FEWEST_POINTS = 6
-"""Of the robust ones; with fewer the pose would hang on the noise of single points."""
+"""Minimum number of robust landmarks; with fewer, the pose would depend on the noise of single points."""
 
 
 def initial_pose(
@@ -19,9 +19,9 @@ def initial_pose(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Axis-angle and translation (mm) that best explain eye corners and nose with the neutral face, by SQPnP.
 
-    SQPnP is globally optimal, so no first guess is needed; from a zero rotation the later iterations can end in a
-    wrong minimum. A solution behind the camera or facing away is replaced by a frontal pose at the right distance.
-    `used` leaves muted points out, as long as enough remain.
+    SQPnP is globally optimal and needs no initial guess, while iterations from a zero rotation can end in a wrong
+    minimum. A solution behind the camera or facing away is replaced by a frontal pose at the right distance.
+    `used` excludes muted points, as long as enough remain.
     """
     subset = [index for index in GROUPS["robust"] if used is None or used[index]]
     if len(subset) < FEWEST_POINTS:
@@ -52,7 +52,7 @@ def initial_pose(
 def frontal_pose(
     camera: Camera, neutral_head: Float[np.ndarray, "68 3"], points: Float[np.ndarray, "68 2"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Zero rotation, at the place and distance where the model's points have the spread of the observed ones."""
+    """Zero rotation, at the position and distance at which the model's points match the spread of the observed ones."""
     spread_mm = np.sqrt(((neutral_head[:, :2] - neutral_head[:, :2].mean(0)) ** 2).sum(1).mean())
     spread_px = np.sqrt(((points - points.mean(0)) ** 2).sum(1).mean())
     focal = np.asarray(camera.focal_px, float)

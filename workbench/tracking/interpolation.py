@@ -1,6 +1,6 @@
-"""Parameters between and over frames without looking at the pictures: linear, splines, averages.
+"""Interpolation and averaging of parameters over frames, without the pictures: linear, splines, means.
 
-Rotations are SciPy's: slerp, rotation splines, and the mean of Markley et al. ("Averaging quaternions", 2007).
+Rotations use SciPy: slerp, rotation splines, and the mean of Markley et al. ("Averaging quaternions", 2007).
 """
 
 from collections.abc import Sequence
@@ -14,11 +14,11 @@ from workbench.errors import InputError
 from workbench.face import FaceParameters
 
 SPLINE_FRAMES = 4
-"""Known frames on each side that a spline goes through."""
+"""Number of known frames on each side that a spline passes through."""
 
 
 def between(before: FaceParameters, after: FaceParameters, share: float | int) -> FaceParameters:
-    """Part of the way: t, w and jaw linear, θ spherical (Deep Energies Appendix A)."""
+    """Interpolation by a fraction `share`: t, w and jaw linear, θ spherical (Deep Energies Appendix A)."""
     turned = Slerp([0.0, 1.0], _rotations([before, after]))(float(share))
     mixed = {
         name: (1.0 - share) * np.asarray(getattr(before, name)) + share * np.asarray(getattr(after, name))
@@ -30,13 +30,13 @@ def between(before: FaceParameters, after: FaceParameters, share: float | int) -
 def splined(
     times: Sequence[float | int], known: Sequence[FaceParameters], wanted: Sequence[float | int]
 ) -> list[FaceParameters]:
-    """At the wanted times between known frames: θ and t by cubic splines, w and jaw by monotone ones.
+    """Parameters at the wanted times between known frames: θ and t by cubic splines, w and jaw by monotone splines.
 
-    Monotone ones leave no range that the known frames keep. With two known frames all is linear. Raises `InputError`
-    for less than two.
+    Monotone splines stay within the range of the known frames. With two known frames everything is linear. Raises
+    `InputError` for fewer than two.
     """
     if len(known) < 2:
-        raise InputError(f"A spline goes through two known frames or more, got {len(known)}.")
+        raise InputError(f"A spline needs at least two known frames, got {len(known)}.")
     if len(known) == 2:
         span = times[1] - times[0]
         return [between(known[0], known[1], (time - times[0]) / span) for time in wanted]
@@ -56,7 +56,7 @@ PARTS = ("translation", "expression", "jaw")
 
 
 def averaged(frames: Sequence[FaceParameters], weights: Sequence[float]) -> FaceParameters:
-    """Weighted mean; of rotations the one whose matrix is nearest to all (Deep Energies Appendix B)."""
+    """Weighted mean; for rotations the one whose matrix is closest to all (Deep Energies Appendix B)."""
     weights = np.asarray(weights, float)
     mixed = {
         name: np.tensordot(weights / weights.sum(), np.stack([np.asarray(getattr(f, name)) for f in frames]), axes=1)

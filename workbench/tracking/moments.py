@@ -1,4 +1,4 @@
-"""Fits with their pictures as a stream: what the passes over time read and write, a window at a time."""
+"""Fits with their pictures as a stream, which the temporal passes read and write window by window."""
 
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,7 +12,7 @@ from workbench.tracking.flow_fitter import Pictures
 from workbench.tracking.records import FrameFit
 
 MEMORY_BYTES = 64 * 2**20
-"""Pictures of a gap beyond this wait on disk."""
+"""Pictures of a gap beyond this size are held on disk."""
 
 
 class Moment(NamedTuple):
@@ -25,27 +25,27 @@ class Moment(NamedTuple):
 def moments(fits: Iterable[FrameFit], views: Sequence[Frames]) -> Iterator[Moment]:
     """The fits with the pictures of each view, in order; `fits` are all frames of the views from 0 on.
 
-    Raises `InputError` where the pictures end before the fits do.
+    Raises `InputError` if there are fewer pictures than fits.
     """
     streams = [frames.iterate() for frames in views]
     for fit in fits:
         pictures = tuple(frame.picture for stream in streams if (frame := next(stream, None)) is not None)
         if len(pictures) < len(views):
             raise InputError(
-                f"The track has a frame {fit.index}, but its pictures end before; pass the pictures it was made from."
+                f"The track has a frame {fit.index}, but its pictures end earlier; pass the pictures it was made from."
             )
         yield Moment(fit, pictures)
 
 
 class PictureSpool:
-    """Pictures that wait for their turn, in memory up to 64 MB, beyond that on disk; read by position."""
+    """Pictures held for later, in memory up to 64 MB and on disk beyond that; read by position."""
 
     def __init__(self) -> None:
         self._file: tempfile.SpooledTemporaryFile | None = None
         self._places: list[list[tuple[int, tuple[int, ...]]]] = []
 
     def append(self, pictures: Pictures) -> None:
-        """Take the next moment."""
+        """Add the pictures of the next frame."""
         if self._file is None:
             self._file = tempfile.SpooledTemporaryFile(max_size=MEMORY_BYTES)  # noqa: SIM115 - closed by `close`
         self._file.seek(0, 2)
@@ -66,6 +66,6 @@ class PictureSpool:
         return tuple(found)
 
     def close(self) -> None:
-        """Forget all pictures."""
+        """Discard all pictures."""
         if self._file is not None:
             self._file.close()

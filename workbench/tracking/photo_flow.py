@@ -1,7 +1,7 @@
-"""From two photos and one known frame to where the face's points are in the other frame.
+"""Positions of the face's points in a photo, by optical flow from a photo whose fit is known.
 
-Each pair of pictures is cut out about the face and brought to a few hundred pixels, flow is estimated both ways, and
-read where the known frame shows the points of the surface.
+Each pair of pictures is cropped around the face and scaled to a few hundred pixels. Flow is estimated both ways and
+sampled at the surface points of the known frame.
 """
 
 from typing import NamedTuple
@@ -13,13 +13,13 @@ from jaxtyping import Bool, Float, UInt8
 from workbench.flow import FlowEstimator, occluded
 
 MARGIN = 1.35
-"""Side of the cut-out square against that of the box about the face in both frames."""
+"""Side of the cut-out square relative to the bounding box of the face in both frames."""
 SMOOTHED_FROM = 1.5
-"""Pictures shrunk by more than this are smoothed first."""
+"""Pictures reduced by more than this factor are smoothed first."""
 
 
 class Cutout(NamedTuple):
-    """An upright square of a picture: its centre and side in pixels, and the pixels that it is brought to."""
+    """An upright square of a picture: its centre and side in pixels, and the size in pixels that it is scaled to."""
 
     centre: Float[np.ndarray, "2"]
     side_px: float
@@ -31,11 +31,11 @@ class Cutout(NamedTuple):
         return self.pixels / self.side_px
 
     def inside(self, points: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-        """Places in the picture as places in the cut-out."""
+        """Picture coordinates converted to cut-out coordinates."""
         return (points - self.centre) * self.scale + 0.5 * (self.pixels - 1)
 
     def cut(self, picture: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "s s 3"]:
-        """The square, with the border's pixels continued beyond the picture."""
+        """The square; border pixels are repeated beyond the picture."""
         if self.scale * SMOOTHED_FROM < 1.0:
             picture = cv2.GaussianBlur(picture, (0, 0), 0.4 / self.scale)
         offset = 0.5 * (self.pixels - 1) - self.scale * self.centre
@@ -45,19 +45,19 @@ class Cutout(NamedTuple):
 
 
 def cutout_about(places: Float[np.ndarray, "*n 2"], pixels: int) -> Cutout:
-    """The cut-out about points of a face, pixels."""
+    """The cut-out around points of a face, pixels."""
     flat = places.reshape(-1, 2)
     low, high = flat.min(axis=0), flat.max(axis=0)
     return Cutout((low + high) / 2, MARGIN * float((high - low).max()), pixels)
 
 
 class PhotoFlow(NamedTuple):
-    """Where points of a first photo lie in a second one."""
+    """Positions of a first photo's points in a second photo."""
 
     places: Float[np.ndarray, "n 2"]
     """Pixels of the second photo."""
     consistent: Bool[np.ndarray, "n"]
-    """The way back ends near where it began, and neither place is beyond the pictures."""
+    """The backward flow returns close to the start, and both positions are inside the pictures."""
 
 
 def photo_flow(
@@ -67,7 +67,7 @@ def photo_flow(
     places: Float[np.ndarray, "n 2"],
     cutout: Cutout,
 ) -> PhotoFlow:
-    """Flow from the first to the second photo at places of the first, estimated inside of the cut-out."""
+    """Flow from the first to the second photo at points of the first, estimated inside the cut-out."""
     cuts = cutout.cut(first), cutout.cut(second)
     forward, backward = estimator(*cuts), estimator(*cuts[::-1])
     inside = cutout.inside(places)
@@ -82,7 +82,7 @@ def photo_flow(
 
 
 def read_at(field: Float[np.ndarray, "h w *c"], places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n *c"]:
-    """Bilinear values of a field at places (x, y); the border's beyond it."""
+    """A field sampled bilinearly at points (x, y); border values are repeated outside."""
     at = np.ascontiguousarray(places, np.float32)[None]
     values = cv2.remap(
         np.ascontiguousarray(field, np.float32), at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE

@@ -1,7 +1,7 @@
-"""What fitters and passes over time are told: the values of a configuration, checked and read once, at the door.
+"""The settings of fitters and temporal passes: values of a configuration, checked and read once at the start.
 
-Nothing here or below knows of configuration files; `workbench.planning` makes a plan of a configuration. Terms' factors
-and landmark weights are worked out already: a stage holds the numbers that its energy is weighed with.
+Nothing here or in lower layers knows configuration files; `workbench.planning` makes a plan from a configuration. The
+factors of terms and the landmark weights are already computed: a stage holds the numbers that multiply its energy.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class CameraPlan:
     """Several cameras; replaces the one above."""
 
     def of(self, image_size: tuple[int, int]) -> Camera:
-        """The one camera for pictures of this size (width, height)."""
+        """The single camera for pictures of this size (width, height)."""
         if self.matrix is not None:
             return camera_from_matrix(self.matrix, self.distortion)
         return camera_from_fov(image_size, self.fov_deg)
@@ -40,21 +40,21 @@ class StagePlan:
     name: str
     enabled: bool
     first_only: bool
-    """Whether it runs on the first frame of a shot only."""
+    """Whether it runs only on the first frame of a shot."""
     free: tuple[str, ...]
     shapes: tuple[str, ...]
-    """Free blendshapes by name or start of name, or first:N; empty: all."""
+    """Free blendshapes by name or prefix, or first:N; empty: all."""
     limit: int
-    """Most iterations."""
+    """Maximum number of iterations."""
     landmark_weights: Float[np.ndarray, "68"]
-    """What each landmark counts, group and point factors multiplied."""
+    """Weight of each landmark: the product of group and point factors."""
     omega: Float[np.ndarray, "t"]
-    """Factor in front of each of the plan's terms; 0 where the stage leaves one out."""
+    """Factor in front of each of the plan's terms; 0 if the stage leaves it out."""
 
 
 @dataclass(frozen=True)
 class SolverPlan:
-    """How FACE IT!'s stages are solved; both systems heed the bounds and the unit."""
+    """How the stages of FACE IT! are solved; both systems use the bounds and the unit."""
 
     method: str
     bounded: bool
@@ -76,7 +76,7 @@ class IdentityPlan:
 
 @dataclass(frozen=True)
 class DeepPlan:
-    """What only Deep Energies reads."""
+    """Settings used only by Deep Energies."""
 
     energy: str
     derivative: str
@@ -105,23 +105,23 @@ class FlowPlan:
 
 @dataclass(frozen=True)
 class InfillPlan:
-    """Frames without a usable fit."""
+    """Infill of frames without a usable fit."""
 
     method: str
     rounds: int
     longest: int
     largest_error: float
     frames: tuple[tuple[int, int], ...]
-    """First and last of each part that is filled although it has fits."""
+    """First and last frame of each range to fill although it has fits."""
 
     def named(self, frame: int) -> bool:
-        """Whether a frame is filled although it has a fit."""
+        """Whether a frame is to be filled although it has a fit."""
         return any(first <= frame <= last for first, last in self.frames)
 
 
 @dataclass(frozen=True)
 class RefinementPlan:
-    """Steadier tracks."""
+    """Refinement, which makes tracks steadier."""
 
     method: str
     sweeps: int
@@ -132,13 +132,13 @@ class RefinementPlan:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Everything that decides a fit, but model and observations."""
+    """Everything that determines a fit, except model and observations."""
 
     system: str
     terms: tuple[str, ...]
     """Names of the energy's terms."""
     linked: bool
-    """Whether a term of a stage that runs links a frame to the ones before."""
+    """Whether a term of an enabled stage links a frame to previous ones."""
     stages: tuple[StagePlan, ...]
     camera: CameraPlan
     solver: SolverPlan
@@ -153,7 +153,7 @@ class Plan:
     infill: InfillPlan
     refinement: RefinementPlan
     by_points: "Plan | None" = None
-    """FACE IT!'s plan for identity, appearance and first pose of Deep Energies."""
+    """The FACE IT! plan that gives Deep Energies its identity, appearance and first pose."""
 
     def running(self, start: bool) -> tuple[StagePlan, ...]:
         """The stages that run on the first frame of a shot (`start`) or on a later one."""

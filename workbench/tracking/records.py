@@ -1,4 +1,4 @@
-"""What a fit leaves: one frame (`FrameFit`) and a whole run (`Track`)."""
+"""The results of fits: one frame (`FrameFit`) and a whole run (`Track`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -24,12 +24,12 @@ from workbench.tracking.track_layout import (
 )
 
 DAMAGED = "a track, it is damaged or not a workbench track", "run the tracking again"
-"""What is said of a file that cannot be read, and what to do."""
+"""The message for a file that cannot be read, and the advice."""
 
 
 @dataclass(frozen=True)
 class FrameFit:
-    """One frame: what was observed and what the fit made of it. Without a face all numbers but the index are NaN."""
+    """One frame: its observations and its fit. Without a face all numbers except the index are NaN."""
 
     index: int
     found: bool
@@ -45,7 +45,7 @@ class FrameFit:
     expression: Float[np.ndarray, "k"]
     identity: Float[np.ndarray, "i"]
     observed: Float[np.ndarray, "68 2"]
-    """Landmarks as given to the fit, pixels; the model's own where only other views of a rig saw the face."""
+    """Landmarks given to the fit, pixels; the model's own if only other views of a rig saw the face."""
     confidence: Float[np.ndarray, "68"]
     projected: Float[np.ndarray, "68 2"]
     """The model's landmarks in the picture, pixels."""
@@ -57,20 +57,20 @@ class FrameFit:
     milliseconds: Float[np.ndarray, "3"]
     """Time for detection, landmarks and solve."""
     jaw: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
-    """Motion of the jaw joint (`FaceParameters.jaw`); zero where only blendshapes move."""
+    """Motion of the jaw joint (`FaceParameters.jaw`); zero for models with blendshapes only."""
     scale: float = 1.0
-    """Of the head, for views that do not tell its distance."""
+    """Scale of the head, for orthographic views."""
     failure: str = ""
-    """One of `FAILURES`: why the fit should not be used, empty if it may."""
+    """One of `FAILURES`: why the fit should not be used; empty for a usable fit."""
 
     @property
     def errors(self) -> tuple[float, float, float]:
-        """Mean error in px over all 68 landmarks, in % of the outer-eye distance over the inner 51 and over all."""
+        """Mean error in px over all 68 landmarks, then in % of the outer-eye distance over the inner 51 and all."""
         return tuple(_errors(self.projected[None], self.observed[None])[0, 1:].tolist())
 
     @property
     def landmarks(self) -> Landmarks2D | None:
-        """What the detector saw; None where it found nothing, and in frames that infill made."""
+        """The detector's landmarks; None if it found no face, and in frames made by infill."""
         if not self.found or self.source == "filled":
             return None
         return Landmarks2D(self.observed, self.confidence, self.image_size)
@@ -82,18 +82,18 @@ class FrameFit:
 
     @property
     def residuals_percent(self) -> Float[np.ndarray, "68"]:
-        """`residuals_px` in % of the outer-eye distance between the observed landmarks, as every error in percent."""
+        """`residuals_px` in % of the observed outer-eye distance, like every error in percent."""
         return 100.0 * self.residuals_px / outer_eye_distance(self.observed)
 
     @property
     def angles_deg(self) -> Float[np.ndarray, "3"]:
-        """Yaw, pitch, roll (`geometry.rotations` has the convention)."""
+        """Yaw, pitch, roll (convention: `geometry.rotations`)."""
         return yaw_pitch_roll_deg(self.rotation)
 
 
 @dataclass(frozen=True)
 class Track:
-    """The frames of a run as stacked arrays, and how they were made (`meta`). `track[i]` is one `FrameFit`."""
+    """The frames of a run as stacked arrays, with metadata about the run (`meta`). `track[i]` is a `FrameFit`."""
 
     index: Int[np.ndarray, "n"]
     found: np.ndarray
@@ -139,7 +139,7 @@ class Track:
 
     @property
     def seen(self) -> Bool[np.ndarray, "n"]:
-        """Frames with landmarks that this view saw: neither without a face nor filled."""
+        """Frames with landmarks observed in this view: neither without a face nor filled."""
         return np.nan_to_num(self.confidence).max(axis=1, initial=0.0) > 0.0
 
     @property
@@ -154,9 +154,9 @@ class Track:
         return yaw_pitch_roll_deg(self.rotation)
 
     def save(self, path: str | Path) -> None:
-        """Write the track as one .npz file, whole or not at all."""
+        """Write the track as one .npz file. The file is written completely or not at all."""
         with atomic_path(path) as temporary, temporary.open("wb") as stream:
-            # By rows, as `TrackReader` reads them.
+            # Row by row, because `TrackReader` reads them that way.
             arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in ARRAYS}
             np.savez_compressed(stream, meta=meta_array(self.meta), **arrays)
 
@@ -174,7 +174,7 @@ ARRAYS = tuple(LAYOUT)
 
 
 def checked_track_file(path: str | Path) -> Path:
-    """The path of what may be a track. Raises `InputError` for what is no file."""
+    """The path of a possible track. Raises `InputError` if it is not a file."""
     absent = f"The track {path} does not exist; `workbench track INPUT` writes track.npz."
     return checked_file(path, "a track", absent=absent)
 
@@ -200,7 +200,7 @@ def stack_fits(fits: list[FrameFit]) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Fits(Sequence):
-    """The frames of a track as a sequence of fits, each made when it is asked for; a slice is a tuple."""
+    """The frames of a track as a sequence of fits, each created on access; a slice is a tuple."""
 
     track: Track
 
@@ -214,9 +214,9 @@ class Fits(Sequence):
 
 
 def frame_errors(track: Track) -> Float[np.ndarray, "n 4"]:
-    """Mean error of every frame in px over the inner 51 and over all 68, then both in % of the outer-eye distance.
+    """Mean errors per frame: in px over the inner 51 and over all 68, then both in % of the outer-eye distance.
 
-    NaN without a face in this view. The last three are `FrameFit.errors`.
+    NaN without a face in this view. The last three columns are `FrameFit.errors`.
     """
     return np.where(track.seen[:, None], _errors(track.projected, track.observed), np.nan)
 

@@ -1,4 +1,4 @@
-"""Expression re-fitted with the pose held (Deep Energies Appendix B.1), for after a temporal refinement."""
+"""Re-fit of the expression with the pose held, after a temporal refinement (Deep Energies Appendix B.1)."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -20,7 +20,7 @@ NAME = "re-estimation"
 
 
 def reestimation_stage(plan: Plan) -> StagePlan:
-    """The stage that fits expressions with the pose held: the plan's own of that name, or its last one.
+    """The stage that fits the expression with the pose held: the plan's stage of that name, or its last one.
 
     Raises `ConfigError` if no stage frees the expression.
     """
@@ -29,14 +29,14 @@ def reestimation_stage(plan: Plan) -> StagePlan:
         return replace(named, enabled=True)
     able = [stage for stage in plan.stages if stage.enabled and "expression" in stage.free]
     if not able:
-        raise ConfigError("Re-estimation fits the expression, which no enabled stage frees; enable one that does.")
+        raise ConfigError("Re-estimation fits the expression, but no enabled stage frees it; enable one that does.")
     last = able[-1]
     kept = tuple(name for name in last.free if name in ("expression", "jaw"))
     return replace(last, name=NAME, free=kept, first_only=False)
 
 
 class Reestimator:
-    """Fits the expressions of a stream's frames to their own landmarks, poses held."""
+    """Fits the expressions of a stream's frames to their own landmarks, with the poses held."""
 
     def __init__(self, model: FaceModel, plan: Plan):
         """Raises `ConfigError` if no stage of the plan frees the expression."""
@@ -46,14 +46,14 @@ class Reestimator:
     def stream(
         self, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
     ) -> Iterator[Moment]:
-        """Each frame with its expression re-fitted; frames without landmarks of their own stay."""
+        """Each frame with its expression re-fitted; frames without landmarks of their own are unchanged."""
         for moment in stream:
             seen = moment.fit.found and np.nan_to_num(moment.fit.confidence).max() > 0.0
             yield moment._replace(fit=self.fit(moment)) if seen else moment
             advanced(moment.fit)
 
     def fit(self, moment: Moment) -> FrameFit:
-        """The frame with its expression fitted to its landmarks, all else as it was."""
+        """The frame with its expression re-fitted to its landmarks and everything else unchanged."""
         before = moment.fit
         observation = FrameObservation(
             before.index,
@@ -61,7 +61,7 @@ class Reestimator:
             before.image_size,
             before.source,
             picture=moment.pictures[0] if moment.pictures else None,
-            # A track keeps the landmarks of the reference view only.
+            # A track stores only the landmarks of the reference view.
             others=(None,) * (max(len(moment.pictures), 1) - 1),
         )
         start = parameters_of(before)

@@ -1,11 +1,11 @@
-"""Steadier tracks (Deep Energies Sec. 7 and Appendix B): averaging, self flow, plate flow, and both in turn.
+"""Temporal refinement (Deep Energies Sec. 7 and Appendix B): averaging, self flow, plate flow, or a hybrid.
 
-Every method is a pass over the stream with a window of three frames, so that passes follow each other without holding
-the clip. The first and last frame of a shot, and frames beside one without a face, stay as they are.
+Every method is a pass over the stream with a window of three frames, so that passes can be chained without holding
+the clip. The first and last frame of a shot, and frames next to one without a face, are unchanged.
 
-A remark on Jacobi sweeps: where both neighbours' flows agree with the pictures, the new error of a frame is the mean of
-its neighbours' old errors. Noise that changes sign from frame to frame is then handed on and not damped, which is why
-averaging goes first in the hybrid: weights of ¼, ½, ¼ take out exactly that noise.
+A note on Jacobi sweeps: if the flow from both neighbours agrees with the pictures, the new error of a frame is the mean
+of its neighbours' old errors. Noise that alternates in sign is then passed on undamped. This is why averaging comes
+first in the hybrid: weights of ¼, ½, ¼ remove exactly that noise.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -19,20 +19,20 @@ from workbench.tracking.plan import RefinementPlan
 from workbench.tracking.records import FrameFit
 
 LEAST_POINTS = 0.1
-"""Share of the surface points that flow must follow to both neighbours; below it a frame stays."""
+"""Fraction of the surface points with valid flow to both neighbours below which a frame is left unchanged."""
 
 
 def refined(
     fitter: FlowFitter, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
 ) -> Iterator[Moment]:
-    """The stream after the configuration's method and sweeps. `advanced` is called with each frame of each pass."""
+    """The stream after the configured method and sweeps. `advanced` is called with each frame of each pass."""
     for make in passes(fitter.plan.refinement):
         stream = make(fitter, stream, advanced)
     yield from stream
 
 
 def passes(refinement: RefinementPlan) -> list[Callable[..., Iterator[Moment]]]:
-    """The passes of a method in order, each once for every sweep but the hybrid's averaging, which runs once."""
+    """The passes of a method in order, repeated for every sweep, except the hybrid's averaging, which runs once."""
     flow = {"self": self_flow_pass, "plate": plate_flow_pass, "hybrid": plate_flow_pass}
     if refinement.method == "none":
         return []
@@ -45,7 +45,7 @@ def passes(refinement: RefinementPlan) -> list[Callable[..., Iterator[Moment]]]:
 def averaging_pass(
     fitter: FlowFitter, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
 ) -> Iterator[Moment]:
-    """Each frame the weighted mean of itself and its neighbours (Appendix B)."""
+    """Each frame becomes the weighted mean of itself and its neighbours (Appendix B)."""
     centre = fitter.plan.refinement.centre
     side = 0.5 * (1.0 - centre)
 
@@ -59,8 +59,8 @@ def averaging_pass(
 def self_flow_pass(
     fitter: FlowFitter, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
 ) -> Iterator[Moment]:
-    """Each frame where ‖N(F₁, F₂) − N(F₂, F₃)‖ (Sec. 7) is least for the exact flow of the mesh: the points midway
-    between the neighbours'."""
+    """Each frame is fitted to minimise ‖N(F₁, F₂) − N(F₂, F₃)‖ (Sec. 7) for the exact flow of the mesh: its points move
+    midway between those of its neighbours."""
 
     def midway(before: Moment, here: Moment, after: Moment) -> FrameFit:
         views = fitter.views(here.fit)
@@ -73,9 +73,9 @@ def self_flow_pass(
 def plate_flow_pass(
     fitter: FlowFitter, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
 ) -> Iterator[Moment]:
-    """Each frame where the renders' flow from both neighbours to it is that of the pictures.
+    """Each frame is fitted so that the flow of the renders from both neighbours matches the flow of the pictures.
 
-    Sec. 7 has the flow from the frame to the later neighbour in its second term.
+    In Sec. 7, the second term uses the flow from the frame to the later neighbour instead.
     """
 
     def between(before: Moment, here: Moment, after: Moment) -> FrameFit:
@@ -104,7 +104,7 @@ def _windowed(
     advanced: Callable[[FrameFit], None],
     newest: bool,
 ) -> Iterator[Moment]:
-    """`solve` of every frame that has both neighbours, in order; `newest`: the one before as already solved."""
+    """Apply `solve` to every frame with both neighbours, in order; `newest`: use the solved previous frame."""
     before: Moment | None = None
     here: Moment | None = None
     for after in stream:
@@ -122,5 +122,5 @@ def _windowed(
 
 
 def _joined(first: FrameFit, second: FrameFit) -> bool:
-    """Whether two frames that follow each other show the same shot and both have a fit to use."""
+    """Whether two consecutive frames belong to the same shot and both have a usable fit."""
     return first.shot == second.shot and not any(why_failed(fit) for fit in (first, second))

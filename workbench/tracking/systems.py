@@ -1,4 +1,4 @@
-"""The two systems behind one set of calls: FACE IT! from landmarks, Deep Energies from renders as well."""
+"""The two systems behind one interface: FACE IT! from landmarks, Deep Energies from renders as well."""
 
 from workbench.face import FaceModel
 from workbench.tracking.deep_fitter import DeepFitter
@@ -15,7 +15,7 @@ def make_fitter(model: FaceModel, plan: Plan) -> Fitter:
 
 
 def configured(fitter: Fitter, plan: Plan) -> Fitter:
-    """The fitter under another plan; a new one only where the system changes."""
+    """The fitter with another plan; a new fitter only if the system changes."""
     if type(fitter) is not FITTERS[plan.system]:
         return make_fitter(fitter.model, plan)
     fitter.configure(plan)

@@ -1,4 +1,4 @@
-"""What a stored track must hold: names, types and sizes of its arrays, and the keys of its metadata."""
+"""The layout of a stored track: names, types and sizes of its arrays, and the keys of its metadata."""
 
 import json
 from collections.abc import Mapping
@@ -15,9 +15,9 @@ from workbench.reading import checked_json, shortened
 FORMAT = "face-energy-workbench-track"
 FORMAT_VERSION = 3
 FAILURES = ("", "jaw and face disagree", "large error", "not finite")
-"""Why a fit is no good although there was a face (Deep Energies Sec. 8.2); stored as an index."""
+"""Why a fit is unusable although there was a face (Deep Energies Sec. 8.2); stored as an index."""
 SOURCES = ("none", "detected", "tracked", "given", "filled")
-"""Where the landmarks of a frame came from (filled: from its neighbours, by infill); stored as an index."""
+"""Source of a frame's landmarks (filled: by infill from its neighbours); stored as an index."""
 
 LAYOUT: Mapping[str, tuple[str, tuple[int | str, ...]]] = {
     "index": ("iu", ()),
@@ -43,18 +43,18 @@ LAYOUT: Mapping[str, tuple[str, tuple[int | str, ...]]] = {
     "scale": ("f", ()),
     "failure": ("iu", ()),
 }
-"""Kind of numbers (NumPy's letters) and sizes of one frame; a named size is the same wherever its name stands."""
+"""Kind of number (NumPy's letter) and sizes per frame; sizes with the same name must be equal."""
 LATER = ("jaw", "scale", "failure")
-"""What the first version did not write."""
+"""Arrays that the first version did not write."""
 MOST_NAMED = 10_000
-"""Of blendshapes, identity components, stages, energies."""
+"""Maximum number of blendshapes, identity components, stages or energies."""
 LARGEST = 1e30
-"""Of all numbers of a fit: they are computed with as 32 bits, too."""
+"""Largest magnitude of any number in a fit, because they are also used in 32-bit computations."""
 FITTED = (
     *("focal_px", "principal_point_px", "distortion", "rotation", "translation", "expression", "identity"),
     *("observed", "confidence", "projected", "jaw", "scale"),
 )
-"""What must be finite in a frame with a face."""
+"""Arrays that must be finite in a frame with a face."""
 
 
 class _Section(BaseModel):
@@ -72,7 +72,7 @@ class _Model(_Section):
 
 
 class _Metadata(_Section):
-    """What is used of the metadata; there may be more."""
+    """The metadata that is used; there may be more."""
 
     expression_names: list[str]
     stages: list[str] = []
@@ -96,7 +96,7 @@ class _Metadata(_Section):
 def checked_meta(stored: Mapping[str, np.ndarray], path: Path) -> dict[str, Any]:
     """The metadata of a track's arrays.
 
-    Raises `InputError` for a foreign file, one of a newer workbench, and keys that are not as they are written.
+    Raises `InputError` for a foreign file, a file from a newer workbench, and invalid keys.
     """
     text = stored["meta"].item()
     meta = checked_json(text) if isinstance(text, str) else None
@@ -121,16 +121,16 @@ def meta_array(meta: dict[str, Any]) -> np.ndarray:
 
 
 def in_todays_layout(stored: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    """All arrays of a track of `count` frames; those that older versions did not write as they were then."""
+    """All arrays of a track of `count` frames; arrays missing from older versions get the values implied then."""
     old = {"jaw": np.zeros((count, 6)), "scale": np.ones(count), "failure": np.zeros(count, np.int8)}
     return {name: stored[name] if name in stored or name not in LATER else old[name] for name in LAYOUT}
 
 
 def checked_columns(columns: Mapping[str, np.ndarray], names: list[str]) -> dict[str, np.ndarray]:
-    """The arrays of a track (or of consecutive frames of one) with these blendshapes, as they are.
+    """The unchanged arrays of a track (or of consecutive frames of one) with these blendshapes, after checks.
 
-    Raises ValueError where types, sizes or numbers are none of a track: lengths that differ, frames out of order,
-    sources that do not exist, numbers of a fitted face that are not finite.
+    Raises ValueError if types, sizes or numbers are invalid for a track: different lengths, frames out of order,
+    unknown sources, non-finite numbers in a fitted face.
     """
     count = len(columns["index"])
     check_layout({name: (columns[name].shape, columns[name].dtype) for name in LAYOUT}, count, names)
@@ -139,9 +139,9 @@ def checked_columns(columns: Mapping[str, np.ndarray], names: list[str]) -> dict
 
 
 def check_layout(layouts: Mapping[str, tuple[tuple[int, ...], np.dtype]], count: int, names: list[str]) -> None:
-    """Raise ValueError unless arrays of these shapes and types are those of a track of `count` frames."""
+    """Raise ValueError unless these shapes and types are valid for a track of `count` frames."""
     if not count:
-        raise ValueError("it holds no frame")
+        raise ValueError("it contains no frames")
     named = {"blendshapes": len(names)}
     for name, (kinds, expected) in LAYOUT.items():
         if name not in layouts and name in LATER:
@@ -161,7 +161,7 @@ def check_layout(layouts: Mapping[str, tuple[tuple[int, ...], np.dtype]], count:
 def _check_numbers(columns: Mapping[str, np.ndarray]) -> None:
     index, found = columns["index"], columns["found"]
     if index[0] < 0 or (np.diff(index.astype(float)) <= 0).any():
-        raise ValueError("its frames do not ascend")
+        raise ValueError("its frames are not in ascending order")
     for name, entries in (("source", SOURCES), ("failure", FAILURES)):
         if not ((columns[name] >= 0) & (columns[name] < len(entries))).all():
             raise ValueError(f"{name} goes beyond the {len(entries)} there are")

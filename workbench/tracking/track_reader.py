@@ -1,4 +1,4 @@
-"""A stored track frame by frame: memory for some hundred frames, however long it is."""
+"""A stored track read frame by frame: memory for a few hundred frames, however long it is."""
 
 import zipfile
 from collections.abc import Iterator
@@ -15,11 +15,11 @@ from workbench.tracking.track_layout import LAYOUT, check_layout, checked_column
 
 BLOCK_FRAMES = 256
 MOST_BYTES = 2**40
-"""Of all frames: they are never in memory at once."""
+"""Limit for all frames together; they are never in memory at once."""
 
 
 class TrackReader:
-    """Reads `track.npz` in blocks; iterating again starts again."""
+    """Reads `track.npz` in blocks; every iteration starts at the first frame."""
 
     def __init__(self, path: str | Path):
         """Raises `InputError` for a missing, damaged or foreign file."""
@@ -41,7 +41,7 @@ class TrackReader:
                 yield block[position]
 
     def blocks(self) -> Iterator[Track]:
-        """Consecutive pieces as tracks of their own. Raises `InputError` where the file turns out to be damaged."""
+        """Consecutive blocks as separate tracks. Raises `InputError` on reaching damage in the file."""
         last = -1
         with ExitStack() as stack:
             with reading(self.path, *DAMAGED):
@@ -52,13 +52,13 @@ class TrackReader:
                     arrays = {name: _rows(rows, *member) for name, member in members.items()}
                     columns = checked_columns(in_todays_layout(arrays, rows), self.meta["expression_names"])
                     if columns["index"][0] <= last:
-                        raise ValueError("its frames do not ascend")
+                        raise ValueError("its frames are not in ascending order")
                     last = columns["index"][-1]
-                # Outside: what a user of the frames raises is no damage of the file.
+                # Outside the handler: an error raised by the caller is not damage to the file.
                 yield Track(meta=self.meta, **columns)
 
     def _members(self, stack: ExitStack) -> dict[str, tuple[BufferedIOBase, tuple[int, ...], np.dtype]]:
-        """Each array as a stream that stands at its first row, its shape and type."""
+        """For each array: a stream positioned at its first row, its shape and its type."""
         archive = stack.enter_context(zipfile.ZipFile(self.path))
         names = [name for name in LAYOUT if f"{name}.npy" in archive.namelist()]
         members = {name: stack.enter_context(archive.open(f"{name}.npy")) for name in names}

@@ -1,4 +1,4 @@
-"""A track written while it grows: finished parts on disk, one file at the end, memory flat in its length."""
+"""A track written as it grows: finished parts on disk, one file at the end, memory independent of its length."""
 
 import io
 import shutil
@@ -20,16 +20,16 @@ from workbench.tracking.records import ARRAYS, FrameFit, Track, meta_array, stac
 FINGERPRINT = "fingerprint"
 PART_FRAMES = 256
 PART_SECONDS = 10.0
-"""A killed run loses no more work than this, or no more frames than `PART_FRAMES`."""
+"""A killed run loses at most this much work, or at most `PART_FRAMES` frames."""
 
 
 class TrackWriter:
     """Collects fits in parts under `<path>.parts/` and joins them to one .npz at the end.
 
-    Each part is one file with checksums, whole or absent (of one growing HDF5 file, a cut or a flipped bit may lose all
-    frames or go unnoticed), and carries the tracker's state behind its last frame, so that an interrupted run goes on
-    from there. `fingerprint` says what the run depends on; parts of another run are discarded, and so are damaged ones
-    with all behind them. Raises `OutputError` for what cannot be written.
+    Each part is one file with checksums, either complete or absent. (In one growing HDF5 file, truncation or a flipped
+    bit could lose all frames or go unnoticed.) It also stores the tracker's state after its last frame, so that an
+    interrupted run can continue from there. `fingerprint` identifies what the run depends on; parts of other runs are
+    discarded, and so are damaged parts with all that follow. Raises `OutputError` if a file cannot be written.
     """
 
     def __init__(self, path: str | Path, meta: dict[str, Any], fingerprint: str, resume: bool = False):
@@ -51,7 +51,7 @@ class TrackWriter:
             temporary.write_text(fingerprint)
 
     def state(self) -> dict[str, np.ndarray]:
-        """State stored with the newest part; empty if there is none."""
+        """State stored with the latest part; empty if there is none."""
         if not self._parts:
             return {}
         with np.load(self._parts[-1], allow_pickle=False) as stored:
@@ -59,11 +59,11 @@ class TrackWriter:
             return {name.removeprefix(prefix): stored[name] for name in stored.files if name.startswith(prefix)}
 
     def add(self, fit: FrameFit) -> None:
-        """Take the next frame."""
+        """Add the next frame."""
         self._buffer.append(fit)
 
     def wants_part(self) -> bool:
-        """Whether enough frames have come, or enough time has passed, for another part."""
+        """Whether enough frames or enough time have accumulated for another part."""
         waited = time.monotonic() - self._stored_at > PART_SECONDS
         return len(self._buffer) >= PART_FRAMES or (waited and len(self._buffer) > 0)
 
@@ -83,7 +83,7 @@ class TrackWriter:
         return self._count
 
     def __getitem__(self, position: int) -> FrameFit:
-        """A frame of a finished part; frames that follow each other read each part once."""
+        """A frame of a finished part; for consecutive frames each part is read once."""
         if not 0 <= position < self._count:
             raise IndexError(position)
         number = bisect_right(self._firsts, position) - 1
@@ -93,18 +93,18 @@ class TrackWriter:
 
     @property
     def index(self) -> Int[np.ndarray, "n"]:
-        """Frame indices of the finished parts: a run takes every frame of its input, from 0."""
+        """Frame indices of the finished parts: a run has every frame of its input, from 0."""
         return np.arange(self._count)
 
     def tracks(self) -> Iterator[Track]:
-        """Each finished part as a track of its own."""
+        """Each finished part as a separate track."""
         return map(self._track, self._parts)
 
     def close(self) -> None:
-        """Join the parts to the track file and remove them. Raises `InputError` if there is no frame."""
+        """Join the parts into the track file and remove them. Raises `InputError` if there are no frames."""
         if not self._count:
             self.discard()
-            raise InputError("There was no frame to track; check that the input holds pictures.")
+            raise InputError("There was no frame to track; check that the input contains pictures.")
         with (
             atomic_path(self.path) as temporary,
             zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive,
@@ -121,7 +121,7 @@ class TrackWriter:
         shutil.rmtree(self.parts_folder, ignore_errors=True)
 
     def _join(self, name: str, member: io.IOBase) -> None:
-        # One array at a time and one part at a time: the header needs only the total length.
+        # Arrays and parts are read one at a time: the header needs only the total length.
         for number, part in enumerate(self._parts):
             with np.load(part, allow_pickle=False) as stored:
                 array = stored[name]
@@ -144,7 +144,7 @@ class TrackWriter:
         return self.parts_folder / f"{number:06d}.npz"
 
     def _keep_sound_parts(self) -> None:
-        """Go on behind the last part that is whole, and remove everything else."""
+        """Continue after the last intact part, and remove everything beyond it."""
         for part in map(self._part, count()):
             frames = _frames_of(part, self._count)
             if not frames:
@@ -156,7 +156,7 @@ class TrackWriter:
 
 
 def has_parts(path: Path, fingerprint: str) -> bool:
-    """Whether an interrupted run with this fingerprint left something at a track's path."""
+    """Whether an interrupted run with this fingerprint left parts at a track's path."""
     stored = _parts_folder(path) / FINGERPRINT
     return stored.is_file() and stored.read_bytes() == fingerprint.encode()
 
@@ -166,13 +166,13 @@ def _parts_folder(path: Path) -> Path:
 
 
 def _frames_of(part: Path, first: int) -> int:
-    """How many frames a part holds, from frame `first` on; 0 for one that is missing or damaged."""
+    """The number of frames in a part that starts at frame `first`; 0 if it is missing or damaged."""
     try:
         # Opened here, because NumPy leaves a damaged archive open.
         with part.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}  # reading checks the sums of all
+            arrays = {name: stored[name] for name in stored.files}  # reading verifies all checksums
         whole = {len(arrays[name]) for name in ARRAYS} == {len(arrays["index"])}
         in_place = np.array_equal(arrays["index"], np.arange(first, first + len(arrays["index"])))
         return len(arrays["index"]) if whole and in_place else 0
-    except Exception:  # damage shows in many ways, and each means: do it again
+    except Exception:  # damage can raise many errors; in each case the part is redone
         return 0

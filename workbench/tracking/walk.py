@@ -1,6 +1,6 @@
-"""The one walk over frames: what each frame starts from, and what it hands to the next.
+"""The single walk over frames: what each frame starts from, and what it hands to the next.
 
-Command line, sessions, live panel, workers and benchmarks fit frames by it, so that all of them get the same numbers.
+The command line, sessions, the live panel, workers and benchmarks all use it, so that they get the same numbers.
 """
 
 import numpy as np
@@ -15,33 +15,33 @@ JUMP = 0.5
 
 
 class Walk:
-    """Frame after frame through a fitter, shot after shot. What the frames of a shot share is handed in."""
+    """Fits frame after frame, shot after shot. The calibration of a shot is passed in."""
 
     def __init__(self, fitter: Fitter):
         self.fitter = fitter
         self.shot = -1
-        """Number of the present shot."""
+        """Number of the current shot."""
         self.calibrated = Calibrated(fitter.mean_identity(), {})
-        """What the frames of the present shot share."""
+        """Calibration of the current shot."""
         self.last: Continuation | None = None
-        """What the last frame handed on."""
+        """State handed on by the last frame."""
 
     def begin_shot(self, calibrated: Calibrated | None = None) -> None:
-        """The next frame is the first one of a shot; its person is the model's mean face if none is given."""
+        """Start a new shot with the next frame; without a calibration, its identity is the model's mean face."""
         self.shot, self.last = self.shot + 1, None
         self.calibrated = Calibrated(self.fitter.mean_identity(), {}) if calibrated is None else calibrated
 
     def context(self, observation: FrameObservation) -> FrameContext:
-        """What the next frame is fitted from."""
+        """The context of the next frame."""
         return context_of(observation, self.shot, self.calibrated, self.last)
 
     def step(self, observation: FrameObservation) -> tuple[FrameFit, FrameContext]:
-        """The fit of the next frame, and the context that it was fitted in."""
+        """The fit of the next frame, and the context used for it."""
         context = self.context(observation)
         return self.fit(observation, context), context
 
     def fit(self, observation: FrameObservation, context: FrameContext) -> FrameFit:
-        """The fit of the next frame, whose context is known already."""
+        """The fit of the next frame, with a known context."""
         found, self.last = self.fitter.fit(observation, context)
         return found
 
@@ -49,12 +49,12 @@ class Walk:
 def context_of(
     observation: FrameObservation, shot: int, calibrated: Calibrated, last: Continuation | None
 ) -> FrameContext:
-    """What a frame is fitted from, where the frame before left `last`: nothing of it after a gap or a jump."""
+    """The context of a frame whose predecessor left `last`, which is dropped after a gap or a jump."""
     lost = observation.landmarks is None or (last is not None and jumped(last.points, observation.landmarks.points))
     start = calibrated.starts.get(observation.index)
     return FrameContext(shot, calibrated.identity, start, None if lost else last, calibrated.appearance)
 
 
 def jumped(before: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]) -> bool:
-    """Whether the landmarks moved so far between two frames that the pose starts afresh."""
+    """Whether the landmarks moved so far between two frames that the pose must be restarted."""
     return bool(np.linalg.norm(now - before, axis=1).mean() > JUMP * outer_eye_distance(before))
