@@ -1,4 +1,4 @@
-"""Why a fit is what it is: reasons for bad frames, pulls of landmark groups, uncertainty, indistinguishable shapes."""
+"""Explaining a fit: reasons for bad frames, pulls of landmark groups, uncertainty, indistinguishable blendshapes."""
 
 import lazy_loader
 

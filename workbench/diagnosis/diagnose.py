@@ -1,4 +1,4 @@
-"""Why one frame fails: every cause is tried on it, and the reasons are ranked by what their changes mend."""
+"""Why one frame fails: every cause is tried on it, and the reasons are ranked by how much their changes improve."""
 
 from dataclasses import replace
 
@@ -23,15 +23,15 @@ def diagnose_frame(
     fitter: FaceItFitter | None = None,
     reference: ShotReference | None = None,
 ) -> Diagnosis:
-    """Ranked reasons why a frame's fit is bad, none for an unremarkable frame; each with a change that was tried.
+    """Ranked reasons why a frame's fit is bad, each with a change that was tried; none for an unremarkable frame.
 
-    `fitter` of the same model saves setting one up; it is not changed. `reference` (`reference_of`) holds what is usual
-    in the shot; pass one to the diagnoses of several frames, else it is made from the case's shot without this frame.
+    Pass a `fitter` of the same model to save setting one up; it is not modified. `reference` (`reference_of`) holds the
+    usual values of the shot; share one between several frames, else it is made from the case's shot without this frame.
     Raises `InputError` for a frame without landmarks.
     """
     trial = start_trial(model, case, fitter, reference)
     scored = [(score(trial, finding), finding) for cause in SCHEDULE_CAUSES for finding in cause(trial)]
-    # A schedule that sticks, or a pose held by a bad past, would hide what is wrong with the input.
+    # A stuck schedule, or a pose held by bad previous frames, would hide what is wrong with the input.
     patient = trial.with_config(patient_config(case.config))
     for cause in INPUT_CAUSES:
         for finding in cause(patient):
@@ -46,7 +46,7 @@ def diagnose_frame(
 
 
 def leave_one_group_out(model: FaceModel, case: FrameCase, fitter: FaceItFitter | None = None) -> tuple[GroupPull, ...]:
-    """What each group of landmarks does to the fit of a frame: the fit without it.
+    """The effect of each landmark group on the fit of a frame, measured by fits without it.
 
     Raises `InputError` for a frame without landmarks.
     """
@@ -56,11 +56,11 @@ def leave_one_group_out(model: FaceModel, case: FrameCase, fitter: FaceItFitter 
 def start_trial(
     model: FaceModel, case: FrameCase, fitter: FaceItFitter | None = None, reference: ShotReference | None = None
 ) -> Trial:
-    """The frame with its fit, ready for hypotheses. Raises `InputError` for a frame without landmarks."""
+    """The frame with its fit, ready for testing hypotheses. Raises `InputError` for a frame without landmarks."""
     observation = case.observation
     if observation.landmarks is None:
         raise InputError(
-            f"A diagnosis needs a frame with landmarks; frame {observation.index} has none: choose a frame with a face."
+            f"A diagnosis needs landmarks, but frame {observation.index} has none; choose a frame with a face."
         )
     fitter = fitter or FaceItFitter(model, plan_of(case.config))
     if reference is None:
@@ -70,12 +70,12 @@ def start_trial(
 
 
 def patient_config(config: Config) -> Config:
-    """The configuration with everything solved together, long enough, and the past hardly counting."""
+    """The configuration with a joint solve, enough iterations, and almost no influence of previous frames."""
     return jointly(config).changed(weights={"tau": config.weights.tau * RELAXED_TAU})
 
 
 def retried(trial: Trial, finding: Finding) -> Finding:
-    """A finding of the patient solve with its change tried under the configuration of the case."""
+    """A finding of the patient solve, with its change tried again under the configuration of the case."""
     if finding.change is None or finding.measure != "landmark error":
         return finding
     fit = trial.refit(finding.change)

@@ -1,4 +1,4 @@
-"""A cheap screen over a whole track, without any fit: which frames deserve a diagnosis."""
+"""A cheap screen over a whole track, without any fits, for frames that deserve a diagnosis."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -18,30 +18,30 @@ from workbench.tracking.records import frame_errors
 FLOOR_PERCENT = 2.5
 """Mean error over the inner points, % of the face's size, below which no frame is flagged for its residual."""
 DEVIATIONS = 5.0
-"""Robust standard deviations above the shot's median that make an outlier."""
+"""Robust standard deviations above the shot's median at which a frame is an outlier."""
 JUMP_DEG, JUMP_MM = 8.0, 30.0
-"""Second difference of the pose between frames that no head at 25 frames/s makes."""
+"""Second difference of the pose between frames that no real head reaches at 25 frames/s."""
 MOST_AT_BOUND = 0.25
-"""Part of the blendshapes at their upper bound that is too many."""
+"""Fraction of the blendshapes at their upper bound that is too high."""
 FEWEST_OUTSIDE = 6
-"""Landmarks outside the picture that make a face cut off; fewer are a chin that touches the edge."""
+"""Number of landmarks outside the picture at which a face is cut off; fewer are a chin touching the edge."""
 STILL_PX = 1e-3
 
 
 class _Screen(NamedTuple):
-    """One test: severity of each frame, 0 where it passes, and what to say."""
+    """One test: severity of each frame, 0 if it passes, and the message."""
 
     severity: Float[np.ndarray, "n"]
     text: Callable[[int], str]
 
 
 def flag_frames(track: Track, config: Config | None = None) -> FrameFlags:
-    """Frames of a track that stand out, with a severity and a short text each; a clean clip flags none.
+    """Outlier frames of a track, each with a severity and a short text; none in a clean clip.
 
-    Fits that failed (`failures_of`), robust outliers of the residual within the shot that also exceed an absolute
-    floor, pose jumps, frozen landmarks, stages that end at their limit where the shot's others do not, weights at their
-    bounds en masse, faces cut off. Frames without a face are not flagged, and residuals are compared among frames with
-    landmarks. `config` is the run's (for its bounds), if known.
+    Flagged are failed fits (`failures_of`), robust residual outliers within the shot that also exceed an absolute
+    floor, pose jumps, frozen landmarks, stages that end at their limit while those of other frames do not, many weights
+    at their bounds, and cut-off faces. Frames without a face are not flagged, and residuals are compared among frames
+    with landmarks. `config` is the configuration of the run (for its bounds), if known.
     """
     screens = [test(track) for test in (_failed, _residual, _jump, _frozen, _limit)]
     screens += [_bounds(track, config), _outside(track)]
@@ -62,7 +62,7 @@ def _failed(track: Track) -> _Screen:
 def _residual(track: Track) -> _Screen:
     residual = np.linalg.norm(track.projected - track.observed, axis=2)
     percent = 100.0 * residual[:, 17:].mean(1) / face_size(track.observed)
-    shown = frame_errors(track)[:, 2]  # the error that tables and charts have
+    shown = frame_errors(track)[:, 2]  # the error shown in tables and charts
     above = np.zeros(len(track))
     for shot in _shots(track):
         usual = np.median(percent[shot])
@@ -92,7 +92,7 @@ def _frozen(track: Track) -> _Screen:
     moved = np.linalg.norm(np.diff(track.observed, axis=0), axis=2).max(axis=1)
     beside = (np.diff(track.shot) == 0) & track.found[1:] & track.found[:-1]
     same[1:] = beside & (moved < STILL_PX)
-    return _Screen(0.6 * same, lambda frame: "the landmarks repeat the frame before")
+    return _Screen(0.6 * same, lambda frame: "the landmarks repeat the previous frame")
 
 
 def _limit(track: Track) -> _Screen:
@@ -104,7 +104,7 @@ def _limit(track: Track) -> _Screen:
         if at_limit[shot].mean() < 0.2 and converged.sum() >= 5:
             usual = np.median(residual[converged])
             severity[shot & at_limit & (residual > 3.0 * usual) & (100.0 * residual > FLOOR_PERCENT)] = 0.5
-    return _Screen(severity, lambda frame: "a stage ends at its limit of iterations")
+    return _Screen(severity, lambda frame: "a stage ends at its iteration limit")
 
 
 def _bounds(track: Track, config: Config | None) -> _Screen:
@@ -112,7 +112,7 @@ def _bounds(track: Track, config: Config | None) -> _Screen:
         return _Screen(np.zeros(len(track)), lambda frame: "")
     count = (track.expression >= 1.0 - 1e-9).sum(axis=1)
     above = count / max(MOST_AT_BOUND * track.expression.shape[1], 1.0)
-    return _Screen(_ramp(above), lambda frame: f"{count[frame]} weights rest on their bound")
+    return _Screen(_ramp(above), lambda frame: f"{count[frame]} weights are at their bound")
 
 
 def _outside(track: Track) -> _Screen:
@@ -121,13 +121,13 @@ def _outside(track: Track) -> _Screen:
 
 
 def outside_picture(points: Float[np.ndarray, "*n 68 2"], image_size) -> Bool[np.ndarray, "*n 68"]:
-    """Which points lie beyond the picture's edge pixels (or on the edge itself, where detectors clamp them)."""
+    """Which points lie beyond the picture's edge pixels, or on the edge, where detectors clamp them."""
     size = np.asarray(image_size, float)
     return ((points <= 0.0) | (points >= size - 1.0)).any(axis=-1)
 
 
 def _ramp(above: np.ndarray) -> np.ndarray:
-    """Severity of a ratio to its limit: 0 below 1, 0.5 at 1, towards 1 beyond."""
+    """Severity of a ratio to its limit: 0 below 1, 0.5 at 1, approaching 1 above."""
     above = np.nan_to_num(above)
     return np.where(above >= 1.0, 1.0 - 0.5 / np.maximum(above, 1.0), 0.0)
 

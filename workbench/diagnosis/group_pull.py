@@ -1,4 +1,4 @@
-"""What each group of landmarks does to the fit: the fit without it."""
+"""The effect of each landmark group on the fit, measured by fits without it."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,11 +11,11 @@ from workbench.tracking import FrameFit
 PULLING_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "eyes", "mouth")
 MOST_WEIGHTS = 5
 LEAST_CHANGE = 0.02
-"""Change of a blendshape weight that is worth a line."""
+"""Change of a blendshape weight that is worth reporting."""
 
 
 def leave_one_group_out(trial: Trial) -> tuple[GroupPull, ...]:
-    """The pull of each of `PULLING_GROUPS`: pose, weights and prediction without it."""
+    """The pull of each of `PULLING_GROUPS`: pose, weights and prediction without the group."""
     return tuple(_pull(trial, group) for group in PULLING_GROUPS)
 
 

@@ -1,8 +1,8 @@
 """Which blendshapes the 68 landmarks cannot tell apart, from the derivative of the landmarks by the weights.
 
-A weight moves the landmarks along its column of the Jacobian. Two things hide a weight. It moves no landmark at all
-(the tongue), or a combination of others moves the landmarks the same way: then the data fix the sum, and only the
-priors choose among its parts. The pose can make up for some motion too, so that is taken out of every column first.
+A weight moves the landmarks along its column of the Jacobian. It is hidden in two cases: if it moves no landmark at all
+(the tongue), or if a combination of other weights moves the landmarks in the same way. The data then determine only the
+sum, and the priors its parts. The pose can also compensate some motion, so that is removed from every column first.
 """
 
 from collections.abc import Sequence
@@ -22,25 +22,25 @@ POSE = ("rotation", "translation")
 
 @dataclass(frozen=True)
 class Indistinguishable:
-    """What the landmarks do not say about the weights."""
+    """The weights and combinations of weights that the landmarks do not determine."""
 
     names: tuple[str, ...]
     motion_percent: Float[np.ndarray, "k"]
-    """How far weight 1 moves the landmark that it moves most, after the best rigid pose, in % of the eye distance."""
+    """Largest landmark motion at weight 1 after the best rigid pose, in % of the eye distance."""
     similarity: Float[np.ndarray, "k k"]
-    """Cosine between the motions of two blendshapes: 1 look alike, −1 cancel, 0 for an unseen one."""
+    """Cosine between the motions of two blendshapes: 1 for identical, −1 for cancelling, 0 for an unseen blendshape."""
     trade: Float[np.ndarray, "k k"]
-    """Projector on the combinations that hardly move the landmarks; its entry says how far two weights trade off."""
+    """Projector onto the combinations that hardly move the landmarks; an entry says how much two weights trade off."""
     unseen: tuple[str, ...]
-    """Blendshapes that move no landmark enough to be seen."""
+    """Blendshapes that move no landmark noticeably."""
     groups: tuple[tuple[str, ...], ...]
     """Blendshapes that can replace or cancel each other, in the order of `names`."""
 
 
 def landmark_motion(points: PointModel, camera: Camera, parameters: FaceParameters) -> Float[np.ndarray, "136 k"]:
-    """How each weight moves the 68 projected landmarks beyond what the pose can make up for.
+    """How each weight moves the 68 projected landmarks, beyond the motion that the pose can compensate.
 
-    In percent of the outer-eye distance at weight 1; rows are x and y of each landmark in turn.
+    In percent of the outer-eye distance at weight 1; rows alternate x and y of each landmark.
     """
     eye_distance_mm = float(np.linalg.norm(np.asarray(points.neutral[45] - points.neutral[36])))
     unit = 0.01 * float(np.mean(np.asarray(camera.focal_px))) * eye_distance_mm / float(parameters.translation[2])
@@ -59,12 +59,12 @@ def group_columns(
     tolerance: float = 0.25,
     link: float = 0.2,
 ) -> Indistinguishable:
-    """Groups of nearly dependent columns of `motion` (x and y rows in turn, `landmark_motion`).
+    """Groups of nearly dependent columns of `motion` (alternating x and y rows, `landmark_motion`).
 
-    Columns are scaled to length 1, so that strong blendshapes do not hide weak ones. Combinations of unit length that
-    come out shorter than `tolerance` are hidden ones: right singular vectors of small singular values. The projector on
-    all of them does not depend on the choice of these vectors; blendshapes whose entry in it exceeds `link` are joined.
-    Raises `InputError` where names and columns differ in number.
+    Columns are scaled to length 1, so that strong blendshapes do not hide weak ones. Unit-length combinations whose
+    motion is shorter than `tolerance` are hidden: these are right singular vectors with small singular values. The
+    projector onto all of them does not depend on the choice of vectors; blendshapes whose entry in it exceeds `link`
+    are grouped. Raises `InputError` if the numbers of names and columns differ.
     """
     if motion.shape[1] != len(names):
         raise InputError(f"Each column of the motion needs a name: {motion.shape[1]} columns, {len(names)} names.")
@@ -92,16 +92,18 @@ def indistinguishable_groups(
 ) -> Indistinguishable:
     """Blendshapes that the landmarks of all these views together cannot tell apart (`group_columns`).
 
-    Each view has its own pose, which is taken out of it; the weights are shared. Raises `InputError` without a view.
+    Each view has its own pose, whose motion is removed; the weights are shared. Raises `InputError` without a view.
     """
     if not views:
-        raise InputError("Indistinguishable blendshapes need at least one view; pass the parameters of a frame.")
+        raise InputError(
+            "Finding indistinguishable blendshapes needs at least one view; pass the parameters of a frame."
+        )
     motion = np.concatenate([landmark_motion(points, camera, view) for view in views])
     return group_columns(motion, names, unseen_percent, tolerance, link)
 
 
 def _connected(linked: np.ndarray) -> list[list[int]]:
-    """Connected components of a symmetric relation, each ascending, in the order of their first members."""
+    """Connected components of a symmetric relation, each in ascending order, sorted by their first members."""
     left, components = set(range(len(linked))), []
     while left:
         frontier, component = [min(left)], []

@@ -1,8 +1,8 @@
-"""How far a group of landmarks is from where all others predict it, and whether that is usual in the shot.
+"""How far a landmark group is from its prediction by all others, and whether that is usual in the shot.
 
-A fit that includes a shifted group bends pose and expression towards it and shows little residual. The *innovation*
-of a group, its mean offset from a fit without it, does not bend. What is usual comes from the other frames of the shot,
-and from the motions that the model's own blendshapes give a group which no other point predicts (a raised brow).
+A fit that includes a shifted group distorts pose and expression towards it and leaves little residual. The *innovation*
+of a group, its mean offset from a fit without it, is not affected by this. Usual values come from the other frames of
+the shot, and from motions that the model's blendshapes give a group and that no other point predicts (a raised brow).
 """
 
 from typing import NamedTuple
@@ -17,14 +17,14 @@ from workbench.tracking import FrameObservation
 
 INNOVATION_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "right_eye", "left_eye", "mouth")
 PREDICTED = ("jaw", "nose")
-"""Groups that move with the others: what blendshapes do to them shows elsewhere too."""
+"""Groups that move with the others: blendshapes that move them also move other points."""
 FLOOR_PERCENT = 1.2
 TYPICAL_WEIGHT = 0.35
-"""Blendshape weight that is nothing unusual."""
+"""A typical blendshape weight."""
 EFFECTIVE_POINTS = 4.0
-"""Independent points that the mean of a group counts as."""
+"""Number of independent points that the mean of a group counts as."""
 JUMP_REACH = 4
-"""Frames back in which a jump of a group is looked for."""
+"""Number of previous frames searched for a jump of a group."""
 STEADY_QUANTILE = 0.95
 LEAST_STEP_PERCENT = 1.0
 
@@ -37,7 +37,7 @@ class UsualOffset(NamedTuple):
 
 
 def usual_offsets(model: FaceModel, reference: ShotReference) -> dict[str, UsualOffset]:
-    """By group: what innovation is usual in the shot."""
+    """The usual innovation in the shot, by group."""
     spans = _spans(model)
     found = {}
     for group in INNOVATION_GROUPS:
@@ -52,7 +52,7 @@ def usual_offsets(model: FaceModel, reference: ShotReference) -> dict[str, Usual
 
 
 def offset_nats(offset_percent: Float[np.ndarray, "2"], usual: UsualOffset) -> float:
-    """Nats against an innovation: `EFFECTIVE_POINTS` times log(1 + squared Mahalanobis distance)."""
+    """Cost of an innovation in nats: `EFFECTIVE_POINTS` times log(1 + squared Mahalanobis distance)."""
     away = offset_percent - usual.mean
     return float(EFFECTIVE_POINTS * np.log1p(away @ np.linalg.solve(usual.covariance, away)))
 
@@ -60,10 +60,10 @@ def offset_nats(offset_percent: Float[np.ndarray, "2"], usual: UsualOffset) -> f
 def jump_of(
     group: str, observation: FrameObservation, shot: dict[int, FrameObservation], steps: Float[np.ndarray, "n"]
 ) -> tuple[Float[np.ndarray, "2"], float] | None:
-    """The jump of a group within the last frames: its offset (pixels) from where it was before, and its nats.
+    """The jump of a group within the last frames: its offset from the earlier position (pixels) and its nats.
 
-    A face needs several frames to raise a brow; a detector that changes its mind needs one. `steps` are the group's
-    usual motions from frame to frame against the rest, %. None where nothing jumped.
+    A face needs several frames to raise a brow; a detector error needs only one. `steps` are the group's usual motions
+    between frames relative to the rest, %. None if nothing jumped.
     """
     index, mask = observation.index, group_mask(group)
     usual = max(float(np.quantile(steps, STEADY_QUANTILE)) if len(steps) else 0.0, LEAST_STEP_PERCENT)
@@ -86,12 +86,12 @@ def jump_of(
 def group_step(
     mask: np.ndarray, before: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]
 ) -> Float[np.ndarray, "2"]:
-    """Mean motion of a group beyond that of the face as a whole, pixels."""
+    """Mean motion of a group relative to the face as a whole, pixels."""
     return (now - robust_similarity(before, now).to_image(before))[mask].mean(axis=0)
 
 
 def _spans(model: FaceModel) -> dict[str, Float[np.ndarray, "2 2"]]:
-    """By group: covariance of its mean place, % of the eye distance, under blendshapes of usual weight."""
+    """By group: covariance of its mean position, % of the eye distance, under blendshapes of typical weight."""
     landmarks = landmark_model(model)
     neutral = landmarks.frontal_neutral()
     eye = np.linalg.norm(neutral[LEFT_EYE_OUTER_CORNER] - neutral[RIGHT_EYE_OUTER_CORNER])

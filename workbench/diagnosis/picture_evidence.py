@@ -1,4 +1,4 @@
-"""What the pictures say about landmarks: where the picture moved to, how sharp it is and along which direction."""
+"""Evidence from the pictures about landmarks: the motion of the picture, its sharpness and the direction of blur."""
 
 from dataclasses import dataclass
 
@@ -9,12 +9,12 @@ from jaxtyping import Bool, Float, UInt8
 from workbench.landmarks.alignment import fit_similarity
 
 FLOW_FACE_PX = 160.0
-"""Size that faces are scaled to before flow is measured, so that one window fits all."""
+"""Size to which faces are scaled before measuring flow, so that one window size fits all."""
 FLOW_WINDOW = 21
 ROUND_TRIP = 0.01
-"""Largest distance of a point from itself carried forward and back, in face sizes, for its flow to count."""
+"""Largest forward-backward error of a point, in face sizes, for its flow to be used."""
 MARGIN = 0.6
-"""Picture kept around the landmarks, in face sizes."""
+"""Margin of the crop around the landmarks, in face sizes."""
 
 
 def carried_by_flow(
@@ -23,9 +23,9 @@ def carried_by_flow(
     points: Float[np.ndarray, "68 2"],
     face_px: float,
 ) -> Float[np.ndarray, "68 2"]:
-    """Where the picture content at `points` of the previous picture is now (Lucas–Kanade), pixels.
+    """Current positions of the content at `points` of the previous picture (Lucas–Kanade), pixels.
 
-    NaN where a point carried forward and back does not return to itself, or leaves the picture.
+    NaN if a point tracked forward and back does not return to its start, or leaves the picture.
     """
     scale = FLOW_FACE_PX / face_px
     low = np.maximum(np.floor(points.min(0) - MARGIN * face_px), 0).astype(int)
@@ -58,12 +58,12 @@ def gradient_energy(
 ) -> Float[np.ndarray, "2 2"]:
     """Structure tensor of the face region per unit of its contrast: dᵀ·E·d is the squared grey slope along d.
 
-    The face is scaled to one size first, so that numbers of one shot compare.
+    The face is first scaled to a fixed size, so that values within a shot are comparable.
     """
     low = np.clip(np.floor(points.min(0)), 0, [picture.shape[1] - 4, picture.shape[0] - 4]).astype(int)
     high = np.maximum(np.ceil(points.max(0)).astype(int) + 1, low + 4)
     grey = _grey(picture[low[1] : high[1], low[0] : high[0]], FLOW_FACE_PX / face_px).astype(np.float32)
-    # A little smoothing: noise and compression would otherwise pass for sharpness.
+    # Slight smoothing, because noise and compression would otherwise count as sharpness.
     grey = cv2.GaussianBlur(grey, (0, 0), 1.0)
     slope = np.stack([cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)], axis=-1).reshape(-1, 2)
     return (slope.T @ slope / len(slope) / max(float(grey.var()), 1.0)).astype(float)
@@ -76,15 +76,15 @@ class Blur:
     direction: Float[np.ndarray, "2"]
     """Unit vector in the picture along which detail is lost."""
     sharpness: float
-    """Squared slope along it, relative to the previous picture's along the same direction (or to that across)."""
+    """Squared slope along it, relative to the previous picture along the same direction (or to the slope across)."""
     across: float
-    """The same ratio across that direction: 1 for a blur of this direction only."""
+    """The same ratio across that direction: 1 if only this direction is blurred."""
 
 
 def directional_blur(energy: Float[np.ndarray, "2 2"], previous: Float[np.ndarray, "2 2"] | None) -> Blur:
     """The direction that lost most detail compared with the previous picture (or with the other direction)."""
     reference = np.eye(2) * np.linalg.eigvalsh(energy)[1] if previous is None else previous
-    # Generalised eigenproblem: the ratio of the two quadratic forms is least along the first vector.
+    # Generalised eigenproblem: the ratio of the two quadratic forms is smallest along the first vector.
     root = np.linalg.inv(np.linalg.cholesky(reference + 1e-9 * np.eye(2)))
     values, vectors = np.linalg.eigh(root @ energy @ root.T)
     direction = root.T @ vectors[:, 0]
@@ -99,9 +99,9 @@ def change_of_patch(
     others: Float[np.ndarray, "n 2"],
     others_before: Float[np.ndarray, "n 2"],
 ) -> float:
-    """Mean absolute change of grey under the chosen points' hull since the previous picture, in grey levels.
+    """Mean absolute change since the previous picture inside the hull of the chosen points, in grey levels.
 
-    The face is carried by the similarity of the other points, so that a head which moves changes nothing.
+    The similarity of the other points compensates the motion of the face, so that head motion alone changes nothing.
     """
     to_now = fit_similarity(others_before, others)
     inverse = np.linalg.inv(to_now.matrix)

@@ -1,8 +1,8 @@
 """From hypotheses to a short ranked list of reasons.
 
-A reason's score is the share of what the fit leaves unexplained that its change explains, times how specific its
-evidence is; evidence that speaks for itself (a face cut off by the picture's edge) has a score of its own. A
-hypothesis that says the same less specifically steps behind the one that outranks it.
+A reason's score is the fraction of the unexplained evidence that its change explains, times the specificity of its
+evidence. Conclusive evidence, such as a face cut off by the picture's edge, has a fixed score. A less specific
+hypothesis with the same explanation is ranked below the one that outranks it.
 """
 
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ from workbench.diagnosis.trial import Finding, Trial
 
 LEAST_SCORE = 0.3
 LEAST_GAIN = 12.0
-"""Nats that a change must explain to be worth a reason; noise alone brings about half of it."""
+"""Minimum nats that a change must explain to be listed; noise alone gives about half of it."""
 LEAST_SHARE = 0.25
 DEMOTED = 0.5
 CLOSE = 0.7
@@ -23,7 +23,7 @@ MOST_REASONS = 6
 
 
 def ranked(scored: Iterable[tuple[float, Finding]]) -> tuple[Reason, ...]:
-    """The reasons that are worth listing, best first, one for each code, of hypotheses with their scores."""
+    """The reasons worth listing, best first and one per code, from scored hypotheses."""
     scored = sorted(scored, key=lambda pair: -pair[0])
     best: dict[str, tuple[float, Finding]] = {}
     for value, finding in scored:
@@ -34,7 +34,7 @@ def ranked(scored: Iterable[tuple[float, Finding]]) -> tuple[Reason, ...]:
 
 
 def score(trial: Trial, finding: Finding) -> float:
-    """Score of one hypothesis by itself, 0 to 1."""
+    """Score of a single hypothesis, 0 to 1."""
     unexplained = max(trial.excess, finding.gain, 1e-9)
     share = float(np.clip(finding.gain / unexplained, 0.0, 1.0))
     by_fit = 0.0
@@ -44,7 +44,7 @@ def score(trial: Trial, finding: Finding) -> float:
 
 
 def reason_of(finding: Finding, value: float) -> Reason:
-    """The reason that a finding becomes."""
+    """The reason made from a finding."""
     return Reason(
         code=finding.code,
         title=finding.title,

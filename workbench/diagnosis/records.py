@@ -1,4 +1,4 @@
-"""What a diagnosis takes and what it leaves: the case of a frame, changes, reasons, pulls of groups, flags."""
+"""Input and results of a diagnosis: the case of a frame, changes, reasons, pulls of groups, flags."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,26 +15,26 @@ from workbench.tracking import FrameContext, FrameFit, FrameObservation
 
 @dataclass(frozen=True, eq=False)
 class FrameCase:
-    """One frame under diagnosis: what was observed, what it was fitted from, and what surrounds it."""
+    """One frame under diagnosis: its observation, the context of its fit, and its neighbours."""
 
     observation: FrameObservation
     context: FrameContext
     config: Config
     shot: Sequence[FrameObservation] = ()
-    """Observations of the shot around the frame, in order of time; empty for a photo. More frames say more."""
+    """Observations of the shot around the frame, in time order; empty for a photo. More frames give more evidence."""
     picture: UInt8[np.ndarray, "h w 3"] | None = None
-    """RGB; without it the diagnosis says less."""
+    """RGB; without it some causes cannot be tested."""
     previous_picture: UInt8[np.ndarray, "h w 3"] | None = None
-    """RGB picture of the frame before."""
+    """RGB picture of the previous frame."""
 
     @property
     def before(self) -> FrameObservation | None:
-        """The frame before, if the shot has it with landmarks."""
+        """The previous frame, if the shot contains it with landmarks."""
         return self._neighbour(-1)
 
     @property
     def after(self) -> FrameObservation | None:
-        """The frame after, if the shot has it with landmarks."""
+        """The next frame, if the shot contains it with landmarks."""
         return self._neighbour(+1)
 
     @cached_property
@@ -48,23 +48,23 @@ class FrameCase:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A proposed change, complete: apply it in one click, take it back by going to what was before."""
+    """A complete proposed change, which can be applied and undone in one click."""
 
     label: str
-    """An imperative for a button, as "Mute the jaw points"."""
+    """Imperative label for a button, such as "Mute the jaw points"."""
     config: Mapping[str, Any] = field(default_factory=dict)
-    """Sections for `Config.changed`; {} leaves the configuration."""
+    """Sections for `Config.changed`; {} leaves the configuration unchanged."""
     landmarks: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    """New places of points of this frame, pixels, believed from now on; {} leaves the landmarks."""
+    """New positions of points of this frame, pixels, with full confidence; {} leaves the landmarks unchanged."""
     limits: Mapping[str, int] = field(default_factory=dict)
     """New iteration limits of stages by name."""
     calibrate: bool = False
     """Whether the identity of the shot must be calibrated again with the changed configuration."""
     identity: Float[np.ndarray, "i"] | None = None
-    """The identity that was found so, where `calibrate` is set."""
+    """The identity from that calibration, if `calibrate` is set."""
 
     def apply_to(self, config: Config) -> Config:
-        """The changed configuration; factors of landmarks are added to those that are there."""
+        """The changed configuration; landmark factors are added to the existing ones."""
         sections = dict(self.config)
         if "landmarks" in sections and "weights" in sections["landmarks"]:
             weights = {**config.landmarks.weights, **sections["landmarks"]["weights"]}
@@ -77,7 +77,7 @@ class Change:
         return config.changed(**sections) if sections else config
 
     def moved(self, observation: FrameObservation) -> FrameObservation:
-        """The observation with this change's points at their new places, with confidence 1."""
+        """The observation with this change's points at their new positions, with confidence 1."""
         if not self.landmarks:
             return observation
         points, confidence = observation.landmarks.points.copy(), observation.landmarks.confidence.copy()
@@ -86,7 +86,7 @@ class Change:
         return replace(observation, landmarks=Landmarks2D(points, confidence, observation.landmarks.image_size))
 
     def applied(self, context: FrameContext) -> FrameContext:
-        """The context with this change's identity; a new identity or camera starts the pose afresh."""
+        """The context with this change's identity; a new identity or camera restarts the pose."""
         if self.identity is not None:
             context = context._replace(identity=self.identity)
         if self.calibrate:
@@ -102,28 +102,28 @@ def moved_to(observation: FrameObservation, points: Float[np.ndarray, "68 2"]) -
 
 @dataclass(frozen=True, eq=False)
 class Reason:
-    """Why a frame may be bad, with evidence, and the change that was tried against it."""
+    """Why a frame may be bad, with evidence and the change that was tried."""
 
     code: str
     title: str
-    """Short, for users."""
+    """Short title for users."""
     evidence: str
     """One or two plain sentences with numbers."""
     score: float
-    """0 to 1: the share of what is unexplained that the change explains, times how specific the evidence is."""
+    """0 to 1: the fraction of the unexplained evidence that the change explains, times the evidence's specificity."""
     numbers: Mapping[str, float]
     change: Change | None
     before_percent: float
     """Mean distance (`measure`) without the change, in percent of the outer-eye distance."""
     after_percent: float
-    """The same with the change, by a fit that was really made."""
+    """The same with the change, from an actual fit."""
     measure: str = "landmark error"
-    """What the two numbers are: "landmark error" over the points that are still believed, or another distance."""
+    """Meaning of the two numbers: "landmark error" over the points still trusted, or another distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class GroupPull:
-    """What one group of landmarks does to the fit: the fit without it, compared with the fit."""
+    """The effect of one landmark group: the fit without it compared with the full fit."""
 
     group: str
     rotation_deg: float
@@ -133,7 +133,7 @@ class GroupPull:
     weights: tuple[tuple[str, float], ...]
     """The largest changes of blendshape weights when the group is left out, by name."""
     distance_percent: float
-    """Mean distance of the group's points from where the others predict them, % of the outer-eye distance."""
+    """Mean distance of the group's points from their prediction by the others, % of the outer-eye distance."""
     offset_percent: Float[np.ndarray, "2"]
     """Mean offset vector (right, down) of the group from that prediction, in the same unit."""
     error_without_percent: float
@@ -144,15 +144,15 @@ class GroupPull:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """How well the landmarks and the priors fix pose and weights (posterior of the linearised problem)."""
+    """How well landmarks and priors determine pose and weights (posterior of the linearised problem)."""
 
     names: tuple[str, ...]
     """pitch, yaw, roll, x, y, depth, then the blendshapes."""
     covariance: Float[np.ndarray, "n n"]
-    """Of axis-angle (radians), translation (mm) and weights; zero rows for weights that rest on a bound."""
+    """Covariance of axis-angle (radians), translation (mm) and weights; zero rows for weights at a bound."""
     scatter: Float[np.ndarray, "n n"]
-    """How fits of the same face with other landmark noise would scatter: priors draw the fits together, so this is
-    less than the covariance."""
+    """Covariance of fits to the same face with other landmark noise. Priors pull the fits together, so it is smaller
+    than `covariance`."""
     noise_percent: float
     """Standard deviation of a landmark coordinate estimated from the residual, % of the outer-eye distance."""
     rotation_deg: Float[np.ndarray, "3"]
@@ -160,12 +160,12 @@ class Uncertainty:
     translation_mm: Float[np.ndarray, "3"]
     """Standard deviations along the camera axes."""
     weights: Float[np.ndarray, "k"]
-    """Standard deviation of each blendshape weight; 0 where it rests on a bound."""
+    """Standard deviation of each blendshape weight; 0 if it is at a bound."""
     on_bound: Bool[np.ndarray, "k"]
     condition: float
     """Condition number of JᵀJ (data and priors) over the free unknowns in units of 0.1 rad, 10 mm, 0.3 of a weight."""
     pairs: tuple[tuple[str, str, float], ...]
-    """Unknowns that trade against each other, |correlation| > 0.9, strongest first."""
+    """Unknowns that trade off against each other, |correlation| > 0.9, strongest first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,24 +179,24 @@ class Diagnosis:
     fit: FrameFit
     """The fit under diagnosis."""
     flag: str = ""
-    """Why `flag_frames` flagged the frame in its clip, in a few words; empty if it did not, or if none was run."""
+    """Why `flag_frames` flagged the frame in its clip, in a few words; empty if it did not or was not run."""
 
     @property
     def summary(self) -> str:
-        """One line."""
+        """A one-line summary."""
         if self.reasons:
             return self.reasons[0].title
         if self.flag:
-            return f"None of the causes that were tried explains why the frame was flagged: {self.flag}"
+            return f"None of the causes tried explains why the frame was flagged: {self.flag}"
         return "No reason found: the frame is unremarkable"
 
 
 @dataclass(frozen=True, eq=False)
 class FrameFlags:
-    """A screen over a track: which frames deserve a diagnosis."""
+    """The result of screening a track for frames that deserve a diagnosis."""
 
     flagged: Bool[np.ndarray, "n"]
     severity: Float[np.ndarray, "n"]
-    """0 (nothing) to 1."""
+    """0 (not flagged) to 1."""
     text: tuple[str, ...]
-    """Why, in a few words; empty where nothing is flagged."""
+    """Why a frame is flagged, in a few words; empty if it is not."""

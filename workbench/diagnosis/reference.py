@@ -1,4 +1,4 @@
-"""What is usual in a shot: how large its residuals are, how its landmarks move, whose face it is, which lens fits."""
+"""Usual values of a shot: the size of its residuals, the motion of its landmarks, its identity and its lens."""
 
 import copy
 from collections.abc import Sequence
@@ -22,17 +22,17 @@ from workbench.tracking.identity import CalibrationSettings, calibrate_identity
 
 MOST_STEPS = 80
 MOST_FRAMES = 24
-"""Frames of the shot that are looked at."""
+"""Maximum number of frames of the shot that are used."""
 ENOUGH_FRAMES = 4
-"""Other frames without which nothing is said about the person or the lens."""
+"""Minimum number of other frames for conclusions about the person or the lens."""
 USUAL_PERCENT = (0.7, 1.6)
-"""Range that the usual residual of a landmark is clipped to, % of the face's size: a shot that is bad throughout shall
-not pass for usual."""
+"""Range to which the usual residual of a landmark is clipped, % of the face's size, so that a shot that is bad
+throughout is not taken as normal."""
 USUAL_MOTION_PERCENT = (0.6, 2.0)
 
 
 JOINT_STAGES = (ROBUST_START, Stage(name="pose and expression", free=(*POSE, "expression"), limit=30))
-"""The joint solve with every landmark in full, because a misfit counts every landmark in full."""
+"""The joint solve with all landmarks at full weight, because the misfit gives every landmark full weight."""
 
 
 def jointly(config: Config) -> Config:
@@ -41,9 +41,9 @@ def jointly(config: Config) -> Config:
 
 
 class ShotReference:
-    """The usual of one shot under one configuration. Make it once per shot; its parts are computed when asked for.
+    """Usual values of one shot under one configuration. Make it once per shot; its parts are computed on demand.
 
-    `frames` are the landmarks to learn from: observations of the shot without the frame under diagnosis.
+    `frames` are the observations of the shot to learn from, without the frame under diagnosis.
     """
 
     def __init__(self, model: FaceModel, config: Config, shot: Sequence[FrameObservation], fitter: FaceItFitter):
@@ -53,7 +53,7 @@ class ShotReference:
         self.frames = [usable[k] for k in places]
         self.config = config
         self._shot = usable
-        # Pose and expression together, with enough iterations: what is usual must not hang on what is under suspicion.
+        # A joint solve with enough iterations: usual values must not depend on the settings under suspicion.
         self._config = jointly(config)
         self._fitter = copy.copy(fitter)
         self._fitter.configure(plan_of(self._config))
@@ -62,16 +62,16 @@ class ShotReference:
 
     @property
     def knows_person(self) -> bool:
-        """Whether there are enough frames to calibrate on."""
+        """Whether there are enough frames for a calibration."""
         return len(self.frames) >= ENOUGH_FRAMES
 
     @cached_property
     def identity(self) -> Float[np.ndarray, "i"] | None:
-        """The identity calibrated on these frames, outliers left out; None with too few frames."""
+        """The identity calibrated on these frames without outliers; None with too few frames."""
         return self.identity_under(self._config)
 
     def identity_under(self, config: Config) -> Float[np.ndarray, "i"] | None:
-        """The identity calibrated on these frames with another configuration (a camera, say)."""
+        """The identity calibrated on these frames with another configuration (for example another camera)."""
         if not self.knows_person:
             return None
         fitter = copy.copy(self._fitter)
@@ -79,14 +79,14 @@ class ShotReference:
         return fitter.calibrate(self._sound_frames, config.identity.frames).identity
 
     def identity_of(self, frames: Sequence[FrameObservation]) -> Float[np.ndarray, "i"]:
-        """The identity calibrated on other landmarks than those of the shot."""
+        """The identity calibrated on landmarks other than those of the shot."""
         count = min(MOST_FRAMES, len(frames))
         chosen = [frames[k] for k in np.unique(np.round(np.linspace(0, len(frames) - 1, count)).astype(int))]
         return self._fitter.calibrate(chosen, self.config.identity.frames).identity
 
     @cached_property
     def _sound_frames(self) -> list[FrameObservation]:
-        """The frames whose shapes resemble each other: one with exchanged sides would spoil the calibration."""
+        """The frames with mutually similar shapes: one with exchanged sides would spoil the calibration."""
         if not self.frames:
             return []
         if not self.frames:
@@ -100,7 +100,7 @@ class ShotReference:
         return [observation for observation, far in zip(self.frames, away, strict=True) if far <= limit]
 
     def fits(self, identity: Float[np.ndarray, "i"]) -> list[FrameFit]:
-        """Each of the frames on its own with this identity."""
+        """Independent fits of the frames with this identity."""
         return [self._fitter.fit(frame, FrameContext(0, identity, None, None))[0] for frame in self._sound_frames]
 
     @cached_property
@@ -132,7 +132,7 @@ class ShotReference:
         return self._offsets[group]
 
     def steps_of(self, group: str) -> Float[np.ndarray, "n"]:
-        """Motion of a group against the rest of the face from frame to frame, % of the face's size."""
+        """Motion of a group relative to the rest of the face between frames, % of the face's size."""
         return self._steps[:, list(GROUPS[group])].mean(axis=1)
 
     @cached_property
@@ -145,7 +145,7 @@ class ShotReference:
 
     @cached_property
     def motion_percent(self) -> Float[np.ndarray, "68"]:
-        """Usual distance of each landmark from the middle between the frames around it, the head's motion taken out."""
+        """Usual distance of each landmark from the midpoint of the neighbouring frames, with head motion removed."""
         points = {observation.index: observation.landmarks.points for observation in self._shot}
         centres = [index for index in points if index - 1 in points and index + 1 in points]
         centres = centres[:: max(1, len(centres) // 40)]
@@ -162,8 +162,8 @@ class ShotReference:
     def focal_costs(self) -> dict[float, float] | None:
         """Cost of the best faces and poses by factor on the focal length, ascending; None with too few frames.
 
-        In squared percent of the outer-eye distance, so that differences of ten and more speak. Half and twice the
-        focal length are tried; if one of these is best, also what is on both sides of it, to see whether it is a least.
+        In squared percent of the outer-eye distance; differences of ten and more are significant. Half and twice the
+        focal length are tried; if one of these is best, also the values on both sides of it, to bracket the minimum.
         """
         if not self.knows_person:
             return None
@@ -184,7 +184,7 @@ class ShotReference:
             fit = fits[frame.index]
             focal = np.asarray(fit.camera.focal_px) * factor
             cameras.append(Camera(focal, np.asarray(fit.camera.principal_point_px), np.asarray(fit.camera.distortion)))
-            # The same picture from `factor` times the distance.
+            # Approximately the same picture from `factor` times the distance.
             starts.append(
                 FaceParameters(fit.rotation, fit.translation * [1.0, 1.0, factor], fit.expression, fit.identity)
             )
@@ -209,7 +209,7 @@ class ShotReference:
 def between(
     before: Float[np.ndarray, "68 2"], after: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]
 ) -> Float[np.ndarray, "68 2"]:
-    """The middle between the points before and after, carried to `now` by the similarity that most points follow."""
+    """The midpoints between `before` and `after`, moved to `now` by the similarity that most points follow."""
     middle = 0.5 * (before + after)
     return robust_similarity(middle, now).to_image(middle)
 
@@ -220,7 +220,7 @@ def _steps_between(before: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68
 
 
 def robust_similarity(source: Float[np.ndarray, "68 2"], target: Float[np.ndarray, "68 2"]):
-    """The similarity that takes most points of `source` to `target`: refitted on the nearest half, then two thirds."""
+    """The similarity that maps most points of `source` to `target`: re-fitted on the closest half, then two thirds."""
     chosen = np.asarray(GROUPS["all"])
     face = fit_similarity(source[chosen], target[chosen])
     for part in (0.5, 0.5, 0.66):
@@ -242,7 +242,7 @@ def _stacked(records):
 def reference_of(
     model: FaceModel, config: Config, shot: Sequence[FrameObservation], fitter: FaceItFitter | None = None
 ) -> ShotReference:
-    """What is usual in a shot, to be shared by the diagnoses of its frames. Raises `InputError` without landmarks."""
+    """Usual values of a shot, to be shared by the diagnoses of its frames. Raises `InputError` without landmarks."""
     if not any(observation.landmarks is not None for observation in shot):
         raise InputError("A shot's reference needs landmarks; none of these frames has any.")
     return ShotReference(model, config, shot, fitter or FaceItFitter(model, plan_of(config)))

@@ -1,9 +1,9 @@
-"""The frame on trial: its fit, fits with changes, and one measure of how much of the evidence they leave unexplained.
+"""The frame under test: its fit, fits with changes, and one measure of the evidence that they leave unexplained.
 
-The measure is Σ log(1 + (d/s)²) over the landmarks, with d the distance from the model and s what is usual in the shot:
-the logarithm of a heavy-tailed likelihood, in nats. The same for the distance of each landmark from where the motion
-of the picture (or of its neighbours in time) puts it. A landmark that a hypothesis doubts costs a fixed price at most.
-So hypotheses of all kinds compare: what they explain, less what they cost.
+The measure is Σ log(1 + (d/s)²) over the landmarks, with d the distance from the model and s the usual distance in the
+shot: the logarithm of a heavy-tailed likelihood, in nats. The same is added for the distance of each landmark from its
+position predicted by the motion of the picture (or by neighbouring frames). A landmark that a hypothesis doubts costs
+at most a fixed price. All hypotheses are thus comparable: by what they explain minus what they cost.
 """
 
 import copy
@@ -23,43 +23,43 @@ from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
 
 DOUBTED = 3.0
-"""Price of a landmark that a hypothesis takes to be wrong, nats: it is off by some four typical distances."""
+"""Price of a landmark that a hypothesis assumes to be wrong, nats: an offset of about four typical distances."""
 PARAMETER = 2.0
-"""Price of a number that a hypothesis chooses freely, nats."""
+"""Price of a free parameter of a hypothesis, nats."""
 MOTION_SHARE = 0.5
-"""Weight of the evidence from motion: the detector itself was helped by it."""
+"""Weight of the evidence from motion, which is not independent because the detector uses motion too."""
 FLOW_USUAL = 1.2
-"""Factor on the usual motion deviation where optical flow says where a point should be."""
+"""Factor on the usual motion deviation for points predicted by optical flow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """A hypothesis that was tried."""
+    """A hypothesis that was tested."""
 
     code: str
     title: str
     evidence: str
     change: Change | None
     gain: float
-    """Nats that it explains, its own price taken off."""
+    """Nats that it explains, minus its own price."""
     before_percent: float
     after_percent: float
     specificity: float = 1.0
-    """How much this explanation is preferred to others that explain as much, 0 to 1."""
+    """Preference over other hypotheses that explain as much, 0 to 1."""
     direct: float = 0.0
-    """Score that the evidence has by itself, whatever the fit says."""
+    """Fixed score of conclusive evidence, whatever the fit shows."""
     numbers: dict[str, float] = field(default_factory=dict)
     measure: str = "landmark error"
     doubted: Bool[np.ndarray, "68"] | None = None
     outranks: tuple[str, ...] = ()
-    """Codes that say the same less specifically."""
+    """Codes of less specific hypotheses with the same explanation."""
 
 
 class Trial:
-    """One frame, its fit, and whatever is tried on it."""
+    """One frame, its fit, and the changes tried on it."""
 
     def __init__(self, case: FrameCase, fitter: FaceItFitter, reference: ShotReference, afresh: bool = False):
-        """`afresh`: every fit is also tried without what came before, which may be wrong itself; the better counts."""
+        """`afresh`: also try every fit without the previous frame, which may be wrong itself; the better one counts."""
         self.case = case
         self._afresh = afresh and case.context.last is not None
         self.reference = reference
@@ -72,7 +72,7 @@ class Trial:
         self.fit = self._best_fit(self._fitter, case.observation, case.context)
 
     def with_config(self, config: Config) -> "Trial":
-        """The same frame on trial under another configuration."""
+        """The same frame under another configuration."""
         return Trial(replace(self.case, config=config), self._fitter, self.reference, afresh=True)
 
     # --- fits ---
@@ -91,7 +91,7 @@ class Trial:
         return min(fit, again, key=lambda tried: self.residual_costs(tried).sum())
 
     def fitter(self, config: Config, context: FrameContext) -> FaceItFitter:
-        """A fitter for this configuration; one is kept for each identity."""
+        """A fitter for this configuration; one is cached per identity."""
         key = np.asarray(context.identity).tobytes()
         followed, fitter = self._others.get(key, (None, None))
         if followed is not config:
@@ -103,9 +103,9 @@ class Trial:
     # --- the measure ---
 
     def misfit(self, fit: FrameFit, doubted: Bool[np.ndarray, "68"] | None = None, past_doubted: bool = False) -> float:
-        """Nats left unexplained by a fit; `doubted` landmarks cost their price at most.
+        """Nats left unexplained by a fit; `doubted` landmarks cost at most their price.
 
-        `past_doubted`: the frames around may have the same fault, so leaving their motion costs nothing.
+        `past_doubted`: neighbouring frames may have the same fault, so deviating from their motion costs nothing.
         """
         motion = self.motion_costs(fit.observed)
         if past_doubted:
@@ -121,13 +121,13 @@ class Trial:
         return np.log1p((self.percent(fit.residuals_px) / self.reference.residual_percent) ** 2)
 
     def motion_costs(self, points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68"]:
-        """Nats of each landmark for its distance from where motion puts it."""
+        """Nats of each landmark for its distance from the position predicted by motion."""
         return np.log1p((self.motion_deviation(points) / self.reference.motion_percent) ** 2)
 
     def motion_deviation(self, points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68"]:
-        """Distance of each landmark from where the motion of the picture or of the frames around puts it, in %.
+        """Distance of each landmark from the position predicted by optical flow or by neighbouring frames, in %.
 
-        The kinder of the two where both are known, because each fails in its own way; 0 where none is.
+        The smaller of the two if both are known, because each fails in its own way; 0 if neither is.
         """
         found = np.full((2, 68), np.inf)
         if self.carried is not None:
@@ -139,17 +139,17 @@ class Trial:
 
     @cached_property
     def unexplained(self) -> float:
-        """Nats that the fit under diagnosis leaves."""
+        """Nats left unexplained by the fit under diagnosis."""
         return self.misfit(self.fit)
 
     @property
     def excess(self) -> float:
-        """Nats beyond those of an unremarkable frame."""
+        """Nats above those of an unremarkable frame."""
         return self.unexplained - self.usual
 
     @cached_property
     def usual(self) -> float:
-        """Nats that an unremarkable frame of this shot leaves: the least that is asked of an explanation."""
+        """Nats left by an unremarkable frame of this shot: the minimum that an explanation must reach."""
         fits = self.reference.usual_fits
         if not fits:
             return 0.35 * 68
@@ -164,7 +164,7 @@ class Trial:
         doubted: Bool[np.ndarray, "68"] | None = None,
         past_doubted: bool = False,
     ) -> float:
-        """Nats that a changed fit explains beyond the one under diagnosis, less the price of its free numbers."""
+        """Nats that a changed fit explains beyond the fit under diagnosis, minus the price of its free parameters."""
         return self.unexplained - self.misfit(fit, doubted, past_doubted) - PARAMETER * parameters
 
     def percent(self, px):
@@ -176,11 +176,11 @@ class Trial:
         believed = np.ones(68, bool) if doubted is None or doubted.all() else ~doubted
         return float(fit.residuals_percent[believed].mean())
 
-    # --- evidence beside the fit ---
+    # --- evidence besides the fit ---
 
     @cached_property
     def usual_offsets(self) -> dict[str, UsualOffset]:
-        """What innovation of each group is usual in the shot."""
+        """The usual innovation of each group in the shot."""
         return usual_offsets(self._fitter.model, self.reference)
 
     def jump(self, group: str) -> tuple[Float[np.ndarray, "2"], float] | None:
@@ -190,7 +190,7 @@ class Trial:
 
     @cached_property
     def carried(self) -> Float[np.ndarray, "68 2"] | None:
-        """Where optical flow carries the landmarks of the frame before; NaN where it does not know."""
+        """The previous frame's landmarks moved by optical flow; NaN where the flow is unreliable."""
         case = self.case
         if case.picture is None or case.previous_picture is None or case.before is None:
             return None
@@ -198,12 +198,12 @@ class Trial:
         return carried_by_flow(case.previous_picture, case.picture, points, float(face_size(points)))
 
     def middle(self, points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68 2"]:
-        """Where the frames before and after put the landmarks, the motion of the head taken from `points`."""
+        """Landmarks predicted from the previous and next frames, with the head's motion taken from `points`."""
         return between(self.case.before.landmarks.points, self.case.after.landmarks.points, points)
 
     @cached_property
     def neighbours(self) -> Float[np.ndarray, "68 2"] | None:
-        """Where the frames around put the landmarks without looking at this frame's: interpolated or carried over."""
+        """Landmarks predicted from neighbouring frames without those of this frame: interpolated or copied."""
         before, after = self.case.before, self.case.after
         if before is None and after is None:
             return None
@@ -213,7 +213,7 @@ class Trial:
 
     @cached_property
     def blur(self) -> Blur | None:
-        """How the picture is blurred along one direction; None without a picture."""
+        """The directional blur of the picture; None without a picture."""
         case = self.case
         if case.picture is None:
             return None

@@ -1,4 +1,4 @@
-"""How well landmarks and priors fix pose and weights: the posterior of the problem linearised at the fit."""
+"""How well landmarks and priors determine pose and weights: the posterior of the problem linearised at the fit."""
 
 from functools import partial
 from typing import NamedTuple
@@ -22,23 +22,23 @@ from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_pro
 
 FREE = ("rotation", "translation", "expression")
 POSE_NAMES = ("pitch", "yaw", "roll", "x", "y", "depth")
-"""Turns about the camera's x, y, z axes and places along them."""
+"""Rotations about the camera's x, y, z axes and positions along them."""
 WEIGHT_WIDTH = 0.5
-"""Standard deviation of a blendshape weight before any landmark is seen, where weights are kept in [0, 1]."""
+"""Prior standard deviation of a blendshape weight if weights are kept in [0, 1]."""
 STRONG = 0.9
 UNKNOWN_SCALE = np.array([0.1] * 3 + [10.0] * 3)
-"""Typical size of the pose's unknowns, radians and millimetres; of a weight it is 0.3."""
+"""Typical size of the pose's unknowns, radians and millimetres; for a weight it is 0.3."""
 WEIGHT_SCALE = 0.3
 BOUND = 1e-9
 RANK = 1e-12
-"""Eigenvalues of the scaled precision below this part of the largest count as zero: those directions are unknown."""
+"""Eigenvalues of the scaled precision below this fraction of the largest count as zero: undetermined directions."""
 
 
 class Linearised(NamedTuple):
-    """The least-squares problem around a fit, all unknowns of a frame free."""
+    """The least-squares problem around a fit, with all unknowns of a frame free."""
 
     residual: Float[np.ndarray, "136"]
-    """Data residual, percent of the outer-eye distance, landmark weights applied."""
+    """Data residual, percent of the outer-eye distance, with landmark weights applied."""
     jacobian: Float[np.ndarray, "136 n"]
     """Its derivative by rotation (axis-angle), translation and weights."""
     matrix: Float[np.ndarray, "n n"]
@@ -47,18 +47,18 @@ class Linearised(NamedTuple):
     data_factor: float
     """ω_sparse · ω_fit."""
     unit: float
-    """What one unit of the residual is, % of the outer-eye distance."""
+    """Size of one unit of the residual, % of the outer-eye distance."""
     row_weights: Float[np.ndarray, "136"]
-    """What each coordinate counts: landmark weight times confidence."""
+    """Weight of each coordinate: landmark weight times confidence."""
 
 
 def linearise(model: FaceModel, config: Config, context: FrameContext, fit: FrameFit) -> Linearised:
-    """The problem of a fit with pose and expression free at once, landmarks weighted as in the last stage.
+    """The problem of a fit with pose and expression both free, and landmarks weighted as in the last stage.
 
     Raises `InputError` for a frame without a face.
     """
     if not fit.found:
-        raise InputError(f"Frame {fit.index} has no landmarks; ask for the uncertainty of a frame with a face.")
+        raise InputError(f"Frame {fit.index} has no landmarks; choose a frame with a face to estimate uncertainty.")
     stage = config.running(start=context.last is None)[-1]
     weights = np.multiply(stage.landmark_weights(config.subsets), config.point_weights())
     factors = stage_factors(config.omega(), config.system, FREE, stage.terms, config.terms)
@@ -102,7 +102,7 @@ def _linearised(
     problem = stage_problem(camera, model, settings, weights, omega, frame, parameters)
     residual, jacobian = reprojection_with_jacobian(camera, problem.points, parameters, problem.observation, FREE)
     system = normal_system(problem, parameters, FREE, terms)
-    # One pixel in percent of the eye distance, for residuals that count in pixels.
+    # One pixel in percent of the eye distance, for residuals in pixels.
     eye = jnp.linalg.norm(problem.points.neutral[45] - problem.points.neutral[36])
     eye_px = jnp.mean(camera.focal_px) * eye / parameters.translation[2]
     return residual, jacobian, system.matrix, system.gradient, 100.0 / eye_px
@@ -117,7 +117,7 @@ def estimate_uncertainty(model: FaceModel, config: Config, context: FrameContext
     problem = linearise(model, config, context, fit)
     held = _held(config, fit, problem.gradient)
     free = np.concatenate([np.ones(6, bool), ~held])
-    # A residual that counts less also says less about the noise: rows are counted by their weight.
+    # A residual with less weight says less about the noise, so rows are counted by their weight.
     rows = problem.row_weights
     count = float(rows.sum())
     spent = free.sum() * count / max(np.count_nonzero(rows), 1)
@@ -154,7 +154,7 @@ def inverse_on(
 ) -> tuple[Float[np.ndarray, "n n"], float]:
     """Inverse over the free unknowns (zero elsewhere), and the condition number in units of typical size.
 
-    Combinations that nothing fixes get the variance of their typical size instead of an infinite one.
+    Undetermined combinations get the variance of their typical size instead of an infinite one.
     """
     scale = np.concatenate([UNKNOWN_SCALE, np.full(len(free) - 6, WEIGHT_SCALE)])[free]
     scaled = precision[np.ix_(free, free)] * scale[:, None] * scale[None, :]
@@ -169,7 +169,7 @@ def inverse_on(
 def correlated_pairs(
     covariance: Float[np.ndarray, "n n"], names: tuple[str, ...], strong: float = STRONG
 ) -> tuple[tuple[str, str, float], ...]:
-    """Unknowns whose correlation exceeds `strong` in size, strongest first."""
+    """Pairs of unknowns whose absolute correlation exceeds `strong`, strongest first."""
     deviations = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     known = deviations > 0.0
     safe = np.where(known, deviations, 1.0)
@@ -184,7 +184,7 @@ def vertex_uncertainty(
 ) -> Float[np.ndarray, "v"]:
     """Standard deviation of each vertex's position in millimetres (root of the summed variances of x, y, z).
 
-    Of the shape in the head frame, or with `pose` of the place in the camera frame, where depth outweighs the rest.
+    For the shape in the head frame, or with `pose` for the position in the camera frame, where depth dominates.
     """
     person = model.personal(np.asarray(fit.identity))
     covariance = uncertainty.covariance if pose else uncertainty.covariance[6:, 6:]
@@ -203,7 +203,7 @@ def vertex_uncertainty(
 
 
 def _held(config: Config, fit: FrameFit, gradient: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "k"]:
-    """Weights that rest on a bound and are pressed against it."""
+    """Weights that are at a bound and pressed against it."""
     if not config.solver.bounded:
         return np.zeros(len(fit.expression), bool)
     slope = gradient[6:]
@@ -211,7 +211,7 @@ def _held(config: Config, fit: FrameFit, gradient: Float[np.ndarray, "n"]) -> Bo
 
 
 def _left_jacobian(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """∂ (turn about the camera's axes) / ∂ (axis-angle): from R(r + dr) = exp(J·dr)·R(r)."""
+    """∂ (rotation about the camera's axes) / ∂ (axis-angle): from R(r + dr) = exp(J·dr)·R(r)."""
     angle = float(np.linalg.norm(rotation))
     x, y, z = rotation
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

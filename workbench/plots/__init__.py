@@ -1,6 +1,6 @@
 """Small figures for the notebooks: rows of pictures, bars, curves, matrices. Each function returns a Figure.
 
-The figures are made without pyplot's list of open figures, so a cell that ends with one shows it once.
+Figures do not use pyplot's list of open figures, so a cell that ends with a figure shows it only once.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""What the figures share: colours, sizes, empty figures and axes, the logarithmic scale."""
+"""Shared parts of the figures: colours, sizes, empty figures and axes, the logarithmic scale."""
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -10,16 +10,16 @@ from matplotlib.ticker import LogLocator, NullFormatter
 Picture = UInt8[np.ndarray, "_ _ 3"]
 BLUE, RED, GREY, GREEN, AMBER = "#2a6f97", "#c0392b", "#8d99a6", "#2d936c", "#e09f3e"
 LINES = ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (AMBER, "-"), ("#5e548e", ":"))
-"""Colour and dash of the lines of a figure, in order: the dash distinguishes them without colour."""
+"""Colour and dash pattern of the lines of a figure, in order; dashes distinguish them without colour."""
 STRIP_ROWS = ("jaw", "brows", "nose", "eyes", "mouth")
-"""Parts of the face in the rows of a strip of residuals."""
+"""Parts of the face, the rows of a residual strip."""
 DPI = 100
 PAGE_WIDTH, GAP, TITLE_HEIGHT = 8.4, 0.04, 0.26
 """Width of a notebook's outputs, space between pictures, and height of a title, inches."""
 
 
 def log_where_wide(axis: Axes, values: Float[np.ndarray, "..."]) -> bool:
-    """Make the y axis logarithmic where positive values span more than a factor of ten; whether they do."""
+    """Make the y axis logarithmic if positive values span more than a factor of ten. Returns whether they do."""
     least, most = np.nanmin(values), np.nanmax(values)
     wide = bool(most > 10.0 * least > 0.0)
     if wide:

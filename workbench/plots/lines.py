@@ -1,4 +1,4 @@
-"""Lines over frames, iterations, stages and settings, and what belongs to them."""
+"""Line plots over frames, iterations, stages and settings, and related figures."""
 
 from collections.abc import Sequence
 
@@ -37,8 +37,8 @@ def track_curves(
     """Parameters of several tracks over their frames, one small plot per quantity (Deep Energies Figs. 15 and 17).
 
     Quantities are yaw, pitch, roll (degrees), x, y, z (millimetres) and the names of blendshapes. `frames` are the
-    first and last one that are shown. A track named "truth" is thick and grey behind the others. `shaded` are parts of
-    frames, first and last, on a grey ground.
+    first and last frame shown. A track named "truth" is thick and grey behind the others. `shaded` are frame ranges,
+    first and last, with a grey background.
 
     Raises `InputError` for a quantity that a track does not have.
     """
@@ -73,7 +73,7 @@ def track_curves(
 
 
 def energy_over_iterations(curves: dict[str, np.ndarray], y_label: str = "energy") -> Figure:
-    """A number after each iteration, one curve per label; on a logarithmic scale where it falls by more than ten."""
+    """A number after each iteration, one curve per label; logarithmic if it falls by more than a factor of ten."""
     figure, axis = one_axis(6.4, 3.0)
     for (label, energies), (color, dash) in zip(curves.items(), LINES, strict=False):
         axis.plot(np.asarray(energies), dash, marker="o", markersize=3, color=color, label=label)
@@ -94,7 +94,7 @@ def curves(
 ) -> Figure:
     """Lines over one axis; a series named "truth" is drawn thick and grey behind the others.
 
-    `log` names the logarithmic axes: "x", "y" or "xy". Whole numbers `x` have ticks at whole numbers.
+    `log` names the logarithmic axes: "x", "y" or "xy". If all `x` are integers, ticks are at integers.
     """
     figure, axis = one_axis(*size)
     styles = iter(LINES)
@@ -110,7 +110,7 @@ def curves(
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel(x_label)
     axis.set_ylabel(y_label)
-    if len(series) > 3:  # too many to find a free corner for
+    if len(series) > 3:  # too many to fit into a corner
         axis.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     else:
         axis.legend(frameon=False, fontsize=9)
@@ -120,10 +120,10 @@ def curves(
 def energies_over_stages(
     stages: dict[str, Float[np.ndarray, "_ terms"]], terms: Sequence[str], y_label: str = "energy"
 ) -> Figure:
-    """Each term's energy at every step of a solve in stages, one after the other, and their sum in grey.
+    """Each term's energy at every step of successive stages, and the sum in grey.
 
     A stage's rows are its start and its accepted steps; lines break between stages, where weights change. Terms that
-    never change are left out, also of the sum. The scale is logarithmic above a thousandth of the largest value.
+    never change are left out of the plot and the sum. The scale is logarithmic above a thousandth of the largest value.
     """
     whole = np.concatenate(list(stages.values()))
     shown = np.flatnonzero(np.ptp(whole, axis=0) > 0.0)
@@ -157,7 +157,7 @@ def energies_over_stages(
 def errors_per_stage(
     stages: Sequence[str], errors: dict[str, dict[str, Float[np.ndarray, "stages"]]], log: bool = True
 ) -> Figure:
-    """What each stage left of an error: one small plot per quantity, in it one line per solver, by label."""
+    """Error remaining after each stage: one small plot per quantity, with one line per solver, by label."""
     figure, axes = subplots(1, len(errors), (PAGE_WIDTH, 3.3))
     place = np.arange(len(stages))
     for axis, (title, lines) in zip(axes, errors.items(), strict=True):
@@ -179,7 +179,7 @@ def errors_per_stage(
 def error_boxes(errors: dict[str, dict[str, Float[np.ndarray, "_"]]]) -> Figure:
     """Errors over frames as boxes with every frame as a dot: one small plot per quantity, one box per label.
 
-    Each box spans the middle half, its line is the median, and its whiskers reach to the least and the largest.
+    Each box spans the middle half, its line is the median, and its whiskers reach to the smallest and largest values.
     """
     figure, axes = subplots(1, len(errors), (min(2.8 * len(errors), PAGE_WIDTH), 3.0))
     rng = np.random.default_rng(0)
@@ -209,11 +209,11 @@ def sweep_figure(
     x_label: str,
     levels: dict[str, float] | None = None,
 ) -> Figure:
-    """What a setting does: one small plot per quantity, side by side over one logarithmic axis.
+    """The effect of a setting: one small plot per quantity, side by side over one logarithmic axis.
 
-    `series` holds for each quantity one line per label. A first `x` of zero stands one step left of the others. The
-    least value of each line has a ring. A quantity that spans more than a factor of ten is logarithmic, too. `levels`
-    are dotted lines by quantity, such as what the truth has.
+    `series` holds one line per label for each quantity. A first `x` of zero is drawn one step left of the others. The
+    lowest value of each line has a ring. A quantity that spans more than a factor of ten is also logarithmic. `levels`
+    are dotted lines by quantity, such as the value for the truth.
     """
     figure, axes = subplots(1, len(series), (min(2.85 * len(series), 8.6), 3.0))
     places = np.asarray(x, float).copy()
@@ -243,7 +243,7 @@ def sweep_figure(
 
 
 def beta_figure(constants: EnergyConstants) -> Figure:
-    """E_β over a weight, and the size of its slope on a logarithmic scale (FACE IT! Eq. 12)."""
+    """E_β over a weight, and the magnitude of its slope on a logarithmic scale (FACE IT! Eq. 12)."""
     weights = np.sort(np.concatenate([np.linspace(-0.3, 1.3, 2001), 1 - constants.a + np.linspace(-1, 1, 201) * 1e-3,
                                       constants.a + np.linspace(-1, 1, 201) * 1e-3]))  # fmt: skip
     figure, (left, right) = subplots(1, 2, (9.0, 2.9))
@@ -261,8 +261,8 @@ def beta_figure(constants: EnergyConstants) -> Figure:
 def beta_step_figure(constants: EnergyConstants, stiffness: float, weight: float = 1.0) -> Figure:
     """How a weight that has left [0, 1] is driven back: slope of E_β and Gauss–Newton steps over its distance.
 
-    Left |dE_β/dw| below zero by `distance`. Right the step of one Gauss–Newton iteration towards zero, where landmarks
-    hold the weight with `stiffness` (the weight's diagonal entry of JᵀJ): by `weight`·E_β² and by `weight` times the
+    Left: |dE_β/dw| at `distance` below zero. Right: the step of one Gauss–Newton iteration towards zero if landmarks
+    hold the weight with `stiffness` (the weight's diagonal entry of JᵀJ), for `weight`·E_β² and for `weight` times the
     squared distance itself.
     """
     distance = np.logspace(-4, 0, 400)
@@ -285,7 +285,7 @@ def beta_step_figure(constants: EnergyConstants, stiffness: float, weight: float
 
 
 def profiles(shapes: dict[str, Float[np.ndarray, "v 3"]], marked: Int[np.ndarray, "m"]) -> Figure:
-    """Heads from the side as clouds of points, with some vertices marked in red: the face looks to the left."""
+    """Side views of heads as point clouds, with some vertices marked in red; the face looks to the left."""
     figure, axes = subplots(1, len(shapes), (2.6 * len(shapes), 2.8))
     for axis, (title, shape) in zip(axes, shapes.items(), strict=True):
         axis.plot(shape[:, 2], shape[:, 1], ".", markersize=0.8, color=BLUE)
@@ -306,13 +306,13 @@ def _quantity(track: Track, name: str) -> Float[np.ndarray, "n"]:
     if name in track.expression_names:
         return track.expression[:, track.expression_names.index(name)]
     raise InputError(
-        f"Curves are of {', '.join((*ANGLES, *PLACES))} or a blendshape of the track, got {name!r}; its "
-        "expression_names are the blendshapes."
+        f"A curve shows {', '.join((*ANGLES, *PLACES))} or a blendshape of the track, got {name!r}; see the track's "
+        "expression_names."
     )
 
 
 def _wrapped(text: str) -> str:
-    """A long name in two lines, broken near its middle."""
+    """A long name on two lines, broken near its middle."""
     gaps = [k for k, letter in enumerate(text) if letter == " "]
     if len(text) < 9 or not gaps:
         return text

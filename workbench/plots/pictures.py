@@ -1,4 +1,4 @@
-"""Pictures for the notebooks: faces cut out, rows and film strips of them, dots, arrows and heat drawn over them."""
+"""Pictures for the notebooks: crops of faces, rows and film strips, with points, arrows and heat maps over them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,13 +21,13 @@ from workbench.plots.figures import AMBER, DPI, GAP, PAGE_WIDTH, TITLE_HEIGHT, P
 from workbench.tracking import FrameFit
 
 CLOSE_UP_MARGIN = 1.5
-"""Side of a close-up in sides of the box around the landmarks."""
+"""Side of a close-up relative to the bounding box of the landmarks."""
 HEAD_CUT = 1.35
-"""Side of a rendered head in sides of the part of it that is shown."""
+"""Side of a rendered head relative to the part of it that is shown."""
 STRIP_LABEL, STRIP_LARGEST = 0.24, 2.0
-"""Film strips: room for the rows' names, and the largest side of a picture, inches."""
+"""Film strips: space for the row names, and the largest side of a picture, inches."""
 STRIP_MARGIN, HEAD_SHARE = 1.2, 0.6
-"""Film strips: as `CLOSE_UP_MARGIN`, and how much the head hides of the picture."""
+"""Film strips: margin like `CLOSE_UP_MARGIN`, and opacity of the head over the picture."""
 LINES_ALONE = OverlayParts(observed=False, model_points=False, residuals=False, axes=False, text=False, legend=False)
 
 
@@ -38,14 +38,14 @@ def close_up(
     about: Float[np.ndarray, "n 2"] | None = None,
     margin: float = CLOSE_UP_MARGIN,
 ) -> tuple[Picture, FrameFit]:
-    """The square around the face, `side` pixels wide, and the fit in its pixels: small faces become readable.
+    """A square crop around the face, `side` pixels wide, and the fit in its pixels, so that small faces are legible.
 
-    The square is `margin` times as wide as the box of the points `about`, the observed landmarks by default. It stays
-    inside the picture where it can; beyond it the picture's edge is repeated.
+    The square is `margin` times as wide as the bounding box of the points `about`, by default the observed landmarks.
+    It stays inside the picture if possible; outside, edge pixels are repeated.
     """
     points = fit.observed if about is None else about
     low, high = points.min(axis=0), points.max(axis=0)
-    # Landmarks end at the brows, so the middle of the face lies above the middle of their box.
+    # Landmarks end at the brows, so the middle of the face is above the middle of their bounding box.
     half = 0.5 * margin * float(np.max(high - low))
     corner = (low + high) / 2 - half - np.array([0.0, 0.12 * half])
     room = np.array([picture.shape[1], picture.shape[0]]) - 2 * half
@@ -68,16 +68,16 @@ def close_up(
 
 
 def pictures_in_a_row(pictures: Sequence[Picture], titles: Sequence[str] = (), columns: int | None = None) -> Figure:
-    """Pictures side by side, or in rows of `columns`, each under its title; wide rows are reduced to the page.
+    """Pictures side by side, or in rows of `columns`, each with its title above; wide rows are scaled to the page.
 
-    Pictures of one call should have one size.
+    All pictures should have the same size.
     """
     columns = min(columns or len(pictures), len(pictures))
     rows = -(-len(pictures) // columns)
     height, width = np.max([picture.shape[:2] for picture in pictures], axis=0) / DPI
     scale = min(1.0, (PAGE_WIDTH - GAP * (columns - 1)) / (columns * width))
     width, height = scale * width, scale * height
-    # A row whose titles are all empty needs no room for them.
+    # A row whose titles are all empty needs no space for them.
     titled = [any(titles[row * columns : (row + 1) * columns]) for row in range(rows)]
     heads = [TITLE_HEIGHT if has_title else GAP for has_title in titled]
     total_width, total_height = columns * width + (columns - 1) * GAP, rows * height + sum(heads)
@@ -100,18 +100,18 @@ def film_strip(
     rows: dict[str, Sequence[FrameFit]],
     notes: dict[str, Sequence[str]] | None = None,
 ) -> Figure:
-    """Frames side by side: the pictures, and in a row for each label its fits as heads over them.
+    """Frames side by side: a row of pictures, and for each label a row of its fits as heads over the pictures.
 
     `rows[label][k]` is a fit to `pictures[k]`, and `notes[label][k]` is written into its corner. A column shows the
-    same square in all rows. The head lets the picture shine through, so that what does not match looks double; lines
-    are the model's landmarks. A frame without a face is dark. Raises `InputError` where no row has a face in a frame.
+    same square in all rows. The head is translucent, so that mismatches appear as double contours; lines are the
+    model's landmarks. A frame without a face is dark. Raises `InputError` if no row has a face in a frame.
 
     Deep Energies Figs. 8, 13, 14 and 18.
     """
     count = len(pictures)
     across = PAGE_WIDTH - STRIP_LABEL - GAP * count
     side = int(min(across / count, STRIP_LARGEST) * DPI)
-    fine = 2 * side  # drawn at twice the size, so that lines are thin and smooth
+    fine = 2 * side  # drawn at twice the size for thin, smooth lines
     panels: list[list[Picture]] = [[] for _ in range(len(rows) + 1)]
     with head_painter(model, (fine, fine), texture=False, fade_neck=True) as painter:
         for k, picture in enumerate(pictures):
@@ -140,10 +140,10 @@ def compared_fits(
     view: str = "pose",
     columns: int | None = None,
 ) -> Figure:
-    """Fits of one frame side by side under their labels: drawn into the picture, and below as heads in 3D.
+    """Fits of one frame side by side with labels: drawn over the picture, with 3D heads below.
 
-    One fit alone has its head beside it; without a picture there are heads only, in rows of `columns`. `view` "pose"
-    turns the heads with the face, "front" leaves them frontal. All close-ups show the same square.
+    A single fit has its head next to it; without a picture only heads are shown, in rows of `columns`. With `view`
+    "pose" the heads turn with the face, with "front" they stay frontal. All close-ups show the same square.
     """
     wide = round(HEAD_CUT * side)
     with HeadPanel(model, (wide, wide), view) as panel:
@@ -154,14 +154,14 @@ def compared_fits(
         return pictures_in_a_row(heads, list(fits), columns)
     parts = OverlayParts(text=False, legend=False)
     overlays = [draw_overlay(*close_up(picture, fit, side), parts=parts) for fit in fits.values()]
-    overlays = [_resized(overlay, side) for overlay in overlays]  # small ones come enlarged
+    overlays = [_resized(overlay, side) for overlay in overlays]  # small ones are enlarged already
     if len(fits) == 1:
         return pictures_in_a_row([*overlays, *heads], [*fits, ""])
     return pictures_in_a_row([*overlays, *heads], [*fits, *([""] * len(fits))], columns=len(fits))
 
 
 def with_points(picture: Picture, points: Float[np.ndarray, "n 2"], color: str, radius: int = 2) -> Picture:
-    """A copy of the picture with dots of `radius` pixels at these pixels."""
+    """A copy of the picture with dots of `radius` pixels at these points."""
     drawn = picture.copy()
     for x, y in np.nan_to_num(points):
         cv2.circle(drawn, (round(float(x)), round(float(y))), radius, _rgb(color), -1, cv2.LINE_AA)
@@ -171,7 +171,7 @@ def with_points(picture: Picture, points: Float[np.ndarray, "n 2"], color: str, 
 def with_arrows(
     picture: Picture, points: Float[np.ndarray, "n 2"], vectors: Float[np.ndarray, "n 2"], color: str
 ) -> Picture:
-    """A copy of the picture with an arrow of `vectors` pixels at each of these pixels."""
+    """A copy of the picture with an arrow of `vectors` pixels at each of these points."""
     drawn = picture.copy()
     fraction_bits = 4
     ends = np.stack([points, points + vectors], axis=1)
@@ -183,14 +183,14 @@ def with_arrows(
 
 
 def as_picture(values: Float[AnyArray, "h w 3"]) -> Picture:
-    """Colours of 0 to 1, as the renderer has them, as a picture; beyond the range they are clipped."""
+    """The renderer's colours (0 to 1) as a picture; values out of range are clipped."""
     return np.rint(255.0 * np.clip(np.asarray(values), 0.0, 1.0)).astype(np.uint8)
 
 
 def signed_picture(values: Float[AnyArray, "h w"], limit: float | None = None) -> Picture:
-    """Signed numbers as colours: white is zero, red is `limit` and more, blue is −`limit` and less.
+    """Signed numbers as colours: white is zero, red is `limit` and above, blue is −`limit` and below.
 
-    `limit` is the largest size of all values if it is not given.
+    `limit` defaults to the largest magnitude of the values.
     """
     values = np.asarray(values)
     limit = float(np.abs(values).max()) if limit is None else limit
@@ -198,9 +198,9 @@ def signed_picture(values: Float[AnyArray, "h w"], limit: float | None = None) -
 
 
 def heat_over(picture: Picture, heat: Float[AnyArray, "m n"], color: str = AMBER) -> Picture:
-    """The picture in grey, and over it in colour where `heat` is high: 0 shows none of it, 1 and more all of it.
+    """The picture in grey with a heat map in colour: transparent at 0, opaque at 1 and above.
 
-    A map that is smaller than the picture is enlarged, pixel edges to pixel edges.
+    A map smaller than the picture is enlarged with pixel edges aligned.
     """
     size = picture.shape[1], picture.shape[0]
     share = np.clip(cv2.resize(np.asarray(heat, np.float32), size, interpolation=cv2.INTER_NEAREST), 0.0, 1.0)
@@ -209,7 +209,7 @@ def heat_over(picture: Picture, heat: Float[AnyArray, "m n"], color: str = AMBER
 
 
 def ball_normals(side: int) -> Float[np.ndarray, "s s 3"]:
-    """Camera-frame normals of a ball that fills a square picture of `side` pixels, seen in parallel; NaN around it."""
+    """Camera-frame normals of a ball that fills a square orthographic picture of `side` pixels; NaN around it."""
     y, x = (np.mgrid[:side, :side] - (side - 1) / 2) / (side / 2)
     square = 1.0 - x * x - y * y
     return np.where(square[..., None] > 0.0, np.stack([x, y, -np.sqrt(np.maximum(square, 0.0))], axis=-1), np.nan)
@@ -228,7 +228,7 @@ def _head_over(model: FaceModel, painter, photo: Picture, fit: FrameFit) -> Pict
 def _labelled_rows(
     panels: Sequence[Sequence[Picture]], tops: Sequence[str], labels: Sequence[str], notes: Sequence[Sequence[str]]
 ) -> Figure:
-    """Square pictures in a table under their columns' names, rows named on the left."""
+    """Square pictures in a table with column names above and row names on the left."""
     side = len(panels[0][0]) / DPI
     width, height = STRIP_LABEL + len(tops) * (side + GAP), TITLE_HEIGHT + len(panels) * (side + GAP)
     figure = empty_figure(width, height)

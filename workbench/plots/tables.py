@@ -1,4 +1,4 @@
-"""Numbers by name: bars, matrices, heat maps, the strip of residuals, Markdown tables."""
+"""Named numbers: bars, matrices, heat maps, the residual strip, Markdown tables."""
 
 from collections.abc import Sequence
 
@@ -20,7 +20,7 @@ def strongest_weights(
     x_label: str = "weight",
     in_range: tuple[float, float] | None = (0.0, 1.0),
 ) -> Figure:
-    """Bars of the largest weights by size; for several vectors by label, grouped bars in the order of the largest.
+    """Bars of the weights with the largest magnitude; for several labelled vectors, grouped bars in that order.
 
     `in_range` is shaded.
     """
@@ -51,7 +51,7 @@ def heat_map(
     value_label: str,
     log: bool = False,
 ) -> Figure:
-    """A table of positive numbers in colour, each number written into its cell."""
+    """A coloured table of positive numbers, with each number written in its cell."""
     values = np.asarray(values)
     height = 1.1 + 0.36 * len(rows)
     figure, axis = one_axis(min(2.4 + 0.72 * len(columns), PAGE_WIDTH), height)
@@ -75,9 +75,9 @@ def heat_map(
 
 
 def residual_strip(fits: Sequence[FrameFit], flagged: Sequence[bool] | None = None, frame: int | None = None) -> Figure:
-    """Error of every landmark in every frame of a clip, in % of the outer-eye distance, as the panel's timeline.
+    """Error of every landmark in every frame of a clip, in % of the outer-eye distance, like the panel's timeline.
 
-    Rows are sorted by the parts of the face; grey frames have no face. Triangles mark `flagged` frames, a line `frame`.
+    Rows are sorted by face part; grey frames have no face. Triangles mark `flagged` frames; a line marks `frame`.
     """
     order = [point for group in STRIP_ROWS for point in GROUPS[group]]
     values = np.full((68, len(fits)), np.nan)
@@ -130,4 +130,4 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> s
 
 def _cell(value: object) -> str:
     text = f"{value:.3g}" if isinstance(value, float) else str(value)
-    return text.replace("|", "\\|")  # a bar would end the cell
+    return text.replace("|", "\\|")  # a vertical bar would end the cell

@@ -1,4 +1,4 @@
-"""Every cause of a bad frame as a small function that tries its hypothesis on a `Trial`."""
+"""The causes of bad frames, each a small function that tests its hypothesis on a `Trial`."""
 
 from workbench.diagnosis.causes.configuration import (
     not_converged,
@@ -24,6 +24,6 @@ INPUT_CAUSES = (
     wrong_focal,
     wrong_identity,
 )
-"""In the landmarks, the pictures, the face and the lens; in no particular order: each is tried on every frame."""
+"""Causes in the landmarks, the pictures, the face and the lens. The order is arbitrary: all are tried on each frame."""
 SCHEDULE_CAUSES = (not_converged, tau_fights_data, weights_at_bounds, pose_expression_tradeoff)
-"""In how the energy is weighted and minimised."""
+"""Causes in how the energy is weighted and minimised."""

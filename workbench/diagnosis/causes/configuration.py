@@ -1,4 +1,4 @@
-"""The configuration itself: too few iterations, a prior that wins, weights on their bounds, alternation that sticks."""
+"""Causes in the configuration: too few iterations, a dominant prior, weights at their bounds, stuck alternation."""
 
 from collections.abc import Iterator
 
@@ -13,14 +13,14 @@ from workbench.solvers import Status
 MORE_ITERATIONS = 20
 LARGEST_LIMIT = 500
 RELAXED_TAU = 1e-3
-"""Factor on ω_τ that shows what it holds back."""
+"""Factor on ω_τ that shows how much it holds back."""
 PULLING_TAU = 0.2
-"""E_τ relative to the data term from which it bends the pose."""
+"""Ratio of E_τ to the data term above which it distorts the pose."""
 FEWEST_AT_BOUND = 3
 JOINT_LIMIT = 60
 LEAST_POSE_DEG, LEAST_POSE_MM = 1.0, 3.0
 LEAST_STUCK_PERCENT = 2.0
-"""Error below which nobody would look at the frame: alternation leaves a little everywhere."""
+"""Error below which a frame is fine, because alternation always leaves a small error."""
 
 
 def not_converged(trial: Trial) -> Iterator[Finding]:
@@ -46,8 +46,8 @@ def not_converged(trial: Trial) -> Iterator[Finding]:
     yield Finding(
         code="not_converged",
         title=f"The stage “{stage.name}” has too few iterations",
-        evidence=f"The stage ends at its limit of {stage.limit}: one more iteration brings the error from {before:.1f} "
-        f"to {once:.1f}, {MORE_ITERATIONS} more to {after:.1f} % of the eye distance.",
+        evidence=f"The stage ends at its limit of {stage.limit}: one more iteration changes the error from "
+        f"{before:.1f} to {once:.1f}, {MORE_ITERATIONS} more to {after:.1f} % of the eye distance.",
         change=Change(f"Raise the limit of “{stage.name}” to {more}", limits={stage.name: more}),
         gain=gain,
         before_percent=before,
@@ -59,7 +59,7 @@ def not_converged(trial: Trial) -> Iterator[Finding]:
 
 
 def tau_fights_data(trial: Trial) -> Iterator[Finding]:
-    """E_τ holds the pose on a straight line while the landmarks accelerate."""
+    """E_τ keeps the pose at constant velocity while the landmarks accelerate."""
     weights = trial.case.config.weights
     last = trial.case.context.last
     if last is None or last.frames < 2 or weights.tau * weights.prior == 0.0:
@@ -68,7 +68,7 @@ def tau_fights_data(trial: Trial) -> Iterator[Finding]:
     change = Change(f"Lower ω_τ from {weights.tau:g} to {relaxed:g}", config={"weights": {"tau": relaxed}})
     fit = trial.refit(change)
     if _tau_share(trial) > PULLING_TAU:
-        # The frames before were held back too: this one may not find its way from where they ended.
+        # Previous frames were held back too, so this one may not converge from their result.
         fit = min(fit, trial.refit(change, trial.case.context._replace(last=None)), key=trial.misfit)
     gain = trial.gain(fit)
     if gain <= 0.0:
@@ -96,7 +96,7 @@ def _tau_share(trial: Trial) -> float:
 
 
 def weights_at_bounds(trial: Trial) -> Iterator[Finding]:
-    """Blendshape weights press against 1: the model's range ends before the expression does."""
+    """Blendshape weights press against 1: the expression exceeds the model's range."""
     solver = trial.case.config.solver
     if not solver.bounded:
         return
@@ -105,14 +105,14 @@ def weights_at_bounds(trial: Trial) -> Iterator[Finding]:
     if count < FEWEST_AT_BOUND:
         return
     config = {"solver": {"bounded": False}, "weights": {"range": max(trial.case.config.weights.range, 5.0)}}
-    change = Change("Let weights leave [0, 1] against a quadratic penalty", config=config)
+    change = Change("Let weights leave [0, 1] with a quadratic penalty", config=config)
     fit = trial.refit(change)
     names = [name for name, at in zip(trial.names, pressing, strict=True) if at]
     before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
     yield Finding(
         code="weights_at_bounds",
         title=f"{count} blendshape weights press against their bound",
-        evidence=f"{', '.join(names[:4])}{' and others' if count > 4 else ''} rest on 1; without the bound the error "
+        evidence=f"{', '.join(names[:4])}{' and others' if count > 4 else ''} are at 1; without the bound the error "
         f"goes from {before:.1f} to {after:.1f} % of the eye distance.",
         change=change,
         gain=trial.gain(fit, 0.5 * count),
@@ -124,7 +124,7 @@ def weights_at_bounds(trial: Trial) -> Iterator[Finding]:
 
 
 def pose_expression_tradeoff(trial: Trial) -> Iterator[Finding]:
-    """Pose and expression, solved in turn, hold each other where a joint solve finds a better pair."""
+    """Solved in turn, pose and expression block each other, while a joint solve finds a better pair."""
     config = trial.case.config
     if any("expression" in stage.free and len(stage.free) > 1 for stage in config.stages):
         return
@@ -137,7 +137,7 @@ def pose_expression_tradeoff(trial: Trial) -> Iterator[Finding]:
     stages = [stage.model_dump() for stage in jointly(config).stages]
     change = Change("Solve pose and expression together", config={"stages": stages})
     joint = trial.refit(change)
-    # Only what alternation with enough iterations does not reach speaks for the joint solve.
+    # Only a result that alternation cannot reach with enough iterations is evidence for the joint solve.
     gain = min(trial.gain(joint), trial.misfit(alternated) - trial.misfit(joint))
     degrees, millimetres = between_poses(trial.fit, joint)
     if gain <= 0.0 or (degrees < LEAST_POSE_DEG and millimetres < LEAST_POSE_MM):

@@ -1,4 +1,4 @@
-"""Groups of landmarks that do not fit the others: the jaw, a shifted group, an occluded one, points off the picture."""
+"""Landmark groups inconsistent with the others: the jaw, a shifted or occluded group, points outside the picture."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -30,18 +30,18 @@ SIDES = {
     "upper_face": (*GROUPS["brows"], *GROUPS["eyes"]),
     "lower_face": (*range(4, 13), *GROUPS["mouth"]),
 }
-"""Larger parts that something in front of the face may hide."""
+"""Larger parts of the face that an object may occlude."""
 LEAST_OFFSET_PERCENT = 2.0
 HARDLY_SEEN, SURELY_SEEN = 0.3, 0.6
-"""Mean confidence below which the whole face is in doubt, and from which another frame may stand in."""
+"""Mean confidence below which the whole face is doubted, and above which another frame may replace it."""
 LEAST_EXCESS = 6.0
-"""Nats beyond the usual without which no part of the face is tried."""
+"""Minimum nats above the usual for trying parts of the face."""
 COHERENT = 1.0
-"""Length of the mean offset in units of the scatter about it from which an offset is one of the whole group."""
+"""Minimum ratio of the mean offset to the scatter around it for an offset of the whole group."""
 
 
 def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
-    """The jaw contour says another pose than the other points (Deep Energies Sec. 8.2, Fig. 7)."""
+    """The jaw contour implies another pose than the other points (Deep Energies Sec. 8.2, Fig. 7)."""
     mask = group_mask("jaw")
     change = Change("Give the jaw points a tenth of their weight", config={"landmarks": {"weights": {"jaw": 0.1}}})
     fit = trial.refit(change)
@@ -61,7 +61,7 @@ def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
         code="jaw_disagrees",
         title="The jaw points disagree with the rest of the face",
         evidence=f"The jaw points lie {distance:.1f} % of the eye distance from where the others predict them (mean "
-        f"offset {_vector(trial, shift.vector)}); the jaw alone asks for a pose {degrees:.0f}° and "
+        f"offset {_vector(trial, shift.vector)}); the jaw alone implies a pose {degrees:.0f}° and "
         f"{millimetres:.0f} mm away.",
         change=change,
         gain=gain,
@@ -82,7 +82,7 @@ def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
 
 
 def group_biased(trial: Trial) -> Iterator[Finding]:
-    """The points of a group are all shifted alike."""
+    """All points of a group have the same offset."""
     for group, title in TITLES.items():
         if group == "jaw":
             continue
@@ -94,7 +94,7 @@ def group_biased(trial: Trial) -> Iterator[Finding]:
             code="group_biased",
             title=f"The points of the {title} are shifted",
             evidence=f"All points of the {title} lie {_vector(trial, shift.vector)} from where the other points and "
-            f"their own motion put them, with a scatter of only {trial.percent(shift.scatter):.1f} %.",
+            f"their own motion predict them, with a scatter of only {trial.percent(shift.scatter):.1f} %.",
             change=shift.change,
             gain=shift.gain,
             before_percent=before,
@@ -111,22 +111,22 @@ def group_biased(trial: Trial) -> Iterator[Finding]:
 
 
 class _Shift(NamedTuple):
-    """A group moved back by one vector."""
+    """A hypothesis: a group is moved back by one vector."""
 
     vector: Float[np.ndarray, "2"]
     scatter: float
-    """Root mean square distance of the group's points from the predicted shape moved by their own offset, pixels."""
+    """Root mean square distance of the group's points from the predicted shape after removing their offset, pixels."""
     change: Change
     fit: FrameFit
     gain: float
     nats: float
-    """Part of the gain that is not in the fit: an unusual offset from the others, a jump."""
+    """Part of the gain that the fit does not show: an unusual offset from the others, or a jump."""
 
 
 def _best_shift(trial: Trial, group: str) -> _Shift | None:
-    """The best of several guesses of how far a group is shifted: by a fit without it, by motion, by a jump.
+    """The best of several estimates of a group's shift: from a fit without it, from motion, from a jump.
 
-    None where even the best guess could not explain enough.
+    None if even the best estimate cannot explain enough.
     """
     mask = group_mask(group)
     without = trial.refit(muted(group))
@@ -140,7 +140,7 @@ def _best_shift(trial: Trial, group: str) -> _Shift | None:
     most = trial.excess + offset_nats(trial.percent(mean), usual) + (0.0 if jump is None else jump[1])
     if most < LEAST_EXCESS:
         return None
-    # An offset of scattered points is none of the group.
+    # An offset of scattered points is not an offset of the group.
     coherent = float(np.clip(np.linalg.norm(mean) / max(scatter, 1e-9) - 1.0, 0.0, 1.0))
     tried = []
     for vector in vectors:
@@ -154,7 +154,7 @@ def _best_shift(trial: Trial, group: str) -> _Shift | None:
 
 
 def occluded(trial: Trial) -> Iterator[Finding]:
-    """A part of the face whose points scatter without order, or that the detector itself doubts."""
+    """The points of a part of the face scatter randomly, or have low detector confidence."""
     confidence = trial.case.observation.landmarks.confidence
     if confidence.mean() < HARDLY_SEEN:
         yield from _hardly_seen(trial)
@@ -175,7 +175,7 @@ def occluded(trial: Trial) -> Iterator[Finding]:
         picture = _picture_changed(trial, mask)
         before, after = trial.error_percent(trial.fit, mask), trial.error_percent(fit, mask)
         evidence = f"The {mask.sum()} points of the {title} scatter by {trial.percent(scatter):.1f} % of the eye "
-        evidence += "distance about where the others predict them, without a common direction"
+        evidence += "distance around their predictions from the others, without a common direction"
         evidence += f"; the detector's confidence there is {sure:.2f} against {others:.2f}" if unsure else ""
         evidence += f"; the picture there changed {picture:.1f} times as much as elsewhere" if picture > 1.5 else ""
         incoherent = 1.0 if np.linalg.norm(offset) < COHERENT * scatter else 0.6
@@ -203,7 +203,7 @@ def occluded(trial: Trial) -> Iterator[Finding]:
 
 
 def _hardly_seen(trial: Trial) -> Iterator[Finding]:
-    """The detector doubts all points, so none of them counts: the pose coasts along on E_τ."""
+    """The detector's confidence is low for all points, so they hardly count and E_τ alone carries the pose."""
     sure = float(trial.case.observation.landmarks.confidence.mean())
     index = trial.case.observation.index
     others = [
@@ -214,14 +214,14 @@ def _hardly_seen(trial: Trial) -> Iterator[Finding]:
     nearest = min(others, key=lambda frame: abs(frame.index - index), default=None)
     change, fit = None, trial.fit
     if nearest is not None:
-        label = f"Take the points of frame {nearest.index}, where the detector was sure"
+        label = f"Use the points of frame {nearest.index}, where the detector was confident"
         change = points_change(label, nearest.landmarks.points, group_mask("all"))
         fit = trial.refit(change, trial.case.context._replace(last=None))
     yield Finding(
         code="occluded",
-        title="The face can hardly be seen",
-        evidence=f"The detector's mean confidence is {sure:.2f}: its points hardly count, and nothing but the past "
-        "holds the fit" + (f"; it was last sure in frame {nearest.index}." if nearest is not None else "."),
+        title="The face is hardly visible",
+        evidence=f"The detector's mean confidence is {sure:.2f}: its points hardly count, and only previous frames "
+        "constrain the fit" + (f"; it was last high in frame {nearest.index}." if nearest is not None else "."),
         change=change,
         gain=0.0,
         before_percent=trial.error_percent(trial.fit),
@@ -233,7 +233,7 @@ def _hardly_seen(trial: Trial) -> Iterator[Finding]:
 
 
 def face_outside(trial: Trial) -> Iterator[Finding]:
-    """Points beyond the picture's edge: there a detector guesses."""
+    """Points lie beyond the picture's edge, where a detector can only guess."""
     mask = outside_picture(trial.points, trial.case.observation.image_size)
     count = int(mask.sum())
     if count < FEWEST_OUTSIDE:
@@ -259,26 +259,26 @@ def face_outside(trial: Trial) -> Iterator[Finding]:
 
 
 def muted(name: str) -> Change:
-    """Mute a group, or one of `SIDES` point by point."""
+    """The change that mutes a group, or one of `SIDES` point by point."""
     title = TITLES.get(name, name.replace("_", " "))
     weights = {name: 0.0} if name in GROUPS else {str(index): 0.0 for index in SIDES[name]}
     return Change(f"Mute the points of the {title}", config={"landmarks": {"weights": weights}})
 
 
 def _all_points(trial: Trial) -> list[dict]:
-    """The stages with every landmark in each, so that a fit on the jaw has the jaw in its pose."""
+    """The stages with all landmarks in each, so that the jaw affects the pose in a fit to the jaw."""
     return [{**stage.model_dump(), "landmarks": {"all": 1.0}} for stage in trial.case.config.stages]
 
 
 def _offset(trial: Trial, fit: FrameFit, mask: Bool[np.ndarray, "68"]) -> tuple[Float[np.ndarray, "2"], float]:
-    """Median offset of the masked points from a fit, and their root mean square scatter about it, pixels."""
+    """Median offset of the masked points from a fit, and their root mean square scatter around it, pixels."""
     error = trial.points[mask] - fit.projected[mask]
     offset = np.median(error, axis=0)
     return offset, float(np.sqrt(((error - offset) ** 2).sum(1).mean()))
 
 
 def _motion_offset(trial: Trial, mask: Bool[np.ndarray, "68"]) -> Iterator[Float[np.ndarray, "2"]]:
-    """How far the group as a whole left the motion of the picture, or of the frames around, more than the rest did."""
+    """The group's deviation from the motion of the picture, or of neighbouring frames, relative to the other points."""
     places = [] if trial.carried is None else [trial.carried]
     if trial.case.before is not None and trial.case.after is not None:
         places.append(trial.middle(trial.points))
@@ -300,13 +300,13 @@ def _shifted_back(trial: Trial, mask: Bool[np.ndarray, "68"], offset: Float[np.n
 
 
 def _purity(trial: Trial, fit: FrameFit, mask: Bool[np.ndarray, "68"]) -> float:
-    """Part of the doubted points that lie far off: a part of the face is hidden as a whole, not in single points."""
+    """Fraction of the doubted points that are far off: occlusion hides a whole part of the face, not single points."""
     far = trial.percent(fit.residuals_px) / trial.reference.residual_percent > 2.0
     return 0.3 + 0.7 * float(far[mask].mean())
 
 
 def _picture_changed(trial: Trial, mask: Bool[np.ndarray, "68"]) -> float:
-    """Grey change under the group since the previous picture, in units of that under the other groups; 0 unknown."""
+    """Grey-level change under the group since the previous picture, relative to the other groups; 0 if unknown."""
     case = trial.case
     if case.picture is None or case.previous_picture is None or case.before is None:
         return 0.0

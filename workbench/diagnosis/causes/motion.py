@@ -1,4 +1,4 @@
-"""What time and pictures say: landmarks that stand still, that leave the motion of the picture, a blurred picture."""
+"""Causes shown by time and pictures: frozen landmarks, landmarks that deviate from optical flow, motion blur."""
 
 from collections.abc import Iterator
 
@@ -11,25 +11,25 @@ from workbench.landmarks.scheme import group_mask
 
 EVERY_POINT = group_mask("all")
 STILL_PX = 1e-3
-"""Largest motion of any landmark from frame to frame that counts as none: no detector repeats itself so exactly."""
+"""Motion of every landmark below which they are frozen: no detector repeats itself so exactly."""
 MOVING_PERCENT = 0.6
-"""Median motion of the picture, % of the face's size, from which standing landmarks are wrong."""
+"""Median motion of the picture, % of the face's size, above which unmoving landmarks are wrong."""
 DUPLICATE_PERCENT = 0.1
-"""Motion of the picture below which it is the same picture, stored twice."""
+"""Motion of the picture below which it is a duplicate of the previous one."""
 FARTHEST_STEPS = 60
 FLOW_SURPRISE = 3.0
-"""Usual motion deviations from which a landmark contradicts the picture."""
+"""Multiple of the usual motion deviation above which a landmark contradicts the picture."""
 FEWEST_SURPRISED = 4
 BLURRED = 0.55
 """Squared slope along the blur, relative to the previous picture, below which the picture counts as blurred."""
 SHARP_ALONE = 0.12
-"""The same where there is no previous picture: relative to the slope across."""
+"""The same without a previous picture: relative to the slope across."""
 ALONG = 1.5
-"""Ratio of the residual along the blur to that across it from which the landmarks suffer from it."""
+"""Ratio of the residuals along and across the blur above which it affects the landmarks."""
 
 
 def frozen_detector(trial: Trial) -> Iterator[Finding]:
-    """The landmarks repeat those of the frame before while the face moves on."""
+    """The landmarks repeat those of the previous frame although the face moves."""
     before = trial.case.before
     if before is None or np.abs(trial.points - before.landmarks.points).max() > STILL_PX:
         return
@@ -48,12 +48,12 @@ def frozen_detector(trial: Trial) -> Iterator[Finding]:
         return
     change = Change("") if places is None else points_change("Carry the points over the gap", places, EVERY_POINT)
     fit = trial.refit(change)
-    moved = f"the picture moved by {flow:.1f} % of the eye distance" if flow is not None else "the face moved on"
+    moved = f"the picture moved by {flow:.1f} % of the eye distance" if flow is not None else "the face moved"
     yield Finding(
         code="frozen_detector",
         title="The landmarks are frozen",
         evidence=f"All 68 points are exactly those of frame {first} ({last - first + 1} equal frames) although "
-        f"{moved} since the frame before.",
+        f"{moved} since the previous frame.",
         change=change if places is not None else None,
         gain=trial.gain(fit),
         before_percent=jump if flow is None else flow,
@@ -66,7 +66,7 @@ def frozen_detector(trial: Trial) -> Iterator[Finding]:
 
 
 def low_flow_consistency(trial: Trial) -> Iterator[Finding]:
-    """Landmarks leave the motion of the picture (Lucas–Kanade from the frame before)."""
+    """Landmarks deviate from the motion of the picture (Lucas–Kanade from the previous frame)."""
     if trial.carried is None:
         return
     deviation = trial.motion_deviation(trial.points)
@@ -75,16 +75,16 @@ def low_flow_consistency(trial: Trial) -> Iterator[Finding]:
     count = int(surprised.sum())
     if count < FEWEST_SURPRISED:
         return
-    change = points_change("Carry these points with the picture", trial.carried, surprised)
+    change = points_change("Move these points with the picture", trial.carried, surprised)
     fit = trial.refit(change)
     mean = float(deviation[surprised].mean())
     yield Finding(
         code="low_flow_consistency",
         title="Landmarks do not follow the motion of the picture",
-        evidence=f"{count} points lie {mean:.1f} % of the eye distance from where optical flow carries them since the "
-        "frame before.",
+        evidence=f"{count} points lie {mean:.1f} % of the eye distance from where optical flow from the "
+        "previous frame puts them.",
         change=change,
-        # Each replaced point costs: any frame agrees with the one before once its points are taken from there.
+        # Each replaced point has a cost, because any frame agrees with the previous one if it takes its points.
         gain=trial.gain(fit, 0.5 * count),
         before_percent=_flow_disagreement(trial, trial.points),
         after_percent=_flow_disagreement(trial, change.moved(trial.case.observation).landmarks.points),
@@ -95,14 +95,14 @@ def low_flow_consistency(trial: Trial) -> Iterator[Finding]:
 
 
 def motion_blur(trial: Trial) -> Iterator[Finding]:
-    """The picture is blurred along a direction, and the landmarks scatter along it."""
+    """The picture is blurred along one direction, and the landmarks scatter along it."""
     blur, places = trial.blur, trial.neighbours
     if blur is None:
         return
     alone = trial.case.previous_picture is None
     if blur.sharpness > (SHARP_ALONE if alone else BLURRED):
         return
-    # The part of the error that a shift of the whole face does not explain.
+    # The part of the error not explained by a shift of the whole face.
     error = trial.points - (trial.fit.projected if places is None else places)
     error = error - np.median(error, axis=0)
     along = float(np.sqrt(np.mean((error @ blur.direction) ** 2)))
@@ -120,7 +120,7 @@ def motion_blur(trial: Trial) -> Iterator[Finding]:
         code="motion_blur",
         title="The picture is blurred by motion",
         evidence=f"Along {angle:.0f}° the face has {100 * blur.sharpness:.0f} % of the detail "
-        f"{'it has across' if alone else 'of the frame before'}, and the points scatter "
+        f"{'it has across' if alone else 'of the previous frame'}, and the points scatter "
         f"{along / max(across, 1e-9):.1f} times as much along it as across.",
         change=change,
         gain=gain,
@@ -143,7 +143,7 @@ def _interpolated(trial: Trial, places: Float[np.ndarray, "68 2"] | None) -> Cha
     if places is None:
         return Change("Trust the landmarks of this frame less", config={"landmarks": {"weights": {"all": 0.2}}})
     both = trial.case.before is not None and trial.case.after is not None
-    label = "Take the points from the frames around" if both else "Take the points from the frame beside"
+    label = "Interpolate the points between the frames around" if both else "Use the points of the neighbouring frame"
     return points_change(label, places, EVERY_POINT)
 
 
@@ -153,7 +153,7 @@ def _same(trial: Trial, index: int) -> bool:
 
 
 def _picture_motion(trial: Trial) -> float | None:
-    """Median motion of the picture at the landmarks since the frame before, %; None without pictures."""
+    """Median motion of the picture at the landmarks since the previous frame, %; None without pictures."""
     if trial.carried is None:
         return None
     moved = np.linalg.norm(trial.carried - trial.case.before.landmarks.points, axis=1)
@@ -162,7 +162,7 @@ def _picture_motion(trial: Trial) -> float | None:
 
 
 def _thawed(trial: Trial, first: int, last: int) -> Float[np.ndarray, "68 2"] | None:
-    """The landmarks between the last that were seen (frame `first`) and the next (`last` + 1), or carried by flow."""
+    """The landmarks interpolated between the last valid ones (frame `first`) and the next (`last` + 1), or by flow."""
     after = trial.observation_at(last + 1)
     if after is not None:
         part = (trial.case.observation.index - first) / (last + 1 - first)
@@ -173,7 +173,7 @@ def _thawed(trial: Trial, first: int, last: int) -> Float[np.ndarray, "68 2"] | 
 
 
 def _step_disagreement(trial: Trial, places: Float[np.ndarray, "68 2"] | None, frames: int) -> float:
-    """Median distance of the motion per frame over the gap from that of the picture, %."""
+    """Median difference between the motion per frame over the gap and that of the picture, %."""
     after = None if places is None else trial.observation_at(trial.case.observation.index)
     if after is None:
         return 0.0

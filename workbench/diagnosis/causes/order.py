@@ -1,4 +1,4 @@
-"""Points in the wrong places of the list: all sides exchanged, or a few pairs of points."""
+"""Points with wrong numbers: left and right exchanged throughout, or a few pairs of points."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,17 +13,17 @@ from workbench.landmarks.scheme import GROUPS, MIRROR, POINT_NAMES, group_mask
 from workbench.tracking import FrameFit
 
 SUSPECT_PERCENT = 4.0
-"""Distance from the prediction, % of the face's size, from which a point is tried in another place."""
+"""Distance from the prediction, % of the face's size, above which a point is tried with another number."""
 AGREEMENT = 0.4
-"""Part of the distance that may be left after an exchange."""
+"""Largest fraction of the distance that may remain after an exchange."""
 MOST_PAIRS = 6
 
 
 def mirrored_order(trial: Trial) -> Iterator[Finding]:
     """The landmarks are those of the mirror image: each point carries the number of its counterpart.
 
-    Seen from the front, the way from the right eye to the left one and that from the eyes to the mouth turn clockwise,
-    however the head is turned; mirrored points turn the other way, as those of a head seen from behind.
+    In any picture of a face from the front, the turn from the eye line (right to left) to the direction of the mouth is
+    clockwise, however the head is rotated; for mirrored points it is the other way, as for a head seen from behind.
     """
     if turning(trial.points) >= 0.0:
         return
@@ -42,7 +42,7 @@ def mirrored_order(trial: Trial) -> Iterator[Finding]:
     yield Finding(
         code="mirrored_order",
         title="Left and right are exchanged in the order of the points",
-        evidence=f"The points {where} turn the wrong way round, as if the face were seen from behind; with every point "
+        evidence=f"The points {where} are in mirrored order, as if the face were seen from behind; with every point "
         f"renamed to its mirror partner the error goes from {before:.1f} to {after:.1f} % of the eye distance.",
         change=change,
         gain=trial.gain(fit),
@@ -58,7 +58,7 @@ def mirrored_order(trial: Trial) -> Iterator[Finding]:
 
 
 def turning(points: Float[np.ndarray, "68 2"]) -> float:
-    """Sine of the angle from the eye line (right to left) to the way to the mouth: about 1, mirrored −1."""
+    """Sine of the angle from the eye line (right to left) to the direction of the mouth: about 1, mirrored −1."""
     right, left, mouth = (points[list(GROUPS[group])].mean(axis=0) for group in ("right_eye", "left_eye", "mouth"))
     line, down = left - right, mouth - 0.5 * (left + right)
     cross = line[0] * down[1] - line[1] * down[0]
@@ -66,7 +66,7 @@ def turning(points: Float[np.ndarray, "68 2"]) -> float:
 
 
 def points_swapped(trial: Trial) -> Iterator[Finding]:
-    """A few points carry each other's numbers."""
+    """A few points have exchanged numbers."""
     best = None
     for predicted in _predictions(trial):
         pairs = exchanged_pairs(trial.points, predicted, 0.01 * SUSPECT_PERCENT * trial.face_px)
@@ -102,7 +102,7 @@ def points_swapped(trial: Trial) -> Iterator[Finding]:
 def exchanged_pairs(
     points: Float[np.ndarray, "68 2"], predicted: Float[np.ndarray, "68 2"], suspect_px: float
 ) -> list[tuple[int, int]]:
-    """Pairs of suspect points that each lie where the other is predicted, the surest first."""
+    """Pairs of suspect points that each lie where the other is predicted, most certain first."""
     away = np.linalg.norm(points[:, None] - predicted[None], axis=2)
     own = np.diagonal(away)
     suspects = np.flatnonzero(own > suspect_px)
@@ -121,7 +121,7 @@ def exchanged_pairs(
 
 
 def _predictions(trial: Trial) -> list[Float[np.ndarray, "68 2"]]:
-    """Where the points should be: by a fit that gives up on far points, and by the frames around."""
+    """Predictions of the points: from a fit that ignores distant points, and from neighbouring frames."""
     predictions = [robust_fit(trial).projected]
     if trial.neighbours is not None:
         predictions.append(robust_similarity(trial.neighbours, trial.points).to_image(trial.neighbours))
@@ -129,7 +129,7 @@ def _predictions(trial: Trial) -> list[Float[np.ndarray, "68 2"]]:
 
 
 def robust_fit(trial: Trial, rounds: int = 3) -> FrameFit:
-    """The fit with the farthest points muted in turn: a prediction that single bad points do not pull."""
+    """The fit with the most distant points muted step by step: a prediction robust to single bad points."""
     fit = trial.fit
     for _ in range(rounds):
         ratio = trial.percent(fit.residuals_px) / trial.reference.residual_percent

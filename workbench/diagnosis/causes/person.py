@@ -1,4 +1,4 @@
-"""What a whole shot shares: the face that is fitted, and the lens."""
+"""Causes shared by a whole shot: the identity and the lens."""
 
 from collections.abc import Iterator
 
@@ -11,19 +11,19 @@ from workbench.planning import camera_plan
 from workbench.tracking import FrameFit
 
 LEAST_IDENTITY_GAIN = 0.2
-"""Part of the shot's unexplained evidence that another face must explain."""
+"""Minimum fraction of the shot's unexplained evidence that another face must explain."""
 LEAST_FOCAL_RATIO = 1.06
-"""Cost of the faces under the configured lens, relative to the best lens, from which the lens is doubted."""
+"""Ratio of the cost under the configured lens to that under the best lens above which the lens is doubted."""
 SURE_FOCAL_RATIO = 1.2
 BRACKET = 1.015
 OWN_TROUBLE = 30.0
-"""Nats beyond the usual from which a frame has more wrong with it than the shot."""
+"""Nats above the usual at which a frame has a problem that the shot does not have."""
 NARROWEST_FOV_DEG = 10.0
-"""A longer lens makes no difference any more."""
+"""Narrowest field of view tried; a longer lens makes no difference."""
 UNBRACKETED_FOCAL_RATIO = 1.18
-"""The same where the cost only falls towards long lenses: a detector's own habits look like no perspective at all."""
+"""The same if the cost keeps falling towards long lenses, because systematic detector errors look orthographic."""
 LEAST_FOCAL_FACTOR = 1.7
-"""A guessed lens is rarely nearer than this to the true one, and does little harm within it."""
+"""Smallest factor reported: a guessed lens is rarely closer to the true one, and does little harm within it."""
 LEAST_FOCAL_COST = 10.0
 
 
@@ -50,8 +50,8 @@ def wrong_identity(trial: Trial) -> Iterator[Finding]:
     yield Finding(
         code="wrong_identity",
         title="The face shape is not this person's",
-        evidence=f"Calibrated again on {len(trial.reference.frames)} frames of the shot, the face brings the error "
-        f"here from {before:.1f} to {after:.1f} % of the eye distance, and helps the other frames alike.",
+        evidence=f"Calibrated again on {len(trial.reference.frames)} frames of the shot, the face changes the error "
+        f"here from {before:.1f} to {after:.1f} % of the eye distance, and improves the other frames as well.",
         change=change,
         gain=gain,
         before_percent=before,
@@ -93,8 +93,8 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
     yield Finding(
         code="wrong_focal",
         title="The focal length does not suit the face",
-        evidence=f"Over {len(trial.reference.frames)} frames of the shot, faces and poses leave "
-        f"{100 * (1 - 1 / ratio):.0f} % less with a focal length of {focal * factor:.0f} px than with {focal:.0f} px "
+        evidence=f"Over {len(trial.reference.frames)} frames of the shot, the cost is "
+        f"{100 * (1 - 1 / ratio):.0f} % lower with a focal length of {focal * factor:.0f} px than with {focal:.0f} px "
         f"(a field of view of {fov:.0f}° instead of {config.camera.fov_deg:.0f}°).",
         change=change,
         gain=trial.gain(fit),
@@ -108,14 +108,14 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
 
 
 def _own_part(trial: Trial, fit: FrameFit) -> float:
-    """What the lens may claim of a frame: all of one like the others, less of one that has a trouble of its own."""
+    """Fraction of a frame's error attributable to the lens: 1 for a frame like the others, less for an outlier."""
     if trial.excess < OWN_TROUBLE:
         return 1.0
     return float(np.clip(0.4 + trial.gain(fit) / trial.excess, 0.4, 1.0))
 
 
 def best_factor(factors: np.ndarray, costs: np.ndarray) -> tuple[float, float]:
-    """The focal factor of least cost and that cost, by a parabola in its logarithm around the lowest one."""
+    """The focal factor with the lowest cost, and that cost, from a parabola in the logarithm around the minimum."""
     steps, low = np.log(factors), int(np.argmin(costs))
     if not 0 < low < len(costs) - 1:
         return float(factors[low]), float(costs[low])
@@ -126,7 +126,7 @@ def best_factor(factors: np.ndarray, costs: np.ndarray) -> tuple[float, float]:
 
 
 def fov_with(fov_deg: float, factor: float) -> float:
-    """The field of view after the focal length was multiplied, degrees, rounded to a tenth."""
+    """The field of view after multiplying the focal length, degrees, rounded to a tenth."""
     return round(float(np.degrees(2.0 * np.arctan(np.tan(np.radians(fov_deg) / 2.0) / factor))), 1)
 
 
