@@ -1,4 +1,4 @@
-"""Widgets for notebooks: a value and a callback each; the arithmetic lives in functions that need no browser."""
+"""Widgets for notebooks, each with a value and a callback; computations are in functions that need no browser."""
 
 import lazy_loader
 

@@ -1,8 +1,8 @@
-"""What runs in the browser: the ES modules of `browser/`, joined to the one program that anywidget takes.
+"""The browser programs: the ES modules of `browser/`, joined into the single program that anywidget needs.
 
-anywidget loads a widget's program from a blob, which cannot import files, and asks for a bundler. Our modules use so
-little of the language of imports that they are joined here, without tools and network: each becomes a function that
-returns what it exports, called in the order in which they need one another.
+anywidget loads a widget's program from a blob, which cannot import files, and recommends a bundler. Our modules use so
+little of the import syntax that they are joined here, without tools or network: each becomes a function that returns
+its exports, called in order of dependency.
 """
 
 import re
@@ -19,26 +19,28 @@ FOREIGN = re.compile(r"^(?:import\b|export (?!default )).*", re.MULTILINE)
 
 
 def browser_program(name: str, folder: Path = BROWSER) -> str:
-    """The program of a module, as "chart/view.js", with all that it imports: a string for `_esm`.
+    """The program of a module such as "chart/view.js" with everything it imports: a string for `_esm`.
 
     Modules write `import { a, b } from "./other.js";`, and `export` before functions, classes and constants of one
-    line; only the named one has an `export default`. Raises `InputError` for other imports and exports, and for
-    modules that import one another in a circle.
+    line; only the requested one has an `export default`. Raises `InputError` for other imports and exports, and for
+    circular imports.
     """
     entry = (folder / name).resolve()
     return "\n".join([*(_called(path, folder) for path in _needed(entry)), _text(entry, folder)])
 
 
 def _needed(path: Path, above: tuple[Path, ...] = ()) -> list[Path]:
-    """The modules that a module imports, each behind those that it needs itself."""
+    """The modules that a module imports, each after its own dependencies."""
     if path in above:
-        raise InputError(f"{path.name} and {above[-1].name} import one another in a circle; take out what they share.")
+        raise InputError(
+            f"{path.name} and {above[-1].name} import each other in a circle; move what they share into a third module."
+        )
     others = [(path.parent / place).resolve() for _, place in IMPORT.findall(path.read_text(encoding="utf-8"))]
     return list(dict.fromkeys(found for other in others for found in (*_needed(other, (*above, path)), other)))
 
 
 def _called(path: Path, folder: Path) -> str:
-    """A module as a function, so that its names are its own, and what it returns as a constant."""
+    """A module as a function, to keep its names private, with its exports assigned to a constant."""
     returned = []
     for function, constants in DECLARED.findall(path.read_text(encoding="utf-8")):
         returned += [function] if function else CONSTANT.findall(constants)
@@ -47,17 +49,17 @@ def _called(path: Path, folder: Path) -> str:
 
 
 def _text(path: Path, folder: Path) -> str:
-    """The text of a module with its imports as constants, and without the word export before what is not a default."""
+    """The text of a module with its imports as constants, and without the keyword of non-default exports."""
 
     def imported(match: re.Match[str]) -> str:
         return f"const {{{match[1]}}} = {_constant((path.parent / match[2]).resolve(), folder)};"
 
     text = EXPORT.sub("", IMPORT.sub(imported, path.read_text(encoding="utf-8")))
     if foreign := FOREIGN.search(text):
-        raise InputError(f"{path} has {foreign[0]!r}; write imports and exports as `browser_program` says.")
+        raise InputError(f"{path} has {foreign[0]!r}; write imports and exports as described in `browser_program`.")
     return text
 
 
 def _constant(path: Path, folder: Path) -> str:
-    """The name of a module in the program, as $chart_scale."""
+    """The name of a module in the program, for example $chart_scale."""
     return "$" + "_".join(path.relative_to(folder.resolve()).with_suffix("").parts)

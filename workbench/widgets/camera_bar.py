@@ -1,4 +1,4 @@
-"""The camera of a live panel: which one, on or off, and how its pictures and the avatar are shown."""
+"""The camera controls of a live panel: choice, on and off, and the display of its pictures and the avatar."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,10 +16,10 @@ LOOKS = {"head turns": "head", "as the camera sees it": "camera", "expression al
 
 
 class CameraBar:
-    """Buttons and menus; those of `widgets` belong before the settings, `looks` elsewhere.
+    """Buttons and menus; `widgets` go before the settings, `looks` elsewhere.
 
-    `switch` is called with whether the camera is to be on, `changed` when another one is chosen, `calibrate` when the
-    user asks for it.
+    `switch(on)` is called to switch the camera on or off, `changed` when another camera is chosen, `calibrate` when
+    the user requests a neutral calibration.
     """
 
     def __init__(
@@ -36,35 +36,35 @@ class CameraBar:
             layout=widgets.Layout(width="76px", flex="0 0 auto"),
         )  # fmt: skip
         self.run.observe(lambda change: switch(change["new"]), "value")
-        # In the browser itself, so that the camera goes off even while the kernel is busy.
+        # Linked in the browser, so that the camera switches off even while the kernel is busy.
         widgets.jsdlink((self.run, "value"), (view, "running"))
-        self.camera = menu(list(cameras), "150px", "where the pictures come from")
+        self.camera = menu(list(cameras), "150px", "source of the pictures")
         self.camera.observe(lambda _change: changed(), "value")
         self.neutral = small_button("☺ neutral face", "look into the camera with a neutral face, then press")
         self.neutral.on_click(lambda _button: calibrate())
         self.mirror = widgets.ToggleButton(
-            value=True, description="mirror", tooltip="show everything as in a mirror",
+            value=True, description="mirror", tooltip="show everything mirrored",
             layout=widgets.Layout(width="auto", flex="0 0 auto"),
         )  # fmt: skip
         widgets.jsdlink((self.mirror, "value"), (view, "mirror"))
-        self.looking = menu(LOOKS, "160px", "how the avatar is shown; drag it to turn it")
+        self.looking = menu(LOOKS, "160px", "how the avatar is shown; drag to turn it")
         self.looking.observe(lambda change: setattr(view, "looking", change["new"]), "value")
         self.widgets, self.looks = (self.run, self.camera, self.neutral), (self.mirror, self.looking)
 
     @property
     def chosen(self) -> FrameSource:
-        """The camera of the menu."""
+        """The camera selected in the menu."""
         return self._cameras[self.camera.value]
 
     def show_running(self, running: bool) -> None:
-        """Say what the button does now."""
+        """Update the button's label."""
         self.run.value = running
         self.run.description = "■ stop" if running else "▶ start"
         self.run.button_style = "danger" if running else "primary"
 
 
 def cameras_by_name(view: LiveView, wanted: int | str | Path | FrameSource | None) -> dict[str, FrameSource]:
-    """The cameras to choose from by name; the wanted one first, None: the browser's.
+    """The available cameras by name, with the wanted one first (None: the browser's).
 
     Raises `InputError` for a video that does not exist.
     """

@@ -1,4 +1,4 @@
-"""What changed since the start of a session, and how good its last run is."""
+"""The changes since the start of a session, and the metrics of its last run."""
 
 import html
 
@@ -8,19 +8,19 @@ from workbench.session import TuningSession
 
 
 class ChangesPage(widgets.HTML):
-    """A list of changes, with the metrics of the last run where it is up to date."""
+    """A list of changes, with the metrics of the last run if it is up to date."""
 
     def __init__(self, session: TuningSession, height_px: int) -> None:
         self._session = session
         super().__init__(layout=widgets.Layout(height=f"{height_px}px", overflow="auto"))
 
     def show(self) -> None:
-        """Follow the session."""
+        """Update from the session."""
         self.value = changes_html(self._session)
 
 
 def changes_html(session: TuningSession) -> str:
-    """What changed since the start, and the metrics then and now."""
+    """The changes since the start, and the metrics then and now, as HTML."""
     rows = "".join(f"<li><code>{html.escape(str(item))}</code></li>" for item in session.changes())
     unexported = len(session.unexported)
     text = f"<b>Changed since the start</b><ul style='margin:2px 0'>{rows or '<li>nothing</li>'}</ul>"

@@ -1,4 +1,4 @@
-"""A small line chart that keeps up with a fit: energies over iterations, weights over frames."""
+"""A small line chart fast enough to follow a fit: energies over iterations, weights over frames."""
 
 import logging
 import math
@@ -15,13 +15,13 @@ from workbench.widgets.overlay_view import float_bytes
 
 Number = float | int
 INK = "ink"
-"""Stands for the colour of the page's text, black or white."""
+"""Placeholder for the colour of the page's text, black or white."""
 YELLOW = "#F0E442"
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", YELLOW, INK)
-"""Okabe and Ito's colours, readable with colour-blindness; their black follows the theme. Further series use them
-again with dashed lines."""
+"""The Okabe–Ito palette, safe for colour-blind readers; its black follows the theme. Further series reuse it with
+dashed lines."""
 UNMARKED = {"marks": [], "selected": None, "x_label": "", "y_label": ""}
-"""What a chart shows beside its series, before there is anything."""
+"""Empty values of everything that a chart shows besides its series."""
 
 
 def series_colors(count: int) -> list[str]:
@@ -32,30 +32,30 @@ def series_colors(count: int) -> list[str]:
 def pack_series(
     x: Num[np.ndarray, "..."], series: Mapping[str, Num[np.ndarray, "..."]], colors: Mapping[str, str] | None = None
 ) -> dict[str, object]:
-    """Series as a message: names, colours, and one row of float32 each after the row of `x`.
+    """Series as a message: names, colours, and float32 rows, first `x` and then one per series.
 
-    Raises `InputError` for lengths that differ and for an `x` that is not ascending.
+    Raises `InputError` if lengths differ or `x` is not ascending.
     """
     x = np.asarray(x, float)
     if x.ndim != 1 or not np.isfinite(x).all() or np.any(np.diff(x) < 0):
-        raise InputError("x of a chart is one row of ascending numbers; sort the series before showing them")
+        raise InputError("x of a chart must be one row of ascending numbers; sort the series before showing them")
     rows = [x]
     for name, values in series.items():
         if np.shape(values) != x.shape:
             raise InputError(f"series {name!r} has shape {np.shape(values)}, but x has {len(x)} values")
         rows.append(np.asarray(values, float))
     chosen = dict(zip(series, series_colors(len(series)), strict=True)) | dict(colors or {})
-    # Values beyond float32 become infinite, which the chart leaves out like NaN.
+    # Values beyond the range of float32 become infinite, which the chart leaves out like NaN.
     with np.errstate(over="ignore"):
         data = float_bytes(np.stack(rows))
     return {"names": list(series), "colors": [chosen[name] for name in series], "count": len(x), "data": data}
 
 
 class ChartView(anywidget.AnyWidget):
-    """Lines over a common x, with a legend that switches them and a readout under the mouse.
+    """Lines over a common x, with a legend to toggle them and a readout under the mouse.
 
-    NaN leaves a gap. With `y_log` zeros and negative values lie on the lower edge. A click calls the callbacks of
-    `on_pick` with the nearest x and moves `cursor` there. Setters may be called from any thread.
+    NaN leaves a gap. With `y_log`, zeros and negative values are drawn on the lower edge. A click calls the `on_pick`
+    callbacks with the nearest x and moves `cursor` there. Setters may be called from any thread.
     """
 
     _esm = browser_program("chart/view.js")
@@ -70,7 +70,7 @@ class ChartView(anywidget.AnyWidget):
 
     def __init__(self, height_px: int = 180, y_log: bool = False, title: str = "", **traits: object) -> None:
         self._callbacks: list[Callable[[float], object]] = []
-        # With its empty series from the start: a browser may draw the chart before it hears of the first change.
+        # Starts with empty series, because a browser may draw the chart before it receives the first change.
         traits["_series"] = pack_series(np.zeros(0), {}) | UNMARKED
         super().__init__(height_px=height_px, y_log=y_log, title=title, **traits)
         self.on_msg(self._on_message)
@@ -92,8 +92,8 @@ class ChartView(anywidget.AnyWidget):
     ) -> None:
         """Show named series over ascending `x`, in the order given.
 
-        `colors` by name are CSS colours (the default is `series_colors`); `marks` are vertical lines with a label, as
-        where stages begin; `selected` is a range of x that is shaded; `cursor` None leaves the line where it is.
+        `colors` are CSS colours by name (default: `series_colors`); `marks` are vertical lines with a label, such as
+        the starts of stages; `selected` is a shaded range of x; `cursor` None leaves the line where it is.
         """
         packed = pack_series(x, series, colors)
         packed["marks"] = [[float(place), str(label)] for place, label in marks]
@@ -104,7 +104,7 @@ class ChartView(anywidget.AnyWidget):
             self.cursor = float(cursor)
 
     def on_pick(self, callback: Callable[[float], object], remove: bool = False) -> None:
-        """Call `callback(x)` when the user clicks; `remove` takes it away again."""
+        """Call `callback(x)` when the user clicks; `remove` unregisters it."""
         if remove:
             self._callbacks.remove(callback)
         else:

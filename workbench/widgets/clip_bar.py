@@ -1,4 +1,4 @@
-"""Going through a clip and fitting the whole of it, after each change or when asked for."""
+"""Stepping through a clip and fitting all of it, after each change or on request."""
 
 from collections.abc import Callable
 
@@ -10,16 +10,16 @@ from workbench.widgets.controls import small_button
 from workbench.widgets.latest import LatestWins
 
 SETTLED_S = 0.3
-"""Quiet time after the last change before the whole clip, or an exact identity, is fitted."""
+"""Pause after the last change before the whole clip, or an exact identity, is fitted."""
 LIVE_CLIP_FRAMES = 1500
-"""Clips up to this length are re-fitted after each change unless the user switches that off."""
+"""Clips up to this length are re-fitted after each change unless the user switches this off."""
 
 
 class ClipBar:
-    """Buttons over a clip, and the thread in which it is fitted; of requests the newest counts.
+    """Buttons for a clip, and the thread that fits it; only the latest request counts.
 
-    `step` is called with -1, 1 or, for the next flagged frame, 0; `refit` when the fit of the shown frame is out of
-    date and `settled` when there is nothing to run; `failed` with errors.
+    `step` is called with -1, 1 or, for the next flagged frame, 0; `refit` if the fit of the shown frame is out of
+    date; `settled` if there is nothing to run; `failed` with errors.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class ClipBar:
         self._session, self._views, self._refit, self._settled = session, views, refit, settled
         self._worker: LatestWins[str] = LatestWins(self._work, failed, "panel-clip")
         self.step_buttons = [
-            small_button("◀", "frame before"),
+            small_button("◀", "previous frame"),
             small_button("▶", "next frame"),
             small_button("⚑", "next flagged frame"),
         ]
@@ -45,9 +45,9 @@ class ClipBar:
         self.follow = widgets.ToggleButton(
             value=len(session) <= LIVE_CLIP_FRAMES, description="live",
             layout=widgets.Layout(width="auto", flex="0 0 auto"),
-            tooltip="fit the whole clip again after each change",
+            tooltip="re-fit the whole clip after each change",
         )  # fmt: skip
-        self.cancel = small_button("cancel", "stop the run or the export; the last whole run stays")
+        self.cancel = small_button("cancel", "stop the run or export; the last complete run stays")
         self.cancel.on_click(lambda _button: self._worker.submit("cancel"))
         self.progress = widgets.IntProgress(0, max=len(session), layout=widgets.Layout(width="120px"))
         self.hide_progress()
@@ -61,15 +61,15 @@ class ClipBar:
 
     @property
     def is_slow(self) -> bool:
-        """Whether a clip is only run when asked for: Deep Energies takes seconds per frame."""
+        """Whether a clip is only run on request, because Deep Energies takes seconds per frame."""
         return self.is_clip and not self._session.config.traits.real_time
 
     def begin(self) -> None:
-        """The first run, where it is quick."""
+        """Start the first run, if it is quick."""
         self._worker.submit("settle" if self.is_slow else "run")
 
     def settle(self) -> None:
-        """The configuration has changed: run the clip after a pause, where that is wanted."""
+        """After a change of configuration: run the clip after a pause, if enabled."""
         self._worker.submit("settle")
 
     def wait_idle(self, timeout_s: float | int) -> bool:
@@ -77,11 +77,11 @@ class ClipBar:
         return self._worker.wait_idle(timeout_s)
 
     def close(self) -> None:
-        """End the run and the thread."""
+        """Stop the run and the thread."""
         self._worker.close()
 
     def hide_progress(self) -> None:
-        """Nothing is under way."""
+        """Hide the progress bar when nothing is running."""
         self.progress.layout.visibility = "hidden"
 
     def _work(self, wanted: str) -> None:
@@ -89,11 +89,11 @@ class ClipBar:
             self._run()
 
     def _is_due(self) -> bool:
-        """Whether the clip is run now; if not, what is out of date is shown."""
-        if not self.is_clip:  # the fit that is shown is the whole run
+        """Whether to run the clip now; if not, mark what is out of date."""
+        if not self.is_clip:  # the shown fit is the whole run
             self._settled()
             return False
-        stale = self._session.stale.any()  # not if infill or refinement was changed: the fits are what they were
+        stale = self._session.stale.any()  # False if only infill or refinement changed, because the fits are the same
         if stale and self.follow.value and not self.is_slow:
             return True
         if stale:

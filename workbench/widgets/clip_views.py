@@ -1,4 +1,4 @@
-"""Over the clip: the strip of residuals, the curves of pose and weights, and the run that they show."""
+"""Views of the whole clip: the residual strip and the curves of pose and weights of the last run."""
 
 from collections.abc import Callable
 
@@ -11,11 +11,11 @@ from workbench.widgets.chart_view import ChartView
 from workbench.widgets.timeline_view import TimelineView
 
 CURVES = 8
-"""Weights that the chart shows: those that move most."""
+"""Number of weights in the chart, which shows those that vary most."""
 
 
 class ClipViews:
-    """Timeline and curves of the last run of a session; `go(frame)` is called when the user picks one."""
+    """Timeline and curves of the last run of a session; `go(frame)` is called when the user picks a frame."""
 
     def __init__(self, session: TuningSession, go: Callable[[int], None]) -> None:
         self._session, self._go = session, go
@@ -23,7 +23,7 @@ class ClipViews:
         self.timeline = TimelineView(height_px=116, unit="% of eye distance")
         self.timeline.observe(lambda change: self._go(change["new"]), "frame")
         self.pose = ChartView(height_px=150, title="head pose")
-        self.weights = ChartView(height_px=150, title="weights that move most")
+        self.weights = ChartView(height_px=150, title="weights that vary most")
         for chart in (self.pose, self.weights):
             chart.on_pick(lambda x: self._go(round(x)))
         self.curves = widgets.HBox(
@@ -39,12 +39,12 @@ class ClipViews:
             chart.cursor = float(frame)
 
     def in_view(self) -> tuple[int, int]:
-        """First and last frame that the strip shows; the whole clip before it is shown."""
+        """First and last frame in view in the strip; the whole clip until it is displayed."""
         first, last = self.timeline.in_view
         return (first, last) if last > first else (0, len(self._session) - 1)
 
     def next_flagged(self, frame: int) -> int:
-        """The next flagged frame, from the last one on the first; the frame itself where none is flagged."""
+        """The next flagged frame, wrapping around at the end; the frame itself if none is flagged."""
         flagged = self.timeline.flagged
         return next((other for other in flagged if other > frame), flagged[0] if flagged else frame)
 

@@ -50,7 +50,7 @@ class KnobControl:
         self.widget = widgets.HBox(parts, layout=widgets.Layout(margin=f"0 0 0 {8 * knob.level}px", width="auto"))
 
     def show(self, value: Value) -> None:
-        """Stand at a value without calling back."""
+        """Show a value without calling back."""
         self.value, self._quiet = value, True
         try:
             self.input.value = place_of(self.knob, value)
@@ -59,11 +59,11 @@ class KnobControl:
             self._quiet = False
 
     def enable(self, on: bool) -> None:
-        """Let it be turned, or grey it out."""
+        """Enable it, or grey it out."""
         self.input.disabled = self.readout.disabled = not on
 
     def turn(self, value: Value) -> None:
-        """Set a value as a user would who types it."""
+        """Set a value as if the user had typed it."""
         self.show(value)
         self._turned(self.knob.path, value)
 
@@ -74,8 +74,8 @@ class KnobControl:
             self._quiet = quiet
 
     def _on_input(self, change) -> None:
-        # A value between two places of the slider stays as it is until the slider leaves its place. Browsers send a
-        # place back with other last digits.
+        # A value between two slider positions is kept until the slider moves. Browsers return a position with
+        # different last digits.
         if self._quiet or (self.value is not None and _same(change["new"], place_of(self.knob, self.value))):
             return
         self.value = value_at(self.knob, change["new"])
@@ -96,13 +96,13 @@ class KnobControl:
 
 
 class Controls:
-    """Knobs in tabs; `show` brings them to a configuration."""
+    """Knobs in tabs; `show` sets them from a configuration."""
 
     def __init__(self, config: Config, turned: Turned, height_px: int, titles: Sequence[str] | None = None) -> None:
-        """`titles`: the pages of `PAGES` that are wanted; None: all."""
+        """`titles`: the pages of `PAGES` to show; None: all."""
         self.by_path: dict[str, KnobControl] = {}
         self.notes: dict[str, widgets.HTML] = {}
-        """The sentence of each page about knobs that do nothing now."""
+        """The note on each page about knobs that currently have no effect."""
         pages = []
         for title in PAGES if titles is None else titles:
             knobs = PAGES[title]
@@ -120,7 +120,7 @@ class Controls:
         self.show(config)
 
     def add(self, title: str, page: widgets.Widget, controls: Mapping[str, KnobControl], config: Config) -> None:
-        """One more page, with controls of its own."""
+        """Add a page with its own controls."""
         self.by_path |= controls
         titles = (*self.widget.titles, title)
         self.widget.children = (*self.widget.children, page)
@@ -128,7 +128,7 @@ class Controls:
         self.show(config)
 
     def show(self, config: Config, but: str | None = None) -> None:
-        """Bring the controls to a configuration, except the one at `but`, which the user holds."""
+        """Set the controls from a configuration, except the one at `but`, which the user is holding."""
         for path, control in self.by_path.items():
             value = value_of(config, path)
             if path != but and value != control.value:
@@ -147,12 +147,12 @@ OF_DEEP = (
     "deep-energies</i> under <i>go to…</i> to use them."
 )
 OF_FACE_IT = (
-    "These are settings of <b>FACE IT!</b>. This configuration fits by Deep Energies, whose own are on the page "
+    "These are settings of <b>FACE IT!</b>. This configuration fits by Deep Energies; its settings are on the page "
     "<b>deep</b>."
 )
-SOME_OF_FACE_IT = "What is greyed out belongs to <b>FACE IT!</b>; Deep Energies has its own on the page <b>deep</b>."
-SOME_OF_DEEP = "What is greyed out belongs to <b>Deep Energies</b>, or to terms that no stage names."
-NOT_NAMED = "What is greyed out weighs a term that no stage names; a stage's <i>terms</i> can."
+SOME_OF_FACE_IT = "Greyed-out settings belong to <b>FACE IT!</b>; those of Deep Energies are on the page <b>deep</b>."
+SOME_OF_DEEP = "Greyed-out settings belong to <b>Deep Energies</b>, or to terms that no stage names."
+NOT_NAMED = "Greyed-out weights belong to a term that no stage names; add it to a stage's <i>terms</i>."
 
 
 def _why_inert(config: Config, title: str, every: bool) -> str:
@@ -174,7 +174,7 @@ PAGES = {
 
 
 def value_at(knob: Knob, place: Value) -> Value:
-    """The value of a slider's place; the lowest place of a logarithmic one is zero."""
+    """The value at a slider position; the lowest position of a logarithmic slider is zero."""
     if knob.kind != "log":
         return place
     if place <= _lowest(knob) + 1e-9:
@@ -183,7 +183,7 @@ def value_at(knob: Knob, place: Value) -> Value:
 
 
 def place_of(knob: Knob, value: Value) -> Value:
-    """The slider's place for a value: the nearest of its steps, because a browser would go there by itself."""
+    """The slider position for a value, rounded to the nearest step as the browser would do."""
     if knob.kind in ("switch", "choice"):
         return value
     if knob.kind == "whole":
@@ -203,7 +203,7 @@ def _same(place: Value, other: Value) -> bool:
 
 
 def _lowest(knob: Knob) -> float:
-    """Place of zero: one step below the least value."""
+    """Position of zero: one step below the smallest value."""
     return round(math.log10(knob.low) - 1.0 / STEPS_PER_DECADE, 9)
 
 
@@ -233,14 +233,14 @@ def small_button(text: str, tip: str, style: str = "") -> widgets.Button:
 
 
 def narrow() -> widgets.Layout:
-    """For a field that takes the room that its neighbours leave."""
+    """Layout of a field that takes the remaining width."""
     return widgets.Layout(width="84px", flex="1 1 auto", min_width="0")
 
 
 def menu(
     options: Sequence[str] | Mapping[str, str], width: str, tip: str, value: str | None = None
 ) -> widgets.Dropdown:
-    """A menu of a fixed width; it stands at the first option unless told another."""
+    """A menu of fixed width; the first option is selected unless another is given."""
     chosen = {} if value is None else {"value": value}
     return widgets.Dropdown(
         options=options, tooltip=tip, layout=widgets.Layout(width=width, flex="0 0 auto"), **chosen

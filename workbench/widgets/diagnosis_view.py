@@ -1,4 +1,4 @@
-"""Why a frame is bad: ranked reasons, each with a change that one click applies and one click takes back."""
+"""Why a frame is bad: ranked reasons, each with a change that one click applies and another undoes."""
 
 import html
 from collections.abc import Callable
@@ -11,7 +11,7 @@ MOST_REASONS = 5
 
 
 class DiagnosisView:
-    """Reasons, the pull of each group of landmarks, and what the landmarks leave uncertain."""
+    """Reasons, the pull of each landmark group, and the uncertainty of the fit."""
 
     def __init__(
         self, ask: Callable[[], None], apply: Callable[[Change], None], take_back: Callable[[], None], height_px: int
@@ -35,16 +35,16 @@ class DiagnosisView:
         self.widget.add_class("fw-diagnosis")
 
     def say(self, text: str) -> None:
-        """One line beside the button."""
+        """Show one line next to the button."""
         self.status.value = html.escape(text)
 
     def clear(self, text: str = "") -> None:
-        """Forget the last diagnosis."""
+        """Clear the last diagnosis."""
         self.reasons.children, self.tables.value, self.apply_buttons = (), "", []
         self.say(text)
 
     def show(self, frame: int, diagnosis: Diagnosis) -> None:
-        """Show what was found about a frame."""
+        """Show the diagnosis of a frame."""
         reasons = diagnosis.reasons[:MOST_REASONS]
         self.say(f"Frame {frame}: {found_text(len(reasons), diagnosis.flag)}")
         self.apply_buttons = []
@@ -65,11 +65,11 @@ class DiagnosisView:
         if reason.change is None:
             return text
         apply = widgets.Button(
-            description=reason.change.label, tooltip="apply this change; one step of undo", button_style="info",
+            description=reason.change.label, tooltip="apply this change; one undo step", button_style="info",
             layout=widgets.Layout(width="auto", max_width="210px"),
         )  # fmt: skip
         back = widgets.Button(
-            description="take back", tooltip="undo it", disabled=True, layout=widgets.Layout(width="auto")
+            description="undo", tooltip="undo this change", disabled=True, layout=widgets.Layout(width="auto")
         )
 
         def on_apply(_button) -> None:
@@ -91,16 +91,16 @@ class DiagnosisView:
 def found_text(reasons: int, flag: str) -> str:
     """Why a frame was flagged, if it was, and how many reasons were found."""
     if reasons:
-        found = f"{reasons} found, the likeliest first."
+        found = f"{reasons} found, most likely first."
     elif flag:
-        found = "none of the causes that were tried explains it."
+        found = "none of the causes tried explains it."
     else:
-        found = "no reason found: nothing stands out."
+        found = "no reason found; the frame is unremarkable."
     return f"flagged, {flag}; {found}" if flag else found
 
 
 def pulls_table(diagnosis: Diagnosis) -> str:
-    """What changes when each group of landmarks is left out, as HTML."""
+    """The changes when each landmark group is left out, as an HTML table."""
     rows = "".join(
         f"<tr><td>{html.escape(pull.group.replace('_', ' '))}</td><td>{pull.rotation_deg:.1f}°</td>"
         f"<td>{pull.translation_mm:.0f} mm</td><td>{pull.distance_percent:.1f} %</td>"
@@ -108,20 +108,20 @@ def pulls_table(diagnosis: Diagnosis) -> str:
         for pull in diagnosis.leave_group_out
     )
     return (
-        "<b>What each group pulls</b> (the fit without it)<table><tr><th>group</th><th>turns</th><th>moves</th>"
+        "<b>Pull of each group</b> (change without it)<table><tr><th>group</th><th>turns</th><th>moves</th>"
         f"<th>is off</th><th>weights</th></tr>{rows}</table>"
     )
 
 
 def uncertainty_table(diagnosis: Diagnosis) -> str:
-    """Standard deviations of the pose, the least certain weights and what trades off, as HTML."""
+    """Standard deviations of the pose, the least certain weights and unknowns that trade off, as HTML."""
     found = diagnosis.uncertainty
     order = sorted(range(len(found.weights)), key=lambda k: -found.weights[k])[:5]
     names = found.names[6:]
     pitch, yaw, roll = found.rotation_deg
     pairs = "; ".join(f"{first} – {second} {value:+.2f}" for first, second, value in found.pairs[:4]) or "none"
     return (
-        f"<b>How certain</b> (noise {found.noise_percent:.2f} % of the eye distance)<br>pose ±: yaw {yaw:.2f}°, pitch "
+        f"<b>Uncertainty</b> (noise {found.noise_percent:.2f} % of the eye distance)<br>pose ±: yaw {yaw:.2f}°, pitch "
         f"{pitch:.2f}°, roll {roll:.2f}°, distance {found.translation_mm[2]:.1f} mm; condition {found.condition:.1e}"
         f"<br>least certain weights: {', '.join(f'{names[k]} ±{found.weights[k]:.2f}' for k in order)}"
         f"<br>trade off (|r| > 0.9): {html.escape(pairs)}"

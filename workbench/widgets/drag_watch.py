@@ -1,4 +1,4 @@
-"""Tells which drag of the mouse moves a slider, so that a slow drag is one step of undo."""
+"""Identifies the mouse drag that moves a slider, so that a slow drag is one undo step."""
 
 import anywidget
 import traitlets
@@ -11,7 +11,7 @@ function render({ model, el }) {
     model.set("drag", drag);
     model.save_changes();
   };
-  // In the capture phase: the number is on its way before the slider's first value.
+  // In the capture phase, so that the number is sent before the slider's first value.
   const onPress = (event) => {
     const slider = event.target instanceof Element && event.target.closest(".noUi-target");
     tell(slider ? Math.round(performance.timeOrigin + event.timeStamp) : 0);
@@ -29,10 +29,10 @@ export default { render };
 
 
 class DragWatch(anywidget.AnyWidget):
-    """Nothing to see. `drag` numbers the newest drag of any slider in the page; 0 after a key or another click.
+    """An invisible widget. `drag` numbers the latest drag of any slider in the page; 0 after a key or another click.
 
-    Values that a browser held back arrive after the mouse was released, so there is no telling when a drag ends: it
-    lasts until the next one begins.
+    Values throttled by the browser arrive after the mouse is released, so the end of a drag is unknown: it lasts until
+    the next one begins.
     """
 
     _esm = WATCH

@@ -1,4 +1,4 @@
-"""Export of the configuration: its file, what to do where a file is there already, and what was written."""
+"""Export of the configuration: its file name, the choice if the file exists, and the result."""
 
 import html
 import threading
@@ -14,26 +14,26 @@ from workbench.widgets.controls import small_button
 
 
 class ExportBar:
-    """The file's name, buttons and a line of text; `later` is called with slow jobs."""
+    """The file name, buttons and a line of text; `later` is called with slow jobs."""
 
     def __init__(self, session: TuningSession, later: Callable[[Callable[[], None]], None]) -> None:
         self._session = session
         self._stop = threading.Event()
         self._taken = Path()
         self.file = widgets.Text(
-            "tuned.toml", tooltip="file of the configuration", continuous_update=False,
+            "tuned.toml", tooltip="file for the configuration", continuous_update=False,
             layout=widgets.Layout(width="150px"),
         )  # fmt: skip
         self.export = small_button("export", "write the configuration with its provenance")
         self.export.on_click(lambda _button: later(self._on_export))
-        self.overwrite = small_button("overwrite", "write over the file that is there")
+        self.overwrite = small_button("overwrite", "replace the existing file")
         self.overwrite.layout.display = "none"
         self.overwrite.on_click(lambda _button: later(self._on_overwrite))
         self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
         self.widgets = (self.file, self.export, self.overwrite, self.exported)
 
     def stop(self) -> None:
-        """Stop an export that is under way."""
+        """Stop a running export."""
         self._stop.set()
 
     def _on_export(self) -> None:
@@ -46,14 +46,14 @@ class ExportBar:
             self._offer(path)
 
     def _offer(self, taken: Path) -> None:
-        """A choice between a free name, which stands in the field now, and the file that is there."""
+        """Offer the choice between a free name, filled into the field, and the existing file."""
         free = free_file(taken.parent, self._session.material.name)
         whose = exported_for(taken)
         self._taken, self.file.value = taken, str(free)
         self.overwrite.description, self.overwrite.layout.display = f"overwrite {taken.name}", None
         self.exported.value = html.escape(
-            f"{taken.name} is there already{f', exported for {whose}' if whose else ''}: "
-            f"export again writes {free.name}."
+            f"{taken.name} exists already{f', exported for {whose}' if whose else ''}: "
+            f"pressing export again writes {free.name}."
         )
 
     def _on_overwrite(self) -> None:
@@ -74,4 +74,4 @@ class ExportBar:
             self.exported.value = ""
             raise
         command = html.escape(self._session.command(path))
-        self.exported.value = f"wrote {html.escape(str(path))}; the same numbers headless: <code>{command}</code>"
+        self.exported.value = f"wrote {html.escape(str(path))}; to reproduce the numbers: <code>{command}</code>"

@@ -1,4 +1,4 @@
-"""Which frames of a clip count as failed: those that the user marks, and those that diagnosis flags."""
+"""Controls to mark frames of a clip as failed, by hand or from the flags of the diagnosis."""
 
 import html
 from collections.abc import Callable
@@ -12,9 +12,9 @@ from workbench.widgets.status_line import StatusLine
 
 
 class FailedFrames:
-    """Buttons that mark frames (`rows`), and a line about the marked ones.
+    """Buttons that mark frames (`rows`), and a line about the marked frames.
 
-    `frame` gives the number of the shown frame, `flag` is called to mark the frames that diagnosis flags.
+    `frame` returns the number of the shown frame; `flag` is called to mark the frames that diagnosis flags.
     """
 
     def __init__(
@@ -22,25 +22,25 @@ class FailedFrames:
     ) -> None:
         self._session, self._status, self._frame = session, status, frame
         temporal = session.temporal
-        self.this = small_button("this frame", "toggle failed for the shown frame")
+        self.this = small_button("this frame", "mark or unmark the shown frame as failed")
         self.this.on_click(lambda _button: status.guarded(self._mark_this))
-        self.flagged = small_button("⚑ flagged", "the frames that diagnosis flags have failed")
+        self.flagged = small_button("⚑ flagged", "mark the frames that diagnosis flags as failed")
         self.flagged.on_click(lambda _button: flag())
-        self.clear = small_button("clear", "no frame is marked")
+        self.clear = small_button("clear", "unmark all frames")
         self.clear.on_click(lambda _button: status.guarded(self._clear))
         self.range = widgets.Text(
-            placeholder="40-52, 60", tooltip="frames, first and last", layout=narrow(), continuous_update=False
+            placeholder="40-52, 60", tooltip="first and last frames of ranges", layout=narrow(), continuous_update=False
         )
-        self.mark = small_button("mark", "these frames have failed, whatever their fit")
+        self.mark = small_button("mark", "mark these frames as failed, whatever their fit")
         self.mark.on_click(lambda _button: status.guarded(self._mark_range, temporal.mark))
-        self.unmark = small_button("unmark", "these frames stand as they were fitted")
+        self.unmark = small_button("unmark", "unmark these frames; their fits count again")
         self.unmark.on_click(lambda _button: status.guarded(self._mark_range, temporal.unmark))
         self.summary = widgets.HTML()
         label = widgets.HTML("<b>failed</b>", layout=widgets.Layout(width="38px", flex="0 0 auto"))
         self.rows = ((label, self.this, self.flagged, self.clear), (self.range, self.mark, self.unmark))
 
     def show(self, part: tuple[int, int] | None) -> None:
-        """Follow the session; frames that fail without being marked are counted in a part, None: in the whole clip."""
+        """Update from the session; unmarked frames that failed are counted in `part` (None: the whole clip)."""
         self.summary.value = failed_html(self._session, part)
 
     def _mark_this(self) -> None:
@@ -51,7 +51,7 @@ class FailedFrames:
     def _mark_range(self, act: Callable) -> None:
         parts = read_parts(self.range.value)
         if not parts:
-            self._status.say("Name frames first, as 40-52 or 60.", wrong=True)
+            self._status.say("Type frames first, such as 40-52 or 60.", wrong=True)
             return
         act(frame for first, last in parts for frame in range(first, last + 1))
 
@@ -61,7 +61,7 @@ class FailedFrames:
 
 
 def failed_html(session: TuningSession, part: tuple[int, int] | None) -> str:
-    """Which frames are marked, and how many others fail, in a line."""
+    """The marked frames and the number of other failed frames, in one line."""
     temporal = session.temporal
     marked = temporal.marked
     count = sum(last - first + 1 for first, last in marked)

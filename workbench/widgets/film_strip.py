@@ -1,4 +1,4 @@
-"""The stages of Deep Energies on the shown frame as a film strip, or why there is none."""
+"""The Deep Energies stages on the shown frame as a film strip, or the reason why there is none."""
 
 import ipywidgets as widgets
 
@@ -6,19 +6,19 @@ from workbench.session import TuningSession
 from workbench.widgets.playground import jpeg
 
 NO_STAGES = (
-    "<b>The film strip shows the stages of Deep Energies.</b><br>This configuration fits by FACE IT!, whose iterations "
-    "stand on the page <b>Energy</b>. Choose <i>preset deep-energies</i> under <i>go to…</i>: each of its stages is "
-    "drawn on the picture, with what the network sees."
+    "<b>The film strip shows the stages of Deep Energies.</b><br>This configuration fits by FACE IT!; its iterations "
+    "are on the page <b>Energy</b>. Choose <i>preset deep-energies</i> under <i>go to…</i> to see each of its stages "
+    "drawn on the picture, with the network's landmarks."
 )
 NO_PICTURES = (
-    "<b>The film strip is drawn on the picture.</b><br>This is landmarks alone; open the photo or the clip itself."
+    "<b>The film strip is drawn on the picture.</b><br>There are only landmarks here; open the photo or clip itself."
 )
-NO_FACE = "No face in frame {frame}, so no stage of a fit."
+NO_FACE = "No face in frame {frame}, so there are no stages."
 DRAWING = "Fitting the stages of Deep Energies on frame {frame} and drawing them …"
 
 
 class FilmStrip(widgets.VBox):
-    """A sentence, or the strip of a frame; drawn when `show_frame` is called, from any thread."""
+    """A sentence, or the strip of a frame, drawn by `show_frame` from any thread."""
 
     def __init__(self, session: TuningSession) -> None:
         self._session, self._config = session, None
@@ -31,7 +31,7 @@ class FilmStrip(widgets.VBox):
         self.show_config()
 
     def show_config(self) -> None:
-        """Follow the configuration: say why there is no strip, where there is none."""
+        """Update from the configuration, and say why if there is no strip."""
         if not self._session.config.traits.renders:
             self._say(NO_STAGES)
         elif not self._session.material.pictures.real:
@@ -40,7 +40,7 @@ class FilmStrip(widgets.VBox):
             self._say("Fitting the stages of Deep Energies …")
 
     def show_frame(self, frame: int) -> None:
-        """Draw the stages of a frame, where the configuration has them."""
+        """Draw the stages of a frame, if the configuration has them."""
         self.show_config()
         if not self._session.config.traits.renders or not self._session.material.pictures.real:
             return

@@ -1,4 +1,4 @@
-"""Why the shown frame is bad, and how certain its fit is: asked of the session, shown in the panel."""
+"""Diagnosis and uncertainty of the shown frame: requested from the session, shown in the panel."""
 
 from collections.abc import Callable
 
@@ -13,9 +13,9 @@ from workbench.widgets.status_line import StatusLine
 
 
 class FrameDiagnosis:
-    """The page of the diagnosis (`view`) over a session.
+    """The diagnosis page (`view`) of a session.
 
-    `later` is called with slow jobs; `frame` gives the number of the shown frame.
+    `later` is called with slow jobs; `frame` returns the number of the shown frame.
     """
 
     def __init__(
@@ -30,11 +30,11 @@ class FrameDiagnosis:
         self.view = DiagnosisView(self._on_ask, self.apply, self.take_back, height_px)
 
     def apply(self, change: Change) -> None:
-        """Make the change that a reason asks for."""
+        """Apply the change proposed by a reason."""
         self._status.guarded(self._session.apply, change, self._frame())
 
     def take_back(self) -> None:
-        """Take the last change back."""
+        """Undo the last change."""
         self._session.undo()
 
     def uncertainty(self, fit: FrameFit) -> np.ndarray:
@@ -43,7 +43,7 @@ class FrameDiagnosis:
         return vertex_uncertainty(self._session.model, self._session.diagnose(frame).uncertainty, fit)
 
     def _on_ask(self) -> None:
-        self.view.clear(f"Looking at frame {self._frame()} …")
+        self.view.clear(f"Diagnosing frame {self._frame()} …")
         self._later(self._diagnose)
 
     def _diagnose(self) -> None:

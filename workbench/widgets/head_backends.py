@@ -1,4 +1,4 @@
-"""A live 3D head in the notebook: drawn by the browser (WebGL), or as pictures from the kernel."""
+"""A live 3D head in the notebook, drawn by the browser (WebGL) or sent as pictures from the kernel."""
 
 import os
 import sys
@@ -11,28 +11,28 @@ from workbench.widgets.webgl_head_view import WebGLHeadView
 
 BACKENDS = ("auto", "webgl", "pictures")
 VSCODE_VARIABLES = ("VSCODE_PID", "VSCODE_CWD", "VSCODE_HANDLES_UNCAUGHT_ERRORS")
-"""Set where VS Code starts a kernel; its terminal does not pass them on to a JupyterLab."""
-UNTRIED_NOTE = '3D view as pictures from the kernel: WebGL is untried in {place}; backend="webgl" tries it.'
+"""Set in kernels started by VS Code; its terminal does not pass them on to JupyterLab."""
+UNTRIED_NOTE = 'The 3D view uses pictures from the kernel: WebGL is untested in {place}; backend="webgl" tries it.'
 
 
 def make_head_view(model: FaceModel, size: tuple[int, int] = (440, 440), backend: str = "auto") -> HeadView:
     """A live view of the model's head, (width, height) in pixels.
 
-    "webgl" draws in the browser, "pictures" in the kernel; "auto" takes WebGL unless the notebook runs where that is
-    untried. Raises `InputError` for an unknown back end or size.
+    "webgl" draws in the browser, "pictures" in the kernel; "auto" uses WebGL unless the notebook runs where that is
+    untested. Raises `InputError` for an unknown back end or size.
     """
     if not all(64 <= side <= 4096 for side in size):
-        raise InputError(f"A 3D view has sides of 64 to 4096 pixels, got {size[0]} × {size[1]}.")
+        raise InputError(f"The sides of a 3D view must be 64 to 4096 pixels, got {size[0]} × {size[1]}.")
     chosen, note = chosen_backend(backend)
     return WebGLHeadView(model, size) if chosen == "webgl" else PictureHeadView(model, size, note)
 
 
 def chosen_backend(backend: str = "auto") -> tuple[str, str | None]:
-    """The back end to use here, and why it is not WebGL. Raises as `make_head_view`."""
+    """The back end to use here, and the reason if it is not WebGL. Raises like `make_head_view`."""
     if backend == "k3d":
         raise InputError("The back end 'k3d' of a 3D view is now called 'webgl'; use that, or leave it at 'auto'.")
     if backend not in BACKENDS:
-        raise InputError(f"The back end of a 3D view is one of {', '.join(BACKENDS)}, got {backend!r}.")
+        raise InputError(f"The back end of a 3D view must be one of {', '.join(BACKENDS)}, got {backend!r}.")
     if backend != "auto":
         return backend, None
     if "google.colab" in sys.modules:

@@ -1,4 +1,4 @@
-"""The 3D head with what it is coloured by, from where it is seen, and what it is compared with."""
+"""The 3D head with its controls for colouring, viewpoint and comparison."""
 
 import html
 from collections.abc import Callable
@@ -18,16 +18,16 @@ from workbench.widgets.latest import LatestWins
 COLORINGS = ("skin", "residual", "blendshape", "uncertainty")
 START = "the start"
 BEHIND_MM = np.array([0.0, 0.0, 1.5])
-"""A ghost stands a little behind, so that it shows where it differs and equal surfaces do not flicker."""
-WORKING = "working out how certain frame {frame} is …"
+"""Offset of a ghost, slightly behind the head, so that differences show and equal surfaces do not flicker."""
+WORKING = "computing the uncertainty of frame {frame} …"
 BESIDE_MM = np.array([170.0, 0.0, 0.0])
 
 
 class HeadColumn:
-    """A `HeadView` and its controls. `uncertainty(fit)` gives a standard deviation in mm for every vertex.
+    """A `HeadView` and its controls. `uncertainty(fit)` returns a standard deviation in mm for every vertex.
 
-    It takes seconds, so it is worked out in a thread of its own; meanwhile the head has its skin and no legend, and a
-    note says what is going on.
+    This takes seconds, so it is computed in a separate thread. Until then the head shows its skin without a legend,
+    and a note says what is being computed.
     """
 
     def __init__(
@@ -43,11 +43,11 @@ class HeadColumn:
         self.view: HeadView = make_head_view(head.model, size, backend)
         self.look = widgets.ToggleButtons(
             options=["front", "camera", "free"], style={"button_width": "auto"},
-            tooltips=["from the front", "as the camera sees it", "wherever the mouse turned it"],
+            tooltips=["from the front", "as the camera sees it", "as turned with the mouse"],
         )  # fmt: skip
         self.look.observe(lambda change: self.view.set_view(change["new"]), "value")
         self.color = widgets.Dropdown(
-            options=COLORINGS, tooltip="what colours the surface", layout=widgets.Layout(width="88px")
+            options=COLORINGS, tooltip="colour of the surface", layout=widgets.Layout(width="88px")
         )
         self.shape = widgets.Dropdown(
             options=list(head.model.expression_names), tooltip="blendshape whose displacement is shown",
@@ -63,7 +63,7 @@ class HeadColumn:
             layout=widgets.Layout(width="92px"),
         )  # fmt: skip
         self.beside = widgets.ToggleButton(
-            description="beside", tooltip="the compared head beside this one, not as a ghost behind it",
+            description="beside", tooltip="show the compared head next to this one, not as a ghost",
             layout=widgets.Layout(width="auto", flex="0 0 auto"),
         )  # fmt: skip
         for control in (self.color, self.shape, self.points, self.compare, self.beside):
@@ -80,7 +80,7 @@ class HeadColumn:
             self.note.layout.display = "none"
 
     def show(self, fit: FrameFit) -> None:
-        """Show the head of a fit; nothing moves for a frame without a face."""
+        """Show the head of a fit; it is unchanged for a frame without a face."""
         if not fit.found:
             return
         self.view.set_vertices(self._head.vertices(fit))
@@ -90,12 +90,12 @@ class HeadColumn:
         self._ghost(fit)
 
     def show_webgl(self, there: bool | None) -> None:
-        """Draw in the kernel where the browser has no WebGL; None: it has not told yet."""
+        """Draw in the kernel if the browser has no WebGL; None: not known yet."""
         if there is False and self.view.note is None:
-            self.use_pictures("This browser has no WebGL: the head comes as pictures from the kernel.")
+            self.use_pictures("This browser has no WebGL, so the head is sent as pictures from the kernel.")
 
     def use_pictures(self, why: str) -> None:
-        """Change to the back end that needs no WebGL in the browser."""
+        """Switch to the back end that needs no WebGL in the browser."""
         old, self.view = self.view, make_head_view(self._head.model, self._size, "pictures")
         self.view.set_view(self.look.value)
         self._holder.children = (self.view.widget,)
@@ -104,7 +104,7 @@ class HeadColumn:
         self._redraw()
 
     def refresh_comparisons(self) -> None:
-        """List the snapshots."""
+        """Update the list of snapshots."""
         if list(self.compare.options) != (options := self._comparisons()):
             chosen = self.compare.value
             self.compare.options = options
@@ -112,12 +112,12 @@ class HeadColumn:
                 self.compare.value = chosen
 
     def close(self) -> None:
-        """End the thread and free the view."""
+        """Stop the thread and free the view."""
         self._worker.close()
         self.view.close()
 
     def wait_idle(self, timeout_s: float | int) -> bool:
-        """Wait until the colours are worked out; False if that takes longer."""
+        """Wait until the colours are computed; False if that takes longer."""
         return self._worker.wait_idle(timeout_s)
 
     def _color(self, fit: FrameFit) -> None:
@@ -140,7 +140,7 @@ class HeadColumn:
         self._colored = kind in ("residual", "blendshape") or isinstance(spread, np.ndarray)
 
     def _spread_of(self, fit: FrameFit) -> np.ndarray | str:
-        """Standard deviations of the vertices, or what to say while there are none."""
+        """Standard deviations of the vertices, or the message to show while there are none."""
         known = self._spread
         if known is not None and known[0] == self._key(fit):
             return known[1]
@@ -190,7 +190,7 @@ class HeadColumn:
         else:
             config = self._session.base if name == START else self._session.snapshots[name]
             other = self._session.fit_frame(fit.index if len(self._session) > 1 else 0, config=config)
-            # A model of its own: the other configuration may see another person.
+            # A separate model, because the other configuration may have another identity.
             model = self._head.model.personal(other.identity)
             place = BESIDE_MM if beside else BEHIND_MM
             ghost = posed_vertices(model, other.expression, other.jaw, other.scale)

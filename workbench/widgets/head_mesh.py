@@ -1,4 +1,4 @@
-"""What the browser draws of a face model: the surface, its colours and lights, and the balls and rods beside it."""
+"""Messages that describe a face model to the browser: surface, colours, lights, and marks as balls and rods."""
 
 import cv2
 import numpy as np
@@ -13,15 +13,15 @@ from workbench.pictures.mesh import neck_opacity, split_seams
 
 TEXTURE_QUALITY = 90
 COLLAR_TILT, COLLAR_MM = 0.25, 600.0
-"""The neck is cut by a plane that falls towards the front, just above the ragged rim of the mesh. What marks it goes
-from 0 to 1 over a length of more than a head: linear in every triangle, it makes the cut straight."""
+"""The neck is cut by a plane that slopes down to the front, just above the ragged rim of the mesh. The value that marks
+the cut goes from 0 to 1 over more than a head's length; it is linear in every triangle, so the cut is straight."""
 
 
 def surface_message(model: FaceModel) -> dict[str, object]:
-    """All of a head that does not move: triangles, texture or colours, lights; see `drawing/mesh.js`.
+    """The static data of a head: triangles, texture or colours, lights; see `drawing/mesh.js`.
 
-    Vertices on a seam of the texture are several points: "order" has the vertex of each point, "drawn" the triangles
-    over points, the skin's ("outer" many) before those of eyes and mouth. "triangles" are the model's own.
+    Vertices on a texture seam become several points: "order" has the vertex of each point, "drawn" the triangles over
+    points, with those of the skin ("outer" of them) before those of eyes and mouth. "triangles" are the model's own.
     """
     picture = bundled_texture(model)
     if picture is None:
@@ -59,19 +59,19 @@ def surface_message(model: FaceModel) -> dict[str, object]:
 def rods_message(
     ends: Float[np.ndarray, "n 2 3"], colors: UInt8[np.ndarray, "n 3"], diameter_mm: float | int
 ) -> dict[str, object]:
-    """Rods with round ends, or balls where both ends are one place; head frame, millimetres."""
+    """Rods with round ends, or balls if both ends coincide; head frame, millimetres."""
     return {"ends": ends.astype("<f4").tobytes(), "colors": colors.tobytes(), "mm": float(diameter_mm)}
 
 
 def collar(model: FaceModel) -> Float[np.ndarray, "4"] | None:
-    """The plane that cuts the neck off: what is cut has normal · x > distance (mm); None for a head without a rim."""
+    """The plane that cuts off the neck, where normal · x > distance (mm); None for a head without a rim."""
     normal = np.array([0.0, 1.0, COLLAR_TILT])
     rim = neck_opacity(model) == 0.0
     return np.append(normal, (model.neutral[rim] @ normal).min() - 1.0) if rim.any() else None
 
 
 def collar_opacity(model: FaceModel) -> Float[np.ndarray, "v"]:
-    """More than 0.5 above the plane that cuts the neck off and less below it; 1 for a head without a rim."""
+    """Above 0.5 on the head's side of the cutting plane and below 0.5 on the neck's; 1 for a head without a rim."""
     plane = collar(model)
     if plane is None:
         return np.ones(len(model.neutral))

@@ -1,4 +1,4 @@
-"""A live 3D head in the notebook: the interface of its back ends, and what they share."""
+"""A live 3D head in the notebook: the interface of its back ends, and their shared parts."""
 
 import html
 from dataclasses import dataclass, replace
@@ -19,17 +19,17 @@ from workbench.widgets.viewpoint import Viewpoint, camera_viewpoint, front_viewp
 Number = float | int
 VIEWS = ("free", "front", "camera")
 DARKEST = 42
-"""First step of viridis that is used, of 256: the darker ones are lost in shadow."""
+"""First step of viridis in use, of 256, because darker ones look like shadow."""
 
 
 @runtime_checkable
 class HeadView(Protocol):
-    """A head that can be looked at from all sides. Every method may be called from any thread and returns at once."""
+    """A head that can be viewed from all sides. Every method may be called from any thread and returns at once."""
 
     widget: widgets.Widget
-    """What a cell displays."""
+    """The widget for a cell to display."""
     note: str | None
-    """What the user should know, None if all is well."""
+    """A message for the user; None if there is nothing to report."""
 
     def set_vertices(self, vertices: Float[np.ndarray, "v 3"]) -> None:
         """Show the head with these vertices: head frame, millimetres."""
@@ -41,10 +41,10 @@ class HeadView(Protocol):
         camera: Camera,
         image_size: tuple[int, int],
     ) -> None:
-        """The fitted pose (head to camera; axis-angle, millimetres) and its camera; moves the "camera" view."""
+        """Set the fitted pose (head to camera; axis-angle, millimetres) and its camera; moves the "camera" view."""
 
     def set_view(self, view: str) -> None:
-        """Look from "front", from the input "camera", or leave the mouse's view alone ("free")."""
+        """View from "front", from the input "camera", or as set with the mouse ("free")."""
 
     def set_values(self, values: Float[np.ndarray, "v"] | None, low: Number, high: Number, label: str) -> None:
         """Colour the surface by a number per vertex, viridis from `low` to `high`; None shows the skin again."""
@@ -52,34 +52,34 @@ class HeadView(Protocol):
     def set_points(
         self, points: Float[np.ndarray, "n 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None, size_mm: Number = 2.0
     ) -> None:
-        """Points as balls of this diameter: head frame, millimetres; None removes them."""
+        """Show points as balls of this diameter: head frame, millimetres; None removes them."""
 
     def set_segments(
         self, segments: Float[np.ndarray, "n 2 3"] | None, colors: UInt8[np.ndarray, "_ 3"] | None
     ) -> None:
-        """Segments, such as residual vectors in 3D: head frame, millimetres; None removes them."""
+        """Show segments, such as residual vectors in 3D: head frame, millimetres; None removes them."""
 
     def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: Number = 0.35) -> None:
-        """A second, translucent head, such as the fit before a change; None removes it."""
+        """Show a second, translucent head, such as the fit before a change; None removes it."""
 
     def snapshot(self) -> UInt8[np.ndarray, "h w 3"]:
-        """A still RGB picture of what is shown, from the current point of view, rendered off screen."""
+        """An RGB picture of the current view, rendered off screen."""
 
     def close(self) -> None:
-        """Free the browser's and the kernel's resources; closing twice is fine."""
+        """Free the resources of browser and kernel; closing twice is fine."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What a view shows; a changed copy replaces it."""
+    """The content of a view; replaced by a changed copy on every change."""
 
     vertices: Float[np.ndarray, "v 3"]
     extras: Extras = NOTHING
     view: str = "front"
     pose: Viewpoint | None = None
-    """The input camera's point of view."""
+    """The viewpoint of the input camera."""
     scale: tuple[str | None, float, float] = (None, 0.0, 1.0)
-    """What the colours mean, as `Legend.show` takes it."""
+    """The colour scale, as arguments of `Legend.show`."""
 
     def with_extras(self, **changes: object) -> "Shown":
         """A copy with these extras changed."""
@@ -87,7 +87,7 @@ class Shown:
 
 
 def viewpoint_of(shown: Shown, model: FaceModel, size: tuple[int, int]) -> Viewpoint | None:
-    """From where "front" or "camera" looks, the camera as the front while no pose is known; None for "free"."""
+    """The viewpoint of "front" or "camera"; "camera" is like "front" until a pose is known; None for "free"."""
     if shown.view == "free":
         return None
     if shown.view == "camera" and shown.pose is not None:
@@ -98,11 +98,11 @@ def viewpoint_of(shown: Shown, model: FaceModel, size: tuple[int, int]) -> Viewp
 def posed(
     rotation: np.ndarray, translation: np.ndarray, camera: Camera, image_size: tuple[int, int], size: tuple[int, int]
 ) -> Viewpoint:
-    """`camera_viewpoint` of numbers that have been checked."""
+    """`camera_viewpoint` after checking the numbers."""
     numbers = (rotation, translation, camera.focal_px, camera.principal_point_px, camera.distortion)
     if not all(np.isfinite(array).all() for array in numbers) or translation[2] <= 0.0:
         raise InputError(
-            "A pose needs finite numbers and a head before the camera (depth > 0); frames without a face have none."
+            "A pose needs finite numbers and a head in front of the camera (depth > 0); frames without a face lack it."
         )
     return camera_viewpoint(rotation, translation, camera, image_size, size)
 
@@ -110,19 +110,19 @@ def posed(
 def check_view(view: str) -> None:
     """Raise `InputError` for an unknown view."""
     if view not in VIEWS:
-        raise InputError(f"A 3D view looks {', '.join(VIEWS)}, got {view!r}.")
+        raise InputError(f"The view must be one of {', '.join(VIEWS)}, got {view!r}.")
 
 
 def check_vertices(vertices: np.ndarray, vertex_count: int) -> None:
-    """Raise `InputError` for another shape than (vertex_count, 3) and for numbers that are not finite."""
+    """Raise `InputError` for a shape other than (vertex_count, 3) and for non-finite numbers."""
     if vertices.shape != (vertex_count, 3):
         raise InputError(f"This head has {vertex_count} vertices (x, y, z), got an array of shape {vertices.shape}.")
     if not np.isfinite(vertices).all():
-        raise InputError("A head can only be shown with finite numbers, got NaN; frames without a face have no mesh.")
+        raise InputError("The vertices of a head must be finite, got NaN; frames without a face have no mesh.")
 
 
 def check_marks(marks: np.ndarray | None, colors: np.ndarray | None, shape: tuple[int, ...], what: str) -> None:
-    """Raise `InputError` for marks of another shape than (n, *shape), without a colour each, or not finite."""
+    """Raise `InputError` for marks of a shape other than (n, *shape), without one colour each, or not finite."""
     if marks is None:
         return
     if marks.shape[1:] != shape:
@@ -131,28 +131,30 @@ def check_marks(marks: np.ndarray | None, colors: np.ndarray | None, shape: tupl
         came = "none" if colors is None else f"an array of shape {colors.shape}"
         raise InputError(f"{len(marks)} {what.lower()} need as many RGB colours, shape ({len(marks)}, 3), got {came}.")
     if not np.isfinite(marks).all():
-        raise InputError(f"{what} can only be shown at finite places, got NaN; leave the unknown ones out.")
+        raise InputError(f"{what} must have finite positions, got NaN; leave the unknown ones out.")
 
 
 def check_opacity(opacity: Number) -> None:
     """Raise `InputError` for an opacity outside 0..1."""
     if not 0.0 <= opacity <= 1.0:
-        raise InputError(f"The opacity of a ghost lies between 0 and 1, got {opacity:g}.")
+        raise InputError(f"The opacity of a ghost must be between 0 and 1, got {opacity:g}.")
 
 
 def value_colors(
     values: Float[np.ndarray, "v"] | None, low: Number, high: Number, vertex_count: int
 ) -> UInt8[np.ndarray, "v 3"] | None:
-    """Viridis colours of numbers from `low` to `high`, grey where they are NaN; None for None.
+    """Viridis colours of numbers from `low` to `high`, grey for NaN; None for None.
 
-    Raises `InputError` for another count than `vertex_count` and for a scale that does not ascend.
+    Raises `InputError` for a count other than `vertex_count` and for a scale that does not ascend.
     """
     if values is None:
         return None
     if values.shape != (vertex_count,):
-        raise InputError(f"This head has {vertex_count} vertices, a number each, got an array of shape {values.shape}.")
+        raise InputError(
+            f"This head needs one number for each of {vertex_count} vertices, got an array of shape {values.shape}."
+        )
     if not low < high:
-        raise InputError(f"A colour scale ascends from low to high, got {low:g} to {high:g}.")
+        raise InputError(f"A colour scale must ascend from low to high, got {low:g} to {high:g}.")
     places = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0)
     colors = _scale()[np.rint(places * 255).astype(int)]
     colors[np.isnan(values)] = 128
@@ -174,13 +176,13 @@ def legend(label: str, low: Number, high: Number) -> str:
 
 
 class Legend(widgets.HTML):
-    """The colour scale under a view of this width; hidden while there are no values."""
+    """The colour scale below a view of this width; hidden if there are no values."""
 
     def __init__(self, width_px: int) -> None:
         super().__init__(layout=widgets.Layout(display="none", margin="2px 4px 0 4px", max_width=f"{width_px}px"))
 
     def show(self, label: str | None, low: Number = 0.0, high: Number = 1.0) -> None:
-        """Show this scale, or none for the label None."""
+        """Show this scale, or none if the label is None."""
         self.value = "" if label is None else legend(label, low, high)
         self.layout.display = "none" if label is None else None
 

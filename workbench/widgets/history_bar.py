@@ -1,4 +1,4 @@
-"""Undo and redo, presets and snapshots, and the status of the panel beside them."""
+"""Undo and redo, presets and snapshots, with the status of the panel."""
 
 import ipywidgets as widgets
 
@@ -9,12 +9,12 @@ from workbench.widgets.status_line import StatusLine
 
 
 class HistoryBar:
-    """A line of controls over the history of a session; `status` stands at its end and tells what was refused."""
+    """A line of controls for the history of a session; `status` is at its end and shows refused requests."""
 
     def __init__(self, session: TuningSession, status: StatusLine) -> None:
         self._session, self._status = session, status
-        self.undo = small_button("↶ undo", "take back the last change")
-        self.redo = small_button("↷ redo", "make it again")
+        self.undo = small_button("↶ undo", "undo the last change")
+        self.redo = small_button("↷ redo", "redo the last undone change")
         self.undo.on_click(lambda _button: session.undo())
         self.redo.on_click(lambda _button: session.redo())
         self.reset = widgets.Dropdown(
@@ -25,7 +25,7 @@ class HistoryBar:
         self.name = widgets.Text(
             placeholder="snapshot name", tooltip="name of a snapshot", layout=widgets.Layout(width="92px")
         )
-        self.keep = small_button("keep", "keep the present configuration under this name")
+        self.keep = small_button("keep", "keep the current configuration under this name")
         self.keep.on_click(lambda _button: status.guarded(self._on_keep))
         self.widget = widgets.HBox(
             [self.undo, self.redo, self.reset, self.name, self.keep, status],
@@ -33,14 +33,14 @@ class HistoryBar:
         )
 
     def show(self) -> None:
-        """Follow the history: what can be taken back and made again."""
+        """Update the buttons from the history."""
         undo, redo = self._session.undo_label, self._session.redo_label
         self.undo.disabled, self.redo.disabled = not undo, not redo
-        self.undo.tooltip = f"take back: {undo}" if undo else "nothing to undo"
-        self.redo.tooltip = f"make again: {redo}" if redo else "nothing to redo"
+        self.undo.tooltip = f"undo: {undo}" if undo else "nothing to undo"
+        self.redo.tooltip = f"redo: {redo}" if redo else "nothing to redo"
 
     def show_snapshots(self) -> None:
-        """Follow the snapshots."""
+        """Update the list of snapshots."""
         self.reset.options = self._places()
 
     def _on_reset(self, change) -> None:
@@ -58,7 +58,7 @@ class HistoryBar:
         name = self.name.value.strip() or f"snapshot {len(self._session.snapshots) + 1}"
         self._session.take_snapshot(name)
         self.name.value = ""
-        self._status.say(f"Kept {name!r}: the menus go back to it and compare with it.")
+        self._status.say(f"Kept {name!r}: you can go back to it or compare with it in the menus.")
 
     def _places(self) -> list[tuple[str, str]]:
         presets = [(f"preset {name}", f"preset:{name}") for name in PRESETS]

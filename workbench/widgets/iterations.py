@@ -1,4 +1,4 @@
-"""The iterations of the shown fit: energies of every one, what each stage did, and stepping through them."""
+"""The iterations of the shown fit: their energies, the result of each stage, and stepping through them."""
 
 from collections.abc import Callable
 
@@ -15,9 +15,9 @@ STATUS_NAMES = {-1: "", 1: "converged", 2: "limit", 3: "stalled", 4: "not finite
 
 
 class Iterations:
-    """The chart of energies and the table of stages; `refit` is called when the fit is to stop elsewhere.
+    """The energy chart and the stage table; `refit` is called when the fit should stop at another iteration.
 
-    `steps`: after how many iterations the fit stops; None: it runs to its end.
+    `steps`: the number of iterations after which the fit stops; None: it runs to the end.
     """
 
     def __init__(self, session: TuningSession, status: StatusLine, refit: Callable[[], None], height_px: int) -> None:
@@ -26,7 +26,7 @@ class Iterations:
         self.steps: int | None = None
         self.found = False
         """Whether there is a fit to step through."""
-        self.energy = ChartView(height_px=height_px - 20, y_log=True, title="energy per term against iteration")
+        self.energy = ChartView(height_px=height_px - 20, y_log=True, title="energy per term over iterations")
         self.stages = StageEditor(self._on_stages, self._on_run, height_px)
 
     @property
@@ -35,7 +35,7 @@ class Iterations:
         return {trace.stage: len(trace.energies) - 1 for trace in self._traces}
 
     def show(self, fit: FrameFit, traces: tuple[StageTrace, ...], steps: int | None) -> None:
-        """Show the stages of a fit, of which `steps` iterations were made."""
+        """Show the stages of a fit that was stopped after `steps` iterations."""
         self._traces = traces
         self._show_energy(traces)
         total = sum(self.counts.values())
@@ -76,12 +76,12 @@ class Iterations:
             now = total if self.steps is None else self.steps
             self.steps = int(np.clip(now + (1 if what == "step" else -1), 0, total))
             if what == "step" and now == total:
-                self.steps = 0  # from the end a step begins again at the start
+                self.steps = 0  # a step after the last iteration starts again from the beginning
         self._refit()
 
 
 def stage_results(fit: FrameFit, traces: tuple[StageTrace, ...]) -> dict[str, str]:
-    """Steps and end of each stage, by its name."""
+    """Number of steps and final status of each stage, by name."""
     status = dict(zip([trace.stage for trace in traces], fit.status[-len(traces) :], strict=False))
     return {
         trace.stage: f"{len(trace.energies) - 1} steps {STATUS_NAMES.get(int(status.get(trace.stage, -1)), '')}"

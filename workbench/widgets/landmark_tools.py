@@ -1,4 +1,4 @@
-"""The picture with its landmarks, and the tools to select, mute, weigh, move and name them."""
+"""The picture with its landmarks, and the tools to select, mute, weight, move and name them."""
 
 from collections.abc import Callable
 
@@ -23,15 +23,14 @@ LAYERS = {
     "layer": ("face", "the fitted head over the photo"),
     "heat": (
         "heat",
-        "what our landmark network sees: its crop, and where it takes the selected landmarks to be (all, if none is "
-        "selected)",
+        "the landmark network's view: its crop, and where it locates the selected landmarks (all, if none is selected)",
     ),
 }
-"""What can be drawn besides landmarks and residuals: text and tooltip of its button."""
+"""Optional layers besides landmarks and residuals: label and tooltip of their buttons."""
 
 
 class LandmarkTools:
-    """The overlay of the current frame and its tool bar; edits go to the session."""
+    """The overlay of the current frame and its toolbars; edits go to the session."""
 
     def __init__(
         self, session: TuningSession, head: FittedHead, height_px: int, said: Callable[[str], None],
@@ -49,7 +48,7 @@ class LandmarkTools:
         self.widget = widgets.VBox([tools, self.view, shown], layout=widgets.Layout(min_width="0"))
 
     def show_picture(self, frame: int) -> None:
-        """Show a frame before there is a fit of it; layers of another frame go."""
+        """Show a frame before it is fitted; layers of other frames are removed."""
         if frame != self.frame:
             self.frame = frame
             self.view.set_layer(None)
@@ -80,19 +79,19 @@ class LandmarkTools:
         return fit.residuals_px if self.unit.value == "px" else fit.residuals_percent
 
     def refresh_groups(self) -> None:
-        """List the saved subsets behind the groups."""
+        """Update the menu: groups first, then saved subsets."""
         if list(self.group.options) != (options := self._groups()):
             self.group.options = options
 
     def close(self) -> None:
-        """End the thread and the renderer of the face layer."""
+        """Stop the thread and the renderer of the face layer."""
         self._pictures.close()
 
     def _frame_of(self, fit: FrameFit) -> int:
         return fit.index if len(self._session) > 1 else 0
 
     def _weights(self) -> np.ndarray:
-        """What each landmark counts in the last stage."""
+        """Weight of each landmark in the last stage."""
         config = self._session.config
         last = config.running(start=False)[-1]
         return np.multiply(last.landmark_weights(config.subsets), config.point_weights())
@@ -100,15 +99,15 @@ class LandmarkTools:
     # --- parts ---
 
     def _tools(self) -> widgets.Widget:
-        """The bar above the picture: what is done with landmarks."""
+        """The toolbar above the picture: editing landmarks."""
         self.tool = widgets.ToggleButtons(
             options=[("select", "select"), ("lasso", "lasso"), ("move", "move")], style={"button_width": "auto"},
-            tooltips=["click landmarks; Ctrl adds", "draw around landmarks", "drag a wrong detection to its place"],
+            tooltips=["click landmarks; Ctrl adds", "draw around landmarks", "drag a wrong detection to its position"],
         )  # fmt: skip
         widgets.link((self.tool, "value"), (self.view, "tool"))
         self.mute = small_button("mute", "mute or unmute the selected landmarks (m)")
         self.up, self.down = small_button("×2", "double their weight (+)"), small_button("÷2", "halve their weight (−)")
-        self.back = small_button("⟲", "put back: give the selected detections their old places (r)")
+        self.back = small_button("⟲", "reset the selected landmarks to their detected positions (r)")
         for button, kind in (
             (self.mute, "mute"), (self.up, "weight_up"), (self.down, "weight_down"), (self.back, "reset"),
         ):  # fmt: skip
@@ -125,7 +124,7 @@ class LandmarkTools:
         return widgets.HBox(parts, layout=_wrapped())
 
     def _shown(self) -> widgets.Widget:
-        """The bar below the picture: what is drawn over it."""
+        """The toolbar below the picture: layers drawn over it."""
         self.layers = {
             name: widgets.ToggleButton(
                 value=False, description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto")
@@ -145,7 +144,7 @@ class LandmarkTools:
         )  # fmt: skip
         self.unit.observe(self._on_unit, "value")
         self.scale = widgets.BoundedFloatText(
-            0.0, min=0.0, max=1000.0, step=1.0, tooltip="end of the colour scale; 0 chooses it",
+            0.0, min=0.0, max=1000.0, step=1.0, tooltip="end of the colour scale; 0: automatic",
             layout=widgets.Layout(width="42px"),
         )  # fmt: skip
         widgets.link((self.scale, "value"), (self.view, "scale_max"))
@@ -183,7 +182,7 @@ class LandmarkTools:
             session.put_back(self.frame, points)
 
     def _gesture(self, event: OverlayEvent) -> Gesture:
-        """A drop that follows a drag ends it; one by itself is an arrow key."""
+        """A drop after a drag ends the drag; a drop alone is an arrow key."""
         name = f"move {self.frame} {event.points[0]}"
         if event.kind == "drag" and not self._dragging:
             self._drags, self._dragging = self._drags + 1, True

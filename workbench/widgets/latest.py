@@ -1,4 +1,4 @@
-"""Latest wins: one worker thread, one waiting request, the newest replaces an older one."""
+"""Latest wins: one worker thread and at most one waiting request, replaced by any newer one."""
 
 import threading
 from collections.abc import Callable
@@ -8,10 +8,10 @@ Request = TypeVar("Request")
 
 
 class LatestWins(Generic[Request]):
-    """Runs `work(request)` in a thread of its own; of requests that come meanwhile only the newest is kept.
+    """Runs `work(request)` in its own thread; of requests that arrive while it runs only the latest is kept.
 
-    A widget's callback hands over and returns at once, so that a slow fit neither queues up nor holds the kernel.
-    Exceptions of `work` go to `failed` and do not end the thread.
+    A widget's callback submits a request and returns at once, so that slow fits neither queue up nor block the kernel.
+    Exceptions from `work` go to `failed` and do not end the thread.
     """
 
     def __init__(
@@ -26,32 +26,32 @@ class LatestWins(Generic[Request]):
         self._thread.start()
 
     def submit(self, request: Request) -> None:
-        """Ask for `work(request)`; replaces a request that still waits."""
+        """Request `work(request)`; replaces a request that is still waiting."""
         with self._changed:
             self._waiting = [request]
             self._changed.notify_all()
 
     @property
     def waiting(self) -> int:
-        """Requests that wait: 0 or 1."""
+        """Number of waiting requests: 0 or 1."""
         return len(self._waiting)
 
     def newer(self) -> bool:
-        """Whether a newer request waits: long work may stop for it."""
+        """Whether a newer request is waiting, so that long work may stop."""
         return bool(self._waiting) or self._closed
 
     def wait_newer(self, timeout_s: float | int) -> bool:
-        """Called by the work itself: wait for a newer request; False if none comes in that time."""
+        """For use inside `work`: wait for a newer request; False if none arrives in time."""
         with self._changed:
             return self._changed.wait_for(self.newer, timeout_s)
 
     def wait_idle(self, timeout_s: float | int = 30.0) -> bool:
-        """Wait until nothing waits or runs; False if that takes longer."""
+        """Wait until nothing is waiting or running; False if that takes longer."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._waiting and not self._busy, timeout_s)
 
     def close(self) -> None:
-        """End the thread after the work in hand; closing twice is fine."""
+        """End the thread after the current work; closing twice is fine."""
         with self._changed:
             self._closed, self._waiting = True, []
             self._changed.notify_all()

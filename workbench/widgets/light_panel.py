@@ -1,4 +1,4 @@
-"""A lamp to move around a rendered head, and the nine numbers per colour that the lamp is."""
+"""A lamp to move around a rendered head, and the nine coefficients per colour that represent it."""
 
 import html
 import threading
@@ -21,22 +21,22 @@ from workbench.widgets.playground import Number, jpeg
 
 Light = Float[np.ndarray, "9 3"]
 SIDE_PX, BALL_PX, MARGIN_PX = 320, 180, 20
-"""Height of the picture, the ball beside it and the space around the ball."""
+"""Height of the picture, size of the ball next to it and margin around the ball."""
 BALL_ALBEDO, GROUND = 0.7, 0.2
-"""A white ball would be overexposed by a light that suits a face."""
+"""Below 1, because light that suits a face would overexpose a white ball."""
 FUNCTIONS = ("1", "y", "z", "x", "xy", "yz", "3z²−1", "xz", "x²−y²")
-"""What the nine functions are, up to a factor."""
+"""The nine basis functions, up to a factor."""
 LARGEST = 6.0
-"""Range of a coefficient's slider: the brightest lamp with the brightest ambient light has 5.3 on the first."""
+"""Range of a coefficient's slider: the brightest lamp and ambient light together give 5.3 on the first."""
 WIDTH = "700px"
 START = {"azimuth": -35, "elevation": 35, "lamp": 0.6, "ambient": 0.45}
 
 
 def lamp_light(azimuth: Number, elevation: Number, lamp: Number, ambient: Number) -> Light:
-    """Light of a distant lamp and from everywhere alike.
+    """Light of a distant lamp plus uniform ambient light.
 
-    Angles in degrees as seen from the head: `azimuth` 0 is the camera's side, positive the image's right, ±180 behind
-    the head; `elevation` is positive above. A surface that faces the lamp shows its albedo times `lamp` + `ambient`.
+    Angles in degrees as seen from the head: `azimuth` 0 is towards the camera, positive towards image right, ±180
+    behind the head; `elevation` is positive above. A surface facing the lamp shows its albedo times `lamp` + `ambient`.
     """
     side, rise = np.radians([azimuth, elevation])
     direction = np.cos(rise) * np.sin(side), -np.sin(rise), -np.cos(rise) * np.cos(side)
@@ -44,7 +44,7 @@ def lamp_light(azimuth: Number, elevation: Number, lamp: Number, ambient: Number
 
 
 def lit_ball(light: Light, side: int) -> UInt8[np.ndarray, "s s 3"]:
-    """A light grey matte ball under the light, on dark grey: what the light does to each direction."""
+    """A light grey matte ball under the light, on dark grey: the irradiance for each direction."""
     normals = ball_normals(side)
     functions = np.stack(spherical_harmonics(*np.moveaxis(normals, -1, 0)), axis=-1)
     return as_picture(np.where(np.isfinite(normals), BALL_ALBEDO * (LAMBERT * functions) @ light, GROUND))
@@ -53,9 +53,9 @@ def lit_ball(light: Light, side: int) -> UInt8[np.ndarray, "s s 3"]:
 class LightPanel(widgets.VBox):
     """Sliders for a lamp and for its nine coefficients: every move calls `draw` with the light and shows the picture.
 
-    The lamp sets the coefficients; a coefficient that is moved by itself leaves the lamp. `draw` takes the light and
-    returns colours of 0 to 1; it is called with `COMPUTING` held, from whatever thread a slider moves in. `light`
-    holds what is shown.
+    The lamp sets the coefficients; moving a single coefficient does not change the lamp. `draw` takes the light and
+    returns colours from 0 to 1; it is called with `COMPUTING` held, from the thread in which a slider moves. `light`
+    is the light shown.
     """
 
     def __init__(self, draw: Callable[[Light], Float[AnyArray, "h w 3"]]) -> None:
@@ -89,7 +89,7 @@ class LightPanel(widgets.VBox):
         return f"LightPanel({[round(slider.value, 2) for slider in self.coefficients]})"
 
     def use(self, light: Light) -> None:
-        """Show this light; the coefficients' sliders stand at its mean over the colours."""
+        """Show this light; the coefficient sliders show its mean over the colours."""
         with self._lock:
             self._place(light.mean(axis=1))
             self._show(light)
@@ -106,7 +106,7 @@ class LightPanel(widgets.VBox):
                 self._show(np.repeat(values[:, None], 3, axis=1))
 
     def _place(self, values: Float[np.ndarray, "9"]) -> None:
-        self._quiet = True  # one picture for the light, not one for each slider that it moves
+        self._quiet = True  # one picture for the light, not one per slider that it moves
         try:
             for slider, value in zip(self.coefficients, values, strict=True):
                 slider.value = float(value)
@@ -129,7 +129,7 @@ class LightPanel(widgets.VBox):
 
 
 def _beside(ball: UInt8[np.ndarray, "s s 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    """The ball in the middle of a column as high as the picture."""
+    """The ball centred in a column as high as the picture."""
     column = np.full((SIDE_PX, BALL_PX + 2 * MARGIN_PX, 3), round(255 * GROUND), np.uint8)
     top = (SIDE_PX - BALL_PX) // 2
     column[top : top + BALL_PX, MARGIN_PX : MARGIN_PX + BALL_PX] = ball
@@ -147,8 +147,8 @@ def _lamp_sliders() -> dict[str, widgets.Widget]:
     return {
         "azimuth": slider(whole, "azimuth", "from the side, °", -180, 180, 5, "0: from the camera; 90: image right"),
         "elevation": slider(whole, "elevation", "from above, °", -90, 90, 5, "90: from the ceiling; −90: from below"),
-        "lamp": slider(real, "lamp", "lamp", 0, 2, 0.05, "what a white surface that faces the lamp gets from it"),
-        "ambient": slider(real, "ambient", "ambient", 0, 1, 0.05, "what comes from everywhere alike"),
+        "lamp": slider(real, "lamp", "lamp", 0, 2, 0.05, "brightness of a white surface facing the lamp"),
+        "ambient": slider(real, "ambient", "ambient", 0, 1, 0.05, "uniform light from all directions"),
     }
 
 

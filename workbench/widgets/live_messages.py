@@ -1,4 +1,4 @@
-"""Sentences over the picture of a live view: what to do, what goes on, what went wrong."""
+"""Messages over the picture of a live view: instructions, status and errors."""
 
 from collections.abc import Callable
 
@@ -7,37 +7,37 @@ from workbench.session.live import LiveSession
 from workbench.widgets.live_view import LiveView
 from workbench.widgets.status_line import error_text
 
-WELCOME = "Press start. The pictures go from the browser to the kernel and nowhere else."
+WELCOME = "Press start. Pictures go from the browser to the kernel and nowhere else."
 STOPPED = "Stopped; the camera is off."
 READYING = "Getting ready …"
 NEUTRAL = "Look into the camera with a neutral face: mouth closed, brows at rest …"
 
 
 class LiveMessages:
-    """One sentence at a time over a view; may be set from any thread."""
+    """One message at a time over a view; may be set from any thread."""
 
     def __init__(self, view: LiveView) -> None:
         self._view = view
 
     def say(self, text: str, wrong: bool = False) -> None:
-        """Show a sentence; an empty one takes it away."""
+        """Show a message; an empty one removes it."""
         with self._view.hold_sync():
             self._view.message, self._view.alert = text, wrong
 
     def failed(self, error: Exception) -> None:
-        """Show an error, as of a thread that has nobody to raise to."""
+        """Show an error, for example from a thread that cannot raise it to a caller."""
         self.say(error_text(error), wrong=True)
 
     def guarded(self, act: Callable[..., object], *arguments: object) -> None:
-        """Do something that the user asked for; if it is refused or cannot be written, show why."""
+        """Run an action requested by the user; if it is refused or cannot be written, show why."""
         try:
             act(*arguments)
         except WorkbenchError as error:
             self.failed(error)
         except OSError as error:
-            self.say(f"That could not be written ({error}); name another folder.", wrong=True)
+            self.say(f"Writing failed ({error}); choose another folder.", wrong=True)
 
     def waited(self, session: LiveSession) -> None:
-        """Take the sentence away if what it asked the user to wait for has come."""
+        """Remove the message if the user no longer has to wait."""
         if self._view.message == READYING or (self._view.message == NEUTRAL and session.gathering is None):
             self.say("")

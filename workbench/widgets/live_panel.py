@@ -1,4 +1,4 @@
-"""The live panel: a camera, the landmarks on its picture, the moving avatar, and every knob while it runs."""
+"""The live panel: a camera, the landmarks on its picture, the animated avatar, and knobs that work while it runs."""
 
 import threading
 from pathlib import Path
@@ -26,16 +26,16 @@ from workbench.widgets.record_bar import NOT_STARTED, RecordBar
 from workbench.widgets.slow_jobs import SlowJobs
 
 FORSAKEN_S = 150.0
-"""The kernel's camera stops when no page has been heard of for so long."""
+"""The kernel's camera stops after this time without a message from any page."""
 
 
 class LivePanel(widgets.VBox):
-    """Follows a face before a camera and fits every frame; show it with `LivePanel()` and press start.
+    """Tracks a face in front of a camera and fits every frame; show it with `LivePanel()` and press start.
 
     `camera`: None for the browser's camera, a number or a video file for one of the kernel's, or a `FrameSource`.
-    Frames are dropped rather than queued: of those that come during a fit only the newest counts. All work is done in
-    one thread, so cells can run meanwhile. `fit` is the newest fit, `track` the last recording. Raises `InputError`
-    for a video that does not exist and for a configuration of Deep Energies.
+    Frames are dropped rather than queued: of those that arrive during a fit only the latest counts. All work is done
+    in one thread, so cells can still run. `fit` is the latest fit, `track` the last recording. Raises `InputError` for
+    a video that does not exist and for a Deep Energies configuration.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class LivePanel(widgets.VBox):
         config: Config | None = None,
         height_px: int = 372,
     ) -> None:
-        self._closed = True  # nothing to free until all is there
+        self._closed = True  # nothing to free until everything is built
         model = load_default_head() if model is None else model
         self.session = LiveSession(model, config)
         self.fit: FrameFit | None = None
@@ -100,7 +100,7 @@ class LivePanel(widgets.VBox):
             self.view.running = True
 
     def stop(self) -> None:
-        """Switch the camera off; a recording that is going on is kept."""
+        """Switch the camera off; a recording in progress is kept."""
         with self._lock:
             if not self.running:
                 return
@@ -109,7 +109,7 @@ class LivePanel(widgets.VBox):
             self.say(STOPPED)
 
     def calibrate(self) -> None:
-        """Take the next frames as a neutral face."""
+        """Treat the next frames as a neutral face."""
         if not self.running:
             self.say(NOT_STARTED, wrong=True)
             return
@@ -117,14 +117,14 @@ class LivePanel(widgets.VBox):
         self.say(NEUTRAL)
 
     def record(self, on: bool = True) -> None:
-        """Begin or end a recording."""
+        """Start or stop a recording."""
         self.record_button.value = on
 
     def save(self, folder: str | Path, overwrite: bool = False) -> Path:
         """Write the last recording into a folder: track.npz, and clip.mp4 if pictures were kept; the track's path.
 
-        Raises `InputError` if there is none, and `OutputError` for a folder that holds a track or clip already,
-        unless told to `overwrite`.
+        Raises `InputError` if there is none, and `OutputError` for a folder that already contains a track or clip,
+        unless `overwrite` is set.
         """
         return self._recording.last.save(folder, overwrite)
 
@@ -137,7 +137,7 @@ class LivePanel(widgets.VBox):
         self.controls.by_path[path].turn(value)
 
     def close(self) -> None:
-        """Switch the camera off, end the threads and free the views."""
+        """Switch the camera off, stop the threads and free the views."""
         if self._closed:
             return
         self.stop()
@@ -223,7 +223,7 @@ class LivePanel(widgets.VBox):
             self.stop()
 
     def _tell(self) -> None:
-        """Say what the user waits for, and now and then how it goes."""
+        """Tell the user what they are waiting for, and update the status from time to time."""
         self._messages.waited(self.session)
         if ended := self.session.recording_ended:
             self._recording.end()

@@ -1,4 +1,4 @@
-"""Every knob of a live session, its preset, and the way back."""
+"""The knobs of a live session, its preset, and undo."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,10 +15,10 @@ PAGES = ("ω", "ρ ε", "camera", "points", "a b c")
 
 
 class LiveSettings:
-    """The controls and the buttons over the configuration of a session.
+    """The controls and buttons for the configuration of a session.
 
-    `drag` gives the number of the present drag of a slider; `guarded` is called with what may be refused, `write` with
-    a few words of status.
+    `drag` returns the number of the current slider drag; `guarded` is called with actions that may be refused, `write`
+    with a short status text.
     """
 
     def __init__(
@@ -32,9 +32,9 @@ class LiveSettings:
         self._session, self._drag, self._guarded, self._write, self._quiet = session, drag, guarded, write, False
         self.preset = menu(FACE_IT_PRESETS, "96px", "preset", session.config.preset)
         self.preset.observe(self._on_preset, "value")
-        self.undo = small_button("↶ undo", "take back the last change or calibration")
+        self.undo = small_button("↶ undo", "undo the last change or calibration")
         self.undo.on_click(lambda _button: self._on_undo())
-        self.defaults = small_button("defaults", "back to the settings of the start; undo brings yours back")
+        self.defaults = small_button("defaults", "back to the initial settings; undo brings yours back")
         self.defaults.on_click(lambda _button: guarded(self._use, session.base))
         self.controls = Controls(session.config, self._on_knob, height_px, PAGES)
         self.widgets: tuple[widgets.Widget, ...] = (self.preset, self.undo, self.defaults)
@@ -59,7 +59,7 @@ class LiveSettings:
 
     def _on_undo(self) -> None:
         if not self._session.undo():
-            self._write("nothing to take back")
+            self._write("nothing to undo")
             return
         self._show()
 

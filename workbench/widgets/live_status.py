@@ -1,4 +1,4 @@
-"""How a live session goes, in a line that changes a few times a second."""
+"""The status of a live session, in a line updated a few times per second."""
 
 import time
 
@@ -23,7 +23,7 @@ class LiveStatus(widgets.HTML):
         self.value = f"<code>{text}</code>"
 
     def tell(self, session: LiveSession) -> None:
-        """Say how it goes, unless that was said just now."""
+        """Update the status, unless it was updated a moment ago."""
         if time.monotonic() - self._written < STATUS_S:
             return
         gathering, recording = session.gathering, session.recording

@@ -23,26 +23,26 @@ from workbench.widgets.overlay_view import color_table
 
 LOOKS = ("head", "camera", "expression")
 PIVOT_MM = (0.0, 40.0, 80.0)
-"""Where the head turns about in the view "head": the middle of the skull's base, head frame."""
+"""Pivot of the head in the view "head": the middle of the skull base, head frame."""
 TIMES_KEPT = 300
 MARK_COLUMNS = 6
 NUMBERS_BEFORE_WEIGHTS = 16
 TROUBLES = {
-    "denied": "The browser was not allowed to use the camera; allow it in the address bar (camera symbol), then start.",
+    "denied": "The browser may not use the camera; allow it in the address bar (camera symbol), then start.",
     "absent": "The browser found no camera; plug one in, or use the kernel's camera, then start.",
     "busy": "The browser cannot open the camera because another program uses it; close that program, then start.",
     "ended": "The camera was unplugged or switched off; plug it in again, then start.",
-    "insecure": "Browsers give a camera only to pages from localhost or https; open JupyterLab that way, "
+    "insecure": "Browsers allow cameras only on pages from localhost or https; open JupyterLab that way, "
     "or use the kernel's camera.",
     "silent": "The kernel did not answer for a minute, so the camera was switched off; start it again.",
     "failed": "The browser could not open the camera ({detail}); try another browser or the kernel's camera.",
 }
-"""What a browser can report, as one sentence for the user."""
+"""Problems that a browser can report, each as one sentence for the user."""
 
 LOST_S = 2.0
-"""Time without a frame after which the camera may go to another page."""
+"""Time without a frame after which another page may take the camera."""
 LOST_FRAMES = 60
-"""Pictures that are left out for one that was never confirmed, as after a page was closed."""
+"""Number of pictures skipped while waiting for a confirmation that may never come, as after closing a page."""
 
 
 @dataclass(frozen=True)
@@ -51,25 +51,25 @@ class Shown:
 
     number: int
     milliseconds: float
-    """Since the browser grabbed it, or, for the kernel's camera, since it arrived in the browser."""
+    """Time since the browser grabbed it or, for the kernel's camera, since it arrived in the browser."""
 
 
 class LiveView(anywidget.AnyWidget):
     """Camera in, drawings out. The kernel sends numbers only: pose, weights and landmarks of each frame.
 
-    The morph targets lie in the browser, and so does every frame until its fit comes back. One browser page at a time
-    has the camera: the one that answered first when it was called. Methods may be called from any thread.
+    The browser holds the morph targets, and every frame until its fit arrives. Only one browser page at a time has the
+    camera: the first to answer the request. Methods may be called from any thread.
     """
 
     _esm = browser_program("live/view.js")
     _css = BROWSER / "live" / "view.css"
 
     running = traitlets.Bool(False).tag(sync=True)
-    mirror = traitlets.Bool(True, help="show everything as in a mirror").tag(sync=True)
+    mirror = traitlets.Bool(True, help="show everything mirrored").tag(sync=True)
     looking = traitlets.Enum(LOOKS, "head").tag(sync=True)
     height_px = traitlets.Int(340, min=120).tag(sync=True)
-    message = traitlets.Unicode("", help="a sentence over the picture").tag(sync=True)
-    alert = traitlets.Bool(False, help="the message is about something wrong").tag(sync=True)
+    message = traitlets.Unicode("", help="message over the picture").tag(sync=True)
+    alert = traitlets.Bool(False, help="whether the message reports a problem").tag(sync=True)
     _scheme = traitlets.Dict().tag(sync=True)
     _mesh = traitlets.Dict().tag(sync=True)
     _person = traitlets.Dict().tag(sync=True)
@@ -85,7 +85,7 @@ class LiveView(anywidget.AnyWidget):
         self._on_trouble: Trouble | None = None
         self._on_left: Callable[[], None] | None = None
         self.times: deque[Shown] = deque(maxlen=TIMES_KEPT)
-        """The newest frames that were drawn."""
+        """The latest frames that were drawn."""
         super().__init__(
             height_px=height_px,
             _scheme={"lines": [list(line) for line in POLYLINES], "colors": color_table().tobytes()},
@@ -99,12 +99,12 @@ class LiveView(anywidget.AnyWidget):
 
     @property
     def pages(self) -> int:
-        """Browser pages that show the view."""
+        """Number of browser pages that show the view."""
         return len(self._pages)
 
     @property
     def silence_s(self) -> float:
-        """Seconds since a page that shows the view was heard of; they speak every ten. 0 if none ever did."""
+        """Seconds since the last message from a page with the view; pages send one every ten. 0 before the first."""
         return time.monotonic() - self._heard if self._pages else 0.0
 
     def set_person(self, identity: Float[np.ndarray, "i"]) -> None:
@@ -112,29 +112,29 @@ class LiveView(anywidget.AnyWidget):
         self._person = person_message(self._model, identity)
 
     def open_camera(self, deliver: Deliver, trouble: Trouble) -> None:
-        """Ask the pages that show the view for their camera; the first one that answers is taken."""
+        """Ask the pages that show the view for their camera; the first to answer is used."""
         with self._lock:
             self._on_frame, self._on_trouble, self._page = deliver, trouble, None
         self.send({"kind": "call"})
 
     def close_camera(self) -> None:
-        """Let the camera go."""
+        """Release the camera."""
         with self._lock:
             self._on_frame = self._on_trouble = self._page = None
         self.send({"kind": "close"})
 
     def skip(self, number: int) -> None:
-        """Tell the page that no fit of this frame will come: it may send the next one."""
+        """Tell the page that this frame will not be fitted and that it may send the next one."""
         self.send({"kind": "skip", "number": number})
 
     def on_left(self, callback: Callable[[], None]) -> None:
-        """Call `callback()` when no page shows the view any more."""
+        """Call `callback()` when no page shows the view any longer."""
         self._on_left = callback
 
     def show(self, fit: FrameFit, frame: LiveFrame, milliseconds: float | int, with_picture: bool) -> bool:
         """Send a fit to be drawn, with its picture if the browser does not have it.
 
-        A picture is only sent when the one before has been drawn; False if this one was left out for that.
+        A picture is sent only after the previous one has been drawn; returns False if this one was skipped for that.
         """
         if with_picture:
             with self._lock:
@@ -155,7 +155,7 @@ class LiveView(anywidget.AnyWidget):
         return True
 
     def forget_unseen(self) -> None:
-        """Expect no confirmation of an earlier picture."""
+        """Stop waiting for the confirmation of an earlier picture."""
         with self._lock:
             self._unseen = None
 
@@ -181,7 +181,7 @@ class LiveView(anywidget.AnyWidget):
     def _on_here(self, page: str, silence_s: float) -> None:
         with self._lock:
             self._pages.add(page)
-            # A page that is loaded anew does not say farewell.
+            # A reloaded page does not announce that it leaves.
             wanted = self._on_frame is not None and (self._page in (None, page) or silence_s > LOST_S)
             if wanted:
                 self._page = page
@@ -241,7 +241,7 @@ def pack_fit(fit: FrameFit) -> Float32[np.ndarray, "n"]:
 
 
 def mesh_message(model: FaceModel) -> dict[str, object]:
-    """What never changes: the surface, morph targets in 16 bits, and the portrait's camera."""
+    """The static data: the surface, morph targets in 16 bits, and the portrait's camera."""
     steps = np.maximum(np.abs(model.expression_deltas).max(axis=(1, 2)), 1e-9) / 32767.0
     deltas = np.rint(model.expression_deltas / steps[:, None, None])
     camera, translation = portrait_view(model, (1000, 1000))
@@ -258,7 +258,7 @@ def mesh_message(model: FaceModel) -> dict[str, object]:
 
 
 def person_message(model: FaceModel, identity: Float[np.ndarray, "i"]) -> dict[str, object]:
-    """What changes with the identity: the neutral face, and how far each morph target goes."""
+    """The data that depends on the identity: the neutral face, and the scale of each morph target."""
     personal = model.personal(identity)
     largest = np.maximum(np.abs(model.expression_deltas).max(axis=(1, 2)), 1e-9)
     factors = np.abs(personal.expression_deltas).max(axis=(1, 2)) / largest
@@ -275,7 +275,7 @@ class BrowserCamera:
         self._view = view
 
     def start(self, deliver: Deliver, trouble: Trouble) -> None:
-        """See `FrameSource.start`; a browser that shows the view later is asked then."""
+        """See `FrameSource.start`; a browser that shows the view later is asked at that time."""
         self._view.open_camera(deliver, trouble)
 
     def skipped(self, frame: LiveFrame) -> None:

@@ -1,4 +1,4 @@
-"""Results of infill and refinement beside one another: the curves of every method, and their numbers."""
+"""Comparison of infill and refinement results: the curves and numbers of every method."""
 
 import html
 from collections.abc import Callable, Iterable
@@ -14,11 +14,11 @@ from workbench.widgets.chart_view import COLORS, INK, YELLOW, ChartView
 from workbench.widgets.time_part import BEFORE
 
 ONE_LEGEND = "<style>.fw-methods .fw-chart .fw-top { display: none; }</style>"
-"""The charts of a row share the legend above them."""
+"""Hides the legends of single charts, because all share the one above them."""
 
 
 class Methods(widgets.VBox):
-    """The curves of every method that was run on the same part, one line a method, and their numbers."""
+    """The curves of every method that was run on the same part, one line per method, and their numbers."""
 
     def __init__(self, session: TuningSession, go: Callable[[int], None]) -> None:
         self._session = session
@@ -26,11 +26,11 @@ class Methods(widgets.VBox):
         self.charts = [ChartView(height_px=150, title="") for _ in range(4)]
         first = names.index("jawOpen") if "jawOpen" in names else 0
         turns = [(f"rotation: {name}", name) for name in ANGLES]
-        places = [(f"place: {name}", name) for name in PLACES]
+        places = [(f"position: {name}", name) for name in PLACES]
         options = [(turns, "yaw"), (places, "z"), (names, names[first]), (names, names[-1])]
         self.quantities = [
             widgets.Dropdown(
-                options=choices, value=value, layout=widgets.Layout(width="130px"), tooltip="what is drawn"
+                options=choices, value=value, layout=widgets.Layout(width="130px"), tooltip="quantity to plot"
             )
             for choices, value in options
         ]
@@ -40,7 +40,7 @@ class Methods(widgets.VBox):
             quantity.observe(lambda _change: self._draw(), "value")
         self.shown = widgets.ToggleButtons(
             options=["all", "infill", "refinement"], style={"button_width": "auto"},
-            tooltips=["every result", "results of infill alone", "results with a refinement"],
+            tooltips=["all results", "results of infill only", "results with refinement"],
         )  # fmt: skip
         self.shown.observe(lambda _change: self._draw(), "value")
         self.legend = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 0"))
@@ -61,7 +61,7 @@ class Methods(widgets.VBox):
             chart.cursor = float(frame)
 
     def show(self, part: tuple[int, int] | None = None) -> None:
-        """Show what the session keeps, on a part if there are results for it."""
+        """Show the session's results, on a part if there are results for it."""
         self._part = part
         results = self._session.temporal.comparable(part)
         self.table.value = numbers_html(results)
@@ -105,12 +105,12 @@ def chosen(results: dict[str, Worked], kind: str) -> dict[str, Worked]:
 
 
 def colors_of(results: Iterable[str]) -> dict[str, str]:
-    """A colour a method, the same in every chart; the fits of single frames in the ink of the page."""
+    """One colour per method, the same in every chart; single-frame fits are in the page's text colour."""
     return {BEFORE: INK} | {name: LINES[k % len(LINES)] for k, name in enumerate(results)}
 
 
 def legend_html(names: Iterable[str], colors: dict[str, str]) -> str:
-    """What the lines are, for all charts."""
+    """The legend for all charts, as HTML."""
     line = "<i style='display:inline-block;width:16px;border-top:2px solid {};margin:0 4px 3px 10px'></i>{}"
     inks = {name: "currentColor" if color == INK else color for name, color in colors.items()}
     keys = [line.format(inks[name], html.escape(name)) for name in (BEFORE, *names)]
@@ -118,7 +118,7 @@ def legend_html(names: Iterable[str], colors: dict[str, str]) -> str:
 
 
 def longest_gap(worked: Worked) -> tuple[float, float] | None:
-    """First and last frame of the longest part that was filled, with half a frame on each side."""
+    """First and last frame of the longest filled part, extended by half a frame on each side."""
     parts = parts_of(worked.filled)
     if not parts:
         return None
@@ -130,7 +130,7 @@ def numbers_html(results: dict[str, Worked]) -> str:
     """The numbers of every result as a table."""
     if not results:
         return (
-            "<span style='opacity:.7'>Nothing to compare yet: on the page <b>time</b> beside the picture, "
+            "<span style='opacity:.7'>Nothing to compare yet: on the page <b>time</b> next to the picture, "
             "<i>run</i> a method, or <i>compare all</i>.</span>"
         )
 
@@ -146,16 +146,16 @@ def numbers_html(results: dict[str, Worked]) -> str:
         rows.append(f"<tr><td>{html.escape(name)}</td>{''.join(cells)}</tr>")
     head = (
         "<tr><th>method</th><th>filled</th><th title='mean second difference of the rotation'>jitter, °</th>"
-        "<th title='against the landmarks, filled frames left out'>error, %</th>"
-        "<th title='filled frames against landmarks that were hidden from infill'>error of filled, %</th>"
+        "<th title='landmark error without filled frames'>error, %</th>"
+        "<th title='error of filled frames to landmarks that infill did not use'>error of filled, %</th>"
         "<th>seconds</th></tr>"
     )
     return f"<table>{head}{''.join(rows)}</table>"
 
 
 LINES = (*(color for color in COLORS if color not in (INK, YELLOW)), "#9467d6")
-"""A purple stands for the yellow, which is lost on a white page."""
+"""Purple replaces yellow, which is hard to see on a white page."""
 COLUMNS = (
     ("filled", ".0f"), ("jitter_deg", ".3f"), ("error_percent", ".2f"), ("hidden_percent", ".2f"), ("seconds", ".1f")
 )  # fmt: skip
-"""Numbers of a result and how they are written."""
+"""The numbers of a result and their format."""

@@ -1,4 +1,4 @@
-"""A chooser for what to tune on: samples, or a path typed in; the panel appears under it."""
+"""A chooser of material to tune on: samples or a typed path; the panel appears below it."""
 
 import html
 from collections.abc import Callable
@@ -23,7 +23,7 @@ PATH_HINT = f"photo, clip, folder, track.npz or landmark file ({' '.join(SUFFIXE
 
 @dataclass(frozen=True)
 class Wanted:
-    """What the chooser is asked to open."""
+    """A request to open material."""
 
     path: Path
     landmarks: Path | None = None
@@ -31,11 +31,11 @@ class Wanted:
 
 
 class _SupersededError(Exception):
-    """Something else was chosen meanwhile."""
+    """Raised when a newer choice replaces this one."""
 
 
 def sample_choices() -> dict[str, Wanted]:
-    """The bundled material by the text of its button."""
+    """The bundled material, by button label."""
     known_lens = preset(DEFAULT_PRESET).changed(camera={"fov_deg": 33.0})
     return {
         "sample portrait": Wanted(sample("astronaut"), sample("astronaut-landmarks")),
@@ -45,10 +45,11 @@ def sample_choices() -> dict[str, Wanted]:
 
 
 class SessionOpener(widgets.VBox):
-    """Opens a session from a sample or a path and shows `make_panel(session)` under the chooser.
+    """Opens a session from a sample or a path and shows `make_panel(session)` below the chooser.
 
-    Opening runs in a thread of its own; a newer choice ends an older one, and the panel before is closed. Errors are
-    one sentence under the chooser and leave what is open. `session` and `panel` are None until something is open.
+    Opening runs in its own thread; a newer choice cancels an older one, and the previous panel is closed. An error is
+    shown as one sentence below the chooser and leaves the open panel. `session` and `panel` are None until something
+    is open.
     """
 
     def __init__(self, make_panel: Callable[[TuningSession], widgets.Widget] = TuningPanel) -> None:
@@ -56,13 +57,15 @@ class SessionOpener(widgets.VBox):
         self.panel: widgets.Widget | None = None
         self._make_panel = make_panel
         self._worker: LatestWins[Wanted] = LatestWins(self._open, self._failed, "session-opener")
-        # A panel that still gets ready takes seconds to close; nobody shall wait for that.
+        # A panel that is still getting ready takes seconds to close, so that is done in the background.
         self._closer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="opener-close")
         self.samples = {text: small_button(text, "opens at once") for text in sample_choices()}
         for text, button in self.samples.items():
             button.on_click(lambda _button, text=text: self.open_sample(text))
         self.path = _text(PATH_HINT, "a file or folder on the computer where Python runs", "300px")
-        self.landmarks = _text("landmark file (optional)", "landmarks of the pictures: no detector runs", "170px")
+        self.landmarks = _text(
+            "landmark file (optional)", "landmarks of the pictures, used instead of a detector", "170px"
+        )
         self.open_button = small_button("Open", "open this path", "primary")
         self.open_button.on_click(lambda _button: self._on_open())
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="140px", display="none"))
@@ -75,7 +78,7 @@ class SessionOpener(widgets.VBox):
         return f"SessionOpener({self.session!r})"
 
     def open_sample(self, text: str) -> None:
-        """Open bundled material by the text of its button."""
+        """Open bundled material by its button label."""
         self._worker.submit(sample_choices()[text])
 
     def open_path(self, path: str | Path, landmarks: str | Path | None = None) -> None:
@@ -83,11 +86,11 @@ class SessionOpener(widgets.VBox):
         self._worker.submit(Wanted(_path(path), None if landmarks is None else _path(landmarks)))
 
     def wait_idle(self, timeout_s: float = 120.0) -> bool:
-        """Wait until what was asked for is open, or failed; False if that takes longer."""
+        """Wait until the last request is open or has failed; False if that takes longer."""
         return self._worker.wait_idle(timeout_s)
 
     def close(self) -> None:
-        """Close the panel and end the threads."""
+        """Close the panel and stop the threads."""
         self._worker.close()
         self._closer.shutdown(wait=True)
         if self.panel is not None:
@@ -140,7 +143,7 @@ class SessionOpener(widgets.VBox):
 
 
 def _path(text: str | Path) -> Path:
-    """A path as users paste it: with quotes, blanks around it, or ~."""
+    """A path as users paste it: possibly with quotes, surrounding blanks or ~."""
     return Path(str(text).strip().strip("'\"")).expanduser()
 
 

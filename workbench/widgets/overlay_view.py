@@ -1,4 +1,4 @@
-"""The frame with its landmarks: residuals in colour, hovering, selecting, and moving detections by hand."""
+"""The frame with its landmarks: coloured residuals, hovering, selecting, and moving detections by hand."""
 
 import logging
 import math
@@ -19,11 +19,11 @@ from workbench.widgets.browser_program import BROWSER, browser_program
 
 JPEG_QUALITY = 88
 LARGEST_SIDE = 2560
-"""Longer pictures are sent reduced to this; landmarks stay in the pixels of the original."""
+"""Larger pictures are reduced to this side before sending; landmarks stay in pixels of the original."""
 SMALLEST_SCALE = 0.5
-"""The automatic colour scale ends here at the lowest: a good fit must not look like a bad one."""
+"""Smallest end of the automatic colour scale, so that a good fit does not look like a bad one."""
 CALM_STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-"""Automatic scales end at one of these times a power of ten, so that they hardly change from frame to frame."""
+"""Automatic scales end at one of these values times a power of ten, so that they rarely change between frames."""
 TOOLS = ("select", "lasso", "move")
 KINDS = ("select", "lasso", "mute", "weight_up", "weight_down", "drag", "drop", "reset")
 LAYERS: Mapping[str, bool] = {
@@ -36,21 +36,21 @@ LAYERS: Mapping[str, bool] = {
     "layer": True,
     "heat": True,
 }
-"""What is drawn at first; the wireframe and the picture layers appear when they are set."""
+"""Layers shown initially; the wireframe and the picture layers appear when they are set."""
 FINE_GROUPS = (
     *("jaw", "right_brow", "left_brow", "nose_bridge", "nose_base"),
     *("right_eye", "left_eye", "outer_lips", "inner_lips"),
 )
-"""Groups that do not overlap and together hold every point."""
+"""Groups that do not overlap and together contain every point."""
 
 
 @dataclass(frozen=True)
 class OverlayEvent:
-    """What the user did in an `OverlayView`; `points` are landmark indices, `x` and `y` picture pixels.
+    """A user action in an `OverlayView`; `points` are landmark indices, `x` and `y` picture pixels.
 
     "select" and "lasso" carry the new selection; "mute" (toggle), "weight_up" (double), "weight_down" (halve) and
-    "reset" (back to the detector's place) the selection they are meant for; "drag" (while the mouse moves) and
-    "drop" (the end of it, or an arrow key) one landmark and its new place.
+    "reset" (back to the detected position) carry the selection they apply to; "drag" (while the mouse moves) and
+    "drop" (at its end, or after an arrow key) carry one landmark and its new position.
     """
 
     kind: str
@@ -60,7 +60,7 @@ class OverlayEvent:
 
 
 def automatic_scale(values: Num[np.ndarray, "..."]) -> float:
-    """Upper end of a colour scale: the 95th percentile of the finite values, rounded up to a calm number."""
+    """Upper end of a colour scale: the 95th percentile of the finite values, rounded up to one of `CALM_STEPS`."""
     finite = values[np.isfinite(values)]
     wanted = max(float(np.percentile(finite, 95)), SMALLEST_SCALE) if finite.size else SMALLEST_SCALE
     decade = 10.0 ** math.floor(math.log10(wanted))
@@ -68,12 +68,12 @@ def automatic_scale(values: Num[np.ndarray, "..."]) -> float:
 
 
 def color_table() -> UInt8[np.ndarray, "256 3"]:
-    """The colours of residuals from 0 to the end of the scale: the viridis of the drawn overlays."""
+    """The colours of residuals from 0 to the end of the scale: viridis, as in the drawn overlays."""
     return np.array(residual_colors(np.linspace(0.0, WORST_PERCENT, 256)), np.uint8)
 
 
 def point_groups() -> list[str]:
-    """For every landmark the name of its smallest group, as words."""
+    """The name of each landmark's smallest group, with spaces."""
     names = {index: group.replace("_", " ") for group in FINE_GROUPS for index in GROUPS[group]}
     return [names[index] for index in range(POINT_COUNT)]
 
@@ -92,8 +92,8 @@ def fit_table(
 ) -> Float[np.ndarray, "68 8"]:
     """One row per landmark: observed x, y; model x, y; value shown; distance, px; confidence; weight.
 
-    Points are (68, 2), px, the others (68,). Without a model the model's columns are NaN, without values they are the
-    distances, without confidence or weights those are one. Raises `InputError` for another number of landmarks.
+    Points are (68, 2), px, the others (68,). Without a model its columns are NaN; values default to the distances,
+    confidence and weights to 1. Raises `InputError` for another number of landmarks.
     """
     observed = check_68(observed)
     projected = np.full((POINT_COUNT, 2), np.nan) if projected is None else check_68(projected)
@@ -137,16 +137,16 @@ def layer_bytes(rgba: Shaped[np.ndarray, "..."] | None) -> bytes:
     if rgba is None:
         return b""
     if rgba.ndim != 3 or rgba.shape[2] != 4 or rgba.dtype != np.uint8:
-        raise InputError(f"a layer is uint8 of shape (h, w, 4); got {rgba.dtype} of shape {rgba.shape}")
+        raise InputError(f"a layer must be uint8 of shape (h, w, 4); got {rgba.dtype} of shape {rgba.shape}")
     pixels = cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA)
     return cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
 class OverlayView(anywidget.AnyWidget):
-    """A picture with landmarks over it, to look at and to edit.
+    """A picture with landmarks over it, to inspect and edit.
 
-    Everything between two clicks happens in the browser: hovering, zooming, dragging. What the user did arrives at
-    the callbacks of `on_event`. Setters may be called from any thread; arrays that are set are not kept.
+    Hovering, zooming and dragging are handled in the browser. User actions are reported to the callbacks of
+    `on_event`. Setters may be called from any thread; they do not keep the arrays passed in.
     """
 
     _esm = browser_program("overlay/view.js")
@@ -154,15 +154,15 @@ class OverlayView(anywidget.AnyWidget):
 
     layers = traitlets.Dict(key_trait=traitlets.Enum(tuple(LAYERS)), value_trait=traitlets.Bool()).tag(sync=True)
     layer_opacity = traitlets.Float(0.6, min=0.0, max=1.0).tag(sync=True)
-    scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0 chooses it").tag(sync=True)
-    unit = traitlets.Unicode("px", help="of the residuals").tag(sync=True)
+    scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0: automatic").tag(sync=True)
+    unit = traitlets.Unicode("px", help="unit of the residuals").tag(sync=True)
     selection = traitlets.List(traitlets.Int(min=0, max=POINT_COUNT - 1)).tag(sync=True)
     subset = traitlets.List(traitlets.Int(min=0, max=POINT_COUNT - 1)).tag(sync=True)
     tool = traitlets.Enum(TOOLS, "select").tag(sync=True)
-    message = traitlets.Unicode("", help="shown over the picture").tag(sync=True)
+    message = traitlets.Unicode("", help="message over the picture").tag(sync=True)
     webgl = traitlets.Bool(None, allow_none=True, help="WebGL2 in the browser; None until shown").tag(sync=True)
     height_px = traitlets.Int(420, min=80).tag(sync=True)
-    at_face = traitlets.Bool(False, help="show the face at first, not the whole picture").tag(sync=True)
+    at_face = traitlets.Bool(False, help="start zoomed to the face, not the whole picture").tag(sync=True)
     _picture = traitlets.Bytes(b"").tag(sync=True)
     _size = traitlets.List(traitlets.Int(), [0, 0]).tag(sync=True)
     _layer = traitlets.Bytes(b"").tag(sync=True)
@@ -170,7 +170,7 @@ class OverlayView(anywidget.AnyWidget):
     _wire = traitlets.Bytes(b"").tag(sync=True)
     _fit = traitlets.Bytes(b"").tag(sync=True)
     _no_face = traitlets.Bool(False).tag(sync=True)
-    # Counts the fits: one that equals the last must still reach a browser where a landmark has been moved.
+    # Counts the fits: one equal to the last must still reach a browser in which a landmark has been moved.
     _fits = traitlets.Int(0).tag(sync=True)
     _scale = traitlets.Float(SMALLEST_SCALE).tag(sync=True)
     _scheme = traitlets.Dict().tag(sync=True)
@@ -193,7 +193,7 @@ class OverlayView(anywidget.AnyWidget):
 
     @property
     def muted(self) -> tuple[int, ...]:
-        """Landmarks whose weight is zero: drawn hollow, grey and crossed."""
+        """Landmarks with weight zero, drawn hollow, grey and crossed out."""
         rows = self._rows
         return () if rows is None else tuple(np.flatnonzero(rows[:, 7] == 0).tolist())
 
@@ -203,9 +203,9 @@ class OverlayView(anywidget.AnyWidget):
         return self._scale
 
     def set_picture(self, rgb: Shaped[np.ndarray, "..."]) -> None:
-        """Show an RGB picture, uint8 (h, w, 3); the same array object again sends nothing."""
+        """Show an RGB picture, uint8 (h, w, 3); setting the same array object again sends nothing."""
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
-            raise InputError(f"a picture is uint8 of shape (h, w, 3); got {rgb.dtype} of shape {rgb.shape}")
+            raise InputError(f"a picture must be uint8 of shape (h, w, 3); got {rgb.dtype} of shape {rgb.shape}")
         with self._lock:
             if rgb is self._shown:
                 return
@@ -225,7 +225,7 @@ class OverlayView(anywidget.AnyWidget):
     ) -> None:
         """Show detections and model landmarks, (68, 2) px, and residuals (68,) in `unit`, with confidence and weights.
 
-        `observed` None: there is no face, which is said over the picture. The other defaults are those of
+        `observed` None means no face, and a message over the picture says so. The other defaults are those of
         `fit_table`. Raises `InputError` for another number of landmarks.
         """
         rows = None if observed is None else fit_table(observed, projected, values, confidence, weights)
@@ -238,29 +238,29 @@ class OverlayView(anywidget.AnyWidget):
                 self._fits += 1
 
     def set_layer(self, rgba: Shaped[np.ndarray, "..."] | None) -> None:
-        """Lay a picture with transparency, uint8 (h, w, 4), over the whole photo, or take it away; any resolution."""
+        """Lay a transparent picture, uint8 (h, w, 4), of any resolution over the whole photo; None removes it."""
         encoded = layer_bytes(rgba)
         with self._lock:
             self._layer = encoded
 
     def set_heat(self, rgba: Shaped[np.ndarray, "..."] | None) -> None:
-        """As `set_layer`, for a second layer above the first, as `pictures.heat_layer` makes it; always opaque."""
+        """Like `set_layer`, for a second layer above the first, made by `pictures.heat_layer`; always opaque."""
         encoded = layer_bytes(rgba)
         with self._lock:
             self._heat = encoded
 
     def set_wire(self, segments: Num[np.ndarray, "..."] | None) -> None:
-        """Draw line segments, (n, 2, 2): start and end, px; or none; segments that are not finite are left out."""
+        """Draw line segments, (n, 2, 2): start and end, px; None removes them. Non-finite segments are left out."""
         if segments is None:
             segments = np.empty((0, 2, 2))
         if segments.ndim != 3 or segments.shape[1:] != (2, 2):
-            raise InputError(f"segments are an array of shape (n, 2, 2); got shape {segments.shape}")
+            raise InputError(f"segments must have shape (n, 2, 2); got shape {segments.shape}")
         encoded = float_bytes(segments[np.isfinite(segments).all(axis=(1, 2))])
         with self._lock:
             self._wire = encoded
 
     def on_event(self, callback: Callable[[OverlayEvent], object], remove: bool = False) -> None:
-        """Call `callback(event)` for everything the user does; `remove` takes it away again."""
+        """Call `callback(event)` for every user action; `remove` unregisters it."""
         if remove:
             self._callbacks.remove(callback)
         else:
@@ -289,7 +289,7 @@ class OverlayView(anywidget.AnyWidget):
             try:
                 callback(event)
             except Exception as error:
-                # The user sees it where they clicked; the widget goes on.
+                # The user sees the error where they clicked, and the widget continues.
                 self._failed = True
                 self.message = str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}"
                 logging.getLogger(__name__).debug("callback of OverlayView failed", exc_info=True)
@@ -299,5 +299,5 @@ def _per_point(what: str, given: Num[np.ndarray, "..."] | None, otherwise: Float
     if given is None:
         return otherwise
     if np.shape(given) != (POINT_COUNT,):
-        raise InputError(f"{what} are one number for each of the 68 landmarks; got shape {np.shape(given)}")
+        raise InputError(f"{what} must be one number for each of the 68 landmarks; got shape {np.shape(given)}")
     return np.asarray(given, float)

@@ -1,4 +1,4 @@
-"""How a panel looks: its style sheet, lines of controls, columns."""
+"""The layout of a panel: its style sheet, rows of controls, columns."""
 
 import ipywidgets as widgets
 
@@ -17,17 +17,17 @@ STYLE = """<style>
 
 
 def style_sheet() -> widgets.Widget:
-    """The style of everything in a box of the class fw-panel; nothing to see."""
+    """An invisible widget with the style of everything in a box of class fw-panel."""
     return widgets.HTML(STYLE, layout=widgets.Layout(display="none"))
 
 
 def in_line(*parts: widgets.Widget) -> widgets.Widget:
-    """Controls beside one another."""
+    """Controls side by side."""
     return widgets.HBox(parts, layout=widgets.Layout(align_items="center"))
 
 
 def in_columns(*parts: widgets.Widget, last_px: int | None = None) -> widgets.Widget:
-    """Controls, a picture that takes what the others leave, and perhaps a column of a fixed width."""
+    """Controls, a picture that takes the remaining width, and optionally a column of fixed width."""
     last = "" if last_px is None else f" {last_px}px"
     layout = widgets.Layout(
         grid_template_columns=f"{CONTROLS_PX}px minmax(240px, 1fr){last}", grid_gap="6px", width="100%"

@@ -34,7 +34,7 @@ IDLE_S = 30.0
 
 
 class PictureCanvas(anywidget.AnyWidget):
-    """The canvas in the browser: the newest JPEG, and the number of the last mouse movement that is in it."""
+    """The canvas in the browser: the latest JPEG, and the number of the last mouse movement it includes."""
 
     _esm = browser_program("head/pictures.js")
     _jpeg = traitlets.Bytes().tag(sync=True)
@@ -45,16 +45,16 @@ class PictureCanvas(anywidget.AnyWidget):
 
 @dataclass(frozen=True)
 class _Scene:
-    """What the next picture shows."""
+    """The content of the next picture."""
 
     shown: Shown
     viewpoint: Viewpoint
     move: int = 0
-    """Number of the last mouse movement in it."""
+    """Number of the last mouse movement it includes."""
 
 
 class PictureHeadView:
-    """A `HeadView` of pictures. One thread draws the newest state; what changed while it drew is drawn next, once."""
+    """A `HeadView` made of pictures. One thread draws the latest state; changes made while it draws are drawn next."""
 
     def __init__(self, model: FaceModel, size: tuple[int, int], note: str | None = None) -> None:
         self._model, self._size = model, size
@@ -76,7 +76,7 @@ class PictureHeadView:
 
     @property
     def viewpoint(self) -> Viewpoint:
-        """From where the head is looked at."""
+        """The current viewpoint."""
         return self._scene.viewpoint
 
     def set_vertices(self, vertices: Float[np.ndarray, "v 3"]) -> None:
@@ -144,10 +144,10 @@ class PictureHeadView:
         return self._draw(self._scene)
 
     def wait_idle(self, timeout_s: float = IDLE_S) -> None:
-        """Wait until the picture shows the newest state. Raises `WorkbenchError` if that takes longer."""
+        """Wait until the picture shows the latest state. Raises `WorkbenchError` if that takes longer."""
         with self._changed:
             if not self._changed.wait_for(lambda: self._closed or not (self._dirty or self._drawing), timeout_s):
-                raise WorkbenchError(f"The 3D view drew no picture within {timeout_s:g} s; make it smaller.")
+                raise WorkbenchError(f"The 3D view was not drawn within {timeout_s:g} s; make it smaller.")
 
     def close(self) -> None:
         """See `HeadView.close`."""
@@ -188,7 +188,7 @@ class PictureHeadView:
                 state["_jpeg"] = _jpeg(self._draw(scene))
                 self._legend.show(*scene.shown.scale)  # with the picture, not before it
             except Exception as error:
-                # A thread has nobody to raise to; the browser shows it in place of the picture.
+                # A thread cannot raise to a caller, so the browser shows the error in place of the picture.
                 state["_message"] = f"The head could not be drawn: {error}"
             with self.canvas.hold_sync():
                 for name, value in state.items():
@@ -201,10 +201,10 @@ class PictureHeadView:
 
 
 def _moved(viewpoint: Viewpoint, move: dict, model: FaceModel, size: tuple[int, int]) -> Viewpoint:
-    """The viewpoint after a movement in the canvas: pixels of turning and panning, and a zoom factor."""
+    """The viewpoint after a movement in the canvas: rotation and panning in pixels, and a zoom factor."""
     if move["reset"]:
         viewpoint = front_viewpoint(model, size)
-    # Half a turn for the height of the view.
+    # Dragging over the height of the view is half a turn.
     yaw, pitch = (np.pi * float(pixels) / size[1] for pixels in move["turn"])
     return panned(orbited(zoomed(viewpoint, float(move["zoom"])), yaw, pitch), *map(float, move["pan"]))
 

@@ -1,4 +1,4 @@
-"""Layers over the picture that take long to draw: the fitted head, and what the landmark network sees."""
+"""Layers over the picture that are slow to draw: the fitted head, and the view of the landmark network."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ from workbench.widgets.status_line import error_text
 
 
 class PictureLayers:
-    """Draws the wanted layers of a fit into a view, in a thread of its own; `working` says what takes so long.
+    """Draws the selected layers of a fit into a view, in its own thread; `working` shows what is being drawn.
 
     The first picture of the face, and of the network's view, takes many seconds; fits do not wait for it.
     """
@@ -43,7 +43,7 @@ class PictureLayers:
         return self._worker.wait_idle(timeout_s)
 
     def close(self) -> None:
-        """End the thread and the renderer."""
+        """Stop the thread and the renderer."""
         self._worker.close()
         self._close_renderer()
 
@@ -51,7 +51,7 @@ class PictureLayers:
         try:
             for name, what, make, set_layer in (
                 ("layer", "drawing the face …", self._face, self._view.set_layer),
-                ("heat", "looking through the network …", self._heat, self._view.set_heat),
+                ("heat", "computing the network's view …", self._heat, self._view.set_heat),
             ):
                 if self._view.layers[name]:
                     self.working.value = what
@@ -68,7 +68,7 @@ class PictureLayers:
 
     def _face(self, fit: FrameFit) -> np.ndarray | None:
         if not gl_available():
-            self._said("The face layer needs OpenGL; the mesh works without.")
+            self._said("The face layer needs OpenGL; the mesh works without it.")
             return None
         if self._renderer is None or self._renderer.size != fit.image_size:
             self._close_renderer()

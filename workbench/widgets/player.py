@@ -1,4 +1,4 @@
-"""A track played by a head in the notebook: the performer's own, or a character's that it was retargeted to."""
+"""A track played by a head in the notebook: the performer's own, or a character that it was retargeted to."""
 
 import html
 import threading
@@ -26,9 +26,9 @@ HEIGHT_PX = 360
 class AvatarPlayer(widgets.VBox):
     """Play, stop and a slider over the frames; the head can be turned with the mouse while it plays.
 
-    The browser keeps the time; a kernel that cannot follow leaves frames out instead of lagging behind. With
-    `pictures`, the input with its fit stands beside the head. Raises `InputError` for another model than the track's
-    and for a track without frames.
+    The browser keeps the time; a kernel that cannot keep up skips frames instead of lagging behind. With `pictures`,
+    the input with its fit is shown next to the head. Raises `InputError` for a model other than the track's and for a
+    track without frames.
     """
 
     def __init__(
@@ -69,11 +69,11 @@ class AvatarPlayer(widgets.VBox):
         return f"AvatarPlayer({len(self._track)} frames, {self._head.model.name!r})"
 
     def wait_idle(self, timeout_s: float | int = 30.0) -> bool:
-        """Wait until the newest frame is shown; False if that takes longer."""
+        """Wait until the latest frame is shown; False if that takes longer."""
         return self._worker.wait_idle(timeout_s)
 
     def close(self) -> None:
-        """Stop, and free the view behind it."""
+        """Stop playing and free the view."""
         for part in (self._worker, self.view):
             if part is not None:
                 part.close()
@@ -93,12 +93,12 @@ class AvatarPlayer(widgets.VBox):
             self.status.value = f"<code>frame {fit.index} &nbsp; {angles}</code>"
 
     def _failed(self, error: Exception) -> None:
-        # A thread has nobody to raise to.
+        # A thread cannot raise to a caller.
         self.status.value = f"<b style='color:#b3261e'>{html.escape(str(error))}</b>"
 
 
 def _low(picture: np.ndarray, height: int) -> np.ndarray:
-    """The picture with this height, or as it is if it is lower."""
+    """The picture reduced to this height; unchanged if it is lower."""
     scale = height / picture.shape[0]
     if scale >= 1.0:
         return picture

@@ -1,4 +1,4 @@
-"""A photo, a few sliders, and a fit that follows them at once."""
+"""A photo, a few sliders, and a fit that follows them immediately."""
 
 import html
 import threading
@@ -25,7 +25,7 @@ Number = float | int
 
 
 def adjusted(config: Config, sigma_smooth: float, rho: int, epsilon: int, jaw: float, fov_deg: float) -> Config:
-    """The configuration with the numbers of the sliders in it.
+    """The configuration with the values of the sliders.
 
     `rho` limits the stages that free only the pose, `epsilon` those that free weights. `jaw` multiplies the landmark
     weight of the jaw contour, in every stage and in the calibration of the identity.
@@ -48,7 +48,7 @@ def adjusted(config: Config, sigma_smooth: float, rho: int, epsilon: int, jaw: f
 
 
 def start_values(config: Config) -> dict[str, Number]:
-    """Where the sliders stand for an unchanged configuration."""
+    """The slider values of an unchanged configuration."""
     limits = {"expression" in stage.free: stage.limit for stage in config.stages}
     return {
         "sigma_smooth": config.weights.sigma_smooth,
@@ -66,10 +66,10 @@ def jpeg(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
 
 
 class FitPlayground(widgets.VBox):
-    """Sliders on one photo: every move fits it again and shows the overlay, the head in 3D and the error.
+    """Sliders on one photo: every move re-fits it and shows the overlay, the 3D head and the error.
 
-    Callbacks may come from any thread, as in JupyterLab: one lock guards the tracker, and the head is drawn in a
-    thread of its own. `fit` and `config` hold the latest result.
+    Callbacks may come from any thread, as in JupyterLab: one lock guards the tracker, and the head is drawn in its own
+    thread. `fit` and `config` hold the latest result.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class FitPlayground(widgets.VBox):
         return f"FitPlayground({self.preset.value!r}, {self._model.name!r})"
 
     def refit(self) -> FrameFit | None:
-        """Fit with the sliders as they stand and show it; shows why and returns None if the numbers cannot be used."""
+        """Fit with the current slider values and show the result; for unusable values, show why and return None."""
         with self._lock:
             try:
                 values = {name: slider.value for name, slider in self.sliders.items()}
@@ -125,12 +125,12 @@ class FitPlayground(widgets.VBox):
             return self.fit
 
     def close(self) -> None:
-        """Close the widget and the renderer behind it."""
+        """Close the widget and its renderer."""
         self._panel.painter.close()
         super().close()
 
     def _draw(self, fit: FrameFit) -> UInt8[np.ndarray, "h w 3"]:
-        head = self._panel.submit(fit)  # drawn while the overlay is
+        head = self._panel.submit(fit)  # drawn in parallel with the overlay
         overlay = draw_overlay(*close_up(self._picture, fit, SIDE_PX), parts=PARTS)
         return side_by_side(overlay, head.result()[0])
 
@@ -141,7 +141,7 @@ class FitPlayground(widgets.VBox):
     def _on_preset(self, change) -> None:
         with self._lock:
             self._base = preset(change["new"])
-            self._quiet = True  # one fit for the preset, not one for each slider that it moves
+            self._quiet = True  # one fit for the preset, not one per slider that it moves
             try:
                 for name, value in start_values(self._base).items():
                     self.sliders[name].value = value
@@ -173,5 +173,5 @@ def _sliders(values: dict[str, Number]) -> dict[str, widgets.Widget]:
         "rho": slider(whole, "rho", "pose steps ρ", 0, 50, 1, "iterations of the pose (Eq. 8)"),
         "epsilon": slider(whole, "epsilon", "expression steps ε", 0, 50, 1, "iterations of the weights (Eq. 10)"),
         "jaw": slider(real, "jaw", "jaw landmarks ×", 0, 3, 0.1, "factor on the weight of the 17 contour points"),
-        "fov_deg": slider(real, "fov_deg", "field of view, °", 10, 110, 1, "over the longer side of the picture"),
+        "fov_deg": slider(real, "fov_deg", "field of view, °", 10, 110, 1, "along the longer side of the picture"),
     }

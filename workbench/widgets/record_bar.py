@@ -1,4 +1,4 @@
-"""Recording before a camera: begin, end, and write to a folder."""
+"""Recording from a camera: start, stop, and save to a folder."""
 
 import html
 from collections.abc import Callable
@@ -18,10 +18,10 @@ NOT_STARTED = "Start the camera first."
 
 
 class RecordBar:
-    """Buttons, the folder's name and a line of text; `recording` is the last recording.
+    """Buttons, the folder name and a line of text; `recording` is the last recording.
 
-    `running` tells whether the camera is on, `camera` its name; `messages` say what is refused; saving is one of the
-    `slow` jobs.
+    `running` returns whether the camera is on, `camera` its name; refused actions are shown in `messages`; saving is
+    one of the `slow` jobs.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class RecordBar:
         )  # fmt: skip
         self.record.observe(self._on_record, "value")
         self.pictures = widgets.Checkbox(
-            value=True, description="with pictures", indent=False, tooltip="keep the camera's pictures too",
+            value=True, description="with pictures", indent=False, tooltip="also keep the camera's pictures",
             layout=widgets.Layout(width="auto", flex="0 0 auto"),
         )  # fmt: skip
         self.folder = widgets.Text(
@@ -59,7 +59,7 @@ class RecordBar:
         return self.recording
 
     def end(self) -> None:
-        """End a recording, if one is going on, and keep it."""
+        """Stop a recording in progress, if any, and keep it."""
         if self._session.recording is None:
             return
         self._messages.guarded(self._keep, self._camera())
@@ -67,7 +67,7 @@ class RecordBar:
 
     def _keep(self, camera: str) -> None:
         self.recording = self._session.stop_recording(camera)
-        self.saved.value = f"recorded {len(self.recording)} frames, {self.recording.seconds:.1f} s: save them"
+        self.saved.value = f"recorded {len(self.recording)} frames, {self.recording.seconds:.1f} s; not saved yet"
 
     def _on_record(self, change) -> None:
         if not change["new"]:
@@ -93,7 +93,7 @@ class RecordBar:
 
 
 def free_folder(folder: Path) -> Path:
-    """This folder if it holds no track, else the next one by number: recording, recording-2, recording-3."""
+    """This folder if it contains no track, else the next free number: recording, recording-2, recording-3."""
     stem, number = folder.name, 1
     head, _, tail = stem.rpartition("-")
     if head and tail.isdigit():

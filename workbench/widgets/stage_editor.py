@@ -1,4 +1,4 @@
-"""The schedule as a table: reorder, switch, free parameters, landmark groups, limits; run, run to here, step."""
+"""The schedule as a table: reorder, enable, free parameters, landmark groups, limits; run, run to here, step."""
 
 import difflib
 import itertools
@@ -21,13 +21,13 @@ LETTERS = {
     "identity": "i",
     "scale": "s",
 }
-"""Of what a stage can free: head rotation and translation, blendshape weights, the jaw's opening, all of its joint, the
-face's shape, one scale."""
+"""Letters of the parameters that a stage can free: head rotation and translation, blendshape weights, jaw opening, the
+whole jaw joint, face shape, scale."""
 TITLE = "<b style='white-space:nowrap'>{}</b>"
 
 
 class StageRow:
-    """One line of the table."""
+    """One row of the table."""
 
     def __init__(self, number: int, changed: Callable[[int, dict], None], act: Callable[[str, int], None]) -> None:
         self._number, self._changed, self._quiet = number, changed, False
@@ -39,15 +39,15 @@ class StageRow:
         }
         self.landmarks = widgets.Text(
             continuous_update=False, layout=_growing("96px", "200px"),
-            tooltip="groups, subsets or point numbers with their weights, later ones win: all 1, jaw 0.25, 30 2",
+            tooltip="groups, subsets or point numbers with weights; later ones win: all 1, jaw 0.25, 30 2",
         )  # fmt: skip
         self.terms = widgets.Text(
             continuous_update=False, layout=_growing("90px", "150px"),
-            tooltip=f"terms beside those of every stage: {', '.join(NAMED_TERMS)}",
+            tooltip=f"additional terms of this stage: {', '.join(NAMED_TERMS)}",
         )  # fmt: skip
         self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=_fixed("44px"))
         self.when = widgets.Dropdown(
-            options=["always", "start"], tooltip="start: on the first frame of a shot only",
+            options=["always", "start"], tooltip="start: only on the first frame of a shot",
             layout=_fixed("82px"),
         )  # fmt: skip
         self.result = widgets.Label(layout=widgets.Layout(width="118px", flex="1 0 118px", max_width="260px"))
@@ -68,7 +68,7 @@ class StageRow:
         ], layout=widgets.Layout(flex="0 0 auto"))  # fmt: skip
 
     def show(self, stage: Stage, blocks: Collection[str]) -> None:
-        """Show a stage without calling back, and toggles for what its system can free."""
+        """Show a stage without calling back, with toggles for the parameters that its system can free."""
         self._quiet = True
         for block, toggle in self.free.items():
             toggle.layout.display = None if block in blocks else "none"
@@ -101,9 +101,9 @@ class StageRow:
 
 
 class StageEditor:
-    """The stages of a configuration; `changed(stages, label)` hands back a new list, `run(what, stage)` a command.
+    """The stages of a configuration; calls `changed(stages, label)` with a new list, `run(what, stage)` with a command.
 
-    Commands are "all", "here" (up to and including a stage), "step" (one iteration more) and "back" (one fewer).
+    Commands are "all", "here" (up to and including a stage), "step" (one more iteration) and "back" (one fewer).
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class StageEditor:
         self.add = small_button("+ stage", "add a stage that frees the weights")
         self.all = small_button("▶ all", "run all stages")
         self.back = small_button("◀ one back", "one iteration fewer")
-        self.step = small_button("step ▶", "one iteration more, through the stages in order")
+        self.step = small_button("step ▶", "one more iteration, through the stages in order")
         self.place = widgets.Label()
         self.add.on_click(lambda _button: self._add())
         for button, what in ((self.all, "all"), (self.back, "back"), (self.step, "step")):
@@ -123,7 +123,7 @@ class StageEditor:
         self._bar = widgets.HBox(
             [self.all, self.back, self.step, self.place, self.add], layout=widgets.Layout(flex="0 0 auto")
         )
-        # As high as its stages: a table that scrolls inside its page hides the last of them.
+        # As high as its stages, because a table that scrolls inside its page hides the last ones.
         self.widget = widgets.VBox(
             [self._bar, self._header], layout=widgets.Layout(min_height=f"{height_px}px", overflow="auto hidden")
         )
@@ -147,7 +147,7 @@ class StageEditor:
             title.layout.display = below.layout.display
 
     def show_results(self, results: dict[str, str], place: str = "") -> None:
-        """What the last fit did in each stage by name, and where stepping stands."""
+        """Show the result of each stage in the last fit, by name, and the position in stepping."""
         self.place.value = place
         for k, row in enumerate(self._rows[: len(self._stages)]):
             row.result.value = results.get(self._stages[k].name, "")
@@ -180,22 +180,22 @@ class StageEditor:
 
 
 def _tiny() -> widgets.Layout:
-    """For a button with a letter; one each, for a layout that is hidden hides all that have it."""
+    """Layout of a one-letter button; one per button, because hiding a layout hides all widgets that share it."""
     return widgets.Layout(width="24px", padding="0", flex="0 0 auto")
 
 
 def _fixed(width: str) -> widgets.Layout:
-    """For what keeps its width on a narrow page."""
+    """Layout of a field that keeps its width on a narrow page."""
     return widgets.Layout(width=width, flex="0 0 auto")
 
 
 def _growing(width: str, most: str) -> widgets.Layout:
-    """For what takes the room that a wide page leaves."""
+    """Layout of a field that grows on a wide page."""
     return widgets.Layout(width=width, flex=f"1 1 {width}", max_width=most)
 
 
 def _titles(row: StageRow) -> tuple[widgets.HTML, ...]:
-    """A title above each part of a row, as wide as it is, so that both shrink alike on a narrow page."""
+    """A title above each part of a row, equally wide, so that both shrink together on a narrow page."""
     titles = {row.name: "stage", row.free["rotation"]: "free", row.landmarks: "landmarks",
               row.terms: "terms", row.limit: "limit", row.when: "when", row.result: "last fit"}  # fmt: skip
     return tuple(
@@ -226,12 +226,12 @@ def read_landmarks(text: str) -> dict[str, float]:
         try:
             found[name.strip() or weight] = float(weight) if name else 1.0
         except ValueError:
-            raise ConfigError(f"Expected a group and its weight, as 'jaw 0.25', got {part!r}.") from None
+            raise ConfigError(f"Expected a group and its weight, such as 'jaw 0.25', got {part!r}.") from None
     return found
 
 
 def read_terms(text: str) -> tuple[str, ...]:
-    """Names of terms in a text like "tau, edges". Raises `ConfigError` for one that does not exist."""
+    """Names of terms in a text like "tau, edges". Raises `ConfigError` for an unknown term."""
     found = tuple(filter(None, re.split(r"[,\s]+", text)))
     for name in found:
         if name not in NAMED_TERMS:

@@ -1,4 +1,4 @@
-"""One line of status: what happens, and what went wrong."""
+"""One line of status and error messages."""
 
 import html
 from collections.abc import Callable
@@ -11,12 +11,12 @@ WRONG = "color:var(--jp-error-color1, #b3261e)"
 
 
 def error_text(error: Exception) -> str:
-    """What to say of an error: ours are whole sentences, others have their type before them."""
+    """The message of an error: ours are complete sentences, others are prefixed with their type."""
     return str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}"
 
 
 class StatusLine(widgets.HTML):
-    """A line of text, in the page's font or, as `code`, in that of programs; may be set from any thread."""
+    """A line of text in the page's font or, with `tag` "code", in a monospaced one; may be set from any thread."""
 
     def __init__(self, tag: str = "span", **options: object) -> None:
         self._tag = tag
@@ -27,11 +27,11 @@ class StatusLine(widgets.HTML):
         self.value = f"<{self._tag} style='{WRONG if wrong else ''}'>{html.escape(text)}</{self._tag}>"
 
     def failed(self, error: Exception) -> None:
-        """Show an error, as of a thread that has nobody to raise to."""
+        """Show an error, for example from a thread that cannot raise it to a caller."""
         self.say(error_text(error), wrong=True)
 
     def guarded(self, act: Callable[..., object], *arguments: object) -> None:
-        """Do something that the user asked for; if it is refused, show why."""
+        """Run an action requested by the user; if it is refused, show why."""
         try:
             act(*arguments)
         except WorkbenchError as error:

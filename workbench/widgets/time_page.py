@@ -1,4 +1,4 @@
-"""Infill and refinement in the panel: what counts as failed, methods, run, before and after."""
+"""Infill and refinement in the panel: failed frames, methods, running them, and results before and after."""
 
 import html
 from collections.abc import Callable
@@ -17,24 +17,26 @@ from workbench.widgets.status_line import StatusLine
 from workbench.widgets.time_part import AFTER, BEFORE, TimePart
 
 DEEP_FRAMES = 24
-"""Length of the part that Deep Energies begins with."""
+"""Length of the initial part with Deep Energies."""
 NO_CLIP = (
-    "<b>Infill and refinement need a clip.</b><br>They look at frames that follow each other in time; {what}. Open a "
-    "video, a folder with the frames of a clip, or a landmark file of one."
+    "<b>Infill and refinement need a clip.</b><br>They use consecutive frames, but {what}. Open a "
+    "video, a folder with the frames of a clip, or its landmark file."
 )
 DEEP_NOTE = (
-    "Deep Energies takes seconds per frame, so the clip is not fitted at every change: <i>run</i> first fits the "
-    "frames named here, one by one. Begin with a short part."
+    "Deep Energies takes seconds per frame, so the clip is not re-fitted after every change: <i>run</i> first fits "
+    "the frames given here, one by one. Start with a short part."
 )
-POINTS_NOTE = "Landmarks alone: <i>flow</i>, <i>plate</i> and <i>hybrid</i> look at pictures; the others do not."
+POINTS_NOTE = (
+    "Only landmarks here: <i>flow</i>, <i>plate</i> and <i>hybrid</i> need pictures; the other methods do not."
+)
 
 
 class TimePage:
-    """The page of controls (`widget`) and the page of curves (`methods`) over the clip of a session.
+    """The controls page (`widget`) and the curves page (`methods`) for the clip of a session.
 
-    `turned` is called with the path and value of a knob, `go` with a frame, `redraw` when another side or result is to
-    be shown, `in_view` gives the first and last frame that the strip shows. Work is done in a thread of its own; of
-    requests the newest counts.
+    `turned` is called with the path and value of a knob, `go` with a frame, `redraw` to show another side or result;
+    `in_view` returns the first and last frame in view in the strip. Work is done in a separate thread; only the latest
+    request counts.
     """
 
     def __init__(
@@ -58,7 +60,7 @@ class TimePage:
         self.knobs = {knob.path: KnobControl(knob, turned) for knob in (*METHODS, *TIME)}
         self._marks = FailedFrames(session, self.result, lambda: self.frame, lambda: self.run("flagged"))
         self._part = TimePart(session, self.show_config, go, redraw, in_view)
-        # What scripts press and read.
+        # For scripts to press and read.
         self.this, self.flagged, self.clear = self._marks.this, self._marks.flagged, self._marks.clear
         self.range, self.mark, self.unmark = self._marks.range, self._marks.mark, self._marks.unmark
         self.summary, self.part, self.view = self._marks.summary, self._part.part, self._part.view
@@ -70,11 +72,11 @@ class TimePage:
 
     @property
     def side(self) -> str:
-        """`before` or `after`: what picture and head show."""
+        """`before` or `after`: the side that picture and head show."""
         return self.sides.value if self.is_clip else BEFORE
 
     def run(self, what: str = "run") -> None:
-        """Ask for `run`, `compare`, `flagged` or `cancel`."""
+        """Request `run`, `compare`, `flagged` or `cancel`."""
         if self._worker is not None:
             self._worker.submit(what)
 
@@ -83,14 +85,14 @@ class TimePage:
         return self._worker is None or self._worker.wait_idle(timeout_s)
 
     def close(self) -> None:
-        """End the work and its thread."""
+        """Stop the work and its thread."""
         if self._worker is not None:
             self._worker.close()
 
     # --- what the panel asks and tells ---
 
     def fit(self, frame: int) -> FrameFit | None:
-        """The fit of a frame on the chosen side; None where the present settings have no result for it."""
+        """The fit of a frame on the chosen side; None if the current settings have no result for it."""
         if not self.is_clip:
             return None
         worked = self._session.temporal.result(self._part.whole)
@@ -98,7 +100,7 @@ class TimePage:
         return None if pair is None else pair[self.side == AFTER]
 
     def note_of(self, fit: FrameFit) -> str:
-        """What is special about a frame, in a few words; empty if nothing is."""
+        """A short note on a filled or marked frame; empty for others."""
         if not self.is_clip:
             return ""
         if fit.source == "filled":
@@ -106,14 +108,14 @@ class TimePage:
         return f"frame {fit.index}: marked as failed" if self._session.config.infill.named(fit.index) else ""
 
     def show_frame(self, frame: int) -> None:
-        """Follow the shown frame."""
+        """Update for the shown frame."""
         self.frame = frame
         if self.is_clip:
             self._part.show_frame(frame)
             self.methods.show_frame(frame)
 
     def show_config(self) -> None:
-        """Follow the configuration and the fits."""
+        """Update from the configuration and the fits."""
         if not self.is_clip:
             return
         slow = not self._session.config.traits.real_time
@@ -128,7 +130,7 @@ class TimePage:
         self.show_result()
 
     def show_result(self) -> None:
-        """Follow the results."""
+        """Update from the results."""
         if not self.is_clip:
             return
         part = self._part.whole
@@ -136,7 +138,7 @@ class TimePage:
         if not self._busy:
             self.result.value = result_html(worked)
         self.sides.tooltips = [
-            "the fits of single frames",
+            "the single-frame fits",
             "after infill and refinement" if worked else "not run with these settings yet",
         ]
         self.methods.show(part)
@@ -144,17 +146,17 @@ class TimePage:
     # --- parts ---
 
     def _rows(self) -> list[widgets.Widget]:
-        self.go = small_button("▶ run", "work on these frames with these settings", "primary")
+        self.go = small_button("▶ run", "infill and refine these frames with these settings", "primary")
         self.go.on_click(lambda _button: self.run("run"))
-        self.compare = small_button("compare all", "run every method and keep the results: see the page Methods")
+        self.compare = small_button("compare all", "run every method and keep the results; see the page Methods")
         self.compare.on_click(lambda _button: self.run("compare"))
-        self.cancel = small_button("cancel", "stop; finished results stay")
+        self.cancel = small_button("cancel", "stop; finished results are kept")
         self.cancel.on_click(lambda _button: self.run("cancel"))
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="100%", height="6px", margin="0"))
         self.progress.layout.visibility = "hidden"
         self.note = widgets.HTML()
         for knob in self.knobs.values():
-            knob.widget.layout.flex = "0 0 auto"  # else a short page presses them flat
+            knob.widget.layout.flex = "0 0 auto"  # otherwise a short page squeezes them
         return [
             *(in_row(*row) for row in self._marks.rows),
             self._marks.summary,
@@ -173,7 +175,7 @@ class TimePage:
 
     def _work(self, wanted: str) -> None:
         if wanted == "cancel":
-            self.result.say("Cancelled; what was finished stays.")
+            self.result.say("Cancelled; finished results are kept.")
             return
         temporal, part = self._session.temporal, self._part.wanted
         self.progress.value, self.progress.layout.visibility, self._busy = 0, "visible", True
@@ -195,7 +197,7 @@ class TimePage:
             self.progress.layout.visibility, self._busy = "hidden", False
 
     def _told(self, step: str, done: int, total: int | None) -> None:
-        # Not every frame: a browser that is told too often falls behind.
+        # Not for every frame, because too many updates make the browser fall behind.
         shown = max((total or len(self._session)) // 40, 1)
         if done % shown == 0 or done == 1:
             self.progress.max, self.progress.value = total or len(self._session), done
@@ -203,12 +205,12 @@ class TimePage:
 
 
 def in_row(*parts: widgets.Widget) -> widgets.Widget:
-    """Controls beside one another, as high as they are."""
+    """Controls side by side, at their natural height."""
     return widgets.HBox(parts, layout=widgets.Layout(align_items="center", flex="0 0 auto", width="auto"))
 
 
 def result_html(worked: Worked | None) -> str:
-    """The result of the present settings in a line."""
+    """The result of the current settings in one line."""
     if worked is None:
         return "<span style='opacity:.7'>not run with these settings yet</span>"
     first, last = worked.part

@@ -1,4 +1,4 @@
-"""The part of a clip that infill and refinement work on: named, played, seen before and after."""
+"""The part of a clip for infill and refinement: typed, played, and shown before and after."""
 
 from collections.abc import Callable
 
@@ -11,14 +11,14 @@ from workbench.widgets.controls import narrow, small_button
 
 BEFORE, AFTER = "before", "after"
 RATE = 25.0
-"""Frames per second where the clip does not say."""
+"""Frames per second if the clip does not say."""
 
 
 class TimePart:
-    """The field with first and last frame, the player that keeps to them, and the choice of a side.
+    """The field with first and last frame, the player limited to them, and the choice of a side.
 
-    `changed` is called when another part is named, `go` with the frame that is played, `redraw` when another side is to
-    be shown; `in_view` gives the first and last frame that the strip shows.
+    `changed` is called when another part is typed, `go` with the frame being played, `redraw` to show another side;
+    `in_view` returns the first and last frame in view in the strip.
     """
 
     def __init__(
@@ -31,11 +31,11 @@ class TimePart:
     ) -> None:
         self._session, self._go, self._in_view, self._quiet = session, go, in_view, False
         self.part = widgets.Text(
-            placeholder="whole clip", tooltip="frames that are worked on, first and last; empty: the whole clip",
+            placeholder="whole clip", tooltip="first and last frame to work on; empty: the whole clip",
             layout=narrow(), continuous_update=False,
         )  # fmt: skip
         self.part.observe(lambda _change: changed(), "value")
-        self.view = small_button("in view", "the frames that the strip shows")
+        self.view = small_button("in view", "use the frames in view in the strip")
         self.view.on_click(lambda _button: self._take_view())
         self.sides = widgets.ToggleButtons(options=[BEFORE, AFTER], style={"button_width": "auto"})
         self.sides.add_class("fw-sides")
@@ -51,13 +51,13 @@ class TimePart:
 
     @property
     def wanted(self) -> tuple[int, int] | None:
-        """First and last frame that are named; None for the whole clip. Raises `WorkbenchError` for other texts."""
+        """First and last frame as typed; None for the whole clip. Raises `WorkbenchError` for other texts."""
         parts = read_parts(self.part.value)
         return (parts[0][0], parts[-1][1]) if parts else None
 
     @property
     def usable(self) -> tuple[int, int] | None:
-        """As `wanted`, but None where the text names no part of the clip."""
+        """Like `wanted`, but None if the text is not a part of the clip."""
         try:
             part = self.wanted
             self._session.temporal.failed(part)
@@ -67,26 +67,26 @@ class TimePart:
 
     @property
     def whole(self) -> tuple[int, int]:
-        """First and last frame, named or not."""
+        """First and last frame, typed or of the whole clip."""
         return self.usable or (0, len(self._session) - 1)
 
     def begin_short(self, frame: int, length: int) -> None:
-        """Name a short part around a frame, where none is named."""
+        """Fill in a short part around a frame, if none is typed."""
         if not self.part.value.strip():
             last = len(self._session) - 1
             first = max(min(frame, last - length + 1), 0)
             self.part.value = f"{first}-{min(first + length - 1, last)}"
 
     def show_frame(self, frame: int) -> None:
-        """Follow the shown frame."""
+        """Update for the shown frame."""
         if not self.play.playing and self.play.min <= frame <= self.play.max:
             self.play.value = frame
 
     def limit_play(self) -> None:
-        """Play the part that is worked on."""
+        """Limit the player to the chosen part."""
         first, last = self.whole
         if (first, last) != (self.play.min, self.play.max):
-            self._quiet = True  # the value moves into its range, the shown frame stays
+            self._quiet = True  # the value moves into the range, but the shown frame stays
             try:
                 self.play.min, self.play.max = 0, last
                 self.play.min = first

@@ -1,4 +1,4 @@
-"""A strip of landmark errors over all frames of a clip: where to look, and the way to go there."""
+"""A strip of landmark errors over all frames of a clip, to find bad frames and go to them."""
 
 import threading
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ ROW_GROUPS = ("jaw", "brows", "nose", "eyes", "mouth")
 
 
 def color_indices(values: Num[np.ndarray, "n 68"], scale: float) -> UInt8[np.ndarray, "n 68"]:
-    """Colour index of every residual: 0 at zero, 254 at `scale` and above, `NOTHING` where it is not finite."""
+    """Colour index of every residual: 0 at zero, 254 at `scale` and above, `NOTHING` if it is not finite."""
     places = np.clip(np.where(np.isfinite(values), values, 0.0) / scale, 0.0, 1.0)
     return np.where(np.isfinite(values), np.rint(places * (NOTHING - 1)), NOTHING).astype(np.uint8)
 
 
 def worst_landmarks(values: Num[np.ndarray, "n 68"]) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Largest residual of every frame and its landmark; NaN and 0 in a frame without any."""
+    """Largest residual of every frame and its landmark; NaN and 0 for a frame without residuals."""
     filled = np.where(np.isfinite(values), values, -np.inf)
     worst = filled.argmax(axis=1) if len(filled) else np.zeros(0, int)
     largest = filled[np.arange(len(filled)), worst]
@@ -40,33 +40,33 @@ def frame_marks(
     found: Bool[np.ndarray, "n"],
     shots: Int[np.ndarray, "n"],
 ) -> UInt8[np.ndarray, "n"]:
-    """One byte of marks for every frame; the first frame of each shot but the first carries `NEW_SHOT`."""
+    """One byte of marks per frame; the first frame of each shot except the first has `NEW_SHOT`."""
     cuts = np.diff(shots, prepend=shots[:1]) != 0
     return (FLAGGED * flagged + STALE * stale + FOUND * found + NEW_SHOT * cuts).astype(np.uint8)
 
 
 class TimelineView(anywidget.AnyWidget):
-    """Landmarks against frames in colour, with flags and shots above; a click goes to a frame.
+    """Coloured landmark errors over frames, with flags and shots above; a click goes to a frame.
 
-    `frame` is the current frame, numbered from the `first_index` of the track, and follows the mouse and the keys.
-    Setters may be called from any thread. Drawn narrower than the clip is long, every pixel shows the worst of its
-    frames, so that a single bad one is never lost.
+    `frame` is the current frame, numbered from the `first_index` of the track, and follows mouse and keys. Setters may
+    be called from any thread. If there are more frames than pixels, every pixel shows its worst frame, so that a
+    single bad one is never hidden.
     """
 
     _esm = browser_program("timeline/view.js")
     _css = BROWSER / "timeline" / "view.css"
 
     frame = traitlets.Int(0, help="the current frame").tag(sync=True)
-    scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0 chooses it").tag(sync=True)
-    unit = traitlets.Unicode("px", help="of the residuals").tag(sync=True)
+    scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0: automatic").tag(sync=True)
+    unit = traitlets.Unicode("px", help="unit of the residuals").tag(sync=True)
     height_px = traitlets.Int(150, min=100).tag(sync=True)
     marked = traitlets.List(help="first and last frame of each part that the user marked as failed").tag(sync=True)
-    in_view = traitlets.List([0, 0], help="first and last frame that the browser shows").tag(sync=True)
+    in_view = traitlets.List([0, 0], help="first and last frame shown in the browser").tag(sync=True)
     _scale = traitlets.Float(SMALLEST_SCALE).tag(sync=True)
     _scheme = traitlets.Dict().tag(sync=True)
-    _why = traitlets.Dict(help="why a frame is flagged, by its place in the track").tag(sync=True)
-    # A counter here, the whole track in the message: a part of a track can then be sent alone, and a browser that
-    # comes later still gets everything.
+    _why = traitlets.Dict(help="why a frame is flagged, by its position in the track").tag(sync=True)
+    # The trait is only a counter, and the track is in the message: this allows sending a part of a track alone, while
+    # a browser that connects later still gets everything.
     _track = traitlets.Int(0).tag(sync=True, to_json=lambda _counter, view: view._packed())
 
     def __init__(self, height_px: int = 150, **traits: object) -> None:
@@ -105,16 +105,16 @@ class TimelineView(anywidget.AnyWidget):
         first_index: int = 0,
         why: Sequence[str] = (),
     ) -> None:
-        """Show residuals (frames, 68) in `unit`, NaN where there is no face; the first frame is number `first_index`.
+        """Show residuals (frames, 68) in `unit`, NaN without a face; the first frame is number `first_index`.
 
-        The others are (frames,); `why` says of each flagged frame why it is. Without `found` a face is where any
-        residual is; without `shots` the clip is one shot. `frame` is kept if the track has it. Raises `InputError` for
-        arrays that do not fit together.
+        The other arrays are (frames,); `why` is the reason for each flagged frame. `found` defaults to frames with any
+        residual; without `shots` the clip is one shot. `frame` is kept if the track contains it. Raises `InputError`
+        for arrays of different lengths.
         """
         values = _checked_values(values)
         count = len(values)
         if len(why) not in (0, count):
-            raise InputError(f"why has one text for each of the {count} frames; got {len(why)}")
+            raise InputError(f"why must have one text for each of the {count} frames; got {len(why)}")
         shots = np.zeros(count, int) if shots is None else _per_frame("shots", shots, count, int)
         marks = [
             np.zeros(count, bool) if given is None else _per_frame(name, given, count, bool)
@@ -128,7 +128,7 @@ class TimelineView(anywidget.AnyWidget):
                 self._why = {str(k): why[k] for k in np.flatnonzero(marks[0]).tolist()} if len(why) else {}
                 self._scale = self._chosen_scale()
                 self._send_all()
-        # Outside the lock: who observes the frame may wait for another thread that wants this view.
+        # Outside the lock, because an observer of the frame may wait for another thread that needs this view.
         self.frame = int(np.clip(self.frame, first_index, first_index + max(count - 1, 0)))
 
     def update_frames(
@@ -140,10 +140,10 @@ class TimelineView(anywidget.AnyWidget):
         found: Bool[np.ndarray, "..."] | None = None,
         shots: Int[np.ndarray, "..."] | None = None,
     ) -> None:
-        """Replace the frames from index `start` on; only they are sent, unless the automatic scale must grow.
+        """Replace frames from index `start` on; only these are sent, unless the automatic scale must grow.
 
-        `flagged`, `stale` and `shots` stay as they are where not given; `found` follows the values. Raises
-        `InputError` for frames outside the track.
+        `flagged`, `stale` and `shots` are unchanged if not given; `found` follows the values. Raises `InputError` for
+        frames outside the track.
         """
         values = _checked_values(values)
         count = len(values)
@@ -168,7 +168,7 @@ class TimelineView(anywidget.AnyWidget):
                     self._send_all()
                 return
             self._patched = True
-            # The frame after the part may begin a shot now, or no longer.
+            # The frame after the part may now begin a shot, or no longer do so.
             part = slice(begin, min(begin + count + 1, len(self._values)))
             arrays = self._arrays(part)
             self.send({"kind": "part", "start": begin, "names": list(arrays)}, buffers=list(arrays.values()))
@@ -201,7 +201,7 @@ class TimelineView(anywidget.AnyWidget):
             self._send_all()
 
     def _on_message(self, _widget: object, content: object, _buffers: object) -> None:
-        # A second display of the view in the same page knows only the last whole track.
+        # A second display of the view in the same page has only the last complete track.
         with self._lock:
             if isinstance(content, dict) and content.get("kind") == "shown" and self._patched:
                 self._send_all()
@@ -209,11 +209,11 @@ class TimelineView(anywidget.AnyWidget):
 
 def _checked_values(values: Num[np.ndarray, "..."]) -> Float[np.ndarray, "n 68"]:
     if np.ndim(values) != 2 or np.shape(values)[1] != POINT_COUNT:
-        raise InputError(f"residuals of a track have shape (frames, 68); got {np.shape(values)}")
+        raise InputError(f"residuals of a track must have shape (frames, 68); got {np.shape(values)}")
     return np.array(values, np.float32)
 
 
 def _per_frame(name: str, given: np.ndarray, count: int, kind: type) -> np.ndarray:
     if np.shape(given) != (count,):
-        raise InputError(f"{name} has one entry for each of the {count} frames; got shape {np.shape(given)}")
+        raise InputError(f"{name} must have one entry for each of the {count} frames; got shape {np.shape(given)}")
     return np.array(given, kind)

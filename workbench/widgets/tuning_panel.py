@@ -1,4 +1,4 @@
-"""The panel: every knob of a session, the picture, the head, the clip and the diagnosis, all following each other."""
+"""The panel: knobs of a session, the picture, the head, the clip and the diagnosis, all kept in step."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -32,25 +32,25 @@ from workbench.widgets.time_part import AFTER
 
 HEAD_PX, TABS_PX = 304, 190
 PAUSE_S = 0.1
-"""Numbers and curves wait for a pause of so long: painting them would hold up the pictures of a drag."""
+"""Numbers and curves wait for a pause of this length, because painting them would delay the pictures of a drag."""
 
 
 @dataclass(frozen=True)
 class Show:
-    """What the worker is asked for: the fit of a frame."""
+    """A request to the worker: fit and show a frame."""
 
     frame: int
     coarse: bool = False
-    """Whether the identity may be that of an earlier configuration."""
+    """Whether the identity of an earlier configuration may be used."""
     steps: int | None = None
-    """Stop after that many iterations; None runs all stages."""
+    """Stop after this many iterations; None runs all stages."""
 
 
 class TuningPanel(widgets.VBox):
-    """A view on a `TuningSession`: whoever changes the session, the panel follows.
+    """A view of a `TuningSession` that follows every change of the session.
 
-    Callbacks hand over to a worker, of which only the newest request counts; results are shown from its thread.
-    `wait_idle` waits for it, for scripts and tests.
+    Callbacks submit requests to a worker, and only the latest counts; results are shown from its thread. Scripts and
+    tests wait for it with `wait_idle`.
     """
 
     def __init__(self, session: TuningSession, backend: str = "auto", height_px: int = 372) -> None:
@@ -96,13 +96,13 @@ class TuningPanel(widgets.VBox):
         self.controls.by_path[path].turn(value)
 
     def wait_idle(self, timeout_s: float | int = 60.0) -> bool:
-        """Wait until everything that was asked for is shown; False if that takes longer."""
-        # A fit asks for layers and colours, and finished colours for the fit to be shown again.
+        """Wait until everything requested is shown; False if that takes longer."""
+        # A fit requests layers and colours, and finished colours request that the fit is shown again.
         workers = (self._slow, self.time, self._clip_bar, self._worker, self.overlay, self.head, self._worker)
         return all(worker.wait_idle(timeout_s) for worker in workers)
 
     def close(self) -> None:
-        """Stop following the session, end the threads and free the views."""
+        """Stop following the session, stop the threads and free the views."""
         if self._closed:
             return
         self._closed = True
@@ -115,8 +115,8 @@ class TuningPanel(widgets.VBox):
     # --- parts ---
 
     def _build_views(self, backend: str, height_px: int) -> None:
-        # First of all, as a browser gives their programs two seconds to load: not beside the hundreds of controls, nor
-        # while it lays out the panel. One that comes later would never hear of the kernel again.
+        # Shown first, because a browser gives their programs two seconds to load, too little next to hundreds of
+        # controls or during the layout of the panel. A view that loads later would never hear from the kernel.
         session, head = self.session, FittedHead(self.session.model)
         self.drags, self.clip = DragWatch(), ClipViews(session, self.go)
         self._iterations = Iterations(session, self.status, self._redraw, TABS_PX)
@@ -141,7 +141,7 @@ class TuningPanel(widgets.VBox):
             self._failed,
         )  # fmt: skip
         self._clip_bar.cancel.on_click(lambda _button: self._export_bar.stop())
-        # What scripts press and read.
+        # For scripts to press and read.
         self.undo, self.redo = self._history_bar.undo, self._history_bar.redo
         self.reset, self.name, self.keep = self._history_bar.reset, self._history_bar.name, self._history_bar.keep
         self.file, self.export, self.overwrite, self.exported = self._export_bar.widgets
@@ -178,7 +178,7 @@ class TuningPanel(widgets.VBox):
     def _on_step(self, by: int) -> None:
         self.go(self.frame + by if by else self.clip.next_flagged(self.frame))
 
-    # --- what the session tells ---
+    # --- what the session reports ---
 
     def _on_session(self, what: str) -> None:
         if self._closed:
@@ -211,7 +211,7 @@ class TuningPanel(widgets.VBox):
         if self._is_clip:
             self.clip.show_run()
             self.time.show_config()
-        # The frame before may have another pose now, and the identity is the exact one.
+        # The previous frame may have another pose now, and the identity is now exact.
         self._worker.submit(Show(self.frame, steps=self._iterations.steps))
         self.changes.show()
 
@@ -220,7 +220,7 @@ class TuningPanel(widgets.VBox):
     def _refit(self, request: Show) -> None:
         session = self.session
         if request.steps is None:
-            # A result over time holds the frame as it was fitted, too.
+            # A temporal result also contains the frame as it was fitted.
             fit = self.time.fit(request.frame) or session.fit_frame(request.frame, request.coarse)
         else:
             fit = session.fit_steps(request.frame, request.steps)

@@ -1,4 +1,4 @@
-"""From where a head is looked at: fitted camera, frontal portrait, and what a mouse does to them."""
+"""Viewpoints of a head: fitted camera, frontal portrait, and how the mouse changes them."""
 
 from dataclasses import dataclass, replace
 
@@ -11,9 +11,9 @@ from workbench.geometry import Camera
 from workbench.pictures.head_picture import portrait_view
 
 NEAREST_MM, FURTHEST_MM = 150.0, 6000.0
-"""Distances from the target that a mouse wheel can reach."""
+"""Range of distances from the target that the mouse wheel can reach."""
 PIVOT_MM = 60.0
-"""Depth of the middle of a head behind its eyes: there a drag turns it."""
+"""Depth of the head's centre behind its eyes, about which a drag turns it."""
 STEEPEST = 0.995
 """Cosine between the line of sight and the up direction at which a drag stops tilting."""
 
@@ -24,11 +24,11 @@ class Viewpoint:
 
     position: Float[np.ndarray, "3"]
     target: Float[np.ndarray, "3"]
-    """Where the line of sight passes the head; a drag turns about it."""
+    """The point on the line of sight about which a drag turns."""
     up: Float[np.ndarray, "3"]
     """Unit direction that points up in the picture: (0, -1, 0) for an upright head."""
     camera: Camera
-    """Of a picture of the viewer's size."""
+    """Focal lengths for a picture of the viewer's size."""
 
     @property
     def pose(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
@@ -39,12 +39,12 @@ class Viewpoint:
         return cv2.Rodrigues(matrix)[0][:, 0], -matrix @ self.position
 
     def vertical_fov_deg(self, height_px: int) -> float:
-        """Angle that the picture's height subtends, degrees."""
+        """Vertical field of view, degrees."""
         return float(2 * np.degrees(np.arctan(0.5 * height_px / self.camera.focal_px[1])))
 
 
 def front_viewpoint(model: FaceModel, size: tuple[int, int]) -> Viewpoint:
-    """A portrait from straight ahead, in a picture (width, height)."""
+    """A frontal portrait, in a picture (width, height)."""
     camera, translation = portrait_view(model, size)
     return viewpoint_of_pose(np.zeros(3), translation, camera)
 
@@ -58,7 +58,7 @@ def camera_viewpoint(
 ) -> Viewpoint:
     """The input camera's own view of the posed head, in a picture (width, height) that shows the whole input picture.
 
-    The optical axis goes through the middle of the viewer: WebGL viewers know no other camera. So the viewer's pixel is
+    The optical axis passes through the middle of the viewer, as WebGL viewers require. The viewer's pixel is therefore
     centre + scale · (input pixel − principal point), and a centred input camera gives its picture resized.
     """
     return viewpoint_of_pose(rotation, translation, _contained(camera, image_size, size))
@@ -67,7 +67,7 @@ def camera_viewpoint(
 def viewpoint_of_pose(
     rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray, "3"], camera: Camera
 ) -> Viewpoint:
-    """The viewpoint of a head posed before this camera; its target lies on the optical axis, as deep as the head."""
+    """The viewpoint for a head posed in front of this camera; its target is on the optical axis at the head's depth."""
     matrix = cv2.Rodrigues(np.asarray(rotation, float))[0]
     position = -matrix.T @ translation
     distance = max(float(translation[2]) + PIVOT_MM, 1.0)
@@ -75,25 +75,25 @@ def viewpoint_of_pose(
 
 
 def orbited(viewpoint: Viewpoint, yaw: float, pitch: float) -> Viewpoint:
-    """Turned about the target (radians) as if the head were dragged: yaw > 0 to image right, pitch > 0 downwards."""
+    """The viewpoint turned about the target (radians) as if dragging the head: yaw > 0 image right, pitch > 0 down."""
     turned = _turned(viewpoint, viewpoint.up, -yaw)
     sight = _unit(turned.target - turned.position)
     tilted = _turned(turned, _unit(np.cross(sight, turned.up)), -pitch)
     new_sight = _unit(tilted.target - tilted.position)
-    # The up direction stays: past the pole the picture would flip.
+    # The up direction is kept, because the picture would flip past the pole.
     too_steep = abs(new_sight @ viewpoint.up) > max(STEEPEST, abs(sight @ viewpoint.up))
     return turned if too_steep else replace(tilted, up=viewpoint.up)
 
 
 def zoomed(viewpoint: Viewpoint, factor: float) -> Viewpoint:
-    """Nearer to the target (factor < 1) or further away."""
+    """The viewpoint moved closer to the target (factor < 1) or further away."""
     sight = viewpoint.target - viewpoint.position
     distance = float(np.clip(np.linalg.norm(sight) * factor, NEAREST_MM, FURTHEST_MM))
     return replace(viewpoint, position=viewpoint.target - distance * _unit(sight))
 
 
 def panned(viewpoint: Viewpoint, dx_px: float, dy_px: float) -> Viewpoint:
-    """Moved sideways, so that the target moves by this many pixels in the picture."""
+    """The viewpoint moved sideways so that the target moves by this many pixels in the picture."""
     sight = viewpoint.target - viewpoint.position
     right = _unit(np.cross(sight, viewpoint.up))
     down = np.cross(_unit(sight), right)
@@ -110,7 +110,7 @@ def azimuth_deg(viewpoint: Viewpoint) -> float:
 
 def _contained(camera: Camera, image_size: tuple[int, int], size: tuple[int, int]) -> Camera:
     principal = np.asarray(camera.principal_point_px, float)
-    # From the principal point to the further edge of the picture, on both axes; edges lie half a pixel outside.
+    # From the principal point to the further edge of the picture, on both axes; edges are half a pixel outside.
     reach = np.maximum(principal + 0.5, np.asarray(image_size) - 0.5 - principal)
     scale = float(np.min(0.5 * np.asarray(size) / reach))
     centre = (np.asarray(size, float) - 1) / 2

@@ -29,14 +29,14 @@ from workbench.widgets.head_view import (
 )
 from workbench.widgets.viewpoint import Viewpoint, front_viewpoint
 
-NO_WEBGL_NOTE = "This browser shows no WebGL; choose the back end 'pictures' for the 3D view."
+NO_WEBGL_NOTE = "This browser has no WebGL; choose the back end 'pictures' for the 3D view."
 NOTHING: dict[str, object] = {}
 
 
 class WebGLCanvas(anywidget.AnyWidget):
-    """The canvas in the browser and all that it draws: it shows a head without any answer of the kernel.
+    """The canvas in the browser with everything it draws, so that it shows a head without an answer from the kernel.
 
-    A kernel that runs a cell answers when that ends: in "Run all" a view that asks for something stays empty.
+    A kernel that runs a cell answers only when it ends: during "Run all", a view that needed an answer would be empty.
     """
 
     _esm = browser_program("head/webgl.js")
@@ -50,7 +50,7 @@ class WebGLCanvas(anywidget.AnyWidget):
     _viewpoint = traitlets.List(traitlets.Float(), help="`viewpoint_numbers`; the mouse changes it").tag(sync=True)
     _front = traitlets.List(traitlets.Float(), help="the viewpoint after a reset").tag(sync=True)
     _note = traitlets.Unicode(NO_WEBGL_NOTE).tag(sync=True)
-    _missing = traitlets.Bool(False, help="there is no WebGL").tag(sync=True)
+    _missing = traitlets.Bool(False, help="whether WebGL is missing").tag(sync=True)
 
 
 class WebGLHeadView:
@@ -71,7 +71,7 @@ class WebGLHeadView:
 
     @property
     def note(self) -> str | None:
-        """See `HeadView.note`; the browser tells about WebGL when it first shows the view."""
+        """See `HeadView.note`; the browser reports on WebGL when it first shows the view."""
         return NO_WEBGL_NOTE if self.canvas._missing else None
 
     def __repr__(self) -> str:
@@ -154,7 +154,7 @@ class WebGLHeadView:
 
     @property
     def viewpoint(self) -> Viewpoint:
-        """From where the browser looks, as far as it has told."""
+        """The viewpoint last reported by the browser."""
         numbers = np.array(self.canvas._viewpoint)
         centre = (np.array(self._size, float) - 1) / 2
         return Viewpoint(numbers[0:3], numbers[3:6], numbers[6:9], Camera(numbers[9:11], centre, np.zeros(8)))
@@ -167,7 +167,7 @@ class WebGLHeadView:
     def _look_from(self, viewpoint: Viewpoint) -> None:
         numbers = viewpoint_numbers(viewpoint)
         if numbers == self.canvas._viewpoint:
-            # The mouse may have moved the browser's view without telling yet.
+            # The mouse may have moved the browser's view, and the report has not arrived yet.
             self.canvas.send_state("_viewpoint")
         else:
             self.canvas._viewpoint = numbers

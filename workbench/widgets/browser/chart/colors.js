@@ -5,8 +5,8 @@ const dashNumber = (k) => Math.floor(k / 8) % DASHES.length;
 export const dashOf = (k) => DASHES[dashNumber(k)];
 export const borderOf = (k) => BORDERS[dashNumber(k) % BORDERS.length];
 
-// A function that gives a colour as it is drawn: one that the ground would swallow (yellow on white) is darkened or
-// lightened a little.
+// A function that returns a colour as it is drawn: one with too little contrast to the background (yellow on white) is
+// darkened or lightened a little.
 export function makeColors() {
   const swatch = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true }), known = new Map();
   function lightness(color) {

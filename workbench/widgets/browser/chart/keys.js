@@ -1,6 +1,6 @@
 import { borderOf } from "./colors.js";
 
-// The legend: a button for each series.
+// The legend: one button per series.
 export function paintKeys(keys, { sent, shown, palette }) {
   const there = [...keys.children].map((key) => key.dataset.name);
   if (there.length !== sent.names.length || there.some((name, k) => name !== sent.names[k])) {
@@ -23,7 +23,7 @@ function makeKey(name) {
   return key;
 }
 
-// What is hidden after a click on the legend, and after a double-click: only this one stays, or all come back.
+// The hidden series after a click on the legend, and after a double-click, which shows only this one, or all.
 export const afterClick = (hidden, name) =>
   hidden.includes(name) ? hidden.filter((other) => other !== name) : [...hidden, name];
 

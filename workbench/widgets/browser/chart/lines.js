@@ -58,7 +58,7 @@ function paintPlaces(context, { range, width, bottom, toX }, sent) {
   context.fillText(sent.x_label, LEFT + width / 2, bottom + 22);
 }
 
-// The label of the values, and where stages begin.
+// The label of the values, and the starts of stages.
 function paintStages(context, { right, bottom, toX }, sent) {
   context.textAlign = "left";
   context.fillText(sent.y_label, 2, 8);
@@ -69,7 +69,7 @@ function paintStages(context, { right, bottom, toX }, sent) {
     context.globalAlpha = 0.6;
     for (let y = TOP; y < bottom; y += 5) context.fillRect(at, y, 1, 3);
     context.globalAlpha = 1;
-    // A label without room is left out; its line stays.
+    // A label without enough space is left out; its line stays.
     const wide = context.measureText(label).width, from = clamp(at, LEFT, right - wide);
     if (from < free) continue;
     context.fillText(label, from, 8);
@@ -79,7 +79,7 @@ function paintStages(context, { right, bottom, toX }, sent) {
 
 function paintRow(context, { x, rows, scale, palette }, k) {
   context.strokeStyle = context.fillStyle = palette[k];
-  context.lineWidth = rows.length > 12 ? 1.1 : 1.6; // many lines must not become one surface
+  context.lineWidth = rows.length > 12 ? 1.1 : 1.6; // so that many lines stay distinct
   context.setLineDash(dashOf(k));
   context.beginPath();
   if (x.length > 2 * scale.width) traceDense(context, scale, x, rows[k]);
@@ -102,7 +102,7 @@ function traceSparse(context, { toX, toY }, x, row) {
   }
 }
 
-// More values than pixels: each pixel column gets a stroke from its least to its largest value.
+// With more values than pixels, each pixel column gets a stroke from its smallest to its largest value.
 function traceDense(context, { toX, toY }, x, row) {
   let j = 0, down = false;
   while (j < row.length) {
@@ -123,7 +123,7 @@ function traceDense(context, { toX, toY }, x, row) {
     if (down) context.lineTo(px, toY(first));
     else context.moveTo(px, toY(first));
     context.lineTo(px, toY(low));
-    context.lineTo(px, toY(high) - 0.5); // a level stretch is still a stroke
+    context.lineTo(px, toY(high) - 0.5); // so that a flat stretch is still visible
     context.lineTo(px, toY(last));
     down = true;
   }

@@ -24,7 +24,7 @@ export function paintCursor(canvas, chart, cursor) {
   });
 }
 
-// Of many series those nearest to the pointer are read out.
+// If there are many series, only those closest to the pointer are read out.
 function readOut(seen, { rows, scale, hover }) {
   if (seen.length <= MOST_VALUES) return seen;
   const away = (k) => Math.abs(scale.toY(rows[k][hover.index]) - hover.y);

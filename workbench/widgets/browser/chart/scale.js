@@ -1,6 +1,6 @@
 export const LEFT = 54, RIGHT = 12, TOP = 18, BOTTOM = 30; // pixels around the plot
 
-// Index of the value nearest to `wanted` in an ascending array.
+// Index of the value closest to `wanted` in an ascending array.
 export function nearest(values, wanted) {
   let low = 0, high = values.length - 1;
   while (high - low > 1) {
@@ -11,7 +11,7 @@ export function nearest(values, wanted) {
   return Math.abs(values[high] - wanted) < Math.abs(values[low] - wanted) ? high : low;
 }
 
-// Least and largest value that can be drawn; on a logarithmic axis their exponents.
+// Smallest and largest value that can be drawn; on a logarithmic axis their exponents.
 function extent(rows, log) {
   let low = Infinity, high = -Infinity, zeros = false;
   for (const row of rows) {
@@ -25,12 +25,12 @@ function extent(rows, log) {
   if (low > high) [low, high] = log ? [0.1, 1] : [0, 1];
   if (log) {
     [low, high] = [Math.log10(low), Math.log10(high)];
-    low = Math.max(low, high - 14); // beyond that there is rounding, not information
+    low = Math.max(low, high - 14); // below that there are only rounding errors
   }
   return { low, high, zeros };
 }
 
-// What the axes show: `low` and `high` (exponents on a logarithmic one), `left` and `right`.
+// The ranges of the axes: `low` and `high` (exponents on a logarithmic axis), `left` and `right`.
 export function rangeOf(x, rows, log) {
   const { low, high, zeros } = extent(rows, log), room = high - low || Math.abs(high) * 0.1 || 1;
   const first = x.length ? x[0] : 0, last = x.length ? x[x.length - 1] : 1, half = first === last ? 0.5 : 0;
@@ -39,10 +39,10 @@ export function rangeOf(x, rows, log) {
   };
 }
 
-// Places of values in a plot of width × height pixels. Made once for each drawing: asking the page for every point
-// would take most of the time.
+// Positions of values in a plot of width × height pixels. Made once per drawing, because asking the page for every
+// point would take most of the time.
 export function scaleOf(range, width, height, log) {
-  // Zero has no logarithm: it lies on the lower edge.
+  // Zero has no logarithm, so it is drawn on the lower edge.
   const level = (value) => (log ? (value > 0 ? Math.max(Math.log10(value), range.low) : range.low) : value);
   const toLevel = (place) => TOP + height * (1 - (place - range.low) / (range.high - range.low));
   return {

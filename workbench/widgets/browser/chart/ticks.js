@@ -7,7 +7,7 @@ export function linearTicks(low, high, most) {
   return ticks;
 }
 
-// Powers of ten between two exponents; where there is hardly one, also their double and fivefold.
+// Powers of ten between two exponents; if there are too few, also twice and five times these.
 export function logTicks(low, high, most) {
   const step = Math.max(1, Math.ceil((high - low) / most)), ticks = [];
   const factors = high - low < 2 ? [1, 2, 5] : [1];

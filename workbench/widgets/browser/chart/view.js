@@ -1,4 +1,4 @@
-// Lines over a common x. They are drawn on one canvas; the cursor and the readout, which move often, on another.
+// Lines over a common x. Lines are drawn on one canvas; cursor and readout, which move often, on another.
 import { bytesOf } from "../shared/bytes.js";
 import { element } from "../shared/canvas.js";
 import { follow, followSize, followTheme, listen } from "../shared/following.js";
@@ -24,7 +24,7 @@ function makePage(el) {
   return { root, top, title, keys, stage, lines, over, hoverBox };
 }
 
-// The state that is drawn: what Python `sent`, its `x` and `rows`, their places, colours, and the value under the mouse.
+// The drawn state: the data `sent` by Python, its `x` and `rows`, positions, colours, and the value under the mouse.
 function makeChart(model) {
   const chart = { sent: null, x: null, rows: [], scale: null, theme: {}, palette: [], hover: null };
   chart.shown = (k) => !model.get("hidden").includes(chart.sent.names[k]);
@@ -61,7 +61,7 @@ function makePainting(model, page, chart) {
   });
 }
 
-// What mouse and keys do in the plot.
+// Handles mouse and keys in the plot.
 function listenToPlot(model, { stage, over }, chart, draw) {
   function onMove(event) {
     if (!chart.x.length || !chart.scale) return;

@@ -4,7 +4,7 @@ const indicesOf = (view) => new Uint32Array(bytesOf(view));
 
 export const floatsOf = (view) => new Float32Array(bytesOf(view));
 
-// A mesh as Python sends it (`surface_message`). Vertices that lie on a seam of the texture are several points.
+// A mesh as sent by Python (`surface_message`). Vertices on a texture seam become several points.
 export function readMesh(message) {
   const { triangles, drawn, order, uv, shown, wet, colors } = message;
   return {
@@ -13,7 +13,7 @@ export function readMesh(message) {
   };
 }
 
-// Three numbers of each vertex to those of each point.
+// Copies three numbers per vertex to three numbers per point.
 export function spread(order, values, points) {
   for (let i = 0; i < order.length; i++) {
     for (let j = 0; j < 3; j++) points[3 * i + j] = values[3 * order[i] + j];
@@ -21,7 +21,7 @@ export function spread(order, values, points) {
   return points;
 }
 
-// Places and normals of a mesh's points, from the places of its vertices; `stamp` counts the changes.
+// Positions and normals of a mesh's points, from the positions of its vertices; `stamp` counts the changes.
 export function makeShape(mesh) {
   const normals = new Float32Array(3 * mesh.vertices), count = 3 * mesh.order.length;
   const shape = { places: new Float32Array(count), normals: new Float32Array(count), stamp: 0 };
@@ -35,7 +35,7 @@ export function makeShape(mesh) {
   return shape;
 }
 
-// Normals of vertices, not of unit length: the sum over their triangles, each weighted by its area.
+// Vertex normals, not of unit length: the sum over adjacent triangles, weighted by area.
 export function sumNormals(places, triangles, normals) {
   normals.fill(0);
   for (let t = 0; t < triangles.length; t += 3) {

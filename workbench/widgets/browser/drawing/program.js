@@ -8,7 +8,7 @@ function compiled(gl, kind, source) {
   return shader;
 }
 
-// A WebGL program that knows where its uniforms and attributes are.
+// A WebGL program with the locations of its uniforms and attributes.
 export function makeProgram(gl, [vertex, fragment]) {
   const program = gl.createProgram(), places = {};
   gl.attachShader(program, compiled(gl, gl.VERTEX_SHADER, vertex));
@@ -17,7 +17,7 @@ export function makeProgram(gl, [vertex, fragment]) {
   return {
     use: () => gl.useProgram(program),
     uniform: (name) => (places[name] ??= gl.getUniformLocation(program, name)),
-    // The buffer of an attribute, filled with `data`; of bytes, 255 counts as 1. `each`: one value for a whole rod.
+    // The buffer of an attribute, filled with `data`; byte 255 means 1. `each`: one value per rod.
     attribute(name, size, data, usage = gl.STATIC_DRAW, each = false) {
       const buffer = gl.createBuffer(), index = gl.getAttribLocation(program, name);
       const kind = data instanceof Uint8Array ? gl.UNSIGNED_BYTE : gl.FLOAT;

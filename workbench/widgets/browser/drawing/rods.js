@@ -3,7 +3,7 @@ import { floatsOf } from "./mesh.js";
 
 const SIDES = 12, RINGS = 4; // of a half ball
 
-// A ball around z that is cut at its equator: corners (x, y, z, end of the rod) and triangles.
+// A ball around z, cut at its equator: corners (x, y, z, end of the rod) and triangles.
 export function roundEnds() {
   const corners = [], triangles = [];
   for (const end of [0, 1]) {
@@ -24,7 +24,7 @@ export function roundEnds() {
   return { corners: new Float32Array(corners), triangles: new Uint16Array(triangles) };
 }
 
-// Balls and rods, as Python sends them (`rods_message`); an empty message shows none.
+// Balls and rods as sent by Python (`rods_message`); an empty message shows none.
 export function makeRods(gl, program) {
   const { corners, triangles } = roundEnds();
   const index = gl.createBuffer();

@@ -5,7 +5,7 @@ import { rodShaders, surfaceShaders } from "./shaders.js";
 import { loadTexture, makeSurface } from "./surface.js";
 import { dot } from "./vectors.js";
 
-// A head, a second translucent one, balls and rods in one WebGL context. `redraw` is called when the texture is there.
+// A head, a second translucent one, balls and rods in one WebGL context. `redraw` is called when the texture is loaded.
 export function makeScene(gl, mesh, redraw) {
   const surfaces = makeProgram(gl, surfaceShaders()), rods = makeProgram(gl, rodShaders());
   const head = makeSurface(gl, surfaces, mesh), texture = loadTexture(gl, mesh.texture, redraw);
@@ -35,7 +35,7 @@ export function makeScene(gl, mesh, redraw) {
 
   return {
     draw, setHead: head.setShape, setGhost: ghost.set,
-    // RGB of each vertex in place of the skin, or null.
+    // RGB per vertex to replace the skin, or null.
     setColors(colors) {
       colored = Boolean(colors);
       head.setColors(colors ?? mesh.colors);
@@ -44,7 +44,7 @@ export function makeScene(gl, mesh, redraw) {
   };
 }
 
-// The translucent head; it needs buffers only where there ever is one.
+// The translucent head; its buffers are created when it is first used.
 function makeGhost(gl, program, mesh) {
   let surface = null, opacity = 0;
 
@@ -61,7 +61,7 @@ function makeGhost(gl, program, mesh) {
     surface.setShape(shape);
   }
 
-  // Only what lies in front is blended: the depth is drawn first.
+  // Depth is drawn first, so that only the front surface is blended.
   function draw() {
     if (!opacity) return;
     gl.uniform1i(program.uniform("textured"), 0);
@@ -76,7 +76,7 @@ function makeGhost(gl, program, mesh) {
   return { set, draw };
 }
 
-// What programs of heads and of rods draw from there, in the light of the mesh.
+// Shared uniforms of the programs for heads and rods, with the lights of the mesh.
 function look(gl, program, mesh, pose) {
   const { width, height } = gl.canvas, [w, h] = pose.size, fit = Math.min(width / w, height / h);
   const stretch = [(fit * w) / width, (fit * h) / height];
@@ -92,7 +92,7 @@ function look(gl, program, mesh, pose) {
   gl.uniform1f(program.uniform("opacity"), 1);
 }
 
-// What lies behind the skin is seen through the cut neck alone, from beyond the plane that cuts it (null: no cut).
+// The inside of the head is visible only through the cut neck, from beyond the cutting plane (null: no cut).
 export function seesInside(collar, { turn, shift, pivot }) {
   if (!collar) return false;
   const eye = [0, 1, 2].map((k) => pivot[k] - dot([turn[k], turn[3 + k], turn[6 + k]], shift));

@@ -9,7 +9,7 @@ void show(vec3 place, vec3 normal, vec3 color) {
   tint = color;
   gl_Position = projection * vec4(p, 1.0);
 }`;
-// Distant lights in the camera's frame; of the first one also the gloss, as (strength, exponent).
+// Distant lights in the camera's frame; the first one also has gloss (strength, exponent).
 const LIGHTING = `${HEADER}
 in vec3 n, p, tint;
 uniform vec3 from[3], strength[3]; uniform float ambient, opacity;
@@ -21,7 +21,7 @@ void light(vec3 albedo, vec2 gloss) {
   result = vec4(albedo * sum + gloss.x * spark * strength[0], opacity);
 }`;
 
-// A surface in the colours of its points or of a picture, cut off where it is shown by less than a half.
+// A surface coloured by its points or by a picture, cut off where its opacity is less than a half.
 export function surfaceShaders() {
   return [`${PLACING}
 in vec3 place, normal, color; in vec2 uv; in float shown, wet;
@@ -40,7 +40,7 @@ void main() {
 }`];
 }
 
-// Rods with round ends: each has a start and an end, which are the same place for a ball.
+// Rods with round ends: each has a start and an end, which coincide for a ball.
 export function rodShaders() {
   return [`${PLACING}
 in vec4 corner; in vec3 start, end, color;

@@ -1,13 +1,13 @@
 import { listen } from "../shared/following.js";
 
-// A canvas with a scene that `build(gl)` makes, anew when the browser has taken its WebGL context and gives it back;
-// null without WebGL2. Each scene is drawn by `paint(scene, fresh)`: whether it is a new one, with nothing set yet.
+// A canvas with a scene made by `build(gl)`, and made again when the browser restores a lost WebGL context; null
+// without WebGL2. A scene is drawn by `paint(scene, fresh)`; `fresh`: it is new and nothing has been set yet.
 export function makeStage(canvas, options, build, redraw) {
   const gl = canvas.getContext("webgl2", options);
   if (!gl) return null;
   let scene = gl.isContextLost() ? null : build(gl), fresh = true;
   const unlisten = listen(canvas, {
-    webglcontextlost: (event) => { event.preventDefault(); scene = null; }, // else it never comes back
+    webglcontextlost: (event) => { event.preventDefault(); scene = null; }, // otherwise it is never restored
     webglcontextrestored: () => { [scene, fresh] = [build(gl), true]; redraw(); },
   });
   return {

@@ -2,7 +2,7 @@ import { bytesOf } from "../shared/bytes.js";
 import { spread } from "./mesh.js";
 import { refill } from "./program.js";
 
-// A mesh in a WebGL context; its places and normals are empty until they are set.
+// A mesh in a WebGL context; positions and normals are empty until they are set.
 export function makeSurface(gl, program, mesh) {
   const points = mesh.order.length, vertexArray = gl.createVertexArray(), colors = new Uint8Array(3 * points);
   gl.bindVertexArray(vertexArray);
@@ -20,7 +20,7 @@ export function makeSurface(gl, program, mesh) {
       refill(gl, place, shape.places);
       refill(gl, normal, shape.normals);
     },
-    // RGB of each vertex.
+    // RGB per vertex.
     setColors: (values) => refill(gl, color, spread(mesh.order, values, colors)),
     // The first `count` triangles.
     draw(count) {
@@ -36,7 +36,7 @@ function spreadOnes(order, values, points) {
   return points;
 }
 
-// Says when the texture is there, and calls `loaded` then; a mesh without one stays in the colours of its points.
+// Loads the texture and then calls `loaded`; a mesh without a texture keeps the colours of its points.
 export function loadTexture(gl, picture, loaded) {
   const texture = { ready: false };
   if (!picture.byteLength) return texture;
@@ -45,7 +45,7 @@ export function loadTexture(gl, picture, loaded) {
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
     gl.generateMipmap(gl.TEXTURE_2D);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
-    gl.texParameterf(gl.TEXTURE_2D, gl.TEXTURE_MAX_LOD, 1); // coarser, skin would shine through the hair's seams
+    gl.texParameterf(gl.TEXTURE_2D, gl.TEXTURE_MAX_LOD, 1); // at coarser levels, skin would show at the hair's seams
     image.close();
     texture.ready = true;
     loaded();

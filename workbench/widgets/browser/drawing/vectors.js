@@ -7,7 +7,7 @@ export function added(a, b, factor = 1) {
   return a.map((value, k) => value + factor * b[k]);
 }
 
-// Turned by an angle about an axis of unit length.
+// A vector rotated by an angle about a unit axis.
 export function rotated(a, axis, angle) {
   const [c, s] = [Math.cos(angle), Math.sin(angle)];
   return added(added(scaled(a, c), cross(axis, a), s), axis, dot(axis, a) * (1 - c));

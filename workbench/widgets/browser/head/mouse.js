@@ -2,22 +2,22 @@ import { listen } from "../shared/following.js";
 import { clamp } from "../shared/numbers.js";
 
 const STEP_PX = 24; // one press of an arrow key
-const FARTHEST = 240; // of one turn of the wheel
+const FARTHEST = 240; // limit for one wheel event
 const KEYS = {
   ArrowLeft: { turn: [-STEP_PX, 0] }, ArrowRight: { turn: [STEP_PX, 0] },
   ArrowUp: { turn: [0, -STEP_PX] }, ArrowDown: { turn: [0, STEP_PX] },
   "+": { zoom: 0.9 }, "-": { zoom: 1 / 0.9 }, Home: { reset: true },
 };
 
-// The middle of one or two pointers, and how far they are apart.
+// The midpoint of one or two pointers, and their distance.
 export function spanOf([a, b = a]) {
   return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, length: Math.hypot(a.x - b.x, a.y - b.y) };
 }
 
-// What the mouse, fingers or the keyboard do to the head: calls `move` with pixels of a picture so wide, or a zoom. One
-// finger turns it, two move and zoom it.
+// Turns actions of mouse, fingers and keyboard into calls of `move`, with pixels of a picture of the given width or a
+// zoom. One finger turns the head, two move and zoom it.
 export function listenTo(canvas, width, move) {
-  const held = new Map(); // places of the pointers that are down
+  const held = new Map(); // positions of the pressed pointers
   let panning = false;
   const placeOf = (event) => ({ x: event.clientX, y: event.clientY });
   function onDown(event) {
@@ -47,7 +47,7 @@ export function listenTo(canvas, width, move) {
   function onKey(event) {
     if (!KEYS[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
-    event.stopPropagation(); // the notebook has commands on these keys
+    event.stopPropagation(); // the notebook uses these keys for commands
     move(KEYS[event.key]);
   }
   return listen(canvas, {

@@ -1,7 +1,7 @@
-const ANSWER_MS = 600; // after this long without an answer the next movement is sent anyway
+const ANSWER_MS = 600; // the next movement is sent after this time even without an answer
 const NOTHING = { turn: [0, 0], pan: [0, 0], zoom: 1, reset: false };
 
-// Two movements as one.
+// Combines two movements.
 export function joined(waiting, change) {
   const add = (a, b) => (b ? [a[0] + b[0], a[1] + b[1]] : a);
   if (change.reset) return { ...NOTHING, reset: true };
@@ -11,11 +11,10 @@ export function joined(waiting, change) {
   };
 }
 
-// Sends movements. At most one is under way: the next one waits for its picture and takes along all that happened
-// meanwhile.
+// Sends movements, one at a time: the next one waits for the picture and combines everything that happened until then.
 export function makeMoves(model) {
   let waiting = NOTHING, pending = false, timer = null;
-  let sent = Date.now(); // ascends over reloads of the page, and differs between two displays
+  let sent = Date.now(); // increases across page reloads, and differs between two displays
   function send() {
     if (!pending || timer !== null) return;
     sent += 1;

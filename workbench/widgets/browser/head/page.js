@@ -1,12 +1,12 @@
 import { element } from "../shared/canvas.js";
 
-// The canvas of a head, so wide and high in CSS pixels, and a line below it for what is wrong.
+// The canvas of a head, with width and height in CSS pixels, and a line below it for errors.
 export function makePage(el, kind, width, height) {
   el.classList.add("fw-head3d", kind);
   const canvas = element(el, "canvas", ""), message = element(el, "div", "");
   Object.assign(canvas, { width, height, tabIndex: 0 });
   canvas.setAttribute("role", "img");
-  canvas.setAttribute("aria-label", "Head in 3D: drag or arrow keys turn it, wheel or + and - zoom, Home resets");
+  canvas.setAttribute("aria-label", "3D head: drag or arrow keys turn it, wheel or + and - zoom, Home resets");
   canvas.style.cssText =
     `display:block; width:${width}px; max-width:100%; aspect-ratio:${width}/${height}; cursor:grab; touch-action:none`;
   message.style.cssText = "font-size:12px; color:var(--jp-error-color1, #b3261e)";

@@ -1,11 +1,11 @@
-// Shows the newest picture of the head and sends what the mouse, a finger or the keyboard does to it.
+// Shows the latest picture of the head and sends the actions of mouse, fingers and keyboard.
 import { bytesOf } from "../shared/bytes.js";
 import { follow } from "../shared/following.js";
 import { listenTo } from "./mouse.js";
 import { makeMoves } from "./moves.js";
 import { makePage } from "./page.js";
 
-// Draws pictures as they come; one that is decoded after a newer one came is left out.
+// Draws pictures as they arrive, and skips one that is decoded after a newer one has arrived.
 function makeDrawing(model, canvas) {
   const context = canvas.getContext("2d");
   let newest = 0;

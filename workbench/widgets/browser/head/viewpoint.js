@@ -1,17 +1,17 @@
-// From where the head is looked at: what `viewpoint.py` does, without asking the kernel.
+// Viewpoints of the head: the same as `viewpoint.py`, without asking the kernel.
 import { added, cross, dot, rotated, scaled, unit } from "../drawing/vectors.js";
 import { clamp } from "../shared/numbers.js";
 
-const NEAREST_MM = 150, FURTHEST_MM = 6000; // from the target, by zooming
+const NEAREST_MM = 150, FURTHEST_MM = 6000; // distances from the target that zooming can reach
 const STEEPEST = 0.995; // cosine between the line of sight and the up direction at which a drag stops tilting
 
-// Eleven numbers, as Python knows them: position, target and up in the head frame, focal lengths in pixels.
+// Eleven numbers, as in Python: position, target and up in the head frame, focal lengths in pixels.
 export const viewpointOf = (numbers) => ({
   position: numbers.slice(0, 3), target: numbers.slice(3, 6), up: numbers.slice(6, 9), focal: numbers.slice(9),
 });
 export const numbersOf = ({ position, target, up, focal }) => [...position, ...target, ...up, ...focal];
 
-// How a picture (width, height) from there is drawn: see `makeScene`.
+// The pose for drawing a picture (width, height) from a viewpoint; see `makeScene`.
 export function poseOf({ position, target, up, focal }, [width, height]) {
   const forward = unit(added(target, position, -1)), right = unit(cross(forward, up)), down = cross(forward, right);
   return {
@@ -20,11 +20,11 @@ export function poseOf({ position, target, up, focal }, [width, height]) {
   };
 }
 
-// Turned about the target (radians) as if the head were dragged: yaw to image right, pitch downwards.
+// The viewpoint turned about the target (radians) as if dragging the head: yaw image right, pitch down.
 function orbited(viewpoint, yaw, pitch) {
   const { target, up } = viewpoint, away = rotated(added(viewpoint.position, target, -1), up, -yaw);
   const sight = unit(scaled(away, -1)), tilted = rotated(away, unit(cross(sight, up)), -pitch);
-  // The up direction stays: past the pole the picture would flip.
+  // The up direction is kept, because the picture would flip past the pole.
   const steep = Math.abs(dot(unit(tilted), up)) > Math.max(STEEPEST, Math.abs(dot(sight, up)));
   return { ...viewpoint, position: added(target, steep ? away : tilted) };
 }
@@ -34,7 +34,7 @@ function zoomed(viewpoint, factor) {
   return { ...viewpoint, position: added(target, away, clamp(distance * factor, NEAREST_MM, FURTHEST_MM) / distance) };
 }
 
-// Moved sideways, so that the target moves by this many pixels in the picture.
+// The viewpoint moved sideways so that the target moves by this many pixels in the picture.
 function panned(viewpoint, [dx, dy]) {
   const { position, target, up, focal } = viewpoint, sight = added(target, position, -1);
   const right = unit(cross(sight, up)), down = cross(unit(sight), right), distance = Math.hypot(...sight);
@@ -42,7 +42,7 @@ function panned(viewpoint, [dx, dy]) {
   return { ...viewpoint, position: added(position, by), target: added(target, by) };
 }
 
-// After a movement of the mouse (see `listenTo`) in a picture so high; `front` is where a reset leads.
+// The viewpoint after a mouse movement (see `listenTo`) in a picture of this height; a reset returns to `front`.
 export function moved(viewpoint, { turn = [0, 0], pan = [0, 0], zoom = 1, reset = false }, front, height) {
   const start = reset ? front : viewpoint, [yaw, pitch] = turn.map((pixels) => (Math.PI * pixels) / height);
   return panned(orbited(zoomed(start, zoom), yaw, pitch), pan);

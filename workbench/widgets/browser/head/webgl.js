@@ -1,4 +1,4 @@
-// The head drawn in the browser: all of it comes with the widget, and the kernel only hears from where it is looked at.
+// The head drawn in the browser: the widget brings all its data, and the kernel is told only the viewpoint.
 import { floatsOf, makeShape, readMesh } from "../drawing/mesh.js";
 import { makeScene } from "../drawing/scene.js";
 import { makeStage } from "../drawing/stage.js";
@@ -10,9 +10,9 @@ import { listenTo } from "./mouse.js";
 import { makePage } from "./page.js";
 import { moved, numbersOf, poseOf, viewpointOf } from "./viewpoint.js";
 
-const SHARPEST = 2; // drawn pixels in one of CSS, along an axis
+const SHARPEST = 2; // drawn pixels per CSS pixel along an axis
 
-// Brings what changed in the model into a scene.
+// Applies changes of the model to a scene.
 function makeFeeding(model, mesh) {
   const head = makeShape(mesh), ghost = makeShape(mesh);
   const feeds = {
@@ -38,7 +38,7 @@ function makeFeeding(model, mesh) {
   };
 }
 
-// As sharp as the screen, which may change with the window.
+// The resolution of the screen, which may change when the window moves.
 function sharpen(canvas, [width, height]) {
   const ratio = Math.min(window.devicePixelRatio || 1, SHARPEST);
   const [wide, high] = [Math.round(ratio * width), Math.round(ratio * height)];
@@ -49,7 +49,7 @@ function render({ model, el }) {
   const size = model.get("_size"), [width, height] = size, mesh = readMesh(model.get("_mesh"));
   const ground = [...mesh.ground.map((value) => value / 255), 1];
   const { canvas, message } = makePage(el, "fw-webgl", width, height), feeding = makeFeeding(model, mesh);
-  // Without a graphics card smooth edges cost as much as all the rest.
+  // Without a graphics card, antialiasing costs as much as everything else.
   const options = { alpha: false, antialias: !drawsInSoftware() };
   const stage = makeStage(canvas, options, (gl) => makeScene(gl, mesh, ask), ask);
   if (!stage) message.textContent = model.get("_note");

@@ -2,11 +2,11 @@ import { makeScene } from "../drawing/scene.js";
 import { makeStage } from "../drawing/stage.js";
 import { drawsInSoftware } from "../shared/webgl.js";
 
-const GROUND = [0, 0, 0, 0]; // the page's own shows through
+const GROUND = [0, 0, 0, 0]; // the page's background shows through
 
-// The head in WebGL; null without it.
+// The head in WebGL; null without WebGL.
 export function makeAvatar(canvas, mesh, head, redraw) {
-  // Without a graphics card smooth edges cost as much as all the rest.
+  // Without a graphics card, antialiasing costs as much as everything else.
   const options = { antialias: !drawsInSoftware() };
   const stage = makeStage(canvas, options, (gl) => makeScene(gl, mesh, redraw), redraw);
   if (!stage) return null;

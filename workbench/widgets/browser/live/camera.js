@@ -1,11 +1,11 @@
-const AHEAD = 2; // frames without an answer from the kernel: one on the way while one is fitted, never more
+const AHEAD = 2; // most frames without an answer from the kernel: one in transit while another is fitted
 const JPEG_QUALITY = 0.85;
 const WHY = {
   NotAllowedError: "denied", SecurityError: "denied", NotFoundError: "absent", OverconstrainedError: "absent",
   NotReadableError: "busy", AbortError: "busy",
 };
 
-// Opens the browser's camera and hands out its newest frame whenever the kernel has few enough to answer.
+// Opens the browser's camera and delivers its latest frame whenever the kernel has few enough unanswered ones.
 export function makeCamera(onFrame, onTrouble) {
   let stream = null, video = null, opening = false, turn = 0, fresh = false, number = 0, answered = -1;
   let takeAgain = () => {};
@@ -19,7 +19,7 @@ export function makeCamera(onFrame, onTrouble) {
     opening = true;
     try {
       const opened = await streamOf(width, height);
-      if (mine !== turn) return opened.getTracks().forEach((track) => track.stop()); // stopped meanwhile
+      if (mine !== turn) return opened.getTracks().forEach((track) => track.stop()); // stopped in the meantime
       stream = opened;
       stream.getVideoTracks()[0].addEventListener("ended", () => {
         if (mine === turn) close(), onTrouble("ended");
@@ -50,7 +50,7 @@ export function makeCamera(onFrame, onTrouble) {
     video.requestVideoFrameCallback(next);
   }
 
-  // Where the kernel is slower than the camera, frames are left out here and never queue up.
+  // If the kernel is slower than the camera, frames are skipped here and never queue up.
   function take(scale) {
     if (number - 1 - answered >= AHEAD || !fresh || !video.videoWidth) return;
     fresh = false;
@@ -66,7 +66,7 @@ export function makeCamera(onFrame, onTrouble) {
     opening = false;
   }
 
-  // The kernel has answered this frame; those before it were left out.
+  // The kernel has answered this frame; earlier ones were skipped.
   function release(done) {
     answered = Math.max(answered, done);
     if (stream) takeAgain();
@@ -92,7 +92,7 @@ function grab(video, scale) {
   return canvas;
 }
 
-// At once: browsers encode blobs when they are idle, which took 30 ms here instead of 4.
+// Synchronous, because browsers encode blobs when idle, which took 30 ms here instead of 4.
 function jpegOf(canvas) {
   const text = atob(canvas.toDataURL("image/jpeg", JPEG_QUALITY).split(",")[1]);
   return Uint8Array.from(text, (letter) => letter.charCodeAt(0)).buffer;

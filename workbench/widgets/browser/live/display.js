@@ -17,13 +17,13 @@ function makePage(el) {
   const message = element(left, "div", "fw-message"), note = element(right, "div", "fw-message");
   const lamp = element(left, "div", "fw-lamp"), status = element(root, "div", "fw-line");
   lamp.textContent = "● live";
-  right.title = "Drag: turn the head. Double-click: back.";
+  right.title = "Drag: turn the head. Double-click: reset.";
   message.setAttribute("role", "status");
-  note.textContent = "This browser has no WebGL: there is no avatar.";
+  note.textContent = "This browser has no WebGL, so there is no avatar.";
   return { root, row, left, right, picture, head, message, note, lamp, status };
 }
 
-// Keeps canvases as sharp as the screen. Sizes are kept: asking the page for them lays it out anew, at every frame.
+// Keeps canvases at screen resolution. Sizes are cached, because asking for them would redo the layout at every frame.
 function followStages(stages, changed) {
   const boxes = new Map();
   const sizes = new ResizeObserver((entries) => {
@@ -31,7 +31,7 @@ function followStages(stages, changed) {
     changed();
   });
   stages.forEach((stage) => sizes.observe(stage));
-  // Whether there is anything to see of a canvas, which has the size of its stage now.
+  // Sets a canvas to the size of its stage; returns whether it is visible.
   function fitted(canvas) {
     const ratio = Math.min(window.devicePixelRatio || 1, 2), box = boxes.get(canvas.parentElement);
     if (!box) return false;
@@ -61,7 +61,7 @@ function listenToDrags(stage, model, view, redraw) {
   });
 }
 
-// What is said over and below the pictures.
+// The texts over and below the pictures.
 function makeWriting(model, { root, lamp, message, status }, isSlow) {
   let written = 0;
   function write(fit, log) {
@@ -70,7 +70,7 @@ function makeWriting(model, { root, lamp, message, status }, isSlow) {
     lamp.hidden = !running || !recent.count;
     message.hidden = !said && !(running && recent.count && fit && !fit.found);
     const words = said || "no face";
-    if (message.textContent !== words) message.textContent = words; // else the page is laid out at every frame
+    if (message.textContent !== words) message.textContent = words; // avoids a page layout at every frame
     message.classList.toggle("fw-alert", Boolean(said) && model.get("alert"));
     message.classList.toggle("fw-middle", !fit);
     if (now - written < WRITTEN_MS && running) return;
@@ -83,7 +83,7 @@ function makeWriting(model, { root, lamp, message, status }, isSlow) {
   return { write, writeNow: (fit, log) => ((written = 0), write(fit, log)) };
 }
 
-// One place where the widget is displayed.
+// One display of the widget.
 export function makeDisplay(model, el, mesh, head, isSlow, redraw) {
   const page = makePage(el), { root, left, right, picture } = page;
   const scheme = model.get("_scheme"), colors = cssColors(new Uint8Array(bytesOf(scheme.colors)));
@@ -97,7 +97,7 @@ export function makeDisplay(model, el, mesh, head, isSlow, redraw) {
     view.last = fit;
     root.classList.toggle("fw-mirror", model.get("mirror"));
     if (stages.fitted(picture)) paintPicture(picture, context, fit, scheme.lines, colors);
-    if (fit?.found) view.posed = fit; // without a face the head stays as it was
+    if (fit?.found) view.posed = fit; // without a face the head is unchanged
     if (avatar && stages.fitted(page.head)) avatar.draw(poseOf(view.posed, model.get("looking"), view.turned, mesh));
   }
 

@@ -3,7 +3,7 @@ import { multiplied, orbit } from "../drawing/geometry.js";
 
 const BEFORE_WEIGHTS = 16; // numbers of a fit before its weights: see `pack_fit`
 
-// The numbers of a fit by name.
+// The numbers of a fit, by name.
 export function readFit(content, buffer, shapes) {
   const numbers = new Float32Array(bytesOf(buffer));
   return {
@@ -13,7 +13,7 @@ export function readFit(content, buffer, shapes) {
   };
 }
 
-// How the avatar is seen: as the camera sees it, turning in front of a camera of its own, or the expression alone.
+// The view of the avatar: as the camera sees it, turning in front of a fixed camera, or the expression alone.
 // `turned`: yaw and pitch by which the user has turned it.
 export function poseOf(fit, looking, turned, mesh) {
   const spin = orbit(...turned), front = {

@@ -1,7 +1,7 @@
 import { floatsOf, makeShape } from "../drawing/mesh.js";
 import { bytesOf } from "../shared/bytes.js";
 
-// Morph targets of one head; its shape is computed once a fit, however many displays draw it.
+// Morph targets of one head; its shape is computed once per fit, however many displays draw it.
 export function makeHead(mesh) {
   const size = 3 * mesh.vertices, raw = new Int16Array(bytesOf(mesh.deltas));
   const deltas = mesh.steps.map((_, k) => raw.subarray(k * size, (k + 1) * size));

@@ -1,7 +1,7 @@
-const GONE_MS = 1500; // a display that is moved within a notebook vanishes for a moment: then the camera closes
-const LEFT_MS = 8000; // and then nobody is expected to come back
+const GONE_MS = 1500; // after this the camera closes; a display moved within a notebook disappears for less
+const LEFT_MS = 8000; // after this no display is expected to return
 
-// What follows when the last display has gone, unless one comes back meanwhile.
+// Actions after the last display has gone, unless one returns in time.
 export function makeLeaving(onGone, onLeft) {
   let timer = 0;
   const stop = () => (clearTimeout(timer), (timer = 0));

@@ -13,7 +13,7 @@ export function paintPicture(canvas, context, fit, lines, colors) {
   const [w, h] = fit.size, scale = Math.min(canvas.width / w, canvas.height / h);
   context.setTransform(scale, 0, 0, scale, (canvas.width - scale * w) / 2, (canvas.height - scale * h) / 2);
   if (fit.picture) context.drawImage(fit.picture, 0, 0, w, h);
-  context.translate(0.5, 0.5); // landmarks count from the centre of the first pixel
+  context.translate(0.5, 0.5); // landmark coordinates start at the centre of the first pixel
   if (fit.found) paintMarks(context, fit, lines, colors, scale);
 }
 

@@ -1,7 +1,7 @@
 const SLOW_MS = 3000, SILENT_MS = 60000; // without an answer from the kernel
 const LOST_MS = 5000; // after which a frame, or its answer, may have got lost on the way
 
-// How long the kernel owes an answer: from the first frame without one, however long nothing was asked before it.
+// Time since the first frame that the kernel has not answered; pauses before that frame do not count.
 export function makeSilence() {
   let owed = null, sent = null;
   const since = (now) => (owed === null ? 0 : now - owed);

@@ -1,14 +1,14 @@
-const WINDOW_MS = 2000; // over which rates are counted
+const WINDOW_MS = 2000; // window for counting rates
 const median = (values) => [...values].sort((a, b) => a - b)[values.length >> 1];
 
-// Frames of the log that were drawn in the last seconds, how many a second, and their delay, ms.
+// Number of log entries drawn in the last seconds, rate per second, and delay in ms.
 export function recentOf(log, now) {
   const recent = log.filter((entry) => now - entry.drawn < WINDOW_MS);
   const delay = recent.length ? median(recent.map((entry) => entry.drawn - entry.grabbed)) : NaN;
   return { count: recent.length, rate: recent.length / (WINDOW_MS / 1000), delay };
 }
 
-// The line below the pictures.
+// The status line below the pictures.
 export function statusOf(fit, { rate, delay }) {
   const [yaw, pitch, roll] = fit.angles || [];
   const sign = (value) => (value < 0 ? "−" : "+") + Math.abs(value).toFixed(0) + "°";

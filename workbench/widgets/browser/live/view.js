@@ -1,5 +1,5 @@
 // The browser's part of a live panel: its camera, the picture with the landmarks, and the avatar in WebGL.
-// One object per widget and page holds the camera; each place where the widget is displayed has its own drawings.
+// One object per widget and page holds the camera; each display of the widget draws for itself.
 import { readMesh } from "../drawing/mesh.js";
 import { bytesOf } from "../shared/bytes.js";
 import { follow, listen } from "../shared/following.js";
@@ -11,24 +11,24 @@ import { makeHead } from "./head.js";
 import { makeLeaving } from "./leaving.js";
 import { makeSilence } from "./silence.js";
 
-const KEPT = 6; // frames that wait for their fit
-const LOOK_MS = 500, BEAT_MS = 10000; // between looking for its silence, and between signs of life to it
-const LOG = 2000; // frames whose times are kept for whoever measures
+const KEPT = 6; // frames waiting for their fit
+const LOOK_MS = 500, BEAT_MS = 10000; // intervals of checking whether the kernel is silent, and of signs of life to it
+const LOG = 2000; // frames whose times are kept for measurements
 
-// The state of a widget in a page; `tell` sends a message to Python, which knows the page by its name.
+// The state of a widget in a page; `tell` sends a message to Python, which identifies the page by its name.
 function makeLive() {
   const live = {
     page: Math.random().toString(36).slice(2), model: null, mesh: null, head: null, displays: new Set(),
-    waiting: new Map(), // frames by number, until their fit comes
-    log: [], // {number, grabbed, drawn} of the newest frames
-    current: null, shown: null, // the fit that is drawn, and what the next message says of it
+    waiting: new Map(), // frames by number, until their fit arrives
+    log: [], // {number, grabbed, drawn} of the latest frames
+    current: null, shown: null, // the drawn fit, and its report in the next message
     silence: makeSilence(),
   };
   live.tell = (content, buffers = []) => {
     try {
       live.model.send({ ...content, page: live.page }, undefined, buffers);
     } catch {
-      live.camera.close(); // the connection is gone, and with it whoever could ask for that
+      live.camera.close(); // the connection is gone, so nobody else can close it
     }
   };
   live.write = (fit) => live.displays.forEach((display) => display.write(fit, live.log));
@@ -50,7 +50,7 @@ function sendFrame(live, grab, bytes) {
   live.shown = null;
 }
 
-// A fit with its picture: the one that comes along, or the one that waited here.
+// A fit with its picture, which was either sent along or kept here.
 async function withPicture(live, fit, jpeg, arrived) {
   const grab = live.waiting.get(fit.number);
   if (jpeg) {
@@ -63,7 +63,7 @@ async function withPicture(live, fit, jpeg, arrived) {
   return fit;
 }
 
-// Draws fits in all displays; of those that come between two drawings only the newest.
+// Draws fits in all displays; of those that arrive between two drawings only the latest.
 function makeDrawing(live) {
   let queued = null;
   const painting = onDemand(() => {
@@ -75,7 +75,7 @@ function makeDrawing(live) {
       if (fit.found) live.head.move(fit.weights);
     }
     for (const display of live.displays) display.paint(live.current);
-    // The drawing counts as seen when the browser asks for the next one.
+    // A drawing counts as shown when the browser requests the next one.
     if (fit) requestAnimationFrame(() => onShown(fit));
     return true;
   });
@@ -85,7 +85,7 @@ function makeDrawing(live) {
     live.log.push({ number: fit.number, grabbed: fit.since, drawn, found: fit.found });
     if (live.log.length > LOG) live.log.shift();
     if (fit.fromKernel) live.tell({ kind: "shown", ...seen });
-    else live.shown = seen; // travels with the next frame
+    else live.shown = seen; // sent with the next frame
     live.write(fit);
   }
 
@@ -108,7 +108,7 @@ async function onMessage(live, content, buffers) {
   }
 }
 
-// Notices that the kernel is silent: sends it another frame now and then, and after long closes the camera.
+// Notices when the kernel is silent: sends it another frame from time to time, and finally closes the camera.
 function onLook(live) {
   const { camera, silence } = live, now = performance.now();
   if (!camera.isOpen()) return;
@@ -140,7 +140,7 @@ function initialize(live, model) {
     follow(model, [
       ["msg:custom", (content, buffers) => onMessage(live, content, buffers)],
       ["change:running", onRunning], ["change:_person", onPerson],
-      ["comm_live_update", () => camera.close()], // a kernel that has gone cannot ask for the camera's end
+      ["comm_live_update", () => camera.close()], // a kernel that has gone cannot close the camera itself
     ]),
     listen(window, { pagehide: onGone }), live.stopDrawing,
   ];
@@ -160,7 +160,7 @@ function render(live, model, el) {
   const { camera, displays, log, page } = live;
   const isSlow = () => camera.isOpen() && live.silence.isSlow(performance.now());
   const display = makeDisplay(model, el, live.mesh, live.head, isSlow, live.draw);
-  display.root.live = { log, page, camera: camera.isOpen, unplug: camera.unplug }; // for whoever measures and tests
+  display.root.live = { log, page, camera: camera.isOpen, unplug: camera.unplug }; // for measurements and tests
   displays.add(display);
   live.leaving.stop();
   live.tell({ kind: "here" });

@@ -7,7 +7,7 @@ const KINDS = {
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const STEP = 0.5, LONG_STEP = 5; // picture pixels
 
-// What keys do with the selected landmarks.
+// Keyboard actions on the selected landmarks.
 export function listenToKeys(overlay, model, send) {
   const { landmarks } = overlay;
 

@@ -1,8 +1,8 @@
 const COLUMNS = 8; // of the table of landmarks: observed x y, model x y, value, distance in px, confidence, weight
-const TRUST_MS = 2000; // a moved landmark stays where the user put it until the kernel confirms, or this long
-const REACH = 10; // screen pixels between the pointer and a landmark it means
+const TRUST_MS = 2000; // a moved landmark stays where the user put it until the kernel confirms, or for this time
+const REACH = 10; // largest distance in screen pixels between the pointer and the landmark it selects
 
-// The landmarks of a fit. One that the user moves stands where they put it until the kernel sends it back.
+// The landmarks of a fit. One moved by the user stays where they put it until the kernel sends it back.
 export function makeLandmarks(changed) {
   const moved = new Map(); // landmark -> {x, y, until}
   let fit = null;
@@ -37,7 +37,7 @@ export function makeLandmarks(changed) {
 
 export const indices = (landmarks) => Array.from({ length: landmarks.count() }, (_, i) => i);
 
-// The landmark that a pointer means, -1 if none; `shown`: whether detections and the model's landmarks count.
+// The landmark under the pointer, -1 if none; `shown`: whether detections and the model's landmarks count.
 export function hit(landmarks, toScreen, [x, y], shown) {
   let best = -1, least = REACH;
   for (const i of indices(landmarks)) {

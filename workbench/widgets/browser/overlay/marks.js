@@ -33,10 +33,10 @@ export function paintLasso(context, path) {
   outline(context, CHOSEN, 1.5);
 }
 
-// The landmarks of a fit. `look`: {layer, colors, limit, lines, chosen, subset, hovered}, as view.js puts it together.
+// The landmarks of a fit. `look`: {layer, colors, limit, lines, chosen, subset, hovered}, as assembled in view.js.
 export function paintLandmarks(context, landmarks, view, look) {
   const { layer } = look, { observed } = landmarks, { toScreen } = view;
-  // Marks grow gently with the face on the screen, here measured between the outer corners of the eyes.
+  // Marks grow slowly with the size of the face on the screen, measured between the outer eye corners.
   const eyes = view.scale * Math.hypot(observed(36)[0] - observed(45)[0], observed(36)[1] - observed(45)[1]);
   const unit = clamp(Math.pow((eyes || 80) / 110, 0.45), 0.55, 2.2), all = indices(landmarks);
   const pen = { context, landmarks, toScreen, unit, circle: circleOf(context, toScreen) };
@@ -92,7 +92,7 @@ function paintResidual({ context, landmarks, toScreen, unit, colorOf }, i) {
   outline(context, colorOf(i), 1.7 * unit);
 }
 
-// A ring, small where the detector guessed, crossed where it is muted.
+// A ring, small if the detector's confidence is low, crossed out if muted.
 function paintDetection({ context, landmarks, toScreen, unit, circle }, i) {
   const guessed = landmarks.confidence(i) < 0.5, mute = !landmarks.weight(i), radius = (guessed ? 2.2 : 3.6) * unit;
   circle(landmarks.observed(i), radius);
@@ -115,8 +115,8 @@ function paintProjection({ context, landmarks, unit, circle, colorOf }, i) {
   context.stroke();
 }
 
-// Numbers stand on the outer side of their landmark. One that would cover another is left out until zooming in
-// makes room; those of selected landmarks come first.
+// Numbers are on the outer side of their landmark. One that would cover another is left out until zooming in makes
+// space; selected landmarks come first.
 function paintLabels({ context, landmarks, toScreen, unit }, chosen, all) {
   const { observed } = landmarks, size = clamp(Math.round(10 * unit), 10, 13), taken = [];
   const middle = [observed(30), observed(51)].map((spot) => toScreen(...spot)); // nose tip and upper lip

@@ -1,7 +1,7 @@
 import { bytesOf } from "../shared/bytes.js";
 import { cleared } from "../shared/canvas.js";
 
-// Decodes pictures one at a time; of those that come meanwhile only the newest is decoded. `image()` is the last one.
+// Decodes pictures one at a time, and of those waiting only the latest. `image()` is the last one decoded.
 export function makePicture(changed) {
   let busy = false, next = null, image = null;
   function done(decoded) {
@@ -31,7 +31,7 @@ export function makePicture(changed) {
   };
 }
 
-// Pictures over one another in the place of the first; `layers`: pairs of an image, or null, and its opacity.
+// Pictures on top of each other, at the position of the first; `layers`: pairs of an image, or null, and its opacity.
 export function paintPictures(canvas, view, size, layers) {
   const context = cleared(canvas);
   if (!size[0]) return;
@@ -39,7 +39,7 @@ export function paintPictures(canvas, view, size, layers) {
   context.imageSmoothingQuality = "medium";
   for (const [image, opacity] of layers) {
     if (!image) continue;
-    // From six screen pixels a picture pixel on, the pixels themselves are what one wants to see.
+    // From six screen pixels per picture pixel on, users want to see individual pixels.
     context.imageSmoothingEnabled = (view.scale * size[0]) / image.width < 6;
     context.globalAlpha = opacity;
     context.drawImage(image, ...box);

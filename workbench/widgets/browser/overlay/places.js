@@ -1,7 +1,7 @@
 import { clamp } from "../shared/numbers.js";
 
-// Where the picture lies on the screen. Picture coordinates count from the centre of the top left pixel, so the picture
-// covers -0.5 to width - 0.5. `mode`: "face", "whole", or "free" once the user has moved it.
+// The position of the picture on the screen. Picture coordinates start at the centre of the top left pixel, so the
+// picture covers -0.5 to width - 0.5. `mode`: "face", "whole", or "free" once the user has moved it.
 export function makeView(mode) {
   const view = { scale: 1, x: 0, y: 0, mode };
   view.toScreen = (x, y) => [view.scale * x + view.x, view.scale * y + view.y];
@@ -9,7 +9,7 @@ export function makeView(mode) {
   return view;
 }
 
-// Scale and shift with which a box of the picture fills a stage.
+// Scale and shift for which a box of the picture fills a stage.
 export function fitted([left, top, right, bottom], [width, height]) {
   const scale = Math.min(width / Math.max(right - left, 1), height / Math.max(bottom - top, 1));
   return { scale, x: width / 2 - (scale * (left + right)) / 2, y: height / 2 - (scale * (top + bottom)) / 2 };
@@ -17,14 +17,14 @@ export function fitted([left, top, right, bottom], [width, height]) {
 
 export const wholeBox = ([width, height]) => [-0.5, -0.5, width - 0.5, height - 0.5];
 
-// The box around a face with some air.
+// The bounding box of the face with a margin.
 export function faceBox(places) {
   const there = places.filter(([x]) => Number.isFinite(x));
   const xs = there.map(([x]) => x), ys = there.map(([, y]) => y), margin = 0.3 * (Math.max(...xs) - Math.min(...xs));
   return [Math.min(...xs) - margin, Math.min(...ys) - margin, Math.max(...xs) + margin, Math.max(...ys) + margin];
 }
 
-// The view after a turn of the wheel at a place of the stage: what is there stays there.
+// The view after turning the wheel; the point under the pointer stays fixed.
 export function zoomedAt(view, [x, y], factor, size, [width, height]) {
   const whole = Math.min(width / size[0], height / size[1]);
   const scale = clamp(view.scale * factor, 0.5 * whole, Math.max(60, 4 * whole));

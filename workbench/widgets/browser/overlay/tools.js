@@ -1,14 +1,14 @@
 import { listen } from "../shared/following.js";
 import { hit, indices, insidePolygon } from "./landmarks.js";
 
-const CLICK = 3; // screen pixels that a click may move
+const CLICK = 3; // largest motion of a click in screen pixels
 const DRAG_MS = 40; // between two "drag" messages
-const DOUBLE_MS = 800; // at most between the clicks of a double-click
+const DOUBLE_MS = 800; // longest time between the clicks of a double-click
 
 const merged = (points, others) => [...new Set([...points, ...others])].sort((a, b) => a - b);
 const without = (points, point) => points.filter((other) => other !== point);
 
-// What the user does with the pointer: `overlay` is the state that view.js keeps, `send` its messages to Python.
+// Pointer actions: `overlay` is the state kept by view.js, `send` sends messages to Python.
 export function listenToPointer(overlay, model, send) {
   const { stage, marks } = overlay.page, { landmarks, view, draw } = overlay;
   let dropped = { points: [], at: -Infinity };
@@ -58,7 +58,7 @@ export function listenToPointer(overlay, model, send) {
 
   function onDouble(event) {
     if (event.button !== 0) return;
-    // Its first click has taken the selection away, which was not meant.
+    // The first click of a double-click has cleared the selection unintentionally.
     const undone = performance.now() - dropped.at < DOUBLE_MS && !model.get("selection").length;
     if (undone) send.selection(dropped.points);
     view.mode = view.mode === "whole" && landmarks.found() ? "face" : "whole";
@@ -92,7 +92,7 @@ function begun(overlay, tool, event, [x, y]) {
   const index = plain && tool === "move" ? meant(overlay, [x, y], true) : -1;
   if (index < 0) return gesture;
   const [px, py] = landmarks.observed(index), [cx, cy] = view.toPicture(x, y);
-  // The ring keeps its distance from the pointer, so that grabbing it does not move it.
+  // The ring keeps its offset from the pointer, so that grabbing does not move it.
   return { ...gesture, kind: "drag", index, offset: [px - cx, py - cy], sent: 0 };
 }
 

@@ -15,7 +15,7 @@ import { factsOf, makePage, paintHover, paintWords } from "./words.js";
 
 const REDRAWN = ["layers", "layer_opacity", "unit", "selection", "subset", "tool", "message", "_scale"];
 
-// The state that is drawn: where the picture lies, landmarks, pictures, and what the pointer is about.
+// The drawn state: position of the picture, landmarks, pictures, and the current pointer action.
 function makeOverlay(model, el) {
   const scheme = model.get("_scheme"), colors = cssColors(new Uint8Array(bytesOf(scheme.colors)));
   const overlay = {
@@ -32,7 +32,7 @@ function makeOverlay(model, el) {
   overlay.place = () => {
     const { landmarks, size } = overlay, face = view.mode === "face" && landmarks.found();
     if (!size[0] || (view.mode === "free" && !face)) return;
-    // The places in the kernel: a landmark under the mouse must not move the view.
+    // Uses the kernel's positions, so that dragging a landmark does not move the view.
     const box = face ? faceBox(indices(landmarks).map(landmarks.detected)) : wholeBox(size);
     Object.assign(view, fitted(box, stageSize()));
   };
@@ -89,7 +89,7 @@ function makePainting(model, overlay) {
 
   return onDemand((all, asked) => {
     if (!stage.clientWidth) return false; // in a hidden tab
-    // Landmarks wait for the picture that they belong to.
+    // Landmarks are drawn together with their picture.
     if (pictures.picture.busy() && pictures.picture.image()) return false;
     if (all) {
       const overlaid = [layer("layer") ? pictures.layer.image() : null, model.get("layer_opacity")];
@@ -103,7 +103,7 @@ function makePainting(model, overlay) {
   });
 }
 
-// The messages to Python.
+// Messages to Python.
 function makeSending(model, draw) {
   const event = (kind, points, x = null, y = null) => model.send({ kind, points, x, y });
   function selection(points, kind = "select") {
@@ -115,7 +115,7 @@ function makeSending(model, draw) {
   return { event, selection };
 }
 
-// What Python sends.
+// Messages from Python.
 function followModel(model, overlay, draw) {
   const { view, landmarks, pictures, page } = overlay, redraw = () => draw(true);
   let placedFor = "";

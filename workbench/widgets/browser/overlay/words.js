@@ -5,11 +5,11 @@ import { clamp } from "../shared/numbers.js";
 const HELP = {
   select: "scroll zoom · drag pan · double-click face · click select · M mute · ± weight",
   lasso: "draw around landmarks · Ctrl adds · Shift+drag pans · M mute · ± weight",
-  move: "drag a ring · arrows nudge (Shift more) · R detector's place · scroll zoom",
+  move: "drag a ring · arrows nudge (Shift more) · R reset · scroll zoom",
 };
-const HELP_MORE = `Wheel: zoom. Drag on empty ground, with Shift, or with the middle or right button: pan.
+const HELP_MORE = `Wheel: zoom. Drag the background, or drag with Shift or the middle or right button: pan.
 Double-click: the face or the whole picture. Click: select; Ctrl or Shift adds; Escape: none.
-M: mute or unmute. + and −: double or halve the weight. R: back to the detector's place.
+M: mute or unmute. + and −: double or halve the weight. R: back to the detected position.
 Move tool: drag a ring, or arrow keys for 0.5 px (with Shift 5 px).`;
 
 export function makePage(el, colors) {
@@ -27,11 +27,11 @@ export function makePage(el, colors) {
   stage.tabIndex = 0;
   stage.setAttribute("role", "application");
   stage.setAttribute("aria-label", "Frame with landmarks. " + HELP_MORE);
-  root.dataset.lmSuppressShortcuts = "true"; // else JupyterLab takes M and R for itself
+  root.dataset.lmSuppressShortcuts = "true"; // otherwise JupyterLab handles M and R itself
   return { root, stage, picture, marks, legend, legendTitle, ends, banner, hoverBox, help };
 }
 
-// `said`: {limit, unit, message, tool, legend} as words and numbers.
+// `said`: {limit, unit, message, tool, legend} as texts and numbers.
 export function paintWords(page, said) {
   page.legend.hidden = !said.legend || page.stage.clientWidth < 240;
   page.legendTitle.textContent = "residual, " + said.unit;
@@ -46,7 +46,7 @@ export function short(value) {
   return Number.isFinite(value) ? value.toFixed(value >= 100 ? 0 : value >= 10 ? 1 : 2) : "–";
 }
 
-// What there is to say about a landmark, a line each.
+// The facts about a landmark, one per line.
 export function factsOf(landmarks, i, group, unit) {
   const pixels = `${short(landmarks.distance(i))} px`, residual = `${short(landmarks.value(i))} ${unit} (${pixels})`;
   const weighs = landmarks.weight(i) ? `weight ${+landmarks.weight(i).toPrecision(3)}` : "muted";

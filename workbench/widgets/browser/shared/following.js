@@ -1,6 +1,6 @@
-// Each of these begins to listen and returns the function that ends it.
+// Each of these starts listening and returns the function that stops it.
 
-// `watched`: pairs of a model's event and what it calls.
+// `watched`: pairs of a model's event and its callback.
 export function follow(model, watched) {
   watched.forEach(([name, callback]) => model.on(name, callback));
   return () => watched.forEach(([name, callback]) => model.off(name, callback));
@@ -18,7 +18,7 @@ export function followSize(target, callback) {
   return () => sizes.disconnect();
 }
 
-// JupyterLab tells its theme in attributes of the page's body.
+// JupyterLab sets its theme as attributes of the page's body.
 export function followTheme(callback) {
   const themes = new MutationObserver(callback);
   themes.observe(document.body, { attributes: true });

@@ -1,5 +1,5 @@
-// Paints in the next animation frame, however often it is asked. `paint(all, asked)`: whether also what changes rarely,
-// and when it was asked first; it returns whether it has painted.
+// Paints once in the next animation frame, however often it is requested. `paint(all, asked)`: whether to include parts
+// that rarely change, and the time of the first request; it returns whether it has painted.
 export function onDemand(paint) {
   let frame = 0, all = true, asked = 0;
   function run() {

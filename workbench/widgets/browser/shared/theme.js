@@ -1,4 +1,4 @@
-// JupyterLab's colours and font where an element stands, with colours for pages without them.
+// JupyterLab's colours and font at an element, with defaults for pages without them.
 export function themeOf(root) {
   const style = getComputedStyle(root);
   const read = (name, otherwise) => style.getPropertyValue(name).trim() || otherwise;

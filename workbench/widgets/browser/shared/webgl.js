@@ -1,5 +1,5 @@
-// What `look` finds in a WebGL context, undefined without one. Browsers allow some 16 contexts in a page: this one is
-// given back at once.
+// The result of `look` on a WebGL context, undefined without one. Browsers allow about 16 contexts per page, so this
+// one is released at once.
 function lookAtWebGL(look) {
   const context = document.createElement("canvas").getContext("webgl2");
   const found = context ? look(context) : undefined;

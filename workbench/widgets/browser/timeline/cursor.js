@@ -26,7 +26,7 @@ export function paintCursor(canvas, span, column, first, theme) {
   paintNumber(context, span, middle, String(column + first), theme);
 }
 
-// The number of the frame stands on a plate below the line, over the axis.
+// The frame number is on a plate below the line, over the axis.
 function paintNumber(context, span, middle, text, { ink, paper, font }) {
   context.font = `600 10px ${font}`;
   const half = context.measureText(text).width / 2 + 4;
@@ -39,7 +39,7 @@ function paintNumber(context, span, middle, text, { ink, paper, font }) {
   context.fillText(text, x, span.bottom() + 10);
 }
 
-// What there is to say about a frame, a line each.
+// The facts about a frame, one per line.
 export function wordsOf(track, column, { names, unit, why, marked }) {
   const mark = track.marks[column], worst = track.worst[column], number = column + track.first;
   const words = [`frame ${number}`];

@@ -7,7 +7,7 @@ export const HELP_MORE = `Click or drag: go to a frame. Wheel: zoom in time; wit
 Double-click: whole clip. Left and right: one frame, with Shift ten. Home, End. N, P: next and previous flagged frame.
 Orange: flagged. Blue: marked as failed. Hatched: out of date. Vertical lines: a new shot. Blank: no face.`;
 
-// What mouse and keys do in the strip.
+// Handles mouse and keys in the strip.
 export function listenTo({ stage, over }, model, clip) {
   const go = (column) => goTo(model, clip, column);
   listen(stage, { keydown: (event) => onKey(event, clip, go) });
@@ -27,7 +27,7 @@ function goTo(model, clip, wanted) {
 
 const xOf = (event, over) => event.clientX - over.getBoundingClientRect().left;
 
-// Where a pixel holds many frames, it stands for the one that coloured it.
+// A pixel with many frames represents the one that determines its colour.
 function worstUnder(x, { track, span }) {
   const per = span.length() / span.width(), first = span.toColumn(x, track.count);
   return per <= 1 ? first : worstOf(track, first, per);
@@ -42,7 +42,7 @@ function listenToPointer(stage, over, clip, go) {
     stage.focus({ preventScroll: true });
     over.setPointerCapture(event.pointerId);
     dragging = true;
-    // A click means what the readout shows; while dragging frames follow one another.
+    // A click goes to the frame in the readout; dragging goes through all frames.
     go(worstUnder(xOf(event, over), clip));
   }
 

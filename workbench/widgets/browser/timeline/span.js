@@ -1,9 +1,9 @@
 import { clamp } from "../shared/numbers.js";
 
 export const GUTTER = 48, RIGHT = 8, FLAG_ROW = 13, AXIS = 17; // pixels around the strip: labels, flags, frame numbers
-const SHORTEST = 8; // frames that zooming in leaves
+const SHORTEST = 8; // fewest frames after zooming in
 
-// The frames [from, to) that the strip shows, counted from the first of the track, and their places.
+// The frames [from, to) in view in the strip, counted from the first of the track, and their positions.
 export function makeSpan(stage) {
   const span = {
     from: 0, to: 1,
@@ -19,13 +19,13 @@ export function makeSpan(stage) {
   return span;
 }
 
-// A part of a track of `count` frames, moved and stretched until it lies within and is not too short.
+// A part of a track of `count` frames, moved and stretched until it is inside and long enough.
 export function zoomed(start, end, count) {
   const length = clamp(end - start, Math.min(SHORTEST, count), count), from = clamp(start, 0, count - length);
   return { from, to: from + length };
 }
 
-// The part after a turn of the wheel over a frame: it stays under the mouse.
+// The part after turning the wheel over a frame, which stays under the mouse.
 export function zoomedAt({ from, to }, at, factor, count) {
   const length = to - from, next = clamp(length * factor, Math.min(SHORTEST, count), count);
   return [at - ((at - from) * next) / length, at + ((to - at) * next) / length];

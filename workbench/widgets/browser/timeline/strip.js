@@ -4,7 +4,7 @@ import { FLAGGED, FOUND, NEW_SHOT, NOTHING, POINTS, STALE, columnFrames } from "
 
 const FLAG_COLOR = "#d55e00", MARK_COLOR = "#56b4e9", MARK_TINT = "rgba(86, 180, 233, 0.45)";
 
-// The colours of residuals as pixels: from 0 to the end of the scale.
+// The colours of residuals as pixels, from 0 to the end of the scale.
 export function pixelTable(rgb) {
   const table = new Uint32Array(256), bytes = new Uint8Array(table.buffer);
   for (let k = 0; k < 255; k++) {
@@ -74,7 +74,7 @@ function paintMarked(context, marked, firstOfTrack, span, height) {
   }
 }
 
-// Flags, out-of-date frames and shots; of several frames in a column every mark is shown.
+// Flags, out-of-date frames and shots; a column with several frames shows all their marks.
 function paintFlags(context, track, span, columns, muted, height) {
   const pixel = span.width() / columns, hatch = context.createPattern(hatching(muted), "repeat");
   for (let column = 0; column < columns; column++) {
@@ -83,7 +83,7 @@ function paintFlags(context, track, span, columns, muted, height) {
     for (let k = start; k < end; k++) {
       any |= track.marks[k];
       all &= track.marks[k];
-      // A frame that is wider than a pixel starts its shot in its first column only.
+      // Of a frame wider than a pixel, only the first column starts the shot.
       cut ||= Boolean(track.marks[k] & NEW_SHOT) && span.toX(k) > GUTTER + (column - 1) * pixel;
     }
     const x = GUTTER + column * pixel;

@@ -12,7 +12,7 @@ export function readTrack(sent) {
   };
 }
 
-// Replaces some frames of a track by those of a message.
+// Replaces some frames of a track with those of a message.
 export function putPart(track, content, buffers) {
   content.names.forEach((name, k) => {
     const part = new track[name].constructor(bytesOf(buffers[k]));
@@ -20,21 +20,21 @@ export function putPart(track, content, buffers) {
   });
 }
 
-// For every pixel column the frames [start, end) in it; at least one, so that zooming in repeats frames.
+// The frames [start, end) in each pixel column; at least one, so that zooming in repeats frames.
 export function columnFrames(column, columns, from, to, count) {
   const start = Math.floor(from + ((to - from) * column) / columns);
   const end = Math.max(start + 1, Math.floor(from + ((to - from) * (column + 1)) / columns));
   return [clamp(start, 0, count - 1), clamp(end, 1, count)];
 }
 
-// The next flagged frame in a direction; where there is none, the frame itself.
+// The next flagged frame in a direction; the frame itself if there is none.
 export function nextFlagged(track, from, step) {
   let column = from + step;
   while (column >= 0 && column < track.count && !(track.marks[column] & FLAGGED)) column += step;
   return column >= 0 && column < track.count ? column : from;
 }
 
-// Of `count` frames from `first` on (a pixel may hold parts of some) the worst, or a flagged one.
+// The worst of `count` frames from `first` on (a pixel may cover fractions of frames), or a flagged one.
 export function worstOf(track, first, count) {
   const rank = (k) => (track.largest[k] || 0) + (track.marks[k] & FLAGGED ? 1e6 : 0);
   let best = first;

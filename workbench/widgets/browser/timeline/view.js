@@ -25,7 +25,7 @@ function makePage(el, rgb) {
   stage.tabIndex = 0;
   stage.setAttribute("role", "slider");
   stage.setAttribute("aria-label", "Frame. " + HELP_MORE);
-  root.dataset.lmSuppressShortcuts = "true"; // else JupyterLab takes N and P for itself
+  root.dataset.lmSuppressShortcuts = "true"; // otherwise JupyterLab handles N and P itself
   bar.style.background = gradientOf(cssColors(rgb));
   return { root, stage, strip, over, hoverBox, zero, limit };
 }
@@ -68,7 +68,7 @@ function makePainting(model, page, clip) {
   });
 }
 
-// The state that is drawn: the track, the part of it that is in view, and the frame under the mouse.
+// The drawn state: the track, the part in view, and the frame under the mouse.
 function makeClip(model, stage) {
   const clip = { track: null, span: makeSpan(stage), hover: null, draw: () => {} };
   clip.current = () => model.get("frame") - clip.track.first;
