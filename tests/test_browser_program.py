@@ -64,7 +64,7 @@ class TestJoining:
             other='import { third } from "./third.js";\nexport const other = third;\n',
             third='import { other } from "./other.js";\nexport const third = other;\n',
         )
-        with pytest.raises(InputError, match=r"other\.js and third\.js import one another in a circle"):
+        with pytest.raises(InputError, match=r"other\.js and third\.js import each other in a circle"):
             browser_program("view.js", tmp_path)
 
     @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ def test_a_face_that_the_detector_hardly_sees_is_taken_from_the_nearest_frame_wh
     fits = faults.follow(observations, config)
     found = diagnose_frame(head, FrameCase(observations[61], fits[61][1], config, observations), fitter)
     reason = found.reasons[0]
-    assert (reason.code, reason.title) == ("occluded", "The face can hardly be seen")
+    assert (reason.code, reason.title) == ("occluded", "The face is hardly visible")
     assert "mean confidence is 0.01" in reason.evidence
     moved = reason.change.moved(observations[61]).landmarks
     np.testing.assert_array_equal(moved.points, observations[63].landmarks.points)
@@ -150,7 +150,7 @@ def test_a_frame_without_landmarks_cannot_be_diagnosed(head, config, clean):
     observations, fits = clean
     case = FrameCase(replace(observations[7], landmarks=None), fits[7][1], config)
     for ask in (diagnose_frame, leave_one_group_out):
-        with pytest.raises(InputError, match="needs a frame with landmarks; frame 7 has none: choose"):
+        with pytest.raises(InputError, match="needs landmarks, but frame 7 has none; choose"):
             ask(head, case)
     with pytest.raises(InputError, match="needs landmarks; none of these frames has any"):
         reference_of(head, config, [case.observation])
@@ -231,7 +231,7 @@ def test_flags_name_what_stands_out(head, config):
     points[150, :25] += np.array([0.0, -400.0])
     fits = faults.follow(faults.observations_of(points), config)
     flags = flag_frames(track_of(fits, head), config)
-    assert "repeat the frame before" in flags.text[60]
+    assert "repeat the previous frame" in flags.text[60]
     assert not flags.flagged[59]
     assert "the pose jumps" in flags.text[100]
     assert "outside the picture" in flags.text[150]

@@ -172,5 +172,5 @@ def test_vertices_are_uncertain_where_uncertain_shapes_move_them(head):
 def test_a_frame_without_a_face_has_no_uncertainty(small, scene):
     fitter = FaceItFitter(small, plan_of(CONFIG))
     fit, _ = fitter.fit(replace(scene.observation(), landmarks=None), context(small))
-    with pytest.raises(InputError, match="Frame 0 has no landmarks; ask for"):
+    with pytest.raises(InputError, match="Frame 0 has no landmarks; choose"):
         estimate_uncertainty(small, CONFIG, context(small), fit)

@@ -156,7 +156,7 @@ def wait_for_words(page, words):
 @pytest.mark.parametrize(
     ("notebook", "flags", "words"),
     [
-        ("denied", ["--use-fake-device-for-media-stream", "--deny-permission-prompts"], "was not allowed to use"),
+        ("denied", ["--use-fake-device-for-media-stream", "--deny-permission-prompts"], "may not use the camera"),
         ("absent", ["--use-fake-ui-for-media-stream"], "found no camera"),
     ],
 )

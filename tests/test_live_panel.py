@@ -156,7 +156,7 @@ def test_a_frame_that_fails_is_told_and_the_next_one_is_fitted(panel, camera, fr
     camera.deliver(LiveFrame(7, 0.3, jpeg=b"broken"))
     assert panel.wait_idle()
     assert (panel.view.message, panel.view.alert) == (
-        "Frame 7 of the camera is no readable JPEG; it was left out.",
+        "Frame 7 of the camera is not a readable JPEG; it was skipped.",
         True,
     )
     assert camera.skips == [7]
@@ -374,7 +374,7 @@ def test_a_recording_that_ended_by_itself_is_kept(panel, camera, frames, monkeyp
     monkeypatch.setattr("workbench.session.recording.MOST_S", 0.0)
     play(panel, camera, frames[3:4])
     assert len(panel.recording) == 2
-    assert "largest length" in panel.view.message
+    assert "maximum length" in panel.view.message
     assert not panel.record_button.value
 
 
@@ -394,7 +394,7 @@ def test_knobs_presets_undo_and_defaults(panel):
     for _ in range(3):
         panel.undo.click()
     assert panel.session.config == start
-    assert "nothing to take back" in panel.status.value
+    assert "nothing to undo" in panel.status.value
 
 
 def test_another_preset_while_recording_is_refused_and_the_menu_goes_back(panel, camera, frames):

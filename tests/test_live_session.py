@@ -59,7 +59,7 @@ def test_a_frame_is_a_picture_and_a_jpeg_whichever_it_came_as(frames):
 def test_a_frame_without_a_picture_is_refused():
     with pytest.raises(InputError, match="Frame 3 of the camera is empty"):
         LiveFrame(3, 0.0)
-    with pytest.raises(InputError, match="no readable JPEG"):
+    with pytest.raises(InputError, match="not a readable JPEG"):
         _ = LiveFrame(4, 0.0, jpeg=b"not a picture").picture
 
 
@@ -239,7 +239,7 @@ def test_a_recording_without_a_face_or_without_a_start_is_refused(session):
         session.stop_recording()
     session.start_recording()
     session.step(LiveFrame(0, 0.0, BLANK))
-    with pytest.raises(InputError, match="No face was seen"):
+    with pytest.raises(InputError, match="No face was found"):
         session.stop_recording()
 
 
@@ -258,12 +258,12 @@ def test_a_recording_ends_by_itself_when_it_is_long_or_the_pictures_change_size(
     recorder.add(fits[0], frames[0])
     monkeypatch.setattr("workbench.session.recording.MOST_BYTES", 1000)
     recorder.add(fits[1], frames[1])
-    assert "largest length" in recorder.ended
+    assert "maximum length" in recorder.ended
     assert len(recorder) == 1
     other = Recorder(keep_pictures=False)
     other.add(fits[0], frames[0])
     other.add(replace(fits[1], image_size=(320, 240)), frames[1])
-    assert "changed their size" in other.ended
+    assert "picture size changed" in other.ended
 
 
 # --- the kernel's camera ---
@@ -353,7 +353,7 @@ def test_a_camera_that_falls_silent_is_said_in_one_sentence(monkeypatch):
     while not taken.troubles and time.monotonic() < deadline:
         time.sleep(0.01)
     assert len(taken.frames) == 3
-    assert taken.troubles == ["Camera 0 of the kernel gives no pictures any more; plug it in again and press start."]
+    assert taken.troubles == ["Camera 0 of the kernel no longer delivers pictures; plug it in again and press start."]
     camera.stop()
 
 

@@ -440,7 +440,7 @@ def test_colours_and_legend_of_the_head_change_together_while_the_uncertainty_is
     assert begun.wait(60)
     assert panel._worker.wait_idle()
     assert shown_colors(panel) == ("skin", "")
-    assert "how certain frame" in panel.head.working.value
+    assert "computing the uncertainty of frame" in panel.head.working.value
     panel.turn("weights.sigma_smooth", 3.0)
     assert panel._worker.wait_idle()
     assert panel.fit.expression.tolist() == panel.session.fit_frame(0).expression.tolist()
@@ -637,7 +637,7 @@ def test_the_export_offers_a_free_name_or_to_overwrite_what_is_there(jumping_pan
     panel.export.click()
     assert panel.wait_idle()
     assert taken.read_text() == "of another clip"
-    assert "tuned.toml is there already: export again writes clip-tuned.toml." in panel.exported.value
+    assert "tuned.toml exists already: pressing export again writes clip-tuned.toml." in panel.exported.value
     assert panel.overwrite.description == "overwrite tuned.toml"
     assert panel.overwrite.layout.display is None
     panel.export.click()
@@ -665,10 +665,10 @@ def test_a_flagged_frame_says_why_in_the_diagnosis_and_on_the_strip(jumping_pane
 @pytest.mark.parametrize(
     ("reasons", "flag", "said"),
     [
-        (2, "", "2 found, the likeliest first."),
-        (0, "", "no reason found: nothing stands out."),
-        (0, "the pose jumps", "flagged, the pose jumps; none of the causes that were tried explains it."),
-        (1, "the pose jumps", "flagged, the pose jumps; 1 found, the likeliest first."),
+        (2, "", "2 found, most likely first."),
+        (0, "", "no reason found; the frame is unremarkable."),
+        (0, "the pose jumps", "flagged, the pose jumps; none of the causes tried explains it."),
+        (1, "the pose jumps", "flagged, the pose jumps; 1 found, most likely first."),
     ],
 )
 def test_a_diagnosis_never_says_that_a_flagged_frame_does_not_stand_out(reasons, flag, said):
@@ -679,7 +679,7 @@ def test_a_diagnosis_is_shown_and_its_change_applied_and_taken_back(panel):
     panel.diagnosis.ask.click()
     assert panel.wait_idle(300)
     assert "Frame 0" in panel.diagnosis.status.value
-    assert "What each group pulls" in panel.diagnosis.tables.value
+    assert "Pull of each group" in panel.diagnosis.tables.value
     before = panel.session.config
     panel._diagnosing.apply(Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}}))
     assert panel.session.config.point_weights()[0] == 0.0

@@ -314,7 +314,7 @@ def test_every_tab_of_the_clip_can_be_looked_at(clip, screenshots):
         if title == "Diagnosis":
             clip.page.get_by_role("button", name="Why this frame?").click()
             clip.page.wait_for_function(
-                "() => document.querySelector('.fw-diagnosis').innerText.includes('What each group pulls')"
+                "() => document.querySelector('.fw-diagnosis').innerText.includes('Pull of each group')"
             )
         clip.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
         clip.wait_at_rest(".fw-panel")

@@ -120,7 +120,7 @@ def test_snapshots_are_kept_by_name_and_restored_as_a_step(session):
     assert session.config.weights.tau == 0.5
     session.undo()
     assert session.config.weights.tau == 0.0
-    with pytest.raises(ConfigError, match="There is no snapshot 'x'; there are: strong τ"):
+    with pytest.raises(ConfigError, match="There is no snapshot 'x'; the snapshots are: strong τ"):
         session.restore_snapshot("x")
     with pytest.raises(ConfigError, match="needs a name"):
         session.take_snapshot(" ")
@@ -478,7 +478,7 @@ def test_an_export_leaves_a_file_that_it_did_not_write(session, head, clip, tmp_
         session.export(path)
     assert path.read_bytes() == before
     (tmp_path / "notes.toml").write_text("mine")
-    with pytest.raises(InputError, match=r"notes\.toml is there already; export to"):
+    with pytest.raises(InputError, match=r"notes\.toml exists already; export to"):
         session.export(tmp_path / "notes.toml")
     assert (tmp_path / "notes.toml").read_text() == "mine"
 

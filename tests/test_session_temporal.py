@@ -71,7 +71,7 @@ def test_parts_are_read_as_they_are_written():
         if text == "4-":
             assert read_parts(text) == ((4, 4),)
             continue
-        with pytest.raises(InputError, match="Frames are given as 40-52 or 60, got"):
+        with pytest.raises(InputError, match="Write frames as 40-52 or 60, got"):
             read_parts(text)
 
 
@@ -139,7 +139,9 @@ def test_a_part_is_worked_on_alone(session):
     assert worked.pair(3) is None
     assert same([worked.after[0]], [worked.before[0]])
     assert not same([worked.after[1]], [worked.before[1]])
-    with pytest.raises(InputError, match="A part of this clip lies within 0-23 and has two frames, got 5-5"):
+    with pytest.raises(
+        InputError, match="A part of this clip must lie within 0-23 and have at least two frames, got 5-5"
+    ):
         session.temporal.run((5, 5))
 
 
@@ -267,17 +269,17 @@ def test_photos_have_no_neighbours_in_time(head, material):
     photo = TuningSession(head, material_of_photo(material.pictures[0], material.observations[0].landmarks), QUICK)
     for session in (stills, photo):
         session.set(refinement={"method": "averaging"})
-        with pytest.raises(InputError, match="use frames that follow each other; open a clip, not photos"):
+        with pytest.raises(InputError, match="need consecutive frames; open a clip, not photos"):
             session.temporal.run()
 
 
 def test_nothing_chosen_and_nothing_to_look_at_are_said(head, material, session):
-    with pytest.raises(InputError, match="Nothing is chosen that uses time"):
+    with pytest.raises(InputError, match="No temporal method is chosen"):
         session.temporal.run()
     blank = PictureStore(None, [item.image_size for item in material.observations])
     blind = TuningSession(head, Material("points", material.observations, blank, stills=False), QUICK)
     blind.set(refinement={"method": "plate"})
-    with pytest.raises(InputError, match="'plate' looks at the pictures, and there are landmarks alone"):
+    with pytest.raises(InputError, match="'plate' needs pictures, and this material has only landmarks"):
         blind.temporal.run()
     names = [name_of(variant) for variant in blind.temporal.variants(blind.config, (0, 9))]
     assert names == ["averaging", "self"]

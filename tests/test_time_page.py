@@ -77,14 +77,14 @@ def test_nonsense_in_a_field_is_said_and_changes_nothing(panel):
     page = panel.time
     page.range.value = "many"
     press(panel, page.mark)
-    assert "Frames are given as 40-52 or 60" in page.result.value
+    assert "Write frames as 40-52 or 60" in page.result.value
     page.range.value = ""
     press(panel, page.mark)
-    assert "Name frames first" in page.result.value
+    assert "Type frames first" in page.result.value
     page.part.value = "5-99"
     panel.turn("refinement.method", "averaging")
     press(panel, page.go)
-    assert "A part of this clip lies within 0-23" in page.result.value
+    assert "A part of this clip must lie within 0-23" in page.result.value
     assert panel.session.temporal.current is None
 
 

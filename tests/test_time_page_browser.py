@@ -75,7 +75,7 @@ def test_a_run_is_cancelled(page):
     press(page, "▶ run")
     says(page, "refine 1")
     page.page.locator(".fw-controls").get_by_role("button", name="cancel").click()
-    says(page, "Cancelled; what was finished stays.")
+    says(page, "Cancelled; finished results are kept.")
     choose(page, "refine", "none")
 
 
