@@ -36,7 +36,7 @@ class _Screen(NamedTuple):
 
 
 def flag_frames(track: Track, config: Config | None = None) -> FrameFlags:
-    """Outlier frames of a track, each with a severity and a short text; none in a clean clip.
+    """Suspicious frames of a track, each with a severity and a short text; none in a clean clip.
 
     Flagged are failed fits (`failures_of`), robust residual outliers within the shot that also exceed an absolute
     floor, pose jumps, frozen landmarks, stages that end at their limit while those of other frames do not, many weights

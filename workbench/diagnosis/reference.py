@@ -184,7 +184,7 @@ class ShotReference:
             fit = fits[frame.index]
             focal = np.asarray(fit.camera.focal_px) * factor
             cameras.append(Camera(focal, np.asarray(fit.camera.principal_point_px), np.asarray(fit.camera.distortion)))
-            # Approximately the same picture from `factor` times the distance.
+            # At `factor` times the distance the head looks approximately the same.
             starts.append(
                 FaceParameters(fit.rotation, fit.translation * [1.0, 1.0, factor], fit.expression, fit.identity)
             )

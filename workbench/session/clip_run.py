@@ -44,7 +44,7 @@ class Run:
 
     @cached_property
     def flags(self) -> FrameFlags:
-        """Frames flagged as outliers."""
+        """Frames flagged for diagnosis."""
         return flag_frames(self.track, self.config)
 
     @cached_property

@@ -143,7 +143,7 @@ def _interpolated(trial: Trial, places: Float[np.ndarray, "68 2"] | None) -> Cha
     if places is None:
         return Change("Trust the landmarks of this frame less", config={"landmarks": {"weights": {"all": 0.2}}})
     both = trial.case.before is not None and trial.case.after is not None
-    label = "Interpolate the points between the frames around" if both else "Use the points of the neighbouring frame"
+    label = "Interpolate the points from adjacent frames" if both else "Use the points of the adjacent frame"
     return points_change(label, places, EVERY_POINT)
 
 

@@ -19,7 +19,7 @@ BRACKET = 1.015
 OWN_TROUBLE = 30.0
 """Nats above the usual at which a frame has a problem that the shot does not have."""
 NARROWEST_FOV_DEG = 10.0
-"""Narrowest field of view tried; a longer lens makes no difference."""
+"""Narrowest field of view proposed; a longer lens makes no difference."""
 UNBRACKETED_FOCAL_RATIO = 1.18
 """The same if the cost keeps falling towards long lenses, because systematic detector errors look orthographic."""
 LEAST_FOCAL_FACTOR = 1.7

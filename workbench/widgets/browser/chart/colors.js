@@ -5,7 +5,7 @@ const dashNumber = (k) => Math.floor(k / 8) % DASHES.length;
 export const dashOf = (k) => DASHES[dashNumber(k)];
 export const borderOf = (k) => BORDERS[dashNumber(k) % BORDERS.length];
 
-// A function that returns a colour as it is drawn: one with too little contrast to the background (yellow on white) is
+// Returns a function that gives a colour as drawn: one with too little contrast to the background (yellow on white) is
 // darkened or lightened a little.
 export function makeColors() {
   const swatch = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true }), known = new Map();
