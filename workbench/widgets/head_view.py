@@ -102,7 +102,7 @@ def posed(
     numbers = (rotation, translation, camera.focal_px, camera.principal_point_px, camera.distortion)
     if not all(np.isfinite(array).all() for array in numbers) or translation[2] <= 0.0:
         raise InputError(
-            "A pose needs finite numbers and a head in front of the camera (depth > 0); frames without a face lack it."
+            "A pose needs finite numbers and depth > 0 (in front of the camera); frames without a face have no pose."
         )
     return camera_viewpoint(rotation, translation, camera, image_size, size)
 
