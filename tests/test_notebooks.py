@@ -145,9 +145,9 @@ def test_a_notebook_runs_without_errors_and_shows_pictures(path, tmp_path, kerne
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_opens_with_what_it_uses_and_what_comes_out(path):
+def test_a_notebook_opens_with_what_it_uses_and_what_you_get(path):
     first = nbformat.read(path, as_version=4).cells[0]
     assert first.cell_type == "markdown"
     assert first.source.startswith("# ")
     assert "**Uses**" in first.source
-    assert "**Comes out**" in first.source
+    assert "**You get**" in first.source
