@@ -45,15 +45,15 @@ def bounds_hold_and_the_step_does_not(rows):
     assert int(rows["ω_β = 1"][0]) > 5
 
 
-def a_second_camera_places_the_head(rows):
-    """Notebook 12: the error of the place falls to less than half."""
-    one, two = (float(cell) for cell in rows["place, mm"][:2])
+def a_second_camera_locates_the_head(rows):
+    """Notebook 12: the position error falls to less than half."""
+    one, two = (float(cell) for cell in rows["position, mm"][:2])
     assert two < 0.5 * one
 
 
 CONCLUSIONS = {
     "03_the_beta_trap": ("from outside", bounds_hold_and_the_step_does_not),
-    "12_two_cameras": ("mean error of six frames", a_second_camera_places_the_head),
+    "12_two_cameras": ("mean error of six frames", a_second_camera_locates_the_head),
 }
 """What the text around a table concludes: the head of its first column, and the check of its rows."""
 
