@@ -1,32 +1,25 @@
 """Short films of people whose every parameter is known, for the benchmarks of infill and refinement.
 
-The film is painted by another renderer (VTK, with a skin texture, hair and shine) than the workbench's own, on a still
-background, with the camera's noise and JPEG's losses; the face is that of a random person, whose shape the solver is
-given, as the paper gives the actor's.
+The people are those of `workbench.reproduction.people`, drawn by another renderer than the workbench's own. The solver
+is given each one's shape, as the paper gives the actor's.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.config import Config, preset
 from workbench.face import FaceModel, FaceParameters, load_default_head
-from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov
+from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov
 from workbench.landmarks.observations import Landmarks2D
-from workbench.pictures.extras import Extras
-from workbench.pictures.head_scene import HeadScene
-from workbench.pictures.mesh import to_camera
 from workbench.planning import plan_of
+from workbench.reproduction.people import FilmStudio, Motion
 from workbench.tracking import FrameFit
 from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.fitting import FrameContext, FrameObservation
 from workbench.tracking.flow_fitter import FlowFitter
-from workbench.training.accessories import hair
-from workbench.training.scenes import random_lighting
-from workbench.training.skin import skin_painter
 
 SIZE = (480, 360)
 FOV_DEG = 40.0
@@ -89,36 +82,27 @@ class MovingPeople:
 
     def __init__(self, head: FaceModel | None = None):
         self.head = load_default_head() if head is None else head
-        self.camera = Camera(*(np.asarray(part, float) for part in camera_from_fov(SIZE, FOV_DEG)))
-        blank = np.full((8, 8, 3), 255, np.uint8)
-        self._scene = HeadScene(self.head, SIZE, blank, supersampling=1.6, fade_neck=False)
-        self._painter = skin_painter(self.head)
+        self._studio = FilmStudio(self.head, camera_from_fov(SIZE, FOV_DEG), SIZE)
         self.fitter = FlowFitter(self.head, plan_of(config()))
         self._frames = FaceItFitter(self.head, plan_of(config()))
 
     def film(self, seed: int, motion: Callable[[float], tuple], frames: int = FRAMES) -> Film:
         """A random person who moves as `motion` says for a time in frames from `EVENT`."""
         rng = np.random.default_rng(seed)
-        identity = rng.normal(0.0, 0.8, len(self.head.identity_deltas))
-        person = self.head.personal(identity)
-        albedo, hair_color = self._painter.paint(rng)
-        mesh = hair(person.neutral, self.head, hair_color, rng)
-        self._scene.set_texture(albedo)
-        self._scene.set_shine(rng.uniform(0.0, 0.2), rng.uniform(6, 40))
-        lighting, background = random_lighting(rng), _background(rng)
-        pictures, truth = [], []
-        for index in range(frames):
-            named, angles, place = motion(float(index - EVENT))
-            expression = np.zeros(len(self.head.expression_names))
+        who = self._studio.person(rng)
+        moved = [motion(float(index - EVENT)) for index in range(frames)]
+        expression = np.zeros((frames, len(self.head.expression_names)))
+        for row, (named, _, _) in zip(expression, moved, strict=True):
             for name, weight in named.items():
-                expression[self.head.expression_names.index(name)] = weight
-            rotation = axis_angle_from_yaw_pitch_roll(angles)
-            points = to_camera(person.vertices(expression), rotation, place)
-            rgba = self._scene.render(points, self.camera, lighting, Extras(meshes=(mesh,)), (rotation, place))
-            pictures.append(_photo(rgba, background, rng))
-            parameters = FaceParameters(rotation, place, expression, identity, np.zeros(6), np.ones(1))
-            truth.append(self.record(index, parameters))
-        return Film(pictures, truth, identity)
+                row[self.head.expression_names.index(name)] = weight
+        rotation = axis_angle_from_yaw_pitch_roll(np.array([angles for _, angles, _ in moved]))
+        place = np.array([place for _, _, place in moved])
+        pictures = list(self._studio.film(who, Motion(rotation, place, expression), rng))
+        truth = [
+            self.record(k, FaceParameters(rotation[k], place[k], expression[k], who.identity, np.zeros(6), np.ones(1)))
+            for k in range(frames)
+        ]
+        return Film(pictures, truth, who.identity)
 
     def record(self, index: int, parameters: FaceParameters) -> FrameFit:
         """A fit that says these parameters, its landmarks the model's own."""
@@ -140,23 +124,10 @@ class MovingPeople:
 
     def close(self) -> None:
         """Give the GL context back."""
-        self._scene.close()
+        self._studio.close()
 
 
 def landmark_error(fit: FrameFit, truth: FrameFit) -> float:
     """Mean distance of the 68 landmarks from the true ones, percent of the outer-eye distance."""
     eyes = np.linalg.norm(truth.projected[45] - truth.projected[36])
     return float(100.0 * np.linalg.norm(fit.projected - truth.projected, axis=1).mean() / eyes)
-
-
-def _background(rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
-    coarse = rng.uniform(0.1, 0.9, (5, 7, 3)).astype(np.float32)
-    return cv2.resize(coarse, SIZE, interpolation=cv2.INTER_CUBIC).clip(0.0, 1.0)
-
-
-def _photo(rgba, background, rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
-    seen = rgba[..., :3] / 255.0 + (1.0 - rgba[..., 3:] / 255.0) * background
-    seen = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), 0.6) + rng.normal(0.0, 0.012, seen.shape)
-    pixels = np.round(255.0 * np.clip(seen, 0.0, 1.0)).astype(np.uint8)
-    _, stored = cv2.imencode(".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
-    return cv2.imdecode(stored, cv2.IMREAD_COLOR_RGB)

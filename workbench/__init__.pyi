@@ -13,6 +13,7 @@ from . import pictures as pictures
 from . import pipeline as pipeline
 from . import plots as plots
 from . import rendering as rendering
+from . import reproduction as reproduction
 from . import samples as samples
 from . import session as session
 from . import solvers as solvers

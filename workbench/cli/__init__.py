@@ -12,6 +12,7 @@ from workbench.cli.installation import info
 from workbench.cli.landmarking import LANDMARKS_HELP, landmarks
 from workbench.cli.models import model_app
 from workbench.cli.over_time import INFILL_HELP, REESTIMATE_HELP, REFINE_HELP, infill, reestimate, refine
+from workbench.cli.reproducing import REPRODUCE_HELP, reproduce
 from workbench.cli.rigs import rig_app
 from workbench.cli.servers import APP_HELP, lab, serve_app
 from workbench.cli.servers import notebooks_folder as notebooks_folder
@@ -36,6 +37,7 @@ app.command(help=REFINE_HELP)(refine)
 app.command(help=REESTIMATE_HELP)(reestimate)
 app.command(help=DIAGNOSE_HELP)(diagnose)
 app.command(help=EXPORT_HELP)(export)
+app.command(help=REPRODUCE_HELP)(reproduce)
 app.add_typer(config_app, name="config")
 app.add_typer(model_app, name="model")
 app.add_typer(rig_app, name="rig")

@@ -1,0 +1,226 @@
+"""`workbench reproduce`: the papers' figures and tables remade, kept, and shown beside the printed numbers."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from workbench import reproduction
+from workbench.errors import InputError
+from workbench.geometry import axis_angle_from_yaw_pitch_roll, project, yaw_pitch_roll_deg
+from workbench.landmarks.observations import Landmarks2D
+from workbench.reproduction import Item, Result, Study, Table, boston_camera
+from workbench.reproduction import study as studies
+from workbench.reproduction.boston import INCH_MM, NAMES, BostonSequence, read_set
+from workbench.reproduction.head_pose import POSE_COLUMNS, errors_of, poses_by_pnp, read_poses
+from workbench.reproduction.items import ITEMS
+from workbench.reproduction.simulated_boston import (
+    DISTANCE_MM,
+    SHIFT_MM,
+    TURN_DEG,
+    motion_of,
+    sensor_head_mm,
+    simulate_set,
+)
+
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def simulated(head, tmp_path_factory):
+    """A short simulated set: one person who turns, one who nods."""
+    folder = tmp_path_factory.mktemp("set")
+    simulate_set(folder, head, ("jam5", "jim6"), FRAMES)
+    return folder
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """An item that counts how often it is made."""
+    item = Item("counted", "FACE IT!", "Fig. 0", "A count", "counting:make", "Nothing.")
+    calls = []
+
+    def make(study: Study) -> Result:
+        calls.append(study)
+        rows = (("<first>", "1.0"),)
+        picture = np.zeros((8, 8, 3), np.uint8)
+        return Result(
+            "two numbers & more.", {"A black square.": picture}, (Table("Counts", ("", "n"), rows),), ("So.",)
+        )
+
+    monkeypatch.setattr(studies, "import_module", lambda name: type("Module", (), {"make": staticmethod(make)}))
+    monkeypatch.setattr(studies, "ITEMS", (item,))
+    return item, calls
+
+
+def test_every_item_has_a_function_of_its_own():
+    for item in ITEMS:
+        module, function = item.make.split(":")
+        assert callable(getattr(studies.import_module(f"workbench.reproduction.{module}"), function))
+    assert len({item.name for item in ITEMS}) == len({item.make for item in ITEMS}) == len(ITEMS)
+
+
+def test_items_are_chosen_by_name_in_the_papers_order():
+    names = [item.name for item in ITEMS]
+    assert [item.name for item in reproduction.choose(names[2::-1])] == names[:3]
+    assert reproduction.choose(()) == ITEMS
+
+
+def test_an_unknown_item_is_refused():
+    with pytest.raises(InputError, match="There is no item 'figure-99'; `workbench reproduce --list` names them"):
+        reproduction.choose(["figure-99"])
+
+
+def test_figures_tables_and_result_are_files_and_a_page_shows_them(counted, tmp_path):
+    item, _ = counted
+    reproduction.run([item], tmp_path, quick=True)
+    with (tmp_path / "counted" / "counted-1.csv").open() as stream:
+        assert list(csv.reader(stream)) == [["", "n"], ["<first>", "1.0"]]
+    assert (tmp_path / "counted" / "counted-1.png").stat().st_size > 0
+    page = reproduction.write_page(tmp_path).read_text()
+    assert "<td>&lt;first&gt;</td><td>1.0</td>" in page
+    assert '<img src="counted/counted-1.png" alt="A black square.">' in page
+    assert "two numbers &amp; more. A quick run" in page
+
+
+def test_what_was_made_from_the_same_inputs_is_left_as_it_is(counted, tmp_path):
+    item, calls = counted
+    assert reproduction.run([item], tmp_path, quick=True) == ((item, True),)
+    assert reproduction.run([item], tmp_path, quick=True) == ((item, False),)
+    assert len(calls) == 1
+    reproduction.run([item], tmp_path)
+    reproduction.run([item], tmp_path, overwrite=True)
+    assert [study.quick for study in calls] == [True, False, False]
+
+
+def test_a_damaged_result_is_named(counted, tmp_path):
+    item, _ = counted
+    reproduction.run([item], tmp_path)
+    (tmp_path / "counted" / "result.json").write_text('{"inputs": ')
+    with pytest.raises(InputError, match=r"result\.json cannot be read as a result .*; delete it and run again\."):
+        reproduction.run([item], tmp_path)
+
+
+@pytest.mark.parametrize(("number", "axis"), [(4, 2), (5, 0), (6, 1)], ids=["roll", "yaw", "pitch"])
+def test_a_sequence_turns_the_head_about_its_axis(head, number, axis):
+    motion, angles_deg = motion_of(number, 200, head.expression_names, np.random.default_rng(number))
+    largest = np.abs(angles_deg).max(axis=0)
+    assert largest[axis] > 0.7 * TURN_DEG[axis]
+    assert (np.delete(largest / TURN_DEG, axis) < 0.1).all()
+    np.testing.assert_allclose(yaw_pitch_roll_deg(motion.rotation), angles_deg, atol=1e-9)
+    np.testing.assert_allclose(angles_deg[0], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("number", "axis"), [(1, 0), (2, 1), (3, 2)], ids=["X", "Y", "Z"])
+def test_a_sequence_moves_the_head_along_its_axis(head, number, axis):
+    motion, _ = motion_of(number, 200, head.expression_names, np.random.default_rng(number))
+    moved = np.abs(motion.translation_mm - [0.0, 0.0, DISTANCE_MM]).max(axis=0) / SHIFT_MM
+    assert moved[axis] > 0.7
+    assert (np.delete(moved, axis) < 0.1).all()
+
+
+def test_the_simulated_set_is_read_like_the_real_one(simulated, head):
+    sequences, problems = read_set(simulated)
+    assert [one.name for one in sequences] == ["jam5", "jim6"]
+    assert len(problems) == len(NAMES) - 2
+    assert [len(one.angles_deg) for one in sequences] == [FRAMES, FRAMES]
+    np.testing.assert_allclose(sequences[0].places_mm[0, 2], DISTANCE_MM, atol=4 * INCH_MM)
+    assert sensor_head_mm(head)[1] < head.neutral[head.regions["scalp"]][:, 1].mean()
+
+
+def test_a_set_that_is_there_is_not_simulated_again(simulated, head):
+    before = (simulated / "jam5.avi").stat().st_mtime_ns
+    simulate_set(simulated, head, ("jam5", "jim6"), FRAMES)
+    assert (simulated / "jam5.avi").stat().st_mtime_ns == before
+
+
+def test_an_interrupted_sequence_is_simulated_again_to_the_same_readings(simulated, head):
+    readings = (simulated / "jim6.dat").read_bytes()
+    (simulated / "jim6.dat").unlink()
+    simulate_set(simulated, head, ("jam5", "jim6"), FRAMES)
+    assert (simulated / "jim6.dat").read_bytes() == readings
+
+
+def test_pnp_finds_the_pose_of_the_mean_face(head):
+    turn = axis_angle_from_yaw_pitch_roll(np.array([20.0, -10.0, 5.0]))
+    points = Rotation.from_rotvec(turn).apply(head.landmarks.of(head.neutral)) + np.array([10.0, -20.0, 700.0])
+    seen = Landmarks2D(np.asarray(project(boston_camera(), points)), np.ones(68), (320, 240))
+    rotations, translations = poses_by_pnp(head, [seen, None])
+    np.testing.assert_allclose(rotations[0], turn, atol=1e-5)
+    np.testing.assert_allclose(translations[0], [10.0, -20.0, 700.0], atol=1e-2)
+    assert np.isnan(rotations[1]).all()
+
+
+def sequence(frames: int = 3) -> BostonSequence:
+    return BostonSequence("jam1", None, np.zeros((frames, 3)), np.zeros((frames, 3)))
+
+
+def rows_of(*rows) -> str:
+    return "\n".join([",".join(POSE_COLUMNS), *rows]) + "\n"
+
+
+def test_poses_of_another_program_are_read_and_frames_left_out_count_as_missed(tmp_path):
+    path = tmp_path / "other.csv"
+    path.write_text(rows_of("jam1,0,0,0,0,0,0,700", "jam1,2,10,0,0,25.4,0,700"))
+    poses = read_poses(path, [sequence()])
+    (found,) = errors_of([sequence()], lambda one: poses[one.name], tmp_path / "store")
+    assert found.missed == 1
+    np.testing.assert_allclose(found.angles_deg[-1], [10.0, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(found.places_in[-1], [1.0, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("frame,yaw_deg\n1,2\n", "has no column 'sequence'; give the columns sequence, frame, yaw_deg"),
+        (rows_of("jam1,3,0,0,0,0,0,0"), "has frame 3 of 'jam1' in line 2, which the set does not have."),
+        (rows_of("tom,0,0,0,0,0,0,0"), "has frame 0 of 'tom' in line 2, which the set does not have."),
+        (rows_of("jam1,0,nan,0,0,0,0,0"), "has numbers in line 2 that are not finite; leave such rows out."),
+        (rows_of("jam1,first,0,0,0,0,0,0"), "cannot be read as a table of head poses"),
+    ],
+    ids=["columns", "frame", "name", "not finite", "words"],
+)
+def test_poses_that_do_not_fit_the_set_are_refused_in_one_sentence(tmp_path, text, words):
+    path = tmp_path / "other.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as refused:
+        read_poses(path, [sequence()])
+    assert words in str(refused.value)
+
+
+def test_poses_are_computed_once(tmp_path):
+    calls = []
+
+    def poses_of(one):
+        calls.append(one.name)
+        return np.zeros((3, 3)), np.zeros((3, 3))
+
+    first = errors_of([sequence()], poses_of, tmp_path / "store")
+    second = errors_of([sequence()], poses_of, tmp_path / "store")
+    assert calls == ["jam1"]
+    np.testing.assert_array_equal(first[0].angles_deg, second[0].angles_deg)
+
+
+def test_the_command_lists_items(run):
+    code, out, _ = run("reproduce", "--list")
+    assert code == 0
+    assert [line.split()[0] for line in out.splitlines()[1:]] == [item.name for item in ITEMS]
+
+
+def test_the_command_remakes_a_figure_and_says_what_to_open(run, tmp_path):
+    code, out, _ = run("reproduce", "beta-curve", "--out", "made")
+    assert code == 0
+    assert "beta-curve: FACE IT! Fig. 2, The range function E_β" in out
+    assert "Open made/index.html" in out
+    stored = json.loads((tmp_path / "made" / "beta-curve" / "result.json").read_text())
+    assert stored["tables"][0]["rows"][5][0] == "1.002"
+    code, out, _ = run("reproduce", "beta-curve", "--out", "made")
+    assert "made before; --overwrite remakes it" in out
+
+
+def test_the_command_refuses_an_unknown_item(run):
+    code, _, err = run("reproduce", "fig-1")
+    assert code == 2
+    assert "There is no item 'fig-1'" in err

@@ -1,0 +1,82 @@
+"""The figures, tables and experiments of the papers that can be remade, a row each. Data alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from workbench.errors import InputError
+
+FACE_IT, DEEP_ENERGIES = "FACE IT!", "Deep Energies"
+
+
+@dataclass(frozen=True)
+class Item:
+    """One of them."""
+
+    name: str
+    """On the command line."""
+    paper: str
+    place: str
+    title: str
+    make: str
+    """Module and function in this package: `Study` -> `Result`. A name, so that items can be listed at once."""
+    printed: str
+    """What the paper reports, in a sentence."""
+    reads_set: bool = False
+    """Whether it reads Boston University's set and poses of other programs on it."""
+
+
+ITEMS = (
+    Item(
+        name="beta-curve",
+        paper=FACE_IT,
+        place="Fig. 2",
+        title="The range function E_β",
+        make="face_it:beta_curve",
+        printed="Two smooth steps that leave weights in [0, 1] free: a = 1.002, b = 2·10⁻⁵, c = 2.5.",
+    ),
+    Item(
+        name="iterations",
+        paper=FACE_IT,
+        place="Fig. 4, left",
+        title="Iterations of pose and expression",
+        make="face_it:iterations",
+        printed="The pose needs about 15 iterations to converge; the expression does not converge within 50, but 15 "
+        "are enough to transfer similar expressions.",
+    ),
+    Item(
+        name="iteration-times",
+        paper=FACE_IT,
+        place="Fig. 4, right",
+        title="Time against ρ and ε",
+        make="face_it:iteration_times",
+        printed="A plot of the time of the energy minimisation for ρ and ε up to 50, over about 1,000 frames.",
+    ),
+    Item(
+        name="runtime",
+        paper=FACE_IT,
+        place="Sec. 5",
+        title="Runtime",
+        make="face_it:runtime",
+        printed="18 frames per second over about 1,000 frames of 640 × 480 on an Intel Xeon W3520: 23.7 ms for the "
+        "landmarks and 31.6 ms for the energy per frame.",
+    ),
+    Item(
+        name="head-pose",
+        paper=FACE_IT,
+        place="Table 1",
+        title="Head pose on Boston University's set",
+        make="face_it:head_pose",
+        printed="Mean absolute errors of 2.35° (roll), 3.62° (pitch) and 4.38° (yaw), 3.45° on average; 2.27, 0.90 and "
+        "2.04 inches along X, Y and Z.",
+        reads_set=True,
+    ),
+)
+
+
+def choose(names: Sequence[str]) -> tuple[Item, ...]:
+    """The items with these names, in the papers' order; all of them for none. Raises `InputError` for unknown names."""
+    known = {item.name for item in ITEMS}
+    for name in names:
+        if name not in known:
+            raise InputError(f"There is no item {name!r}; `workbench reproduce --list` names them.")
+    return tuple(item for item in ITEMS if not names or item.name in names)

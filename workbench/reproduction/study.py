@@ -1,0 +1,134 @@
+"""Remaking figures and tables of the papers: what an item is given, what it gives back, and how results are kept."""
+
+import csv
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import workbench
+from workbench.files import atomic_path, make_folder
+from workbench.frames import write_picture
+from workbench.plots import Picture
+from workbench.reading import checked_content, checked_json, reading
+from workbench.reproduction.items import ITEMS, Item
+
+RESULT = "result.json"
+FIGURE_DPI = 160
+
+Progress = Callable[[str, int, int | None], None]
+
+
+def silent(step: str, done: int, total: int | None) -> None:
+    """Progress that nobody watches."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What an item may use."""
+
+    folder: Path
+    """Its own, for everything worth keeping between two runs."""
+    quick: bool = False
+    """On a small part of the data: shows that it works, not what it finds."""
+    boston: Path | None = None
+    """Boston University's set, if there is one."""
+    poses: tuple[Path, ...] = ()
+    """Head poses of other programs on that set (`head_pose.read_poses`)."""
+    progress: Progress = silent
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a result."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an item found."""
+
+    data: str
+    """What it was found on, in a sentence."""
+    figures: Mapping[str, Figure | Picture] = field(default_factory=dict)
+    """By caption."""
+    tables: tuple[Table, ...] = ()
+    notes: tuple[str, ...] = ()
+    """Sentences: what to see, and what is unlike the paper's."""
+
+
+def run(
+    items: Iterable[Item],
+    folder: str | Path,
+    quick: bool = False,
+    boston: Path | None = None,
+    poses: Sequence[Path] = (),
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> tuple[tuple[Item, bool], ...]:
+    """Remake items in `folder`, each in one of its own: figures as PNG, tables as CSV, and `result.json`.
+
+    An item that has been made from the same inputs is left as it is, and one that was interrupted goes on from what it
+    had kept. Returns the items, and whether each was made now. Raises `OutputError` where nothing can be written.
+    """
+    folder, made = make_folder(folder), []
+    for item in items:
+        own = make_folder(folder / item.name)
+        inputs = _inputs(item, quick, boston, poses)
+        fresh = overwrite or _stored(own / RESULT).get("inputs") != inputs
+        if fresh:
+            study = Study(own, quick, boston, tuple(poses), progress)
+            module, function = item.make.split(":")
+            _write(item, getattr(import_module(f"workbench.reproduction.{module}"), function)(study), own, inputs)
+        made.append((item, fresh))
+    return tuple(made)
+
+
+def results(folder: str | Path) -> tuple[tuple[Item, dict[str, Any]], ...]:
+    """The items made in a folder, and what their `result.json` says."""
+    stored = ((item, _stored(Path(folder) / item.name / RESULT)) for item in ITEMS)
+    return tuple((item, content) for item, content in stored if content)
+
+
+def _inputs(item: Item, quick: bool, boston: Path | None, poses: Sequence[Path]) -> dict[str, Any]:
+    """What decides about a result; what an item does not read does not count."""
+    of_set = {"boston": str(boston or ""), "poses": [str(path) for path in poses]} if item.reads_set else {}
+    return {"version": workbench.__version__, "quick": quick, **of_set}
+
+
+def _stored(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    with reading(path, "a result", "delete it and run again"):
+        return dict(checked_json(checked_content(path, "a result")))
+
+
+def _write(item: Item, result: Result, folder: Path, inputs: dict[str, Any]) -> None:
+    pictures = []
+    for number, (caption, figure) in enumerate(result.figures.items(), 1):
+        path = folder / f"{item.name}-{number}.png"
+        if isinstance(figure, np.ndarray):
+            write_picture(path, figure)
+        else:
+            with atomic_path(path) as temporary:
+                figure.savefig(temporary, format="png", dpi=FIGURE_DPI)
+        pictures.append({"caption": caption, "file": path.name})
+    tables = []
+    for number, table in enumerate(result.tables, 1):
+        path = folder / f"{item.name}-{number}.csv"
+        with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
+            csv.writer(stream).writerows([table.header, *table.rows])
+        tables.append({"title": table.title, "header": table.header, "rows": table.rows, "file": path.name})
+    content = {
+        "inputs": inputs, "data": result.data, "figures": pictures, "tables": tables, "notes": result.notes,
+    }  # fmt: skip
+    with atomic_path(folder / RESULT) as temporary:
+        temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
