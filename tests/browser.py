@@ -11,7 +11,7 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import urlparse
 
@@ -25,6 +25,17 @@ FLAGS = [
     *("--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader"),
     "--enable-unsafe-swiftshader",
 ]
+# Of what Playwright gives a Chromium that it starts itself, whatever pages can tell.
+ALONE = [
+    *("--headless", "--hide-scrollbars", "--mute-audio", "--disable-dev-shm-usage", "--disable-extensions"),
+    *("--disable-background-timer-throttling", "--disable-backgrounding-occluded-windows", "--disable-default-apps"),
+    *("--disable-renderer-backgrounding", "--disable-hang-monitor", "--disable-ipc-flooding-protection"),
+    *("--disable-popup-blocking", "--disable-breakpad", "--disable-search-engine-choice-screen"),
+    *("--disable-back-forward-cache", "--disable-features=PaintHolding", "--enable-features=CDPScreenshotNewSurface"),
+    "--blink-settings=primaryHoverType=2,availableHoverTypes=2,primaryPointerType=4,availablePointerTypes=4",
+    *("--force-color-profile=srgb", "--password-store=basic", "--use-mock-keychain", "--remote-debugging-port=0"),
+]
+SIZE = {"width": 1280, "height": 1000}
 OVERRIDES = {
     "@jupyterlab/apputils-extension:notification": {"checkForUpdates": False, "fetchNews": "false"},
     # Saved after two minutes, on a busy machine the notebook would be opened again with widgets of an ended kernel.
@@ -57,11 +68,45 @@ def missing() -> str | None:
 
 @dataclass(frozen=True)
 class LabServer:
-    """A running JupyterLab."""
+    """A running JupyterLab, and the folder in its root that notebooks are opened from."""
 
     url: str
     token: str
-    folder: Path
+    root: Path
+    choices: Path
+    """Where it keeps what a user chooses, the theme for one."""
+    room: str = ""
+
+    @property
+    def folder(self) -> Path:
+        """Where notebooks lie and what they write."""
+        return self.root / self.room
+
+    def address(self, notebook: str) -> str:
+        """The address at which a notebook is opened in a fresh workspace."""
+        return f"{self.url}/lab/tree/{self.room}/{notebook}?reset&token={self.token}"
+
+    @contextmanager
+    def in_room(self, name: str) -> Iterator["LabServer"]:
+        """The same server with a folder for the notebooks of one test file, which leaves nothing else behind."""
+        (self.root / name).mkdir()
+        try:
+            yield replace(self, room=name)
+        finally:
+            self.end_kernels()
+            shutil.rmtree(self.choices, ignore_errors=True)
+
+    def end_kernels(self) -> None:
+        """End every kernel of the server."""
+        with self._ask("GET", "kernels") as answer:
+            running = json.load(answer)
+        for kernel in running:
+            self._ask("DELETE", f"kernels/{kernel['id']}").close()
+
+    def _ask(self, method: str, what: str):
+        headers = {"Authorization": f"token {self.token}"}
+        asked = urllib.request.Request(f"{self.url}/api/{what}", headers=headers, method=method)
+        return urllib.request.urlopen(asked, timeout=RUN_S)
 
 
 @contextmanager
@@ -71,7 +116,7 @@ def lab_server(folder: Path, settings: Path) -> Iterator[LabServer]:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     token = secrets.token_hex(16)
-    overrides = settings / "lab" / "settings"
+    overrides, choices = settings / "lab" / "settings", settings / "user-settings"
     overrides.mkdir(parents=True)
     (overrides / "overrides.json").write_text(json.dumps(OVERRIDES), encoding="utf-8")
     environment = {
@@ -80,7 +125,7 @@ def lab_server(folder: Path, settings: Path) -> Iterator[LabServer]:
         "JUPYTER_CONFIG_DIR": str(settings / "config"),
         "JUPYTER_DATA_DIR": str(settings / "data"),
         "JUPYTER_RUNTIME_DIR": str(settings / "runtime"),
-        "JUPYTERLAB_SETTINGS_DIR": str(settings / "user-settings"),
+        "JUPYTERLAB_SETTINGS_DIR": str(choices),
         "JUPYTERLAB_WORKSPACES_DIR": str(settings / "workspaces"),
     }
     command = [
@@ -92,28 +137,51 @@ def lab_server(folder: Path, settings: Path) -> Iterator[LabServer]:
         process = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=subprocess.STDOUT)
         try:
             url = f"http://127.0.0.1:{port}"
-            _wait_for(url, process, settings / "server.log")
-            yield LabServer(url, token, folder)
+            _wait_for(lambda: _answers(f"{url}/api"), process, "JupyterLab", settings / "server.log")
+            yield LabServer(url, token, folder, choices)
         finally:
-            process.terminate()  # the server ends its kernels
-            try:
-                process.wait(timeout=20)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            _end(process)  # the server ends its kernels
 
 
-def _wait_for(url: str, process: subprocess.Popen, log: Path) -> None:
-    deadline = time.monotonic() + START_S
-    while time.monotonic() < deadline:
-        if process.poll() is not None:
-            break
+@contextmanager
+def chromium(profile: Path) -> Iterator[str]:
+    """A Chromium for many pages, which outlives Playwright's connections to it: the address to connect to."""
+    command = [CHROMIUM, *FLAGS, *ALONE, f"--user-data-dir={profile}", "about:blank"]
+    log, port = profile / "chromium.log", profile / "DevToolsActivePort"
+    with log.open("wb") as stream:
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT)
         try:
-            with urllib.request.urlopen(f"{url}/api", timeout=2):
-                return
-        except OSError:
-            time.sleep(0.2)
-    raise RuntimeError(f"JupyterLab did not start:\n{log.read_text(errors='replace')[-2000:]}")
+            _wait_for(lambda: port.exists() and port.read_text().count("\n") > 0, process, "Chromium", log)
+            yield f"http://127.0.0.1:{port.read_text().split()[0]}"
+        finally:
+            _end(process)
+            shutil.rmtree(profile, ignore_errors=True)
+
+
+def _answers(url: str) -> bool:
+    try:
+        with urllib.request.urlopen(url, timeout=2):
+            return True
+    except OSError:
+        return False
+
+
+def _wait_for(is_up: Callable[[], bool], process: subprocess.Popen, name: str, log: Path) -> None:
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline and process.poll() is None:
+        if is_up():
+            return
+        time.sleep(0.2)
+    raise RuntimeError(f"{name} did not start:\n{log.read_text(errors='replace')[-2000:]}")
+
+
+def _end(process: subprocess.Popen) -> None:
+    process.terminate()
+    try:
+        process.wait(timeout=20)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def wait_until(look: Callable[[], bool], what: str, timeout_s: float = RUN_S, pause: Callable[[], None] | None = None):
@@ -138,7 +206,7 @@ class LabPage:
 
     def open(self, notebook: str) -> None:
         """Open a notebook and wait for its kernel."""
-        self.page.goto(f"{self.server.url}/lab/tree/{notebook}?reset&token={self.server.token}")
+        self.page.goto(self.server.address(notebook))
         self.page.wait_for_function(_KERNEL_IDLE, timeout=1000 * START_S)
 
     def run_all(self) -> None:
@@ -223,16 +291,12 @@ class LabPage:
 
 @contextmanager
 def lab_page(server: LabServer, profile: Path, flags: Sequence[str] = ()) -> Iterator[LabPage]:
-    """A fresh Chromium with its own profile, and flags besides the usual ones, on a server."""
+    """A page of a fresh Chromium with its own profile, and flags besides the usual ones, on a server."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
         context = playwright.chromium.launch_persistent_context(
-            str(profile),
-            executable_path=CHROMIUM,
-            headless=True,
-            args=[*FLAGS, *flags],
-            viewport={"width": 1280, "height": 1000},
+            str(profile), executable_path=CHROMIUM, headless=True, args=[*FLAGS, *flags], viewport=SIZE
         )
         context.set_default_timeout(1000 * RUN_S)
         try:
@@ -240,6 +304,22 @@ def lab_page(server: LabServer, profile: Path, flags: Sequence[str] = ()) -> Ite
         finally:
             context.close()
             shutil.rmtree(profile, ignore_errors=True)
+
+
+@contextmanager
+def lab_tab(server: LabServer, address: str) -> Iterator[LabPage]:
+    """A page of a Chromium that runs already (`chromium`): JupyterLab's programs are there from the page before."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        # Its only page: input to any other waits until that is in front.
+        page = playwright.chromium.connect_over_cdp(address, timeout=1000 * RUN_S).contexts[0].pages[0]
+        page.set_default_timeout(1000 * RUN_S)
+        page.set_viewport_size(SIZE)
+        try:
+            yield LabPage(page, server)
+        finally:
+            page.goto("about:blank")
 
 
 _KERNEL_IDLE = """() => {

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -108,6 +109,34 @@ def screenshots(tmp_path_factory) -> Path:
     """Folder for pictures of the browser tests; WORKBENCH_SCREENSHOTS keeps them."""
     kept = os.environ.get("WORKBENCH_SCREENSHOTS")
     return Path(kept) if kept else tmp_path_factory.mktemp("screenshots")
+
+
+@pytest.fixture(scope="session")
+def lab_server(tmp_path_factory):
+    """One JupyterLab for all browser tests of a process."""
+    from tests import browser
+
+    assert not browser.missing(), browser.missing()
+    folder, settings = tmp_path_factory.mktemp("notebooks"), tmp_path_factory.mktemp("jupyter")
+    with browser.lab_server(folder, settings) as running:
+        yield running
+
+
+@pytest.fixture(scope="session")
+def chromium(tmp_path_factory) -> Iterator[str]:
+    """One Chromium for all browser tests of a process: its address."""
+    from tests import browser
+
+    assert not browser.missing(), browser.missing()
+    with browser.chromium(tmp_path_factory.mktemp("profile")) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def server(lab_server, request):
+    """The shared JupyterLab with a folder for the notebooks of this file."""
+    with lab_server.in_room(request.path.stem) as room:
+        yield room
 
 
 @pytest.fixture

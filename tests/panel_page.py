@@ -1,6 +1,8 @@
 """A tuning panel in a notebook in a real browser: what the tests and the benchmark of its latency share."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from textwrap import dedent
 
 import nbformat
 
@@ -18,10 +20,10 @@ PANEL = """
 READY = "ready = panel.wait_idle(300)"
 
 
-def write_notebook(path: Path, cells) -> None:
+def write_notebook(path: Path, cells: Sequence[str]) -> None:
+    """A notebook of these code cells, each without the indentation that all its lines share."""
     kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
-    texts = ["\n".join(line.removeprefix("    ") for line in cell.strip("\n").split("\n")) for cell in cells]
-    made = [nbformat.v4.new_code_cell(text.strip()) for text in texts]
+    made = [nbformat.v4.new_code_cell(dedent(cell).strip()) for cell in cells]
     nbformat.write(nbformat.v4.new_notebook(cells=made, metadata=kernel), path)
 
 
@@ -56,14 +58,14 @@ def press(page, label, *keys):
 
 
 def latencies(page, label, count):
-    """Milliseconds from a key on a slider until the pixels of overlay and head have both changed."""
+    """Milliseconds from a key on a slider of a panel at rest until the pixels of overlay and head have both changed."""
     press(page, label, "Home")
     for _ in range(6):
         press(page, label, "PageUp")
-    page.page.wait_for_timeout(1500)
     handle, found = page.slider(label).element_handle(), []
     for k in range(count):
+        page.ask_kernel("panel.wait_idle(300)")
+        page.wait_drawn()
         key = "ArrowRight" if (k // 10) % 2 == 0 else "ArrowLeft"
         found.append(page.page.evaluate("([h, k, s]) => window.timeToPixels(h, k, s)", [handle, key, [MARKS, HEAD]]))
-        page.page.wait_for_timeout(350)
     return found

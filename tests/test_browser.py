@@ -18,14 +18,11 @@ if lacking and os.environ.get("CI") != "true":
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory):
+def lab(server, chromium):
     """The quickstart, run from top to bottom."""
-    assert not lacking, lacking
-    folder, settings = tmp_path_factory.mktemp("notebooks"), tmp_path_factory.mktemp("jupyter")
     for path in (ROOT / "notebooks").glob("*.ipynb"):
-        shutil.copyfile(path, folder / path.name)
-    profile = tmp_path_factory.mktemp("profile")
-    with browser.lab_server(folder, settings) as server, browser.lab_page(server, profile) as page:
+        shutil.copyfile(path, server.folder / path.name)
+    with browser.lab_tab(server, chromium) as page:
         page.open("00_quickstart.ipynb")
         page.run_all()
         yield page

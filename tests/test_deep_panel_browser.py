@@ -23,14 +23,10 @@ CELLS = (
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory):
+def page(server, chromium):
     """The panel on the portrait under Deep Energies, shown and ready."""
-    folder, settings = tmp_path_factory.mktemp("notebooks"), tmp_path_factory.mktemp("jupyter")
-    write_notebook(folder / "deep.ipynb", CELLS)
-    with (
-        browser.lab_server(folder, settings) as server,
-        browser.lab_page(server, tmp_path_factory.mktemp("profile")) as page,
-    ):
+    write_notebook(server.folder / "deep.ipynb", CELLS)
+    with browser.lab_tab(server, chromium) as page:
         page.page.set_viewport_size({"width": 1366, "height": 768})
         page.page.add_init_script(browser.KEEP_PIXELS)
         yield opened(page, "deep.ipynb")
@@ -56,7 +52,7 @@ def test_the_film_strip_shows_the_stages_and_follows_the_choice_of_energy(page, 
         "([s, before]) => document.querySelector(s).src !== before", arg=[STRIP, before], timeout=120_000
     )
     tab(page, "Stages")
-    page.page.wait_for_timeout(500)
+    page.wait_at_rest(".fw-panel")
     page.page.screenshot(path=screenshots / "deep-panel-stages.png")
     assert page.page.locator(MARKS).is_visible()
 
@@ -72,7 +68,7 @@ def test_every_stage_can_be_reached(page, screenshots):
     for width in (1366, 1920):
         page.page.set_viewport_size({"width": width, "height": 768})
         page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
-        page.page.wait_for_timeout(500)
+        page.wait_at_rest(".fw-panel")
         page.page.screenshot(path=screenshots / f"deep-panel-stages-{width}.png")
         titles = page.page.locator(".fw-stages b").filter(has_text=re.compile(r"\w"))
         assert titles.all_inner_texts() == [*("stage", "free", "landmarks", "terms", "limit", "when", "last fit")]

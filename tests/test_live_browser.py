@@ -57,13 +57,11 @@ BUSY, FIRST, LEFT, CLOSE, CLIP, STOP_CLIP = 2, 3, 4, 5, 6, 7
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    assert not lacking, lacking
-    folder, settings = tmp_path_factory.mktemp("notebooks"), tmp_path_factory.mktemp("jupyter")
-    for name in ("live", "denied", "absent"):
-        write_notebook(folder / f"{name}.ipynb", CELLS)
-    with browser.lab_server(folder, settings) as running:
-        yield running
+def server(server):
+    """The shared server with two of these notebooks."""
+    for name in ("live", "trouble"):
+        write_notebook(server.folder / f"{name}.ipynb", CELLS)
+    return server
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +75,6 @@ def opened(page, notebook):
     page.page.set_viewport_size({"width": 1366, "height": 768})
     page.open(notebook)
     page.run_cell(0)
-    page.run_cell(1)
     page.page.wait_for_selector(DISPLAY)
     to_top(page)
     return page
@@ -93,7 +90,7 @@ def live(server, clip, tmp_path_factory):
     """The panel with the clip as the browser's camera, running."""
     with browser.lab_page(server, tmp_path_factory.mktemp("profile"), fake_camera(clip)) as page:
         page.page.add_init_script(browser.KEEP_PIXELS)
-        opened(page, "live.ipynb")
+        opened(page, "live.ipynb").run_cell(1)
         page.page.get_by_role("button", name="▶ start").click()
         wait_for_frames(page, 40)
         yield page
@@ -153,25 +150,29 @@ def wait_for_words(page, words):
     )
 
 
-@pytest.mark.parametrize(
-    ("notebook", "flags", "words"),
-    [
-        ("denied", ["--use-fake-device-for-media-stream", "--deny-permission-prompts"], "may not use the camera"),
-        ("absent", ["--use-fake-ui-for-media-stream"], "found no camera"),
-    ],
-)
-def test_a_camera_that_is_denied_or_missing_is_said_plainly(
-    server, tmp_path_factory, screenshots, notebook, flags, words
-):
-    with browser.lab_page(server, tmp_path_factory.mktemp("profile"), flags) as page:
-        opened(page, f"{notebook}.ipynb")
-        page.page.get_by_role("button", name="▶ start").click()
-        wait_for_words(page, words)
-        wait_for_running(page, False)
-        page.page.get_by_role("button", name="▶ start").wait_for(state="visible")
-        page.page.screenshot(path=screenshots / f"live-{notebook}.png")
-        assert page.page_errors == []
-        assert [output for output in page.outputs() if output["type"] == "error"] == []
+def test_a_camera_that_is_denied_is_said_plainly(server, tmp_path_factory, screenshots):
+    denied = ["--use-fake-device-for-media-stream", "--deny-permission-prompts"]
+    with browser.lab_page(server, tmp_path_factory.mktemp("profile"), denied) as page:
+        check_without_camera(page, screenshots / "live-denied.png", "may not use the camera")
+
+
+def test_a_camera_that_is_missing_is_said_plainly(server, chromium, screenshots):
+    with browser.lab_tab(server, chromium) as page:
+        page.page.context.grant_permissions(["camera"])
+        check_without_camera(page, screenshots / "live-absent.png", "found no camera")
+        page.page.context.clear_permissions()
+
+
+def check_without_camera(page, screenshot, words):
+    opened(page, "trouble.ipynb")
+    page.page.get_by_role("button", name="▶ start").click()
+    wait_for_words(page, words)
+    wait_for_running(page, False)
+    page.page.get_by_role("button", name="▶ start").wait_for(state="visible")
+    page.page.screenshot(path=screenshot)
+    assert page.page_errors == []
+    assert [output for output in page.outputs() if output["type"] == "error"] == []
+    page.run_cell(CLOSE)  # the next page has the same kernel
 
 
 def rate_and_delay(frames):
@@ -211,6 +212,22 @@ def test_a_slider_changes_the_fit_while_it_runs(live, screenshots):
     wait_for_frames(live, 5)
     live.page.screenshot(path=screenshots / "live-tied.png")
     live.page.get_by_role("button", name="↶ undo").click()
+
+
+def test_the_camera_goes_on_after_frames_were_lost_on_the_way(live):
+    """As when a connection to the kernel breaks: two frames without an answer are as many as may wait for one."""
+    live.page.evaluate(
+        """() => new Promise((lost) => {
+          const send = WebSocket.prototype.send;
+          let frames = 0;
+          WebSocket.prototype.send = function (data) {
+            if (!(data.byteLength > 5000)) return send.call(this, data);
+            if (++frames === 2) WebSocket.prototype.send = send, lost();
+          };
+        })"""
+    )
+    wait_for_frames(live, 20)
+    wait_for_camera(live, True)
 
 
 def test_cells_run_meanwhile_and_the_panel_goes_on(live):

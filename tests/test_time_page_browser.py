@@ -25,14 +25,10 @@ PART = "120-136"
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory):
+def page(server, chromium):
     """The panel on the sample clip, shown and ready, at its page of infill and refinement."""
-    folder, settings = tmp_path_factory.mktemp("notebooks"), tmp_path_factory.mktemp("jupyter")
-    write_notebook(folder / "clip.ipynb", CELLS)
-    with (
-        browser.lab_server(folder, settings) as server,
-        browser.lab_page(server, tmp_path_factory.mktemp("profile")) as page,
-    ):
+    write_notebook(server.folder / "clip.ipynb", CELLS)
+    with browser.lab_tab(server, chromium) as page:
         page.page.set_viewport_size({"width": 1366, "height": 768})
         page.page.add_init_script(browser.KEEP_PIXELS)
         opened(page, "clip.ipynb")
@@ -117,7 +113,7 @@ def test_all_methods_are_compared(page, screenshots):
     tab(page, "Methods")
     page.page.wait_for_function("() => document.querySelectorAll('.fw-methods td').length === 48", timeout=300_000)
     page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
-    page.page.wait_for_timeout(800)
+    page.wait_at_rest(".fw-panel")
     page.page.screenshot(path=screenshots / "time-methods.png")
     assert page.page.locator(".fw-methods .fw-key").filter(has_text="spline").count() == 4
     assert "linear + hybrid" in page.page.locator(".fw-methods").inner_text()
@@ -137,11 +133,12 @@ def test_the_choice_is_exported(page, screenshots):
 
 def test_in_the_dark_theme_all_of_it_can_be_read(page, screenshots):
     page.page.evaluate("() => window.jupyterapp.commands.execute('apputils:change-theme', {theme: 'JupyterLab Dark'})")
+    page.page.wait_for_function("() => document.body.dataset.jpThemeLight === 'false'")
     to_top(page)
-    page.page.wait_for_timeout(1500)
+    page.wait_drawn()
     page.page.screenshot(path=screenshots / "time-dark.png")
     page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
-    page.page.wait_for_timeout(800)
+    page.wait_at_rest(".fw-panel")
     page.page.screenshot(path=screenshots / "time-methods-dark.png")
     assert page.foreign_requests == []
     assert page.page_errors == []
