@@ -1,5 +1,6 @@
 """JupyterLab in a real Chromium: a server with a token, a page that runs notebooks, and what the page shows."""
 
+import base64
 import json
 import os
 import secrets
@@ -264,8 +265,12 @@ class LabPage:
 
     def picture(self, selector: str) -> np.ndarray:
         """The decoded pixels (h, w, 3) of an image element: what the widget shows, not what surrounds it."""
-        data = self.page.locator(selector).first.evaluate(_IMAGE_BYTES)
-        return cv2.imdecode(np.array(data, np.uint8), cv2.IMREAD_COLOR)
+        return decoded(self.page.locator(selector).first.evaluate(_IMAGE_BYTES), cv2.IMREAD_COLOR)
+
+    def pixels(self, selector: str, side: int = 200) -> np.ndarray:
+        """What a canvas shows, RGB (side, side, 3), reduced to a square; needs `KEEP_PIXELS`."""
+        encoded = self.page.evaluate("([s, side]) => window.pngOfCanvas(s, side)", [selector, side])
+        return decoded(encoded, cv2.IMREAD_COLOR)[..., ::-1].astype(int)
 
     def screenshots(self, folder: Path, stem: str) -> list[Path]:
         """The notebook from top to bottom, one file a screen."""
@@ -287,6 +292,11 @@ class LabPage:
     def _on_console(self, message) -> None:
         if message.type == "error":
             self.console_errors.append(message.text[:300])
+
+
+def decoded(address: str, flags: int) -> np.ndarray:
+    """The pixels of a picture in a data: address, as OpenCV orders them."""
+    return cv2.imdecode(np.frombuffer(base64.b64decode(address.split(",")[1]), np.uint8), flags)
 
 
 @contextmanager
@@ -362,7 +372,10 @@ _COUNTS = """() => {
   }
   return found;
 }"""
-_IMAGE_BYTES = """async (element) => [...new Uint8Array(await (await fetch(element.src)).arrayBuffer())]"""
+_IMAGE_BYTES = """async (element) => {
+  const reader = new FileReader(), picture = await (await fetch(element.src)).blob();
+  return new Promise((done) => { reader.onload = () => done(reader.result); reader.readAsDataURL(picture); });
+}"""
 _SCROLLER = """
   const panel = window.jupyterapp.shell.currentWidget.node;
   const box = panel.querySelector('.jp-WindowedPanel-outer') || panel.querySelector('.jp-Notebook');
@@ -392,8 +405,8 @@ KEEP_PIXELS = """(() => {
     context.drawImage(canvas, 0, 0, side, side);
     return context.getImageData(0, 0, side, side).data;
   };
-  window.pngOfCanvas = (selector) => {
-    window.readCanvas(selector, 200);
+  window.pngOfCanvas = (selector, side) => {
+    window.readCanvas(selector, side);
     return small.toDataURL("image/png");
   };
   window.sumCanvas = (selector) => {

@@ -30,8 +30,13 @@ def write_notebook(path: Path, cells: Sequence[str]) -> None:
 def opened(page, notebook):
     """Open a notebook and run its first two cells: the panel, shown and ready."""
     page.open(notebook)
-    page.run_cell(0)
-    page.run_cell(1)
+    return shown(page, 0)
+
+
+def shown(page, cell):
+    """Run the two cells that make a panel and wait for it."""
+    page.run_cell(cell)
+    page.run_cell(cell + 1)
     for selector in (MARKS, HEAD):
         page.page.wait_for_selector(selector)
     page.page.wait_for_function("(s) => new Set(window.readCanvas(s, 100)).size > 60", arg=HEAD)

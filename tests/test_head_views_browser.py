@@ -1,6 +1,5 @@
 """Both back ends of the live 3D head in a real browser: updates from any thread, the mouse, and no foreign request."""
 
-import base64
 import os
 import statistics
 import time
@@ -89,8 +88,7 @@ def lab(server, chromium):
 
 def pixels(lab, backend):
     """What the canvas shows, reduced to 200 × 200."""
-    encoded = lab.page.evaluate("(s) => window.pngOfCanvas(s)", CANVAS[backend]).split(",")[1]
-    return cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)[..., ::-1].astype(int)
+    return lab.pixels(CANVAS[backend])
 
 
 def settled(lab, backend, before=None):

@@ -113,8 +113,7 @@ def wait_for_running(page, now):
 
 
 def picture(page, selector):
-    data = page.page.evaluate("(s) => Array.from(window.readCanvas(s, 120))", selector)
-    return np.array(data, float).reshape(120, 120, 4)[..., :3]
+    return page.pixels(selector, 120)
 
 
 def difference(shown, before):

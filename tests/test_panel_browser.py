@@ -1,17 +1,15 @@
 """The tuning panel in a real browser: JupyterLab with its default settings, in Chromium, without the network."""
 
-import base64
 import os
 import re
 import statistics
 import time
 
-import cv2
 import numpy as np
 import pytest
 
 from tests import browser
-from tests.panel_page import HEAD, MARKS, PANEL, READY, latencies, opened, press, tab, to_top, write_notebook
+from tests.panel_page import HEAD, MARKS, PANEL, READY, latencies, opened, press, shown, tab, to_top, write_notebook
 from workbench.config import preset as read_preset
 from workbench.config import read_config
 
@@ -25,7 +23,7 @@ SAMPLES, MOST_ROUNDS = 20, 4
 """Keys of a round, and rounds of which one must be so quick: other work on the machine comes and goes."""
 SLOWEST_MS = 600.0
 """Generous: software WebGL on a shared machine; `benchmarks/panel_latency.py` has the goals."""
-PHOTO = (
+CELLS = (
     PANEL.format(name="astronaut"),
     READY,
     browser.BUSY_CELL,
@@ -46,37 +44,34 @@ PHOTO = (
     print("same", bool((shown.expression == wanted.expression).all()), "fits", len(begun))
     print("sigma", session.config.weights.sigma_smooth)
     """,
+    "    panel.close()" + PANEL.format(name="performance"),
+    READY,
+    "    panel.close()" + PANEL.format(name="astronaut"),
+    browser.BUSY_CELL,
 )
-BUSY = (PANEL.format(name="astronaut"), browser.BUSY_CELL)
-CLIP = (PANEL.format(name="performance"), READY)
+CLIP, SECOND, BUSY = 5, 7, 8
 
 
 @pytest.fixture(scope="module")
 def photo(server, chromium):
     """The panel on the portrait, shown and ready."""
-    for name, cells in (("photo", PHOTO), ("clip", CLIP), ("busy", BUSY)):
-        write_notebook(server.folder / f"{name}.ipynb", cells)
+    write_notebook(server.folder / "panel.ipynb", CELLS)
     with browser.lab_tab(server, chromium) as page:
         page.page.set_viewport_size({"width": 1366, "height": 768})
         page.page.add_init_script(browser.KEEP_PIXELS)
-        yield opened(page, "photo.ipynb")
+        yield opened(page, "panel.ipynb")
 
 
 @pytest.fixture(scope="module")
 def clip(photo):
-    """The panel on the sample clip in the same page, after the portrait's tests."""
+    """The panel on the sample clip in the same page and kernel, after the portrait's tests."""
     assert wrong_outputs(photo) == []
-    return opened(photo, "clip.ipynb")
+    photo.page.evaluate("() => window.jupyterapp.commands.execute('notebook:clear-all-cell-outputs')")
+    return shown(photo, CLIP)
 
 
 def wrong_outputs(page):
     return [output for output in page.outputs() if output["type"] == "error" or output["name"] == "stderr"]
-
-
-def pixels(page, selector):
-    """What a canvas shows, reduced to 200 × 200."""
-    encoded = page.page.evaluate("(s) => window.pngOfCanvas(s)", selector).split(",")[1]
-    return cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)[..., ::-1].astype(int)
 
 
 def rested(page, selector, before=None):
@@ -84,7 +79,7 @@ def rested(page, selector, before=None):
     shown = []
     deadline = time.monotonic() + browser.RUN_S
     while time.monotonic() < deadline:
-        shown = [*shown[-2:], pixels(page, selector)]
+        shown = [*shown[-2:], page.pixels(selector)]
         same = len(shown) == 3 and all(np.array_equal(other, shown[0]) for other in shown[1:])
         if same and (before is None or not np.array_equal(shown[0], before)):
             return shown[0]
@@ -120,7 +115,7 @@ def test_moving_a_slider_changes_the_overlay_and_the_head(photo, screenshots, pr
     press(photo, label, *keys)
     assert 0.0 < changed(photo, MARKS, before[0]) < 0.6
     assert 0.01 < changed(photo, HEAD, before[1]) < 0.6
-    check_plausible(pixels(photo, HEAD))
+    check_plausible(photo.pixels(HEAD))
     photo.page.screenshot(path=screenshots / f"panel-{label[0]}.png")
     after = rested(photo, HEAD)
     photo.page.get_by_role("button", name="↶ undo").click()
@@ -257,7 +252,7 @@ def test_the_views_follow_while_another_cell_is_busy(photo):
     press(photo, "ω_σ L1", "End")
     assert changed(photo, MARKS, before[0]) > 0.0
     assert changed(photo, HEAD, before[1]) > 0.005
-    check_plausible(pixels(photo, HEAD))
+    check_plausible(photo.pixels(HEAD))
     assert not photo.page.evaluate("() => window.ran")
     (photo.server.folder / "seen").touch()
     photo.page.wait_for_function("() => window.ran")
@@ -336,7 +331,7 @@ def test_the_configuration_is_exported(clip, server):
 
 
 def test_nothing_came_from_another_host_and_nothing_failed(clip, screenshots):
-    """In both notebooks: the page is the same, and the portrait's outputs were checked when it was left."""
+    """With both panels: the page is the same, and the portrait's outputs were checked when it was left."""
     to_top(clip)
     clip.page.screenshot(path=screenshots / "panel-clip-end.png")
     assert clip.foreign_requests == []
@@ -348,11 +343,14 @@ def test_nothing_came_from_another_host_and_nothing_failed(clip, screenshots):
 def test_the_head_is_there_while_the_cell_below_still_runs(clip, screenshots):
     """The kernel answers nothing meanwhile: all that the head needs has come with it."""
     (clip.server.folder / "seen").unlink(missing_ok=True)
-    clip.open("busy.ipynb")
-    clip.page.evaluate("() => { window.jupyterapp.commands.execute('notebook:run-all-cells'); }")
+    clip.open("panel.ipynb")
+    for cell in (SECOND, BUSY):
+        clip.run_cell(cell, wait=False)
     clip.page.wait_for_selector(MARKS)
     clip.page.wait_for_function("(s) => new Set(window.readCanvas(s, 100)).size > 60", arg=HEAD)
-    assert clip.execution_counts() == [1, None]
+    counts = clip.execution_counts()
+    assert counts[SECOND] is not None
+    assert counts[BUSY] is None
     to_top(clip)
     clip.page.screenshot(path=screenshots / "panel-busy.png")
     (clip.server.folder / "seen").touch()

@@ -120,9 +120,8 @@ class Views:
 
     def canvas(self, name: str, kind: str) -> np.ndarray:
         """RGBA pixels of a canvas of a view."""
-        script = "async (c) => [...new Uint8Array(await (await new Promise((ok) => c.toBlob(ok))).arrayBuffer())]"
-        data = self.page.locator(f".fw-{name} .fw-{kind}").first.evaluate(script)
-        return cv2.imdecode(np.array(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        encoded = self.page.locator(f".fw-{name} .fw-{kind}").first.evaluate("(canvas) => canvas.toDataURL()")
+        return browser.decoded(encoded, cv2.IMREAD_UNCHANGED)
 
     def corner(self, name: str) -> tuple[float, float]:
         stage = self.page.locator(f".fw-{name} .fw-stage").first
