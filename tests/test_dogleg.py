@@ -72,6 +72,16 @@ def optimistix_path(residual, start, steps, descent):
 
 
 @pytest.mark.parametrize("descent", SOLVERS)
+def test_a_descent_chosen_by_data_takes_the_same_steps(descent):
+    residual, start = PROBLEMS["rosenbrock"]
+    system, chosen = system_at(residual, start), region(2, "either", is_dogleg=jnp.asarray(descent == "dogleg"))
+    for radius in (0.3, 3.0):  # shorter than a Gauss–Newton step, and longer
+        np.testing.assert_array_equal(step_from(chosen, system, radius), step_from(region(2, descent), system, radius))
+    moves = [step_from(region(2, name), system, 0.3) for name in SOLVERS]
+    assert not np.array_equal(*moves)
+
+
+@pytest.mark.parametrize("descent", SOLVERS)
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_the_path_is_that_of_optimistix(name, descent):
     residual, start = PROBLEMS[name]

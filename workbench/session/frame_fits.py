@@ -103,9 +103,8 @@ class FrameFits:
 
 def compile_solvers(model: FaceModel, config: Config, image_size: tuple[int, int]) -> None:
     """Compile every solver that a panel offers for FACE IT!, with and without its trace, and the calibrations."""
-    for changes in ({}, {"method": "optimistix-lm"}, {"method": "optimistix-dogleg"}):
-        solver = {"method": "lm", "bounded": False, **changes}
-        fitter = FaceItFitter(model, plan_of(config.changed(solver=solver)))
+    for method in ("lm", "optimistix-lm"):  # "optimistix-dogleg" is the same program as "optimistix-lm"
+        fitter = FaceItFitter(model, plan_of(config.changed(solver={"method": method, "bounded": False})))
         fitter.warm_up(image_size, trace=True)
     for frames in {1, config.identity.frames}:
         fitter.calibrate([fitter.neutral_observation(image_size)], frames)

@@ -23,17 +23,23 @@ DAMPING = 1e-9
 """Share of the mean curvature added to every unknown: directions without any curvature stay where they are."""
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=("scale", "smallest", "largest"), meta_fields=("descent",))
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=("scale", "smallest", "largest", "is_dogleg"),
+    meta_fields=("descent",),
+)
 @dataclass(frozen=True)
 class TrustRegion:
     """A descent and its trust region."""
 
     scale: Float[AnyArray, "n"]
     """Typical size of each unknown: a radius compares unknowns of different units."""
-    descent: Literal["dogleg", "damped"] = "dogleg"
+    descent: Literal["dogleg", "damped", "either"] = "dogleg"
     smallest: Scalar = 1e-16
     """Radius below which no shorter step is tried."""
     largest: Scalar = jnp.inf
+    is_dogleg: Bool[AnyArray, ""] | bool = True
+    """Which descent "either" is: data, so one program serves both."""
 
     def start(self) -> Float[AnyArray, ""]:
         """Radius of the first step."""
@@ -50,9 +56,13 @@ class TrustRegion:
         """The next place to try and the move that leads there; unknowns whose bounds are equal stay."""
         pushed = ((x <= lower) & (system.gradient > 0.0)) | ((x >= upper) & (system.gradient < 0.0))
         moving = ~pushed & (lower < upper)
-        descent = DESCENTS[self.descent](linear_solver=lx.Cholesky())
-        here, model = jnp.zeros_like(x), self._model(system, moving)
-        found, _ = descent.step(trust, descent.query(here, model, descent.init(here, model)))
+        model = self._model(system, moving)
+        if self.descent == "either":
+            found = jax.lax.cond(
+                self.is_dogleg, lambda: _descended("dogleg", model, trust), lambda: _descended("damped", model, trust)
+            )
+        else:
+            found = _descended(self.descent, model, trust)
         candidate = jnp.clip(x + jnp.where(moving, found, 0.0) * self.scale, lower, upper)
         return candidate, candidate - x
 
@@ -79,3 +89,9 @@ class TrustRegion:
         slope = jnp.where(moving, system.gradient * self.scale, 0.0)
         operator = lx.MatrixLinearOperator(curvature, lx.positive_semidefinite_tag)
         return optx.FunctionInfo.EvalGradHessian(0.5 * jnp.asarray(system.cost, float), slope, operator)
+
+
+def _descended(descent: str, model: optx.FunctionInfo.EvalGradHessian, trust: Float[AnyArray, ""]):
+    """The step of a descent, in scaled unknowns."""
+    step, here = DESCENTS[descent](linear_solver=lx.Cholesky()), jnp.zeros_like(model.grad)
+    return step.step(trust, step.query(here, model, step.init(here, model)))[0]

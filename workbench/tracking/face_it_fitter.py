@@ -61,7 +61,7 @@ class FaceItFitter(Fitter):
         self.configure(plan)
 
     def configure(self, plan: Plan) -> None:
-        """Use another plan from now on; nothing is recompiled unless the solver's method changes."""
+        """Use another plan from now on; nothing is recompiled unless another kind of solver is chosen."""
         self.plan = plan
         self._settings = solve_settings(plan)
         self._used = plan.point_weights > 0.0
@@ -129,7 +129,7 @@ class FaceItFitter(Fitter):
                 problem.settings,
                 problem.program,
                 problem.frame,
-                method=self.plan.solver.method,
+                method="levenberg-marquardt" if self.plan.solver.method == "lm" else "trust-region",
                 trace_length=TRACE_LENGTH if traced else 0,
                 terms=self.plan.terms,
             )

@@ -65,6 +65,7 @@ def solve_settings(plan: Plan) -> SolveSettings:
             tolerance=plan.solver.tolerance,
             percent=float(plan.solver.percent),
             sliding=float(plan.sliding),
+            dogleg=float(plan.solver.method == "optimistix-dogleg"),
         )
     )
 

@@ -1,7 +1,7 @@
 """One frame through the stages of a schedule, as one compiled program.
 
 Which stages run, what each frees, their limits, all weights, bounds, camera and model are data: changing them does not
-recompile anything. Only another solver method, or keeping a trace, makes another program.
+recompile anything. Only a trust region instead of Levenberg–Marquardt, or keeping a trace, makes another program.
 """
 
 import math
@@ -47,8 +47,7 @@ BRANCHES = (("rotation", "translation"), BLOCKS)
 vector. Parameters that a stage does not free are masked, so that no schedule triggers recompilation."""
 STAGE_SLOTS = 8
 """Schedules are padded to a multiple of this many stages."""
-Method = Literal["lm", "optimistix-lm", "optimistix-dogleg"]
-DESCENTS = {"optimistix-lm": "damped", "optimistix-dogleg": "dogleg"}
+Method = Literal["levenberg-marquardt", "trust-region"]
 
 
 class StageProgram(NamedTuple):
@@ -78,6 +77,8 @@ class SolveSettings(NamedTuple):
     """1: residuals in percent of the outer-eye distance; 0: in pixels."""
     sliding: Float[AnyArray, ""]
     """1: the jaw contour slides with the yaw; 0: it stays at its frontal position."""
+    dogleg: Float[AnyArray, ""] | float = 0.0
+    """1: the trust region descends along the dogleg; 0: by a damped step."""
 
 
 class FrameInput(NamedTuple):
@@ -116,7 +117,7 @@ def solve_frame(
     settings: SolveSettings,
     program: StageProgram,
     frame: FrameInput,
-    method: Method = "lm",
+    method: Method = "levenberg-marquardt",
     trace_length: int = 0,
     terms: tuple[str, ...] = FACE_IT_TERMS,
 ) -> SolvedFrame:
@@ -241,8 +242,12 @@ def _solve_stage(problem, parameters, settings, limit, free, moving, terms, meth
         at = slice(len(start) - len(parameters.expression), None)
         lower, upper = lower.at[at].set(settings.lower), upper.at[at].set(settings.upper)
     recorded = (record if trace_length else None, trace_length)
+    if method == "levenberg-marquardt":
+        solver = LevenbergMarquardt()
+    else:
+        solver = TrustRegion(typical_sizes(parameters, free), "either", is_dogleg=settings.dogleg > 0.5)
     return minimise(
-        LevenbergMarquardt() if method == "lm" else TrustRegion(typical_sizes(parameters, free), DESCENTS[method]),
+        solver,
         lambda x: normal_system(problem, unpack(x, parameters, free), free, terms).restricted(moving),
         start, jnp.where(held, start, lower), jnp.where(held, start, upper),
         limit, settings.tolerance, *recorded, cost,
