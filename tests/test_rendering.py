@@ -22,6 +22,7 @@ from workbench.rendering import (
     directional_light,
     face_vertices,
     mesh_topology,
+    model_at,
     orthographic_camera,
     render,
     render_face,
@@ -173,6 +174,12 @@ def test_normals_are_those_of_the_pictures_package(head, model, parameters, rend
     expected = (corners * np.asarray(rendering.barycentric, float)[seen][..., None]).sum(axis=1)
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
     assert np.asarray(rendering.normals)[seen] == pytest.approx(expected, abs=1e-3)
+
+
+def test_some_vertices_alone_are_where_the_whole_model_has_them(model, parameters):
+    chosen = np.array([40, 7, 7, 3000])
+    alone = jax.jit(lambda model: face_vertices(model_at(model, chosen), parameters))(model)
+    np.testing.assert_array_equal(alone, np.asarray(face_vertices(model, parameters))[chosen])
 
 
 def test_lens_distortion_moves_the_head_as_opencv_does(model, parameters, camera):

@@ -21,7 +21,7 @@ from workbench.geometry import project, rotation_matrix, yaw_of
 from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
 from workbench.networks import CropBox, Fan, LandmarkNetwork, soft_argmax, to_picture
 from workbench.networks.crop import fan_box_of
-from workbench.rendering import CropCamera, RenderModel, face_vertices, render, render_model
+from workbench.rendering import CropCamera, RenderModel, face_vertices, model_at, render, render_model
 from workbench.rendering.camera import AnyCamera, OrthographicCamera
 
 DEEP_TERMS = terms_of("deep-energies")
@@ -101,12 +101,17 @@ def preselected_points(
     model: DeepModel, view: DeepView, parameters: FaceParameters, sliding: Scalar = 1.0
 ) -> Float[Array, "68 2"]:
     """The 68 points on the mesh, projected, pixels (Appendix C.1). `sliding` 1: the jaw contour follows the yaw."""
-    vertices = view_vertices(model, view, parameters)
+    # Only the vertices around the points: the derivative by all unknowns is not taken of the whole mesh.
+    around = jnp.concatenate([model.contour.ravel(), model.landmarks[17:].ravel()])
+    vertices = view_vertices(model._replace(render=model_at(model.render, around)), view, parameters)
+    of_contour, of_inner = jnp.split(vertices, [model.contour.size])
     turned = jnp.asarray(view.rotation) @ rotation_matrix(jnp.asarray(parameters.rotation))
     yaw = jax.lax.stop_gradient(yaw_of(turned))
     blend = contour_blend(model.contour_yaw, yaw, sliding).astype(jnp.float32)
-    contour = jnp.einsum("b,bnjd,bnj->nd", blend, vertices[model.contour], model.contour_barycentric)
-    inner = jnp.einsum("njd,nj->nd", vertices[model.landmarks[17:]], model.barycentric[17:])
+    contour = jnp.einsum(
+        "b,bnjd,bnj->nd", blend, of_contour.reshape(*model.contour.shape, 3), model.contour_barycentric
+    )
+    inner = jnp.einsum("njd,nj->nd", of_inner.reshape(-1, 3, 3), model.barycentric[17:])
     return _project(view.camera, jnp.concatenate([contour, inner]))
 
 

@@ -18,7 +18,7 @@ from workbench.errors import InputError
 from workbench.face import FaceParameters
 from workbench.flow.sampling import four_neighbours
 from workbench.rendering.camera import AnyCamera, to_screen
-from workbench.rendering.head import RenderModel, face_vertices
+from workbench.rendering.head import RenderModel, face_vertices, model_at
 from workbench.rendering.interpolation import Corners, only_where
 from workbench.rendering.rasteriser import screen_triangles, visible_triangles
 
@@ -153,14 +153,7 @@ def surface_points(
             f"{triangle.max()}; leave out pixels that show no head (−1)."
         )
     corners = triangles[triangle].ravel()
-    part = model._replace(
-        neutral=model.neutral[corners],
-        expression=model.expression[:, corners],
-        identity=model.identity[:, corners],
-        colors=model.colors[corners],
-        jaw=model.jaw._replace(weights=model.jaw.weights[corners], corrective=model.jaw.corrective[corners]),
-    )
-    return SurfacePoints(part, jnp.asarray(barycentric, jnp.float32))
+    return SurfacePoints(model_at(model, corners), jnp.asarray(barycentric, jnp.float32))
 
 
 def points_in_camera(points: SurfacePoints, parameters: FaceParameters) -> Float[Array, "n 3"]:

@@ -8,6 +8,7 @@ from workbench.rendering.camera import OrthographicCamera as OrthographicCamera
 from workbench.rendering.camera import orthographic_camera as orthographic_camera
 from workbench.rendering.head import RenderModel as RenderModel
 from workbench.rendering.head import face_vertices as face_vertices
+from workbench.rendering.head import model_at as model_at
 from workbench.rendering.head import render_face as render_face
 from workbench.rendering.head import render_model as render_model
 from workbench.rendering.lighting import ambient_light as ambient_light

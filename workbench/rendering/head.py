@@ -61,6 +61,17 @@ def render_model(model: FaceModel) -> RenderModel:
     return jax.tree.map(jnp.asarray, made)
 
 
+def model_at(model: RenderModel, vertices: Int[AnyArray, "n"]) -> RenderModel:
+    """The model with these vertices alone, in this order; its topology, which they no longer fit, stays as it was."""
+    return model._replace(
+        neutral=model.neutral[vertices],
+        expression=model.expression[:, vertices],
+        identity=model.identity[:, vertices],
+        colors=model.colors[vertices],
+        jaw=model.jaw._replace(weights=model.jaw.weights[vertices], corrective=model.jaw.corrective[vertices]),
+    )
+
+
 def lip_sides(model: FaceModel) -> Int[np.ndarray, "t"]:
     """1 for triangles of the upper lip, 2 for those of the lower lip, 0 for others and where both meet."""
     sides = np.zeros(len(model.triangles), np.int64)
