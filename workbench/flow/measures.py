@@ -66,12 +66,17 @@ def occluded(
     2010), or a target beyond the border.
     """
     back = _at_target(backward, forward)
-    missed = ((forward + back) ** 2).sum(axis=-1)
-    allowed = share * ((forward**2).sum(axis=-1) + (back**2).sum(axis=-1)) + px2
+    allowed = share * (_squared_length(forward) + _squared_length(back)) + px2
     height, width = forward.shape[:2]
-    target = forward + _places(height, width)
-    beyond = (target < 0).any(axis=-1) | (target > [width - 1, height - 1]).any(axis=-1)
-    return (missed > allowed) | beyond
+    x, y = np.moveaxis(forward + _places(height, width), -1, 0)
+    beyond = (x < 0) | (y < 0) | (x > width - 1) | (y > height - 1)
+    return (_squared_length(forward + back) > allowed) | beyond
+
+
+def _squared_length(vectors: Float[np.ndarray, "h w 2"]) -> Float[np.ndarray, "h w"]:
+    """By component: NumPy takes several times as long for a sum over an axis of two."""
+    x, y = np.moveaxis(vectors, -1, 0)
+    return x**2 + y**2
 
 
 def _places(height: int, width: int) -> Float[np.ndarray, "h w 2"]:
