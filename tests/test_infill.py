@@ -192,7 +192,7 @@ def test_each_view_brings_one_picture(film_maker, film):
     neighbour = Moment(film.truth[0], film.pictures[:1])
     views = film_maker.flow.views(film.truth[0])
     known = Neighbour(parameters_of(neighbour.fit), neighbour.pictures)
-    with pytest.raises(InputError, match="There are 1 views and pictures of 1 and 2"):
+    with pytest.raises(InputError, match="There are 1 views, but 1 and 2 pictures"):
         film_maker.flow.links(known, film.pictures[:2], known.parameters, views)
 
 
@@ -254,7 +254,7 @@ def test_renders_for_the_estimator_are_lit_by_one_light_in_all_views(film_maker,
 
 
 def test_pictures_that_end_before_the_fits_are_told(film):
-    with pytest.raises(InputError, match="has a frame 9, but its pictures end before"):
+    with pytest.raises(InputError, match="has a frame 9, but its pictures end earlier"):
         list(moments(film.truth, [type(film.frames())(film.pictures[:9])]))
 
 

@@ -61,7 +61,7 @@ def test_a_spline_keeps_weights_in_the_range_of_its_frames():
 def test_two_known_frames_make_a_line_and_one_none():
     line = splined([0, 4], [frame((0.4, 0, 0)), frame((0.0, 0, 0))], [1])
     assert line[0].rotation == pytest.approx([0.3, 0, 0], abs=1e-9)
-    with pytest.raises(InputError, match="two known frames or more, got 1"):
+    with pytest.raises(InputError, match="at least two known frames, got 1"):
         splined([0], [frame()], [1])
 
 
