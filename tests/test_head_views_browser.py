@@ -17,7 +17,7 @@ if lacking and os.environ.get("CI") != "true":
     pytest.skip(f"browser tests: {lacking}", allow_module_level=True)
 
 CANVAS = {"webgl": ".fw-head3d.fw-webgl > canvas", "pictures": ".fw-head3d.fw-pictures > canvas"}
-SAMPLES, MOST_ROUNDS = 12, 4
+SAMPLES = 20
 """Keys of a round, and rounds of which one must be so quick: other work on the machine comes and goes."""
 SLOWEST_MS = 600.0
 """Generous: software WebGL on a shared machine. Printed, so that a run shows what it was."""
@@ -254,26 +254,23 @@ def test_the_head_comes_back_when_the_browser_takes_its_webgl_context(lab):
 
 @pytest.mark.parametrize("backend", CANVAS)
 def test_the_slider_is_followed_at_once(lab, backend, capsys):
-    for _ in range(MOST_ROUNDS):
-        milliseconds = latencies(lab, backend)
-        median = statistics.median(milliseconds)
-        if median < SLOWEST_MS and np.isfinite(milliseconds).all():
-            break
+    milliseconds = latencies(lab, backend)
+    assert None not in milliseconds
+    median = statistics.median(milliseconds)
     with capsys.disabled():
         print(f"\n{backend}: slider to pixels {median:.0f} ms (median of {SAMPLES}, load {os.getloadavg()[0]:.1f})")
-    assert np.isfinite(milliseconds).all()
     assert median < SLOWEST_MS
 
 
 def latencies(lab, backend):
-    """Milliseconds from a key on the slider until the pixels of a canvas at rest have changed; ∞: not at all."""
+    """Milliseconds from a key on the slider until the pixels of a canvas at rest have changed; None: not at all."""
     handle, found = lab.slider(backend).element_handle(), []
     press(lab, backend, "Home")
     for k in range(SAMPLES):
         settled(lab, backend)
         key = "ArrowRight" if k < SAMPLES // 2 else "ArrowLeft"
         taken = lab.page.evaluate("([h, k, s]) => window.timeToPixels(h, k, [s])", [handle, key, CANVAS[backend]])
-        found.append(np.inf if taken is None else taken)
+        found.append(taken)
     return found
 
 

@@ -19,7 +19,7 @@ if lacking and os.environ.get("CI") != "true":
     pytest.skip(f"browser tests: {lacking}", allow_module_level=True)
 
 STRIP = ".fw-timeline canvas"
-SAMPLES, MOST_ROUNDS = 20, 4
+SAMPLES = 50
 """Keys of a round, and rounds of which one must be so quick: other work on the machine comes and goes."""
 SLOWEST_MS = 600.0
 """Generous: software WebGL on a shared machine; `benchmarks/panel_latency.py` has the goals."""
@@ -233,14 +233,11 @@ NOSE_TIP = (224.99, 127.23)
 def test_from_the_slider_to_the_pixels(photo, capsys):
     """Single-frame fit, overlay and 3D, from the key event to both canvases changed."""
     tab(photo, "ω")
-    for _ in range(MOST_ROUNDS):
-        milliseconds = [np.inf if taken is None else taken for taken in latencies(photo, "ω_σ L1", SAMPLES)]
-        median, p95 = statistics.median(milliseconds), float(np.percentile(milliseconds, 95))
-        if median < SLOWEST_MS and np.isfinite(milliseconds).all():
-            break
+    milliseconds = latencies(photo, "ω_σ L1", SAMPLES)
+    assert None not in milliseconds
+    median, p95 = statistics.median(milliseconds), float(np.percentile(milliseconds, 95))
     with capsys.disabled():
         print(f"\npanel: slider to pixels median {median:.0f} ms, p95 {p95:.0f} ms (load {os.getloadavg()[0]:.1f})")
-    assert np.isfinite(milliseconds).all()
     assert median < SLOWEST_MS
 
 

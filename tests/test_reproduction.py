@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from workbench import reproduction
 from workbench.errors import InputError
 from workbench.geometry import axis_angle_from_yaw_pitch_roll, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
-from workbench.reproduction import Item, Result, Study, Table, boston_camera
+from workbench.reproduction import Item, Result, Study, Table, boston_camera, pose_errors
 from workbench.reproduction import study as studies
 from workbench.reproduction.boston import INCH_MM, NAMES, BostonSequence, read_set
 from workbench.reproduction.head_pose import POSE_COLUMNS, errors_of, poses_by_pnp, read_poses
@@ -95,6 +96,31 @@ def test_what_was_made_from_the_same_inputs_is_left_as_it_is(counted, tmp_path):
     assert [study.quick for study in calls] == [True, False, False]
 
 
+def test_what_an_item_keeps_is_for_one_set_and_ends_with_overwrite(counted, tmp_path):
+    """Landmarks found on one set are none of another's."""
+    item, calls = counted
+    item = replace(item, reads_set=True)
+    for boston in (None, tmp_path / "first", tmp_path / "second", tmp_path / "first"):
+        reproduction.run([item], tmp_path, boston=boston)
+    simulated, first, second, again = (study.folder for study in calls)
+    assert first == again
+    assert len({simulated, first, second}) == 3
+    first.mkdir()
+    (first / "kept.csv").touch()
+    reproduction.run([item], tmp_path, boston=tmp_path / "first", overwrite=True)
+    assert not (first / "kept.csv").exists()
+
+
+def test_poses_that_changed_make_an_item_anew(counted, tmp_path):
+    item, calls = counted
+    item, path = replace(item, reads_set=True), tmp_path / "other.csv"
+    for text in ("one", "one", "two"):
+        path.write_text(text)
+        reproduction.run([item], tmp_path, poses=[path])
+    assert len(calls) == 2
+    assert calls[0].folder == calls[1].folder
+
+
 def test_a_damaged_result_is_named(counted, tmp_path):
     item, _ = counted
     reproduction.run([item], tmp_path)
@@ -165,7 +191,7 @@ def test_poses_of_another_program_are_read_and_frames_left_out_count_as_missed(t
     path = tmp_path / "other.csv"
     path.write_text(rows_of("jam1,0,0,0,0,0,0,700", "jam1,2,10,0,0,25.4,0,700"))
     poses = read_poses(path, [sequence()])
-    (found,) = errors_of([sequence()], lambda one: poses[one.name], tmp_path / "store")
+    found = pose_errors(sequence(), *poses["jam1"])
     assert found.missed == 1
     np.testing.assert_allclose(found.angles_deg[-1], [10.0, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(found.places_in[-1], [1.0, 0.0, 0.0], atol=1e-9)

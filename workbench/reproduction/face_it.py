@@ -19,7 +19,15 @@ from workbench.landmarks.detectors import chosen_detector, make_detector
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.tracking import LandmarkTracker
-from workbench.reproduction.boston import NAMES, PRINTED_DEG, PRINTED_INCHES, MeanErrors, mean_errors, read_set
+from workbench.reproduction.boston import (
+    NAMES,
+    PRINTED_DEG,
+    PRINTED_INCHES,
+    MeanErrors,
+    mean_errors,
+    pose_errors,
+    read_set,
+)
 from workbench.reproduction.head_pose import (
     PNP,
     errors_of,
@@ -129,16 +137,15 @@ def iteration_times(study: Study) -> Result:
             times[label][k], done = _milliseconds(head, config, observations), done + 1
     rows = tuple((str(limit), f"{a:.2f}", f"{b:.2f}") for limit, a, b in zip(limits, *times.values(), strict=True))
     return Result(
-        data=f"{len(observations)} frames of {CLIP}; nothing stops a stage before its limit.",
+        data=f"{len(observations)} frames of {CLIP}; the tolerance is 0.",
         figures={
             "Mean time of the energy minimisation per frame.": plots.curves(
                 np.array(limits), times, "iterations", "ms per frame"
             )
         },
         tables=(Table("Milliseconds per frame", ("iterations", *times), rows),),
-        notes=("Times are those of the computer that made this page. Both curves are straight: an iteration of the "
-               "expression costs more than one of the pose.",),
-    )  # fmt: skip
+        notes=("Times are those of the computer that made this page.",),
+    )
 
 
 def runtime(study: Study) -> Result:
@@ -175,16 +182,14 @@ def head_pose(study: Study) -> Result:
     """Table 1: mean absolute error of the head's angles, on the real set if there is one, else on a simulated one."""
     head = load_default_head()
     if study.boston is None:
-        folder = study.folder / ("quick-set" if study.quick else "set")
         names, frames = (QUICK_NAMES, QUICK_FRAMES) if study.quick else (NAMES, FRAMES)
-        simulate_set(folder, head, names, frames, study.progress)
-        sequences, problems = read_set(folder)[0], ()
+        simulate_set(study.folder / "set", head, names, frames, study.progress)
+        sequences, problems = read_set(study.folder / "set")[0], ()
         data = (
             f"a simulated set in the layout of Boston University's: {len(sequences)} sequences of {frames} frames, "
             "320 × 240, rendered people with exact poses (`reproduction/simulated_boston.py`)."
         )
     else:
-        folder = study.folder / "real"
         sequences, problems = read_set(study.boston)
         data = f"Boston University's set, {len(sequences)} of its 45 sequences of uniform light."
         if study.quick:
@@ -192,18 +197,18 @@ def head_pose(study: Study) -> Result:
     landmarks: dict[str, tuple[Landmarks2D | None, ...]] = {}
     for done, sequence in enumerate(sequences):
         study.progress("landmarks", done, len(sequences))
-        landmarks[sequence.name] = landmarks_of_sequence(sequence, folder / "landmarks" / f"{sequence.name}.csv")
+        landmarks[sequence.name] = landmarks_of_sequence(sequence, study.folder / "landmarks" / f"{sequence.name}.csv")
     ways = {f"ours, {name}": partial(poses_by_preset, name, head) for name in ("joint", "calibrated", "face-it")}
     rows = []
     for label, way in {**ways, PNP: partial(poses_by_pnp, head)}.items():
         study.progress(label, 0, None)
-        store = folder / "poses" / label.replace("ours, ", "").replace(" ", "-")
+        store = study.folder / "poses" / label.replace("ours, ", "").replace(" ", "-")
         errors = errors_of(sequences, lambda one, way=way: way(landmarks[one.name]), store)
         rows.append(_table_row(label, mean_errors(errors)))
     for path in study.poses:
         given = read_poses(path, sequences)
         chosen = [one for one in sequences if one.name in given]
-        errors = errors_of(chosen, lambda one, given=given: given[one.name], folder / "poses" / f"given-{path.stem}")
+        errors = [pose_errors(one, *given[one.name]) for one in chosen]
         rows.append(_table_row(path.name, mean_errors(errors)))
     printed = [
         (f"printed: {name}", *(f"{value:.2f}" for value in degrees), *_inches(name), "", "")
@@ -212,8 +217,8 @@ def head_pose(study: Study) -> Result:
     header = ("", "roll, °", "pitch, °", "yaw, °", "average, °", "X, in", "Y, in", "Z, in", "frames", "missed")
     notes = () if study.boston else (
         "Rows marked *printed* are the paper's, on the real set: they stand beside ours, not against them. The "
-        "simulated people are samples of the default head's own shapes, with exact poses, so the numbers are smaller "
-        "than on real faces and a magnetic sensor. `--boston FOLDER` fills the table from the real set.",
+        "simulated people are samples of the default head's own shapes, with exact poses: expect larger errors on real "
+        "faces and a magnetic sensor. `--boston FOLDER` fills the table from the real set.",
     )  # fmt: skip
     sensor = (
         "Positions are those of a sensor on the head, calibrated by the first frame alone: when the head turns, the "

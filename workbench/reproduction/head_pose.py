@@ -19,7 +19,7 @@ from workbench.landmarks.files import read_landmark_file, write_landmark_file
 from workbench.landmarks.formats.records import LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.tracking import LandmarkTracker
-from workbench.reading import checked_content, reading
+from workbench.reading import checked_arrays, checked_content, reading
 from workbench.reproduction.boston import SIZE, BostonSequence, PoseErrors, boston_camera, pose_errors
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation
@@ -118,7 +118,8 @@ def errors_of(
             make_folder(store)
             with atomic_path(path) as temporary, temporary.open("wb") as stream:
                 np.savez_compressed(stream, rotations=rotations, translations_mm=translations)
-        with reading(path, "poses", f"delete {store} and run again"), np.load(path, allow_pickle=False) as stored:
+        advice = f"delete {store} and run again"
+        with reading(path, "poses", advice), path.open("rb") as stream, checked_arrays(stream) as stored:
             found.append(pose_errors(sequence, stored["rotations"], stored["translations_mm"]))
     return found
 

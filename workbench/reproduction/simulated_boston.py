@@ -5,8 +5,9 @@ sequences move the head along the camera's axes, three turn it about them, and t
 of motion, faces, blinks and the picture's quality are our choice; the poses are exact. The sensor is on the crown.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import av
@@ -19,7 +20,8 @@ from workbench.files import atomic_path, make_folder
 from workbench.geometry import axis_angle_from_yaw_pitch_roll
 from workbench.pictures.lighting import Light, Lighting
 from workbench.reproduction.boston import NAMES, SIZE, boston_camera, write_truth
-from workbench.reproduction.people import FilmStudio, Motion
+from workbench.reproduction.people import FilmStudio, Motion, SimulatedPerson
+from workbench.reproduction.study import Progress, silent
 
 FRAMES = 200
 RATE = 30
@@ -37,15 +39,13 @@ TILL_MOVING_S = 0.7
 BLINK_EVERY_S, BLINK_S = 2.7, 0.2
 SMILE = 0.25
 
-Progress = Callable[[str, int, int | None], None]
-
 
 def simulate_set(
     folder: str | Path,
     head: FaceModel,
     names: Sequence[str] = NAMES,
     frames: int = FRAMES,
-    progress: Progress = lambda step, done, total: None,
+    progress: Progress = silent,
 ) -> None:
     """Write the sequences in `names` that the folder does not have yet, a video and its readings each.
 
@@ -58,9 +58,15 @@ def simulate_set(
     if not wanted:
         return
     with FilmStudio(head, boston_camera(), SIZE) as studio:
-        for number, name in enumerate(wanted):
-            progress("simulate", done + number, len(names))
-            _simulate(studio, folder, name, frames)
+
+        @cache
+        def person(number: int) -> SimulatedPerson:
+            return replace(studio.person(np.random.default_rng([number])), lighting=UNIFORM)
+
+        for k, name in enumerate(wanted):
+            progress("simulate", done + k, len(names))
+            number, place = divmod(NAMES.index(name), 9)
+            _simulate(studio, person(number), folder / name, frames, (number, place + 1))
     progress("simulate", len(names), len(names))
 
 
@@ -80,10 +86,8 @@ def motion_of(
     time = np.arange(frames) / RATE
     begun = np.clip(time / TILL_MOVING_S, 0.0, 1.0)
     begun = begun * begun * (3.0 - 2.0 * begun)
-    shares = np.full(6, STILL) if number <= 6 else np.full(6, FREE)
     # Columns: X, Y, Z, roll, yaw, pitch, as in the set's files.
-    if number <= 6:
-        shares[number - 1] = FULL
+    shares = np.where(np.arange(1, 7) == number, FULL, STILL if number <= 6 else FREE)
     waves = np.stack([_wave(time, rng) for _ in range(6)], axis=1) * shares * begun[:, None]
     angles_deg = waves[:, [4, 5, 3]] * TURN_DEG
     places = waves[:, :3] * SHIFT_MM + np.array([0.0, 0.0, DISTANCE_MM])
@@ -91,15 +95,14 @@ def motion_of(
     return motion, angles_deg
 
 
-def _simulate(studio: FilmStudio, folder: Path, name: str, frames: int) -> None:
-    person, number = NAMES.index(name) // 9, NAMES.index(name) % 9 + 1
-    who = replace(studio.person(np.random.default_rng([person])), lighting=UNIFORM)
-    rng = np.random.default_rng([person, number])
-    motion, angles_deg = motion_of(number, frames, studio.head.expression_names, rng)
-    _write_video(folder / f"{name}.avi", studio.film(who, motion, rng))
+def _simulate(studio: FilmStudio, who: SimulatedPerson, path: Path, frames: int, number: tuple[int, int]) -> None:
+    """Film the sequence whose person (from 0) and place (from 1) `number` holds."""
+    rng = np.random.default_rng(number)
+    motion, angles_deg = motion_of(number[1], frames, studio.head.expression_names, rng)
+    _write_video(path.with_suffix(".avi"), studio.film(who, motion, rng))
     sensor = Rotation.from_rotvec(motion.rotation).apply(sensor_head_mm(who.model)) + motion.translation_mm
     # Last: a sequence with readings is whole.
-    write_truth(folder / f"{name}.dat", angles_deg, sensor)
+    write_truth(path.with_suffix(".dat"), angles_deg, sensor)
 
 
 def _wave(time: Float[np.ndarray, "n"], rng: np.random.Generator) -> Float[np.ndarray, "n"]:
@@ -121,15 +124,11 @@ def _faces(time: Float[np.ndarray, "n"], names: Sequence[str], rng: np.random.Ge
     return faces
 
 
-def _write_video(path: Path, pictures) -> None:
+def _write_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]]) -> None:
     """A Motion JPEG video, as the set's files can be read back frame by frame."""
     with atomic_path(path) as temporary, av.open(str(temporary.absolute()), "w", format="avi") as container:
         stream = container.add_stream("mjpeg", rate=RATE, options={"qscale": "2"})
         stream.width, stream.height, stream.pix_fmt = *SIZE, "yuvj420p"
         for picture in pictures:
-            container.mux(stream.encode(_frame(picture)))
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         container.mux(stream.encode(None))
-
-
-def _frame(picture: UInt8[np.ndarray, "h w 3"]) -> av.VideoFrame:
-    return av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")

@@ -2,8 +2,10 @@
 
 import csv
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -14,14 +16,13 @@ from matplotlib.figure import Figure
 import workbench
 from workbench.files import atomic_path, make_folder
 from workbench.frames import write_picture
+from workbench.pipeline import Progress
 from workbench.plots import Picture
 from workbench.reading import checked_content, checked_json, reading
 from workbench.reproduction.items import ITEMS, Item
 
 RESULT = "result.json"
 FIGURE_DPI = 160
-
-Progress = Callable[[str, int, int | None], None]
 
 
 def silent(step: str, done: int, total: int | None) -> None:
@@ -33,7 +34,7 @@ class Study:
     """What an item may use."""
 
     folder: Path
-    """Its own, for everything worth keeping between two runs."""
+    """For everything worth keeping between two runs on the same data; `overwrite` empties it."""
     quick: bool = False
     """On a small part of the data: shows that it works, not what it finds."""
     boston: Path | None = None
@@ -82,10 +83,16 @@ def run(
     folder, made = make_folder(folder), []
     for item in items:
         own = make_folder(folder / item.name)
-        inputs = _inputs(item, quick, boston, poses)
+        basis = {"version": workbench.__version__, "quick": quick}
+        if item.reads_set:
+            basis["boston"] = "" if boston is None else str(boston.resolve())
+        kept = own / f"kept-{_digest(json.dumps(basis).encode())}"
+        inputs = basis | ({"poses": _digests(poses)} if item.reads_set else {})
+        if overwrite:
+            shutil.rmtree(kept, ignore_errors=True)
         fresh = overwrite or _stored(own / RESULT).get("inputs") != inputs
         if fresh:
-            study = Study(own, quick, boston, tuple(poses), progress)
+            study = Study(kept, quick, boston, tuple(poses), progress)
             module, function = item.make.split(":")
             _write(item, getattr(import_module(f"workbench.reproduction.{module}"), function)(study), own, inputs)
         made.append((item, fresh))
@@ -98,10 +105,13 @@ def results(folder: str | Path) -> tuple[tuple[Item, dict[str, Any]], ...]:
     return tuple((item, content) for item, content in stored if content)
 
 
-def _inputs(item: Item, quick: bool, boston: Path | None, poses: Sequence[Path]) -> dict[str, Any]:
-    """What decides about a result; what an item does not read does not count."""
-    of_set = {"boston": str(boston or ""), "poses": [str(path) for path in poses]} if item.reads_set else {}
-    return {"version": workbench.__version__, "quick": quick, **of_set}
+def _digests(files: Iterable[Path]) -> dict[str, str]:
+    """What tells whether files are still the same. Raises `InputError` for one that cannot be read."""
+    return {str(path): _digest(checked_content(path, "a table of head poses")) for path in files}
+
+
+def _digest(content: bytes) -> str:
+    return sha256(content).hexdigest()[:12]
 
 
 def _stored(path: Path) -> dict[str, Any]:
