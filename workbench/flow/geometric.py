@@ -156,12 +156,15 @@ def surface_points(
     return SurfacePoints(model_at(model, corners), jnp.asarray(barycentric, jnp.float32))
 
 
+# By themselves one program each; inlined, part of any other as if they were written there.
+@partial(jax.jit, inline=True)
 def points_in_camera(points: SurfacePoints, parameters: FaceParameters) -> Float[Array, "n 3"]:
     """Where the surface points are for these parameters: camera frame, millimetres, float32."""
     corners = face_vertices(points.model, parameters).reshape(-1, 3, 3)
     return (corners * points.barycentric[..., None]).sum(axis=1)
 
 
+@partial(jax.jit, inline=True)
 def point_flow(
     points: SurfacePoints, first: FaceParameters, second: FaceParameters, camera: AnyCamera
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"]]:

@@ -1,5 +1,6 @@
 """The parametric face as arrays for the renderer: parameters in, vertices and pictures out."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -91,6 +92,8 @@ def lip_sides(model: FaceModel) -> Int[np.ndarray, "t"]:
     return sides
 
 
+# By itself one program; inlined, part of any other as if it were written there.
+@partial(jax.jit, inline=True)
 def face_vertices(model: RenderModel, parameters: FaceParameters) -> Float[Array, "v 3"]:
     """x_R = R(θ)·x(w) + t in the camera frame, millimetres, float32 (Deep Energies Eq. 1).
 
