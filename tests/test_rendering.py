@@ -1,5 +1,7 @@
 """The differentiable renderer: what is seen, how it is lit, smooth contours, and derivatives of all of it."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,8 +63,12 @@ def flat(vertices, triangles=QUADS, albedo=RED_GREEN, background=BLACK, **option
 
 
 @jax.jit
-def flat_motion(vertices, way):
-    """Colour with coverage of two quads, and its derivative as they move, from forward and from reverse mode."""
+@partial(jax.vmap, in_axes=(0, None))
+def motions(vertices, way):
+    """Colour with coverage of two quads, and its derivative as they move, from forward and from reverse mode.
+
+    Of three scenes at once, so that these tests and that of batches share one program.
+    """
 
     def picture(vertices):
         rendering = flat(vertices)
@@ -71,6 +77,11 @@ def flat_motion(vertices, way):
     value, pullback = jax.vjp(picture, vertices)
     total = jnp.zeros_like(value).at[..., 3].set(1.0)
     return value, jax.jvp(picture, (vertices,), (way,))[1], (pullback(total)[0] * way).sum()
+
+
+def flat_motion(vertices, way):
+    """`motions` of one scene."""
+    return (np.asarray(of_three)[0] for of_three in motions(np.stack([vertices] * 3), way))
 
 
 @pytest.fixture(scope="module")
@@ -100,10 +111,44 @@ def rendering(model, parameters, camera):
     return head_picture(model, parameters, camera, model.colors, LIGHT, BLACK)
 
 
+def traced(*parts):
+    """Parts of a scene as arrays in single precision, a background as a picture."""
+    *parts, background = jax.tree.map(lambda part: np.asarray(part, np.float32), parts)
+    return (*parts, np.broadcast_to(background, (*SIZE[::-1], 3)))
+
+
 def head_picture(model, parameters, camera, albedo, light, background, **options):
     """A picture of the head; backgrounds are always pictures, so that all of these tests share one program."""
-    behind = np.broadcast_to(np.asarray(background, np.float32), (*SIZE[::-1], 3))
+    behind = jnp.broadcast_to(jnp.asarray(background, jnp.float32), (*SIZE[::-1], 3))
     return render_face(model, parameters, camera, albedo, jnp.asarray(light, jnp.float32), behind, size=SIZE, **options)
+
+
+@jax.jit
+def head_motion(model, parts, way, weights):
+    """The head's colours with two samples a side, and their derivative from forward and from reverse mode.
+
+    `parts` are face, camera, albedo, light and background. Returns the picture, its change along the way and what
+    each part changes of the weighted sum of its colours. One program for all tests of the head's derivatives.
+    """
+
+    def picture(parts):
+        return head_picture(model, *parts, samples=2).color
+
+    value, pullback = jax.vjp(picture, parts)
+    return value, jax.jvp(picture, (parts,), (way,))[1], pullback(weights)[0]
+
+
+def supersampled(model, face, camera):
+    """The mean of 36 rough pictures before white, each a part of a pixel aside."""
+    grid = (np.arange(6) + 0.5) / 6 - 0.5
+    vertices, white = face_vertices(model, face), np.ones((*SIZE[::-1], 3), np.float32)
+
+    def at(offset):
+        aside = camera._replace(principal_point_px=camera.principal_point_px - np.float32(offset))
+        options = {"size": SIZE, "antialias": False}
+        return np.asarray(render(vertices, model.topology, aside, model.colors, LIGHT, white, **options).color)
+
+    return np.mean([at((x, y)) for x in grid for y in grid], axis=0)
 
 
 # --- what is seen ---
@@ -209,18 +254,11 @@ def test_a_pixel_at_a_border_has_the_share_that_is_covered():
 
 
 def test_smooth_pictures_come_close_to_supersampled_ones(model, parameters, camera):
-    def at(offset):
-        shifted = camera._replace(principal_point_px=camera.principal_point_px - np.float32(offset))
-        args = (model, parameters, shifted, model.colors, LIGHT, WHITE)
-        return np.asarray(head_picture(*args, antialias=False).color)
-
-    grid = (np.arange(6) + 0.5) / 6 - 0.5
-    truth = np.mean([at((x, y)) for x in grid for y in grid], axis=0)
-    args = (model, parameters, camera, model.colors, LIGHT, WHITE)
-    rough, smooth, smoother = (
-        np.abs(np.asarray(head_picture(*args, **options).color) - truth).mean()
-        for options in ({"antialias": False}, {}, {"samples": 2})
-    )
+    truth = supersampled(model, parameters, camera)
+    parts = traced(parameters, camera, model.colors, LIGHT, WHITE)
+    two_samples, _, _ = head_motion(model, parts, jax.tree.map(np.zeros_like, parts), np.zeros_like(truth))
+    plain = (head_picture(model, *parts, **options).color for options in ({"antialias": False}, {}))
+    rough, smooth, smoother = (np.abs(np.asarray(color) - truth).mean() for color in (*plain, two_samples))
     assert smooth < 0.5 * rough
     assert smoother < 0.75 * smooth
 
@@ -249,10 +287,10 @@ def test_a_moving_border_changes_coverage_by_its_length():
     """Widening a 6 mm high rectangle to the right covers 6 pixels per pixel of motion, wherever the border lies."""
     way = np.zeros((8, 3))
     way[2:4, 0] = 1.0
-    for right in (2.3, 2.71, 3.6):
-        _, forward, reverse = flat_motion(np.concatenate([quad((-4, -3), (right, 3), 10.0), ASIDE]), way)
-        assert float(forward[..., 3].sum()) == pytest.approx(6.0, abs=1e-3)
-        assert float(reverse) == pytest.approx(6.0, abs=1e-3)
+    scenes = [np.concatenate([quad((-4, -3), (right, 3), 10.0), ASIDE]) for right in (2.3, 2.71, 3.6)]
+    _, forward, reverse = motions(np.stack(scenes), way)
+    assert np.asarray(forward)[..., 3].sum(axis=(1, 2)) == pytest.approx(np.full(3, 6.0), abs=1e-3)
+    assert np.asarray(reverse) == pytest.approx(np.full(3, 6.0), abs=1e-3)
 
 
 def test_slanted_borders_move_by_the_exact_share():
@@ -270,7 +308,8 @@ def test_slanted_borders_move_by_the_exact_share():
 
     step = 0.05
     reference = (np.asarray(fine(vertices + step * way)) - np.asarray(fine(vertices - step * way))) / (2 * step)
-    derivative = np.asarray(flat_motion(vertices, way)[1])[..., 3]
+    _, forward, _ = flat_motion(vertices, way)
+    derivative = forward[..., 3]
     assert (derivative * reference).sum() > 0.995 * np.linalg.norm(derivative) * np.linalg.norm(reference)
     assert np.linalg.norm(derivative - reference) < 0.08 * np.linalg.norm(reference)
 
@@ -284,7 +323,8 @@ def test_a_hidden_border_changes_nothing():
     way = np.zeros((8, 3))
     way[4:, 0] = 1.0
     vertices = np.concatenate([quad((-6, -5), (6, 5), 10.0), quad((-2, -2), (1.3, 2), 20.0)])
-    assert np.asarray(flat_motion(vertices, way)[1]) == pytest.approx(np.zeros((12, 16, 4)))
+    _, forward, _ = flat_motion(vertices, way)
+    assert forward == pytest.approx(np.zeros((12, 16, 4)))
 
 
 def test_parts_that_pass_through_each_other_have_a_moving_border():
@@ -294,8 +334,8 @@ def test_parts_that_pass_through_each_other_have_a_moving_border():
     way = np.zeros((8, 3))
     way[:4, 2] = 1.0
     value, forward, _ = flat_motion(np.concatenate([tilted, upright]), way)
-    assert np.asarray(value)[6, 8, :3] == pytest.approx([0.3, 0.7, 0.0], abs=0.02)
-    assert np.asarray(forward)[6, 8, :3] == pytest.approx([-1.0, 1.0, 0.0], abs=0.05)
+    assert value[6, 8, :3] == pytest.approx([0.3, 0.7, 0.0], abs=0.02)
+    assert forward[6, 8, :3] == pytest.approx([-1.0, 1.0, 0.0], abs=0.05)
 
 
 # --- light and colours ---
@@ -386,56 +426,32 @@ def test_a_texture_is_seen_the_right_way_up():
 
 def test_forward_and_reverse_agree(model, parameters, camera):
     random = np.random.default_rng(0)
-    weights = jnp.asarray(random.normal(size=(*SIZE[::-1], 3)), jnp.float32)
-
-    def score(parts):
-        face, view, albedo, light = parts
-        return (head_picture(model, face, view, albedo, light, BLACK).color * weights).sum()
-
-    @jax.jit
-    def both(parts, ways):
-        return jax.grad(score)(parts), jax.vmap(lambda way: jax.jvp(score, (parts,), (way,))[1])(ways)
-
-    parts = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (parameters, camera, model.colors, LIGHT))
-    way = jax.tree.map(lambda x: jnp.asarray(random.normal(size=x.shape), jnp.float32), parts)
+    weights = random.normal(size=(*SIZE[::-1], 3)).astype(np.float32)
+    parts = traced(parameters, camera, model.colors, LIGHT, BLACK)
+    way = jax.tree.map(lambda x: random.normal(size=x.shape).astype(np.float32), parts)
+    still = jax.tree.map(np.zeros_like, parts)
     # One direction for vertices, camera, albedo and light each.
-    ways = tuple(
-        jax.tree.map(lambda x, k=k: jnp.zeros((4, *x.shape), jnp.float32).at[k].set(x), part)
-        for k, part in enumerate(way)
-    )
-    gradient, forward = both(parts, ways)
     for k in range(4):
+        along = tuple(way[part] if part == k else still[part] for part in range(len(parts)))
+        _, forward, gradient = head_motion(model, parts, along, weights)
         pairs = zip(jax.tree.leaves(gradient[k]), jax.tree.leaves(way[k]), strict=True)
         reverse = sum(float((a * b).sum()) for a, b in pairs)
-        assert float(forward[k]) == pytest.approx(reverse, rel=2e-3, abs=1e-2)
+        assert float((forward * weights).sum()) == pytest.approx(reverse, rel=2e-3, abs=1e-2)
         assert abs(reverse) > 0.0
 
 
 def test_a_moving_head_changes_the_picture_as_differences_do(model, parameters, camera):
     """One small case of benchmarks/rendering_gradient.py, which has twenty scenes of 256 px."""
-    grid = (np.arange(6) + 0.5) / 6 - 0.5
-    offsets = jnp.asarray([(x, y) for x in grid for y in grid], jnp.float32)
-
-    def picture(face, view, **options):
-        return head_picture(model, face, view, model.colors, LIGHT, WHITE, **options).color
-
-    @jax.jit
-    def supersampled(face):
-        def at(offset):
-            return picture(
-                face, camera._replace(principal_point_px=camera.principal_point_px - offset), antialias=False
-            )
-
-        return jax.lax.map(at, offsets).mean(axis=0)
-
-    along = jax.jit(lambda face, way: jax.jvp(lambda f: picture(f, camera, samples=2), (face,), (way,))[1])
+    start, *others = traced(parameters, camera, model.colors, LIGHT, WHITE)
+    still, unweighed = jax.tree.map(np.zeros_like, others), np.zeros((*SIZE[::-1], 3), np.float32)
     ways = {"translation": np.float32([1.0, 0.5, 0.0]), "rotation": np.float32([0.006, 0.01, 0.0])}
     for name, direction in ways.items():
-        way = jax.tree.map(np.zeros_like, parameters)._replace(**{name: direction})
-        moved = [jax.tree.map(lambda value, d, s=s: value + np.float32(s) * d, parameters, way) for s in
+        way = jax.tree.map(np.zeros_like, start)._replace(**{name: direction})
+        moved = [jax.tree.map(lambda value, d, s=s: value + np.float32(s) * d, start, way) for s in
                  (-1.0, 1.0, *((np.arange(12) + 0.5) / 6 - 1.0))]  # fmt: skip
-        reference = 0.5 * (np.asarray(supersampled(moved[1])) - np.asarray(supersampled(moved[0])))
-        derivative = np.mean([np.asarray(along(face, way)) for face in moved[2:]], axis=0)
+        reference = 0.5 * (supersampled(model, moved[1], camera) - supersampled(model, moved[0], camera))
+        along = [head_motion(model, (face, *others), (way, *still), unweighed)[1] for face in moved[2:]]
+        derivative = np.mean(np.asarray(along), axis=0)
         cosine = (derivative * reference).sum() / (np.linalg.norm(derivative) * np.linalg.norm(reference))
         assert cosine > 0.97
         assert np.linalg.norm(derivative - reference) < 0.25 * np.linalg.norm(reference)
@@ -463,11 +479,11 @@ def test_the_precision_of_the_arguments_does_not_matter(model, parameters, camer
 def test_a_batch_is_its_pictures_one_by_one():
     low, high = np.array([-4.3, -2.2]), np.array([2.6, 3.1])
     scenes = [
-        np.concatenate([quad(low + k, high + k, 10.0), quad((-7, -1.4), (7, 1.7), 20.0 - 15 * k)]) for k in (0, 1)
+        np.concatenate([quad(low + k, high + k, 10.0), quad((-7, -1.4), (7, 1.7), 20.0 - 15 * k)]) for k in (0, 1, 2)
     ]
-    batch = jax.jit(jax.vmap(lambda vertices: flat(vertices).color))(np.stack(scenes))
-    for vertices, picture in zip(scenes, batch, strict=True):
-        assert np.asarray(picture) == pytest.approx(np.asarray(flat(vertices).color), abs=1e-5)
+    batch, _, _ = motions(np.stack(scenes), np.zeros((8, 3)))
+    for vertices, picture in zip(scenes, np.asarray(batch), strict=True):
+        assert picture[..., :3] == pytest.approx(np.asarray(flat(vertices).color), abs=1e-5)
 
 
 def test_single_precision_goes_in_and_out(rendering):
