@@ -4,6 +4,7 @@ system and stage."""
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -67,11 +68,16 @@ def test_lambda_in_face_it_is_a_ridge_fit(head):
     seen = np.asarray(model.expression_upper > model.expression_lower)
     points = model_landmarks(model, contour_blend(model.contour_yaw, 0.0, 0.0), np.zeros(50))
 
+    @jax.jit
+    def projected(expression):
+        return project_landmarks(
+            scene.camera, points, scene.parameters._replace(expression=expression, identity=np.zeros(50))
+        )
+
     def residual(weights):
         expression = np.zeros(44)
         expression[seen] = weights
-        at = scene.parameters._replace(expression=expression, identity=np.zeros(50))
-        error = np.asarray(project_landmarks(scene.camera, points, at)) - observation.landmarks.points
+        error = np.asarray(projected(expression)) - observation.landmarks.points
         return np.concatenate([error.ravel(), np.sqrt(3.0) * weights])
 
     ridge = least_squares(residual, np.zeros(int(seen.sum())), xtol=1e-12, ftol=1e-14, gtol=1e-12).x
