@@ -295,27 +295,31 @@ class TestBundledNetwork:
     def test_what_does_not_move_has_hardly_any_flow(self, network):
         assert np.median(np.linalg.norm(network(texture(96, 128), texture(96, 128)), axis=-1)) < 0.2
 
-    def test_renders_go_through_it_with_a_derivative(self, network, head):
+    def test_renders_go_through_it_with_a_derivative(self, network, head, model, camera):
         """A head that moves to the right: the network sees it, and that it would see more if it moved on."""
-        model = render_model(head)
-        view = orthographic_camera((128, 128), 0.55)
         light = ambient_light(0.4) + directional_light((-0.5, -0.6, -1.0), 0.7)
         rest = FaceParameters(
             np.zeros(3), np.array([0.0, 20.0, 500.0]), np.zeros(len(head.expression_names)), np.zeros(0)
         )
 
-        def picture(right):
-            state = rest._replace(translation=jnp.asarray(rest.translation).at[0].set(right))
-            ground = np.full(3, 0.3)
-            return render_face(model, state, view, model.colors, light, ground, size=(128, 128)).color
+        def at(right):
+            return rest._replace(translation=rest.translation + np.array([right, 0.0, 0.0]))
 
-        first, second = picture(0.0), picture(5.0)
-        change = (picture(5.2) - picture(4.8)) / 0.4
+        def picture(right):
+            # Size, camera and kinds of arrays as in tests/test_rendering.py, for one program.
+            ground = np.full((*SIZE[::-1], 3), 0.3)
+            return render_face(model, at(right), camera, model.colors, light, ground, size=SIZE).color
+
+        first, second = picture(0.0), picture(8.0)
+        change = (picture(8.3) - picture(7.7)) / 0.6
         answer = jax.jit(lambda moved, way: jax.jvp(lambda x: network.traced(first, x), (moved,), (way,)))
         moved, slope = answer(second, change)
-        seen = seen_surface(face_vertices(model, rest), model.topology.triangles, view, size=(128, 128))
-        face = cv2.erode((np.asarray(seen.triangle) >= 0).astype(np.uint8), np.ones((9, 9))) > 0
-        assert np.isclose(np.median(np.asarray(moved)[face, 0]), 5 * 0.55, atol=0.4)
+        vertices = (face_vertices(model, at(right)) for right in (0.0, 8.0))
+        exact = geometric_flow(*vertices, model.topology.triangles, camera, size=SIZE)
+        face = cv2.erode(np.asarray(exact.seen).astype(np.uint8), np.ones((9, 9))) > 0
+        expected = np.median(np.asarray(exact.flow)[face, 0])
+        assert expected > 2.5
+        assert np.isclose(np.median(np.asarray(moved)[face, 0]), expected, atol=0.4)
         assert np.median(np.asarray(slope)[face, 0]) > 0.15
 
 
