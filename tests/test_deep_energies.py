@@ -172,13 +172,17 @@ def test_the_normal_equations_are_those_of_the_residuals(points, truth):
 
 
 def test_a_rendered_crop_is_seen_as_the_crop_of_a_render(deep, truth):
-    """Two routes to N(F): the crop rendered at the network's size, or cut out of the whole picture and shrunk."""
+    """Two routes to N(F): the crop rendered at the network's size, or cut out of the whole picture and shrunk.
+
+    The whole picture is smooth by many samples instead of by its contours: a third way, whose program is small.
+    """
     scene = make_deep_scene(deep, truth)
     view, programs = deep.views(scene.observation(), scene.context())[0], deep.scene(None)
     seen = look(programs, view, truth)
     vertices = view_vertices(programs.model, view, truth)
     topology = programs.model.render.topology
-    whole = render(vertices, topology, view.camera, programs.albedo, view.light, view.background, size=IMAGE_SIZE)
+    arguments = vertices, topology, view.camera, programs.albedo, view.light, view.background
+    whole = render(*arguments, size=IMAGE_SIZE, samples=2, antialias=False)
     cut = jax.jit(landmarks_of)(programs.network, whole.color, seen.box).points
     apart = np.linalg.norm(np.asarray(cut) - np.asarray(seen.points), axis=1)
     assert float(seen.box.side) > 300.0
