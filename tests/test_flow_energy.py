@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from tests.stereo_scenes import make_rig
+from workbench.energies import still
 from workbench.energies.flow import (
-    FlowTargets,
-    FlowView,
     FlowWeights,
     choose_surface,
     flow_distances,
+    flow_residual,
     flow_residuals,
     points_in_views,
     robust_scales,
 )
+from workbench.energies.flow_link import FlowLink, FlowTargets, FlowView
 from workbench.errors import InputError
 from workbench.face import FaceParameters, pack, unpack
 from workbench.flow import surface_points
@@ -110,6 +111,40 @@ def test_residuals_change_as_finite_differences_say(head, points):
         numeric = np.asarray(residual(vector + step) - residual(vector - step)) / (2 * step[column])
         scale = np.abs(numeric).max()
         assert np.abs(jacobian[:, column] - numeric).max() < 0.01 * scale, column
+
+
+def linked(points, views, targets, robust, start):
+    """The context of a frame that the flow ties to the one before it."""
+    return still(start)._replace(flow=FlowLink(points, views, targets, np.asarray(robust)))
+
+
+def test_the_term_sums_cauchys_energy_over_points_as_if_they_were_68_landmarks(head, points):
+    truth, other, views = state(head, 0.4), state(head, 0.1), two_views()
+    targets = targets_of(points, views, truth, sides=1)
+    targets.weights[0, 1, ::2] = 0.0
+    context = linked(points, views, targets, 0.5, other)
+    squared = (np.asarray(flow_distances(points, views, targets, other), float) ** 2).sum(axis=-1)
+    expected = 68 / COUNT * (targets.weights * 0.25 * np.log1p(squared / 0.25)).sum()
+    assert float(np.sum(flow_residual(other, context) ** 2)) == pytest.approx(expected, rel=1e-5)
+    assert np.abs(flow_residual(truth, context)).max() == 0.0
+
+
+def test_the_terms_residual_changes_as_finite_differences_say(head, points):
+    start, views = state(head, 0.3, jaw=np.full(6, 0.01)), two_views()
+    targets = targets_of(points, views, state(head, 0.5), sides=1)
+    targets.places[0, 0, 3] = np.asarray(points_in_views(points, views, start)[0])[0, 3]  # its distance is 0
+    context = linked(points, views, targets, 1.0, start)
+    residual = jax.jit(lambda vector: flow_residual(unpack(vector, start), context))
+    vector = pack(start)
+    jacobian = np.asarray(jax.jit(jax.jacfwd(residual))(vector))
+    assert np.isfinite(jacobian).all()
+    jaw = 6 + head.expression_names.index("jawOpen")
+    steps = {0: 1e-3, 2: 1e-3, 4: 0.05, 5: 0.1, jaw: 1e-2, len(vector) - 7: 1e-3, len(vector) - 1: 1e-3}
+    for column, size in steps.items():
+        step = np.zeros(len(vector))
+        step[column] = size
+        numeric = np.asarray(residual(vector + step) - residual(vector - step)) / (2 * size)
+        assert np.abs(jacobian[:, column] - numeric).max() < 0.01 * np.abs(numeric).max(), column
 
 
 def test_robust_factors_are_those_of_cauchy(head, points):

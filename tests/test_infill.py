@@ -13,9 +13,10 @@ from workbench.geometry import Rig, pose_in_view
 from workbench.geometry.rig_files import write_rig
 from workbench.planning import infill_plan, plan_of
 from workbench.tracking import moments as moments_module
-from workbench.tracking.flow_fitter import FlowFitter, Neighbour, parameters_of
+from workbench.tracking.flow_fitter import FlowFitter, parameters_of
 from workbench.tracking.infill import fill_by_flow, fill_linearly, infilled, usable, usable_frames
 from workbench.tracking.moments import Moment, PictureSpool, moments
+from workbench.tracking.point_links import Neighbour
 from workbench.tracking.records import Track, stack_fits
 
 OPEN_UNTIL = 4
@@ -241,7 +242,7 @@ def test_renders_for_the_estimator_are_lit_by_one_light_in_all_views(film_maker,
     write_rig(Rig((first, second)), tmp_path / "rig.toml")
     config = film_config(camera={"rig": str(tmp_path / "rig.toml")}, flow={"renders": "estimated"})
     fitter = FlowFitter(film_maker.head, plan_of(config))
-    fitter.estimator = watching = Watching()
+    fitter.linker.estimator = watching = Watching()
     known, wanted = (parameters_of(film.truth[k]) for k in (0, 1))
     pictures = [(film.pictures[k], film.pictures[k][::-1, ::-1]) for k in (0, 1)]
     views, neighbour = fitter.views(film.truth[0]), Neighbour(known, pictures[0])

@@ -16,14 +16,13 @@ from workbench.config import preset
 from workbench.energies import still
 from workbench.energies.deep import DeepView, deep_residuals
 from workbench.energies.flow import (
-    FlowTargets,
-    FlowView,
     FlowWeights,
     choose_surface,
     flow_distances,
     flow_residuals,
     points_in_views,
 )
+from workbench.energies.flow_link import FlowTargets, FlowView
 from workbench.face import FaceParameters, JawJoint, move_jaw, pack, unpack
 from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
 from workbench.flow import surface_points

@@ -35,6 +35,7 @@ def plan_of(config: Config) -> Plan:
         system=config.system,
         terms=config.terms,
         linked=any(TABLE[name].links_frames for name in config.summed_terms),
+        compares_pictures=config.compares_pictures,
         stages=tuple(_stage(config, stage, points) for stage in config.stages),
         camera=camera_plan(config),
         solver=SolverPlan(

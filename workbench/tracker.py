@@ -158,7 +158,7 @@ class FaceTracker:
     def continue_from(self, arrays: dict[str, np.ndarray]) -> None:
         """Link the next frame to the last one of a `state`, whatever shot and identity are by now."""
         if "pose" in arrays:
-            parameters = FaceParameters(*(jnp.asarray(arrays[f"parameters_{k}"]) for k in range(4)))
+            parameters = FaceParameters(*(jnp.asarray(arrays[f"parameters_{k}"]) for k in range(6)))
             self._walk.last = Continuation(
                 parameters,
                 jnp.asarray(arrays["pose"]),

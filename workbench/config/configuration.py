@@ -83,6 +83,11 @@ class Config(Section):
         own = {name for name, term in TABLE.items() if self.system in term.systems}
         return own | self.named_terms(stage for stage in self.stages if stage.enabled)
 
+    @property
+    def compares_pictures(self) -> bool:
+        """Whether a term of an enabled stage compares each frame's picture with the one before."""
+        return any(TABLE[name].compares_pictures for name in self.summed_terms)
+
     @staticmethod
     def named_terms(stages: Iterable[Stage]) -> set[str]:
         """The terms that stages add to those of their system."""

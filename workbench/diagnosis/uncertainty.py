@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from workbench.config import Config
 from workbench.diagnosis.records import Uncertainty
-from workbench.energies import normal_system, reprojection_with_jacobian, stage_factors
+from workbench.energies import TABLE, normal_system, reprojection_with_jacobian, stage_factors
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, rotation_matrix
@@ -61,7 +61,9 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
         raise InputError(f"Frame {fit.index} has no landmarks; choose a frame with a face to estimate uncertainty.")
     stage = config.running(start=context.last is None)[-1]
     weights = np.multiply(stage.landmark_weights(config.subsets), config.point_weights())
-    factors = stage_factors(config.omega(), config.system, FREE, stage.terms, config.terms)
+    # A fit does not hold the pictures that the flow term would need.
+    terms = tuple(name for name in config.terms if not TABLE[name].compares_pictures)
+    factors = stage_factors(config.omega(), config.system, FREE, stage.terms, terms)
     personal = landmark_model(model).personal(np.asarray(fit.identity))
     last = context.last
     zero = np.zeros(6)
@@ -77,12 +79,12 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (fit.camera, personal, settings))
     with COMPUTING:
         residual, jacobian, matrix, gradient, unit = _linearised(
-            *arrays, jnp.asarray(weights), jnp.asarray(factors), frame, parameters, config.terms
+            *arrays, jnp.asarray(weights), jnp.asarray(factors), frame, parameters, terms
         )
     percent = 1.0 if config.solver.unit == "percent" else float(unit)
     return Linearised(
         *(np.asarray(part) for part in (residual, jacobian, matrix, gradient)),
-        data_factor=factors[config.terms.index("landmarks")],
+        data_factor=factors[terms.index("landmarks")],
         unit=percent,
         row_weights=np.repeat(weights * fit.confidence, 2),
     )

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from workbench.arrays import AnyArray, Scalar
 from workbench.energies.constants import EnergyConstants
+from workbench.energies.flow_link import FlowLink
 from workbench.face.parameters import FaceParameters
 
 
@@ -31,6 +32,8 @@ class TermContext(NamedTuple):
     """1 where both poses exist, else 0: no E_τ on the first two frames of a shot."""
     start: FaceParameters
     """Where the stage starts, or where an expectation has the face."""
+    flow: FlowLink | None = None
+    """What ties the frame to the one before it; None where no stage names the flow term."""
 
 
 def still(start: FaceParameters, constants: EnergyConstants = EnergyConstants()) -> TermContext:  # noqa: B008

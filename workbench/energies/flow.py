@@ -5,6 +5,9 @@ flow from there to the frame a place in the frame. ‖N(F*₁, F*₂) − N(F₁
 face's points from these places. N(F₁, F₂) is the exact flow of the moving mesh, or that plus what an estimator says
 beside it on the rendered pair (`bias_px`): then the same estimator is on both sides, as in the paper. The paper also
 takes the estimator's derivative; here `bias_px` is a constant, and the derivative is the mesh's.
+
+Infill and refinement solve on `flow_residuals`. As a term of any stage it is `flow_residual`, with the frame before as
+the only neighbour.
 """
 
 from typing import NamedTuple
@@ -14,7 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray, Scalar
-from workbench.energies.context import still
+from workbench.energies.context import TermContext, still
+from workbench.energies.flow_link import FlowTargets, FlowView
 from workbench.energies.stay import expression_residual, pose_residual
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
@@ -28,26 +32,8 @@ NEAR_FACE_MM = 30.0
 DENSE_MM, DENSER = 12.0, 6.0
 """About eyes and mouth, within this distance, points lie this many times as dense: small parts that move much."""
 FACE_REGIONS = ("skin", "lips", "brow")
-
-
-class FlowView(NamedTuple):
-    """A camera and its place: x_view = rotation · x_reference + translation."""
-
-    camera: Camera
-    rotation: Float[AnyArray, "3 3"]
-    translation: Float[AnyArray, "3"]
-
-
-class FlowTargets(NamedTuple):
-    """Where neighbours and flow say that the face's points are, in each view of a frame; pixels."""
-
-    places: Float[AnyArray, "sides views n 2"]
-    weights: Float[AnyArray, "sides views n"]
-    """0 where a point is hidden, or a side or view has nothing to say."""
-    bias_px: Float[AnyArray, "sides views n 2"]
-    """The estimator's difference from the mesh's exact flow on the rendered pair; 0: the exact flow counts."""
-    unit_px: Float[AnyArray, "views"]
-    """One percent of the outer-eye distance in each view."""
+NEARLY_ZERO = 1e-6
+"""Square below which a series replaces √(log(1 + s) / s), which has no derivative at 0."""
 
 
 class FlowWeights(NamedTuple):
@@ -98,6 +84,26 @@ def flow_residuals(
         ]
     )
     return {"flow": (missed * share[..., None]).ravel(), "stay": stay}
+
+
+def flow_residual(parameters: FaceParameters, context: TermContext) -> Float[Array, "n"]:
+    """The flow term: points of the face against where they were in the frame before, moved by the pictures' flow.
+
+    Percent of the outer-eye distance. The squares sum to 68 times the mean of Cauchy's c²·log(1 + d²/c²): factors from
+    the start of a stage, as `robust_scales` has them, would call a whole face that has moved since an outlier.
+    """
+    link = context.flow
+    missed = flow_distances(link.points, link.views, link.targets, parameters)
+    share = jnp.sqrt(LANDMARKS / missed.shape[2] * jnp.asarray(link.targets.weights))
+    return (missed * (share * _cauchy_roots(missed, link.robust))[..., None]).ravel().astype(float)
+
+
+def _cauchy_roots(missed: Float[AnyArray, "*n 2"], robust: Scalar) -> Float[Array, "*n"]:
+    """Factor of each distance with which its square is Cauchy's c²·log(1 + d²/c²)."""
+    squared = (missed**2).sum(axis=-1) / jnp.square(robust)
+    large = squared > NEARLY_ZERO
+    safe = jnp.where(large, squared, 1.0)
+    return jnp.where(large, jnp.sqrt(jnp.log1p(safe) / safe), 1.0 - 0.25 * squared)
 
 
 def flow_distances(

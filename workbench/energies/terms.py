@@ -36,6 +36,8 @@ class Term:
     """Systems that list the term in records and charts even where no stage names it."""
     links_frames: bool = False
     """Whether it looks at the frame before."""
+    compares_pictures: bool = False
+    """Whether it compares a frame's pictures with those of the frame before."""
     key: str = ""
     """The key of its ω in a configuration, as `weights.tau`; empty: `weights.` and the name."""
     deep_key: str = ""
@@ -219,6 +221,17 @@ ROWS = (
         branch="",
         default=20.0,
         slider=(1e-1, 1e4),
+    ),
+    Term(
+        name="flow",
+        symbol="E_flow",
+        source="Deep Energies Secs. 6, 7",
+        says="the face moving from the frame before as the pictures' optical flow does",
+        formula="Σ c²·log(1 + ‖x_t − x_t−1 − N(F*_t−1, F*_t)‖² / c²)",
+        residual="flow:flow_residual",
+        links_frames=True,
+        compares_pictures=True,
+        default=1.0,
     ),
 )
 TABLE: dict[str, Term] = {term.name: term for term in ROWS}

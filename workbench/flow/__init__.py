@@ -11,6 +11,7 @@ from workbench.flow.geometric import SeenSurface as SeenSurface
 from workbench.flow.geometric import SurfacePoints as SurfacePoints
 from workbench.flow.geometric import choose_points as choose_points
 from workbench.flow.geometric import geometric_flow as geometric_flow
+from workbench.flow.geometric import personal_points as personal_points
 from workbench.flow.geometric import point_flow as point_flow
 from workbench.flow.geometric import points_in_camera as points_in_camera
 from workbench.flow.geometric import seen_surface as seen_surface

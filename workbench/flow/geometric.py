@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Integer
 from workbench.arrays import AnyArray
 from workbench.errors import InputError
 from workbench.face import FaceParameters
+from workbench.face.model import BLINK_SCALE_RANGE
 from workbench.flow.sampling import four_neighbours
 from workbench.rendering.camera import AnyCamera, to_screen
 from workbench.rendering.head import RenderModel, face_vertices, model_at
@@ -154,6 +155,24 @@ def surface_points(
         )
     corners = triangles[triangle].ravel()
     return SurfacePoints(model_at(model, corners), jnp.asarray(barycentric, jnp.float32))
+
+
+def personal_points(points: SurfacePoints, identity: Float[np.ndarray, "i"]) -> SurfacePoints:
+    """The points of one person: identity, blink travel and the jaw's pivot baked in, no identity basis left."""
+    model, identity = points.model, np.asarray(identity, float)
+    scale = np.asarray(model.expression_scale) + identity @ np.asarray(model.expression_scale_identity)
+    scale = np.clip(scale, *BLINK_SCALE_RANGE)
+    baked = {
+        "neutral": model.neutral + np.tensordot(identity, model.identity, axes=1),
+        "expression": model.expression * scale[:, None, None],
+        "identity": np.zeros((0, *model.neutral.shape)),
+        "expression_scale": np.ones(len(scale)),
+        "expression_scale_identity": np.zeros((0, len(scale))),
+    }
+    pivot = {"joint": model.jaw.joint + identity @ model.jaw.joint_identity, "joint_identity": np.zeros((0, 3))}
+    jaw = model.jaw._replace(**{name: np.asarray(part, np.float32) for name, part in pivot.items()})
+    person = {name: np.asarray(part, np.float32) for name, part in baked.items()}
+    return points._replace(model=model._replace(**person, jaw=jaw))
 
 
 # By themselves one program each; inlined, part of any other as if they were written there.

@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
+from workbench.energies.terms import TABLE
 from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.pictures.deep_strip import write_stage_strip
@@ -39,14 +40,16 @@ def track_deep_frames(
     """Fit what the writer does not hold yet, in order; return the frames whose stages are worth a picture.
 
     On resume the landmarks of all frames are found again (a few milliseconds each): then nothing but the number of
-    finished frames, and the last pose where a term links frames, has to be stored, and the numbers cannot depend on
+    finished frames, and the last fit where a term links frames, has to be stored, and the numbers cannot depend on
     where a run was cut. Raises `InputError` for several processes with a term that links frames.
     """
     linked = tracker.fitter.links_frames
     if linked and workers > 1:
+        names = [name for name in TABLE if TABLE[name].links_frames and name in tracker.config.summed_terms]
+        listed = " and ".join(map(repr, names))
         raise InputError(
-            "Several processes fit frames in any order, and E_tau links each to the one before; "
-            "use --workers 1, or take 'tau' out of the stages' terms."
+            f"Several processes fit frames in any order, and the terms {listed} link each to the one before; use "
+            f"--workers 1, or take {listed} out of the stages' terms."
         )
     every = max(1, (source.count or STRIPS) // STRIPS)
     chosen: list[Pair] = []

@@ -21,6 +21,7 @@ from workbench.landmarks.tracker_options import TrackerOptions
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import energy_network, photo_landmarks
+from workbench.tracking.fitting import PicturePair, motion_of
 
 STILL_CONFIDENCE = 0.5
 """Median landmark confidence that a photo needs: no later frame would put a doubtful face right."""
@@ -38,7 +39,7 @@ class PictureSource:
 
     def __init__(self, frames: Frames, detector: LandmarkDetector, config: Config, keep_pictures: bool = False):
         """`keep_pictures` hands every frame's picture on with its observation."""
-        self.frames, self._keep = frames, keep_pictures
+        self.frames, self._keep, self._compares = frames, keep_pictures, config.compares_pictures
         self.single_picture = frames.kind == "images" and frames.announced_count == 1
         self.image_size = frames.image_size
         self.count = frames.announced_count
@@ -60,17 +61,20 @@ class PictureSource:
         if stills:
             yield from (observation for _, observation in self.stills(start))
             return
-        frames = self.frames.iterate(max(start - 1, 0))
+        frames, before = self.frames.iterate(max(start - 1, 0)), None
         if start:
-            self._tracker.restore(state, next(frames).picture)
+            before = next(frames).picture
+            self._tracker.restore(state, before)
         for frame in frames:
             height, width = frame.picture.shape[:2]
             found = self._tracker.step(frame.picture)
             times = (found.milliseconds["detect"], found.milliseconds["landmarks"])
             kept = frame.picture if self._keep else None
+            motion = motion_of(before, frame.picture) if self._compares else None
             yield FrameObservation(
-                frame.index, found.landmarks, (width, height), found.source, found.cut, times, picture=kept
+                frame.index, found.landmarks, (width, height), found.source, found.cut, times, kept, motion=motion
             )
+            before = frame.picture
 
     def stills(self, start: int = 0) -> Iterator[tuple[Frame, FrameObservation]]:
         """Each frame as a picture of its own, with what is found in it."""
@@ -88,16 +92,30 @@ class PictureSource:
         return FrameObservation(frame.index, found.landmarks, (width, height), found.source, True, times, picture=kept)
 
 
+def _joined(motions: Sequence[PicturePair | None]) -> PicturePair | None:
+    """The pairs of all views as one; None where a view has none."""
+    if any(motion is None for motion in motions):
+        return None
+    return PicturePair(*(tuple(chain(*pictures)) for pictures in zip(*motions, strict=True)))
+
+
 class FileSource:
     """Landmarks that were stored before, with or without their pictures."""
 
     detector = None
 
     def __init__(
-        self, paths: list[Path], frames: Frames | None, rows: range | None = None, keep_pictures: bool = False
+        self,
+        paths: list[Path],
+        frames: Frames | None,
+        rows: range | None = None,
+        keep_pictures: bool = False,
+        compare_pictures: bool = False,
     ):
-        """`rows`: the part of the file that counts. `keep_pictures` hands the pictures on with the observations."""
+        """`rows`: the part of the file that counts. `keep_pictures` hands the pictures on with the observations,
+        `compare_pictures` with those of the frame before."""
         self._paths, self._rows, self._keep = paths, rows, keep_pictures and frames is not None
+        self._compares = compare_pictures and frames is not None
         self._count: int | None = None
         self._given_size = None if frames is None else _given_size(paths, frames)
         first = next(iter(self._records()), None)
@@ -115,11 +133,16 @@ class FileSource:
         return list(self.frames.notes) or ends
 
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
-        pictures = self.frames.iterate(start) if self._keep else repeat(None)
+        first = max(start - 1, 0) if self._compares else start
+        frames = self.frames.iterate(first) if self._keep or self._compares else iter(())
+        pictures = chain((frame.picture for frame in frames), repeat(None))
+        before = next(pictures) if first < start else None
         for index, record in islice(enumerate(self._records()), start, None):
-            frame = next(pictures, None)
-            picture = None if frame is None else frame.picture
-            yield FrameObservation(index, record.landmarks, _size(record), "given", stills, picture=picture)
+            picture = next(pictures)
+            motion = motion_of(before, picture) if self._compares else None
+            kept = picture if self._keep else None
+            yield FrameObservation(index, record.landmarks, _size(record), "given", stills, picture=kept, motion=motion)
+            before = picture
 
     def state(self) -> dict[str, np.ndarray]:
         return {}
@@ -197,7 +220,8 @@ class RigSource:
         streams = [source.observations(start, {}, stills) for source in self._sources]
         # Not strict: the shortest clip ends the run.
         for reference, *others in zip(*streams, strict=False):
-            yield replace(reference, others=tuple(other.landmarks for other in others))
+            motion = _joined([reference.motion, *(other.motion for other in others)])
+            yield replace(reference, others=tuple(other.landmarks for other in others), motion=motion)
 
     def state(self) -> dict[str, np.ndarray]:
         return {}
@@ -255,7 +279,7 @@ def open_source(
     opened = open_frames(paths if len(paths) > 1 else paths[0])
     opened = opened if frames is None else FrameRange(opened, *frames)
     if landmarks is not None:
-        return FileSource([landmarks], opened, rows, keep_pictures)
+        return FileSource([landmarks], opened, rows, keep_pictures, config.compares_pictures)
     return PictureSource(opened, make_detector(config.landmarks.detector), config, keep_pictures)
 
 

@@ -104,7 +104,7 @@ class ClipRuns:
             for frame in frames:
                 if cancelled():
                     return None
-                fit, context = walk.step(self._frames.observation(frame, config))
+                fit, context = walk.step(self._frames.linked_observation(frame, config))
                 fits.append(fit)
                 before.append(_on_host(context.last))
                 if progress is not None:

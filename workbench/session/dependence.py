@@ -6,15 +6,16 @@ import numpy as np
 from jaxtyping import Bool
 
 from workbench.config import Config
+from workbench.energies.terms import TABLE
 from workbench.tracking import FrameObservation
 
 TIME_SECTIONS = ("flow", "infill", "refinement")
-"""Sections of the configuration that a single frame's fit does not depend on."""
+"""Sections of the configuration for what uses time."""
 
 
 def fits_key(config: Config) -> str:
     """Key of the fits of single frames."""
-    return config.model_dump_json(exclude={"preset", "provenance", *TIME_SECTIONS})
+    return config.model_dump_json(exclude=_unread(config))
 
 
 def time_key(config: Config) -> str:
@@ -24,8 +25,13 @@ def time_key(config: Config) -> str:
 
 def frame_key(config: Config) -> str:
     """Key of the fit of a single frame, not counting the points that were moved."""
-    left_out = dict.fromkeys(("preset", "provenance", *TIME_SECTIONS), True)
-    return config.model_dump_json(exclude={**left_out, "landmarks": {"moved"}})
+    return config.model_dump_json(exclude={**dict.fromkeys(_unread(config), True), "landmarks": {"moved"}})
+
+
+def _unread(config: Config) -> set[str]:
+    """Sections that a single frame's fit does not depend on; on flow it does where a stage names a term of it."""
+    of_flow = any(TABLE[name].compares_pictures or TABLE[name].key.startswith("flow.") for name in config.summed_terms)
+    return {"preset", "provenance", *TIME_SECTIONS} - ({"flow"} if of_flow else set())
 
 
 def identity_key(config: Config, window: Sequence[FrameObservation]) -> str:

@@ -77,7 +77,7 @@ class FrameFits:
     def problem(self, frame: int, config: Config, coarse: bool = False) -> FrameProblem:
         """The solver's input for a frame, continued from the previous frame of the last complete run."""
         with self._lock:
-            observation = self._frames.observation(frame, config)
+            observation = self._frames.linked_observation(frame, config)
             shot = next(number for number, frames in enumerate(self._material.shots) if frame in frames)
             if self._fitter_config is not config:
                 self._fitter, self._fitter_config = configured(self._fitter, plan_of(config)), config
@@ -95,7 +95,8 @@ class FrameFits:
         if not self._fitter.renders or observation.landmarks is None:
             return self._fitter.solve(problem, traced)
         points, identity = observation.landmarks.points.tobytes(), context.identity.tobytes()
-        key = (observation.index, frame_key(self._fitter_config), identity, points)
+        last = () if context.last is None else [np.asarray(part).tobytes() for part in context.last.parameters]
+        key = (observation.index, frame_key(self._fitter_config), identity, points, *last)
         if self._solution is None or self._solution[0] != key:
             self._solution = (key, self._fitter.solve(problem))
         return self._solution[1]

@@ -5,7 +5,7 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from workbench.config import DEFAULT_PRESET, FACE_IT_PRESETS, Config, preset
 from workbench.errors import InputError
@@ -22,7 +22,7 @@ from workbench.session.live_frame import LIVE_SIZE, LiveFrame
 from workbench.session.recording import Recorder, Recording
 from workbench.tracking import FrameFit, FrameObservation
 from workbench.tracking.face_it_fitter import FaceItFitter
-from workbench.tracking.fitting import Calibrated, Continuation
+from workbench.tracking.fitting import Calibrated, Continuation, motion_of
 from workbench.tracking.walk import Walk
 
 FIRST_FRAMES = 24
@@ -90,6 +90,7 @@ class LiveSession:
         self._identity_of: tuple[str, Calibration | None] = (_identity_key(config), None)
         self._recorder: Recorder | None = None
         self._walk = Walk(self._fitter)
+        self._picture: UInt8[np.ndarray, "h w 3"] | None = None
         self.start_anew()
 
     def __repr__(self) -> str:
@@ -215,7 +216,8 @@ class LiveSession:
         if found.cut:
             self._walk.begin_shot()
         self._walk.calibrated = Calibrated(self._identity, {})
-        fit, _ = self._walk.step(observation)
+        fit, _ = self._walk.step(replace(observation, motion=motion_of(self._picture, picture)))
+        self._picture = picture
         self._frames += 1
         self._record(fit, frame)
         return LiveFit(frame, fit, 1e3 * (time.perf_counter() - began))

@@ -8,7 +8,7 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.session.material import Material
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import energy_network, photo_landmarks
-from workbench.tracking.fitting import corrected
+from workbench.tracking.fitting import corrected, motion_of
 
 
 class ObservedFrames:
@@ -31,6 +31,13 @@ class ObservedFrames:
         """
         self.check(frame)
         return corrected(self._detected(frame, config, pictured), config.moved_points(frame))
+
+    def linked_observation(self, frame: int, config: Config) -> FrameObservation:
+        """A frame as it is fitted: with the pictures that its flow is found in, if a term needs them."""
+        observation, pictures = self.observation(frame, config), self._material.pictures
+        if not (config.compares_pictures and pictures.real and frame) or self._material.stills:
+            return observation
+        return replace(observation, motion=motion_of(pictures[frame - 1], pictures[frame]))
 
     def _detected(self, frame: int, config: Config, pictured: bool) -> FrameObservation:
         """A frame as the system needs it: Deep Energies runs its own network on the photo, N(F*)."""

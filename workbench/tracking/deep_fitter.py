@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from workbench.energies import TermContext
 from workbench.energies.deep import DeepView, deep_model
+from workbench.energies.flow_link import FlowLink
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, free_parameters, parameter_range, seen_shapes
 from workbench.geometry import Camera, yaw_pitch_roll_deg
@@ -23,7 +24,7 @@ from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solution import DeepProblem, DeepSolution, record_of
 from workbench.tracking.deep_solver import StageProblem, solve_stage
 from workbench.tracking.deep_target import energy_network
-from workbench.tracking.deep_views import light_of, recorded_camera, views_of, weighed
+from workbench.tracking.deep_views import FAR_MM, light_of, recorded_camera, views_of, weighed
 from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.fitting import (
     Calibrated,
@@ -35,7 +36,9 @@ from workbench.tracking.fitting import (
     continued,
     never,
 )
+from workbench.tracking.flow_term import FlowTerm, flow_term
 from workbench.tracking.plan import Plan, StagePlan
+from workbench.tracking.point_links import flow_views
 from workbench.tracking.records import FrameFit
 
 NEUTRAL_YAW_DEG = 25.0
@@ -52,12 +55,14 @@ class DeepFitter(Fitter):
         self._deep_model = deep_model(model)
         self._points = FaceItFitter(model, plan.by_points)
         self._seen = jnp.asarray(seen_shapes(model), float)
+        self._flow: FlowTerm | None = None
         self.configure(plan)
 
     def configure(self, plan: Plan) -> None:
         """Use another plan from now on. Raises `InputError` for an unusable network file."""
         self.plan, self.rig = plan, plan.camera.rig
         self._network = energy_network(plan.deep.network)
+        self._flow = flow_term(self.model, plan, self._flow, self._deep_model.render)
         self._points.configure(plan.by_points)
 
     @property
@@ -123,7 +128,7 @@ class DeepFitter(Fitter):
             scene=self.scene(context.appearance),
             views=self.views(observation, context),
             start=start,
-            history=self._history(context.last, start),
+            history=self._history(context.last, start)._replace(flow=self._flow_link(observation, context, start)),
         )
 
     def solve(self, problem: DeepProblem, traced: bool = False, cancelled: Callable[[], bool] = never) -> DeepSolution:
@@ -229,6 +234,16 @@ class DeepFitter(Fitter):
             return TermContext(constants, np.zeros(6), np.zeros(6), np.zeros(()), start)
         known = np.asarray(float(last.frames >= 2))
         return TermContext(constants, np.asarray(last.last_pose), np.asarray(last.pose), known, start)
+
+    def _flow_link(
+        self, observation: FrameObservation, context: FrameContext, start: FaceParameters
+    ) -> FlowLink | None:
+        if self._flow is None:
+            return None
+        last = None if context.last is None or not self.plan.compares_pictures else context.last.parameters
+        beyond_mm = FAR_MM - float(start.translation[2]) if self.plan.camera.parallel else 0.0
+        views = flow_views(self.rig, self.camera(observation.image_size))
+        return self._flow.link(observation, last, views, self._flow.points, beyond_mm)
 
     def free(self, stage: StagePlan) -> Bool[np.ndarray, "n"]:
         """Which entries of the flattened parameters a stage frees. Raises `ConfigError` for unknown blendshapes."""

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from workbench.energies.flow_link import FlowLink
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, project, yaw_pitch_roll_deg
@@ -35,14 +36,12 @@ from workbench.tracking.fitting import (
     continued,
     never,
 )
-from workbench.tracking.frame_solver import (
-    FrameInput,
-    read_report,
-    solve_frame,
-)
+from workbench.tracking.flow_term import FlowTerm, blank_motion, flow_term
+from workbench.tracking.frame_solver import FrameInput, read_report, solve_frame
 from workbench.tracking.identity import CalibrationSettings, calibrate_identity, spread_over_yaw
 from workbench.tracking.initial_pose import initial_pose
 from workbench.tracking.plan import Plan
+from workbench.tracking.point_links import flow_views
 from workbench.tracking.records import FrameFit
 
 TRACE_LENGTH = 500
@@ -58,11 +57,13 @@ class FaceItFitter(Fitter):
         self.model = model
         self._landmarks = landmark_model(model)
         self._identity: np.ndarray | None = None
+        self._flow: FlowTerm | None = None
         self.configure(plan)
 
     def configure(self, plan: Plan) -> None:
         """Use another plan from now on; nothing is recompiled unless another kind of solver is chosen."""
         self.plan = plan
+        self._flow = flow_term(self.model, plan, self._flow)
         self._settings = solve_settings(plan)
         self._used = plan.point_weights > 0.0
         self._programs = {start: stage_program(plan, start) for start in (True, False)}
@@ -113,7 +114,7 @@ class FaceItFitter(Fitter):
         if observation.landmarks is None:
             return problem
         person = self._personal_of(context.identity)
-        frame = self._frame_input(observation, context)
+        frame = self._frame_input(observation, context)._replace(flow=self._flow_link(observation, context, camera))
         return replace(problem, camera_on_device=camera_on_device, person=person, frame=frame)
 
     def solve(
@@ -168,7 +169,8 @@ class FaceItFitter(Fitter):
         """A perfect detector's observation of the neutral face in front of this camera."""
         neutral = self._landmarks.frontal_neutral()
         points = np.asarray(project(self.camera(image_size), neutral + np.array([0.0, 0.0, 600.0])))
-        return FrameObservation(0, Landmarks2D(points, np.ones(68), image_size), image_size)
+        motion = blank_motion(image_size) if self.plan.compares_pictures else None
+        return FrameObservation(0, Landmarks2D(points, np.ones(68), image_size), image_size, motion=motion)
 
     def _camera_pair(self, image_size):
         if image_size not in self._cameras:
@@ -200,6 +202,14 @@ class FaceItFitter(Fitter):
         # The identity is already part of the personal landmarks, and there is neither a jaw joint nor a scale.
         start = FaceParameters(start.rotation, start.translation, start.expression, np.zeros(0))
         return FrameInput(measured, _NO_POSE, _NO_POSE, _ZERO, start)
+
+    def _flow_link(self, observation: FrameObservation, context: FrameContext, camera: Camera) -> FlowLink | None:
+        if self._flow is None:
+            return None
+        last, identity = None, np.asarray(context.identity, float)
+        if context.last is not None and self.plan.compares_pictures:
+            last = context.last.parameters._replace(identity=identity, jaw=np.zeros(6), scale=np.ones(1))
+        return self._flow.link(observation, last, flow_views(None, camera), self._flow.points_of(identity))
 
     def _calibrate_on(self, observations, poses, count):
         # The number of frames is fixed, padded with weight zero, so that every shot uses the same compiled program.

@@ -20,6 +20,22 @@ from workbench.rendering import Appearance
 from workbench.tracking.plan import Plan
 from workbench.tracking.records import FrameFit
 
+Pictures = tuple[UInt8[np.ndarray, "_ _ 3"], ...]
+"""The pictures of one frame, one for each view of a rig; a single one without a rig."""
+
+
+class PicturePair(NamedTuple):
+    """What a frame's optical flow is found in."""
+
+    before: Pictures
+    """Those of the frame before."""
+    now: Pictures
+
+
+def motion_of(before: UInt8[np.ndarray, "h w 3"] | None, now: UInt8[np.ndarray, "h w 3"] | None) -> PicturePair | None:
+    """The pair of a single view; None if one of the pictures is missing."""
+    return None if before is None or now is None else PicturePair((before,), (now,))
+
 
 @dataclass(frozen=True)
 class FrameObservation:
@@ -37,6 +53,9 @@ class FrameObservation:
     """RGB, if the fit needs it: Deep Energies estimates colours and light from it."""
     others: tuple[Landmarks2D | None, ...] = ()
     """Landmarks in the other views of a rig, in the rig's order; None for a view without a face."""
+
+    motion: PicturePair | None = None
+    """Given where a stage names the flow term; None on a clip's first frame, and without pictures."""
 
     @property
     def faces(self) -> bool:

@@ -1,53 +1,30 @@
 """Placing a frame from its neighbours by optical flow: combines photos, surface points, renders and solver."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
 from workbench.energies.deep import DeepView, deep_model, preselected_points
-from workbench.energies.flow import FlowTargets, FlowView, FlowWeights, choose_surface, points_in_views
+from workbench.energies.flow import FlowWeights
+from workbench.energies.flow_link import FlowTargets, FlowView
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, free_parameters, parameter_range
-from workbench.flow import SurfacePoints, flow_estimator, surface_points
-from workbench.geometry import Camera
-from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 from workbench.rendering import Appearance, estimate_appearance, face_vertices
 from workbench.runtime import COMPUTING
-from workbench.tracking.flow_renders import points_shown, rendered_cutout
+from workbench.tracking.fitting import Pictures
+from workbench.tracking.flow_renders import rendered_cutout
 from workbench.tracking.flow_solver import MOVING, FlowLimits, FlowSolution, solve_flow
-from workbench.tracking.photo_flow import Cutout, cutout_about, photo_flow, read_at
+from workbench.tracking.photo_flow import read_at
 from workbench.tracking.plan import Plan
+from workbench.tracking.point_links import Links, Neighbour, PointLinker, flow_views, places_of
 from workbench.tracking.records import FrameFit
 
-VISIBILITY_SIDE = 128
-"""Size of the depth map, in pixels across the face, that decides which points are hidden."""
 ESTIMATED_PASSES = 3
 """Number of solves; the estimator's flow of the renders is updated between them."""
 TOLERANCE = 1e-4
 """A solve ends when a step lowers the energy by less than this fraction."""
-
-Pictures = tuple[UInt8[np.ndarray, "_ _ 3"], ...]
-"""The pictures of one frame, one for each view of a rig; a single one without a rig."""
-
-
-class Neighbour(NamedTuple):
-    """A frame next to the one being solved."""
-
-    parameters: FaceParameters
-    pictures: Pictures
-
-
-class Links(NamedTuple):
-    """What the pictures say about one frame: one neighbour's points moved by flow to positions in each view."""
-
-    places: Float[np.ndarray, "views n 2"]
-    weights: Float[np.ndarray, "views n"]
-    starts: Float[np.ndarray, "views n 2"]
-    """The points in the neighbour's pictures."""
-    cutouts: tuple[Cutout, ...]
 
 
 class FlowFitter:
@@ -56,12 +33,10 @@ class FlowFitter:
     def __init__(self, model: FaceModel, plan: Plan):
         """Raises `InputError` and `ConfigError` for weights or settings that cannot be used."""
         self.model, self.plan, self.rig = model, plan, plan.camera.rig
-        self.estimator = flow_estimator(plan.flow.estimator, plan.flow.side)
         self._model = deep_model(model)
         self._render = self._model.render
-        self._points = surface_points(self._render, *choose_surface(model, plan.flow.points))
-        corners = model.landmarks.vertices[[RIGHT_EYE_OUTER_CORNER, LEFT_EYE_OUTER_CORNER]]
-        self._eyes_mm = float(np.linalg.norm(np.diff(model.neutral[corners].mean(axis=1), axis=0)))
+        self.linker = PointLinker(model, self._render, plan.flow)
+        self._points = self.linker.points
         freed = [
             free_parameters(model, stage.free, stage.shapes, plan.camera.parallel, stage.name)
             for stage in plan.stages
@@ -75,48 +50,13 @@ class FlowFitter:
     def _estimates_renders(self) -> bool:
         return self.plan.flow.renders == "estimated"
 
-    @property
-    def view_count(self) -> int:
-        """Number of cameras."""
-        return 1 if self.rig is None else len(self.rig)
-
     def views(self, fit: FrameFit) -> FlowView:
         """The cameras of a fit, stacked."""
-        if self.rig is None:
-            cameras, rotations, translations = [fit.camera], np.eye(3)[None], np.zeros((1, 3))
-        else:
-            cameras = [view.camera for view in self.rig.views]
-            rotations, translations = self.rig.rotation_view_reference, self.rig.translation_view_reference_mm
-        stacked = Camera(
-            *(np.stack([np.asarray(part, float) for part in parts]) for parts in zip(*cameras, strict=True))
-        )
-        return FlowView(stacked, np.asarray(rotations, float), np.asarray(translations, float))
+        return flow_views(self.rig, fit.camera)
 
     def links(self, neighbour: Neighbour, pictures: Pictures, guess: FaceParameters, views: FlowView) -> Links:
-        """Positions of the face's points in these pictures, by flow from a neighbour's pictures.
-
-        `guess` is the approximate position of the face, to choose cut-outs that contain it. Raises `InputError` if the
-        numbers of pictures and views differ.
-        """
-        if not len(neighbour.pictures) == len(pictures) == self.view_count:
-            raise InputError(
-                f"There are {self.view_count} views, but {len(neighbour.pictures)} and {len(pictures)} pictures; "
-                "give one picture for each view."
-            )
-        with COMPUTING:
-            here = np.asarray(_places(self._points, views, neighbour.parameters), float)
-            there = np.asarray(_places(self._points, views, guess), float)
-        places, weights, cutouts = [], [], []
-        for view in range(self.view_count):
-            cutout = cutout_about(np.stack([here[view], there[view]]), self.plan.flow.side)
-            found = photo_flow(self.estimator, neighbour.pictures[view], pictures[view], here[view], cutout)
-            close = cutout_about(here[view], VISIBILITY_SIDE)
-            visible = points_shown(self._render, self._points, neighbour.parameters, views, view, close)
-            places.append(found.places)
-            # An estimator applied to both pairs makes the same errors at occlusions: those points stay, as published.
-            weights.append((visible & (found.consistent | self._estimates_renders)).astype(float))
-            cutouts.append(cutout)
-        return Links(np.stack(places), np.stack(weights), here, tuple(cutouts))
+        """As `PointLinker.links`."""
+        return self.linker.links(neighbour, pictures, guess, views)
 
     def solve(
         self,
@@ -131,7 +71,7 @@ class FlowFitter:
 
         `appearance`: needed if the configuration runs the estimator on renders.
         """
-        targets = self._targets(sides, start, views)
+        targets = self.linker.targets([None if side is None else side[1] for side in sides], start, views)
         solution = self.solve_targets(targets, start, prior, views, stay_pose)
         if self._estimates_renders:
             for _ in range(ESTIMATED_PASSES):
@@ -160,8 +100,8 @@ class FlowFitter:
         The two flows at a point differ by twice its distance from the target; hence the weight of 4.
         """
         with COMPUTING:
-            ends = [np.asarray(_places(self._points, views, state), float) for state in (before, after)]
-        targets = self._targets((None, None), before, views)
+            ends = [np.asarray(places_of(self._points, views, state), float) for state in (before, after)]
+        targets = self.linker.targets((None, None), before, views)
         targets.places[0] = 0.5 * (ends[0] + ends[1])
         targets.weights[0] = 4.0
         return targets
@@ -217,17 +157,6 @@ class FlowFitter:
         with COMPUTING:
             return np.asarray(_landmarks(self._model, view, parameters, sliding), float)
 
-    def _targets(self, sides, guess: FaceParameters, views: FlowView) -> FlowTargets:
-        count = len(self._points.barycentric)
-        places = np.zeros((2, self.view_count, count, 2))
-        weights = np.zeros((2, self.view_count, count))
-        for k, side in enumerate(sides):
-            if side is not None:
-                places[k], weights[k] = side[1].places, side[1].weights
-        depth = np.linalg.norm(np.asarray(guess.translation, float))
-        unit = [0.01 * self._eyes_mm * float(np.mean(focal)) / depth for focal in np.asarray(views.camera.focal_px)]
-        return FlowTargets(places, weights, np.zeros_like(places), np.array(unit))
-
     def _weights(self, stay_pose: float) -> FlowWeights:
         flow = self.plan.flow
         return FlowWeights(*(np.asarray(weight, float) for weight in (1.0, flow.stay, stay_pose, flow.robust)))
@@ -253,9 +182,9 @@ class FlowFitter:
     def _bias(self, sides, parameters: FaceParameters, views: FlowView, appearance: Appearance | None):
         """The estimator's flow of the rendered pair minus the exact flow, at the neighbour's points; pixels."""
         count = len(self._points.barycentric)
-        bias = np.zeros((2, self.view_count, count, 2))
+        bias = np.zeros((2, len(views.rotation), count, 2))
         with COMPUTING:
-            there = np.asarray(_places(self._points, views, parameters), float)
+            there = np.asarray(places_of(self._points, views, parameters), float)
         for k, side in enumerate(sides):
             if side is None:
                 continue
@@ -265,7 +194,7 @@ class FlowFitter:
                     rendered_cutout(self._render, state, views, view, cutout, appearance)
                     for state in (neighbour.parameters, parameters)
                 ]
-                flow = self.estimator(*renders)
+                flow = self.linker.estimator(*renders)
                 said = read_at(flow, cutout.inside(links.starts[view])) / cutout.scale
                 bias[k, view] = said - (there[view] - links.starts[view])
         return bias
@@ -281,11 +210,6 @@ def parameters_of(fit: FrameFit) -> FaceParameters:
         jaw=np.asarray(fit.jaw, float),
         scale=np.full(1, fit.scale),
     )
-
-
-@jax.jit
-def _places(points: SurfacePoints, views: FlowView, parameters: FaceParameters) -> Float[Array, "views n 2"]:
-    return points_in_views(points, views, parameters)[0]
 
 
 @jax.jit

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt8
 
 from workbench.arrays import AnyArray
-from workbench.energies.flow import FlowView
+from workbench.energies.flow_link import FlowView
 from workbench.face import FaceParameters
 from workbench.flow import SurfacePoints, points_in_camera, seen_surface
 from workbench.flow.geometric import shown_at

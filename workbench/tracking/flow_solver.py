@@ -11,14 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from workbench.arrays import AnyArray, Count, Scalar
-from workbench.energies.flow import (
-    FlowTargets,
-    FlowView,
-    FlowWeights,
-    flow_distances,
-    flow_residuals,
-    robust_scales,
-)
+from workbench.energies.flow import FlowWeights, flow_distances, flow_residuals, robust_scales
+from workbench.energies.flow_link import FlowTargets, FlowView
 from workbench.face import FaceParameters, pack, unpack
 from workbench.flow import SurfacePoints
 from workbench.solvers import LevenbergMarquardt, minimise, normal_equations

@@ -27,6 +27,7 @@ from workbench.energies import (
     normal_system,
     project_landmarks,
 )
+from workbench.energies.flow_link import FlowLink
 from workbench.energies.systems import SYSTEMS
 from workbench.face import (
     FaceParameters,
@@ -90,6 +91,8 @@ class FrameInput(NamedTuple):
     before_last_pose: Float[AnyArray, "6"]
     history: Float[AnyArray, ""]
     start: FaceParameters
+    flow: FlowLink | None = None
+    """None where no stage names the flow term."""
 
 
 class SolvedFrame(NamedTuple):
@@ -211,7 +214,8 @@ def stage_problem(
     unit = jnp.where(settings.percent > 0.5, 0.01 * eye_distance_px, 1.0)
     weights = landmark_weights * frame.measured[:, 2]
     observation = Observation(frame.measured[:, :2], weights, unit)
-    context = TermContext(settings.constants, frame.before_last_pose, frame.last_pose, frame.history, parameters)
+    before = (frame.before_last_pose, frame.last_pose, frame.history)
+    context = TermContext(settings.constants, *before, parameters, frame.flow)
     return EnergyProblem(camera, points, observation, omega, context)
 
 

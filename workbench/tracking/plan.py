@@ -139,6 +139,8 @@ class Plan:
     """Names of the energy's terms."""
     linked: bool
     """Whether a term of an enabled stage links a frame to previous ones."""
+    compares_pictures: bool
+    """Whether one of these compares a frame's pictures with those of the frame before."""
     stages: tuple[StagePlan, ...]
     camera: CameraPlan
     solver: SolverPlan

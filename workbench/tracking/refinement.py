@@ -10,12 +10,13 @@ first in the hybrid: weights of ¼, ½, ¼ remove exactly that noise.
 
 from collections.abc import Callable, Iterable, Iterator
 
-from workbench.energies.flow import FlowTargets
+from workbench.energies.flow_link import FlowTargets
 from workbench.tracking.failures import why_failed
-from workbench.tracking.flow_fitter import FlowFitter, Neighbour, parameters_of
+from workbench.tracking.flow_fitter import FlowFitter, parameters_of
 from workbench.tracking.interpolation import averaged
 from workbench.tracking.moments import Moment
 from workbench.tracking.plan import RefinementPlan
+from workbench.tracking.point_links import Neighbour
 from workbench.tracking.records import FrameFit
 
 LEAST_POINTS = 0.1
