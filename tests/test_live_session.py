@@ -84,6 +84,15 @@ def test_every_frame_is_fitted_at_once_and_the_face_shape_follows_after_a_second
     assert session.calibrated == "first second"
 
 
+def test_a_stage_may_compare_the_cameras_pictures(session, frames):
+    stages = [stage.model_dump() | {"terms": ("flow",)} for stage in session.config.stages]
+    session.use(session.config.changed(stages=stages, flow={"side": 192, "points": 300}))
+    column = session.config.terms.index("flow")
+    energies = [session.step(frame).fit.energies[-1, column] for frame in frames[:4]]
+    assert energies[0] == 0.0
+    assert min(energies[1:]) > 0.0
+
+
 def test_a_neutral_face_becomes_identity_and_undo_takes_it_back(seen, frames):
     session, _ = seen
     before = session.identity
