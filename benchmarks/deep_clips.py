@@ -53,7 +53,7 @@ def main() -> None:
 def compared(clip: Path, options: argparse.Namespace) -> tuple[list[dict], dict]:
     """Errors of both systems on every so many frames, and what was odd."""
     head = load_default_head()
-    config = preset("deep-energies").changed(camera={"fov_deg": options.fov}, landmarks={"detector": options.detector})
+    config = preset("deep").changed(camera={"fov_deg": options.fov}, landmarks={"detector": options.detector})
     frames = FrameRange(open_frames(clip), 0, options.frames - 1)
     try:
         source = DeepSource(PictureSource(frames, make_detector(options.detector), config, True), config)

@@ -189,7 +189,7 @@ def stereo(bench: Bench) -> None:
 
 def orthographic(bench: Bench) -> None:
     """Appendix C.2: no perspective, mean face, 10 + 10 components, on perspective photos."""
-    parallel = preset("orthographic").changed(camera={"fov_deg": FOV_DEG}, deep={"distance_mm": START_MM})
+    parallel = preset("deep-parallel").changed(camera={"fov_deg": FOV_DEG}, deep={"distance_mm": START_MM})
     rows = bench.solve(parallel, bench.frames, "orthographic", identity=False)
     same = _config(identity={"calibrate": False})
     perspective = bench.solve(same, bench.frames, "perspective, mean face", identity=False)
@@ -239,7 +239,7 @@ def main() -> None:
 def _config(**changes: dict[str, Any]) -> Config:
     camera = {"fov_deg": FOV_DEG, **changes.pop("camera", {})}
     deep = {"distance_mm": START_MM, "start": "frontal", **changes.pop("deep", {})}
-    return preset("deep-energies").changed(camera=camera, deep=deep, **changes)
+    return preset("deep").changed(camera=camera, deep=deep, **changes)
 
 
 def _row(solution: DeepSolution, truth: DeepTruth, names: tuple[str, ...]) -> Row:

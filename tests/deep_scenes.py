@@ -19,7 +19,7 @@ from workbench.tracking.deep_solver import predict
 IMAGE_SIZE = (720, 540)
 FOV_DEG = 40.0
 BLANK = Landmarks2D(np.zeros((68, 2)), np.ones(68), IMAGE_SIZE)
-DEEP = preset("deep-energies").changed(camera={"fov_deg": FOV_DEG}, deep={"appearance": "model"})
+DEEP = preset("deep").changed(camera={"fov_deg": FOV_DEG}, deep={"appearance": "model"})
 POINTS = DEEP.changed(deep={"energy": "points"})
 POSE_ONLY = (Stage(name="pose", free=("rotation", "translation"), limit=20),)
 

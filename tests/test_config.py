@@ -57,7 +57,7 @@ def test_a_short_file_takes_the_rest_from_its_preset(tmp_path):
         ('[[stages]]\nname = "a"\nfree = ["pose"]\n', "stages.0.free"),
         ('[[stages]]\nname = "a"\nfree = ["rotation"]\nlandmarks = {noose = 1}\n', "did you mean 'nose"),
         ('[[stages]]\nname = "a"\nfree = ["rotation", "rotation"]\n', "twice"),
-        ("version = 99\n", "version is 99, this workbench reads 1 to 2"),
+        ("version = 99\n", "version is 99, this workbench reads 1 to 3"),
         (
             "[landmarks]\nweights = {noose = 0}\n",
             "landmarks.weights knows no landmark group 'noose'; did you mean 'nose",
@@ -123,8 +123,27 @@ def test_a_file_of_version_1_is_read_as_if_written_today(tmp_path):
     path.write_text('version = 1\npreset = "calibrated"\n[contour]\nsliding = false\n[weights]\ntau = 0.5\n')
     config = read_config(path)
     assert config.contour.mode == "fixed"
-    assert config.version == 2
+    assert config.version == 3
     assert config == preset("calibrated").changed(contour={"mode": "fixed"}, weights={"tau": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("before", "now"),
+    [("deep-energies", "deep"), ("preselected-points", "deep-points"), ("orthographic", "deep-parallel")],
+)
+def test_a_file_of_version_2_keeps_the_values_that_bore_a_papers_name(before, now, tmp_path):
+    path = tmp_path / "old.toml"
+    path.write_text(f'version = 2\npreset = "{before}"\n[deep]\ntolerance = 0.01\n')
+    assert read_config(path) == preset(now).changed(deep={"tolerance": 0.01})
+
+
+def test_face_it_of_version_2_keeps_its_weights_and_confidences(tmp_path):
+    path = tmp_path / "old.toml"
+    path.write_text('version = 2\npreset = "face-it"\n[weights]\ntau = 0.5\n')
+    config = read_config(path)
+    assert (config.weights.tau, config.weights.beta, config.weights.sigma) == (0.5, 0.01, 0.01)
+    assert config.landmarks.confidence
+    assert config.constants.rotation_mm == 100.0
 
 
 def test_subsets_are_used_like_groups_and_survive_the_file(tmp_path):
@@ -201,7 +220,7 @@ def test_the_schema_accepts_what_a_tuning_session_exports(problems):
         ("[weights]\ntau = -1.0\n", "less than the minimum"),
         ("[camera]\nfov_deg = 190\n", "greater than or equal to the maximum"),
         ('preset = "nope"\n', "is not one of"),
-        ("version = 1\n", "2 was expected"),
+        ("version = 1\n", "3 was expected"),
         ('[[stages]]\nname = "a"\nfree = ["pose"]\n', "is not one of"),
         ("[landmarks.moved]\n12 = {70 = [1.0, 2.0]}\n", "'70' does not match"),
         ("[landmarks.moved]\nfirst = {30 = [1.0, 2.0]}\n", "'first' does not match"),

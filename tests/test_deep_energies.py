@@ -19,7 +19,7 @@ from tests.deep_scenes import (
     rotation_error_deg,
 )
 from tests.stereo_scenes import make_rig
-from workbench.config import PARALLEL_STAGES, Config, Stage, preset
+from workbench.config import PARALLEL_STAGES, PRESETS, Config, Stage, preset
 from workbench.energies import still
 from workbench.energies.deep import DEEP_TERMS, DeepView, deep_residuals, view_vertices
 from workbench.errors import ConfigError, InputError
@@ -532,7 +532,7 @@ def test_a_rigs_views_are_lit_by_one_light(shared, head, tmp_path):
 
 def test_the_parallel_view_finds_rotation_scale_place_and_shape(shared, head):
     """Appendix C.2 on a truth seen by that very camera: four stages from the mean face."""
-    config = preset("orthographic").changed(camera={"fov_deg": 40.0}, deep={"energy": "points"})
+    config = preset("deep-parallel").changed(camera={"fov_deg": 40.0}, deep={"energy": "points"})
     fitter = fitter_with(shared, config)
     truth = make_parameters(head, (14.0, -6.0, 5.0), (12.0, -9.0, 650.0))
     shape = np.zeros(len(truth.identity))
@@ -552,7 +552,7 @@ def test_the_parallel_view_finds_rotation_scale_place_and_shape(shared, head):
 
 
 def test_a_parallel_view_is_recorded_as_a_camera_far_away(shared, head):
-    config = preset("orthographic").changed(camera={"fov_deg": 40.0}, deep={"energy": "points"})
+    config = preset("deep-parallel").changed(camera={"fov_deg": 40.0}, deep={"energy": "points"})
     fitter = fitter_with(shared, config)
     truth = make_parameters(head, (14.0, -6.0, 5.0), (12.0, -9.0, 650.0))
     scene = make_deep_scene(fitter, truth)
@@ -599,16 +599,16 @@ def test_face_it_has_neither_jaw_nor_parallel_views(change, words):
 
 def test_a_rig_has_perspective_cameras(head, rig_file):
     with pytest.raises(ConfigError, match="rig's cameras are perspective"):
-        make_fitter(head, plan_of(preset("orthographic").changed(camera={"rig": str(rig_file)})))
+        make_fitter(head, plan_of(preset("deep-parallel").changed(camera={"rig": str(rig_file)})))
 
 
 def test_presets_of_both_systems_survive_their_file(tmp_path):
     from workbench.config import read_config, write_config
 
-    for name in ("deep-energies", "preselected-points", "orthographic"):
+    for name in PRESETS:
         write_config(preset(name), tmp_path / "config.toml")
         assert read_config(tmp_path / "config.toml") == preset(name)
-    assert isinstance(preset("deep-energies"), Config)
+    assert isinstance(preset("deep"), Config)
 
 
 # Records.

@@ -16,7 +16,7 @@ if lacking and os.environ.get("CI") != "true":
 
 STRIP = ".fw-panel .fw-film-strip"
 CELLS = (
-    PANEL.format(name="astronaut").replace('-landmarks"))', '-landmarks"), config="deep-energies")'),
+    PANEL.format(name="astronaut").replace('-landmarks"))', '-landmarks"), config="deep")'),
     READY,
     "print(session.config.deep.energy, [step.path for step in session.changes()])",
 )
@@ -59,7 +59,7 @@ def test_the_film_strip_shows_the_stages_and_follows_the_choice_of_energy(page, 
 
 def test_every_stage_can_be_reached(page, screenshots):
     tab(page, "Stages")
-    wanted = [stage.name for stage in preset("deep-energies").stages]
+    wanted = [stage.name for stage in preset("deep").stages]
     hidden = page.page.locator(".fw-stages").evaluate("(e) => e.scrollHeight - e.clientHeight")
     rows = page.page.locator(".fw-stages > .widget-hbox:visible").filter(has=page.page.locator("input[type=checkbox]"))
     found = [rows.nth(k).locator("input[type=text]").first.input_value() for k in range(rows.count())]

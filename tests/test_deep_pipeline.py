@@ -22,7 +22,7 @@ QUICK = {"identity": {"window": 2, "frames": 2}, "camera": {"fov_deg": 33.0}}
 
 @pytest.fixture(scope="module")
 def config():
-    return preset("deep-energies").changed(**QUICK)
+    return preset("deep").changed(**QUICK)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_two_processes_and_an_interrupted_run_give_the_same_numbers(head, config
 
 def test_two_cameras_find_the_place_of_the_head_and_one_may_miss_it(head, stereo, tmp_path):
     rig, scene, files = stereo
-    config = preset("preselected-points").changed(camera={"rig": str(rig)}, identity={"calibrate": False})
+    config = preset("deep-points").changed(camera={"rig": str(rig)}, identity={"calibrate": False})
     result = track(files["middle"], tmp_path, head, config, views={"side": files["side"]})
     truth = np.array([np.asarray(parameters.translation) for parameters in scene.parameters])
     errors = np.linalg.norm(result.track.translation - truth, axis=1)
@@ -107,7 +107,7 @@ def test_two_cameras_find_the_place_of_the_head_and_one_may_miss_it(head, stereo
 
 def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):
     rig, _, files = stereo
-    single = preset("preselected-points")
+    single = preset("deep-points")
     config = single.changed(camera={"rig": str(rig)})
     side = {"side": files["side"]}
     with pytest.raises(InputError, match="needs the clip of its view 'side'"):
@@ -126,8 +126,8 @@ def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):
         (["--energy", "deep"], "--energy belongs to Deep Energies"),
         (["--frames", "9-3"], "first and last frame as A-B"),
         (["--frames", "500-600"], "frames 0 to 239"),
-        (["--preset", "deep-energies", "--view", "right"], "NAME=CLIP"),
-        (["--preset", "deep-energies", "--rig", "nowhere.toml"], "nowhere.toml"),
+        (["--preset", "deep", "--view", "right"], "NAME=CLIP"),
+        (["--preset", "deep", "--rig", "nowhere.toml"], "nowhere.toml"),
     ],
 )
 def test_the_command_line_says_what_is_wrong(options, sentence, tmp_path):

@@ -471,7 +471,7 @@ def test_a_panel_that_cannot_be_made_says_why(head, tmp_path):
     with pytest.raises(InputError, match="There is no video"):
         LivePanel(tmp_path / "missing.mp4", head)
     with pytest.raises(InputError, match="takes seconds per frame"):
-        LivePanel(model=head, config=preset("deep-energies"))
+        LivePanel(model=head, config=preset("deep"))
 
 
 def test_it_has_a_short_name(panel):

@@ -180,9 +180,9 @@ def test_a_picture_without_a_face_gives_an_empty_fit_and_the_next_one_goes_on(se
 
 def test_deep_energies_is_refused(head, session):
     with pytest.raises(InputError, match="takes seconds per frame"):
-        LiveSession(head, preset("deep-energies"))
+        LiveSession(head, preset("deep"))
     with pytest.raises(InputError, match="use one of"):
-        session.use(preset("preselected-points"))
+        session.use(preset("deep-points"))
 
 
 # --- recording ---

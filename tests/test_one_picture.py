@@ -47,10 +47,10 @@ def test_a_picture_gives_the_numbers_of_a_run(found, head, tmp_path):
     assert found.frame.source == run.track[0].source == "detected"
 
 
-@pytest.mark.parametrize("preset", ["face-it", "deep-energies"])
+@pytest.mark.parametrize("preset", ["face-it", "deep"])
 def test_with_given_landmarks_too_in_both_systems(preset, portrait, points, head, tmp_path):
     config = workbench.preset(preset)
-    config = config.changed(deep={"energy": "points"}) if preset == "deep-energies" else config
+    config = config.changed(deep={"energy": "points"}) if preset == "deep" else config
     given = sample("astronaut-landmarks")
     run = workbench.track(sample("astronaut"), tmp_path, head, config, pictures=False, landmarks=given)
     fit = workbench.fit(portrait, landmarks=points, config=config)
@@ -162,6 +162,6 @@ def test_what_does_not_belong_to_one_picture_is_refused(portrait, points):
     with pytest.raises(InputError, match="no neighbours in time"):
         workbench.fit(portrait, config=workbench.preset("joint").changed(infill={"method": "linear"}))
     with pytest.raises(InputError, match="one view"):
-        workbench.fit(portrait, config=workbench.preset("deep-energies").changed(camera={"rig": "rig.toml"}))
+        workbench.fit(portrait, config=workbench.preset("deep").changed(camera={"rig": "rig.toml"}))
     with pytest.raises(ConfigError, match="no preset"):
         workbench.fit(portrait, config="no-such-preset")

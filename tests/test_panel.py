@@ -244,7 +244,7 @@ def test_the_stage_table_shows_every_stage_and_what_its_system_can_free(name):
 
 
 def test_a_stage_can_be_added_to_the_longest_schedule_and_taken_away_again():
-    config = preset("deep-energies")
+    config = preset("deep")
     handed = []
     editor = StageEditor(lambda stages, label: handed.append(stages), lambda what, number: None, 190)
     editor.show(config)
@@ -265,7 +265,7 @@ def is_shown(widget):
 
 def test_no_two_widgets_share_a_layout_so_that_hiding_one_hides_no_other(panel, clip_panel, head, photo):
     deep = StageEditor(lambda stages, label: None, lambda what, number: None, 190)
-    deep.show(preset("deep-energies"))
+    deep.show(preset("deep"))
     landmarks = photo.observations[0].landmarks
     roots = (
         panel, clip_panel, deep.widget, SessionOpener(), LivePanel(sample("performance"), head),
@@ -291,7 +291,7 @@ def within(widget):
 def test_a_stage_names_terms_beside_those_of_its_system():
     handed = []
     editor = StageEditor(lambda stages, label: handed.append(stages), lambda what, number: None, 190)
-    editor.show(preset("deep-energies"))
+    editor.show(preset("deep"))
     row = editor._rows[0]
     assert row.terms.value == "edges"
     row.terms.value = "edges, tau"
@@ -497,14 +497,14 @@ def test_without_stages_to_draw_the_film_strip_is_a_sentence_and_no_broken_pictu
 
 
 def test_the_film_strip_of_landmarks_alone_says_that_it_needs_pictures(head, clip):
-    strip = FilmStrip(TuningSession(head, clip, preset("deep-energies")))
+    strip = FilmStrip(TuningSession(head, clip, preset("deep")))
     strip.show_frame(0)
     assert "drawn on the picture" in strip.note.value
     assert not is_shown(strip.image)
 
 
 def test_the_film_strip_shows_the_stages_and_says_meanwhile_what_it_does(head, monkeypatch):
-    config = preset("deep-energies")
+    config = preset("deep")
     session = open_session(sample("astronaut"), config, landmarks=sample("astronaut-landmarks"), model=head)
     strip, said = FilmStrip(session), []
 
@@ -558,7 +558,7 @@ def test_settings_of_the_other_system_are_greyed_out_and_a_sentence_says_why(pan
     assert controls_of(panel, enabled=False) == {knob.path for knob in DEEP}
     assert "Deep Energies" in panel.controls.notes["deep"].value
     assert [title for title, note in panel.controls.notes.items() if is_shown(note)] == ["deep"]
-    panel.controls.show(preset("deep-energies"))
+    panel.controls.show(preset("deep"))
     of_face_it = {knob.path for knob in (*OMEGA, *CONSTANTS)} | {"solver.method", "solver.tolerance"}
     assert controls_of(panel, enabled=False) == of_face_it | {"deep.prior"}  # a term that no stage names
     assert [title for title, note in panel.controls.notes.items() if is_shown(note)] == ["ω", "ρ ε", "a b c", "deep"]

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from tests import paper_formulas as paper
 from tests.paper_formulas import agrees
 from workbench.config import preset
-from workbench.energies import still
+from workbench.energies import EnergyConstants, still
 from workbench.energies.deep import DeepView, deep_residuals
 from workbench.energies.flow import (
     FlowWeights,
@@ -39,6 +39,7 @@ from workbench.tracking.interpolation import averaged, between
 
 SINGLE = 1e-4
 """Relative, where renders or networks in single precision are inside."""
+DEFAULTS = EnergyConstants()
 MAP = 64
 """Pixels a side of the network's heat maps."""
 
@@ -208,11 +209,12 @@ def view(target, weights, unit_px=1.0) -> DeepView:
         unit_px, len(target)), None, None)  # fmt: skip
 
 
-def terms(predicted, views: DeepView, names: tuple[str, ...], omega=None, at=None, start=None):
+def terms(predicted, views: DeepView, names: tuple[str, ...], omega=None, at=None, start=None, constants=DEFAULTS):
     """Residuals of the named terms; every weight is 1 by default."""
     at = FaceParameters(*(jnp.zeros(count) for count in (3, 3, 2, 0))) if at is None else at
     omega = np.ones(len(names)) if omega is None else omega
-    return deep_residuals(views, jnp.asarray(omega), predicted, at, still(at if start is None else start), names)
+    context = still(at if start is None else start, constants)
+    return deep_residuals(views, jnp.asarray(omega), predicted, at, context, names)
 
 
 def slopes(predicted, views, name: str) -> np.ndarray:
@@ -262,7 +264,16 @@ def test_e_2_is_the_differences_of_neighbours_with_the_other_sign(rng):
     assert agrees(slopes(predicted, views, "edges"), paper.gradient(expected, predicted.ravel()))
 
 
-def test_an_edge_counts_as_its_less_certain_end(rng):
+def test_the_published_e_2_has_no_weights_but_a_view_without_a_face_says_nothing(rng):
+    target, predicted = rng.normal(size=(2, 2, 68, 2))
+    weights = np.stack([rng.uniform(0.0, 2.0, 68) * (rng.random(68) > 0.3), np.zeros(68)])
+    published = EnergyConstants(weighted_edges=0.0)
+    ours = terms(predicted, view(target, weights), ("edges",), constants=published)["edges"].reshape(2, 67, 2)
+    assert agrees(-ours[0], paper.edge_residuals(predicted[0], target[0]))
+    assert not np.asarray(ours[1]).any()
+
+
+def test_an_edge_counts_as_its_less_certain_end_by_default(rng):
     """The paper's E_2 has no weights. Ours multiplies each squared difference by the lesser of its two landmarks'
     weights, and the whole by ω_edges."""
     target, predicted, weights = rng.normal(size=(1, 68, 2)), rng.normal(size=(1, 68, 2)), rng.uniform(0.0, 2.0, 68)
@@ -270,6 +281,17 @@ def test_an_edge_counts_as_its_less_certain_end(rng):
     lesser = np.minimum(weights[1:], weights[:-1])
     expected = np.sqrt(0.5 * lesser)[:, None] * -paper.edge_residuals(predicted[0], target[0])
     assert agrees(ours, expected.ravel())
+
+
+@pytest.mark.parametrize(("reading", "power"), [("energy", 1), ("residual", 2)])
+def test_lambda_has_two_readings(reading, power, rng):
+    """Sec. 8.2 prints the vector λw, whose square is λ²‖w‖², and calls it L2 regularisation, λ‖w‖²."""
+    config = preset("deep-energies").changed(deep={"lambda_reading": reading})
+    stage = next(stage for stage in config.stages if "regularisation" in stage.terms)
+    weight = config.factors(stage)[config.terms.index("regularisation")]
+    at, nothing = parameters(rng, jaw=np.zeros(0)), np.zeros((1, 68, 2))
+    ours = terms(nothing, view(nothing, np.ones((1, 68))), ("regularisation",), [weight], at)["regularisation"]
+    assert agrees(ours @ ours, paper.LAMBDA**power * paper.squared(np.asarray(at.expression)))
 
 
 def test_lambda_times_w_as_a_residual_is_our_weight_lambda_squared(rng):
@@ -513,6 +535,21 @@ def test_a_window_of_three_frames_is_averaged_rotations_as_markley_does(rng):
 # Settings (Secs. 4, 7, 8, App. C.2).
 
 
+@pytest.mark.parametrize("name", ["deep-energies", "preselected-points", "orthographic"])
+def test_the_presets_with_the_papers_names_have_nothing_of_ours(name):
+    """Pixels, no bounds, no confidences, E_2 without weights, λw with λ = 100, the derivative through the network."""
+    config = preset(name)
+    assert (config.solver.unit, config.solver.bounded, config.landmarks.confidence) == ("px", False, False)
+    assert (config.constants.weighted_edges, config.constants.rotation_mm) == (False, 1.0)
+    assert (config.deep.derivative, config.deep.edges, config.contour.mode) == ("forward", 1.0, "fixed")
+    assert (config.deep.regularisation, config.deep.lambda_reading) == (paper.LAMBDA, "residual")
+    assert config.deep.energy == ("points" if name == "preselected-points" else "deep")
+    if name == "orthographic":
+        named = {term for stage in config.stages for term in stage.terms}
+        assert not named & {"regularisation", "prior", "stay"}
+        assert config.deep.identity == 0.0
+
+
 def test_the_stages_free_what_sec_8_says():
     """Iteration limits and landmark weights are ours: the paper prints none."""
     pose = {"rotation", "translation"}
@@ -542,5 +579,5 @@ def test_the_parallel_stages_are_those_of_app_c_2():
 
 
 def test_averaging_weighs_the_current_frame_more_heavily():
-    centre = preset("deep-energies").refinement.centre
+    centre = preset("deep").refinement.centre
     assert centre > 0.5 * (1.0 - centre)

@@ -278,3 +278,7 @@ def test_the_preset_has_the_printed_constants_iterations_and_units():
     assert [stage.limit for stage in config.stages if stage.when == "always"] == [15, 15]  # ρ and ε
     assert [stage.free for stage in config.stages if stage.when == "always"] == [POSE, EXPRESSION]
     assert (config.solver.method, config.solver.unit, config.solver.bounded) == ("lm", "px", False)
+    assert not config.landmarks.confidence
+    assert config.constants.rotation_mm == 1.0
+    assert config.contour.mode == "fixed"
+    assert not config.identity.calibrate

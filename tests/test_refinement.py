@@ -178,7 +178,7 @@ def test_the_stage_is_the_plans_own_or_its_last():
     assert (joint.free, joint.first_only, joint.limit) == (("expression",), False, 30)
     from workbench.config import preset
 
-    deep = reestimation_stage(plan_of(preset("deep-energies")))
+    deep = reestimation_stage(plan_of(preset("deep")))
     assert deep.enabled
     assert deep.free == ("expression", "jaw")
     rigid = film_config().model_copy(update={"stages": (Stage(name="pose", free=("rotation",)),)})

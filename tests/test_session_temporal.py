@@ -212,7 +212,7 @@ def test_deep_energies_fits_the_frames_of_the_part_alone_and_once(session, fitte
         return fitted.run.fits[frame]
 
     monkeypatch.setattr(session, "fit_frame", fit_frame)
-    session.use(preset("deep-energies").changed(refinement={"method": "averaging"}))
+    session.use(preset("deep").changed(refinement={"method": "averaging"}))
     assert session.temporal.run((4, 9), cancelled=lambda: len(asked) == 3) is None
     assert asked == [4, 5, 6]
     assert session.temporal.run((4, 9)).name == "averaging"

@@ -137,7 +137,7 @@ def test_a_linked_run_that_is_cut_goes_on_with_the_same_numbers(head, tmp_path):
 
 @pytest.mark.parametrize("name", [name for name in TABLE if name not in ("landmarks", "identity")])
 def test_a_stage_of_either_system_may_name_any_term(name):
-    for system in ("joint", "deep-energies"):
+    for system in ("joint", "deep"):
         stages = [stage.model_dump() for stage in preset(system).stages]
         stages[-1]["terms"] = (name,)
         config = preset(system).changed(stages=stages)
@@ -158,7 +158,7 @@ def test_a_term_that_does_not_exist_is_named_with_those_that_do():
 
 def test_the_slider_of_a_term_is_grey_until_a_stage_names_it():
     assert is_inert(preset("joint"), "deep.edges")
-    assert is_inert(preset("deep-energies"), "weights.tau")
+    assert is_inert(preset("deep"), "weights.tau")
     assert not is_inert(linked(POINTS, 1.0), "weights.tau")
     assert not is_inert(linked(POINTS, 1.0), "constants.rotation_mm")
     assert is_inert(POINTS, "constants.a")

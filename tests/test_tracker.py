@@ -1,5 +1,7 @@
 """FACE IT! on landmarks with known truth: pose, expression, identity, shots, and nothing compiled twice."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -162,6 +164,28 @@ def test_confidence_zero_takes_a_landmark_out(head):
     landmarks = Landmarks2D(spoiled, confidence, IMAGE_SIZE)
     fit = FaceTracker(head, EXACT).push(FrameObservation(0, landmarks, IMAGE_SIZE))[0]
     np.testing.assert_allclose(fit.angles_deg, (10, 0, 0), atol=0.1)
+
+
+def test_without_confidences_all_points_that_were_found_count_alike(head):
+    alike = EXACT.changed(landmarks={"confidence": False})
+    scene = make_scene(head, (10, 0, 0), {"jawOpen": 0.4})
+    observation, rng = scene.observation(), np.random.default_rng(3)
+    noisy = observation.landmarks.points + rng.normal(0.0, 1.0, (68, 2))
+    doubtful = rng.uniform(0.1, 1.0, 68)
+    doubtful[30] = 0.0
+    seen = np.where(doubtful > 0.0, 1.0, 0.0)
+    fits = {
+        name: FaceTracker(head, config).push(
+            replace(observation, landmarks=Landmarks2D(noisy, confidence, IMAGE_SIZE))
+        )[0]
+        for name, config, confidence in (
+            ("off", alike, doubtful),
+            ("certain", EXACT, seen),
+            ("on", EXACT, doubtful),
+        )
+    }
+    np.testing.assert_array_equal(fits["off"].expression, fits["certain"].expression)
+    assert np.abs(fits["off"].expression - fits["on"].expression).max() > 0.01
 
 
 def test_the_sliding_contour_follows_the_yaw(head):

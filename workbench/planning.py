@@ -41,9 +41,10 @@ def plan_of(config: Config) -> Plan:
         solver=SolverPlan(
             config.solver.method, config.solver.bounded, config.solver.tolerance, config.solver.unit == "percent"
         ),
-        constants=EnergyConstants(**config.constants.model_dump()),
+        constants=EnergyConstants(**{name: float(value) for name, value in config.constants.model_dump().items()}),
         sliding=config.contour.mode == "sliding",
         point_weights=points,
+        confident=config.landmarks.confidence,
         identity=_taken(IdentityPlan, config.identity),
         deep=_taken(DeepPlan, config.deep),
         flow=_taken(FlowPlan, config.flow),

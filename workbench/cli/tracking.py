@@ -33,9 +33,9 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
   workbench track talk.mp4 --preset face-it         as published
 
-  workbench track talk.mp4 --preset deep-energies --frames 100-200 --workers 2
+  workbench track talk.mp4 --preset deep --frames 100-200 --workers 2
 
-  workbench track left.mp4 --preset deep-energies --rig rig.toml --view right=right.mp4
+  workbench track left.mp4 --preset deep --rig rig.toml --view right=right.mp4
 
   workbench track talk.mp4 --infill flow --refine hybrid
 
@@ -151,7 +151,7 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, r
     if rig is not None:
         camera["rig"] = str(rig)
     if energy is not None and not base.traits.reads("deep"):
-        raise ConfigError("--energy belongs to Deep Energies; add --preset deep-energies.")
+        raise ConfigError("--energy belongs to Deep Energies; add --preset deep.")
     changes = {
         "deep": {} if energy is None else {"energy": energy},
         "landmarks": landmarks,

@@ -29,7 +29,7 @@ from workbench.errors import ConfigError
 from workbench.landmarks.scheme import GROUPS
 from workbench.reading import shortened
 
-VERSION = 2
+VERSION = 3
 DEFAULT_PRESET = "joint"
 System = Literal[tuple(SYSTEMS)]
 LONGEST_PROBLEM = 400
@@ -39,7 +39,7 @@ LONGEST_PROBLEM = 400
 class Config(Section):
     """A whole configuration."""
 
-    version: Literal[2] = Field(VERSION, description="Version of this file's format.")
+    version: Literal[3] = Field(VERSION, description="Version of this file's format.")
     preset: str = Field(DEFAULT_PRESET, description="The preset this configuration started from.")
     system: System = Field("face-it", description="face-it: fits landmarks; deep-energies: fits renders too.")
     camera: CameraConfig = CameraConfig()
@@ -98,10 +98,13 @@ class Config(Section):
         return tuple(stage for stage in self.stages if stage.enabled and (start or stage.when == "always"))
 
     def omega(self) -> dict[str, float]:
-        """Every ω by its path, for example `weights.tau`."""
+        """What multiplies each term or node of the hierarchy, by the path of its ω, for example `weights.tau`."""
         places = {f"weights.{node.name}" for node in NODES}
         places |= {term.omega_key(self.system) for term in TABLE.values() if term.name != "landmarks"}
-        return {place: getattr(getattr(self, place.split(".")[0]), place.split(".")[1]) for place in places}
+        found = {place: getattr(getattr(self, place.split(".")[0]), place.split(".")[1]) for place in places}
+        if self.deep.lambda_reading == "residual":
+            found["deep.regularisation"] **= 2
+        return found
 
     def factors(self, stage: Stage) -> list[float]:
         """The factor in front of each of `terms` in a stage: the product of ω down its branch; 0 if the term is off."""

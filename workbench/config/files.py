@@ -57,7 +57,27 @@ def _from_1(stored: dict[str, Any]) -> dict[str, Any]:
     return {**stored, "contour": {**renamed, "mode": "sliding" if contour["sliding"] else "fixed"}}
 
 
-MIGRATIONS = {1: _from_1}
+def _from_2(stored: dict[str, Any]) -> dict[str, Any]:
+    """2 → 3: the names of papers belong to what they print; what bore them before keeps its values."""
+    name = stored.get("preset", DEFAULT_PRESET)
+    if isinstance(name, str):
+        stored = {**stored, "preset": RENAMED_IN_3.get(name, name)}
+    if name != "face-it":
+        return stored
+    given = {key: stored.get(key, {}) for key in FACE_IT_BEFORE_3}
+    if not all(isinstance(section, dict) for section in given.values()):
+        return stored
+    return {**stored, **{key: {**values, **given[key]} for key, values in FACE_IT_BEFORE_3.items()}}
+
+
+RENAMED_IN_3 = {"deep-energies": "deep", "preselected-points": "deep-points", "orthographic": "deep-parallel"}
+FACE_IT_BEFORE_3: dict[str, dict[str, Any]] = {
+    "weights": {"tau": 0.01, "beta": 0.01, "sigma": 0.01},
+    "constants": {"rotation_mm": 100.0},
+    "landmarks": {"confidence": True},
+}
+"""What the preset `face-it` had before version 3, where it has changed."""
+MIGRATIONS = {1: _from_1, 2: _from_2}
 """By version: the function that turns a stored configuration into one of the next version."""
 
 

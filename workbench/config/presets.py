@@ -6,9 +6,11 @@ from workbench.config.configuration import Config, quoted
 from workbench.config.schedules import DEEP_STAGES, PARALLEL_STAGES, PRESET_STAGES
 from workbench.config.sections import (
     CameraConfig,
+    ConstantsConfig,
     ContourConfig,
     DeepConfig,
     IdentityConfig,
+    LandmarksConfig,
     SolverConfig,
     WeightsConfig,
     own_weights,
@@ -21,17 +23,29 @@ def _preset_weights(preset: str) -> Any:
     return WeightsConfig(**{term.name: term.presets[preset] for term in own_weights() if preset in term.presets})
 
 
+# What both papers print, or do not print: pixels, no bounds, no confidences, nothing that slides, edges all alike.
+AS_PRINTED: dict[str, Any] = {
+    "solver": SolverConfig(bounded=False, unit="px"),
+    "landmarks": LandmarksConfig(confidence=False),
+    "contour": ContourConfig(mode="fixed"),
+    "constants": ConstantsConfig(rotation_mm=1.0, weighted_edges=False),
+}
+# E_2 = λw beside E_1: a vector beside residuals, as Sec. 8.2 prints it. The paper prints no weight of Sec. 8.1's E_2.
+DEEP_AS_PRINTED: dict[str, Any] = {
+    "derivative": "forward",
+    "edges": 1.0,
+    "regularisation": 100.0,
+    "lambda_reading": "residual",
+}
+
 PRESETS: dict[str, Config] = {
-    # The paper's terms and schedule: residuals in pixels, E_β and E_σ as single residuals, no bounds, one fixed
-    # contour, no identity. The paper gives no values of ω; with these, E_fit dominates on a 640-pixel picture, and
-    # weights run far beyond [0, 1]. Weighting points by their confidence is our addition.
+    # FACE IT!: the paper's terms, constants, schedule and iterations, and no identity. It prints no values of ω.
     "face-it": Config(
         preset="face-it",
         weights=_preset_weights("face-it"),
-        solver=SolverConfig(bounded=False, unit="px"),
-        contour=ContourConfig(mode="fixed"),
         identity=IdentityConfig(calibrate=False),
         stages=PRESET_STAGES["face-it"],
+        **AS_PRINTED,
     ),
     # The same alternation with a calibrated identity, weights bounded to [0, 1] and a contour that slides with yaw.
     "calibrated": Config(
@@ -39,22 +53,46 @@ PRESETS: dict[str, Config] = {
     ),
     # Ours: pose and expression as one problem with 50 unknowns, because the alternation gets stuck.
     "joint": Config(preset="joint", weights=_preset_weights("joint"), stages=PRESET_STAGES["joint"]),
-    # Deep Energies: the order of the stages and their free parameters are the paper's. It gives no iteration limits, no
-    # bounds, no W and no weight for its edge term: these are ours. So is λ: the paper's 100 goes with errors in pixels,
-    # and in a residual λw it would be squared.
-    "deep-energies": Config(preset="deep-energies", system="deep-energies", stages=DEEP_STAGES),
+    # Deep Energies as printed. Of its stages the order and the free parameters are; iteration limits and W are ours.
+    "deep-energies": Config(
+        preset="deep-energies",
+        system="deep-energies",
+        deep=DeepConfig(**DEEP_AS_PRINTED),
+        stages=DEEP_STAGES,
+        **AS_PRINTED,
+    ),
     # The same with the energy of Appendix C.1.
     "preselected-points": Config(
-        preset="preselected-points", system="deep-energies", deep=DeepConfig(energy="points"), stages=DEEP_STAGES
+        preset="preselected-points",
+        system="deep-energies",
+        deep=DeepConfig(energy="points", **DEEP_AS_PRINTED),
+        stages=DEEP_STAGES,
+        **AS_PRINTED,
     ),
-    # Appendix C.2: parallel projection with a scale, the mean face and the first 10 + 10 components.
+    # Appendix C.2: parallel projection with a scale, the mean face and the first 10 + 10 components, no priors.
     "orthographic": Config(
         preset="orthographic",
         system="deep-energies",
         camera=CameraConfig(projection="orthographic"),
         identity=IdentityConfig(calibrate=False),
-        deep=DeepConfig(appearance="model"),
+        deep=DeepConfig(appearance="model", identity=0.0, **DEEP_AS_PRINTED),
         stages=PARALLEL_STAGES,
+        **AS_PRINTED,
+    ),
+    # Ours: the same stages with errors in percent of the outer-eye distance, confidences, bounds on weights and jaw, a
+    # sliding contour, a λ that lets the jaw open, and a derivative that costs an eighth.
+    "deep": Config(preset="deep", system="deep-energies", stages=DEEP_STAGES),
+    "deep-points": Config(
+        preset="deep-points", system="deep-energies", deep=DeepConfig(energy="points"), stages=DEEP_STAGES
+    ),
+    # Ours after C.2: priors on shape and expression too.
+    "deep-parallel": Config(
+        preset="deep-parallel",
+        system="deep-energies",
+        camera=CameraConfig(projection="orthographic"),
+        identity=IdentityConfig(calibrate=False),
+        deep=DeepConfig(appearance="model"),
+        stages=(*PARALLEL_STAGES[:-1], PARALLEL_STAGES[-1].model_copy(update={"terms": ("regularisation",)})),
     ),
 }
 

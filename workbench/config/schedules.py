@@ -105,9 +105,9 @@ PARALLEL_STAGES = (
     Stage(name="translation", free=("translation",), landmarks={"non_jaw": 1.0}, limit=5, terms=("edges",)),
     Stage(name="rigid and scale", free=(*POSE, "scale"), limit=15, terms=("edges",)),
     Stage(name="shape", free=(*POSE, "identity"), shapes=FIRST_10, limit=12),
-    Stage(name="expression", free=(*POSE, "expression"), shapes=FIRST_10, limit=12, terms=("regularisation",)),
+    Stage(name="expression", free=(*POSE, "expression"), shapes=FIRST_10, limit=12),
 )
-"""After Deep Energies Appendix C.2; the priors on shape and expression are ours. The first ten are the largest of a
+"""After Deep Energies Appendix C.2; the limits are ours. The first ten are the largest of a
 statistical basis. The default head's blendshapes are in alphabetical order: its first ten move neither jaw nor
 mouth."""
 

@@ -70,7 +70,12 @@ class ConstantsConfig(Section):
     b: Annotated[float, Field(gt=0.0)] = Field(2e-5, description="E_β: width of its steps.")
     c: float = Field(2.5, description="E_β: offset.")
     delta: Annotated[float, Field(gt=0.0)] = Field(0.01, description="Smoothed L1: quadratic below this weight.")
-    rotation_mm: NonNegative = Field(100.0, description="E_τ: millimetres equivalent to one radian.")
+    rotation_mm: NonNegative = Field(
+        100.0, description="E_τ and E_prior: millimetres equivalent to one radian; 1: as published."
+    )
+    weighted_edges: bool = Field(
+        True, description="E_2: an edge counts as the lesser weight of its ends; false: all alike, as published."
+    )
 
 
 class SolverConfig(Section):
@@ -117,6 +122,9 @@ class LandmarksConfig(Section):
     face: tuple[float, float] | None = Field(
         None, description="A pixel inside the face to track; default: the largest face."
     )
+    confidence: bool = Field(
+        True, description="Weigh each point by the detector's confidence; false: all alike, as published."
+    )
     weights: dict[str, NonNegative] = Field(
         {}, description="Factor by group, subset or point number, in every stage and in the identity; 0 mutes."
     )
@@ -147,6 +155,9 @@ class DeepConfig(Section):
     network: str = Field("", description="Weights of the landmark network (.safetensors); empty: the bundled one.")
     edges: NonNegative = _omega("edges")
     regularisation: NonNegative = _omega("regularisation")
+    lambda_reading: Literal["energy", "residual"] = Field(
+        "energy", description="energy: λ‖w‖²; residual: ‖λw‖², the vector λw that Sec. 8.2 prints."
+    )
     tolerance: NonNegative = Field(
         1e-3, description="A stage stops when a step lowers the energy by less than this fraction."
     )

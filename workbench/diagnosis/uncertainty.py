@@ -49,7 +49,7 @@ class Linearised(NamedTuple):
     unit: float
     """Size of one unit of the residual, % of the outer-eye distance."""
     row_weights: Float[np.ndarray, "136"]
-    """Weight of each coordinate: landmark weight times confidence."""
+    """Weight of each coordinate: landmark weight times what the detection counts."""
 
 
 def linearise(model: FaceModel, config: Config, context: FrameContext, fit: FrameFit) -> Linearised:
@@ -67,15 +67,17 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
     personal = landmark_model(model).personal(np.asarray(fit.identity))
     last = context.last
     zero = np.zeros(6)
+    plan = plan_of(config)
+    counts = plan.counts(fit.confidence)
     parameters = FaceParameters(fit.rotation, fit.translation, fit.expression, np.zeros(0))
     frame = FrameInput(
-        np.column_stack([fit.observed, fit.confidence]),
+        np.column_stack([fit.observed, counts]),
         zero if last is None else np.asarray(last.pose),
         zero if last is None else np.asarray(last.last_pose),
         np.asarray(float(last is not None and last.frames >= 2)),
         parameters,
     )
-    settings = solve_settings(plan_of(config))
+    settings = solve_settings(plan)
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (fit.camera, personal, settings))
     with COMPUTING:
         residual, jacobian, matrix, gradient, unit = _linearised(
@@ -86,7 +88,7 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
         *(np.asarray(part) for part in (residual, jacobian, matrix, gradient)),
         data_factor=factors[terms.index("landmarks")],
         unit=percent,
-        row_weights=np.repeat(weights * fit.confidence, 2),
+        row_weights=np.repeat(weights * counts, 2),
     )
 
 

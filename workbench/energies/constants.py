@@ -18,3 +18,5 @@ class EnergyConstants(NamedTuple):
     """Smoothed L1: weight below which it turns quadratic."""
     rotation_mm: Scalar = 100.0
     """E_τ: millimetres that one radian counts as, so that r and t are comparable."""
+    weighted_edges: Scalar = 1.0
+    """E_2: 1: an edge counts as the lesser weight of its ends; 0: all edges alike, as in the paper."""

@@ -54,7 +54,7 @@ class DeepView(NamedTuple):
     target: Float[AnyArray, "68 2"]
     """N(F*), pixels."""
     weights: Float[AnyArray, "68"]
-    """W times the detection's confidence; all 0 where this view found no face."""
+    """W times what the detection counts; all 0 where this view found no face."""
     share: Float[AnyArray, "68"]
     """1: the landmark is seen in the render by the network; 0: it is the preselected point."""
     unit_px: Scalar
@@ -155,11 +155,13 @@ def deep_residuals(
 ) -> dict[str, Float[Array, "_"]]:
     """Residuals by term, weighed: the energy is the sum of their squares.
 
-    Other than in the paper, W (with the detections' confidence) multiplies squared errors and weighs E_2 too, and
-    errors count in `unit_px`. `views` is stacked. `predicted` are landmarks in each view, pixels.
+    W multiplies squared errors: the paper's is its root. Errors count in `unit_px`, and W weighs E_2 too unless the
+    context's `weighted_edges` is 0; the paper has pixels and does not weigh E_2. `views` is stacked. `predicted` are
+    landmarks in each view, pixels.
     """
     error = (predicted - views.target) / jnp.asarray(views.unit_px)[:, None, None]
-    errors = LandmarkErrors(error, jnp.sqrt(jnp.asarray(views.weights)))
+    root = jnp.sqrt(jnp.asarray(views.weights))
+    errors = LandmarkErrors(error, root, weighted_edges=context.constants.weighted_edges)
     return weighed_residuals(terms, omega, errors, parameters, context)
 
 

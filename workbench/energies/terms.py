@@ -96,6 +96,7 @@ ROWS = (
         branch="",
         default=0.5,
         slider=(1e-3, 1e2),
+        constants=("weighted_edges",),
     ),
     Term(
         name="tau",
@@ -167,7 +168,7 @@ ROWS = (
         name="regularisation",
         symbol="λ‖w‖²",
         source="Deep Energies Sec. 8.2",
-        says="holds blendshapes and jaw near 0; in other units than the paper's 100",
+        says="holds blendshapes and jaw near 0; `deep.lambda_reading` says how λ multiplies",
         formula="‖w‖²",
         residual="magnitude:magnitude_residual",
         unknowns=("expression", "jaw"),

@@ -71,6 +71,7 @@ def residuals(
     """Weighed residuals of every term that `free` parameters can change, for points on the mesh."""
     chosen = [k for k, name in enumerate(terms) if depends_on(TABLE[name], free)]
     errors = landmark_errors(problem.camera, problem.points, parameters, problem.observation)
+    errors = errors._replace(weighted_edges=problem.context.constants.weighted_edges)
     omega = jnp.asarray(problem.omega)[np.array(chosen)]
     return weighed_residuals(tuple(terms[k] for k in chosen), omega, errors, parameters, problem.context)
 
@@ -178,7 +179,8 @@ def _of_landmarks(term: Term, problem: EnergyProblem, parameters: FaceParameters
     root = jnp.sqrt(problem.observation.weights)
 
     def residual(error):
-        return residual_of(term.name)(LandmarkErrors(error.reshape(-1, 2), root))
+        errors = LandmarkErrors(error.reshape(-1, 2), root, weighted_edges=problem.context.constants.weighted_edges)
+        return residual_of(term.name)(errors)
 
     values, push = jax.linearize(residual, error)
     return values, jax.vmap(push, in_axes=1, out_axes=1)(by_unknown)

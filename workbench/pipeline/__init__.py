@@ -94,7 +94,7 @@ def track(
     if not paths:
         raise InputError("There is nothing to track; name a photo, a folder, a video or a landmark file.")
     if not config.traits.renders and (views or workers > 1):
-        raise InputError("Several views and several processes belong to Deep Energies; add --preset deep-energies.")
+        raise InputError("Several views and several processes belong to Deep Energies; add --preset deep.")
     files = [*paths, *views.values(), *_given(landmarks), *_given(config.camera.rig)]
     job = _Job(Path(folder), model, config, pictures, resume, overwrite, workers, progress or _silent)
     with run_folder(job.folder, files, resume, overwrite):

@@ -6,7 +6,6 @@ from functools import partial
 from itertools import cycle, islice
 
 import numpy as np
-from jaxtyping import Float
 
 from workbench import plots
 from workbench.config import Config, preset
@@ -14,9 +13,7 @@ from workbench.energies import EnergyConstants, beta_slope
 from workbench.energies import beta_curve as range_curve
 from workbench.face import FaceModel, load_default_head
 from workbench.frames import open_frames
-from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks.detectors import chosen_detector, make_detector
-from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.reproduction.boston import (
@@ -36,16 +33,13 @@ from workbench.reproduction.head_pose import (
     poses_by_preset,
     read_poses,
 )
+from workbench.reproduction.rendered_clip import CLIP, FOV_DEG, SIZE, clip_landmarks, clip_pictures, clip_truth
 from workbench.reproduction.simulated_boston import FRAMES, simulate_set
 from workbench.reproduction.study import Result, Study, Table
 from workbench.samples import sample
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, FrameObservation
 
-SIZE = (640, 480)
-"""Of the paper's camera, and of the bundled clip."""
-FOV_DEG = 33.0
-"""The bundled clip's lens."""
 LIMITS = (1, 2, 3, 5, 8, 10, 15, 20, 30, 40, 50)
 QUICK_LIMITS = (1, 5, 15)
 SHOWN = (1, 3, 15, 50)
@@ -53,7 +47,6 @@ FRAME = 192
 """An open mouth on a turned head, for the pictures."""
 ABOUT_1000 = 960
 """The bundled clip four times."""
-CLIP = "the bundled clip of a rendered head (240 frames of 640 × 480) with landmarks by dlib"
 QUICK_NAMES = ("jam4", "jam5", "jim6", "jim8")
 QUICK_FRAMES = 30
 
@@ -79,7 +72,7 @@ def beta_curve(study: Study) -> Result:
 def iterations(study: Study) -> Result:
     """Fig. 4, left: the pose against ρ, and the expression against ε with the pose that ρ = 15 gives."""
     head, limits = load_default_head(), QUICK_LIMITS if study.quick else LIMITS
-    landmarks, truth_deg = _clip_landmarks(), _clip_angles_deg()
+    landmarks, truth_deg = clip_landmarks(), clip_truth().angles_deg
     frames = range(0, len(landmarks), 60 if study.quick else 12)
     by_rho, by_epsilon, steps = [], [], 2 * len(limits)
     for done, limit in enumerate(limits):
@@ -95,7 +88,7 @@ def iterations(study: Study) -> Result:
         "ε, with the pose of ρ = 15": np.array(by_epsilon),
     }
     shown = [limit for limit in SHOWN if limit in limits]
-    picture = next(open_frames(sample("performance")).iterate(FRAME)).picture
+    picture = clip_pictures((FRAME,))[FRAME]
     poses = {f"ρ = {k}": _each_alone(head, _limited(rho=k, epsilon=15), landmarks, [FRAME])[0] for k in shown}
     faces = {f"ε = {k}": _each_alone(head, _limited(rho=15, epsilon=k), landmarks, [FRAME])[0] for k in shown}
     header = ("iterations", "ρ: landmarks, %", "ρ: angles, °", "ε: landmarks, %")
@@ -124,7 +117,7 @@ def iterations(study: Study) -> Result:
 def iteration_times(study: Study) -> Result:
     """Fig. 4, right: milliseconds of a frame's energy minimisation against ρ and ε."""
     head, limits = load_default_head(), QUICK_LIMITS if study.quick else LIMITS
-    observations = list(islice(cycle(_observations(_clip_landmarks())), 60 if study.quick else ABOUT_1000))
+    observations = list(islice(cycle(_observations(clip_landmarks())), 60 if study.quick else ABOUT_1000))
     configs = {
         "ρ, with ε = 15": [_limited(rho=limit, epsilon=15, tolerance=0.0) for limit in limits],
         "ε, with ρ = 15": [_limited(rho=15, epsilon=limit, tolerance=0.0) for limit in limits],
@@ -241,15 +234,6 @@ def _limited(rho: int, epsilon: int, tolerance: float = 1e-6) -> Config:
         if stage.name in limits
     ]
     return config.changed(camera={"fov_deg": FOV_DEG}, solver={"tolerance": tolerance}, stages=stages)
-
-
-def _clip_landmarks() -> list[Landmarks2D | None]:
-    return [record.landmarks for record in read_landmark_file(sample("performance-landmarks"))]
-
-
-def _clip_angles_deg() -> Float[np.ndarray, "n 3"]:
-    with np.load(sample("performance-truth"), allow_pickle=False) as stored:
-        return yaw_pitch_roll_deg(stored["rotation"])
 
 
 def _observations(landmarks: Sequence[Landmarks2D | None]) -> list[FrameObservation]:

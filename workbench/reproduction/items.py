@@ -70,6 +70,40 @@ ITEMS = (
         "2.04 inches along X, Y and Z.",
         reads_set=True,
     ),
+    Item(
+        name="face-it-differences",
+        paper=FACE_IT,
+        place="the whole",
+        title="What our differences from the paper are worth",
+        make="differences:face_it",
+        printed="No values of ω; fits of a user study without known weights.",
+    ),
+    Item(
+        name="stages",
+        paper=DEEP_ENERGIES,
+        place="Figs. 3–6",
+        title="The stages of a frame",
+        make="deep_energies:stages",
+        printed="Strips of real frames. The rigid alignment alone overfits to the mouth's landmarks, which is corrected "
+        "as soon as the jaw may open.",
+    ),
+    Item(
+        name="seen-or-preselected",
+        paper=DEEP_ENERGIES,
+        place="Fig. 19",
+        title="Landmarks seen in the render against points on the mesh",
+        make="deep_energies:seen_or_preselected",
+        printed="Strips of both after the expression stages: what the network sees in the render takes longer and "
+        "generally does better than preselected points.",
+    ),
+    Item(
+        name="deep-differences",
+        paper=DEEP_ENERGIES,
+        place="the whole",
+        title="What our differences from the paper are worth",
+        make="differences:deep_energies",
+        printed="λ = 100, errors in pixels, the derivative by the chain rule.",
+    ),
 )
 
 

@@ -51,6 +51,8 @@ SOLVE = (
     Knob("solver.method", "solver", "lm: ours, which solves along bounds; the two of Optimistix stop there", "choice",
          choices=("lm", "optimistix-lm", "optimistix-dogleg")),
     Knob("solver.bounded", "0 ≤ w ≤ 1", "keep every weight in [0, 1]", "switch"),
+    Knob("landmarks.confidence", "confidences", "each point counts by its detection's confidence; off: all alike, as "
+         "in the papers", "switch"),
     Knob("solver.unit", "unit", "landmark residuals in pixels, or in % of the outer-eye distance", "choice",
          choices=("px", "percent")),
     Knob("contour.mode", "jaw contour", "sliding: the 17 jaw points follow the silhouette with the yaw", "choice",
@@ -73,7 +75,20 @@ CONSTANTS = (
     Knob("constants.b", "b", "E_β: width of its steps; the paper: 2·10⁻⁵", "log", 1e-6, 1.0),
     Knob("constants.c", "c", "E_β: offset; the paper: 2.5", "linear", -5.0, 5.0, 0.05),
     Knob("constants.delta", "δ", "smoothed L1: quadratic below this weight", "log", 1e-4, 1.0),
-    Knob("constants.rotation_mm", "mm per rad", "E_τ: millimetres equivalent to one radian", "log", 1.0, 1e4),
+    Knob(
+        "constants.rotation_mm",
+        "mm per rad",
+        "E_τ: millimetres equivalent to one radian; the paper: 1",
+        "log",
+        1.0,
+        1e4,
+    ),
+    Knob(
+        "constants.weighted_edges",
+        "weighted edges",
+        "E_2: each edge counts as the lesser weight of its ends; off: all alike, as in the paper",
+        "switch",
+    ),
 )
 LANDMARK_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "right_eye", "left_eye", "outer_lips", "inner_lips")
 LANDMARKS = tuple(
@@ -89,6 +104,8 @@ DEEP = (
     Knob("deep.start", "start", "frontal in the middle of the picture, or the pose from the landmarks", "choice",
          choices=("frontal", "landmarks")),
     *(_of_term(term) for term in TABLE.values() if term.key.startswith("deep.")),
+    Knob("deep.lambda_reading", "λ in", "energy: λ‖w‖²; residual: ‖λw‖², as Sec. 8.2 prints it", "choice",
+         choices=("energy", "residual")),
     Knob("deep.tolerance", "tolerance", "a stage stops when a step lowers E by a smaller fraction", "log", 1e-6, 1e-1),
 )  # fmt: skip
 METHODS = (

@@ -92,7 +92,7 @@ def _view(
         rotation=jnp.asarray(rotation, jnp.float32),
         translation=jnp.asarray(translation, jnp.float32),
         target=jnp.asarray(target),
-        weights=jnp.asarray(confidence),
+        weights=jnp.asarray(plan.counts(confidence)),
         share=jnp.asarray(share),
         unit_px=jnp.asarray(unit),
         light=jnp.asarray(light, jnp.float32),

@@ -189,7 +189,7 @@ class FaceItFitter(Fitter):
 
     def _frame_input(self, observation: FrameObservation, context: FrameContext) -> FrameInput:
         points, last = observation.landmarks.points, context.last
-        measured = np.column_stack([points, observation.landmarks.confidence])
+        measured = np.column_stack([points, self.plan.counts(observation.landmarks.confidence)])
         if last is not None:
             history = _ONE if last.frames >= 2 else _ZERO
             return FrameInput(measured, last.pose, last.last_pose, history, last.parameters)
@@ -217,7 +217,7 @@ class FaceItFitter(Fitter):
         observations = observations + observations[-1:] * padding
         poses = poses + poses[-1:] * padding
         identity = self.plan.identity
-        weights = np.stack([observation.landmarks.confidence for observation in observations])
+        weights = np.stack([self.plan.counts(observation.landmarks.confidence) for observation in observations])
         weights[count - padding :] = 0.0
         cameras = [self.camera(observation.image_size) for observation in observations]
         first_pass = self.plan.point_weights.copy()

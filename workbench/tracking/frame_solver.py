@@ -86,7 +86,7 @@ class FrameInput(NamedTuple):
     """The input for one frame."""
 
     measured: Float[AnyArray, "68 3"]
-    """x and y in pixels, and confidence. One array, because each array passed in costs as much as an iteration."""
+    """x and y in pixels, and what the point counts. One array: each one passed in costs as much as an iteration."""
     last_pose: Float[AnyArray, "6"]
     before_last_pose: Float[AnyArray, "6"]
     history: Float[AnyArray, ""]

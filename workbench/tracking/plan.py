@@ -149,6 +149,8 @@ class Plan:
     """Whether the jaw contour slides along the face with the yaw."""
     point_weights: Float[np.ndarray, "68"]
     """Factor of each landmark in every stage and in the identity."""
+    confident: bool
+    """Whether each point counts by its detection's confidence, else all that were detected alike."""
     identity: IdentityPlan
     deep: DeepPlan
     flow: FlowPlan
@@ -156,6 +158,10 @@ class Plan:
     refinement: RefinementPlan
     by_points: "Plan | None" = None
     """The FACE IT! plan that gives Deep Energies its identity, appearance and first pose."""
+
+    def counts(self, confidence: Float[np.ndarray, "68"]) -> Float[np.ndarray, "68"]:
+        """What each squared error counts, from the detections' confidence."""
+        return confidence if self.confident else (confidence > 0.0).astype(float)
 
     def running(self, start: bool) -> tuple[StagePlan, ...]:
         """The stages that run on the first frame of a shot (`start`) or on a later one."""

@@ -144,7 +144,7 @@ class Controls:
 
 OF_DEEP = (
     "These are settings of <b>Deep Energies</b>. This configuration fits by FACE IT!; choose <i>preset "
-    "deep-energies</i> under <i>go to…</i> to use them."
+    "deep</i> under <i>go to…</i> to use them."
 )
 OF_FACE_IT = (
     "These are settings of <b>FACE IT!</b>. This configuration fits by Deep Energies; its settings are on the page "

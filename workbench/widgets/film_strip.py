@@ -7,7 +7,7 @@ from workbench.widgets.playground import jpeg
 
 NO_STAGES = (
     "<b>The film strip shows the stages of Deep Energies.</b><br>This configuration fits by FACE IT!; its iterations "
-    "are on the page <b>Energy</b>. Choose <i>preset deep-energies</i> under <i>go to…</i> to see each of its stages "
+    "are on the page <b>Energy</b>. Choose <i>preset deep</i> under <i>go to…</i> to see each of its stages "
     "drawn on the picture, with the network's landmarks."
 )
 NO_PICTURES = (
