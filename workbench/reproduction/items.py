@@ -84,7 +84,7 @@ ITEMS = (
         place="Figs. 3–6",
         title="The stages of a frame",
         make="deep_energies:stages",
-        printed="Strips of real frames. The rigid alignment alone overfits to the mouth's landmarks, which is corrected "
+        printed="Strips of real frames. The rigid alignment overfits to the mouth's landmarks, which is corrected "
         "as soon as the jaw may open.",
     ),
     Item(
