@@ -11,7 +11,9 @@ from workbench.config import PRESETS, Config, Stage
 from workbench.diagnosis.identifiability import indistinguishable_groups
 from workbench.face import contour_blend, landmark_model, model_landmarks
 from workbench.geometry import camera_from_fov
+from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
+from workbench.samples import sample
 from workbench.solvers import Status
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation
@@ -89,17 +91,35 @@ def test_calibration_off_leaves_the_models_mean_face(head):
     np.testing.assert_array_equal(fit.identity, 0.0)
 
 
-def test_bounds_keep_every_weight_in_range_where_the_papers_preset_does_not(head):
+def test_bounds_keep_every_weight_in_range_where_landmarks_alone_do_not(head):
     scene = make_scene(head, (0, 0, 0), {"jawOpen": 1.0})
     exaggerated = scene.points.copy()
     exaggerated[54:60, 1] += 25.0
     landmarks = Landmarks2D(exaggerated, np.ones(68), IMAGE_SIZE)
     observation = FrameObservation(0, landmarks, IMAGE_SIZE)
     bounded = FaceTracker(head, PRESETS["calibrated"].changed(identity={"calibrate": False})).push(observation)[0]
-    paper = FaceTracker(head, PRESETS["face-it"]).push(observation)[0]
+    free = FaceTracker(head, PRESETS["face-it"].changed(weights={"beta": 0.0})).push(observation)[0]
     assert bounded.expression.min() >= 0.0
     assert bounded.expression.max() <= 1.0
-    assert paper.expression.min() < 0.0 or paper.expression.max() > 1.0
+    assert free.expression.min() < -0.01 or free.expression.max() > 1.01
+
+
+def test_the_published_energy_keeps_weights_in_range_on_the_sample_clip(head):
+    """E_β with a large ω is a fence: nearly every weight stays inside, at the price of a larger landmark error."""
+    records = list(read_landmark_file(sample("performance-landmarks")))[:80]
+    observations = [FrameObservation(k, each.landmarks, each.image_size) for k, each in enumerate(records)]
+    found = {}
+    for label, weights in (("fenced", {}), ("free", {"beta": 0.0, "sigma": 0.01})):
+        config = PRESETS["face-it"].changed(camera={"fov_deg": 33.0}, weights=weights)
+        found[label] = list(FaceTracker(head, config).fit_all(observations))
+    outside = {
+        label: np.mean([np.maximum(fit.expression - 1.0, -fit.expression) > 0.01 for fit in fits])
+        for label, fits in found.items()
+    }
+    errors = {label: np.mean([fit.errors[2] for fit in fits]) for label, fits in found.items()}
+    assert outside["fenced"] <= 0.05
+    assert outside["free"] > 0.3
+    assert errors["free"] < errors["fenced"] < 1.5 * errors["free"]
 
 
 def test_a_frame_without_a_face_is_a_record_and_the_next_face_starts_afresh(head):
@@ -135,7 +155,7 @@ def test_a_jump_of_the_landmarks_restarts_the_pose_without_a_cut(head):
 
 def test_tau_damps_the_jitter_of_the_pose(head):
     def jitter(tau):
-        config = PRESETS["face-it"].changed(weights={"tau": tau})
+        config = PRESETS["face-it"].changed(weights={"tau": tau}, constants={"rotation_mm": 100.0})
         observations = (make_scene(head, (k, 0, 0)).observation(k, noise_px=1.0, seed=5) for k in range(20))
         angles = np.array([fit.angles_deg for fit in FaceTracker(head, config).fit_all(observations)])
         return np.abs(np.diff(angles, 2, axis=0)).mean()
@@ -221,7 +241,7 @@ def test_a_restored_tracker_goes_on_with_the_same_numbers(head):
 
 
 def test_moving_any_number_compiles_nothing(head):
-    """50 random settings of ρ, ε, every ω, a, b, c, landmark weights, bounds, unit, contour, and of the stages: their
+    """50 random settings of ρ, ε, every ω, a, b, c, landmark weights, confidences, bounds, unit, contour, and stages: their
     order, free parameters, and which run."""
     rng = np.random.default_rng(7)
     tracker = FaceTracker(head, PRESETS["calibrated"].changed(identity={"calibrate": False}))
@@ -233,6 +253,8 @@ def test_moving_any_number_compiles_nothing(head):
         stored = tracker.config.model_dump()
         stored["weights"] = {name: float(rng.uniform(0, 2)) for name in stored["weights"]}
         stored["constants"] = {name: float(rng.uniform(0.01, 2)) for name in stored["constants"]}
+        stored["constants"]["weighted_edges"] = bool(rng.integers(2))
+        stored["landmarks"]["confidence"] = bool(rng.integers(2))
         stored["solver"] = {
             "bounded": bool(rng.integers(2)),
             "tolerance": float(rng.uniform(0, 1e-3)),

@@ -123,7 +123,8 @@ ROWS = (
         unknowns=("expression",),
         structure="single",
         systems=("face-it",),
-        presets={"face-it": 0.01},
+        presets={"face-it": 3000.0},
+        slider=(1e-4, 1e5),
         constants=("a", "b", "c"),
     ),
     Term(
@@ -136,7 +137,7 @@ ROWS = (
         unknowns=("expression",),
         structure="single",
         systems=("face-it",),
-        presets={"face-it": 0.01},
+        presets={"face-it": 1.0},
     ),
     Term(
         name="sigma_smooth",
