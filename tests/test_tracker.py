@@ -241,7 +241,7 @@ def test_a_restored_tracker_goes_on_with_the_same_numbers(head):
 
 
 def test_moving_any_number_compiles_nothing(head):
-    """50 random settings of ρ, ε, every ω, a, b, c, landmark weights, confidences, bounds, unit, contour, and stages: their
+    """50 random settings of ρ, ε, every ω, a, b, c, landmark weights, confidences, bounds, unit, contour, stages: their
     order, free parameters, and which run."""
     rng = np.random.default_rng(7)
     tracker = FaceTracker(head, PRESETS["calibrated"].changed(identity={"calibrate": False}))

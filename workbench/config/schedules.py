@@ -104,10 +104,17 @@ FIRST_10 = ("first:10",)
 PARALLEL_STAGES = (
     Stage(name="translation", free=("translation",), landmarks={"non_jaw": 1.0}, limit=5, terms=("edges",)),
     Stage(name="rigid and scale", free=(*POSE, "scale"), limit=15, terms=("edges",)),
-    Stage(name="shape", free=(*POSE, "identity"), shapes=FIRST_10, limit=12),
+    # Shape must not explain an open mouth, which the next stage cannot take back.
+    Stage(
+        name="shape",
+        free=(*POSE, "identity"),
+        shapes=FIRST_10,
+        landmarks={"all": 1.0, "mouth": 0.0, "jaw": 0.0},
+        limit=12,
+    ),
     Stage(name="expression", free=(*POSE, "expression"), shapes=FIRST_10, limit=12),
 )
-"""After Deep Energies Appendix C.2; the limits are ours. The first ten are the largest of a
+"""After Deep Energies Appendix C.2; limits and landmark weights are ours. The first ten are the largest of a
 statistical basis. The default head's blendshapes are in alphabetical order: its first ten move neither jaw nor
 mouth."""
 

@@ -24,8 +24,10 @@ from .model import Embedding as Embedding
 from .model import FaceModel as FaceModel
 from .obj_folder import read_obj_folder as read_obj_folder
 from .parameters import FaceParameters as FaceParameters
+from .principal import principal_expressions as principal_expressions
 from .unknowns import BLOCKS as BLOCKS
 from .unknowns import free_parameters as free_parameters
+from .unknowns import keeps_the_mouth_shut as keeps_the_mouth_shut
 from .unknowns import pack as pack
 from .unknowns import parameter_range as parameter_range
 from .unknowns import typical_sizes as typical_sizes

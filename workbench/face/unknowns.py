@@ -36,6 +36,10 @@ UNKNOWNS = {
     "scale": Unknown("1", (0.05,)),
 }
 BLOCKS = tuple(UNKNOWNS)
+INNER_LIPS = (62, 66)
+"""The middles of upper and lower lip."""
+MOUTH_OPENS_MM = 3.0
+"""A mouth that opens parts its lips farther than this."""
 
 
 def pack(parameters: FaceParameters, blocks: tuple[str, ...] = BLOCKS) -> Float[AnyArray, "n"]:
@@ -106,6 +110,14 @@ def free_parameters(
     freed.jaw[0] |= "jaw_open" in free
     freed.translation[2] &= not parallel
     return freed
+
+
+def keeps_the_mouth_shut(model: FaceModel, shapes: Sequence[str]) -> bool:
+    """Whether none of the chosen blendshapes, each as far as it goes, parts the lips by `MOUTH_OPENS_MM`."""
+    chosen = _chosen(model.expression_names, shapes, "")
+    lips = model.landmarks.of(model.expression_deltas[chosen])[:, INNER_LIPS]
+    parted = np.linalg.norm(lips[:, 1] - lips[:, 0], axis=1) * np.abs(model.weight_range()).max(axis=1)[chosen]
+    return bool(parted.max(initial=0.0) < MOUTH_OPENS_MM)
 
 
 def _chosen(names: Sequence[str], shapes: Sequence[str], stage: str) -> Bool[np.ndarray, "k"]:

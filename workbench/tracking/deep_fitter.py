@@ -5,6 +5,7 @@ own landmarks, but nothing from the previous frame, unless a stage names a term 
 """
 
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -17,7 +18,14 @@ from workbench.energies import TermContext
 from workbench.energies.deep import DeepView, deep_model
 from workbench.energies.flow_link import FlowLink
 from workbench.errors import InputError
-from workbench.face import FaceModel, FaceParameters, free_parameters, parameter_range, seen_shapes
+from workbench.face import (
+    FaceModel,
+    FaceParameters,
+    free_parameters,
+    keeps_the_mouth_shut,
+    parameter_range,
+    seen_shapes,
+)
 from workbench.geometry import Camera, yaw_pitch_roll_deg
 from workbench.rendering import Appearance, estimate_appearance
 from workbench.tracking.deep_programs import DeepScene
@@ -64,6 +72,7 @@ class DeepFitter(Fitter):
         self._network = energy_network(plan.deep.network)
         self._flow = flow_term(self.model, plan, self._flow, self._deep_model.render)
         self._points.configure(plan.by_points)
+        _warn_of_a_shut_mouth(self.model, plan)
 
     @property
     def links_frames(self) -> bool:
@@ -268,6 +277,22 @@ class DeepFitter(Fitter):
             iterations=np.zeros(rows, int),
             jaw=np.full(6, np.nan),
         )
+
+
+def _warn_of_a_shut_mouth(model: FaceModel, plan: Plan) -> None:
+    """Warn where the first components of a basis are all that a plan frees, and none of them opens the mouth."""
+    stages = [stage for stage in plan.stages if stage.enabled]
+    if any({"jaw", "jaw_open"} & set(stage.free) for stage in stages):
+        return
+    for stage in stages:
+        firsts = [shape for shape in stage.shapes if shape.startswith("first:")]
+        if "expression" in stage.free and firsts == list(stage.shapes) != [] and keeps_the_mouth_shut(model, firsts):
+            warnings.warn(
+                f"Stage {stage.name!r} frees {firsts[0]} of {model.name}, none of which parts the lips: the mouth "
+                "stays shut. Use a model whose components are sorted by size; "
+                "workbench.face.principal_expressions makes one.",
+                stacklevel=3,
+            )
 
 
 def _unfitness(fit: FrameFit) -> float:
