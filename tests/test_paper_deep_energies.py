@@ -537,12 +537,12 @@ def test_a_window_of_three_frames_is_averaged_rotations_as_markley_does(rng):
 
 @pytest.mark.parametrize("name", ["deep-energies", "preselected-points", "orthographic"])
 def test_the_presets_with_the_papers_names_have_nothing_of_ours(name):
-    """Pixels, no bounds, no confidences, E_2 without weights, λw with λ = 100, the derivative through the network."""
+    """Pixels, no bounds, no confidences, E_2 without weights, λ = 100, the derivative through the network."""
     config = preset(name)
     assert (config.solver.unit, config.solver.bounded, config.landmarks.confidence) == ("px", False, False)
     assert (config.constants.weighted_edges, config.constants.rotation_mm) == (False, 1.0)
     assert (config.deep.derivative, config.deep.edges, config.contour.mode) == ("forward", 1.0, "fixed")
-    assert (config.deep.regularisation, config.deep.lambda_reading) == (paper.LAMBDA, "residual")
+    assert (config.deep.regularisation, config.deep.lambda_reading) == (paper.LAMBDA, "energy")
     assert config.deep.energy == ("points" if name == "preselected-points" else "deep")
     if name == "orthographic":
         named = {term for stage in config.stages for term in stage.terms}

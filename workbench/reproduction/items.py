@@ -97,6 +97,14 @@ ITEMS = (
         "generally does better than preselected points.",
     ),
     Item(
+        name="stereo",
+        paper=DEEP_ENERGIES,
+        place="Fig. 10",
+        title="Rigid errors by one camera and by two",
+        make="deep_energies:stereo",
+        printed="Plots: rotations alike by one camera and by two; translations much more accurate by two.",
+    ),
+    Item(
         name="deep-differences",
         paper=DEEP_ENERGIES,
         place="the whole",

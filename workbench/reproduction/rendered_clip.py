@@ -82,5 +82,5 @@ def errors_of_pose_and_jaw(parameters: FaceParameters, frame: int) -> tuple[floa
     truth = clip_truth()
     off = np.asarray(parameters.translation) - truth.translation_mm[frame]
     jaw = np.degrees(float(parameters.jaw[0])) - truth.jaw_deg[frame]
-    turn = Rotation.from_rotvec(np.asarray(parameters.rotation)) * Rotation.from_rotvec(truth.rotation[frame]).inv()
+    turn = Rotation.from_rotvec(np.array(parameters.rotation)) * Rotation.from_rotvec(truth.rotation[frame]).inv()
     return float(np.degrees(turn.magnitude())), float(np.linalg.norm(off[:2])), abs(float(off[2])), abs(jaw)
