@@ -156,6 +156,12 @@ def test_the_simulated_set_is_read_like_the_real_one(simulated, head):
     assert sensor_head_mm(head)[1] < head.neutral[head.regions["scalp"]][:, 1].mean()
 
 
+def test_without_opengl_there_are_no_simulated_people(head, tmp_path, monkeypatch):
+    monkeypatch.setenv("WORKBENCH_NO_GL", "1")
+    with pytest.raises(InputError, match="drawn by OpenGL, which does not work here; install Mesa's drivers"):
+        simulate_set(tmp_path, head, ("jam5",), FRAMES)
+
+
 def test_a_set_that_is_there_is_not_simulated_again(simulated, head):
     before = (simulated / "jam5.avi").stat().st_mtime_ns
     simulate_set(simulated, head, ("jam5", "jim6"), FRAMES)

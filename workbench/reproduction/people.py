@@ -12,9 +12,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.geometry import Camera
 from workbench.pictures.extras import ColoredMesh, Extras
+from workbench.pictures.gl_probe import gl_available
 from workbench.pictures.head_scene import HeadScene
 from workbench.pictures.lighting import Lighting
 from workbench.pictures.mesh import to_camera
@@ -62,7 +64,12 @@ class FilmStudio:
     """Films people. Owns a GL context, so it is made and used in one thread; use it in a `with` block."""
 
     def __init__(self, head: FaceModel, camera: Camera, size: tuple[int, int]):
-        """`size`: width and height of the pictures."""
+        """`size`: width and height of the pictures. Raises `InputError` where VTK cannot draw."""
+        if not gl_available():
+            raise InputError(
+                "Simulated people are drawn by OpenGL, which does not work here; install Mesa's drivers (on Debian: "
+                "libegl1 and libgl1-mesa-dri) and run again."
+            )
         self.head, self.size = head, size
         self.camera = Camera(*(np.asarray(part, float) for part in camera))
         self._painter = skin_painter(head)
