@@ -197,6 +197,8 @@ def error_boxes(errors: dict[str, dict[str, Float[np.ndarray, "_"]]]) -> Figure:
             axis.plot(apart, values, ".", color=color, markersize=4, alpha=0.7)
         axis.set_ylim(bottom=0.0)
         axis.tick_params(axis="x", length=0, labelsize=8)
+        if len(errors) > 4 and len(groups) > 2:
+            axis.tick_params(axis="x", rotation=90)
         axis.set_title(title, fontsize=9)
         without_frame(axis)
     figure.tight_layout()
