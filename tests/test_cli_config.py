@@ -39,9 +39,9 @@ def test_check_tells_preset_version_and_distance_of_each_file(run, tmp_path):
     code, out, _ = run("config", "check", "same.toml", "tuned.toml", "old.toml")
     assert code == 0
     assert out.splitlines() == [
-        "OK     same.toml: preset joint, version 2, no differences from the preset",
+        "OK     same.toml: preset joint, version 3, no differences from the preset",
         "OK     tuned.toml: preset face-it, version 3, 2 differences from the preset",
-        "OK     old.toml: preset calibrated, version 1, migrated to version 2, 1 difference from the preset",
+        "OK     old.toml: preset calibrated, version 1, migrated to version 3, 1 difference from the preset",
     ]
 
 

@@ -53,8 +53,10 @@ from workbench.tracking.deep_programs import (
 )
 from workbench.tracking.deep_solver import solve_stage
 from workbench.tracking.deep_views import FAR_MM
+from workbench.tracking.moments import Moment
 from workbench.tracking.plan import StagePlan
 from workbench.tracking.records import FAILURES, meta_array, stack_fits
+from workbench.tracking.reestimation import Reestimator
 from workbench.tracking.systems import make_fitter
 
 CROP_SIDE = 256
@@ -489,6 +491,26 @@ def test_two_views_find_the_truth_and_place_it_better_than_one(shared, head, rig
     assert np.mean(errors[2]) < 0.5 * np.mean(errors[1])
 
 
+def test_reestimation_looks_at_all_views_of_a_rig(shared, head, rig_file):
+    """App. B.1 on a stored fit: with landmarks of the other view alone, and of both, the jaw is found again."""
+    config = POINTS.changed(camera={"rig": str(rig_file)})
+    fitter = fitter_with(shared, config)
+    scene = _stereo_scene(fitter, head)
+    fit, _ = fitter.fit(scene.observation(), scene.context())
+    assert fit.others.shape == (1, 68, 3)
+    np.testing.assert_array_equal(fit.others[0, :, :2], scene.landmarks[1].points)
+    shut = replace(fit, jaw=np.zeros(6), rotation=np.array(scene.parameters.rotation),
+                   translation=np.array(scene.parameters.translation))  # fmt: skip
+    hidden = replace(shut, confidence=np.zeros(68))
+    again = Reestimator(head, plan_of(config))
+    for before in (shut, hidden):
+        (found,) = (moment.fit for moment in again.stream([Moment(before, ())]))
+        np.testing.assert_array_equal(found.rotation, before.rotation)
+        assert np.degrees(found.jaw[0]) == pytest.approx(8.0, abs=1.5)
+    older = replace(hidden, others=np.zeros((0, 68, 3)))
+    assert next(again.stream([Moment(older, ())])).fit is older
+
+
 def test_a_view_without_a_detection_drops_out(shared, head, rig_file):
     fitter = fitter_with(shared, POINTS.changed(camera={"rig": str(rig_file)}))
     scene = _stereo_scene(fitter, head)
@@ -530,6 +552,7 @@ def test_a_rigs_views_are_lit_by_one_light(shared, head, tmp_path):
 # Views without perspective.
 
 
+@pytest.mark.filterwarnings("ignore:Stage 'expression' frees first")
 def test_the_parallel_view_finds_rotation_scale_place_and_shape(shared, head):
     """Appendix C.2 on a truth seen by that very camera: four stages from the mean face."""
     config = preset("deep-parallel").changed(camera={"fov_deg": 40.0}, deep={"energy": "points"})
@@ -551,6 +574,7 @@ def test_the_parallel_view_finds_rotation_scale_place_and_shape(shared, head):
     assert not fit.expression[10:].any()
 
 
+@pytest.mark.filterwarnings("ignore:Stage 'expression' frees first")
 def test_a_parallel_view_is_recorded_as_a_camera_far_away(shared, head):
     config = preset("deep-parallel").changed(camera={"fov_deg": 40.0}, deep={"energy": "points"})
     fitter = fitter_with(shared, config)
@@ -597,6 +621,7 @@ def test_face_it_has_neither_jaw_nor_parallel_views(change, words):
         preset("joint").changed(**change)
 
 
+@pytest.mark.filterwarnings("ignore:Stage 'expression' frees first")
 def test_a_rig_has_perspective_cameras(head, rig_file):
     with pytest.raises(ConfigError, match="rig's cameras are perspective"):
         make_fitter(head, plan_of(preset("deep-parallel").changed(camera={"rig": str(rig_file)})))

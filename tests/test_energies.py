@@ -31,7 +31,12 @@ from workbench.energies import (
     stage_factors,
     still,
 )
+from workbench.energies.flow import choose_surface
+from workbench.energies.flow_link import FlowLink, FlowTargets
 from workbench.face import FaceParameters, contour_blend, landmark_model, model_landmarks, pack, unpack
+from workbench.flow import surface_points
+from workbench.rendering import render_model
+from workbench.tracking.point_links import flow_views
 
 FREE_SETS = [
     ("rotation", "translation"),
@@ -48,7 +53,7 @@ OMEGA = {
     f"weights.{name}": value
     for name, value in {
         "sparse": 1.5, "pose": 0.7, "fit": 1.3, "prior": 0.9, "tau": 0.2, "beta": 0.3, "sigma": 0.4,
-        "sigma_smooth": 0.5, "range": 0.6,
+        "sigma_smooth": 0.5, "range": 0.6, "flow": 0.8,
     }.items()
 }  # fmt: skip
 OMEGA |= {"identity.weight": 0.8, "deep.edges": 0.7, "deep.regularisation": 1.1, "deep.prior": 0.4, "flow.stay": 1.7}
@@ -64,6 +69,16 @@ def of_weights(name, weights, constants=CONSTANTS):
     """A term's residual for some blendshape weights."""
     parameters = FaceParameters(jnp.zeros(3), jnp.zeros(3), jnp.asarray(weights, float), jnp.zeros(0))
     return residual_of(name)(parameters, still(parameters, constants))
+
+
+def moved_points(head, scene, rng) -> FlowLink:
+    """A few points of the face that another frame's flow sends somewhere near."""
+    points = surface_points(render_model(head), *choose_surface(head, 16))
+    count = len(points.barycentric)
+    targets = FlowTargets(
+        rng.normal(300.0, 40.0, (1, 1, count, 2)), np.ones((1, 1, count)), np.zeros((1, 1, count, 2)), np.array([1.2])
+    )
+    return FlowLink(points, flow_views(None, scene.camera), targets, np.asarray(50.0))
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +101,7 @@ def problem(head):
             last_pose=jnp.asarray(rng.normal(size=6)),
             history=jnp.ones(()),
             start=scene.parameters,
+            flow=moved_points(head, scene, rng),
         ),
     )
     parameters = scene.parameters._replace(

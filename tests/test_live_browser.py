@@ -25,12 +25,16 @@ CELLS = (
     PANEL,
     "ready = [panel.session.warm_up()]",
     """
-    import threading, time
+    import sys, threading, time, traceback
 
     began, number = time.perf_counter(), 0
-    while (passed := time.perf_counter() - began) < 2.0 or (panel.fit.index < first + 3 and passed < 240.0):
+    while (passed := time.perf_counter() - began) < 2.0 or (panel.fit.index < first + 3 and passed < 60.0):
         number += 1
-    print("fits meanwhile", panel.fit.index - first, "threads", [thread.name for thread in threading.enumerate()])
+    print("fits meanwhile", panel.fit.index - first)
+    if panel.fit.index < first + 3:
+        names = {thread.ident: thread.name for thread in threading.enumerate()}
+        for ident, frame in sys._current_frames().items():
+            print(names.get(ident), "".join(traceback.format_stack(frame)[-8:]))
     """,
     "first = panel.fit.index",
     """

@@ -116,7 +116,8 @@ def test_a_preset_moves_the_sliders_and_fits_once(playground, monkeypatch):
 def test_a_preset_brings_its_bounds_and_stages(playground):
     playground.preset.value = "face-it"
     assert not playground.config.solver.bounded
-    assert playground.fit.expression.min() < 0.0
+    assert playground.config.weights.beta == PRESETS["face-it"].weights.beta
+    assert len(playground.config.stages) == 3
     playground.preset.value = "joint"
     assert len(playground.config.stages) == 2
     playground.preset.value = "calibrated"

@@ -15,7 +15,7 @@ from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solver import StageResult
 from workbench.tracking.deep_views import FAR_MM, percent_px
 from workbench.tracking.failures import failure_of_residuals
-from workbench.tracking.fitting import FrameProblem, FrameSolution, StageTrace
+from workbench.tracking.fitting import FrameProblem, FrameSolution, StageTrace, landmarks_of_others
 from workbench.tracking.plan import Plan, StagePlan
 from workbench.tracking.records import FAILURES, FrameFit
 
@@ -116,6 +116,7 @@ def record_of(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork
         jaw=parameters.jaw,
         scale=scale,
         failure=_failure(solution, plan, network),
+        others=landmarks_of_others(observation),
     )
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from workbench.face import FaceModel, LandmarkModel
 from workbench.geometry import Camera
-from workbench.tracking.fitting import FrameObservation, FrameProblem, FrameSolution, StageTrace
+from workbench.tracking.fitting import FrameObservation, FrameProblem, FrameSolution, StageTrace, landmarks_of_others
 from workbench.tracking.frame_solver import (
     BLOCKS,
     STAGE_SLOTS,
@@ -139,6 +139,7 @@ def record_of(solution: FaceItSolution, plan: Plan) -> FrameFit:
         status=status,
         iterations=iterations,
         milliseconds=np.array([*observation.milliseconds, solution.milliseconds]),
+        others=landmarks_of_others(observation),
     )
 
 
@@ -165,6 +166,7 @@ def record_without_face(
         status=np.full(rows, -1),
         iterations=np.zeros(rows, int),
         milliseconds=np.array([*observation.milliseconds, 0.0]),
+        others=landmarks_of_others(observation),
     )
 
 

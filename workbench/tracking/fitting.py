@@ -217,6 +217,15 @@ class Fitter(ABC):
         return self.record(solution), self.traces(solution)
 
 
+def landmarks_of_others(observation: FrameObservation) -> Float[np.ndarray, "o 68 3"]:
+    """The other views' landmarks as a record holds them: x and y in pixels, and confidence; 0 without a face."""
+    found = np.zeros((len(observation.others), 68, 3))
+    for row, landmarks in zip(found, observation.others, strict=True):
+        if landmarks is not None:
+            row[:, :2], row[:, 2] = landmarks.points, landmarks.confidence
+    return found
+
+
 def with_face(observation: FrameObservation) -> FrameObservation:
     """The observation. Raises `InputError` if it has no landmarks."""
     if observation.landmarks is None:

@@ -147,7 +147,15 @@ class FlowFitter:
         `empty` provides the frame's number and times; `like` (an anchor) provides camera, person and layout.
         """
         made = self.placed(replace(like, index=empty.index, milliseconds=empty.milliseconds), parameters)
-        return replace(made, found=True, failure="", source="filled", observed=made.projected, confidence=np.zeros(68))
+        return replace(
+            made,
+            found=True,
+            failure="",
+            source="filled",
+            observed=made.projected,
+            confidence=np.zeros(68),
+            others=np.zeros_like(like.others),
+        )
 
     def landmarks(self, fit: FrameFit, parameters: FaceParameters) -> Float[np.ndarray, "68 2"]:
         """The model's landmarks in the reference picture, pixels."""

@@ -60,6 +60,8 @@ class FrameFit:
     """Motion of the jaw joint (`FaceParameters.jaw`); zero for models with blendshapes only."""
     scale: float = 1.0
     """Scale of the head, for orthographic views."""
+    others: Float[np.ndarray, "o 68 3"] = field(default_factory=lambda: np.zeros((0, 68, 3)))
+    """Landmarks in the other views of a rig: x and y in pixels, and confidence; 0 where a view saw no face."""
     failure: str = ""
     """One of `FAILURES`: why the fit should not be used; empty for a usable fit."""
 
@@ -117,6 +119,7 @@ class Track:
     jaw: Float[np.ndarray, "n 6"]
     scale: Float[np.ndarray, "n"]
     failure: np.ndarray
+    others: Float[np.ndarray, "n o 68 3"]
     meta: dict[str, Any]
     """Expression names, configuration, inputs, names of the frames, software versions: plain JSON."""
 

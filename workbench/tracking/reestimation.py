@@ -41,6 +41,7 @@ class Reestimator:
     def __init__(self, model: FaceModel, plan: Plan):
         """Raises `ConfigError` if no stage of the plan frees the expression."""
         self._fitter = make_fitter(model, replace(plan, stages=(reestimation_stage(plan),)))
+        self._rig = plan.camera.rig
         self._appearances: dict[int, Appearance | None] = {}
 
     def stream(
@@ -48,7 +49,8 @@ class Reestimator:
     ) -> Iterator[Moment]:
         """Each frame with its expression re-fitted; frames without landmarks of their own are unchanged."""
         for moment in stream:
-            seen = moment.fit.found and np.nan_to_num(moment.fit.confidence).max() > 0.0
+            confidences = (moment.fit.confidence, *moment.fit.others[..., 2])
+            seen = moment.fit.found and max(np.nan_to_num(each).max() for each in confidences) > 0.0
             yield moment._replace(fit=self.fit(moment)) if seen else moment
             advanced(moment.fit)
 
@@ -57,12 +59,11 @@ class Reestimator:
         before = moment.fit
         observation = FrameObservation(
             before.index,
-            Landmarks2D(before.observed, before.confidence, before.image_size),
+            _landmarks(before.observed, before.confidence, before.image_size),
             before.image_size,
             before.source,
             picture=moment.pictures[0] if moment.pictures else None,
-            # A track stores only the landmarks of the reference view.
-            others=(None,) * (max(len(moment.pictures), 1) - 1),
+            others=self._others(moment),
         )
         start = parameters_of(before)
         context = FrameContext(
@@ -78,8 +79,21 @@ class Reestimator:
             milliseconds=before.milliseconds,
         )
 
+    def _others(self, moment: Moment) -> tuple[Landmarks2D | None, ...]:
+        """The other views' landmarks; none in tracks of older workbenches, which stored the reference view's alone."""
+        stored, pictured = moment.fit.others, max(len(moment.pictures), 1) - 1
+        if not len(stored) or self._rig is None:
+            return (None,) * pictured
+        sizes = [view.image_size for view in self._rig.views[1:]]
+        return tuple(_landmarks(each[:, :2], each[:, 2], size) for each, size in zip(stored, sizes, strict=True))
+
     def _appearance(self, moment: Moment, observation: FrameObservation) -> Appearance | None:
         if moment.fit.shot not in self._appearances:
             identity = np.asarray(moment.fit.identity, float)
             self._appearances[moment.fit.shot] = self._fitter.appearance([observation], identity)
         return self._appearances[moment.fit.shot]
+
+
+def _landmarks(points, confidence, size: tuple[int, int]) -> Landmarks2D | None:
+    """Stored landmarks; None of a view that saw no face."""
+    return Landmarks2D(points, confidence, size) if np.nan_to_num(confidence).max() > 0.0 else None

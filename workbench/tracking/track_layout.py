@@ -42,17 +42,18 @@ LAYOUT: Mapping[str, tuple[str, tuple[int | str, ...]]] = {
     "jaw": ("f", (6,)),
     "scale": ("f", ()),
     "failure": ("iu", ()),
+    "others": ("f", ("other views", 68, 3)),
 }
 """Kind of number (NumPy's letter) and sizes per frame; sizes with the same name must be equal."""
-LATER = ("jaw", "scale", "failure")
-"""Arrays that the first version did not write."""
+LATER = ("jaw", "scale", "failure", "others")
+"""Arrays that older workbenches did not write."""
 MOST_NAMED = 10_000
-"""Maximum number of blendshapes, identity components, stages or energies."""
+"""Maximum number of blendshapes, identity components, stages, energies or views."""
 LARGEST = 1e30
 """Largest magnitude of any number in a fit, because they are also used in 32-bit computations."""
 FITTED = (
     *("focal_px", "principal_point_px", "distortion", "rotation", "translation", "expression", "identity"),
-    *("observed", "confidence", "projected", "jaw", "scale"),
+    *("observed", "confidence", "projected", "jaw", "scale", "others"),
 )
 """Arrays that must be finite in a frame with a face."""
 
@@ -122,7 +123,12 @@ def meta_array(meta: dict[str, Any]) -> np.ndarray:
 
 def in_todays_layout(stored: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
     """All arrays of a track of `count` frames; arrays missing from older versions get the values implied then."""
-    old = {"jaw": np.zeros((count, 6)), "scale": np.ones(count), "failure": np.zeros(count, np.int8)}
+    old = {
+        "jaw": np.zeros((count, 6)),
+        "scale": np.ones(count),
+        "failure": np.zeros(count, np.int8),
+        "others": np.zeros((count, 0, 68, 3)),
+    }
     return {name: stored[name] if name in stored or name not in LATER else old[name] for name in LAYOUT}
 
 
