@@ -190,7 +190,7 @@ def stereo(bench: Bench) -> None:
 def orthographic(bench: Bench) -> None:
     """Appendix C.2: no perspective, mean face, 10 + 10 components, on perspective photos."""
     parallel = preset("deep-parallel").changed(camera={"fov_deg": FOV_DEG}, deep={"distance_mm": START_MM})
-    rows = bench.solve(parallel, bench.frames, "orthographic", identity=False)
+    rows = bench.solve(parallel, bench.frames, "deep-parallel", identity=False)
     same = _config(identity={"calibrate": False})
     perspective = bench.solve(same, bench.frames, "perspective, mean face", identity=False)
     known = bench.solve(_config(), bench.frames, "perspective, own face")

@@ -35,8 +35,8 @@ LEAST_PICTURES = {
     "13_optical_flow_and_infill": 11,
     "14_temporal_refinement": 11,
     "15_live": 2,
-    "16_face_it_remade": 5,
-    "17_deep_energies_remade": 6,
+    "16_face_it_remade": 6,
+    "17_deep_energies_remade": 7,
 }
 TIMEOUT_S = 300
 

@@ -264,13 +264,22 @@ def test_e_2_is_the_differences_of_neighbours_with_the_other_sign(rng):
     assert agrees(slopes(predicted, views, "edges"), paper.gradient(expected, predicted.ravel()))
 
 
-def test_the_published_e_2_has_no_weights_but_a_view_without_a_face_says_nothing(rng):
+def test_the_published_e_2_has_no_weights_but_leaves_out_what_takes_no_part(rng):
+    """A landmark of weight 0, and a view without a face, have no edges."""
     target, predicted = rng.normal(size=(2, 2, 68, 2))
-    weights = np.stack([rng.uniform(0.0, 2.0, 68) * (rng.random(68) > 0.3), np.zeros(68)])
+    weights = np.stack([rng.uniform(0.1, 2.0, 68), np.zeros(68)])
     published = EnergyConstants(weighted_edges=0.0)
-    ours = terms(predicted, view(target, weights), ("edges",), constants=published)["edges"].reshape(2, 67, 2)
-    assert agrees(-ours[0], paper.edge_residuals(predicted[0], target[0]))
-    assert not np.asarray(ours[1]).any()
+
+    def ours(weights):
+        return np.asarray(terms(predicted, view(target, weights), ("edges",), constants=published)["edges"])
+
+    whole = ours(weights).reshape(2, 67, 2)
+    assert agrees(-whole[0], paper.edge_residuals(predicted[0], target[0]))
+    assert not whole[1].any()
+    weights[0, 30] = 0.0
+    muted = ours(weights).reshape(2, 67, 2)
+    assert not muted[0, 29:31].any()
+    assert agrees(np.delete(muted[0], (29, 30), axis=0), np.delete(whole[0], (29, 30), axis=0))
 
 
 def test_an_edge_counts_as_its_less_certain_end_by_default(rng):

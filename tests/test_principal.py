@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.deep_scenes import IMAGE_SIZE
-from workbench.config import preset
+from workbench.config import Stage, preset
 from workbench.errors import ModelError
 from workbench.face import FaceModel, keeps_the_mouth_shut, principal_expressions
 from workbench.face.principal import random_expressions
@@ -69,11 +69,22 @@ def test_the_same_seed_makes_the_same_basis(principal, head):
 
 @pytest.mark.parametrize("count", [0, 45])
 def test_more_components_than_blendshapes_are_refused(head, count):
-    with pytest.raises(ModelError, match=f"44 blendshapes give 1 to 44 components, {count} were asked for"):
+    with pytest.raises(ModelError, match=f"has 44 blendshapes, so {count} components cannot be made"):
         principal_expressions(head, count)
 
 
+def test_too_few_faces_and_statistical_bases_are_refused(principal, head):
+    with pytest.raises(ModelError, match="44 blendshapes need as many random faces or more, got 43"):
+        principal_expressions(head, faces=43)
+    with pytest.raises(ModelError, match="do not run from 0 to 1; it has a statistical basis already"):
+        principal_expressions(principal)
+
+
 # The mouth.
+
+
+def dumped(name):
+    return [stage.model_dump() for stage in preset(name).stages]
 
 
 def test_the_first_blendshapes_of_the_default_head_keep_the_mouth_shut(principal, head):
@@ -84,12 +95,14 @@ def test_the_first_blendshapes_of_the_default_head_keep_the_mouth_shut(principal
 
 @pytest.mark.parametrize("name", ["orthographic", "deep-parallel"])
 def test_first_components_that_open_no_mouth_are_warned_of(principal, head, name):
-    with pytest.warns(UserWarning, match=r"frees first:10 of default-head, none of which parts the lips"):
+    with pytest.warns(UserWarning, match="stages free first:10 of default-head, none of which parts the lips"):
         DeepFitter(head, plan_of(preset(name)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         DeepFitter(principal, plan_of(preset(name)))
         DeepFitter(head, plan_of(preset("deep")))
+        opening = Stage(name="jaw", free=("expression",), shapes=("jawOpen",))
+        DeepFitter(head, plan_of(preset(name).changed(stages=[*dumped(name), opening.model_dump()])))
 
 
 @pytest.mark.slow

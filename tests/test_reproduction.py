@@ -10,13 +10,17 @@ from scipy.spatial.transform import Rotation
 
 from workbench import reproduction
 from workbench.errors import InputError
-from workbench.geometry import axis_angle_from_yaw_pitch_roll, project, yaw_pitch_roll_deg
+from workbench.face import FaceParameters
+from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
+from workbench.pictures.lighting import Light, Lighting
 from workbench.reproduction import Item, Result, Study, Table, boston_camera, pose_errors
 from workbench.reproduction import study as studies
 from workbench.reproduction.boston import INCH_MM, NAMES, BostonSequence, read_set
+from workbench.reproduction.differences import deep_configs, face_it_configs
 from workbench.reproduction.head_pose import POSE_COLUMNS, errors_of, poses_by_pnp, read_poses
 from workbench.reproduction.items import ITEMS
+from workbench.reproduction.rendered_clip import clip_truth, errors_of_pose_and_jaw
 from workbench.reproduction.simulated_boston import (
     DISTANCE_MM,
     SHIFT_MM,
@@ -25,6 +29,8 @@ from workbench.reproduction.simulated_boston import (
     sensor_head_mm,
     simulate_set,
 )
+from workbench.reproduction.stereo_film import APART_DEG, AWAY_MM, turned_lighting, two_cameras
+from workbench.samples import sample
 
 FRAMES = 4
 
@@ -256,3 +262,45 @@ def test_the_command_refuses_an_unknown_item(run):
     code, _, err = run("reproduce", "fig-1")
     assert code == 2
     assert "There is no item 'fig-1'" in err
+
+
+# Deep Energies.
+
+
+def test_both_cameras_of_the_stereo_film_look_at_the_head():
+    rig = two_cameras()
+    for view in rig.views:
+        seen = view.rotation_view_world @ [0.0, 0.0, AWAY_MM] + view.translation_view_world_mm
+        np.testing.assert_allclose(seen, [0.0, 0.0, AWAY_MM], atol=1e-9)
+    front, side = (view.position_world_mm - [0.0, 0.0, AWAY_MM] for view in rig.views)
+    cosine = front @ side / np.linalg.norm(front) / np.linalg.norm(side)
+    assert np.degrees(np.arccos(cosine)) == pytest.approx(APART_DEG)
+
+
+def test_a_light_turns_with_the_camera():
+    turn = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
+    (light,) = turned_lighting(Lighting((Light((1.0, 0.0, 0.0), 1.0),), 0.2), turn).lights
+    np.testing.assert_allclose(light.direction, [0.0, 0.0, -1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", [0, 200])
+def test_the_truth_of_the_clip_has_no_errors(head, frame):
+    truth = clip_truth()
+    jaw = np.array([np.radians(truth.jaw_deg[frame]), *np.zeros(5)])
+    parts = truth.rotation[frame], truth.translation_mm[frame], truth.expression[frame], truth.identity, jaw
+    parameters = FaceParameters(*parts, np.ones(1))
+    np.testing.assert_allclose(errors_of_pose_and_jaw(parameters, frame), 0.0, atol=1e-9)
+    person = head.personal(truth.identity)
+    focal, middle = truth.camera_matrix[[0, 1], [0, 1]], truth.camera_matrix[:2, 2]
+    turn = Rotation.from_rotvec(truth.rotation[frame]).as_matrix()
+    points = person.landmarks.of(person.vertices(truth.expression[frame])) @ turn.T + truth.translation_mm[frame]
+    with np.load(sample("performance-truth"), allow_pickle=False) as stored:
+        exact = stored["landmarks"][frame]
+        seen = project(Camera(focal, middle, stored["distortion"]), points)
+    np.testing.assert_allclose(np.asarray(seen)[17:], exact[17:], atol=0.05)
+
+
+@pytest.mark.parametrize("configs", [face_it_configs, deep_configs])
+def test_every_row_of_the_differences_is_another_configuration(configs):
+    made = [config.model_dump_json(exclude={"preset"}) for config in configs().values()]
+    assert len(set(made)) == len(made)

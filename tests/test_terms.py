@@ -159,6 +159,9 @@ def test_a_term_that_does_not_exist_is_named_with_those_that_do():
 def test_the_slider_of_a_term_is_grey_until_a_stage_names_it():
     assert is_inert(preset("joint"), "deep.edges")
     assert is_inert(preset("deep"), "weights.tau")
+    assert is_inert(preset("joint"), "deep.lambda_reading")
+    assert is_inert(preset("orthographic"), "deep.lambda_reading")
+    assert not is_inert(preset("deep"), "deep.lambda_reading")
     assert not is_inert(linked(POINTS, 1.0), "weights.tau")
     assert not is_inert(linked(POINTS, 1.0), "constants.rotation_mm")
     assert is_inert(POINTS, "constants.a")

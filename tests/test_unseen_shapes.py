@@ -99,7 +99,7 @@ def test_calibration_holds_it_too(head, tongue):
 # Renders and flow.
 
 
-@pytest.mark.filterwarnings("ignore:Stage 'expression' frees first")
+@pytest.mark.filterwarnings("ignore:The stages free first")
 @pytest.mark.parametrize("name", [name for name in PRESETS if name not in FACE_IT_PRESETS])
 def test_deep_energies_frees_it_in_no_stage(head, tongue, name):
     config = preset(name)

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from workbench.config.configuration import DEFAULT_PRESET, VERSION, Config, quoted, validated
 from workbench.config.presets import preset
-from workbench.config.schedules import Stage
+from workbench.config.schedules import PARALLEL_STAGES, Stage
 from workbench.errors import ConfigError
 from workbench.files import atomic_path
 from workbench.reading import checked_file, reading, toml_tables
@@ -62,6 +62,8 @@ def _from_2(stored: dict[str, Any]) -> dict[str, Any]:
     name = stored.get("preset", DEFAULT_PRESET)
     if isinstance(name, str):
         stored = {**stored, "preset": RENAMED_IN_3.get(name, name)}
+    if name == "orthographic":
+        stored = {"stages": ORTHOGRAPHIC_BEFORE_3, **stored}
     if name != "face-it":
         return stored
     given = {key: stored.get(key, {}) for key in FACE_IT_BEFORE_3}
@@ -72,11 +74,15 @@ def _from_2(stored: dict[str, Any]) -> dict[str, Any]:
 
 RENAMED_IN_3 = {"deep-energies": "deep", "preselected-points": "deep-points", "orthographic": "deep-parallel"}
 FACE_IT_BEFORE_3: dict[str, dict[str, Any]] = {
-    "weights": {"tau": 0.01, "beta": 0.01, "sigma": 0.01},
-    "constants": {"rotation_mm": 100.0},
+    "weights": {"beta": 0.01, "sigma": 0.01},
+    "constants": {"rotation_mm": 100.0, "weighted_edges": True},
     "landmarks": {"confidence": True},
 }
 """What the preset `face-it` had before version 3, where it has changed."""
+ORTHOGRAPHIC_BEFORE_3 = [
+    *(stage.model_dump() for stage in PARALLEL_STAGES[:-1]),
+    PARALLEL_STAGES[-1].model_dump() | {"terms": ("regularisation",)},
+]
 MIGRATIONS = {1: _from_1, 2: _from_2}
 """By version: the function that turns a stored configuration into one of the next version."""
 

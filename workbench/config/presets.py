@@ -3,7 +3,7 @@
 from typing import Any
 
 from workbench.config.configuration import Config, quoted
-from workbench.config.schedules import DEEP_STAGES, PARALLEL_STAGES, PRESET_STAGES
+from workbench.config.schedules import DEEP_STAGES, OUR_PARALLEL_STAGES, PARALLEL_STAGES, PRESET_STAGES
 from workbench.config.sections import (
     CameraConfig,
     ConstantsConfig,
@@ -23,7 +23,7 @@ def _preset_weights(preset: str) -> Any:
     return WeightsConfig(**{term.name: term.presets[preset] for term in own_weights() if preset in term.presets})
 
 
-# What both papers print, or do not print: pixels, no bounds, no confidences, nothing that slides, edges all alike.
+# Common to the presets with the papers' names: pixels, no bounds, no confidences, nothing that slides, edges all alike.
 AS_PRINTED: dict[str, Any] = {
     "solver": SolverConfig(bounded=False, unit="px"),
     "landmarks": LandmarksConfig(confidence=False),
@@ -31,7 +31,7 @@ AS_PRINTED: dict[str, Any] = {
     "constants": ConstantsConfig(rotation_mm=1.0, weighted_edges=False),
 }
 # Sec. 8.2 prints E_2 = λw and calls it L2 regularisation. As the vector λw beside the residuals E_1, λ = 100 would keep
-# the mouth nearly shut; as λ‖w‖² it opens as in the paper's figures. The paper prints no weight of Sec. 8.1's E_2.
+# the mouth half shut; as λ‖w‖² it opens as in the paper's figures. The paper prints no weight of Sec. 8.1's E_2.
 DEEP_AS_PRINTED: dict[str, Any] = {
     "derivative": "forward",
     "edges": 1.0,
@@ -80,20 +80,20 @@ PRESETS: dict[str, Config] = {
         stages=PARALLEL_STAGES,
         **AS_PRINTED,
     ),
-    # Ours: the same stages with errors in percent of the outer-eye distance, confidences, bounds on weights and jaw, a
-    # sliding contour, a λ that lets the jaw open, and a derivative that costs an eighth.
+    # Ours: the same stages with errors in percent of the outer-eye distance, confidences, bounds on weights and jaw,
+    # weighted edges, a sliding contour, and a derivative that costs an eighth.
     "deep": Config(preset="deep", system="deep-energies", stages=DEEP_STAGES),
     "deep-points": Config(
         preset="deep-points", system="deep-energies", deep=DeepConfig(energy="points"), stages=DEEP_STAGES
     ),
-    # Ours after C.2: priors on shape and expression too.
+    # Ours after C.2: priors on shape and expression, and a shape that does not explain the mouth.
     "deep-parallel": Config(
         preset="deep-parallel",
         system="deep-energies",
         camera=CameraConfig(projection="orthographic"),
         identity=IdentityConfig(calibrate=False),
         deep=DeepConfig(appearance="model"),
-        stages=(*PARALLEL_STAGES[:-1], PARALLEL_STAGES[-1].model_copy(update={"terms": ("regularisation",)})),
+        stages=OUR_PARALLEL_STAGES,
     ),
 }
 

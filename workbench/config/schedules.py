@@ -104,6 +104,16 @@ FIRST_10 = ("first:10",)
 PARALLEL_STAGES = (
     Stage(name="translation", free=("translation",), landmarks={"non_jaw": 1.0}, limit=5, terms=("edges",)),
     Stage(name="rigid and scale", free=(*POSE, "scale"), limit=15, terms=("edges",)),
+    Stage(name="shape", free=(*POSE, "identity"), shapes=FIRST_10, limit=12),
+    Stage(name="expression", free=(*POSE, "expression"), shapes=FIRST_10, limit=12),
+)
+"""After Deep Energies Appendix C.2, the first two with the edges and landmarks of Sec. 8.1; the limits are ours.
+
+The first ten are the largest of a statistical basis. The default head's blendshapes are in alphabetical order: its
+first ten move neither jaw nor mouth."""
+
+OUR_PARALLEL_STAGES = (
+    *PARALLEL_STAGES[:2],
     # Shape must not explain an open mouth, which the next stage cannot take back.
     Stage(
         name="shape",
@@ -112,11 +122,8 @@ PARALLEL_STAGES = (
         landmarks={"all": 1.0, "mouth": 0.0, "jaw": 0.0},
         limit=12,
     ),
-    Stage(name="expression", free=(*POSE, "expression"), shapes=FIRST_10, limit=12),
+    Stage(name="expression", free=(*POSE, "expression"), shapes=FIRST_10, limit=12, terms=("regularisation",)),
 )
-"""After Deep Energies Appendix C.2; limits and landmark weights are ours. The first ten are the largest of a
-statistical basis. The default head's blendshapes are in alphabetical order: its first ten move neither jaw nor
-mouth."""
 
 PRESET_STAGES: dict[str, tuple[Stage, ...]] = {
     "face-it": (

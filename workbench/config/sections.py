@@ -74,7 +74,7 @@ class ConstantsConfig(Section):
         100.0, description="E_τ and E_prior: millimetres equivalent to one radian; 1: as published."
     )
     weighted_edges: bool = Field(
-        True, description="E_2: an edge counts as the lesser weight of its ends; false: all alike, as published."
+        True, description="E_2: an edge counts as the lesser weight of its ends; false: all of some weight alike."
     )
 
 

@@ -188,7 +188,8 @@ class ShotReference:
             starts.append(
                 FaceParameters(fit.rotation, fit.translation * [1.0, 1.0, factor], fit.expression, fit.identity)
             )
-        weights = np.stack([frame.landmarks.confidence for frame in chosen] + [np.zeros(68)] * padding)
+        counts = plan_of(self.config).counts
+        weights = np.stack([counts(frame.landmarks.confidence) for frame in chosen] + [np.zeros(68)] * padding)
         chosen, starts, cameras = (part + part[-1:] * padding for part in (chosen, starts, cameras))
         used = np.array(self.config.point_weights())
         settings = CalibrationSettings(

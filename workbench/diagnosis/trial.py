@@ -103,7 +103,8 @@ class Trial:
     # --- the measure ---
 
     def misfit(self, fit: FrameFit, doubted: Bool[np.ndarray, "68"] | None = None, past_doubted: bool = False) -> float:
-        """Nats left unexplained by a fit; `doubted` landmarks cost at most their price.
+        """Nats left unexplained by a fit; `doubted` landmarks cost at most their price, and those that the detector
+        doubts less, whatever the configuration makes of its confidence.
 
         `past_doubted`: neighbouring frames may have the same fault, so deviating from their motion costs nothing.
         """

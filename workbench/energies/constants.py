@@ -19,4 +19,5 @@ class EnergyConstants(NamedTuple):
     rotation_mm: Scalar = 100.0
     """E_τ: millimetres that one radian counts as, so that r and t are comparable."""
     weighted_edges: Scalar = 1.0
-    """E_2: 1: an edge counts as the lesser weight of its ends; 0: all edges alike, as in the paper."""
+    """E_2: 1: an edge counts as the lesser weight of its ends; 0: all edges between landmarks that
+    take part alike, as in the paper."""

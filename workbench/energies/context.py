@@ -20,7 +20,8 @@ class LandmarkErrors(NamedTuple):
     unit: Scalar = 1.0
     """What counts as 1, in the unit of the errors."""
     weighted_edges: Scalar = 1.0
-    """1: an edge between landmarks counts as the lesser weight of its ends; 0: all edges of a view alike."""
+    """1: an edge between landmarks counts as the lesser weight of its ends; 0: all edges between landmarks
+    of some weight alike."""
 
 
 class TermContext(NamedTuple):

@@ -9,10 +9,10 @@ from workbench.energies.context import LandmarkErrors
 def edge_residual(errors: LandmarkErrors) -> Float[Array, "n"]:
     """Differences of consecutive landmarks' errors.
 
-    The paper counts all alike; a choice of ours is that each counts as its less certain end. Either way a view without
-    a face counts nothing.
+    The paper counts all alike; a choice of ours is that each counts as its less certain end. Either way an edge with an
+    end that takes no part counts nothing.
     """
     lesser = jnp.minimum(errors.root[..., 1:], errors.root[..., :-1])
-    seen = (errors.root.max(axis=-1, keepdims=True) > 0.0).astype(lesser.dtype)
-    ends = jnp.where(jnp.asarray(errors.weighted_edges) > 0.5, lesser, seen)
+    taking_part = (lesser > 0.0).astype(lesser.dtype)
+    ends = jnp.where(jnp.asarray(errors.weighted_edges) > 0.5, lesser, taking_part)
     return (ends[..., None] * (errors.error[..., 1:, :] - errors.error[..., :-1, :]) / errors.unit).ravel()

@@ -23,15 +23,17 @@ SIDES_DIFFER = 0.2
 def principal_expressions(model: FaceModel, count: int = 10, faces: int = 2000, seed: int = 0) -> FaceModel:
     """The model with `count` principal components of random faces in place of its blendshapes, the largest first.
 
-    The components are about the neutral face, which stays at weights of 0, and scaled to a standard deviation of 1 over
-    the faces. `expression_000` and so on, with weights from −3 to 3. Raises `ModelError` for more components than
-    blendshapes.
+    The components are about the neutral face, which stays at weights of 0; their offsets are millimetres per standard
+    deviation over the faces. `expression_000` and so on, with weights from −3 to 3. Raises `ModelError` for more
+    components than blendshapes, fewer faces than blendshapes, and models whose weights do not run from 0 to 1.
     """
-    if not 1 <= count <= len(model.expression_names):
-        raise ModelError(
-            f"{len(model.expression_names)} blendshapes give 1 to {len(model.expression_names)} components, "
-            f"{count} were asked for."
-        )
+    shapes = len(model.expression_names)
+    if not 1 <= count <= shapes:
+        raise ModelError(f"{model.name} has {shapes} blendshapes, so {count} components cannot be made of them.")
+    if faces < shapes:
+        raise ModelError(f"{shapes} blendshapes need as many random faces or more, got {faces}.")
+    if not np.array_equal(model.weight_range(), np.tile([0.0, 1.0], (shapes, 1))):
+        raise ModelError(f"The weights of {model.name} do not run from 0 to 1; it has a statistical basis already.")
     weights = random_expressions(model.expression_names, faces, np.random.default_rng(seed))
     root = np.linalg.qr(weights / np.sqrt(faces), mode="r")
     _, sizes, directions = np.linalg.svd(root @ model.expression_deltas.reshape(len(root), -1), full_matrices=False)
@@ -41,6 +43,7 @@ def principal_expressions(model: FaceModel, count: int = 10, faces: int = 2000, 
     largest = np.take_along_axis(along_y, np.abs(along_y).argmax(axis=1)[:, None], axis=1)
     return replace(
         model,
+        name=f"{model.name}-principal-{count}",
         expression_names=tuple(f"expression_{k:03d}" for k in range(count)),
         expression_deltas=components * -np.sign(largest)[..., None],
         expression_range=np.tile([-DEVIATIONS, DEVIATIONS], (count, 1)),

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +26,7 @@ from workbench.tracking.deep_solution import DeepSolution
 from workbench.tracking.deep_target import photo_landmarks
 
 QUANTITIES = ("rotation, °", "across, mm", "depth, mm", "jaw, °")
+QUICK_NOTE = "A quick run leaves out what takes the derivative through the network: it takes long to compile."
 START_MM = 800.0
 """Distance of the frontal start; the head is 640 mm away."""
 
@@ -42,7 +44,7 @@ class ClipSolves:
 
     @property
     def seconds(self) -> float:
-        """Mean seconds a frame, without the slowest, which compiles."""
+        """Mean seconds per frame, without the slowest of several, which compiles."""
         taken = sorted(sum(each.seconds) for each in self.solutions.values())
         return float(np.mean(taken[:-1] or taken))
 
@@ -53,12 +55,19 @@ class ClipSolves:
         return np.array([errors_of_pose_and_jaw(step, frame) for step in steps])
 
 
+@cache
+def observed(frame: int) -> FrameObservation:
+    """A frame as the network sees it, in a crop around the stored landmarks."""
+    picture = clip_pictures((frame,))[frame]
+    seen = photo_landmarks(bundled_landmark_network(), picture, clip_landmarks()[frame])
+    return FrameObservation(frame, seen, seen.image_size, picture=picture)
+
+
 class ClipSolver:
     """Solves frames under several configurations, from one appearance."""
 
     def __init__(self, head: FaceModel):
-        self._head, self._network = head, bundled_landmark_network()
-        self._observations: dict[int, FrameObservation] = {}
+        self._head = head
         self._appearance: Appearance | None = None
 
     def solve(self, config: Config, frames: Sequence[int], study: Study, label: str) -> ClipSolves:
@@ -70,17 +79,9 @@ class ClipSolver:
         )
         fitter, identity = DeepFitter(self._head, plan_of(config)), clip_truth().identity
         if self._appearance is None:
-            self._appearance = fitter.appearance([self._observed(NEUTRAL_FRAME)], identity)
+            self._appearance = fitter.appearance([observed(NEUTRAL_FRAME)], identity)
         context, solutions = FrameContext(0, identity, None, None, self._appearance), {}
         for done, frame in enumerate(frames):
             study.progress(label, done, len(frames))
-            solutions[frame] = fitter.solve(fitter.problem(self._observed(frame), context))
+            solutions[frame] = fitter.solve(fitter.problem(observed(frame), context))
         return ClipSolves(fitter, solutions)
-
-    def _observed(self, frame: int) -> FrameObservation:
-        """A frame as the network sees it, in a crop around the stored landmarks."""
-        if frame not in self._observations:
-            picture = clip_pictures((frame,))[frame]
-            seen = photo_landmarks(self._network, picture, clip_landmarks()[frame])
-            self._observations[frame] = FrameObservation(frame, seen, seen.image_size, picture=picture)
-        return self._observations[frame]

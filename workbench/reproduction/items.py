@@ -35,6 +35,15 @@ ITEMS = (
         printed="Two smooth steps that leave weights in [0, 1] free: a = 1.002, b = 2·10⁻⁵, c = 2.5.",
     ),
     Item(
+        name="cases",
+        paper=FACE_IT,
+        place="Fig. 3",
+        title="Twelve cases",
+        make="cases:sheet",
+        printed="Photos of several people with large poses, expressions, low light and occlusions, and the faces of a "
+        "character that follow them.",
+    ),
+    Item(
         name="iterations",
         paper=FACE_IT,
         place="Fig. 4, left",
@@ -76,7 +85,7 @@ ITEMS = (
         place="the whole",
         title="What our differences from the paper are worth",
         make="differences:face_it",
-        printed="No values of ω; fits of a user study without known weights.",
+        printed="No values of ω; pictures of fits, no errors of the weights.",
     ),
     Item(
         name="stages",
@@ -94,7 +103,8 @@ ITEMS = (
         title="Landmarks seen in the render against points on the mesh",
         make="deep_energies:seen_or_preselected",
         printed="Strips of both after the expression stages: what the network sees in the render takes longer and "
-        "generally does better than preselected points.",
+        "generally aligns the head better than preselected points, which find some frames' expression better at the "
+        "cost of the pose.",
     ),
     Item(
         name="stereo",
@@ -103,6 +113,14 @@ ITEMS = (
         title="Rigid errors by one camera and by two",
         make="deep_energies:stereo",
         printed="Plots: rotations alike by one camera and by two; translations much more accurate by two.",
+    ),
+    Item(
+        name="components",
+        paper=DEEP_ENERGIES,
+        place="App. C.2",
+        title="Ten components each of shape and expression, no lens known",
+        make="components:opening",
+        printed="Pictures: Basel's model by parallel projection beside 3DDFA, VRN and PRNet.",
     ),
     Item(
         name="deep-differences",

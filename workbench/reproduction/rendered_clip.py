@@ -23,6 +23,9 @@ FOV_DEG = 33.0
 """The clip's lens."""
 CLIP = "the bundled clip of a rendered head (240 frames of 640 × 480) with landmarks by dlib"
 NEUTRAL_FRAME = 0
+OPEN_MOUTH = 200
+"""A frame with the mouth as wide open as the clip has it."""
+SEVEN_FRAMES = (24, 60, 100, 140, 180, OPEN_MOUTH, 220)
 
 
 class ClipTruth(NamedTuple):

@@ -39,7 +39,10 @@ class StereoFilm:
 
 
 def film_stereo(head: FaceModel, frames: int, progress: Progress) -> StereoFilm:
-    """Film so many frames; the first one is nearly neutral. Landmarks are N(F*) in both views."""
+    """Film so many frames; the first one is nearly neutral. Landmarks are N(F*) in both views.
+
+    Raises `InputError` where VTK cannot draw.
+    """
     rng = np.random.default_rng(SEED)
     rig, motion = two_cameras(), talk_and_nod(head.expression_names, frames)
     camera = rig.views[0].camera

@@ -138,6 +138,8 @@ KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP, *MET
 def is_inert(config: Config, path: str) -> bool:
     """Whether a knob has no effect under this configuration's system and stages."""
     section, _, key = path.rpartition(".")
+    if path == "deep.lambda_reading":
+        return is_inert(config, "deep.regularisation")
     if section == "constants":
         return not any(key in TABLE[name].constants for name in config.summed_terms)
     if section in ("weights", "deep") and path in config.omega():

@@ -280,19 +280,22 @@ class DeepFitter(Fitter):
 
 
 def _warn_of_a_shut_mouth(model: FaceModel, plan: Plan) -> None:
-    """Warn where the first components of a basis are all that a plan frees, and none of them opens the mouth."""
+    """Warn where stages free the first components of a basis, and nothing that any stage frees opens the mouth."""
     stages = [stage for stage in plan.stages if stage.enabled]
-    if any({"jaw", "jaw_open"} & set(stage.free) for stage in stages):
-        return
-    for stage in stages:
-        firsts = [shape for shape in stage.shapes if shape.startswith("first:")]
-        if "expression" in stage.free and firsts == list(stage.shapes) != [] and keeps_the_mouth_shut(model, firsts):
-            warnings.warn(
-                f"Stage {stage.name!r} frees {firsts[0]} of {model.name}, none of which parts the lips: the mouth "
-                "stays shut. Use a model whose components are sorted by size; "
-                "workbench.face.principal_expressions makes one.",
-                stacklevel=3,
-            )
+    able = [stage for stage in stages if "expression" in stage.free]
+    shapes = [shape for stage in able for shape in stage.shapes]
+    if (
+        any(shape.startswith("first:") for shape in shapes)
+        and all(stage.shapes for stage in able)
+        and not any({"jaw", "jaw_open"} & set(stage.free) for stage in stages)
+        and keeps_the_mouth_shut(model, shapes)
+    ):
+        warnings.warn(
+            f"The stages free {', '.join(dict.fromkeys(shapes))} of {model.name}, none of which parts the lips: the "
+            "mouth stays shut. Use a model whose components are sorted by size; "
+            "workbench.face.principal_expressions makes one.",
+            stacklevel=3,
+        )
 
 
 def _unfitness(fit: FrameFit) -> float:

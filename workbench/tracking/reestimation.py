@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.errors import ConfigError
+from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel
 from workbench.landmarks.observations import Landmarks2D
 from workbench.rendering import Appearance
@@ -77,15 +77,24 @@ class Reestimator:
             status=np.full(rows, -1),
             iterations=np.zeros(rows, before.iterations.dtype),
             milliseconds=before.milliseconds,
+            others=before.others,
         )
 
     def _others(self, moment: Moment) -> tuple[Landmarks2D | None, ...]:
-        """The other views' landmarks; none in tracks of older workbenches, which stored the reference view's alone."""
-        stored, pictured = moment.fit.others, max(len(moment.pictures), 1) - 1
-        if not len(stored) or self._rig is None:
-            return (None,) * pictured
-        sizes = [view.image_size for view in self._rig.views[1:]]
-        return tuple(_landmarks(each[:, :2], each[:, 2], size) for each, size in zip(stored, sizes, strict=True))
+        """The other views' landmarks; none in tracks of older workbenches, which stored the reference view's alone.
+
+        Raises `InputError` for a track of another number of views than the rig has.
+        """
+        stored, views = moment.fit.others, () if self._rig is None else self._rig.views[1:]
+        if not len(stored):
+            return (None,) * len(views)
+        if len(stored) != len(views):
+            raise InputError(
+                f"The track has landmarks of {1 + len(stored)} views, but the rig has {1 + len(views)}; use the rig "
+                "that the track was made with."
+            )
+        pairs = zip(stored, views, strict=True)
+        return tuple(_landmarks(each[:, :2], each[:, 2], view.image_size) for each, view in pairs)
 
     def _appearance(self, moment: Moment, observation: FrameObservation) -> Appearance | None:
         if moment.fit.shot not in self._appearances:

@@ -203,7 +203,8 @@ def occluded(trial: Trial) -> Iterator[Finding]:
 
 
 def _hardly_seen(trial: Trial) -> Iterator[Finding]:
-    """The detector's confidence is low for all points, so they hardly count and E_τ alone carries the pose."""
+    """The detector's confidence is low for all points: they hardly count and E_τ alone carries the pose, or they count
+    without deserving it."""
     sure = float(trial.case.observation.landmarks.confidence.mean())
     index = trial.case.observation.index
     others = [
@@ -220,8 +221,13 @@ def _hardly_seen(trial: Trial) -> Iterator[Finding]:
     yield Finding(
         code="occluded",
         title="The face is hardly visible",
-        evidence=f"The detector's mean confidence is {sure:.2f}: its points hardly count, and only previous frames "
-        "constrain the fit" + (f"; it was last high in frame {nearest.index}." if nearest is not None else "."),
+        evidence=f"The detector's mean confidence is {sure:.2f}"
+        + (
+            ": its points hardly count, and only previous frames constrain the fit"
+            if trial.case.config.landmarks.confidence
+            else ", yet its points count as if it were sure: landmarks.confidence is off"
+        )
+        + (f"; it was last high in frame {nearest.index}." if nearest is not None else "."),
         change=change,
         gain=0.0,
         before_percent=trial.error_percent(trial.fit),

@@ -1,0 +1,66 @@
+"""Appendix C.2 of Deep Energies on the default head: parallel projection, ten components of shape and expression."""
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench import plots
+from workbench.config import preset
+from workbench.face import FaceModel, load_default_head, principal_expressions
+from workbench.planning import plan_of
+from workbench.reproduction.clip_solves import observed
+from workbench.reproduction.rendered_clip import FOV_DEG, clip_truth
+from workbench.reproduction.study import Result, Study, Table
+from workbench.tracking import FrameContext
+from workbench.tracking.deep_fitter import DeepFitter
+
+FRAMES = tuple(range(4, 240, 20))
+QUICK_FRAMES = (4, 184)
+LIPS, EYE_CORNERS = (62, 66), (36, 45)
+"""Middles of the inner lips, and outer corners of the eyes."""
+
+
+def opening(study: Study) -> Result:
+    """Whether ten components open the mouth: distance of the lips, as found and as rendered."""
+    head, frames = load_default_head(), QUICK_FRAMES if study.quick else FRAMES
+    truth = clip_truth()
+    true_person = head.personal(truth.identity)
+    names = ("deep-parallel",) if study.quick else ("deep-parallel", "orthographic")
+    found: dict[str, list[float]] = {name: [] for name in names}
+    rendered = [_lips_apart(true_person, true_person.vertices(truth.expression[k])) for k in frames]
+    model = principal_expressions(head)
+    for name in names:
+        fitter = DeepFitter(model, plan_of(preset(name).changed(camera={"fov_deg": FOV_DEG})))
+        context = FrameContext(0, fitter.mean_identity(), None, None)
+        for done, frame in enumerate(frames):
+            study.progress(name, done, len(frames))
+            fit, _ = fitter.fit(observed(frame), context)
+            person = model.personal(np.asarray(fit.identity))
+            found[name].append(_lips_apart(person, person.vertices(fit.expression)))
+    rows = tuple(
+        (str(frame), *(f"{100.0 * value:.1f}" for value in (rendered[k], *(found[name][k] for name in names))))
+        for k, frame in enumerate(frames)
+    )
+    curves = {"rendered": rendered, **found}
+    return Result(
+        data=f"{len(frames)} frames of the bundled clip; the default head with ten principal components of its own "
+        "expressions and its first ten of identity, from the mean face, no lens known.",
+        figures={
+            "Distance of the lips, % of the distance of the outer eye corners.": plots.curves(
+                np.array(frames),
+                {label: 100.0 * np.array(values) for label, values in curves.items()},
+                "frame",
+                "lips, %",
+            )
+        },
+        tables=(Table("Distance of the lips, % of the eye distance", ("frame", "rendered", *names), rows),),
+        notes=(
+            "The paper fits Basel's model to photos and shows the results beside other methods'. Basel's files are "
+            "read, but not bundled. The clip has perspective, which a parallel projection cannot explain.",
+        ),
+    )
+
+
+def _lips_apart(model: FaceModel, vertices: Float[np.ndarray, "v 3"]) -> float:
+    points = model.landmarks.of(vertices)
+    lips, eyes = (np.linalg.norm(points[one] - points[other]) for one, other in (LIPS, EYE_CORNERS))
+    return float(lips / eyes)
