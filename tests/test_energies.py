@@ -230,9 +230,17 @@ def test_the_written_out_jacobian_agrees_with_central_differences(problem, free)
         np.testing.assert_allclose(jacobian[:, column], numeric, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("terms", [FACE_IT_TERMS, tuple(TABLE)], ids=["own", "all"])
+IN_DOUBLE = tuple(name for name, term in TABLE.items() if not term.compares_pictures)
+
+
+@pytest.mark.parametrize(
+    ("terms", "looser"),
+    [(FACE_IT_TERMS, 1.0), (IN_DOUBLE, 1.0), (tuple(TABLE), 1e2)],
+    ids=["own", "all in double precision", "all"],
+)
 @pytest.mark.parametrize("free", FREE_SETS, ids="+".join)
-def test_normal_equations_are_those_of_all_residuals_by_automatic_differentiation(problem, free, terms):
+def test_normal_equations_are_those_of_all_residuals_by_automatic_differentiation(problem, free, terms, looser):
+    """The flow term places the face's points in single precision, like a render."""
     energy, parameters = problem
     energy = energy._replace(omega=factors(free, named=terms, terms=terms))
     start = pack(parameters, free)
@@ -245,9 +253,9 @@ def test_normal_equations_are_those_of_all_residuals_by_automatic_differentiatio
     jacobian, residual = (np.asarray(array) for array in jax.jit(jax.jacfwd(all_residuals, has_aux=True))(start))
     system = normal_system(energy, parameters, free, terms)
     scale = np.abs(jacobian.T @ jacobian).max()
-    np.testing.assert_allclose(system.cost, residual @ residual, rtol=1e-10)
-    np.testing.assert_allclose(system.gradient, jacobian.T @ residual, rtol=1e-8, atol=1e-9 * scale)
-    np.testing.assert_allclose(system.matrix, jacobian.T @ jacobian, rtol=1e-8, atol=1e-10 * scale)
+    np.testing.assert_allclose(system.cost, residual @ residual, rtol=1e-10 * looser)
+    np.testing.assert_allclose(system.gradient, jacobian.T @ residual, rtol=1e-8 * looser, atol=1e-9 * scale * looser)
+    np.testing.assert_allclose(system.matrix, jacobian.T @ jacobian, rtol=1e-8 * looser, atol=1e-10 * scale * looser)
 
 
 def test_omegas_multiply_down_their_branch(problem):

@@ -35,7 +35,7 @@ LEAST_PICTURES = {
     "13_optical_flow_and_infill": 11,
     "14_temporal_refinement": 11,
     "15_live": 2,
-    "16_face_it_remade": 6,
+    "16_face_it_remade": 8,
     "17_deep_energies_remade": 7,
 }
 TIMEOUT_S = 300

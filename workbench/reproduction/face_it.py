@@ -51,6 +51,42 @@ QUICK_NAMES = ("jam4", "jam5", "jim6", "jim8")
 QUICK_FRAMES = 30
 
 
+def overview(study: Study) -> Result:
+    """Fig. 1: one frame on its way from the picture to pose and weights."""
+    head, landmarks = load_default_head(), clip_landmarks()[FRAME]
+    picture = clip_pictures((FRAME,))[FRAME]
+    fits = {
+        label: _each_alone(head, _limited(rho=15, epsilon=epsilon), clip_landmarks(), [FRAME])[0]
+        for label, epsilon in (("3. pose: E_pose, E_τ, ρ = 15", 0), ("4. weights: E_fit, E_β, E_σ, ε = 15", 15))
+    }
+    seen = plots.with_points(picture, landmarks.points, "#00e0a0", radius=3)
+    rows = tuple(
+        (
+            label,
+            f"{fit.errors[2]:.2f}",
+            ", ".join(f"{angle:.1f}" for angle in fit.angles_deg),
+            str(fit.iterations.sum()),
+        )
+        for label, fit in fits.items()
+    )
+    return Result(
+        data=f"Frame {FRAME} of {CLIP}, preset face-it.",
+        figures={
+            "1. A frame of the video; 2. its 68 landmarks.": plots.pictures_in_a_row(
+                [picture, seen], ["1. frame", "2. landmarks: predictor and optical flow"]
+            ),
+            "3. The pose with the face at rest; 4. the weights with the pose held.": plots.compared_fits(
+                head, picture, fits, side=320
+            ),
+        },
+        tables=(Table("After each stage", ("", "landmarks, %", "yaw, pitch, roll, °", "iterations"), rows),),
+        notes=(
+            "In a video each frame starts from the one before. The paper then moves a character by the weights: "
+            "`workbench export --help`, notebook 11.",
+        ),
+    )
+
+
 def beta_curve(study: Study) -> Result:
     """Fig. 2: E_β of one weight, with its values and slopes."""
     constants = EnergyConstants()

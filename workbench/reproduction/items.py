@@ -27,6 +27,14 @@ class Item:
 
 ITEMS = (
     Item(
+        name="overview",
+        paper=FACE_IT,
+        place="Fig. 1",
+        title="From a frame to pose and weights",
+        make="face_it:overview",
+        printed="A diagram: landmarks by regression trees and optical flow, head pose, expression, a character's face.",
+    ),
+    Item(
         name="beta-curve",
         paper=FACE_IT,
         place="Fig. 2",
@@ -86,6 +94,14 @@ ITEMS = (
         title="What our differences from the paper are worth",
         make="differences:face_it",
         printed="No values of ω; pictures of fits, no errors of the weights.",
+    ),
+    Item(
+        name="missed-faces",
+        paper=DEEP_ENERGIES,
+        place="Sec. 6",
+        title="Frames in which face detectors find nothing",
+        make="face_detectors:missed_frames",
+        printed="On the test sequence dlib's HOG detector fails on 20 frames, its CNN on none.",
     ),
     Item(
         name="stages",
