@@ -45,6 +45,8 @@ QUICK_LIMITS = (1, 5, 15)
 SHOWN = (1, 3, 15, 50)
 FRAME = 192
 """An open mouth on a turned head, for the pictures."""
+ON_THE_WAY = 144
+"""Wide eyes and parted lips, for the overview."""
 ABOUT_1000 = 960
 """The bundled clip four times."""
 QUICK_NAMES = ("jam4", "jam5", "jim6", "jim8")
@@ -53,10 +55,10 @@ QUICK_FRAMES = 30
 
 def overview(study: Study) -> Result:
     """Fig. 1: one frame on its way from the picture to pose and weights."""
-    head, landmarks = load_default_head(), clip_landmarks()[FRAME]
-    picture = clip_pictures((FRAME,))[FRAME]
+    head, landmarks = load_default_head(), clip_landmarks()[ON_THE_WAY]
+    picture = clip_pictures((ON_THE_WAY,))[ON_THE_WAY]
     fits = {
-        label: _each_alone(head, _limited(rho=15, epsilon=epsilon), clip_landmarks(), [FRAME])[0]
+        label: _each_alone(head, _limited(rho=15, epsilon=epsilon), clip_landmarks(), [ON_THE_WAY])[0]
         for label, epsilon in (("3. pose: E_pose, E_τ, ρ = 15", 0), ("4. weights: E_fit, E_β, E_σ, ε = 15", 15))
     }
     seen = plots.with_points(picture, landmarks.points, "#00e0a0", radius=3)
@@ -70,7 +72,7 @@ def overview(study: Study) -> Result:
         for label, fit in fits.items()
     )
     return Result(
-        data=f"Frame {FRAME} of {CLIP}, preset face-it.",
+        data=f"Frame {ON_THE_WAY} of {CLIP}, preset face-it.",
         figures={
             "1. A frame of the video; 2. its 68 landmarks.": plots.pictures_in_a_row(
                 [picture, seen], ["1. frame", "2. landmarks: predictor and optical flow"]
