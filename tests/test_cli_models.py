@@ -31,6 +31,7 @@ def test_show_tells_what_a_model_holds_and_draws_it(run, flame_file, tmp_path):
     assert told["shapes"] == "13: 3 with ARKit's names, 10 others"
     assert told["identity"] == "10 components"
     assert told["joints"] == "root, neck, jaw, leftEye, rightEye"
+    assert told["jaw"].startswith("26.5° open, ")
     assert told["landmarks"] == "68, jaw contour for 9 yaws"
     assert "stored in metres" in told["note"]
     picture = read_picture(tmp_path / "check.png")

@@ -7,6 +7,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+from tests.flownet2_twin import FlowNet2Twin
 from tests.raft_twin import RaftTwin
 from workbench.cli import app
 from workbench.errors import InputError, ModelError
@@ -20,6 +21,7 @@ from workbench.networks.flow_network import (
     similarities,
     warped,
 )
+from workbench.networks.flownet2 import flownet2_from
 from workbench.networks.raft import instance_norm, raft_from, read_raft
 from workbench.networks.torch_checkpoints import read_checkpoint
 from workbench.networks.weights import Weights, fill, read_weights
@@ -205,3 +207,32 @@ class TestRaft:
         for arrays in (large, {"m0.weight": np.zeros(1, np.float32)}):
             with pytest.raises(ModelError, match="raft_small"):
                 raft_from(Weights(arrays, {}, "file"))
+
+
+@pytest.fixture(scope="module")
+def flownet2_twin():
+    """A narrow FlowNet2 with random numbers of a size that keeps the flow at a few pixels."""
+    torch.manual_seed(2)
+    twin = FlowNet2Twin(width=8)
+    for name, values in twin.named_parameters():
+        gain = 0.1 if "predict_flow" in name else 1.0
+        inputs = values[0].numel() if values.ndim > 1 else 10
+        values.data.normal_(0, gain * (2 / inputs) ** 0.5)
+    return twin.eval()
+
+
+class TestFlowNet2:
+    def test_every_part_of_the_published_kind_of_file_says_what_pytorch_says(self, flownet2_twin, tmp_path):
+        saved = {"epoch": 0, "state_dict": flownet2_twin.state_dict(), "best_EPE": 1e10}
+        torch.save(saved, tmp_path / "FlowNet2_checkpoint.pth.tar", _use_new_zipfile_serialization=False)
+        network = flownet2_from(read_checkpoint(tmp_path / "FlowNet2_checkpoint.pth.tar"))
+        pair = np.random.default_rng(0).random((2, 3, 64, 128)).astype(np.float32)
+        with torch.no_grad():
+            expected = flownet2_twin(*(torch.from_numpy(255 * picture)[None] for picture in pair))
+        flows = jax.jit(lambda pair: network.flows(*pair))(pair)
+        assert set(flows) == set(expected)
+        for name, flow in flows.items():
+            other = channels_last(expected[name])
+            largest = np.abs(other).max()
+            assert other.std(axis=(0, 1)).min() > 0.01 * largest
+            assert np.allclose(flow, other, atol=1e-4 * largest)

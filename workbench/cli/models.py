@@ -75,10 +75,18 @@ def _rows(model) -> list[tuple[str, str]]:
         ("names", ", ".join(model.expression_names)),
         ("identity", f"{len(model.identity_deltas)} components"),
         ("joints", ", ".join(model.joints) or "none"),
+        *([("jaw", _jaw(model))] if "jaw" in model.joints else []),
         ("landmarks", contour),
         ("size", f"outer eye corners {width:.0f} mm apart"),
     ]
     return rows + [("note", note) for note in model.notes]
+
+
+def _jaw(model) -> str:
+    unit = model.jaw_unit
+    return (
+        f"{unit.open_deg:.1f}° open, {unit.sideways_mm:.1f} mm sideways, {unit.forward_mm:.1f} mm forward at weight 1"
+    )
 
 
 def _shapes(model) -> tuple[int, int]:

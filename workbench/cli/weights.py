@@ -18,15 +18,18 @@ GROUP_HELP = """Convert published network weights to safetensors, and show what 
   workbench weights show fan.safetensors
 """
 
-CONVERT_HELP = """Convert a published checkpoint of 3D-FAN (face landmarks) or RAFT (optical flow) to safetensors, once.
+CONVERT_HELP = """Convert a published checkpoint of 3D-FAN (face landmarks), FlowNet2 or RAFT (optical flow), once.
 
 FILE is a state dict (.pth, .pth.tar) or a TorchScript archive (.zip, .pt) as published for the package \
-face-alignment, or torchvision's raft_small. It is read as data: nothing in it is run, and PyTorch is not needed. \
+face-alignment, NVIDIA's FlowNet2_checkpoint.pth.tar, or torchvision's raft_small. It is read as data: nothing in it \
+is run, and PyTorch is not needed. The weights keep their licences; FlowNet2's are for research only. \
 3D-FAN and 2D-FAN have the same layers: only the name tells which you have.
 
 [bold]Examples[/bold]
 
   workbench weights convert 3DFAN4-7835d9f11d.pth.tar --out models/fan.safetensors
+
+  workbench weights convert FlowNet2_checkpoint.pth.tar
 
   workbench weights convert raft_small_C_T_V2-01064c6d.pth
 """
@@ -45,7 +48,7 @@ weights_app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich", help=GR
 def convert(
     file: Annotated[Path, typer.Argument(help="Checkpoint as published.")],
     out: Annotated[
-        Path | None, typer.Option(help="File to write; fan.safetensors or raft-small.safetensors by default.")
+        Path | None, typer.Option(help="File to write; named after the network by default: fan.safetensors, ...")
     ] = None,
 ) -> None:
     """Convert a published checkpoint to safetensors."""

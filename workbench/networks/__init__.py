@@ -15,6 +15,9 @@ from workbench.networks.fan import read_fan as read_fan
 from workbench.networks.flow_network import FlowNetwork as FlowNetwork
 from workbench.networks.flow_network import read_flow_network as read_flow_network
 from workbench.networks.flow_network import save_flow_network as save_flow_network
+from workbench.networks.flownet2 import FlowNet2 as FlowNet2
+from workbench.networks.flownet2 import convert_flownet2 as convert_flownet2
+from workbench.networks.flownet2 import read_flownet2 as read_flownet2
 from workbench.networks.landmark_chain import HeatMapNetwork as HeatMapNetwork
 from workbench.networks.landmark_chain import NetworkLandmarks as NetworkLandmarks
 from workbench.networks.landmark_chain import landmarks_of as landmarks_of

@@ -35,6 +35,25 @@ class Conv(eqx.Module):
         return y if self.bias is None else y + self.bias
 
 
+class TransposedConv(eqx.Module):
+    """A convolution that doubles the size: `torch.nn.ConvTranspose2d(kernel_size=4, stride=2, padding=1)`."""
+
+    weight: Float[Array, "in out 4 4"]
+    bias: Float[Array, "out"] | None
+
+    def __call__(self, x: Float[Array, "h w in"]) -> Float[Array, "h2 w2 out"]:
+        """The maps at twice the size."""
+        y = jax.lax.conv_general_dilated(
+            x[None],
+            self.weight[:, :, ::-1, ::-1],
+            window_strides=(1, 1),
+            padding=((2, 2), (2, 2)),
+            lhs_dilation=(2, 2),
+            dimension_numbers=("NHWC", "IOHW", "NHWC"),
+        )[0]
+        return y if self.bias is None else y + self.bias
+
+
 class BatchNorm(eqx.Module):
     """Batch normalisation with the statistics of training, as an evaluated `torch.nn.BatchNorm2d`."""
 
@@ -55,6 +74,11 @@ def empty_conv(
     """A convolution whose weights are zero until some are read."""
     weight = jnp.zeros((outputs, inputs, kernel, kernel), jnp.float32)
     return Conv(weight, _zeros(outputs) if bias else None, stride, dilation)
+
+
+def empty_transposed_conv(inputs: int, outputs: int, *, bias: bool = True) -> TransposedConv:
+    """A transposed convolution whose weights are zero until some are read."""
+    return TransposedConv(jnp.zeros((inputs, outputs, 4, 4), jnp.float32), _zeros(outputs) if bias else None)
 
 
 def empty_batch_norm(channels: int) -> BatchNorm:

@@ -100,7 +100,8 @@ def _read_stream(content: bytes) -> tuple[Any, Mapping[str, bytes]]:
     except UNREADABLE:
         magic = None
     if magic != LEGACY_MAGIC:
-        raise UnreadableError(f"it begins with {content[:12]!r}")
+        tar = content[257:262] == b"ustar"
+        raise UnreadableError("it is a tar archive: unpack it first" if tar else f"it begins with {content[:12]!r}")
     _version, _system, loaded, keys = (unpickled(stream, _made, _storage) for _ in range(4))
     sizes = {tensor.storage.key: tensor.storage.dtype.itemsize for tensor in _tensors(loaded).values()}
     storages = {}
