@@ -9,7 +9,9 @@ from workbench.config.sections import (
     ConstantsConfig,
     ContourConfig,
     DeepConfig,
+    FlowConfig,
     IdentityConfig,
+    InfillConfig,
     LandmarksConfig,
     SolverConfig,
     WeightsConfig,
@@ -38,6 +40,11 @@ DEEP_AS_PRINTED: dict[str, Any] = {
     "regularisation": 100.0,
     "lambda_reading": "energy",
 }
+# Secs. 6, 7 and 8.3. A point is downweighted (`robust`) only where it is off by 1,000 % of the eye distance: never.
+FLOW_AS_PRINTED: dict[str, Any] = {
+    "flow": FlowConfig(estimator="network", side=512, renders="network", robust=1000.0, stay=0.0),
+    "infill": InfillConfig(passes="back-and-forth"),
+}
 
 PRESETS: dict[str, Config] = {
     # FACE IT!: the paper's terms, constants, schedule and iterations, and no identity. It prints no values of ω.
@@ -61,6 +68,7 @@ PRESETS: dict[str, Config] = {
         deep=DeepConfig(**DEEP_AS_PRINTED),
         stages=DEEP_STAGES,
         **AS_PRINTED,
+        **FLOW_AS_PRINTED,
     ),
     # The same with the energy of Appendix C.1.
     "preselected-points": Config(
@@ -69,6 +77,7 @@ PRESETS: dict[str, Config] = {
         deep=DeepConfig(energy="points", **DEEP_AS_PRINTED),
         stages=DEEP_STAGES,
         **AS_PRINTED,
+        **FLOW_AS_PRINTED,
     ),
     # Appendix C.2: parallel projection with a scale, the mean face and the first 10 + 10 components, no priors.
     "orthographic": Config(
@@ -79,6 +88,7 @@ PRESETS: dict[str, Config] = {
         deep=DeepConfig(appearance="model", identity=0.0, **DEEP_AS_PRINTED),
         stages=PARALLEL_STAGES,
         **AS_PRINTED,
+        **FLOW_AS_PRINTED,
     ),
     # Ours: the same stages with errors in percent of the outer-eye distance, confidences, bounds on weights and jaw,
     # weighted edges, a sliding contour, and a derivative that costs an eighth.

@@ -182,8 +182,10 @@ class FlowConfig(Section):
     points: Annotated[int, Field(ge=16, le=5000)] = Field(
         600, description="Number of surface points that are compared."
     )
-    renders: Literal["exact", "estimated"] = Field(
-        "exact", description="Flow of the renders: exact from the moving mesh, or by the estimator used for the photos."
+    renders: Literal["exact", "estimated", "network"] = Field(
+        "exact",
+        description="Flow of the renders: exact from the moving mesh; estimated as in the photos, the derivative still "
+        "the mesh's; or by the flow network with its own derivative, as published.",
     )
     robust: Annotated[float, Field(gt=0.0)] = Field(
         1.0, description="Residual above which a point is downweighted (robust loss), % of eye distance."
@@ -196,8 +198,13 @@ class InfillConfig(Section):
     """Frames without a usable fit are filled from their neighbours (Deep Energies Sec. 6, 8.3, Appendix A)."""
 
     method: Literal["none", "flow", "linear", "spline"] = Field("none", description="none leaves failed frames as is.")
+    passes: Literal["meet", "back-and-forth"] = Field(
+        "meet",
+        description="Flow: meet fills a gap from both ends, blends, and solves again between both neighbours; "
+        "back-and-forth solves forward, then backward over the filled frames, as published.",
+    )
     rounds: Annotated[int, Field(ge=1, le=10)] = Field(
-        1, description="Flow: further passes through a gap, alternately forward and backward."
+        1, description="Flow: further passes through a gap, in alternating directions."
     )
     longest: Annotated[int, Field(ge=1)] = Field(10_000, description="Longer gaps, in frames, are not filled.")
     largest_error: NonNegative = Field(

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from workbench.arrays import AnyArray, Scalar
 from workbench.energies.constants import EnergyConstants
 from workbench.energies.flow_link import FlowLink
+from workbench.face.jaw import USUAL_JAW, JawUnit
 from workbench.face.parameters import FaceParameters
 
 
@@ -37,6 +38,8 @@ class TermContext(NamedTuple):
     """Where the stage starts, or where an expectation has the face."""
     flow: FlowLink | None = None
     """What ties the frame to the one before it; None where no stage names the flow term."""
+    jaw_unit: JawUnit = USUAL_JAW
+    """The face model's."""
 
 
 def still(start: FaceParameters, constants: EnergyConstants = EnergyConstants()) -> TermContext:  # noqa: B008

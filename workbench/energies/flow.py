@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from workbench.arrays import AnyArray, Scalar
 from workbench.energies.context import TermContext, still
@@ -22,6 +22,7 @@ from workbench.energies.flow_link import FlowTargets, FlowView
 from workbench.energies.stay import expression_residual, pose_residual
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
+from workbench.face.jaw_unit import JawUnit
 from workbench.flow import SurfacePoints, points_in_camera
 from workbench.geometry import Camera, project
 
@@ -76,14 +77,21 @@ def flow_residuals(
     """
     missed = flow_distances(points, views, targets, parameters)
     share = jnp.sqrt(weights.flow * LANDMARKS / missed.shape[2]) * jnp.sqrt(targets.weights) * scales
-    context = still(prior)
-    stay = jnp.concatenate(
+    stay = stay_residual(parameters, prior, weights, points.model.jaw.unit)
+    return {"flow": (missed * share[..., None]).ravel(), "stay": stay}
+
+
+def stay_residual(
+    parameters: FaceParameters, prior: FaceParameters, weights: FlowWeights, jaw_unit: JawUnit
+) -> Float[Array, "k"]:
+    """The optional prior of Sec. 7: the pose, then blendshapes and jaw, near where `prior` has them."""
+    context = still(prior)._replace(jaw_unit=jaw_unit)
+    return jnp.concatenate(
         [
             jnp.sqrt(weights.stay_pose) * pose_residual(parameters, context),
             jnp.sqrt(weights.stay) * expression_residual(parameters, context),
         ]
     )
-    return {"flow": (missed * share[..., None]).ravel(), "stay": stay}
 
 
 def flow_residual(parameters: FaceParameters, context: TermContext) -> Float[Array, "n"]:
@@ -128,13 +136,8 @@ def choose_surface(model: FaceModel, count: int) -> tuple[np.ndarray, Float[np.n
     if count < 16:
         raise InputError(f"Flow is compared at 16 surface points or more, got {count}.")
     corners = model.neutral[model.triangles]
-    centres = corners.mean(axis=1)
-    distance = np.linalg.norm(centres[:, None] - model.landmarks.of(model.neutral)[None], axis=2)
-    wanted = distance.min(axis=1) < NEAR_FACE_MM
-    if all(name in model.regions for name in FACE_REGIONS):
-        skin = np.zeros(len(model.neutral), bool)
-        skin[np.concatenate([model.regions[name] for name in FACE_REGIONS])] = True
-        wanted &= skin[model.triangles].all(axis=1)
+    distance = _to_landmarks(model)
+    wanted = _on_face(model, distance)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     share = area * wanted * (1.0 + (DENSER - 1.0) * (distance[:, 36:].min(axis=1) < DENSE_MM))
     # Evenly along the sum of shares: close triangles are close in the mesh's order, so that the points spread.
@@ -144,3 +147,23 @@ def choose_surface(model: FaceModel, count: int) -> tuple[np.ndarray, Float[np.n
     first, second = np.sqrt(rng.uniform(size=count)), rng.uniform(size=count)
     barycentric = np.stack([1.0 - first, first * (1.0 - second), first * second], axis=1)
     return triangle, barycentric
+
+
+def face_triangles(model: FaceModel) -> Bool[np.ndarray, "t"]:
+    """Which triangles are of the face's skin near the landmarks: neither ears, neck and crown nor eyes and teeth."""
+    return _on_face(model, _to_landmarks(model))
+
+
+def _on_face(model: FaceModel, to_landmarks: Float[np.ndarray, "t 68"]) -> Bool[np.ndarray, "t"]:
+    wanted = to_landmarks.min(axis=1) < NEAR_FACE_MM
+    if all(name in model.regions for name in FACE_REGIONS):
+        skin = np.zeros(len(model.neutral), bool)
+        skin[np.concatenate([model.regions[name] for name in FACE_REGIONS])] = True
+        wanted &= skin[model.triangles].all(axis=1)
+    return wanted
+
+
+def _to_landmarks(model: FaceModel) -> Float[np.ndarray, "t 68"]:
+    """Distance of each triangle's centre from each landmark, millimetres."""
+    centres = model.neutral[model.triangles].mean(axis=1)
+    return np.linalg.norm(centres[:, None] - model.landmarks.of(model.neutral)[None], axis=2)

@@ -10,7 +10,7 @@ from workbench.face.parameters import FaceParameters
 
 def magnitude_residual(parameters: FaceParameters, context: TermContext) -> Float[Array, "n"]:
     """Blendshape weights, and the jaw counted in blendshapes."""
-    jaw = [in_blendshapes(parameters.jaw)] if len(parameters.jaw) else []
+    jaw = [in_blendshapes(parameters.jaw, context.jaw_unit)] if len(parameters.jaw) else []
     return jnp.concatenate([parameters.expression, *jaw])
 
 

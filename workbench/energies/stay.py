@@ -19,5 +19,7 @@ def pose_residual(parameters: FaceParameters, context: TermContext) -> Float[Arr
 def expression_residual(parameters: FaceParameters, context: TermContext) -> Float[Array, "n"]:
     """Distance of blendshapes and jaw from the expected ones, the jaw counted in blendshapes."""
     moved = jnp.asarray(parameters.expression) - context.start.expression
-    jaw = [in_blendshapes(jnp.asarray(parameters.jaw) - context.start.jaw)] if len(parameters.jaw) else []
-    return jnp.concatenate([moved, *jaw])
+    if not len(parameters.jaw):
+        return moved
+    jaw = jnp.asarray(parameters.jaw) - context.start.jaw
+    return jnp.concatenate([moved, in_blendshapes(jaw, context.jaw_unit)])

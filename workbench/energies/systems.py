@@ -1,4 +1,4 @@
-"""The two systems, a row each: what a stage of theirs can free, what they read, and what one can do with them.
+"""The two systems, one row each: what a stage of theirs can free, what they read, and what one can do with them.
 
 Data alone, without JAX. Everything outside the energies and fitters asks these rows instead of a system's name.
 """

@@ -1,4 +1,4 @@
-"""The table of terms: the whole energy of both systems, a row per term.
+"""The table of terms: the whole energy of both systems, one row per term.
 
 A term is a residual in a file of this package, and a row here. From the row follow its ω in configurations with comment
 and schema, the panel's slider and tooltip, its curve in charts and traces, and its line in the documentation.

@@ -7,13 +7,15 @@ from .default_head import GAZE_NAMES as GAZE_NAMES
 from .default_head import load_default_head as load_default_head
 from .formats import arkit_name as arkit_name
 from .formats import load_face_model as load_face_model
-from .jaw import JAW_SHAPES as JAW_SHAPES
 from .jaw import JawJoint as JawJoint
 from .jaw import jaw_joint as jaw_joint
 from .jaw import jaw_of_weights as jaw_of_weights
 from .jaw import move_jaw as move_jaw
 from .jaw import posed_vertices as posed_vertices
 from .jaw import weights_with_jaw as weights_with_jaw
+from .jaw_unit import JAW_SHAPES as JAW_SHAPES
+from .jaw_unit import USUAL_JAW as USUAL_JAW
+from .jaw_unit import JawUnit as JawUnit
 from .landmark_model import LandmarkModel as LandmarkModel
 from .landmark_model import PointModel as PointModel
 from .landmark_model import contour_blend as contour_blend

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from workbench.errors import ModelError
-from workbench.face.checking import check_face_model, check_names, whole_numbers
+from workbench.face.checking import check_face_model, check_names, check_numbers, whole_numbers
+from workbench.face.jaw_unit import JawUnit
 from workbench.face.model import Embedding, FaceModel
 from workbench.reading import checked_arrays, checked_file, reading
 from workbench.samples import sample
@@ -78,4 +79,12 @@ def _from_arrays(path: Path, arrays: dict[str, np.ndarray]) -> FaceModel:
         },
         blink_scale=arrays["blink_scale_mean"].astype(float),
         blink_scale_identity=arrays["blink_scale_identity"].astype(float),
+        fixed_jaw_unit=_jaw_unit(path, arrays["jaw_unit"]) if "jaw_unit" in arrays else None,
     )
+
+
+def _jaw_unit(path: Path, stored: np.ndarray) -> JawUnit:
+    check_numbers(path, "jaw_unit", stored, (3,))
+    if not (stored > 0.0).all():
+        raise ModelError(f"{path}: jaw_unit holds {stored.tolist()}, expected an angle and two lengths above 0.")
+    return JawUnit(*stored.astype(float).tolist())

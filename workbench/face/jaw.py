@@ -1,25 +1,24 @@
 """The jaw joint: linear blend skinning with six degrees of freedom (Deep Energies Sec. 3), next to the blendshapes.
 
 A joint alone opens the mouth like a hinge; the blendshape `jawOpen` also shapes the lips. What the shape does beyond
-the hinge is kept as a corrective in proportion to the angle, so that the joint at `OPEN_DEG` is that shape at weight 1.
+the hinge is kept as a corrective in proportion to the angle, so that the joint at the model's own opening angle
+(`JawUnit`) is that shape at weight 1.
 """
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from workbench.arrays import AnyArray
+from workbench.face.jaw_unit import JAW_SHAPES, USUAL_JAW, JawUnit
 from workbench.face.model import FaceModel
 from workbench.geometry import rotation_matrix
 
-OPEN_DEG = 26.5
-"""Angle about +x (head frame) at which the joint is `jawOpen` at weight 1, by each model's corrective."""
-TRAVEL_MM = 8.0
-"""Shift of the joint that counts as `jawForward`, `jawLeft` or `jawRight` at weight 1, in every model."""
-JAW_SHAPES = ("jawOpen", "jawForward", "jawLeft", "jawRight")
-"""Blendshapes that the joint replaces."""
+# Programs hold the unit as constants: it never changes within a model.
+jax.tree_util.register_static(JawUnit)
 
 
 class JawJoint(NamedTuple):
@@ -30,22 +29,29 @@ class JawJoint(NamedTuple):
     """Pivot of the mean identity, head frame, millimetres."""
     joint_identity: Float[AnyArray, "i 3"]
     corrective: Float[AnyArray, "v 3"]
-    """`jawOpen` minus the hinge at `OPEN_DEG`, millimetres."""
+    """`jawOpen` minus the hinge at the unit's angle, millimetres."""
+    unit: JawUnit = USUAL_JAW
+    """The model's."""
 
 
 def jaw_joint(model: FaceModel) -> JawJoint:
     """The jaw joint of a face model; one that moves nothing where the model has none."""
     count, identities = len(model.neutral), len(model.identity_deltas)
     if "jaw" not in model.joints:
-        return JawJoint(np.zeros(count), np.zeros(3), np.zeros((identities, 3)), np.zeros((count, 3)))
+        still = np.zeros(count), np.zeros(3), np.zeros((identities, 3)), np.zeros((count, 3))
+        return JawJoint(*still, model.jaw_unit)
     joint = np.asarray(model.joints["jaw"], float)
     made = JawJoint(
-        np.asarray(model.jaw_weights, float), joint, model.identity_joint_deltas["jaw"], np.zeros((count, 3))
+        np.asarray(model.jaw_weights, float),
+        joint,
+        model.identity_joint_deltas["jaw"],
+        np.zeros((count, 3)),
+        model.jaw_unit,
     )
     if "jawOpen" not in model.expression_names:
         return made
     opened = np.zeros(6)
-    opened[0] = np.radians(OPEN_DEG)
+    opened[0] = np.radians(made.unit.open_deg)
     hinge = np.asarray(move_jaw(made, model.neutral, np.zeros(identities), opened)) - model.neutral
     return made._replace(corrective=model.expression_deltas[model.expression_names.index("jawOpen")] - hinge)
 
@@ -62,7 +68,7 @@ def move_jaw(
         pivot = pivot + identity @ joint.joint_identity
     turned = (vertices_head - pivot) @ rotation_matrix(jaw[:3]).T + pivot + jaw[3:]
     moved = vertices_head + jnp.asarray(joint.weights)[:, None] * (turned - vertices_head)
-    return moved + jaw[0] / np.radians(OPEN_DEG) * joint.corrective
+    return moved + jaw[0] / np.radians(joint.unit.open_deg) * joint.corrective
 
 
 def posed_vertices(
@@ -78,9 +84,9 @@ def posed_vertices(
     return vertices if scale == 1.0 else scale * vertices
 
 
-def in_blendshapes(jaw: Float[AnyArray, "*n 6"]) -> Float[AnyArray, "*n 6"]:
+def in_blendshapes(jaw: Float[AnyArray, "*n 6"], unit: JawUnit) -> Float[AnyArray, "*n 6"]:
     """The joint's motion counted in jaw blendshapes, its unit in every term: 1 is what a shape moves at weight 1."""
-    return jaw / np.repeat([np.radians(OPEN_DEG), TRAVEL_MM], 3)
+    return jaw / unit.vector
 
 
 def jaw_of_weights(model: FaceModel, expression: Float[np.ndarray, "k"]) -> Float[np.ndarray, "6"]:
@@ -89,21 +95,22 @@ def jaw_of_weights(model: FaceModel, expression: Float[np.ndarray, "k"]) -> Floa
         name: float(expression[model.expression_names.index(name)]) if name in model.expression_names else 0.0
         for name in JAW_SHAPES
     }
-    jaw = np.zeros(6)
-    jaw[0] = np.radians(OPEN_DEG) * weight["jawOpen"]
-    jaw[3] = TRAVEL_MM * (weight["jawLeft"] - weight["jawRight"])
-    jaw[5] = -TRAVEL_MM * weight["jawForward"]
+    jaw, unit = np.zeros(6), model.jaw_unit
+    jaw[0] = np.radians(unit.open_deg) * weight["jawOpen"]
+    jaw[3] = unit.sideways_mm * (weight["jawLeft"] - weight["jawRight"])
+    jaw[5] = -unit.forward_mm * weight["jawForward"]
     return jaw
 
 
 def weights_with_jaw(
-    names: tuple[str, ...], expression: Float[np.ndarray, "*n k"], jaw: Float[np.ndarray, "*n 6"]
+    names: tuple[str, ...], expression: Float[np.ndarray, "*n k"], jaw: Float[np.ndarray, "*n 6"], unit: JawUnit
 ) -> Float[np.ndarray, "*n k"]:
     """The expression with the joint's motion added as jaw blendshapes, for formats and characters without a joint.
 
-    Turns about other axes than x have no blendshape and are lost.
+    `unit` is that of the model that the joint belongs to. Turns about other axes than x have no blendshape and are
+    lost.
     """
-    weights, counted = np.array(expression, float), in_blendshapes(jaw)
+    weights, counted = np.array(expression, float), in_blendshapes(jaw, unit)
     parts = {
         "jawOpen": counted[..., 0],
         "jawForward": np.maximum(-counted[..., 5], 0.0),

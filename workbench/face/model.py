@@ -1,18 +1,19 @@
 """The face model as data: neutral, blendshapes, identity basis, jaw, and where the 68 landmarks lie on it."""
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int, Integer, UInt8
 
 from workbench.errors import ModelError
+from workbench.face.jaw_unit import JAW_RANGE, JAW_SHAPES, USUAL_JAW, JawUnit, fitted_jaw_unit
 
 BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
 BLINK_SCALE_RANGE = (0.3, 2.0)
-JAW_RANGE = np.array([[-0.05, -0.25, -0.15, -12.0, -6.0, -12.0], [0.70, 0.25, 0.15, 12.0, 12.0, 12.0]])
-"""Least and most that the jaw joint of a head of the default head's size moves: radians about x (opening), y and z,
-then millimetres."""
+EYES_MM = 88.8
+"""Between the outer corners of the default head's eyes."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +68,8 @@ class FaceModel:
     """How that scale changes with each identity coefficient."""
     expression_range: Float[np.ndarray, "k 2"] | None = None
     """Least and largest weight of each blendshape; None: [0, 1] for all. Statistical components have −3 to 3."""
-    jaw_range: Float[np.ndarray, "2 6"] = field(default_factory=JAW_RANGE.copy)
-    """Least and most that the jaw joint moves: radians about x, y and z, then millimetres."""
+    fixed_jaw_unit: JawUnit | None = None
+    """`jaw_unit` where it is given; None: as the model's own blendshapes have it."""
     notes: tuple[str, ...] = ()
     """What a user should know about how the model was read."""
 
@@ -103,15 +104,48 @@ class FaceModel:
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
 
+    @cached_property
+    def jaw_unit(self) -> JawUnit:
+        """What the jaw blendshapes at weight 1 move the jaw joint by, fitted to their motion of the landmarks.
+
+        What they do not tell, and all of a model without a jaw joint, is the default head's in proportion to the size.
+        """
+        if self.fixed_jaw_unit is not None:
+            return self.fixed_jaw_unit
+        points = self.landmarks.of(self.neutral)
+        usual = USUAL_JAW.scaled(float(np.linalg.norm(points[45] - points[36])) / EYES_MM or 1.0)
+        if "jaw" not in self.joints:
+            return usual
+        moved = {
+            name: self.landmarks.of(self.expression_deltas[k])
+            for k, name in enumerate(self.expression_names)
+            if name in JAW_SHAPES
+        }
+        weights = np.einsum("nj,nj->n", self.jaw_weights[self.landmarks.vertices], self.landmarks.barycentric)
+        arms = self.landmarks.of(self.jaw_weights[:, None] * (self.neutral - self.joints["jaw"]))
+        return fitted_jaw_unit(arms, weights, moved, usual)
+
+    @property
+    def jaw_range(self) -> Float[np.ndarray, "2 6"]:
+        """Least and most that the jaw joint moves: radians about x, y and z, then millimetres."""
+        return JAW_RANGE * self.jaw_unit.relative
+
     def with_expressions(self, names: tuple[str, ...]) -> "FaceModel":
-        """The model with these blendshapes only, in this order. Raises `ModelError` for names it does not have."""
+        """The model with these blendshapes only, in this order; the jaw joint keeps its unit.
+
+        Raises `ModelError` for names it does not have.
+        """
         missing = [name for name in names if name not in self.expression_names]
         if missing:
             raise ModelError(f"The model has no blendshape {missing[0]!r}; it has {', '.join(self.expression_names)}.")
         index = [self.expression_names.index(name) for name in names]
         kept = None if self.expression_range is None else self.expression_range[index]
         return replace(
-            self, expression_names=tuple(names), expression_deltas=self.expression_deltas[index], expression_range=kept
+            self,
+            expression_names=tuple(names),
+            expression_deltas=self.expression_deltas[index],
+            expression_range=kept,
+            fixed_jaw_unit=self.jaw_unit,
         )
 
     def weight_range(self) -> Float[np.ndarray, "k 2"]:
@@ -142,6 +176,7 @@ class FaceModel:
             identity_joint_deltas={name: np.zeros((0, 3)) for name in self.joints},
             blink_scale=np.ones(2),
             blink_scale_identity=np.zeros((0, 2)),
+            fixed_jaw_unit=self.jaw_unit,
         )
 
     def blink_scale_for(self, identity: Float[np.ndarray, "i"]) -> Float[np.ndarray, "2"]:

@@ -47,6 +47,7 @@ def principal_expressions(model: FaceModel, count: int = 10, faces: int = 2000, 
         expression_names=tuple(f"expression_{k:03d}" for k in range(count)),
         expression_deltas=components * -np.sign(largest)[..., None],
         expression_range=np.tile([-DEVIATIONS, DEVIATIONS], (count, 1)),
+        fixed_jaw_unit=model.jaw_unit,
     )
 
 

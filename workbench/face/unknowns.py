@@ -3,18 +3,21 @@
 FACE IT!, Deep Energies, flow and identity calibration take the blocks that they need, in this order.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from workbench.arrays import AnyArray
 from workbench.errors import ConfigError
+from workbench.face.jaw_unit import USUAL_JAW, JawUnit
 from workbench.face.landmark_model import seen_shapes
 from workbench.face.model import FaceModel
 from workbench.face.parameters import FaceParameters
+from workbench.landmarks.scheme import lip_distance
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,7 @@ class Unknown:
     unit: str
     typical: tuple[float, ...]
     """Usual change within a stage, one for all entries or one each: trust regions are round in unknowns divided by
-    it."""
+    it. The jaw's is that of `USUAL_JAW`."""
 
 
 UNKNOWNS = {
@@ -36,8 +39,6 @@ UNKNOWNS = {
     "scale": Unknown("1", (0.05,)),
 }
 BLOCKS = tuple(UNKNOWNS)
-INNER_LIPS = (62, 66)
-"""The middles of upper and lower lip."""
 MOUTH_OPENS_MM = 3.0
 """A mouth that opens parts its lips farther than this."""
 
@@ -60,12 +61,31 @@ def slots(parameters: FaceParameters, blocks: tuple[str, ...] = BLOCKS) -> dict[
     return {name: slice(start, end) for name, start, end in zip(blocks, [0, *ends], ends, strict=False)}
 
 
-def typical_sizes(parameters: FaceParameters, blocks: tuple[str, ...] = BLOCKS) -> Float[np.ndarray, "n"]:
-    """The typical size of every entry of the vector."""
-    lengths = [len(getattr(parameters, name)) for name in blocks]
-    return np.concatenate(
-        [np.broadcast_to(UNKNOWNS[name].typical, length) for name, length in zip(blocks, lengths, strict=True)]
-    )
+def typical_sizes(
+    parameters: FaceParameters, blocks: tuple[str, ...] = BLOCKS, jaw_unit: JawUnit = USUAL_JAW
+) -> Float[np.ndarray, "n"]:
+    """The typical size of every entry of the vector, the jaw's in proportion to the model's unit."""
+    sizes = {name: np.broadcast_to(UNKNOWNS[name].typical, len(getattr(parameters, name))) for name in blocks}
+    if len(sizes.get("jaw", ())):
+        sizes["jaw"] = sizes["jaw"] * jaw_unit.relative
+    return np.concatenate([sizes[name] for name in blocks])
+
+
+def derivative_by_columns(
+    of: Callable[[FaceParameters], Float[AnyArray, "*shape"]],
+    parameters: FaceParameters,
+    columns: Int[AnyArray, "c"],
+    blocks: tuple[str, ...] = BLOCKS,
+    jaw_unit: JawUnit = USUAL_JAW,
+) -> Float[AnyArray, "c *shape"]:
+    """Forward-mode derivative of a function by some of the scaled unknowns; 0 for columns that do not exist."""
+    vector, sizes = pack(parameters, blocks), jnp.asarray(typical_sizes(parameters, blocks, jaw_unit))
+    tangents = jax.nn.one_hot(columns, len(vector), dtype=vector.dtype) * sizes
+
+    def along(tangent):
+        return jax.jvp(lambda at: of(unpack(at, parameters, blocks)), (vector,), (tangent,))[1]
+
+    return jax.vmap(along)(tangents)
 
 
 def parameter_range(model: FaceModel, bounded: bool) -> tuple[FaceParameters, FaceParameters]:
@@ -115,9 +135,9 @@ def free_parameters(
 def keeps_the_mouth_shut(model: FaceModel, shapes: Sequence[str]) -> bool:
     """Whether none of the chosen blendshapes, each as far as it goes, parts the lips by `MOUTH_OPENS_MM`."""
     chosen = _chosen(model.expression_names, shapes, "")
-    lips = model.landmarks.of(model.expression_deltas[chosen])[:, INNER_LIPS]
-    parted = np.linalg.norm(lips[:, 1] - lips[:, 0], axis=1) * np.abs(model.weight_range()).max(axis=1)[chosen]
-    return bool(parted.max(initial=0.0) < MOUTH_OPENS_MM)
+    parted = lip_distance(model.landmarks.of(model.expression_deltas[chosen]))
+    farthest = parted * np.abs(model.weight_range()).max(axis=1)[chosen]
+    return bool(farthest.max(initial=0.0) < MOUTH_OPENS_MM)
 
 
 def _chosen(names: Sequence[str], shapes: Sequence[str], stage: str) -> Bool[np.ndarray, "k"]:

@@ -53,7 +53,7 @@ def render_model(model: FaceModel) -> RenderModel:
         identity=model.identity_deltas.astype(np.float32),
         expression_scale=scale.astype(np.float32),
         expression_scale_identity=scale_identity.astype(np.float32),
-        jaw=JawJoint(*(np.asarray(part, np.float32) for part in jaw_joint(model))),
+        jaw=jax.tree.map(lambda part: np.asarray(part, np.float32), jaw_joint(model)),
         topology=mesh_topology(model.triangles, len(model.neutral), lip_sides(model)),
         colors=model.colors.astype(np.float32) / 255.0,
         uv=model.uv.astype(np.float32),

@@ -23,6 +23,7 @@ from workbench.tracking import FrameFit, Track
 from workbench.tracking.fitting import Continuation, never
 from workbench.tracking.records import Fits, stack_fits
 from workbench.tracking.systems import make_fitter
+from workbench.tracking.track_layout import model_record
 from workbench.tracking.walk import Walk
 
 
@@ -121,6 +122,7 @@ def described_track(run: Run, model: FaceModel, stills: bool) -> Track:
         "stills": stills,
         "camera_guessed": config.camera.guessed,
         "config": config.model_dump(mode="json"),
+        "model": model_record(model),
     }
     return replace(run.track, meta=meta)
 

@@ -125,11 +125,15 @@ TIME = (
          1e-3, 1e3),
     Knob("refinement.centre", "centre", "averaging: weight of the frame itself; its neighbours share the rest",
          "linear", 0.05, 1.0, 0.05),
+    Knob("infill.passes", "passes", "flow infill: meet: from both ends, then between both neighbours; back-and-forth: "
+         "forward, then backward over the filled frames, Sec. 8.3", "choice", choices=("meet", "back-and-forth")),
     Knob("infill.rounds", "rounds", "flow infill: further passes through a gap, back and forth", "whole", 1, 10),
     Knob("infill.largest_error", "bad above", "a fit has failed above this mean error, % of the eye distance",
          "linear", 0.5, 50.0, 0.5),
     Knob("flow.estimator", "flow", "of the pictures: OpenCV's DIS or Farnebäck, or our network (slower)", "choice",
          choices=("dis", "farneback", "network")),
+    Knob("flow.renders", "renders", "flow of the renders: the mesh's exact one; as estimated; by the network with its "
+         "own derivative, Sec. 6 (needs a network, slow)", "choice", choices=("exact", "estimated", "network")),
     _of_term(TABLE["stay"]),
 )  # fmt: skip
 KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP, *METHODS, *TIME)

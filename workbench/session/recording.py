@@ -20,6 +20,7 @@ from workbench.pipeline.output_folder import check_no_results
 from workbench.session.live_frame import LiveFrame
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import stack_fits
+from workbench.tracking.track_layout import model_record
 
 SLOWEST_RATE = 5.0
 """Lowest frame rate of a recording, in frames per second, however slowly the frames came."""
@@ -148,7 +149,7 @@ def live_meta(model: FaceModel, config: Config, source: str, detector: str, rate
         "stills": False,
         "rate": rate,
         "camera_guessed": config.camera.guessed,
-        "model": {"name": model.name, "sha256": model.fingerprint()},
+        "model": model_record(model),
         "versions": software_versions(),
         "live": {"camera": source},
     }

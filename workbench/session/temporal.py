@@ -249,7 +249,8 @@ def work_of(fits: Sequence[FrameFit], config: Config, steps: Sequence[str]) -> i
     turns = max(1, config.refinement.reestimate)
     infill = infill_plan(config)
     failed = sum(not usable(fit, infill) for fit in fits)
-    each = 2 + config.infill.rounds if config.infill.method == "flow" else 1
+    first = {"meet": 2, "back-and-forth": 1}[config.infill.passes]
+    each = first + config.infill.rounds if config.infill.method == "flow" else 1
     work = failed * each if "infill" in steps else 0
     work += turns * len(passes(refinement_plan(config))) * len(fits) if "refine" in steps else 0
     work += turns * len(fits) if "reestimate" in steps else 0

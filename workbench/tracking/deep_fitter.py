@@ -32,7 +32,7 @@ from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solution import DeepProblem, DeepSolution, record_of
 from workbench.tracking.deep_solver import StageProblem, solve_stage
 from workbench.tracking.deep_target import energy_network
-from workbench.tracking.deep_views import FAR_MM, light_of, recorded_camera, views_of, weighed
+from workbench.tracking.deep_views import FAR_MM, eyes_per_box, light_of, recorded_camera, views_of, weighed
 from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.fitting import (
     Calibrated,
@@ -70,6 +70,7 @@ class DeepFitter(Fitter):
         """Use another plan from now on. Raises `InputError` for an unusable network file."""
         self.plan, self.rig = plan, plan.camera.rig
         self._network = energy_network(plan.deep.network)
+        self._eyes = eyes_per_box(self.model, self._network)
         self._flow = flow_term(self.model, plan, self._flow, self._deep_model.render)
         self._points.configure(plan.by_points)
         _warn_of_a_shut_mouth(self.model, plan)
@@ -182,14 +183,14 @@ class DeepFitter(Fitter):
         """The views for a stage; with all landmarks at full weight for None."""
         if stage is not None:
             return weighed(self.views(observation, context), stage)
-        return views_of(self.plan, self._network, observation, light_of(context.appearance))
+        return views_of(self.plan, self._network, self._eyes, observation, light_of(context.appearance))
 
     def record(self, solution: DeepSolution) -> FrameFit:
         """The solution as a record for tables, pictures and exports."""
         observation = solution.problem.observation
         if not solution.results:
             return self._empty(observation, solution.problem.context.shot)
-        return record_of(solution, self.plan, self._network, self.camera(observation.image_size))
+        return record_of(solution, self.plan, self._network, self._eyes, self.camera(observation.image_size))
 
     def start(self, identity: Float[np.ndarray, "i"]) -> FaceParameters:
         """The frontal start: facing the camera, in the middle of the picture."""
@@ -238,11 +239,10 @@ class DeepFitter(Fitter):
 
     def _history(self, last: Continuation | None, start: FaceParameters) -> TermContext:
         """The state of previous frames, for terms that link frames."""
-        constants = self.plan.constants
-        if last is None:
-            return TermContext(constants, np.zeros(6), np.zeros(6), np.zeros(()), start)
-        known = np.asarray(float(last.frames >= 2))
-        return TermContext(constants, np.asarray(last.last_pose), np.asarray(last.pose), known, start)
+        poses, known = (np.zeros(6), np.zeros(6)), np.zeros(())
+        if last is not None:
+            poses, known = (np.asarray(last.last_pose), np.asarray(last.pose)), np.asarray(float(last.frames >= 2))
+        return TermContext(self.plan.constants, *poses, known, start, jaw_unit=self.model.jaw_unit)
 
     def _flow_link(
         self, observation: FrameObservation, context: FrameContext, start: FaceParameters

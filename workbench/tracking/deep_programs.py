@@ -23,7 +23,9 @@ from workbench.energies.deep import (
     preselected_points,
 )
 from workbench.face import FaceParameters, pack, typical_sizes, unpack
+from workbench.face.unknowns import derivative_by_columns
 from workbench.networks import Fan, LandmarkNetwork
+from workbench.runtime import SMALL_ARRAYS
 from workbench.solvers import DenseSystem, normal_equations
 
 CHUNK = 8
@@ -60,34 +62,31 @@ def look_derivative(
 
     Each call takes one chunk of `CHUNK` columns: linearising through a loop takes ten times as long on a CPU.
     """
-    vector = pack(parameters)
 
-    def points(vector):
-        at = unpack(vector, parameters)
+    def points(at):
         return network_view(scene.network, scene.model, scene.albedo, view, at, side, samples).points
 
-    tangents = jax.nn.one_hot(columns, len(vector), dtype=vector.dtype) * jnp.asarray(typical_sizes(parameters))
-    return jax.vmap(lambda tangent: jax.jvp(points, (vector,), (tangent,))[1])(tangents)
+    return derivative_by_columns(points, parameters, columns, jaw_unit=scene.model.render.jaw.unit)
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=SMALL_ARRAYS)
 def project_points(scene: DeepScene, view: DeepView, parameters: FaceParameters) -> Float[Array, "68 2"]:
     """The preselected points in one view."""
     return preselected_points(scene.model, view, parameters, scene.sliding)
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=SMALL_ARRAYS)
 def points_derivative(scene: DeepScene, view: DeepView, parameters: FaceParameters) -> Float[Array, "n 68 2"]:
     """Derivative of the preselected points by all scaled unknowns."""
     vector = pack(parameters)
-    sizes = jnp.asarray(typical_sizes(parameters))
+    sizes = jnp.asarray(typical_sizes(parameters, jaw_unit=scene.model.render.jaw.unit))
     derivative = jax.jacfwd(
         lambda scaled: preselected_points(scene.model, view, unpack(vector + scaled * sizes, parameters), scene.sliding)
     )(jnp.zeros_like(vector))
     return jnp.moveaxis(derivative, -1, 0)
 
 
-@partial(jax.jit, static_argnames="terms")
+@partial(jax.jit, static_argnames="terms", compiler_options=SMALL_ARRAYS)
 def stage_system(
     views: DeepView,
     omega: Float[AnyArray, "t"],
@@ -99,7 +98,7 @@ def stage_system(
 ) -> DenseSystem:
     """Normal equations of a stage, from predictions and their derivative by the scaled unknowns."""
     vector = pack(parameters)
-    sizes = jnp.asarray(typical_sizes(parameters))
+    sizes = jnp.asarray(typical_sizes(parameters, jaw_unit=context.jaw_unit))
 
     def residual(predicted, vector):
         parts = deep_residuals(views, omega, predicted, unpack(vector, parameters), context, terms)
@@ -115,7 +114,7 @@ def stage_system(
     return normal_equations(values[0], (by_scaled / sizes[:, None]).T)
 
 
-@partial(jax.jit, static_argnames="terms")
+@partial(jax.jit, static_argnames="terms", compiler_options=SMALL_ARRAYS)
 def term_energies(
     views: DeepView,
     omega: Float[AnyArray, "t"],

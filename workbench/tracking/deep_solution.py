@@ -82,8 +82,13 @@ class DeepSolution(FrameSolution):
         )
 
 
-def record_of(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork, camera: Camera) -> FrameFit:
-    """The record of a solution with results, for tables, pictures and exports; `camera` is stored in the record."""
+def record_of(
+    solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork, eyes: float, camera: Camera
+) -> FrameFit:
+    """The record of a solution with results, for tables, pictures and exports; `camera` is stored in the record.
+
+    `eyes` is the model's `eyes_per_box`.
+    """
     observation, context = solution.problem.observation, solution.problem.context
     results, rows = solution.results, len(solution.problem.stages)
     parameters = jax.tree.map(lambda part: np.array(part, float), solution.parameters)
@@ -115,18 +120,18 @@ def record_of(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork
         milliseconds=np.array([*observation.milliseconds, 1e3 * sum(solution.seconds)]),
         jaw=parameters.jaw,
         scale=scale,
-        failure=_failure(solution, plan, network),
+        failure=_failure(solution, plan, network, eyes),
         others=landmarks_of_others(observation),
     )
 
 
-def _failure(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork) -> str:
+def _failure(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork, eyes: float) -> str:
     """Why the result should not be used, from its errors in the first view that shows a failure."""
     result = solution.results[-1]
     if result.status is Status.NOT_FINITE:
         return FAILURES[3]
     percent = [
-        np.linalg.norm(points - np.asarray(view.target), axis=1) / percent_px(network, np.asarray(view.target))
+        np.linalg.norm(points - np.asarray(view.target), axis=1) / percent_px(network, eyes, np.asarray(view.target))
         for view, points in zip(solution.views, result.prediction.points, strict=True)
         if np.any(np.asarray(view.weights) > 0.0)
     ]

@@ -134,7 +134,7 @@ def solve_stage(
     problem: StageProblem, start: FaceParameters, cancelled: Callable[[], bool] = lambda: False
 ) -> StageResult:
     """Up to `limit` dogleg steps from `start`; each evaluates the network and its derivative once in every view."""
-    vector, sizes = np.asarray(pack(start)), typical_sizes(start)
+    vector, sizes = np.asarray(pack(start)), typical_sizes(start, jaw_unit=problem.context.jaw_unit)
     views, stage = problem.stacked, _Stage(problem, start)
     parameters, prediction = start, predict(problem.scene, problem.views, start)
     energies = stage.energies(views, prediction, parameters)
@@ -223,7 +223,8 @@ class _Stage:
         return np.concatenate(parts)[: len(columns)]
 
     def _differences(self, view, parameters, columns):
-        vector, steps = pack(parameters), DIFFERENCE_STEP * typical_sizes(parameters)
+        vector = pack(parameters)
+        steps = DIFFERENCE_STEP * typical_sizes(parameters, jaw_unit=self.context.jaw_unit)
         rows = []
         for column in columns:
             ends = []

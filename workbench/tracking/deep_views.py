@@ -8,9 +8,11 @@ from jaxtyping import Float
 
 from workbench.energies.deep import DeepView, crop_of
 from workbench.errors import InputError
+from workbench.face import FaceModel, load_default_head
 from workbench.geometry import Camera
 from workbench.landmarks.network_detector import CROP_BOXES
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import outer_eye_distance
 from workbench.networks import Fan, LandmarkNetwork
 from workbench.rendering import Appearance, ambient_light, directional_light, orthographic_camera, turned_light
 from workbench.rendering.camera import OrthographicCamera
@@ -18,8 +20,8 @@ from workbench.tracking.fitting import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
 
 EYES_PER_BOX = 0.726
-"""Outer-eye distance of an average face, in sides of the face box (`landmarks.alignment.MEAN_SHAPE`). Unlike the
-distance in the picture, it does not shrink with yaw."""
+"""What counts as the default head's outer-eye distance, in sides of the face box (the eyes themselves take up 0.56 of
+it). Unlike the distance in the picture, it does not shrink with yaw."""
 FAR_MM = 1e5
 """An orthographic view is recorded as a camera at this distance, so that every consumer of a fit can draw it."""
 BACKGROUND = (0.45, 0.45, 0.45)
@@ -37,16 +39,22 @@ def recorded_camera(plan: Plan, image_size: tuple[int, int]) -> Camera:
 
 
 def views_of(
-    plan: Plan, network: Fan | LandmarkNetwork, observation: FrameObservation, light: Float[np.ndarray, "9 3"]
+    plan: Plan,
+    network: Fan | LandmarkNetwork,
+    eyes: float,
+    observation: FrameObservation,
+    light: Float[np.ndarray, "9 3"],
 ) -> tuple[DeepView, ...]:
     """The views of a frame, with all landmarks at full weight; `light` in the reference camera's frame.
+
+    `eyes` is the model's `eyes_per_box`.
 
     Raises `InputError` if the number of views with landmarks is not that of the rig.
     """
     rig = plan.camera.rig
     if rig is None:
         camera = _solver_camera(plan, observation.image_size)
-        return (_view(plan, network, camera, np.eye(3), np.zeros(3), observation.landmarks, light),)
+        return (_view(plan, network, eyes, camera, np.eye(3), np.zeros(3), observation.landmarks, light),)
     seen = (observation.landmarks, *observation.others)
     if len(seen) != len(rig):
         raise InputError(
@@ -55,7 +63,7 @@ def views_of(
         )
     places = zip(rig.rotation_view_reference, rig.translation_view_reference_mm, strict=True)
     return tuple(
-        _view(plan, network, view.camera, rotation, translation, landmarks, turned_light(light, rotation))
+        _view(plan, network, eyes, view.camera, rotation, translation, landmarks, turned_light(light, rotation))
         for view, (rotation, translation), landmarks in zip(rig.views, places, seen, strict=True)
     )
 
@@ -66,9 +74,22 @@ def weighed(views: Sequence[DeepView], stage: StagePlan) -> tuple[DeepView, ...]
     return tuple(view._replace(weights=jnp.asarray(weights * np.asarray(view.weights))) for view in views)
 
 
-def percent_px(network: Fan | LandmarkNetwork, points: Float[np.ndarray, "68 2"]) -> float:
-    """One percent of a face's outer-eye distance, in pixels, estimated from the size of its crop."""
-    return 0.01 * EYES_PER_BOX / CROP_BOXES * float(crop_of(network, jnp.asarray(points)).side)
+def eyes_per_box(model: FaceModel, network: Fan | LandmarkNetwork) -> float:
+    """What counts as a model's outer-eye distance, in sides of the face box that the network's crop tells.
+
+    By the neutral face as it is seen from the front: a model whose eyes are farther apart in the crop than the default
+    head's has as much more than `EYES_PER_BOX`.
+    """
+    own, default = (_eyes_per_crop(each, network) for each in (model, load_default_head()))
+    return EYES_PER_BOX * (own / default)
+
+
+def percent_px(network: Fan | LandmarkNetwork, eyes: float, points: Float[np.ndarray, "68 2"]) -> float:
+    """One percent of a face's outer-eye distance, in pixels, estimated from the size of its crop.
+
+    `eyes` is the model's `eyes_per_box`.
+    """
+    return 0.01 * eyes / CROP_BOXES * float(crop_of(network, jnp.asarray(points)).side)
 
 
 def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
@@ -78,15 +99,27 @@ def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
     return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
 
 
+def _eyes_per_crop(model: FaceModel, network: Fan | LandmarkNetwork) -> float:
+    points = model.landmarks.of(model.neutral)[:, :2]
+    return float(outer_eye_distance(points)) / float(crop_of(network, jnp.asarray(points)).side)
+
+
 def _view(
-    plan: Plan, network: Fan | LandmarkNetwork, camera, rotation, translation, landmarks: Landmarks2D | None, light
+    plan: Plan,
+    network: Fan | LandmarkNetwork,
+    eyes: float,
+    camera,
+    rotation,
+    translation,
+    landmarks: Landmarks2D | None,
+    light,
 ) -> DeepView:
     if landmarks is None:
         target, confidence, share, unit = np.zeros((68, 2)), np.zeros(68), np.zeros(68), 1.0
     else:
         target, confidence = landmarks.points, landmarks.confidence
         share = {"deep": np.ones(68), "points": np.zeros(68), "mixed": confidence}[plan.deep.energy]
-        unit = percent_px(network, target) if plan.solver.percent else 1.0
+        unit = percent_px(network, eyes, target) if plan.solver.percent else 1.0
     return DeepView(
         camera=Camera(*(jnp.asarray(part, float) for part in camera)) if isinstance(camera, Camera) else camera,
         rotation=jnp.asarray(rotation, jnp.float32),

@@ -20,6 +20,8 @@ from workbench.tracking.photo_flow import read_at
 from workbench.tracking.plan import Plan
 from workbench.tracking.point_links import Links, Neighbour, PointLinker, flow_views, places_of
 from workbench.tracking.records import FrameFit
+from workbench.tracking.rendered_flow_problem import MovingFrame, RenderedFlow
+from workbench.tracking.rendered_flow_solver import solve_rendered_flow
 
 ESTIMATED_PASSES = 3
 """Number of solves; the estimator's flow of the renders is updated between them."""
@@ -44,11 +46,10 @@ class FlowFitter:
         ]
         self.free = np.any([np.concatenate(self._of_moving(one)) for one in freed], axis=0)
         """Which entries of rotation, translation, expression and jaw are free in any stage of the plan."""
+        self._by_network = (
+            RenderedFlow(model, self._render, self.linker, plan.flow) if plan.flow.renders == "network" else None
+        )
         self._appearances: dict[int, Appearance | None] = {}
-
-    @property
-    def _estimates_renders(self) -> bool:
-        return self.plan.flow.renders == "estimated"
 
     def views(self, fit: FrameFit) -> FlowView:
         """The cameras of a fit, stacked."""
@@ -57,6 +58,46 @@ class FlowFitter:
     def links(self, neighbour: Neighbour, pictures: Pictures, guess: FaceParameters, views: FlowView) -> Links:
         """As `PointLinker.links`."""
         return self.linker.links(neighbour, pictures, guess, views)
+
+    def between(
+        self,
+        neighbours: tuple[Neighbour | None, Neighbour | None],
+        pictures: Pictures,
+        start: FaceParameters,
+        prior: FaceParameters,
+        views: FlowView,
+        stay_pose: float | int = 0.0,
+        appearance: Appearance | None = None,
+        least_points: float = 0.0,
+    ) -> FlowSolution | None:
+        """The frame of these pictures between two neighbours (None for a missing one), near `prior`.
+
+        `appearance`: needed where renders go through an estimator. At surface points, None if either flow is valid for
+        less than the fraction `least_points` of them; through the network every frame is solved.
+        """
+        if self._by_network is not None:
+            frame = MovingFrame(start, prior, views, self._weights(stay_pose), self._limits(start), appearance)
+            return solve_rendered_flow(self._by_network.between(neighbours, pictures, frame), start)
+        sides = tuple(None if end is None else (end, self.links(end, pictures, start, views)) for end in neighbours)
+        if any(side is not None and side[1].weights.mean() < least_points for side in sides):
+            return None
+        return self.solve(sides, start, prior, views, stay_pose, appearance)
+
+    def midway(
+        self,
+        before: FaceParameters,
+        after: FaceParameters,
+        start: FaceParameters,
+        views: FlowView,
+        stay_pose: float | int = 0.0,
+        appearance: Appearance | None = None,
+    ) -> FlowSolution:
+        """The frame near `start` that minimises ‖N(F₁, F₂) − N(F₂, F₃)‖ (Sec. 7); N is the mesh's exact flow unless
+        renders go through the network."""
+        if self._by_network is not None:
+            frame = MovingFrame(start, start, views, self._weights(stay_pose), self._limits(start), appearance)
+            return solve_rendered_flow(self._by_network.midway(before, after, frame), start)
+        return self.solve_targets(self.midway_targets(before, after, views), start, start, views, stay_pose)
 
     def solve(
         self,
@@ -73,7 +114,7 @@ class FlowFitter:
         """
         targets = self.linker.targets([None if side is None else side[1] for side in sides], start, views)
         solution = self.solve_targets(targets, start, prior, views, stay_pose)
-        if self._estimates_renders:
+        if self.plan.flow.renders == "estimated":
             for _ in range(ESTIMATED_PASSES):
                 bias = self._bias(sides, solution.parameters, views, appearance)
                 biased = targets._replace(bias_px=bias)
@@ -107,8 +148,8 @@ class FlowFitter:
         return targets
 
     def appearance_of_shot(self, moment) -> Appearance | None:
-        """Colours and light of a shot, from the first of its frames requested; None if they are not needed."""
-        if not self._estimates_renders:
+        """Colours and light of a shot, from the first of its frames requested; None if not needed or not available."""
+        if self.plan.flow.renders == "exact" or not moment.pictures:
             return None
         if moment.fit.shot not in self._appearances:
             self._appearances[moment.fit.shot] = self.appearance(moment.fit, moment.pictures[0])

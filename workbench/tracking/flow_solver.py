@@ -4,6 +4,7 @@ Free parameters, weights, bounds, targets and cameras are data. Only another num
 blendshapes triggers recompilation.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -15,6 +16,7 @@ from workbench.energies.flow import FlowWeights, flow_distances, flow_residuals,
 from workbench.energies.flow_link import FlowTargets, FlowView
 from workbench.face import FaceParameters, pack, unpack
 from workbench.flow import SurfacePoints
+from workbench.runtime import SMALL_ARRAYS
 from workbench.solvers import LevenbergMarquardt, minimise, normal_equations
 
 MOVING = ("rotation", "translation", "expression", "jaw")
@@ -46,7 +48,7 @@ class FlowSolution(NamedTuple):
     iterations: Int[Array, ""]
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=SMALL_ARRAYS)
 def solve_flow(
     points: SurfacePoints,
     views: FlowView,

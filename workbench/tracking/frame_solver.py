@@ -39,6 +39,7 @@ from workbench.face import (
     unpack,
 )
 from workbench.geometry import Camera, head_yaw
+from workbench.runtime import SMALL_ARRAYS
 from workbench.solvers import LevenbergMarquardt, Solution, TrustRegion, minimise
 
 BLOCKS = SYSTEMS["face-it"].blocks
@@ -113,7 +114,7 @@ class SolvedFrame(NamedTuple):
     """None unless requested: per stage, energies (s, steps, t) and landmark residuals in pixels (s, steps, 68)."""
 
 
-@partial(jax.jit, static_argnames=("method", "trace_length", "terms"))
+@partial(jax.jit, static_argnames=("method", "trace_length", "terms"), compiler_options=SMALL_ARRAYS)
 def solve_frame(
     camera: Camera,
     model: LandmarkModel,

@@ -5,6 +5,7 @@ landmarks by least squares, with a normal prior on the identity coefficients. Ch
 pass: a detected contour is a silhouette, and a pose fitted to it turns the head to explain a long face.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from workbench.arrays import AnyArray, Count, Scalar
 from workbench.energies import FACE_IT_TERMS, EnergyConstants, energy, normal_system
 from workbench.face import FaceParameters, LandmarkModel, pack, unpack
 from workbench.geometry import Camera
+from workbench.runtime import RUN_SELDOM
 from workbench.solvers import ArrowheadSystem, DenseSystem, LevenbergMarquardt, minimise
 from workbench.tracking.frame_solver import BLOCKS, FrameInput, SolveSettings, moving_unknowns, stage_problem
 
@@ -48,7 +50,7 @@ class Calibration(NamedTuple):
     iterations: Int[AnyArray, "passes"]
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=RUN_SELDOM)
 def calibrate_identity(
     cameras: Camera,
     model: LandmarkModel,

@@ -1,9 +1,10 @@
 """Failed frames filled from their neighbours (Deep Energies Sec. 6, 8.3 and Appendix A).
 
-By flow, the gap is filled forward from the good frame before it and backward from the good frame after it. The two
-passes are blended by distance from their anchors, because flow errors accumulate, and every frame is solved again
-between its two neighbours. At the ends of a clip there is only one anchor and one pass. In the paper, the second pass
-starts from the frames filled by the first, and both may be repeated.
+By flow, frame by frame from a known neighbour. In the paper, a gap is solved forward from the good frame before it,
+and then backward from the one after it, starting from what the first pass found; both may be repeated
+("back-and-forth"). By default both passes start afresh ("meet"), are blended by distance from their anchors, because
+flow errors accumulate, and every frame is solved again between its two neighbours. At the ends of a clip there is only
+one anchor and one pass.
 """
 
 from collections import deque
@@ -143,13 +144,14 @@ def fill_by_flow(
     ends = tuple(None if end is None else Neighbour(parameters_of(end.fit), end.pictures) for end in (before, after))
     count = len(pictures)
 
-    def along(order: Sequence[int], end: Neighbour) -> list[FaceParameters]:
+    def along(
+        order: Sequence[int], end: Neighbour, path: Sequence[FaceParameters] | None = None
+    ) -> list[FaceParameters]:
         found: list[FaceParameters] = [end.parameters] * count
         neighbour = end
         for k in order:
-            start = neighbour.parameters
-            links = fitter.links(neighbour, pictures[k], start, views)
-            solution = fitter.solve(((neighbour, links), None), start, start, views, appearance=appearance)
+            start = neighbour.parameters if path is None else path[k]
+            solution = fitter.between((neighbour, None), pictures[k], start, start, views, appearance=appearance)
             found[k] = solution.parameters
             neighbour = Neighbour(found[k], pictures[k])
             advanced(k)
@@ -161,17 +163,22 @@ def fill_by_flow(
             sides = []
             for other in (k - 1, k + 1):
                 if 0 <= other < count:
-                    neighbour = Neighbour(path[other], pictures[other])
+                    sides.append(Neighbour(path[other], pictures[other]))
                 else:
-                    neighbour = ends[0 if other < 0 else 1]
-                sides.append((neighbour, fitter.links(neighbour, pictures[k], path[k], views)))
-            path[k] = fitter.solve(tuple(sides), path[k], expected[k], views, appearance=appearance).parameters
+                    sides.append(ends[0 if other < 0 else 1])
+            solution = fitter.between(tuple(sides), pictures[k], path[k], expected[k], views, appearance=appearance)
+            path[k] = solution.parameters
             advanced(k)
         return path
 
     forth, back = range(count), range(count - 1, -1, -1)
     if before is None or after is None:
         return along(forth if after is None else back, ends[0] or ends[1])
+    if fitter.plan.infill.passes == "back-and-forth":
+        path = along(forth, ends[0])
+        for turn in range(fitter.plan.infill.rounds):
+            path = along(back, ends[1], path) if turn % 2 == 0 else along(forth, ends[0], path)
+        return path
     forward, backward = along(forth, ends[0]), along(back, ends[1])
     path = [between(forward[k], backward[k], (k + 1) / (count + 1)) for k in range(count)]
     expected = fill_linearly(before.fit, after.fit, count)

@@ -108,6 +108,7 @@ class InfillPlan:
     """Infill of frames without a usable fit."""
 
     method: str
+    passes: str
     rounds: int
     longest: int
     largest_error: float

@@ -60,11 +60,7 @@ class PointLinker:
         numbers of pictures and views differ.
         """
         count = len(views.rotation)
-        if not len(neighbour.pictures) == len(pictures) == count:
-            raise InputError(
-                f"There are {count} views, but {len(neighbour.pictures)} and {len(pictures)} pictures; "
-                "give one picture for each view."
-            )
+        check_pictures(neighbour.pictures, pictures, count)
         with COMPUTING:
             here = np.asarray(places_of(self.points, views, neighbour.parameters), float)
             there = np.asarray(places_of(self.points, views, guess), float)
@@ -87,9 +83,22 @@ class PointLinker:
         for k, side in enumerate(sides):
             if side is not None:
                 places[k], weights[k] = side.places, side.weights
+        return FlowTargets(places, weights, np.zeros_like(places), self.unit_px(guess, views))
+
+    def unit_px(self, guess: FaceParameters, views: FlowView) -> Float[np.ndarray, "views"]:
+        """One percent of the outer-eye distance in each view's picture."""
         depth = np.linalg.norm(np.asarray(guess.translation, float))
-        unit = [0.01 * self._eyes_mm * float(np.mean(focal)) / depth for focal in np.asarray(views.camera.focal_px)]
-        return FlowTargets(places, weights, np.zeros_like(places), np.array(unit))
+        return np.array(
+            [0.01 * self._eyes_mm * float(np.mean(focal)) / depth for focal in np.asarray(views.camera.focal_px)]
+        )
+
+
+def check_pictures(before: Pictures, now: Pictures, views: int) -> None:
+    """Raises `InputError` unless two frames have one picture for each view."""
+    if not len(before) == len(now) == views:
+        raise InputError(
+            f"There are {views} views, but {len(before)} and {len(now)} pictures; give one picture for each view."
+        )
 
 
 def flow_views(rig: Rig | None, camera: Camera) -> FlowView:

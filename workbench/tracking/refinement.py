@@ -10,7 +10,6 @@ first in the hybrid: weights of ¼, ½, ¼ remove exactly that noise.
 
 from collections.abc import Callable, Iterable, Iterator
 
-from workbench.energies.flow_link import FlowTargets
 from workbench.tracking.failures import why_failed
 from workbench.tracking.flow_fitter import FlowFitter, parameters_of
 from workbench.tracking.interpolation import averaged
@@ -60,13 +59,19 @@ def averaging_pass(
 def self_flow_pass(
     fitter: FlowFitter, stream: Iterable[Moment], advanced: Callable[[FrameFit], None] = lambda fit: None
 ) -> Iterator[Moment]:
-    """Each frame is fitted to minimise ‖N(F₁, F₂) − N(F₂, F₃)‖ (Sec. 7) for the exact flow of the mesh: its points move
+    """Each frame is fitted to minimise ‖N(F₁, F₂) − N(F₂, F₃)‖ (Sec. 7). For the exact flow of the mesh its points move
     midway between those of its neighbours."""
 
     def midway(before: Moment, here: Moment, after: Moment) -> FrameFit:
-        views = fitter.views(here.fit)
-        targets = fitter.midway_targets(parameters_of(before.fit), parameters_of(after.fit), views)
-        return _moved(fitter, here, targets, views)
+        ends = (parameters_of(moment.fit) for moment in (before, after))
+        solution = fitter.midway(
+            *ends,
+            parameters_of(here.fit),
+            fitter.views(here.fit),
+            fitter.plan.refinement.prior,
+            fitter.appearance_of_shot(here),
+        )
+        return fitter.placed(here.fit, solution.parameters)
 
     yield from _windowed(stream, midway, advanced, fitter.plan.refinement.order == "gauss-seidel")
 
@@ -76,27 +81,22 @@ def plate_flow_pass(
 ) -> Iterator[Moment]:
     """Each frame is fitted so that the flow of the renders from both neighbours matches the flow of the pictures.
 
-    In Sec. 7, the second term uses the flow from the frame to the later neighbour instead.
+    In Sec. 7, the second flow leads from the frame to the later neighbour. So it does where renders go through the
+    network; at surface points it leads from the neighbour to the frame.
     """
 
     def between(before: Moment, here: Moment, after: Moment) -> FrameFit:
         views, guess = fitter.views(here.fit), parameters_of(here.fit)
-        neighbours = [Neighbour(parameters_of(moment.fit), moment.pictures) for moment in (before, after)]
-        sides = tuple((end, fitter.links(end, here.pictures, guess, views)) for end in neighbours)
-        if any(links.weights.mean() < LEAST_POINTS for _, links in sides):
+        neighbours = tuple(Neighbour(parameters_of(moment.fit), moment.pictures) for moment in (before, after))
+        stay, appearance = fitter.plan.refinement.prior, fitter.appearance_of_shot(here)
+        solution = fitter.between(
+            neighbours, here.pictures, guess, guess, views, stay, appearance, least_points=LEAST_POINTS
+        )
+        if solution is None:
             return here.fit
-        appearance = fitter.appearance_of_shot(here)
-        stay = fitter.plan.refinement.prior
-        solution = fitter.solve(sides, guess, guess, views, stay_pose=stay, appearance=appearance)
         return fitter.placed(here.fit, solution.parameters)
 
     yield from _windowed(stream, between, advanced, fitter.plan.refinement.order == "gauss-seidel")
-
-
-def _moved(fitter: FlowFitter, here: Moment, targets: FlowTargets, views) -> FrameFit:
-    start = parameters_of(here.fit)
-    solution = fitter.solve_targets(targets, start, start, views, fitter.plan.refinement.prior)
-    return fitter.placed(here.fit, solution.parameters)
 
 
 def _windowed(

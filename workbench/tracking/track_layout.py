@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +11,7 @@ from jaxtyping import Bool, Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from workbench.errors import InputError
+from workbench.face import USUAL_JAW, FaceModel, JawUnit
 from workbench.reading import checked_json, shortened
 
 FORMAT = "face-energy-workbench-track"
@@ -67,9 +69,19 @@ class _File(_Section):
     sha256: str = ""
 
 
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class _JawUnit(_Section):
+    open_deg: Positive
+    sideways_mm: Positive
+    forward_mm: Positive
+
+
 class _Model(_Section):
     name: str = ""
     sha256: str | None = None
+    jaw_unit: _JawUnit | None = None
 
 
 class _Metadata(_Section):
@@ -119,6 +131,19 @@ def checked_meta(stored: Mapping[str, np.ndarray], path: Path) -> dict[str, Any]
 def meta_array(meta: dict[str, Any]) -> np.ndarray:
     """The metadata as the scalar text array that is stored in the file."""
     return np.array(json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION, **meta}))
+
+
+def model_record(model: FaceModel) -> dict[str, Any]:
+    """The key `model` of a track's metadata."""
+    return {"name": model.name, "sha256": model.fingerprint(), "jaw_unit": asdict(model.jaw_unit)}
+
+
+def jaw_unit_of(meta: Mapping[str, Any]) -> JawUnit:
+    """The unit of the jaw joint in a track's model; the default head's where an older workbench did not write it."""
+    stored = (meta.get("model") or {}).get("jaw_unit")
+    if stored is None:
+        return USUAL_JAW
+    return JawUnit(**{name: float(stored[name]) for name in asdict(USUAL_JAW)})
 
 
 def in_todays_layout(stored: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:

@@ -26,13 +26,18 @@ from workbench.face.formats.raw import (
     ranges,
     statistical_names,
 )
+from workbench.face.jaw_unit import USUAL_JAW
 from workbench.face.model import Embedding
 
 BASES = {400: (300, 300), 20: (10, 10)}
 """By the number of shape directions: where identity ends and expression begins."""
 JOINTS = ("root", "neck", "jaw", "leftEye", "rightEye")
 JAW = JOINTS.index("jaw")
-JAW_TURNS_DEG = {"jawOpen": (26.5, 0.0, 0.0), "jawLeft": (0.0, 6.0, 0.0), "jawRight": (0.0, -6.0, 0.0)}
+JAW_TURNS_DEG = {
+    "jawOpen": (USUAL_JAW.open_deg, 0.0, 0.0),
+    "jawLeft": (0.0, 6.0, 0.0),
+    "jawRight": (0.0, -6.0, 0.0),
+}
 """What weight 1 turns the jaw by, about +x and +y of FLAME's axes; `jawOpen` as the default head's joint does."""
 CONTOUR_YAWS = (-39, -30, -20, -10, 0, 10, 20, 30, 39)
 COMPANIONS = ("landmark_embedding*.npy", "flame_static_embedding*", "flame_dynamic_embedding*.npy")

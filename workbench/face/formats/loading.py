@@ -23,7 +23,7 @@ from workbench.face.formats.pickled_arrays import read_arrays
 from workbench.face.formats.placing import Placement, axes_of_joints, correspondences, place
 from workbench.face.formats.raw import RawModel, check_raw, embedding_of, places_of
 from workbench.face.formats.shape_names import arkit_name, arkit_shapes
-from workbench.face.model import JAW_RANGE, Embedding, FaceModel
+from workbench.face.model import Embedding, FaceModel
 from workbench.reading import checked_file, reading, shortened
 
 COMPONENTS = 50
@@ -172,7 +172,6 @@ def _placed(raw: RawModel, unit: str | None, path: Path) -> FaceModel:
         blink_scale=np.ones(2),
         blink_scale_identity=np.zeros((len(people), 2)),
         expression_range=bounds,
-        jaw_range=JAW_RANGE * np.repeat([1.0, placement.size], 3),
         notes=(*raw.notes, _told(raw, placement, fit, found)),
     )
 
