@@ -53,6 +53,7 @@ Model = Annotated[Path | None, typer.Option(help="The face model of the track, i
 Clip = Annotated[Path | None, typer.Option("--clip", help="The pictures, if they have been moved.")]
 View = Annotated[list[str] | None, typer.Option(help="Clip of another view, if moved, as NAME=CLIP.")]
 Estimator = Annotated[str | None, typer.Option(help="dis, farneback, network, or a file of weights.")]
+Renders = Annotated[str | None, typer.Option(help="Flow of the renders: exact, estimated, or network.")]
 Pictures = Annotated[bool, typer.Option(help="Write the overlay video.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP)]
 
@@ -66,6 +67,7 @@ def infill(
     ] = None,
     method: Annotated[str, typer.Option(help=f"One of: {', '.join(INFILL_METHODS)}.")] = "flow",
     estimator: Estimator = None,
+    renders: Renders = None,
     longest: Annotated[int | None, typer.Option(min=1, help="Leave gaps of more frames as they are.")] = None,
     model: Model = None,
     clip: Clip = None,
@@ -80,7 +82,7 @@ def infill(
     section: dict[str, Any] = {"method": method, "frames": wanted}
     if longest is not None:
         section["longest"] = longest
-    changes = {"infill": section, "flow": _flow(estimator)}
+    changes = {"infill": section, "flow": _flow(estimator, renders)}
     options = {"clip": clip, "pictures": pictures, "overwrite": overwrite}
     result = _work(run, out, "infill", changes, ["infill"], model, view, **options)
     if not result.summary["frames_filled"]:
@@ -97,6 +99,7 @@ def refine(
     prior: Annotated[float | None, typer.Option(min=0.0, help="Weight of staying at the previous pose.")] = None,
     reestimate: Annotated[int, typer.Option(min=0, max=10, help="Number of expression re-fits.")] = 0,
     estimator: Estimator = None,
+    renders: Renders = None,
     model: Model = None,
     clip: Clip = None,
     view: View = None,
@@ -108,7 +111,7 @@ def refine(
     given = {"sweeps": sweeps, "order": order, "prior": prior}
     section = {"method": method, "reestimate": reestimate} | {k: v for k, v in given.items() if v is not None}
     steps = ["refine", *(["reestimate"] if reestimate else [])]
-    changes = {"refinement": section, "flow": _flow(estimator)}
+    changes = {"refinement": section, "flow": _flow(estimator, renders)}
     _work(run, out, "refine", changes, steps, model, view, clip=clip, pictures=pictures, overwrite=overwrite)
 
 
@@ -141,8 +144,9 @@ def _check_range(wanted: list[tuple[int, int]], run: Path) -> None:
             raise ConfigError(f"The track has frames 0 to {count - 1}, got --frames {asked}; name frames of the track.")
 
 
-def _flow(estimator: str | None) -> dict[str, str]:
-    return {} if estimator is None else {"estimator": estimator}
+def _flow(estimator: str | None, renders: str | None) -> dict[str, str]:
+    given = {"estimator": estimator, "renders": renders}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, view, **options):

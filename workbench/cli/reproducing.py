@@ -17,6 +17,8 @@ REPRODUCE_HELP = """Remake figures and tables of the papers, into a page beside 
   workbench reproduce --quick                          everything, on a small part of the data
 
   workbench reproduce head-pose --boston uniform-light   Table 1 on the real set
+
+  workbench reproduce other-meshes --meshes meshes     with what 3DDFA, PRNet or VRN made of the pictures
 """
 
 
@@ -27,6 +29,8 @@ def reproduce(
     listing: Annotated[bool, typer.Option("--list", help="Name the items and stop.")] = False,
     boston: Annotated[Path | None, typer.Option(help="Folder with Boston University's set, for head-pose.")] = None,
     poses: Annotated[list[Path] | None, typer.Option(help="CSV with another program's poses on that set.")] = None,
+    meshes: Annotated[Path | None, typer.Option(help="Folder with other programs' meshes, for other-meshes.")] = None,
+    clip: Annotated[Path | None, typer.Option(help="A video of a face, for clip-through-time.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Remake what has been made already.")] = False,
 ) -> None:
     """Remake figures and tables of the papers, into a page beside their own numbers."""
@@ -37,10 +41,15 @@ def reproduce(
             table.add_row(item.name, item.paper, item.place, item.title)
         screen.console.print(table)
         return
-    workbench.pipeline.check_inputs_kept(out, [path for path in (boston, *(poses or [])) if path is not None])
+    data = {"boston": boston, "poses": poses or (), "meshes": meshes, "clip": clip}
+    workbench.reproduction.check_data(items, **data)
+    given = [path for path in (boston, meshes, clip, *(poses or [])) if path is not None]
+    workbench.pipeline.check_inputs_kept(out, given)
     for item in items:
         with screen.progress_bar() as progress:
-            ((_, fresh),) = workbench.reproduction.run([item], out, quick, boston, poses or (), overwrite, progress)
+            ((_, fresh),) = workbench.reproduction.run(
+                [item], out, quick=quick, overwrite=overwrite, progress=progress, **data
+            )
         state = "" if fresh else " (made before; --overwrite remakes it)"
         screen.console.print(f"{item.name}: {item.paper} {item.place}, {item.title}{state}", soft_wrap=True)
         # After every item: a run that is stopped leaves a page of what there is.

@@ -23,6 +23,7 @@ from .pictures import close_up as close_up
 from .pictures import compared_fits as compared_fits
 from .pictures import film_strip as film_strip
 from .pictures import heat_over as heat_over
+from .pictures import picture_rows as picture_rows
 from .pictures import pictures_in_a_row as pictures_in_a_row
 from .pictures import signed_picture as signed_picture
 from .pictures import with_arrows as with_arrows

@@ -33,12 +33,14 @@ def track_curves(
     frames: tuple[int, int] | None = None,
     shaded: Sequence[tuple[int, int]] = (),
     columns: int = 3,
+    truth: Track | None = None,
 ) -> Figure:
     """Parameters of several tracks over their frames, one small plot per quantity (Deep Energies Figs. 15 and 17).
 
     Quantities are yaw, pitch, roll (degrees), x, y, z (millimetres) and the names of blendshapes. `frames` are the
     first and last frame shown. A track named "truth" is thick and grey behind the others. `shaded` are frame ranges,
-    first and last, with a grey background.
+    first and last, with a grey background. With `truth`, a track of the same frames, the curves are the distances from
+    it (Fig. 16).
 
     Raises `InputError` for a quantity that a track does not have.
     """
@@ -50,8 +52,11 @@ def track_curves(
             behind = label == "truth"
             color, dash = (GREY, "-") if behind else next(styles)
             shown = slice(None) if frames is None else (track.index >= frames[0]) & (track.index <= frames[1])
+            values = _quantity(track, quantity)
+            if truth is not None:
+                values = np.abs(values - _quantity(truth, quantity))
             axis.plot(
-                track.index[shown], _quantity(track, quantity)[shown], dash, color=color,
+                track.index[shown], values[shown], dash, color=color,
                 linewidth=3.5 if behind else 1.2,
                 alpha=0.6 if behind else 1.0, label=label, zorder=1 if behind else 2,
             )  # fmt: skip

@@ -132,6 +132,14 @@ def film_strip(
     )
 
 
+def picture_rows(rows: dict[str, Sequence[Picture]], titles: Sequence[str]) -> Figure:
+    """Square pictures as a table: a row for each label, a title above each column."""
+    across = PAGE_WIDTH - STRIP_LABEL - GAP * len(titles)
+    side = int(min(across / len(titles), STRIP_LARGEST) * DPI)
+    panels = [[_resized(picture, side) for picture in pictures] for pictures in rows.values()]
+    return _labelled_rows(panels, titles, list(rows), [[""] * len(titles)] * len(rows))
+
+
 def compared_fits(
     model: FaceModel,
     picture: Picture | None,
@@ -139,11 +147,13 @@ def compared_fits(
     side: int = 300,
     view: str = "pose",
     columns: int | None = None,
+    about: Float[np.ndarray, "n 2"] | None = None,
 ) -> Figure:
     """Fits of one frame side by side with labels: drawn over the picture, with 3D heads below.
 
     A single fit has its head next to it; without a picture only heads are shown, in rows of `columns`. With `view`
-    "pose" the heads turn with the face, with "front" they stay frontal. All close-ups show the same square.
+    "pose" the heads turn with the face, with "front" they stay frontal. All close-ups show the same square: around
+    the points `about`, by default the observed landmarks.
     """
     wide = round(HEAD_CUT * side)
     with HeadPanel(model, (wide, wide), view) as panel:
@@ -153,7 +163,7 @@ def compared_fits(
     if picture is None:
         return pictures_in_a_row(heads, list(fits), columns)
     parts = OverlayParts(text=False, legend=False)
-    overlays = [draw_overlay(*close_up(picture, fit, side), parts=parts) for fit in fits.values()]
+    overlays = [draw_overlay(*close_up(picture, fit, side, about), parts=parts) for fit in fits.values()]
     overlays = [_resized(overlay, side) for overlay in overlays]  # small ones are enlarged already
     if len(fits) == 1:
         return pictures_in_a_row([*overlays, *heads], [*fits, ""])

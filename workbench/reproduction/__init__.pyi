@@ -11,9 +11,14 @@ from .boston import write_truth as write_truth
 from .items import ITEMS as ITEMS
 from .items import Item as Item
 from .items import choose as choose
+from .mesh_files import FoundMesh as FoundMesh
+from .mesh_files import OtherMesh as OtherMesh
+from .mesh_files import read_mesh as read_mesh
+from .mesh_files import read_mesh_folder as read_mesh_folder
 from .page import write_page as write_page
 from .study import Result as Result
 from .study import Study as Study
 from .study import Table as Table
+from .study import check_data as check_data
 from .study import results as results
 from .study import run as run

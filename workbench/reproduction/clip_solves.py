@@ -1,11 +1,11 @@
 """Deep Energies on frames of the bundled clip, with the truth of each beside its solution."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from workbench.config import Config
 from workbench.face import FaceModel
@@ -58,7 +58,11 @@ class ClipSolves:
 @cache
 def observed(frame: int) -> FrameObservation:
     """A frame as the network sees it, in a crop around the stored landmarks."""
-    picture = clip_pictures((frame,))[frame]
+    return seen_in(clip_pictures((frame,))[frame], frame)
+
+
+def seen_in(picture: UInt8[np.ndarray, "480 640 3"], frame: int) -> FrameObservation:
+    """The same in another picture of this frame."""
     seen = photo_landmarks(bundled_landmark_network(), picture, clip_landmarks()[frame])
     return FrameObservation(frame, seen, seen.image_size, picture=picture)
 
@@ -70,7 +74,14 @@ class ClipSolver:
         self._head = head
         self._appearance: Appearance | None = None
 
-    def solve(self, config: Config, frames: Sequence[int], study: Study, label: str) -> ClipSolves:
+    def solve(
+        self,
+        config: Config,
+        frames: Sequence[int],
+        study: Study,
+        label: str,
+        observe: Callable[[int], FrameObservation] = observed,
+    ) -> ClipSolves:
         """The frames, each on its own, with the clip's camera and its person's identity."""
         config = config.changed(
             camera={"matrix": clip_truth().camera_matrix.tolist()},
@@ -83,5 +94,5 @@ class ClipSolver:
         context, solutions = FrameContext(0, identity, None, None, self._appearance), {}
         for done, frame in enumerate(frames):
             study.progress(label, done, len(frames))
-            solutions[frame] = fitter.solve(fitter.problem(observed(frame), context))
+            solutions[frame] = fitter.solve(fitter.problem(observe(frame), context))
         return ClipSolves(fitter, solutions)

@@ -1,26 +1,18 @@
 """The figures and experiments of Deep Energies that can be remade."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from workbench import plots
 from workbench.config import preset
-from workbench.face import FaceParameters, load_default_head
-from workbench.files import make_folder
-from workbench.geometry import write_rig, yaw_pitch_roll_deg
+from workbench.face import load_default_head
 from workbench.pictures import stage_strip
-from workbench.planning import plan_of
 from workbench.reproduction.clip_solves import QUANTITIES, QUICK_NOTE, ClipSolver
-from workbench.reproduction.people import Motion
 from workbench.reproduction.rendered_clip import OPEN_MOUTH, SEVEN_FRAMES, clip_pictures
-from workbench.reproduction.stereo_film import APART_DEG, AWAY_MM, FOV_DEG, film_stereo
+from workbench.reproduction.stereo_film import APART_DEG, AXES, film_stereo
+from workbench.reproduction.stereo_solves import rigid_differences, solve_film
 from workbench.reproduction.study import Result, Study, Table
-from workbench.tracking import FrameContext
-from workbench.tracking.deep_fitter import DeepFitter
 
 STEREO_FRAMES = 24
-AXES = ("yaw, °", "pitch, °", "roll, °", "x, mm", "y, mm", "z, mm")
 STRIPS = (60, 140, OPEN_MOUTH)
 DATA = "frames of the bundled clip of a rendered head, 640 × 480, whose truth is exact; identity and camera given"
 OTHER_PARTS = (
@@ -67,32 +59,16 @@ def stereo(study: Study) -> Result:
     """Fig. 10: errors of the rigid parameters by one camera, by two, and by two with preselected points."""
     head, frames = load_default_head(), 2 if study.quick else STEREO_FRAMES
     film = film_stereo(head, frames, study.progress)
-    write_rig(film.rig, make_folder(study.folder) / "rig.toml")
-    single = {"fov_deg": FOV_DEG}
-    both = {"rig": str(study.folder / "rig.toml")}
-    series = {
-        "monocular": preset("deep").changed(camera=single),
-        "stereo": preset("deep").changed(camera=both),
-        "stereo, preselected": preset("deep-points").changed(camera=both),
+    solves = {
+        "monocular": solve_film(head, film, preset("deep"), study, "monocular", both=False),
+        "stereo": solve_film(head, film, preset("deep"), study, "stereo"),
+        "stereo, preselected": solve_film(head, film, preset("deep-points"), study, "stereo, preselected"),
     }
-    errors = {}
-    for label, config in series.items():
-        config = config.changed(identity={"calibrate": False}, deep={"distance_mm": AWAY_MM})
-        fitter = DeepFitter(head, plan_of(config))
-        appearance = fitter.appearance(film.observations[:1], film.identity)
-        context, rows = FrameContext(0, film.identity, None, None, appearance), []
-        for k, observation in enumerate(film.observations):
-            study.progress(label, k, frames)
-            one = observation if config.camera.rig else replace(observation, others=())
-            if one.faces:
-                found = fitter.solve(fitter.problem(one, context)).parameters
-                rows.append((k, *_rigid_errors(found, film.motion, k)))
-        errors[label] = np.array(rows).reshape(-1, 1 + len(AXES))
+    errors = {label: np.abs(rigid_differences(fits, film.motion)) for label, fits in solves.items()}
     table = tuple(
-        (label, *(f"{value:.2f}" for value in np.abs(rows[:, 1:]).mean(axis=0)), str(len(rows)))
-        for label, rows in errors.items()
+        (label, *(f"{value:.2f}" for value in rows.mean(axis=0)), str(len(rows))) for label, rows in errors.items()
     )
-    boxes = {axis: {label: np.abs(rows[:, k]) for label, rows in errors.items()} for k, axis in enumerate(AXES, 1)}
+    boxes = {axis: {label: rows[:, k] for label, rows in errors.items()} for k, axis in enumerate(AXES)}
     return Result(
         data=f"a rendered film of {frames} frames, 720 × 540, by two cameras {APART_DEG:g}° apart, with the network's "
         "landmarks; presets deep and deep-points, the person's shape given.",
@@ -127,8 +103,3 @@ def seen_or_preselected(study: Study) -> Result:
         tables=(Table("Mean errors", ("", *QUANTITIES), rows),),
         notes=(OTHER_PARTS, *((QUICK_NOTE,) if study.quick else ())),
     )
-
-
-def _rigid_errors(found: FaceParameters, motion: Motion, frame: int) -> tuple[float, ...]:
-    turned = yaw_pitch_roll_deg(np.array(found.rotation)) - yaw_pitch_roll_deg(motion.rotation[frame])
-    return (*turned, *(np.asarray(found.translation) - motion.translation_mm[frame]))

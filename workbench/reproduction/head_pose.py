@@ -13,7 +13,8 @@ from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.files import atomic_path, make_folder
 from workbench.frames import open_frames
-from workbench.geometry import axis_angle_from_yaw_pitch_roll
+from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll
+from workbench.geometry.triangulation import camera_matrix
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.files import read_landmark_file, write_landmark_file
 from workbench.landmarks.formats.records import LandmarkRecord
@@ -65,18 +66,24 @@ def poses_by_config(config: Config, head: FaceModel, landmarks: Sequence[Landmar
 
 def poses_by_pnp(head: FaceModel, landmarks: Sequence[Landmarks2D | None]) -> Poses:
     """The poses at which the mean face's 68 points come closest to the landmarks, by SQPnP and refinement."""
-    points, matrix = head.landmarks.of(head.neutral), np.eye(3)
-    camera = boston_camera()
-    matrix[[0, 1], [0, 1]], matrix[:2, 2] = camera.focal_px, camera.principal_point_px
+    points = head.landmarks.of(head.neutral)
     rotations, translations = _without_any(len(landmarks))
     for k, each in enumerate(landmarks):
-        if each is None:
-            continue
-        found, turn, place = cv2.solvePnP(points, each.points, matrix, None, flags=cv2.SOLVEPNP_SQPNP)
-        if found:
-            turn, place = cv2.solvePnPRefineLM(points, each.points, matrix, None, turn, place)
-            rotations[k], translations[k] = turn.ravel(), place.ravel()
+        if each is not None:
+            rotations[k], translations[k] = pose_by_pnp(points, each.points, boston_camera())
     return rotations, translations
+
+
+def pose_by_pnp(
+    points_head: Float[np.ndarray, "n 3"], pixels: Float[np.ndarray, "n 2"], camera: Camera
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Axis-angle and translation (mm) at which the points come closest to the pixels; NaN where OpenCV finds none."""
+    matrix, distortion = camera_matrix(camera), np.asarray(camera.distortion, float)
+    found, turn, place = cv2.solvePnP(points_head, pixels, matrix, distortion, flags=cv2.SOLVEPNP_SQPNP)
+    if not found:
+        return np.full(3, np.nan), np.full(3, np.nan)
+    turn, place = cv2.solvePnPRefineLM(points_head, pixels, matrix, distortion, turn, place)
+    return turn.ravel(), place.ravel()
 
 
 def read_poses(path: str | Path, sequences: Sequence[BostonSequence]) -> dict[str, Poses]:

@@ -23,6 +23,12 @@ class Item:
     """What the paper reports, in a sentence."""
     reads_set: bool = False
     """Whether it reads Boston University's set and poses of other programs on it."""
+    reads_clip: bool = False
+    """Whether it works on a clip of the user's, if there is one."""
+    shares: str = ""
+    """Name of the item in whose folder it keeps things and finds what others kept; its own if empty."""
+    reads_meshes: bool = False
+    """Whether it reads meshes of other programs."""
 
 
 ITEMS = (
@@ -113,6 +119,15 @@ ITEMS = (
         "as soon as the jaw may open.",
     ),
     Item(
+        name="wrong-markers",
+        paper=DEEP_ENERGIES,
+        place="Fig. 7",
+        title="A worked failure",
+        make="wrong_markers:worked_failure",
+        printed="Erroneous markers, as around the jaw, lead to an inaccurate local minimum. Such frames are left to "
+        "infill by optical flow, or the markers are removed, which may overfit to those of the mouth.",
+    ),
+    Item(
         name="seen-or-preselected",
         paper=DEEP_ENERGIES,
         place="Fig. 19",
@@ -123,6 +138,43 @@ ITEMS = (
         "cost of the pose.",
     ),
     Item(
+        name="film-infill",
+        paper=DEEP_ENERGIES,
+        place="Figs. 8, 13",
+        title="Gaps of a film filled by flow and by interpolation",
+        make="through_time:infill",
+        printed="Strips of three frames between two solved ones, a mouth that stays open and then snaps shut: flow "
+        "keeps the mouth open longer than interpolation does, and matches lips and contour better. No numbers.",
+    ),
+    Item(
+        name="film-flow-forms",
+        paper=DEEP_ENERGIES,
+        place="Sec. 6",
+        title="The flow of the renders: exact, estimated, or with the network's derivative",
+        make="through_time:flow_forms",
+        printed="One form: FlowNet2 on photos and renders of 512 × 512 pixels, with its own derivative. No numbers.",
+        shares="film-infill",
+    ),
+    Item(
+        name="film-alignment",
+        paper=DEEP_ENERGIES,
+        place="Sec. 8.4",
+        title="Every frame of a film on its own, by one camera and by two",
+        make="through_time:alignment",
+        printed="Overlays beside a matchmove artist's alignment: visually comparable. Rotations alike by one camera "
+        "and by two, translations much more accurate by two (Fig. 10). No numbers.",
+        shares="film-infill",
+    ),
+    Item(
+        name="rigid-alignment",
+        paper=DEEP_ENERGIES,
+        place="Fig. 9",
+        title="The rigid alignment beside one by tracked dots",
+        make="rigid_alignment:compared",
+        printed="Strips of a manual alignment, a monocular and a stereo one: visually comparable. The manual one is "
+        "likely to have errors as well.",
+    ),
+    Item(
         name="stereo",
         paper=DEEP_ENERGIES,
         place="Fig. 10",
@@ -131,12 +183,53 @@ ITEMS = (
         printed="Plots: rotations alike by one camera and by two; translations much more accurate by two.",
     ),
     Item(
+        name="film-smoothing",
+        paper=DEEP_ENERGIES,
+        place="Figs. 11, 14–17",
+        title="Four methods of temporal refinement on a film",
+        make="through_time:smoothing",
+        printed="Averaging is smooth, but no longer matches the picture; self flow has little effect on noise and "
+        "still deviates; plate flow matches each frame, but adjacent frames may disagree; hybrid is smooth and "
+        "matches, and does not increase the errors of the pose. Strips and plots, no numbers.",
+        shares="film-infill",
+    ),
+    Item(
+        name="film-reestimation",
+        paper=DEEP_ENERGIES,
+        place="Fig. 18, App. B.1",
+        title="The expression re-estimated after refinement",
+        make="through_time:reestimation",
+        printed="Strips: generally more accurate than before the refinement, and where that dampens the performance, "
+        "the expression is captured again.",
+        shares="film-infill",
+    ),
+    Item(
+        name="clip-through-time",
+        paper=DEEP_ENERGIES,
+        place="Secs. 6–8.5",
+        title="Infill and refinement on a clip of yours",
+        make="clip_through_time:hidden_frames",
+        printed="A real performance, 24 frames a second, numerous frames with motion blur: failed frames are filled, "
+        "all are refined. Pictures and a video, no numbers.",
+        reads_clip=True,
+    ),
+    Item(
         name="components",
         paper=DEEP_ENERGIES,
         place="App. C.2",
         title="Ten components each of shape and expression, no lens known",
         make="components:opening",
         printed="Pictures: Basel's model by parallel projection beside 3DDFA, VRN and PRNet.",
+    ),
+    Item(
+        name="other-meshes",
+        paper=DEEP_ENERGIES,
+        place="Figs. 12 and 20",
+        title="Other programs' meshes beside ours",
+        make="other_meshes:compared",
+        printed="3DDFA aligns the face wrongly; VRN and PRNet align it better and do not fully open the mouth; Basel's "
+        "model by parallel projection neither; the actor's own model is the only one that captures the expression.",
+        reads_meshes=True,
     ),
     Item(
         name="deep-differences",

@@ -9,8 +9,7 @@ from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from workbench.config import Config, preset
-from workbench.face import FaceParameters
-from workbench.face.jaw import OPEN_DEG
+from workbench.face import FaceParameters, load_default_head
 from workbench.frames import open_frames
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks.files import read_landmark_file
@@ -39,6 +38,8 @@ class ClipTruth(NamedTuple):
     """Angle of a jaw joint that opens the mouth as far as the blendshape `jawOpen` does."""
     identity: Float[np.ndarray, "i"]
     camera_matrix: Float[np.ndarray, "3 3"]
+    landmarks: Float[np.ndarray, "n 68 2"]
+    """Exact, pixels."""
 
     @property
     def angles_deg(self) -> Float[np.ndarray, "n 3"]:
@@ -57,9 +58,10 @@ def clip_truth() -> ClipTruth:
             stored["rotation"],
             stored["translation"],
             stored["expression"],
-            OPEN_DEG * stored["expression"][:, names.index("jawOpen")],
+            load_default_head().jaw_unit.open_deg * stored["expression"][:, names.index("jawOpen")],
             stored["identity"],
             matrix,
+            stored["landmarks"],
         )
 
 
@@ -73,6 +75,13 @@ def clip_pictures(frames: Iterable[int]) -> Mapping[int, UInt8[np.ndarray, "480 
     """The pictures of some frames, by number."""
     clip = open_frames(sample("performance"))
     return {k: next(clip.iterate(k)).picture for k in frames}
+
+
+def true_parameters(frame: int) -> FaceParameters:
+    """The truth of a frame as parameters; the jaw opens by its blendshape."""
+    truth = clip_truth()
+    parts = truth.rotation[frame], truth.translation_mm[frame], truth.expression[frame], truth.identity
+    return FaceParameters(*parts, np.zeros(6), np.ones(1))
 
 
 def with_clip_lens(name: str) -> Config:

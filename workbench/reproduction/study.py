@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import workbench
+from workbench.errors import InputError
 from workbench.files import atomic_path, make_folder
 from workbench.frames import write_picture
 from workbench.pipeline import Progress
@@ -34,14 +36,18 @@ class Study:
     """What an item may use."""
 
     folder: Path
-    """For everything worth keeping between two runs on the same data; `overwrite` empties it."""
+    """For everything worth keeping between two runs on the same data; `overwrite` of its own item empties it."""
     quick: bool = False
     """On a small part of the data: shows that it works, not what it finds."""
     boston: Path | None = None
     """Boston University's set, if there is one."""
     poses: tuple[Path, ...] = ()
     """Head poses of other programs on that set (`head_pose.read_poses`)."""
+    meshes: Path | None = None
+    """Folder with meshes that other programs made (`mesh_files.read_mesh_folder`), if there is one."""
     progress: Progress = silent
+    clip: Path | None = None
+    """A clip of the user's, if there is one."""
 
 
 @dataclass(frozen=True)
@@ -64,21 +70,48 @@ class Result:
     tables: tuple[Table, ...] = ()
     notes: tuple[str, ...] = ()
     """Sentences: what to see, and what is unlike the paper's."""
+    pictures: Mapping[str, Picture] = field(default_factory=dict)
+    """What other programs may work on, by file name without suffix."""
+
+
+def check_data(
+    items: Iterable[Item],
+    *,
+    boston: Path | None = None,
+    poses: Sequence[Path] = (),
+    meshes: Path | None = None,
+    clip: Path | None = None,
+) -> None:
+    """Raise `InputError` if a given file or folder does not exist or none of these items reads it."""
+    items = tuple(items)
+    given = [("boston", boston, "reads_set"), *(("poses", path, "reads_set") for path in poses)]
+    for name, path, reads in (*given, ("meshes", meshes, "reads_meshes"), ("clip", clip, "reads_clip")):
+        if path is None:
+            continue
+        if not os.path.exists(path):
+            raise InputError(f"{path} does not exist; check the name and the folder.")
+        if not any(getattr(item, reads) for item in items):
+            readers = ", ".join(item.name for item in ITEMS if getattr(item, reads))
+            raise InputError(f"None of these items reads {name}; choose {readers} as well.")
 
 
 def run(
     items: Iterable[Item],
     folder: str | Path,
+    *,
     quick: bool = False,
     boston: Path | None = None,
     poses: Sequence[Path] = (),
+    meshes: Path | None = None,
+    clip: Path | None = None,
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> tuple[tuple[Item, bool], ...]:
     """Remake items in `folder`, each in one of its own: figures as PNG, tables as CSV, and `result.json`.
 
     An item that has been made from the same inputs is left as it is, and one that was interrupted goes on from what it
-    had kept. Returns the items, and whether each was made now. Raises `OutputError` where nothing can be written.
+    had kept; items that share a folder find there what others of them kept. Returns the items, and whether each was
+    made now. Raises `OutputError` where nothing can be written.
     """
     folder, made = make_folder(folder), []
     for item in items:
@@ -86,13 +119,17 @@ def run(
         basis = {"version": workbench.__version__, "quick": quick}
         if item.reads_set:
             basis["boston"] = "" if boston is None else str(boston.resolve())
-        kept = own / f"kept-{_digest(json.dumps(basis).encode())}"
+        if item.reads_clip:
+            basis["clip"] = "" if clip is None else [str(clip.resolve()), _stamps(clip)]
+        kept = folder / (item.shares or item.name) / f"kept-{_digest(json.dumps(basis).encode())}"
         inputs = basis | ({"poses": _digests(poses)} if item.reads_set else {})
-        if overwrite:
+        if item.reads_meshes:
+            inputs |= {"meshes": _stamps(meshes)}
+        if overwrite and not item.shares:
             shutil.rmtree(kept, ignore_errors=True)
         fresh = overwrite or _stored(own / RESULT).get("inputs") != inputs
         if fresh:
-            study = Study(kept, quick, boston, tuple(poses), progress)
+            study = Study(kept, quick, boston, tuple(poses), meshes, progress, clip)
             module, function = item.make.split(":")
             _write(item, getattr(import_module(f"workbench.reproduction.{module}"), function)(study), own, inputs)
         made.append((item, fresh))
@@ -110,6 +147,13 @@ def _digests(files: Iterable[Path]) -> dict[str, str]:
     return {str(path): _digest(checked_content(path, "a table of head poses")) for path in files}
 
 
+def _stamps(given: Path | None) -> dict[str, list[int]]:
+    """Size and time of a file, or of every file below a folder: who reads them says what is missing or damaged."""
+    found = [] if given is None else [given, *given.rglob("*")]
+    files = sorted(path for path in found if path.is_file())
+    return {str(path): [path.stat().st_size, path.stat().st_mtime_ns] for path in files}
+
+
 def _digest(content: bytes) -> str:
     return sha256(content).hexdigest()[:12]
 
@@ -122,6 +166,8 @@ def _stored(path: Path) -> dict[str, Any]:
 
 
 def _write(item: Item, result: Result, folder: Path, inputs: dict[str, Any]) -> None:
+    for name, picture in result.pictures.items():
+        write_picture(folder / f"{name}.png", picture)
     pictures = []
     for number, (caption, figure) in enumerate(result.figures.items(), 1):
         path = folder / f"{item.name}-{number}.png"
