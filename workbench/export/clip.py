@@ -18,6 +18,7 @@ from workbench.pictures.mesh import to_camera
 from workbench.tracking import Track
 from workbench.tracking.failures import failures_of
 from workbench.tracking.records import ARRAYS
+from workbench.tracking.track_layout import jaw_unit_of
 
 RATE_OF_IMAGES = 25.0
 """Frames per second of inputs that have no rate of their own."""
@@ -123,7 +124,7 @@ def without_jaw(track: Track) -> Track:
     """The track with the jaw joint's motion in the blendshapes, for formats and characters without a joint."""
     if not track.jaw.any():
         return track
-    weights = weights_with_jaw(track.expression_names, track.expression, track.jaw)
+    weights = weights_with_jaw(track.expression_names, track.expression, track.jaw, jaw_unit_of(track.meta))
     return replace(track, expression=weights, jaw=np.zeros_like(track.jaw))
 
 

@@ -59,7 +59,7 @@ def write_arrays(clip: Clip, path: str | Path) -> None:
     the camera (OpenCV: +x right, +y down, +z forward); `angles_deg` (yaw, pitch, roll); `camera_matrix`,
     `distortion`, `image_size` of each frame; `neutral_mm`, `shapes_mm`, `triangles` of the person. `scale` s is 1 and
     `jaw` (axis-angle, millimetres) 0 where only blendshapes move; else the joint of `jaw_pivot_mm`, `jaw_weights` and
-    `jaw_corrective_mm` moves the face before R as `workbench.face.move_jaw` does.
+    `jaw_corrective_mm`, whole at `jaw_open_deg`, moves the face before R as `workbench.face.move_jaw` does.
     """
     track, person = clip.track, clip.person
     matrices = np.full((len(track), 3, 3), np.nan)
@@ -89,6 +89,7 @@ def write_arrays(clip: Clip, path: str | Path) -> None:
         "jaw_pivot_mm": np.asarray(clip.joint.joint, np.float32),
         "jaw_weights": np.asarray(clip.joint.weights, np.float32),
         "jaw_corrective_mm": np.asarray(clip.joint.corrective, np.float32),
+        "jaw_open_deg": np.array(clip.joint.unit.open_deg),
     }
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)

@@ -21,6 +21,7 @@ from workbench.face import FaceModel
 from workbench.face.formats.shape_names import arkit_name
 from workbench.reading import checked_file, reading, shortened, toml_tables
 from workbench.tracking import Track
+from workbench.tracking.track_layout import model_record
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +140,7 @@ def retarget_surface(track: Track, performer: FaceModel, character: FaceModel, s
 def _played(track: Track, character: FaceModel, weights: Float[np.ndarray, "n t"]) -> Track:
     meta: dict[str, Any] = json.loads(json.dumps(track.meta))
     meta["expression_names"] = list(character.expression_names)
-    meta["model"] = {"name": character.name, "sha256": character.fingerprint()}
+    meta["model"] = model_record(character)
     meta["retargeted_from"] = track.meta.get("model")
     identity = np.where(track.found[:, None], 0.0, np.nan) * np.ones((1, len(character.identity_deltas)))
     return replace(track, expression=weights, identity=identity, jaw=np.zeros_like(track.jaw), meta=meta)

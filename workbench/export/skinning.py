@@ -7,8 +7,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from workbench.export.clip import Clip
-from workbench.face import JawJoint
-from workbench.face.jaw import OPEN_DEG
+from workbench.face import JawJoint, JawUnit
 
 CORRECTIVES = ("jawCorrective", "jawCorrective2", "jawCorrective3", "jawCorrectiveYaw", "jawCorrectiveRoll")
 """Shapes that a turned jaw adds; their weights are in `corrective_weights`."""
@@ -31,13 +30,13 @@ def clip_shapes(clip: Clip) -> Shapes:
         return Shapes(person.expression_names, person.expression_deltas, track.expression)
     most = np.abs(track.jaw[track.found, :3]).max(0)
     deltas = np.concatenate([person.expression_deltas, corrective_shapes(clip.joint, most)])
-    weights = np.concatenate([track.expression, corrective_weights(track.jaw)], axis=1)
+    weights = np.concatenate([track.expression, corrective_weights(track.jaw, clip.joint.unit)], axis=1)
     return Shapes((*person.expression_names, *CORRECTIVES), deltas, weights)
 
 
-def corrective_weights(jaw: Float[np.ndarray, "n _"]) -> Float[np.ndarray, "n 5"]:
-    """a, a², a³, a·y, a·z: a the angle about x counted in `OPEN_DEG`, y and z the other two in radians."""
-    amount = jaw[:, :1] / np.radians(OPEN_DEG)
+def corrective_weights(jaw: Float[np.ndarray, "n _"], unit: JawUnit) -> Float[np.ndarray, "n 5"]:
+    """a, a², a³, a·y, a·z: a the angle about x counted in the unit's, y and z the other two in radians."""
+    amount = jaw[:, :1] / np.radians(unit.open_deg)
     return np.concatenate([amount, amount**2, amount**3, amount * jaw[:, 1:3]], axis=1)
 
 
@@ -53,7 +52,7 @@ def corrective_shapes(joint: JawJoint, most: Float[np.ndarray, "3"]) -> Float[np
     turns = Rotation.from_rotvec(jaws).as_matrix()
     moving = np.flatnonzero(np.abs(joint.corrective).max(1) > 0.0)
     weights, corrective = np.asarray(joint.weights)[moving, None, None], np.asarray(joint.corrective)[moving]
-    design = corrective_weights(jaws)
+    design = corrective_weights(jaws, joint.unit)
     wanted = np.stack(
         [np.linalg.solve((1.0 - weights) * np.eye(3) + weights * turn, a * corrective[:, :, None])
          for a, turn in zip(design[:, 0], turns, strict=True)]

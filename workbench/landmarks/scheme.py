@@ -130,6 +130,8 @@ MIRROR: tuple[int, ...] = (
 
 RIGHT_EYE_OUTER_CORNER = 36
 LEFT_EYE_OUTER_CORNER = 45
+UPPER_LIP_INNER_MIDDLE = 62
+LOWER_LIP_INNER_MIDDLE = 66
 EYE_PER_SPREAD = 1.48
 """Outer-eye distance of a frontal face in units of the root mean square distance of its 68 points from their centre."""
 
@@ -166,14 +168,19 @@ def mirror_points(points: Float[np.ndarray, "68 2"], width: int) -> Float[np.nda
     return mirrored
 
 
-def outer_eye_distance(points: Float[np.ndarray, "*n 68 2"]) -> Float[np.ndarray, "*n"] | float:
-    """Pixels between the outer corners of the eyes (36 to 45), the unit of landmark errors in the literature.
+def outer_eye_distance(points: Float[np.ndarray, "*n 68 d"]) -> Float[np.ndarray, "*n"] | float:
+    """Distance between the outer corners of the eyes (36 to 45), the unit of landmark errors in the literature.
 
-    Every error in percent is one of this distance between the observed landmarks, in the picture: it shrinks as the
-    head turns. What must not shrink is measured by `face_size`.
+    In the points' unit. Every error in percent is one of this distance between the observed landmarks, in the
+    picture: it shrinks as the head turns. What must not shrink is measured by `face_size`.
     """
     corners = points[..., LEFT_EYE_OUTER_CORNER, :], points[..., RIGHT_EYE_OUTER_CORNER, :]
     return np.linalg.norm(corners[0] - corners[1], axis=-1)
+
+
+def lip_distance(points: Float[np.ndarray, "*n 68 d"]) -> Float[np.ndarray, "*n"] | float:
+    """How far the mouth is open: the distance between the middles of the inner lips (62 to 66), in the points' unit."""
+    return np.linalg.norm(points[..., UPPER_LIP_INNER_MIDDLE, :] - points[..., LOWER_LIP_INNER_MIDDLE, :], axis=-1)
 
 
 def face_size(points: Float[np.ndarray, "*n 68 2"]) -> Float[np.ndarray, "*n"]:

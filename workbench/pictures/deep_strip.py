@@ -16,7 +16,8 @@ from workbench.face import FaceParameters
 from workbench.frames import write_picture
 from workbench.landmarks.scheme import POINT_NAMES
 from workbench.networks import BETA, CropBox, crop_and_resize, reduction_for, soft_argmax, to_picture
-from workbench.pictures.overlay import FONT, INK, PAPER, SHIFT
+from workbench.pictures.lettering import fitting_size, text_width, write_text
+from workbench.pictures.overlay import INK, PAPER, SHIFT
 from workbench.rendering import CropCamera, render
 from workbench.runtime import COMPUTING
 from workbench.tracking.deep_fitter import DeepFitter
@@ -258,15 +259,8 @@ def _panel(drawn: UInt8[np.ndarray, "s s 3"], title: str, note: str, color=PALE)
     """A picture with two lines of text below."""
     caption = np.full((CAPTION, drawn.shape[1], 3), INK, np.uint8)
     for line, (text, shade, size) in enumerate(((title, PAPER, 14), (note, color, 12))):
-        cv2.putText(caption, text, (4, 16 + 17 * line), shade, FONT, _fitting(text, size, drawn.shape[1] - 8))
+        write_text(caption, text, (4, 16 + 17 * line), shade, fitting_size(text, size, drawn.shape[1] - 8))
     return np.concatenate([drawn, caption])
-
-
-def _fitting(text: str, size: int, width: int) -> int:
-    """The font's size, or a smaller one at which the text fits."""
-    while size > 8 and cv2.getTextSize((4 * width, 100), text, (0, 0), FONT, size)[2] > width:
-        size -= 1
-    return size
 
 
 def _page(panels: Sequence[UInt8[np.ndarray, "ph pw 3"]], columns: int, green: str) -> UInt8[np.ndarray, "h w 3"]:
@@ -288,6 +282,6 @@ def _page(panels: Sequence[UInt8[np.ndarray, "ph pw 3"]], columns: int, green: s
             _ring(page, place, color)
         else:
             cv2.circle(page, _fixed(place), 2 << SHIFT, color, -1, cv2.LINE_AA, SHIFT)
-        cv2.putText(page, text, (x + 14, y + 4), PAPER, FONT, 13)
-        x += 14 + cv2.getTextSize((2000, 100), text, (0, 0), FONT, 13)[2] + 24
+        write_text(page, text, (x + 14, y + 4), PAPER, 13)
+        x += 14 + text_width(text, 13) + 24
     return page

@@ -8,6 +8,7 @@ from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.landmarks.scheme import GROUPS
 from workbench.pictures.head_picture import head_painter, portrait_view
+from workbench.pictures.lettering import write_text
 from workbench.pictures.mesh import to_camera, to_pixels
 
 SIDE_YAW_DEG = 55.0
@@ -40,8 +41,7 @@ def model_check_picture(model: FaceModel, side: int = 560) -> UInt8[np.ndarray, 
             centred = translation - [0.5 * (sideways.min() + sideways.max()), 0.0, 0.0]
             picture = painter.render(vertices, camera, rotation, centred).copy()
             _mark(picture, model, vertices, camera, rotation, centred)
-            place = (MARGIN_PX, side - MARGIN_PX)
-            cv2.putText(picture, name, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, (235, 235, 235), 1, cv2.LINE_AA)
+            write_text(picture, name, (MARGIN_PX, side - MARGIN_PX), (235, 235, 235), 16)
             panels.append(picture)
     return np.concatenate(panels, axis=1)
 

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int, UInt8
 from workbench.face import FaceModel, posed_vertices
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import POLYLINES, outer_eye_distance
+from workbench.pictures.lettering import SMALLEST_PX, fitting_size, text_width, write_text
 from workbench.pictures.mesh import scaled_camera, to_camera, to_pixels
 from workbench.tracking.failures import why_failed
 from workbench.tracking.records import FrameFit
@@ -28,7 +29,6 @@ AXIS_COLORS = ((230, 97, 70), (90, 200, 120), (80, 160, 255))
 """Head axes: x to the subject's left, y down, and out of the face (the nose's way)."""
 AXIS_MM = 55.0
 NOSE_TIP = 30
-FONT = cv2.FontFace("sans")
 
 
 @dataclass(frozen=True)
@@ -244,15 +244,10 @@ def _numbers(fit: FrameFit) -> str:
 def _label(canvas, text: str, unit: float) -> None:
     """One line of text on a dark band at the upper edge, as small as it must be to fit."""
     height, width = canvas.shape[:2]
-    size = max(7, round(13 * unit))
-    while True:
-        box = cv2.getTextSize((width, height), text, (0, 0), FONT, size)
-        if box[2] <= width - 2 * size or size <= 7:
-            break
-        size -= 1
+    size = fitting_size(text, max(SMALLEST_PX, round(13 * unit)), round(width - 26 * unit))
     band = min(height, round(1.9 * size))
     canvas[:band] = (canvas[:band] * 0.35 + np.array(INK) * 0.65).astype(np.uint8)
-    cv2.putText(canvas, text, (round(0.7 * size), round(1.3 * size)), PAPER, FONT, size)
+    write_text(canvas, text, (round(0.7 * size), round(1.3 * size)), PAPER, size)
 
 
 def _draw_legend(canvas, bar: UInt8[np.ndarray, "bh bw 3"], unit: float) -> None:
@@ -268,14 +263,13 @@ def _draw_legend(canvas, bar: UInt8[np.ndarray, "bh bw 3"], unit: float) -> None
 @lru_cache(maxsize=8)
 def _legend(unit: float, title: str, marks: tuple[str, str, str]) -> UInt8[np.ndarray, "h w 3"]:
     """The colour scale with its marks at the dark end, the middle and the bright end."""
-    size, pad = max(7, round(10 * unit)), round(6 * unit)
+    size, pad = max(SMALLEST_PX, round(10 * unit)), round(6 * unit)
     length, thick = round(150 * unit), max(3, round(7 * unit))
     bar = np.full((3 * pad + thick + 3 * size, length + 2 * pad, 3), INK, np.uint8)
     top = pad + round(1.4 * size)
     bar[top : top + thick, pad : pad + length] = _scale_colors()[np.linspace(0, 255, length).astype(int)]
-    cv2.putText(bar, title, (pad, pad + size), PAPER, FONT, size)
+    write_text(bar, title, (pad, pad + size), PAPER, size)
     for place, text in zip((0.0, 0.5, 1.0), marks, strict=True):
-        wide = cv2.getTextSize((500, 500), text, (0, 0), FONT, size)[2]
-        x = pad + round((length - wide) * place)
-        cv2.putText(bar, text, (x, top + thick + round(1.3 * size)), PAPER, FONT, size)
+        x = pad + round((length - text_width(text, size)) * place)
+        write_text(bar, text, (x, top + thick + round(1.3 * size)), PAPER, size)
     return bar

@@ -38,8 +38,11 @@ from workbench.pipeline.temporal_run import Step as Step
 from workbench.pipeline.temporal_run import config_of as config_of
 from workbench.pipeline.temporal_run import over_time, views_of, wanted_steps, worked_meta
 from workbench.pipeline.temporal_run import work_over as work_over
+from workbench.planning import plan_of
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, Track
+from workbench.tracking.flow_fitter import FlowFitter
+from workbench.tracking.track_layout import model_record
 from workbench.tracking.track_reader import TrackReader
 from workbench.tracking.track_writer import TrackWriter, has_parts
 
@@ -165,6 +168,8 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     folder, model, config, progress, steps = job.folder, job.model, job.config, job.progress, job.steps
     if steps and stills:
         raise InputError("Unrelated photos have no neighbours in time; leave infill and refinement out, or --stills.")
+    if steps:
+        FlowFitter(model, plan_of(config))  # refuses settings of the flow before a clip is fitted for nothing
     tracker = FaceTracker(model, config, stills=stills)
     tracker.warm_up(source.image_size)
     writer = TrackWriter(job.fits_path, meta, _fingerprint(meta), job.resume)
@@ -361,7 +366,7 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
         "stills": stills,
         "rate": source.frames.rate,
         "camera_guessed": config.camera.guessed,
-        "model": {"name": model.name, "sha256": model.fingerprint()},
+        "model": model_record(model),
         "versions": software_versions(),
     }
 

@@ -244,9 +244,15 @@ def skin_painter(model: FaceModel) -> SkinPainter:
 
 def landmark_places(model: FaceModel) -> Float[np.ndarray, "68 2"]:
     """Where the 68 landmarks lie in the albedo, pixels of a SIDE×SIDE picture."""
+    places = vertex_places(model)
+    return np.einsum("lkc,lk->lc", places[model.landmarks.vertices], model.landmarks.barycentric)
+
+
+def vertex_places(model: FaceModel) -> Float[np.ndarray, "v 2"]:
+    """Where each vertex lies in the albedo, pixels of a SIDE×SIDE picture; on a seam, one of its places."""
     uv = np.zeros((len(model.neutral), 2))
     uv[model.triangles.ravel()] = model.uv[model.triangles_uv.ravel()]
-    return _to_pixels(np.einsum("lkc,lk->lc", uv[model.landmarks.vertices], model.landmarks.barycentric))
+    return _to_pixels(uv)
 
 
 def _to_pixels(uv):
