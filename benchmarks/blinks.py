@@ -36,6 +36,8 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("folder", type=Path, nargs="?", help="folder of the real clips")
     folder = arguments.parse_args().folder
+    if folder and not any((folder / f"{name}.mp4").is_file() for name in SHUT):
+        arguments.error(f"{folder} holds none of {', '.join(f'{name}.mp4' for name in SHUT)}")
     head = load_default_head()
     clips = {"performance": (sample("performance"), *_of_truth())}
     for name, shut in SHUT.items() if folder else ():

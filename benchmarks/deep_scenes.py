@@ -15,7 +15,6 @@ from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from workbench.face import FaceModel, FaceParameters
-from workbench.face.jaw import OPEN_DEG
 from workbench.geometry import Camera, Rig, View, camera_from_fov
 from workbench.landmarks.network_detector import NetworkDetector, bundled_landmark_network
 from workbench.landmarks.observations import Landmarks2D
@@ -113,7 +112,9 @@ class DeepScenes:
         close = list(names).index("mouthClose")
         jaw = np.zeros(6)
         jaw[0] = np.radians(rng.uniform(*jaw_deg))
-        expression[close] = min(expression[close], jaw[0] / np.radians(OPEN_DEG))  # it closes what the jaw opens
+        expression[close] = min(
+            expression[close], jaw[0] / self.head.jaw_unit.vector[0]
+        )  # it closes what the jaw opens
         upper = np.flatnonzero(~in_mouth & ~np.char.startswith(names, "jaw"))
         expression[rng.choice(upper)] = rng.uniform(0.0, 0.5)
         parts = (rotation, np.append(offset, depth), expression, rng.normal(0.0, 0.8, len(self.head.identity_deltas)))

@@ -14,6 +14,7 @@ from workbench.config import Config, preset
 from workbench.face import FaceModel, FaceParameters, load_default_head
 from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import outer_eye_distance
 from workbench.planning import plan_of
 from workbench.reproduction.people import FilmStudio, Motion
 from workbench.tracking import FrameFit
@@ -117,7 +118,7 @@ class MovingPeople:
 
     def detected(self, fit: FrameFit, noise_percent: float, rng: np.random.Generator) -> FrameFit:
         """FACE IT!'s own fit to the true landmarks with a detector's noise, percent of the eye distance."""
-        eyes = np.linalg.norm(fit.observed[45] - fit.observed[36])
+        eyes = outer_eye_distance(fit.observed)
         points = fit.observed + rng.normal(0.0, 0.01 * noise_percent * eyes, (68, 2))
         observation = FrameObservation(fit.index, Landmarks2D(points, np.ones(68), SIZE), SIZE)
         return self._frames.fit(observation, FrameContext(0, fit.identity, None, None))[0]
@@ -129,5 +130,5 @@ class MovingPeople:
 
 def landmark_error(fit: FrameFit, truth: FrameFit) -> float:
     """Mean distance of the 68 landmarks from the true ones, percent of the outer-eye distance."""
-    eyes = np.linalg.norm(truth.projected[45] - truth.projected[36])
+    eyes = outer_eye_distance(truth.projected)
     return float(100.0 * np.linalg.norm(fit.projected - truth.projected, axis=1).mean() / eyes)

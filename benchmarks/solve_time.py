@@ -21,7 +21,7 @@ from synthetic_clip import Clip, synthetic_clip
 from workbench.config import Config, preset
 from workbench.face import FaceParameters, landmark_model
 from workbench.planning import plan_of
-from workbench.runtime import cache_folder
+from workbench.runtime import SMALL_ARRAYS, cache_folder
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit
 from workbench.tracking.face_it_solution import solve_settings, stage_program
@@ -130,7 +130,10 @@ class Batch:
         camera, model = jax.tree.map(jnp.asarray, (clip.camera, model))
         self._clip = clip
         self._frames = _stacked_inputs(fits)
-        self._solve = jax.jit(spread(lambda frame: solve_frame(camera, model, settings, program, frame)))
+        # Compiler options belong to the outermost program.
+        solve = solve_frame.__wrapped__
+        spread_out = spread(lambda frame: solve(camera, model, settings, program, frame))
+        self._solve = jax.jit(spread_out, compiler_options=SMALL_ARRAYS)
 
     def run(self) -> tuple[float, float]:
         """Milliseconds per frame, NumPy in and NumPy report out, and the reprojection error."""

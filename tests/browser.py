@@ -355,7 +355,7 @@ _OUTPUTS = """() => {
     for (let j = 0; outputs && j < outputs.length; j++) {
       const output = outputs.get(j).toJSON();
       found.push({cell: k, type: output.output_type, name: output.name || '', mime: Object.keys(output.data || {}),
-                  text: [output.ename, output.evalue, output.text].filter(Boolean).join(' ').slice(0, 500)});
+                  text: [output.ename, output.evalue, output.text].filter(Boolean).join(' ').slice(0, 20000)});
     }
   }
   return found;

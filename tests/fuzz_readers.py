@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests import landmark_layouts
+from tests import landmark_layouts, mesh_layouts
 from tests.fuzz_face_readers import FACE_READERS
 from tests.fuzzing import Reader
 from tests.networks import random_landmark_network
@@ -26,7 +26,7 @@ from workbench.networks import torch_checkpoints
 from workbench.networks.landmark_network import read_landmark_network, save_landmark_network
 from workbench.networks.weights import named_arrays
 from workbench.rendering.appearance import Appearance, load_appearance
-from workbench.reproduction import read_truth, write_truth
+from workbench.reproduction import read_mesh, read_truth, write_truth
 from workbench.session.material import material_of_track
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import frame_errors, stack_fits
@@ -75,6 +75,23 @@ def read_boston(folder: Path) -> None:
     assert angles.shape == places.shape == (len(angles), 3)
     assert np.isfinite(angles).all()
     assert np.isfinite(places).all()
+
+
+def make_prnet_mat(folder: Path) -> None:
+    vertices, triangles = np.random.default_rng(4).uniform(0.0, 99.0, (6, 3)), np.array([[0, 1, 2], [3, 4, 5]])
+    mesh_layouts.write_prnet_mat(folder / "frame_200_mesh.mat", vertices, triangles, 100)
+
+
+def make_vertices_npy(folder: Path) -> None:
+    np.save(folder / "frame_200.npy", np.random.default_rng(4).uniform(0.0, 99.0, (6, 3)).astype(np.float32))
+
+
+def read_other_mesh(folder: Path) -> None:
+    (path,) = folder.iterdir()
+    mesh = read_mesh(path)
+    assert mesh.vertices.shape == (len(mesh.vertices), 3)
+    assert np.isfinite(mesh.vertices).all()
+    assert mesh.triangles is None or np.isfinite(mesh.vertices[mesh.triangles]).all()
 
 
 def _records() -> list[landmark_files.LandmarkRecord]:
@@ -241,7 +258,11 @@ def make_track(folder: Path) -> None:
         "stills": False,
         "frames": [0, 4],
         "rate": 25.0,
-        "model": {"name": "default-head", "sha256": "0" * 64},
+        "model": {
+            "name": "default-head",
+            "sha256": "0" * 64,
+            "jaw_unit": {"open_deg": 26.5, "sideways_mm": 8.0, "forward_mm": 8.0},
+        },
         "versions": {"workbench": "0.2.0"},
     }
     Track(meta=meta, **stack_fits(fits)).save(folder / "track.npz")
@@ -333,6 +354,8 @@ READERS = (
     Reader("configuration", make_config, read_config),
     Reader("retargeting", make_mapping, read_mapping),
     Reader("head-tracking readings", make_boston, read_boston),
+    Reader("other program's mesh .mat", make_prnet_mat, read_other_mesh),
+    Reader("other program's mesh .npy", make_vertices_npy, read_other_mesh),
     Reader("landmarks csv", make_landmarks_csv, read_landmarks),
     Reader("landmarks json", make_landmarks_json, read_landmarks),
     Reader("landmarks pts", make_landmarks_pts, read_landmarks),

@@ -15,6 +15,7 @@ import numpy as np
 
 from workbench.config import preset
 from workbench.face import FaceModel
+from workbench.face.jaw_unit import USUAL_JAW
 from workbench.geometry import Camera
 from workbench.pipeline import track
 from workbench.tracker import FaceTracker
@@ -28,7 +29,7 @@ WRITES = {"os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.chmod", "shutil.
 class StubModel(FaceModel):
     """As much of a face model as a run without pictures looks at."""
 
-    name, expression_names = "stub", ("smile", "frown")
+    name, expression_names, fixed_jaw_unit = "stub", ("smile", "frown"), USUAL_JAW
 
     def __init__(self):
         """Nothing of a real model."""

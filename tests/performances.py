@@ -12,6 +12,7 @@ from workbench.face.model import Embedding
 from workbench.face.obj_folder import linear_model
 from workbench.tracking import Track
 from workbench.tracking.records import FrameFit, stack_fits
+from workbench.tracking.track_layout import model_record
 
 FRAMES, GAP = 12, 5
 """One frame has no face."""
@@ -32,7 +33,7 @@ def performance(head: FaceModel, frames: int = FRAMES, gap: int | None = GAP, ra
     meta = {
         "expression_names": list(head.expression_names),
         "rate": rate,
-        "model": {"name": head.name, "sha256": head.fingerprint()},
+        "model": model_record(head),
     }
     return Track(meta=meta, **stack_fits(fits))
 

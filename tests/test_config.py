@@ -260,3 +260,10 @@ def test_the_schema_explains_every_key_and_needs_no_network():
         for key, value in section["properties"].items():
             assert value.get("description"), f"{place}.{key}"
     assert "ω_τ: second difference of the pose (Eq. 9)." in config_schema()
+
+
+@pytest.mark.parametrize("name", ["deep-energies", "preselected-points", "orthographic"])
+def test_the_papers_presets_fill_and_steady_as_published(name):
+    flow, infill = preset(name).flow, preset(name).infill
+    assert (flow.estimator, flow.side, flow.renders, flow.stay) == ("network", 512, "network", 0.0)
+    assert infill.passes == "back-and-forth"

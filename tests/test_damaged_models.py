@@ -264,6 +264,8 @@ OWN = dict(np.load(sample("head")))
         ({"landmark_barycentric": 2.0 * OWN["landmark_barycentric"]}, "sum to 1"),
         ({"contour_yaw_deg": OWN["contour_yaw_deg"][::-1]}, "do not ascend"),
         ({"expression_names": OWN["expression_names"][:1]}, "one name each"),
+        ({"jaw_unit": np.array([26.5, 8.0])}, r"jaw_unit has shape \(2,\)"),
+        ({"jaw_unit": np.array([26.5, 0.0, 8.0])}, "an angle and two lengths above 0"),
         ({"joint_names": np.arange(len(OWN["joint_names"]))}, "expected names"),
     ],
 )

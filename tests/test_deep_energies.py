@@ -18,16 +18,18 @@ from tests.deep_scenes import (
     make_parameters,
     rotation_error_deg,
 )
+from tests.other_heads import half_open, resized
 from tests.stereo_scenes import make_rig
 from workbench.config import PARALLEL_STAGES, PRESETS, Config, Stage, preset
 from workbench.energies import still
 from workbench.energies.deep import DEEP_TERMS, DeepView, deep_residuals, view_vertices
 from workbench.errors import ConfigError, InputError
 from workbench.face import typical_sizes, unpack
-from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
 from workbench.geometry import project, rotation_matrix, write_rig
+from workbench.landmarks.network_detector import landmark_crop
 from workbench.landmarks.observations import Landmarks2D
-from workbench.networks import landmarks_of, soft_argmax, to_picture
+from workbench.networks import Fan, landmarks_of, soft_argmax, to_picture
+from workbench.networks.crop import fan_box_of
 from workbench.pictures.mesh import corner_sum, vertex_normals
 from workbench.planning import plan_of
 from workbench.rendering import (
@@ -41,7 +43,7 @@ from workbench.rendering import (
 )
 from workbench.solvers import judge, propose
 from workbench.tracker import FaceTracker
-from workbench.tracking import Track
+from workbench.tracking import FrameContext, Track
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_programs import (
     look,
@@ -52,7 +54,8 @@ from workbench.tracking.deep_programs import (
     term_energies,
 )
 from workbench.tracking.deep_solver import solve_stage
-from workbench.tracking.deep_views import FAR_MM
+from workbench.tracking.deep_target import energy_network
+from workbench.tracking.deep_views import FAR_MM, eyes_per_box, percent_px
 from workbench.tracking.moments import Moment
 from workbench.tracking.plan import StagePlan
 from workbench.tracking.records import FAILURES, meta_array, stack_fits
@@ -132,8 +135,8 @@ def test_the_energy_is_the_sum_of_its_terms_as_written_out_here(head, truth):
         "regularisation": 100.0
         * (
             (np.asarray(parameters.expression) ** 2).sum()
-            + ((jaw[:3] / np.radians(OPEN_DEG)) ** 2).sum()
-            + ((jaw[3:] / TRAVEL_MM) ** 2).sum()
+            + ((jaw[:3] / np.radians(26.5)) ** 2).sum()
+            + ((jaw[3:] / 8.0) ** 2).sum()
         ),
         "identity": 10.0 * (np.asarray(parameters.identity) ** 2).sum(),
         "prior": 3.0 * (100.0**2 * (turned**2).sum() + (moved**2).sum()),
@@ -261,6 +264,51 @@ def _context(truth):
     return FrameContext(0, np.asarray(truth.identity), None, None)
 
 
+# Other face models.
+
+
+FAN = object.__new__(Fan)
+"""A 3D-FAN of which only the crop is asked."""
+
+
+@pytest.mark.parametrize("network", [energy_network(""), FAN], ids=["ours", "3D-FAN"])
+def test_a_percent_is_one_of_the_models_own_eyes(network, head):
+    """As many pixels as ever for the default head and larger ones, more for a face whose eyes are farther apart."""
+    neutral = head.landmarks.of(head.neutral)[:, :2]
+    side = float((fan_box_of if network is FAN else landmark_crop)(neutral).side)
+    eyes = eyes_per_box(head, network)
+    assert eyes == 0.726
+    assert percent_px(network, eyes, neutral) == 0.01 * 0.726 / 1.6 * side
+    assert eyes_per_box(resized(head, 1.3), network) == pytest.approx(0.726, rel=1e-9)
+    long = replace(head, neutral=head.neutral * [1.0, 1.2, 1.0])
+    wide = replace(head, neutral=head.neutral * [1.2, 1.0, 1.0])
+    assert eyes_per_box(long, network) < 0.95 * eyes < 1.05 * eyes < 1.1 * eyes_per_box(wide, network)
+
+
+def test_a_fit_counts_and_bounds_the_jaw_as_its_model_does(head):
+    model = half_open(head)
+    fitter = DeepFitter(model, plan_of(POINTS))
+    context = FrameContext(0, fitter.mean_identity(), None, None)
+    problem = fitter.problem(fitter.neutral_observation(IMAGE_SIZE), context)
+    assert problem.history.jaw_unit == problem.scene.model.render.jaw.unit == model.jaw_unit
+    stage = fitter._stage_problem(problem, problem.views, planned(name="jaw", free=("jaw",)))
+    jaw = slice(_column(fitter, "jaw"), _column(fitter, "jaw") + 6)
+    assert np.array([stage.lower[jaw], stage.upper[jaw]]).tolist() == model.jaw_range.tolist()
+
+
+@pytest.mark.slow
+def test_a_small_head_with_a_narrow_jaw_shape_is_fitted_as_well(head):
+    """Without λ, which pulls at blendshapes and jaw alike, the jaw opens as far as the truth does."""
+    model = half_open(resized(head, 0.8))
+    fitter = DeepFitter(model, plan_of(POINTS.changed(deep={"regularisation": 0.0})))
+    opened = 0.6 * model.jaw_unit.open_deg
+    truth = make_parameters(model, (17.0, -8.0, 6.0), (18.0, -14.0, 600.0), {"mouthSmileLeft": 0.5}, opened, seed=3)
+    scene = make_deep_scene(fitter, truth)
+    found = fitter.solve(fitter.problem(scene.observation(), scene.context())).parameters
+    assert rotation_error_deg(found, truth) < 0.5
+    assert np.degrees(float(found.jaw[0])) == pytest.approx(opened, rel=0.05)
+
+
 # The stages.
 
 
@@ -327,7 +375,7 @@ def test_lambda_pulls_the_weights_and_the_jaw_to_rest(points, truth):
     for weight in (0.0, 1e3, 1e5):
         fitter_with(points, POINTS.changed(deep={"regularisation": weight}))
         found = points.solve(points.problem(scene.observation(), scene.context())).parameters
-        sizes.append(np.linalg.norm(found.expression) + abs(float(found.jaw[0])) / np.radians(OPEN_DEG))
+        sizes.append(np.linalg.norm(found.expression) + abs(float(found.jaw[0])) / points.model.jaw_unit.vector[0])
     assert sizes[0] > sizes[1] > sizes[2]
     assert sizes[2] < 0.1
 

@@ -149,6 +149,7 @@ def test_arrays_have_the_documented_shapes_and_types(head):
         "joints": ((5, 3), "f4"),
         "identity_joint_deltas": ((50, 5, 3), "f4"),
         "jaw_weights": ((count,), "f2"),
+        "jaw_unit": ((3,), "f4"),
         "regions": ((count,), "u1"),
         "colors": ((count, 3), "u1"),
         "mirror": ((count,), "u2"),

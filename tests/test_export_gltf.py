@@ -13,6 +13,7 @@ import pygltflib
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.other_heads import half_open
 from tests.performances import FRAMES, GAP, other_character, performance, with_jaw
 from workbench.export import make_clip
 from workbench.export.clip import quaternions, to_world
@@ -197,8 +198,10 @@ def matrix(node, **moved) -> np.ndarray:
     return made
 
 
-def test_a_moving_jaw_joint_gives_our_vertices_by_the_formats_own_rules(head, tmp_path):
-    clip = make_clip(with_jaw(performance(head)), head)
+@pytest.mark.parametrize("change", [None, half_open], ids=["default head", "another model's jaw"])
+def test_a_moving_jaw_joint_gives_our_vertices_by_the_formats_own_rules(change, head, tmp_path):
+    model = head if change is None else change(head)
+    clip = make_clip(with_jaw(performance(model)), model)
     write_gltf(clip, tmp_path / "jaw.glb")
     document = pygltflib.GLTF2().load(str(tmp_path / "jaw.glb"))
     (animation,), (mesh,), (skin,) = document.animations, document.meshes, document.skins

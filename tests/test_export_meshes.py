@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
+from tests.other_heads import half_open
 from tests.performances import FRAMES, GAP, other_character, performance, with_jaw
 from workbench.errors import InputError, MissingDependencyError
 from workbench.export import make_clip
@@ -228,3 +230,18 @@ def test_arrays_rebuild_the_face_with_numpy_alone(clip, tmp_path):
     assert np.isnan(arrays["rotation"][GAP]).all()
     assert arrays["names"].tolist() == list(clip.person.expression_names)
     assert arrays["time_s"][frame] == pytest.approx(frame / 25.0)
+
+
+@pytest.mark.parametrize("change", [None, half_open], ids=["default head", "another model's jaw"])
+def test_a_jaw_joint_is_moved_with_numpy_alone(change, head, tmp_path):
+    model = head if change is None else change(head)
+    clip = make_clip(with_jaw(performance(model)), model)
+    write_arrays(clip, tmp_path / "face.npz")
+    with np.load(tmp_path / "face.npz", allow_pickle=False) as arrays:
+        frame = FRAMES - 1
+        jaw, hang = arrays["jaw"][frame], arrays["jaw_weights"][:, None]
+        face = arrays["neutral_mm"] + np.tensordot(arrays["weights"][frame], arrays["shapes_mm"], axes=1)
+        turned = Rotation.from_rotvec(jaw[:3]).apply(face - arrays["jaw_pivot_mm"]) + arrays["jaw_pivot_mm"] + jaw[3:]
+        corrected = np.degrees(jaw[0]) / arrays["jaw_open_deg"] * arrays["jaw_corrective_mm"]
+        face = arrays["scale"][frame] * (face + hang * (turned - face) + corrected)
+    np.testing.assert_allclose(face, clip.vertices_head(frame), atol=1e-4)

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.other_heads import half_open
 from tests.performances import FRAMES, GAP, other_character, performance, with_jaw
 from workbench.errors import InputError, ModelError
 from workbench.export import make_clip, mapping_by_names, read_mapping, retarget, retarget_surface
-from workbench.face import GAZE_NAMES
-from workbench.face.jaw import OPEN_DEG
+from workbench.face import GAZE_NAMES, USUAL_JAW
+from workbench.tracking.track_layout import model_record
 
 IDENTITY = np.random.default_rng(8).normal(0.0, 1.2, 50)
 
@@ -57,8 +58,17 @@ def test_the_pose_and_the_gaps_are_the_performers(track, character):
 
 def test_a_character_without_a_jaw_joint_opens_the_mouth_by_its_blendshape(track, character):
     played = retarget(with_jaw(track), character)
-    assert column(played, "jawOpen")[-1] == pytest.approx(0.6 + 24.0 / OPEN_DEG)
+    assert column(played, "jawOpen")[-1] == pytest.approx(0.6 + 24.0 / USUAL_JAW.open_deg)
     assert not played.jaw.any()
+
+
+def test_a_jaw_joint_counts_in_the_jaw_shapes_of_the_model_that_was_tracked(track, character, head):
+    narrow = half_open(head)
+    of_narrow = replace(with_jaw(track), meta={**track.meta, "model": model_record(narrow)})
+    opened = 0.6 + 24.0 / narrow.jaw_unit.open_deg
+    assert column(retarget(of_narrow, character), "jawOpen")[-1] == pytest.approx(opened)
+    older = replace(of_narrow, meta={**track.meta, "model": {"name": "flame", "sha256": "0"}})
+    assert column(retarget(older, character), "jawOpen")[-1] == pytest.approx(0.6 + 24.0 / USUAL_JAW.open_deg)
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,7 @@ from tests.performances import FRAMES, GAP, performance, with_jaw
 from workbench.errors import InputError, MissingDependencyError
 from workbench.export.live_link import HEADER, LIVE_LINK_SHAPES, head_angles, timecode, write_live_link_csv
 from workbench.export.tables import curve_columns, write_curves, write_parquet
-from workbench.face import load_default_head
-from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
+from workbench.face import USUAL_JAW, load_default_head
 
 APP_HEADER = (
     "Timecode,BlendShapeCount,EyeBlinkLeft,EyeLookDownLeft,EyeLookInLeft,EyeLookOutLeft,EyeLookUpLeft,EyeSquintLeft,"
@@ -132,9 +131,9 @@ def test_a_track_without_arkits_blendshapes_is_refused(track, tmp_path):
 def test_the_motion_of_a_jaw_joint_is_in_the_jaws_blendshapes(track, tmp_path):
     write_live_link_csv(with_jaw(track), tmp_path / "jaw.csv")
     last = pandas.read_csv(tmp_path / "jaw.csv").iloc[-1]
-    assert last["JawOpen"] == pytest.approx(0.6 + 24.0 / OPEN_DEG)
-    assert last["JawForward"] == pytest.approx(2.0 / TRAVEL_MM)
-    assert last["JawLeft"] == pytest.approx(4.0 * np.cos(5.0) / TRAVEL_MM)
+    assert last["JawOpen"] == pytest.approx(0.6 + 24.0 / USUAL_JAW.open_deg)
+    assert last["JawForward"] == pytest.approx(2.0 / USUAL_JAW.forward_mm)
+    assert last["JawLeft"] == pytest.approx(4.0 * np.cos(5.0) / USUAL_JAW.sideways_mm)
     assert last["JawRight"] == 0.0
 
 

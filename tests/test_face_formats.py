@@ -231,6 +231,9 @@ def test_the_jaw_of_flame_is_a_joint_and_three_shapes(flame_file, subject):
     assert chin["jawOpen"][1] > 15.0
     assert chin["jawLeft"][0] > 5.0
     assert chin["jawRight"][0] < -5.0
+    assert model.jaw_unit.open_deg == pytest.approx(26.5, abs=0.1)
+    hang = model.jaw_weights[model.landmarks.vertices[8]] @ model.landmarks.barycentric[8]
+    assert hang * model.jaw_unit.sideways_mm == pytest.approx(chin["jawLeft"][0], rel=0.1)
 
 
 def test_components_are_limited_and_unlimited(flame_file, subject):

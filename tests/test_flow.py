@@ -32,6 +32,7 @@ from workbench.flow import (
     warp,
     wheel_picture,
 )
+from workbench.flow.network_flow import seen_size
 from workbench.geometry import Camera, camera_from_fov
 from workbench.rendering import (
     ambient_light,
@@ -253,7 +254,7 @@ class TestNetworkFlow:
     def test_the_flow_is_brought_back_to_the_pictures_pixels(self, size, seen):
         flow = NetworkFlow(Constant([2.0, -1.0]), side=128)
         answer = flow(texture(*size), texture(*size))
-        assert flow.seen_size(*size) == seen
+        assert seen_size(flow.network, *size, flow.side) == seen
         assert answer.shape == (*size, 2)
         assert np.allclose(answer, [2.0 * size[1] / seen[1], -1.0 * size[0] / seen[0]], atol=1e-4)
 

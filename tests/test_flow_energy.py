@@ -18,7 +18,7 @@ from workbench.energies.flow import (
 )
 from workbench.energies.flow_link import FlowLink, FlowTargets, FlowView
 from workbench.errors import InputError
-from workbench.face import FaceParameters, pack, unpack
+from workbench.face import FaceParameters, JawUnit, pack, unpack
 from workbench.flow import surface_points
 from workbench.geometry import Camera, camera_from_fov
 from workbench.rendering import render_model
@@ -90,6 +90,17 @@ def test_the_energy_is_the_sum_over_points_as_if_they_were_68_landmarks(head, po
     assert float(np.sum(terms["flow"] ** 2)) == pytest.approx(expected, rel=1e-5)
     apart = 0.3**2 * 3.0 + 0.5 * 3 * 2.0**2
     assert float(np.sum(terms["stay"] ** 2)) == pytest.approx(apart, rel=1e-6)
+
+
+def test_the_jaw_stays_in_the_unit_of_its_model(head, points):
+    truth, views = state(head, 0.4, jaw=np.array([0.2, 0.0, 0.0, 3.0, 0.0, -2.0])), one_view()
+    targets, rest = targets_of(points, views, truth), truth._replace(jaw=np.zeros(6))
+    unit = JawUnit(13.25, 4.0, 5.0)
+    other = points._replace(model=points.model._replace(jaw=points.model.jaw._replace(unit=unit)))
+    for surface, counted in ((points, [np.radians(26.5), 8.0, 8.0]), (other, [np.radians(13.25), 4.0, 5.0])):
+        terms = flow_residuals(surface, views, targets, weights(stay=1.0), np.ones(targets.weights.shape), truth, rest)
+        apart = ((np.array([0.2, 3.0, 2.0]) / counted) ** 2).sum()
+        assert float(np.sum(terms["stay"] ** 2)) == pytest.approx(apart, rel=1e-6)
 
 
 def test_residuals_change_as_finite_differences_say(head, points):

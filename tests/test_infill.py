@@ -195,6 +195,9 @@ def test_each_view_brings_one_picture(film_maker, film):
     known = Neighbour(parameters_of(neighbour.fit), neighbour.pictures)
     with pytest.raises(InputError, match="There are 1 views, but 1 and 2 pictures"):
         film_maker.flow.links(known, film.pictures[:2], known.parameters, views)
+    by_network = FlowFitter(film_maker.head, plan_of(film_config(flow={"renders": "network", "estimator": "network"})))
+    with pytest.raises(InputError, match="There are 1 views, but 1 and 2 pictures"):
+        by_network.between((known, None), film.pictures[:2], known.parameters, known.parameters, views)
 
 
 def test_two_cameras_fill_a_gap_together(head, tmp_path):

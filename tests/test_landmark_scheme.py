@@ -68,6 +68,13 @@ def test_outer_eye_distance_is_the_distance_of_36_and_45():
     assert scheme.outer_eye_distance(points) == 5
 
 
+def test_lip_distance_is_the_distance_of_62_and_66_in_plane_and_space():
+    points = np.zeros((2, 68, 3))
+    points[1, 66] = (2, 3, 6)
+    assert scheme.lip_distance(points).tolist() == [0, 7]
+    assert scheme.lip_distance(points[1, :, :2]) == pytest.approx(np.hypot(2, 3))
+
+
 @pytest.mark.parametrize(
     ("shape", "message"), [((67, 2), "68 points, got 67"), ((68, 3), r"\(68, 3\)"), ((136,), r"\(136,\)")]
 )

@@ -142,7 +142,7 @@ SHUT = {"performance": ((50, 68), (61, 62)), "carphone": ((0, 95), (42, 92)), "o
 """Frames to track, and those in it in which both eyes are shut: by the clip's exact weights, and by looking.
 
 Not every blink comes out as clearly. Of the bundled clip's 15 frames with shut eyes the worst has 0.46, where the head
-is turned; frame 38 of obama, shut and blurred, has 0.23 on the left. `benchmarks/blinks.py` measures all of them.
+is turned; frame 38 of obama, shut and blurred, has 0.56 on the left. `benchmarks/blinks.py` measures all of them.
 """
 
 

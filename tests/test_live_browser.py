@@ -27,14 +27,16 @@ CELLS = (
     """
     import sys, threading, time, traceback
 
+    panel.view.message = "a cell runs"  # a view that a cell has changed answers the browser all the same
     began, number = time.perf_counter(), 0
     while (passed := time.perf_counter() - began) < 2.0 or (panel.fit.index < first + 3 and passed < 60.0):
         number += 1
-    print("fits meanwhile", panel.fit.index - first)
+    told = [f"fits meanwhile {panel.fit.index - first}"]
     if panel.fit.index < first + 3:
         names = {thread.ident: thread.name for thread in threading.enumerate()}
         for ident, frame in sys._current_frames().items():
-            print(names.get(ident), "".join(traceback.format_stack(frame)[-8:]))
+            told.append(f"{names.get(ident)}: " + "".join(traceback.format_stack(frame)[-4:]))
+    print("\\n".join(told))
     """,
     "first = panel.fit.index",
     """

@@ -36,7 +36,8 @@ LEAST_PICTURES = {
     "14_temporal_refinement": 11,
     "15_live": 2,
     "16_face_it_remade": 8,
-    "17_deep_energies_remade": 7,
+    "17_deep_energies_remade": 10,
+    "18_deep_energies_through_time": 13,
 }
 TIMEOUT_S = 300
 

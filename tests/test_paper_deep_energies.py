@@ -23,8 +23,7 @@ from workbench.energies.flow import (
     points_in_views,
 )
 from workbench.energies.flow_link import FlowTargets, FlowView
-from workbench.face import FaceParameters, JawJoint, move_jaw, pack, unpack
-from workbench.face.jaw import OPEN_DEG, TRAVEL_MM
+from workbench.face import USUAL_JAW, FaceParameters, JawJoint, move_jaw, pack, unpack
 from workbench.flow import surface_points
 from workbench.frames import read_picture
 from workbench.geometry import Camera, camera_from_fov, rotation_matrix
@@ -81,12 +80,12 @@ def test_the_jaw_joint_is_linear_blend_skinning(rng):
 
 
 def test_the_jaws_corrective_is_added_in_proportion_to_the_angle(rng):
-    """The paper has blendshapes and the joint alone. Ours adds, per `OPEN_DEG` of opening, one fixed displacement."""
+    """The paper has blendshapes and the joint alone. Ours adds one fixed displacement per opening angle."""
     points, share, corrective = rng.normal(0.0, 50.0, (30, 3)), rng.uniform(0.0, 1.0, 30), rng.normal(size=(30, 3))
     jaw, pivot = rng.normal(0.0, 0.3, 6), np.zeros(3)
     moved = move_jaw(JawJoint(share, pivot, np.zeros((0, 3)), corrective), points, np.zeros(0), jnp.asarray(jaw))
     skinned = paper.skinned(points, share, pivot, paper.rotation(jaw[:3]), jaw[3:])
-    assert agrees(moved, skinned + np.degrees(jaw[0]) / OPEN_DEG * corrective)
+    assert agrees(moved, skinned + np.degrees(jaw[0]) / USUAL_JAW.open_deg * corrective)
 
 
 def test_the_rendered_head_is_eq_1(head, rng):
@@ -324,9 +323,9 @@ def test_lambda_times_w_as_a_residual_is_our_weight_lambda_squared(rng):
 
 
 def test_the_jaw_counts_in_blendshapes_under_lambda(rng):
-    """The paper's jaw is among w. Ours has an angle and millimetres: `OPEN_DEG` and `TRAVEL_MM` count as weight 1."""
+    """The paper's jaw is among w. Ours has an angle and millimetres; the model's `jaw_unit` counts as weight 1."""
     at, views = parameters(rng), view(np.zeros((1, 68, 2)), np.ones((1, 68)))
-    jaw = np.asarray(at.jaw) / [*[np.radians(OPEN_DEG)] * 3, *[TRAVEL_MM] * 3]
+    jaw = np.asarray(at.jaw) / [*[np.radians(26.5)] * 3, *[8.0] * 3]
     ours = terms(np.zeros((1, 68, 2)), views, ("regularisation",), [paper.LAMBDA**2], at)["regularisation"]
     assert agrees(ours, paper.regularisation(np.append(at.expression, jaw)))
 
@@ -346,7 +345,7 @@ def test_the_prior_of_sec_7_penalises_deviations_of_weights_and_jaw(rng):
     at, start = parameters(rng), parameters(rng)
     views, strength = view(np.zeros((1, 68, 2)), np.ones((1, 68))), 3.0
     ours = terms(np.zeros((1, 68, 2)), views, ("stay",), [strength**2], at, start)["stay"]
-    counted = np.repeat([1.0, np.radians(OPEN_DEG), TRAVEL_MM], [len(at.expression), 3, 3])
+    counted = np.repeat([1.0, np.radians(26.5), 8.0], [len(at.expression), 3, 3])
     moved, initial = (np.concatenate([one.expression, one.jaw]) / counted for one in (at, start))
     assert agrees(ours, paper.deviation(moved, initial, strength))
 

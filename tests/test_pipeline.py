@@ -10,7 +10,7 @@ import pytest
 
 from tests.scenes import make_scene
 from workbench.config import preset, read_config
-from workbench.errors import InputError
+from workbench.errors import ConfigError, InputError
 from workbench.frames import VideoWriter, open_frames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
@@ -336,3 +336,12 @@ def test_pictures_and_landmark_files_do_not_mix(head, clip, tmp_path):
         track([clip, sample("astronaut")], tmp_path, head, preset("calibrated"))
     with pytest.raises(InputError, match="nothing to track"):
         track([], tmp_path, head, preset("calibrated"))
+
+
+def test_settings_of_the_flow_that_cannot_be_used_are_refused_before_a_frame_is_fitted(head, clip, quick, tmp_path):
+    config = quick.changed(flow={"renders": "network"}, infill={"method": "linear"})
+    fitted = []
+    with pytest.raises(ConfigError, match="takes the derivative of the flow network"):
+        track(clip, tmp_path, head, config, progress=lambda *told: fitted.append(told))
+    assert not [told for told in fitted if told[0] == "track"]
+    assert not (tmp_path / "track.npz").exists()

@@ -317,9 +317,28 @@ def test_curves_of_tracks_can_show_a_part(short_track):
     np.testing.assert_array_equal(figure.axes[0].get_lines()[0].get_xdata(), [11, 12])
 
 
+def test_curves_of_tracks_can_be_their_distances_from_the_truth(short_track):
+    moved = replace(short_track, translation=short_track.translation + np.array([0.0, 0.0, -5.0]))
+    figure = plots.track_curves({"moved": moved, "right": short_track}, ("z", "yaw"), truth=short_track)
+    far, right = figure.axes[0].get_lines()
+    np.testing.assert_array_equal(far.get_ydata(), np.full(4, 5.0))
+    np.testing.assert_array_equal(right.get_ydata(), np.zeros(4))
+
+
 def test_curves_of_tracks_name_the_quantities_there_are(short_track):
     with pytest.raises(InputError, match="yaw, pitch, roll, x, y, z or a blendshape of the track, got 'jaw'"):
         plots.track_curves({"fits": short_track}, ("jaw",))
+
+
+def test_rows_of_pictures_have_their_labels_and_one_size():
+    shades = {"dark": [10, 20, 30], "bright": [210, 220, 230]}
+    rows = {name: [np.full((7, 7, 3), shade, np.uint8) for shade in each] for name, each in shades.items()}
+    figure = plots.picture_rows(rows, ["a", "b", "c"])
+    panels = [axis.images[0].get_array() for axis in figure.axes]
+    assert [int(panel.mean()) for panel in panels] == [10, 20, 30, 210, 220, 230]
+    assert len({panel.shape for panel in panels}) == 1
+    assert [axis.get_title() for axis in figure.axes[:3]] == ["a", "b", "c"]
+    assert [text.get_text() for text in figure.texts] == ["dark", "bright"]
 
 
 def test_a_film_strip_has_a_row_of_pictures_and_one_for_each_track(head, portrait, short_track):

@@ -135,6 +135,17 @@ def test_an_array_that_declares_more_than_it_holds_is_refused():
         pass
 
 
+def test_numbers_of_no_bytes_are_refused():
+    """Any number of them fits any file; as a million million floats they fill the memory."""
+    content = io.BytesIO()
+    np.lib.format.write_array_header_1_0(content, {"descr": "|V0", "fortran_order": False, "shape": (10**12,)})
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as written:
+        written.writestr("a.npy", content.getvalue())
+    with pytest.raises(ValueError, match="declares 1000000000000 numbers"), checked_arrays(stream):
+        pass
+
+
 def test_arrays_of_python_objects_are_refused():
     with pytest.raises(ValueError, match="objects"), checked_arrays(archive(a=np.array([{}], object))):
         pass

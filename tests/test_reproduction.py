@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -125,6 +126,49 @@ def test_poses_that_changed_make_an_item_anew(counted, tmp_path):
         reproduction.run([item], tmp_path, poses=[path])
     assert len(calls) == 2
     assert calls[0].folder == calls[1].folder
+
+
+def test_another_clip_makes_an_item_anew_and_is_kept_apart(counted, tmp_path):
+    item, calls = counted
+    item = replace(item, reads_clip=True)
+    for clip in (None, tmp_path / "talk.mp4", tmp_path / "talk.mp4", tmp_path / "speech.mp4"):
+        reproduction.run([item], tmp_path, clip=clip)
+    assert [study.clip and study.clip.name for study in calls] == [None, "talk.mp4", "speech.mp4"]
+    assert len({study.folder for study in calls}) == 3
+
+
+def test_items_that_share_a_folder_find_there_what_the_first_one_kept(counted, tmp_path):
+    item, calls = counted
+    other = replace(item, name="another", shares="counted")
+    reproduction.run([item, other], tmp_path)
+    first, second = calls
+    assert first.folder == second.folder
+    first.folder.mkdir()
+    (first.folder / "kept.npz").touch()
+    reproduction.run([other], tmp_path, overwrite=True)
+    assert (first.folder / "kept.npz").exists()
+    reproduction.run([item], tmp_path, overwrite=True)
+    assert not (first.folder / "kept.npz").exists()
+
+
+def test_an_item_shares_the_folder_of_one_that_comes_before_it():
+    """With `overwrite` the first one empties it."""
+    names = [item.name for item in ITEMS]
+    for place, item in enumerate(ITEMS):
+        assert not item.shares or names.index(item.shares) < place
+
+
+def test_meshes_that_changed_make_an_item_anew(counted, tmp_path):
+    item, calls = counted
+    item, folder = replace(item, reads_meshes=True), tmp_path / "meshes"
+    (folder / "PRNet").mkdir(parents=True)
+    for text in ("", "one", "one", "one and two"):
+        if text:
+            (folder / "PRNet" / "frame_200.obj").write_text(text)
+            os.utime(folder / "PRNet" / "frame_200.obj", (1.0, 1.0))
+        reproduction.run([item], tmp_path, meshes=folder)
+    assert len(calls) == 3
+    assert {study.meshes for study in calls} == {folder}
 
 
 def test_a_damaged_result_is_named(counted, tmp_path):
@@ -262,6 +306,29 @@ def test_the_command_refuses_an_unknown_item(run):
     code, _, err = run("reproduce", "fig-1")
     assert code == 2
     assert "There is no item 'fig-1'" in err
+
+
+@pytest.mark.parametrize("option", ["--boston", "--poses", "--meshes", "--clip"])
+def test_the_command_refuses_data_that_does_not_exist_before_it_starts(run, option):
+    code, _, err = run("reproduce", option, "mistyped")
+    assert code == 2
+    assert "mistyped does not exist; check the name and the folder." in err
+
+
+@pytest.mark.parametrize(
+    ("option", "reader"),
+    [
+        ("--boston", "head-pose"),
+        ("--poses", "head-pose"),
+        ("--meshes", "other-meshes"),
+        ("--clip", "clip-through-time"),
+    ],
+)
+def test_the_command_refuses_data_that_no_chosen_item_reads(run, tmp_path, option, reader):
+    (tmp_path / "data").mkdir()
+    code, _, err = run("reproduce", "beta-curve", option, "data")
+    assert code == 2
+    assert f"None of these items reads {option[2:]}; choose {reader} as well." in err
 
 
 # Deep Energies.

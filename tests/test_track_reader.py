@@ -128,6 +128,8 @@ def test_arrays_that_are_none_of_a_track_are_refused(contents, tmp_path, read, c
         ({"inputs": [{"path": 3}]}, r"inputs\.0\.path"),
         ({"landmarks": "points.csv"}, "landmarks: "),
         ({"model": ["head"]}, "model: "),
+        ({"model": {"jaw_unit": {"open_deg": 26.5, "sideways_mm": 8.0}}}, r"model\.jaw_unit\.forward_mm"),
+        ({"model": {"jaw_unit": {"open_deg": 0.0, "sideways_mm": 8.0, "forward_mm": 8.0}}}, r"jaw_unit\.open_deg"),
         ({"frames": [1]}, "frames: "),
         ({"config": 1}, "config: "),
         ({"x": 10**30}, "more than 20 digits"),

@@ -27,6 +27,9 @@ EYE_DISTANCE_MM = 63.0
 SAMPLES, COMPONENTS, SEED = 700, 50, 100
 BLINK_SAMPLES = 300
 EXPRESSION_STEP_MM, IDENTITY_STEP_MM = 0.01, 0.02
+JAW_UNIT = (26.5, 8.0, 8.0)
+"""The jaw joint's motion that counts as a jaw unit at weight 1: degrees, millimetres sideways, millimetres forward.
+Tracks and settings depend on these numbers; a fit to the units gives 24.0, 8.3 and 10.5."""
 
 
 @dataclass(frozen=True)
@@ -166,6 +169,7 @@ def assemble(head: Head, landmarks: Path) -> dict[str, np.ndarray]:
         "joints": head.neutral[count:].astype(np.float32),
         "identity_joint_deltas": head.identities[:, count:].astype(np.float32),
         "jaw_weights": head.jaw_weights.astype(np.float16),
+        "jaw_unit": np.array(JAW_UNIT, np.float32),
         "regions": region_ids(crop, brow, scalp),
         "region_names": np.array(REGIONS),
         "colors": np.rint(paint(surface, sitter(head))).astype(np.uint8),

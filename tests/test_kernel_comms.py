@@ -1,0 +1,94 @@
+"""A widget in a real kernel with a subshell, as JupyterLab uses it: what it hears while a cell runs."""
+
+import queue
+import time
+
+import pytest
+from jupyter_client.manager import start_new_kernel
+
+WIDGET = """
+import threading
+import ipywidgets
+import workbench.widgets
+
+heard = []
+widget = ipywidgets.IntText()
+widget.observe(lambda change: heard.append(threading.current_thread()), "value")
+"""
+CHANGED_BY_CELL = "widget.description = 'changed by a cell'"
+CHANGED_BY_THREAD = """
+changing = threading.Thread(target=setattr, args=(widget, "description", "changed by a thread"))
+changing.start()
+changing.join()
+"""
+BUSY = """
+import time
+{change}
+print("busy")
+deadline = time.monotonic() + 20
+while not heard and time.monotonic() < deadline:
+    pass
+elsewhere = [thread is not threading.main_thread() for thread in heard]
+heard.clear()
+print("heard", elsewhere)
+"""
+LONGEST_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def kernel():
+    manager, talk = start_new_kernel(kernel_name="python3")
+    try:
+        yield talk
+    finally:
+        talk.stop_channels()
+        manager.shutdown_kernel(now=True)
+
+
+@pytest.fixture(scope="module")
+def subshell(kernel):
+    request = kernel.session.msg("create_subshell_request", {})
+    kernel.control_channel.send(request)
+    reply = kernel.get_control_msg(timeout=LONGEST_S)
+    while reply["parent_header"]["msg_id"] != request["header"]["msg_id"]:
+        reply = kernel.get_control_msg(timeout=LONGEST_S)
+    return reply["content"]["subshell_id"]
+
+
+@pytest.fixture(scope="module")
+def widget(kernel):
+    """The name by which the browser knows the widget."""
+    kernel.execute(WIDGET)
+    kernel.execute("print('id', widget.model_id)")
+    return printed(kernel, "id").split()[1]
+
+
+def printed(kernel, start):
+    """The next whole line that begins so; a line may come in several messages."""
+    deadline, text = time.monotonic() + LONGEST_S, ""
+    while time.monotonic() < deadline:
+        try:
+            message = kernel.get_iopub_msg(timeout=1.0)
+        except queue.Empty:
+            continue
+        assert message["msg_type"] != "error", message["content"]["traceback"]
+        if message["msg_type"] == "stream":
+            text += message["content"]["text"]
+            *lines, text = text.split("\n")
+            for line in lines:
+                if line.startswith(start):
+                    return line
+    raise AssertionError(f"no line printed that begins with {start!r}")
+
+
+@pytest.mark.parametrize("change", ["", CHANGED_BY_CELL, CHANGED_BY_THREAD], ids=["left alone", "cell", "thread"])
+def test_a_widget_hears_the_browser_while_a_cell_runs(kernel, subshell, widget, change, request):
+    kernel.execute(BUSY.format(change=change))
+    printed(kernel, "busy")
+    value = 1 + len(request.node.name)
+    message = kernel.session.msg(
+        "comm_msg", {"comm_id": widget, "data": {"method": "update", "state": {"value": value}, "buffer_paths": []}}
+    )
+    message["header"]["subshell_id"] = subshell
+    kernel.shell_channel.send(message)
+    assert printed(kernel, "heard") == "heard [True]"
