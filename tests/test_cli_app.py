@@ -161,6 +161,21 @@ def test_the_command_tells_its_address_and_ends_with_its_server(ended_by, notebo
         process.wait()
 
 
+def test_a_probe_that_reaches_itself_is_no_server(monkeypatch):
+    """A socket that is given the port that it asks at is connected to itself (TCP's simultaneous open)."""
+
+    class GivenThatPort(socket.socket):
+        def connect_ex(self, address):
+            self.bind(address)
+            return super().connect_ex(address)
+
+    port = free_port()
+    monkeypatch.setattr(servers.socket, "socket", GivenThatPort)
+    with GivenThatPort() as probe:
+        assert probe.connect_ex((servers.LOCALHOST, port)) == 0
+    assert not servers.answers(free_port())
+
+
 def test_the_app_is_for_this_machine_and_its_token_is_on_no_command_line(notebook, monkeypatch):
     settings = json.loads((servers.APP_PAGE / "voila.json").read_text())
     assert settings["Voila"]["ip"] == "127.0.0.1"

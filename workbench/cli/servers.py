@@ -179,7 +179,10 @@ def working_copies(folder: Path, package: Path = PACKAGE) -> Path:
 def answers(port: int) -> bool:
     """Whether something on this machine listens at a port."""
     with socket.socket() as probe:
-        return probe.connect_ex((LOCALHOST, port)) == 0
+        if probe.connect_ex((LOCALHOST, port)) != 0:
+            return False
+        # Asked at a port that nobody has taken, TCP may give the probe that very port, and it answers itself.
+        return probe.getsockname() != probe.getpeername()
 
 
 def _has_browser() -> bool:
