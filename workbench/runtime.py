@@ -12,12 +12,11 @@ from types import ModuleType
 COMPUTING = threading.RLock()
 """Held while a large compiled program runs. XLA splits such a program over a pool of one thread a core; two programs
 at once, called from two threads, can fill the pool with parts that wait for each other, and then wait for ever."""
-SMALL_ARRAYS = {"xla_cpu_use_fusion_emitters": False}
+SMALL_ARRAYS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
 """Compiler options for programs of small arrays, where most of the time of a first fit is compiling. XLA's newer way on
-a CPU builds every kernel as a module of its own and takes half as long again to compile such a program; it runs no
-faster. Renderer and networks keep it: without, they run a quarter slower."""
-RUN_SELDOM = SMALL_ARRAYS | {"xla_backend_optimization_level": 1}
-"""For those that run seldom, once a clip or a click: compiled in three quarters of that time, and hardly slower."""
+a CPU builds every kernel as a module of its own and takes half as long again to compile such a program, and LLVM's
+higher levels another quarter; the programs run no faster for it. Renderer and networks keep both: without the newer way
+they run a quarter slower."""
 SHORT_TURN_S = 0.001
 """Python's own turn is 5 ms."""
 

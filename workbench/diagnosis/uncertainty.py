@@ -15,7 +15,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
 from workbench.geometry import Camera, rotation_matrix
 from workbench.planning import plan_of
-from workbench.runtime import COMPUTING, RUN_SELDOM
+from workbench.runtime import COMPUTING, SMALL_ARRAYS
 from workbench.tracking import FrameContext, FrameFit
 from workbench.tracking.face_it_solution import solve_settings
 from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem
@@ -92,7 +92,7 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
     )
 
 
-@partial(jax.jit, static_argnames="terms", compiler_options=RUN_SELDOM)
+@partial(jax.jit, static_argnames="terms", compiler_options=SMALL_ARRAYS)
 def _linearised(
     camera: Camera,
     model: LandmarkModel,

@@ -98,9 +98,10 @@ class FaceItFitter(Fitter):
         ]
         chosen = spread_over_yaw(yaw_pitch_roll_deg(np.array([rotation for rotation, _ in poses]))[:, 0], frames)
         result = self._calibrate_on([usable[k] for k in chosen], [poses[k] for k in chosen], frames)
-        starts = {}
+        # On the host: JAX would compile a small program for every array that it takes a row of.
+        starts, frames_found = {}, jax.tree.map(np.asarray, result.frames)
         for row, k in enumerate(chosen):
-            start = jax.tree.map(lambda stacked, row=row: stacked[row], result.frames)
+            start = jax.tree.map(lambda stacked, row=row: stacked[row], frames_found)
             starts[usable[k].index] = start._replace(identity=jnp.zeros(0))
         return Calibrated(np.asarray(result.identity), starts)
 
@@ -257,4 +258,4 @@ class FaceItFitter(Fitter):
         return record_of(solution, self.plan)
 
 
-_ZERO, _ONE, _NO_POSE = jnp.zeros(()), jnp.ones(()), jnp.zeros(6)
+_ZERO, _ONE, _NO_POSE = jax.device_put((np.zeros(()), np.ones(()), np.zeros(6)))
