@@ -22,8 +22,9 @@ VALIDATORS := .cache/validators
 help:
 	@echo "make lab    open JupyterLab on the first notebook"
 	@echo "make demo   track the bundled portrait and clip into $(OUT)/, no browser needed"
-	@echo "make test   lint and run all tests that need no PyTorch"
+	@echo "make test   lint and run all tests that need no PyTorch, but for the notebooks"
 	@echo "make test-fast   without the long tests and those in a browser"
+	@echo "make notebooks   run every notebook from top to bottom"
 	@echo "make test-train  the tests of training and of PyTorch's models; installs PyTorch"
 	@echo "make docs   the documentation as pages, in docs/_build/html; runs the notebooks"
 	@echo "make bench  run the benchmarks and print a table"
@@ -63,10 +64,10 @@ demo: $(STAMP)
 	$(BIN)/workbench demo --out $(OUT)
 
 test: lint
-	$(PYTEST) -m "not train"
+	$(PYTEST) -m "not train and not notebook"
 
 test-fast: $(TEST_STAMP)
-	$(PYTEST) -m "not train and not slow and not browser"
+	$(PYTEST) -m "not train and not notebook and not slow and not browser"
 
 test-train: $(TRAIN_STAMP)
 	$(PYTEST) -m train
@@ -81,7 +82,7 @@ validators:
 	$(VALIDATORS)/bin/python -m pip install --quiet bpy==4.5.*
 
 notebooks: $(TEST_STAMP)
-	$(PYTEST) tests/test_notebooks.py tests/test_browser.py
+	$(PYTEST) -m notebook
 
 lint: $(TEST_STAMP)
 	$(BIN)/ruff check .

@@ -1,6 +1,6 @@
 """Which tests run, and in which order: marks of whole test files, what a run leaves out, long files first.
 
-`make test` runs in two processes (`JOBS`). A file stays in one of them, with what its tests share; notebooks have
+Tests run in two processes (`JOBS`). A file stays in one of them, with what its tests share; notebooks have
 kernels of their own and are handed out one by one. A long file begun last would leave all processes but one idle.
 """
 
@@ -33,6 +33,19 @@ SLOW = (
     "test_session.py",
     "test_session_temporal.py",
     "test_tracker.py",
+    "test_documentation.py",
+    "test_flow_term.py",
+    "test_networks.py",
+    "test_contributing.py",
+    "test_time_page.py",
+    "test_infill.py",
+    "test_paper_deep_energies.py",
+    "test_extras.py",
+    "test_track_reader.py",
+    "test_through_time.py",
+    "test_front_door.py",
+    "test_rendered_flow.py",
+    "test_cli_export.py",
 )
 """Files that `make test-fast` leaves out besides those in a browser, the longest first."""
 BROWSER = (
@@ -55,8 +68,9 @@ TRAIN = (
 """Files that need PyTorch as a whole; single tests elsewhere have the mark themselves."""
 MARKS = {"slow": SLOW, "browser": BROWSER, "train": TRAIN}
 LEFT_OUT = {
-    "slow": "notebooks and other long tests (make test)",
+    "slow": "long tests (make test)",
     "browser": "tests in a browser (make test)",
+    "notebook": "notebooks from top to bottom (make notebooks)",
     "train": "tests of training and of PyTorch's models (make test-train)",
 }
 """What the marks stand for, and the command that runs it."""
@@ -66,7 +80,7 @@ CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else
 
 def left_out(expression: str, torch: bool) -> list[str]:
     """The marks whose tests do not run, by the expression of `pytest -m` and by whether PyTorch is installed."""
-    return [mark for mark in MARKS if f"not {mark}" in expression or (mark == "train" and not torch)]
+    return [mark for mark in LEFT_OUT if f"not {mark}" in expression or (mark == "train" and not torch)]
 
 
 def has_torch() -> bool:

@@ -130,7 +130,9 @@ def test_the_failing_frame_of_the_sixth_notebook_is_mended_by_its_first_reason()
         assert session.fit_frame(frame).expression[tongue] == 0.0, change.label
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+# The later ones take longest: begun last, one would leave the other processes idle.
+@pytest.mark.notebook
+@pytest.mark.parametrize("path", NOTEBOOKS[::-1], ids=lambda path: path.stem)
 def test_a_notebook_runs_without_errors_and_shows_pictures(path, tmp_path, kernel_environment):
     stored = path.read_bytes()
     notebook = nbformat.reads(stored.decode(), as_version=4)

@@ -41,6 +41,7 @@ def test_every_file_that_cannot_be_imported_without_pytorch_has_the_mark():
         ("", True, []),
         ("", False, ["train"]),
         ("not train", True, ["train"]),
+        ("not train and not notebook", True, ["notebook", "train"]),
         ("not train and not slow and not browser", True, ["slow", "browser", "train"]),
         ("train", True, []),
     ],
@@ -49,10 +50,11 @@ def test_a_run_leaves_out_what_its_expression_says_and_what_needs_an_absent_pyto
     assert selection.left_out(expression, torch) == marks
 
 
-def test_a_run_says_in_one_line_what_it_left_out():
-    lines = collected("-m", "not train").stdout.splitlines()
+def test_a_run_says_in_a_line_each_what_it_left_out():
+    lines = collected("-m", "not train and not notebook").stdout.splitlines()
     assert [line for line in lines if line.startswith("Left out")] == [
-        "Left out: tests of training and of PyTorch's models (make test-train)"
+        "Left out: notebooks from top to bottom (make notebooks)",
+        "Left out: tests of training and of PyTorch's models (make test-train)",
     ]
 
 

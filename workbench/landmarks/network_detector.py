@@ -19,8 +19,10 @@ from workbench.landmarks.detection import Box, Effort, FaceDetection
 from workbench.landmarks.lids import true_lids
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS, MIRROR
-from workbench.networks import BETA, CropBox, LandmarkNetwork, read_landmark_network, soft_argmax
+from workbench.networks import BETA, Calibration, CropBox, LandmarkNetwork, read_landmark_network, soft_argmax
 from workbench.networks.face_finder import FaceFinder, FoundFace, read_face_finder, without_doubles
+from workbench.networks.frozen import FrozenNetwork
+from workbench.networks.landmark_network import confidence_of
 from workbench.runtime import COMPUTING
 
 CROP_SIDE = 256
@@ -63,7 +65,8 @@ class NetworkDetector:
     name = "network"
 
     def __init__(self, landmarks: LandmarkNetwork | None = None, finder: FaceFinder | None = None) -> None:
-        self._network = landmarks or bundled_landmark_network()
+        network = landmarks or bundled_landmark_network()
+        self._maps, self._calibration = FrozenNetwork(network), network.calibration
         self._finder = finder or bundled_face_finder()
 
     def detect_faces(self, picture: UInt8[np.ndarray, "h w 3"], effort: Effort = "full") -> list[FaceDetection]:
@@ -74,12 +77,10 @@ class NetworkDetector:
         """
         if min(picture.shape[:2]) < SMALLEST_SIDE:
             return []
-        with COMPUTING:
-            found = self._finder.find(picture)[:CANDIDATES]
+        found = self._finder.find(picture)[:CANDIDATES]
         faces = self._faces(picture, found, effort)
         if not faces and effort != "quick":
-            with COMPUTING:
-                found = self._finder.find_small(picture)[:MORE_CANDIDATES]
+            found = self._finder.find_small(picture)[:MORE_CANDIDATES]
             faces = self._faces(picture, found, effort)
         return sorted(faces, key=lambda face: -face.area)
 
@@ -131,14 +132,14 @@ class NetworkDetector:
     def _answer(self, picture: np.ndarray, to_image: FaceFrame, mirrored: bool) -> tuple[Landmarks2D, np.ndarray]:
         """Landmarks in the picture, and the network's heat maps (of the mirrored crop if it was)."""
         crop = sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT)
+        heat_maps = self._maps(np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop)
         with COMPUTING:
-            *answers, heat_maps = _answers(self._network, np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop)
-            points, confidence = (np.asarray(answer, np.float64) for answer in answers)
+            points, confidence = (np.asarray(read, np.float64) for read in _read(heat_maps, self._calibration))
         if mirrored:
             points, confidence = points[list(MIRROR)], confidence[list(MIRROR)]
             points[:, 0] = CROP_SIDE - 1 - points[:, 0]
         size = (picture.shape[1], picture.shape[0])
-        return Landmarks2D(to_image.to_image(points), np.clip(confidence, 0, 1), size), np.asarray(heat_maps)
+        return Landmarks2D(to_image.to_image(points), np.clip(confidence, 0, 1), size), heat_maps
 
 
 def crop_frame(face: FaceFrame, side: int = CROP_SIDE) -> FaceFrame:
@@ -180,13 +181,12 @@ def bundled_face_finder() -> FaceFinder:
 
 
 @jax.jit
-def _answers(
-    network: LandmarkNetwork, crop: UInt8[jax.Array, "s s 3"]
-) -> tuple[Float[jax.Array, "68 2"], Float[jax.Array, "68"], Float[jax.Array, "68 m m"]]:
-    """Points in the crop's pixels, confidences and heat maps. One program for all weights of one architecture."""
-    heat_maps = network(jnp.moveaxis(crop, -1, 0).astype(jnp.float32) / 255)
-    stride = crop.shape[0] / heat_maps.shape[-1]
-    return (soft_argmax(heat_maps) + 0.5) * stride - 0.5, network.confidence_of(heat_maps), heat_maps
+def _read(
+    heat_maps: Float[AnyArray, "68 m m"], calibration: Calibration | None
+) -> tuple[Float[jax.Array, "68 2"], Float[jax.Array, "68"]]:
+    """Points in the crop's pixels, and confidences."""
+    stride = CROP_SIDE / heat_maps.shape[-1]
+    return (soft_argmax(heat_maps) + 0.5) * stride - 0.5, confidence_of(heat_maps, calibration)
 
 
 def _probability(heat_maps: Float[np.ndarray, "n m m"]) -> Float[np.ndarray, "n m m"]:

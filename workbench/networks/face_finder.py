@@ -3,12 +3,11 @@
 from pathlib import Path
 
 import cv2
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.errors import ModelError
+from workbench.networks.frozen import FrozenNetwork
 from workbench.networks.landmark_network import LandmarkNetwork, empty_landmark_network, network_size
 from workbench.networks.weights import Weights, fill, read_weights
 from workbench.reading import shortened
@@ -36,13 +35,12 @@ class FaceFinder:
     """Finds faces with boxes as `landmarks.alignment` draws them: brows to chin, cheek to cheek, square, upright."""
 
     def __init__(self, network: LandmarkNetwork) -> None:
-        self._maps = jax.jit(lambda picture: network(jnp.moveaxis(picture, -1, 0).astype(jnp.float32) / 255))
+        self._maps = FrozenNetwork(network)
 
     def find(self, picture: UInt8[np.ndarray, "h w 3"], least_score: float = LEAST_SCORE) -> list[FoundFace]:
         """The faces in a picture, surest first; a face of less than a twelfth of the picture may be missed."""
         square, scale = padded_square(picture)
-        maps = np.asarray(self._maps(square))
-        faces = [(_unscaled(box, scale), score) for box, score in boxes_of(maps, least_score)]
+        faces = [(_unscaled(box, scale), score) for box, score in boxes_of(self._maps(square), least_score)]
         return without_doubles(faces)
 
     def find_small(self, picture: UInt8[np.ndarray, "h w 3"], least_score: float = LEAST_SCORE) -> list[FoundFace]:

@@ -83,13 +83,18 @@ class LandmarkNetwork(eqx.Module):
 
     def confidence_of(self, heat_maps: Float[AnyArray, "n h w"]) -> Float[Array, "n"]:
         """How likely each landmark is found, 0..1: the calibrated mass of its map (the mass itself if uncalibrated)."""
-        mass = patch_mass(heat_maps)
-        return mass if self.calibration is None else self.calibration(mass)
+        return confidence_of(heat_maps, self.calibration)
 
     @property
     def widths(self) -> tuple[int, int, int, int]:
         """Channels at a quarter of the input's size, an eighth, a sixteenth and a 32nd."""
         return tuple(conv.weight.shape[0] for conv in (self.stem, self.d1, self.d2, self.d3))
+
+
+def confidence_of(heat_maps: Float[AnyArray, "n h w"], calibration: Calibration | None) -> Float[Array, "n"]:
+    """As `LandmarkNetwork.confidence_of`, where the maps come from elsewhere."""
+    mass = patch_mass(heat_maps)
+    return mass if calibration is None else calibration(mass)
 
 
 def empty_landmark_network(
