@@ -3,6 +3,7 @@
 import os
 import resource
 import struct
+import threading
 import zlib
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from workbench.frames import (
     Frames,
     VideoWriter,
     open_frames,
+    read_ahead,
     read_picture,
     write_picture,
 )
@@ -380,3 +382,54 @@ def test_a_range_of_a_stream_of_unknown_length_says_so_when_it_has_ended(tmp_pat
     assert part.notes == []
     assert indices(part, 2) == [2, 3]
     assert part.notes == ["Frames 8 to 20 were asked for; talk ends with frame 11, and the run with it."]
+
+
+# --- reading ahead ---
+
+
+def test_frames_read_ahead_are_the_same_in_the_same_order(tmp_path):
+    clip = open_frames(write_clip(tmp_path / "clip.mp4", 12))
+    ahead, plain = list(read_ahead(clip.iterate(2))), list(clip.iterate(2))
+    assert [frame.index for frame in ahead] == [frame.index for frame in plain] == list(range(2, 12))
+    assert all(np.array_equal(a.picture, b.picture) for a, b in zip(ahead, plain, strict=True))
+
+
+def test_the_next_frames_are_read_while_one_is_worked_on():
+    third = threading.Event()
+
+    def frames():
+        for index in range(5):
+            if index == 3:
+                third.set()
+            yield index
+
+    stream = read_ahead(frames(), most=3)
+    assert next(stream) == 0
+    assert third.wait(10.0)
+    assert list(stream) == [1, 2, 3, 4]
+
+
+def test_what_goes_wrong_while_reading_ahead_comes_after_the_frames_before_it():
+    def frames():
+        yield from (0, 1)
+        raise InputError("the third frame is damaged")
+
+    stream = read_ahead(frames())
+    assert [next(stream), next(stream)] == [0, 1]
+    with pytest.raises(InputError, match="the third frame is damaged"):
+        next(stream)
+
+
+def test_a_stream_left_early_closes_what_it_reads():
+    closed = []
+
+    def frames():
+        try:
+            yield from range(100)
+        finally:
+            closed.append(True)
+
+    stream = read_ahead(frames())
+    assert next(stream) == 0
+    stream.close()
+    assert closed == [True]

@@ -1,13 +1,16 @@
 """Pictures in and out: one image, several, a folder or a video as a lazy stream; atomic video and picture files.
 
-Every picture is UInt8 (height, width, 3) RGB. A stream never holds more than the frame that it delivers, so an hour of
-video needs no more memory than a second, and `iterate(start)` delivers identical pictures whenever it is called again.
+Every picture is UInt8 (height, width, 3) RGB. A stream never holds more than the frame that it delivers, and a few read
+ahead, so an hour of video needs no more memory than a second. `iterate(start)` delivers identical pictures whenever it
+is called again.
 """
 
 import os
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, suppress
+from collections import deque
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from io import BytesIO
@@ -54,6 +57,8 @@ DECODER_LIMITS = {"max_pixels": str(MOST_PIXELS)}
 
 AS_VIDEO = ("a video", "convert it to MP4 (H.264)")
 
+FRAMES_AHEAD = 3
+"""Read while the frame before them is worked on: enough for a decoder that hands over several at once."""
 KEY_FRAME_SPACING = 100
 """Frames between remembered seek points: a few numbers per four seconds of video, instead of one per key frame."""
 
@@ -89,7 +94,7 @@ class Frames(Protocol):
     notes: list[str]
     """Sentences about what was odd in the input; complete after a full pass."""
 
-    def iterate(self, start: int = 0) -> Iterator[Frame]:
+    def iterate(self, start: int = 0) -> Generator[Frame]:
         """Yield the frames from index `start` on; the same index gives the same picture at every call."""
         ...
 
@@ -200,7 +205,7 @@ class ImageFrames:
         height, width = read_picture(self.paths[0]).shape[:2]
         self.image_size = (width, height)
 
-    def iterate(self, start: int = 0) -> Iterator[Frame]:
+    def iterate(self, start: int = 0) -> Generator[Frame]:
         """Yield the images from index `start` on."""
         for index in range(_checked_start(start), len(self.paths)):
             yield Frame(index, read_picture(self.paths[index]), 0.0, self.paths[index].name)
@@ -225,7 +230,7 @@ class FrameRange:
         """Those of the stream, and where it ends before the range does."""
         return [*self._frames.notes, *range_notes(self.name, self._first, self._last, self._count)]
 
-    def iterate(self, start: int = 0) -> Iterator[Frame]:
+    def iterate(self, start: int = 0) -> Generator[Frame]:
         """Yield the frames from index `start` of the range on."""
         stream = self._frames.iterate(self._first + _checked_start(start))
         for index in range(start, self.announced_count):
@@ -234,6 +239,18 @@ class FrameRange:
                 self._count = self._first + index
                 return
             yield replace(frame, index=index)
+
+
+def read_ahead(frames: Generator[Frame], most: int = FRAMES_AHEAD) -> Iterator[Frame]:
+    """The same frames, the next ones read by a thread of their own while the caller works on one.
+
+    What goes wrong while reading is raised where the frame would have come.
+    """
+    with closing(frames), ThreadPoolExecutor(1, "frames") as reader:
+        coming = deque(reader.submit(next, frames, None) for _ in range(most))
+        while (frame := coming.popleft().result()) is not None:
+            coming.append(reader.submit(next, frames, None))
+            yield frame
 
 
 def range_notes(name: str, first: int, last: int, count: int | None) -> list[str]:
@@ -276,7 +293,7 @@ class VideoFrames:
             if aspect and aspect != 1:
                 self._note(f"{self.path.name}: its pixels are not square ({aspect}); they are used as stored")
 
-    def iterate(self, start: int = 0) -> Iterator[Frame]:
+    def iterate(self, start: int = 0) -> Generator[Frame]:
         """Yield the frames from index `start` on."""
         start = _checked_start(start)
         origin = max((index for index in self._key_frames if index <= start), default=0)

@@ -1,7 +1,7 @@
 """The front door for one picture in memory: its landmarks are found, the head is fitted, all of it is one record."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
@@ -245,5 +245,5 @@ class _OnePicture:
         self.image_size = (picture.shape[1], picture.shape[0])
         self.notes: list[str] = []
 
-    def iterate(self, start: int = 0) -> Iterator[Frame]:
+    def iterate(self, start: int = 0) -> Generator[Frame]:
         yield from [Frame(0, self._picture, 0.0, self.name)][start:]

@@ -1,6 +1,6 @@
 """Where a run's frames and landmarks come from: a detector over pictures, a landmark file, several cameras."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice, repeat
 from pathlib import Path
@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 
 from workbench.config import Config
 from workbench.errors import InputError
-from workbench.frames import Frame, FrameRange, Frames, open_frames, range_notes
+from workbench.frames import Frame, FrameRange, Frames, open_frames, range_notes, read_ahead
 from workbench.geometry import read_rig
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import fallback_note, make_detector
@@ -61,7 +61,7 @@ class PictureSource:
         if stills:
             yield from (observation for _, observation in self.stills(start))
             return
-        frames, before = self.frames.iterate(max(start - 1, 0)), None
+        frames, before = read_ahead(self.frames.iterate(max(start - 1, 0))), None
         if start:
             before = next(frames).picture
             self._tracker.restore(state, before)
@@ -78,7 +78,7 @@ class PictureSource:
 
     def stills(self, start: int = 0) -> Iterator[tuple[Frame, FrameObservation]]:
         """Each frame as a picture of its own, with what is found in it."""
-        yield from ((frame, self._still(frame)) for frame in self.frames.iterate(start))
+        yield from ((frame, self._still(frame)) for frame in read_ahead(self.frames.iterate(start)))
 
     def state(self) -> dict[str, np.ndarray]:
         return self._tracker.state()
@@ -170,7 +170,7 @@ class _Canvas:
         self.image_size = source.image_size
         self.notes: list[str] = []
 
-    def iterate(self, start: int = 0) -> Iterator[Frame]:
+    def iterate(self, start: int = 0) -> Generator[Frame]:
         for observation in self._source.observations(start, {}, False):
             name = f"{self.name}-{observation.index}"
             yield Frame(observation.index, canvas(observation.image_size), 0.0, name)
