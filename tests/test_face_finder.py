@@ -1,16 +1,34 @@
 """The face finder around its network: what it shows it, and how maps become boxes in the picture's pixels."""
 
 import json
+from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.networks import randomised
 from workbench.errors import InputError, ModelError
+from workbench.frames import read_picture
+from workbench.landmarks.alignment import frame_from_points
+from workbench.landmarks.files import read_landmark_file
+from workbench.landmarks.network_detector import NetworkDetector
 from workbench.networks import face_finder
-from workbench.networks.face_finder import FaceFinder, boxes_of, padded_square, read_face_finder
+from workbench.networks.face_finder import (
+    OVERLAP,
+    SMALLEST_PART,
+    FaceFinder,
+    boxes_of,
+    padded_square,
+    part_sides,
+    read_face_finder,
+    starts,
+)
 from workbench.networks.landmark_network import BLOCKS, WIDTHS, empty_landmark_network, save_landmark_network
 from workbench.networks.weights import ARCHITECTURE, save_module
+from workbench.samples import sample
 
 SIZE = (4, 6, 8, 10)
 
@@ -82,7 +100,7 @@ def test_two_boxes_on_one_face_are_one_and_the_surer_stays(finder):
 
 def test_small_faces_are_found_in_the_parts_where_they_look_larger(finder):
     picture = np.zeros((256, 256, 3), np.uint8)
-    picture[200:216, 210:226] = 255
+    picture[201:217, 210:226] = 255
 
     def answer(square):
         rows, columns = np.nonzero(square.min(axis=2) > 200)
@@ -93,8 +111,36 @@ def test_small_faces_are_found_in_the_parts_where_they_look_larger(finder):
 
     finder.answer = answer
     assert finder.find(picture) == []
-    ((box, _),) = finder.find_small(picture)
-    np.testing.assert_allclose(box, (209.5, 199.5, 225.5, 215.5), atol=1.5)
+    ((box, _),) = next(filter(None, finder.find_smaller(picture)))
+    np.testing.assert_allclose(box, (209.5, 200.5, 225.5, 216.5), atol=1.5)
+
+
+@given(st.integers(1, 20_000))
+def test_parts_become_smaller_down_to_the_smallest(longest):
+    sides = [longest, *part_sides(longest)]
+    assert all(smaller < larger for larger, smaller in pairwise(sides))
+    assert all(2 * smaller >= larger for larger, smaller in pairwise(sides))
+    assert sides[-1] == min(longest, SMALLEST_PART)
+
+
+@given(st.integers(1, 5_000), st.integers(SMALLEST_PART, 1_000))
+def test_parts_cover_a_picture_and_overlap(length, side):
+    begin = starts(length, side)
+    assert begin[0] == 0
+    assert begin[-1] == max(0, length - side)
+    assert all(later - earlier <= (1 - OVERLAP) * side + 1 for earlier, later in pairwise(begin))
+
+
+def test_a_face_of_48_pixels_is_found_in_a_large_picture():
+    portrait = read_picture(sample("astronaut"))
+    (record,) = read_landmark_file(sample("astronaut-landmarks"))
+    small, scale = cv2.resize(portrait, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), 0.5
+    picture = np.full((720, 1280, 3), 120, np.uint8)
+    picture[300 : 300 + small.shape[0], 900 : 900 + small.shape[1]] = small
+    (face,) = NetworkDetector().detect_faces(picture)
+    true = frame_from_points(scale * record.landmarks.points + (900, 300)).box()
+    assert 45 < true[2] - true[0] < 55
+    np.testing.assert_allclose(face.box, true, atol=8)
 
 
 def test_stored_weights_give_the_same_finder(tmp_path):

@@ -39,8 +39,8 @@ DOUBTFUL = 0.8
 """Median confidence of the inner points up to which a look leaves doubt; wrong answers reach 0.7."""
 LEAST_FACE = 0.35
 """Median confidence of the inner points below which there is no face; boxes of walls and hands have about 0.2."""
-CANDIDATES, MORE_CANDIDATES = 5, 12
-"""The finder's surest proposals that the landmark network looks at: of the whole picture, and of its parts."""
+CANDIDATES = 8
+"""The finder's surest proposals that the landmark network looks at."""
 SMALLEST_SIDE = 16
 """Pictures with a shorter side in pixels hold no face with 68 landmarks."""
 
@@ -72,16 +72,16 @@ class NetworkDetector:
     def detect_faces(self, picture: UInt8[np.ndarray, "h w 3"], effort: Effort = "full") -> list[FaceDetection]:
         """Faces, the largest first: what the finder finds and the landmark network agrees to.
 
-        "quick" looks at the whole picture for upright faces; the others for rolled ones too, and at its parts if
-        there is no face at first sight.
+        "quick" looks at the whole picture for upright faces; the others for rolled ones too, and if there is no face at
+        first sight, at ever smaller parts of it until there is one.
         """
         if min(picture.shape[:2]) < SMALLEST_SIDE:
             return []
         found = self._finder.find(picture)[:CANDIDATES]
         faces = self._faces(picture, found, effort)
         if not faces and effort != "quick":
-            found = self._finder.find_small(picture)[:MORE_CANDIDATES]
-            faces = self._faces(picture, found, effort)
+            smaller = (self._faces(picture, found[:CANDIDATES], effort) for found in self._finder.find_smaller(picture))
+            faces = next(filter(None, smaller), [])
         return sorted(faces, key=lambda face: -face.area)
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:

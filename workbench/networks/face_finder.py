@@ -1,5 +1,8 @@
 """The workbench's own face finder: one look at the whole picture, and the boxes of the faces in it."""
 
+import math
+from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -22,6 +25,10 @@ UNIT_SIDE = 64.0
 """Box side in input pixels whose logarithm is 0."""
 PADDING_GREY = 114
 MAX_ENLARGEMENT = 4.0
+SMALLEST_PART = 192
+"""Side in pixels of the smallest parts that are looked at, where faces of 16 pixels are seen."""
+OVERLAP = 1 / 3
+"""Of neighbouring parts: larger faces show in the larger parts."""
 LEAST_SCORE = 0.2
 """Low, because the landmark network rejects what is not a face, and a face that is not proposed is lost."""
 SAME_FACE = 0.35
@@ -38,22 +45,23 @@ class FaceFinder:
         self._maps = FrozenNetwork(network)
 
     def find(self, picture: UInt8[np.ndarray, "h w 3"], least_score: float = LEAST_SCORE) -> list[FoundFace]:
-        """The faces in a picture, surest first; a face of less than a twelfth of the picture may be missed."""
+        """The faces in a picture, surest first; a face of less than a twelfth of its longer side may be missed."""
         square, scale = padded_square(picture)
         faces = [(_unscaled(box, scale), score) for box, score in boxes_of(self._maps(square), least_score)]
         return without_doubles(faces)
 
-    def find_small(self, picture: UInt8[np.ndarray, "h w 3"], least_score: float = LEAST_SCORE) -> list[FoundFace]:
-        """As `find`, looking at overlapping parts of the picture too: five looks, faces of half the size."""
-        faces = self.find(picture, least_score)
+    def find_smaller(
+        self, picture: UInt8[np.ndarray, "h w 3"], least_score: float = LEAST_SCORE
+    ) -> Iterator[list[FoundFace]]:
+        """What `find` finds in overlapping parts of the picture: first of half its longer side, then of a quarter, …"""
         height, width = picture.shape[:2]
-        part = (max(1, round(0.6 * height)), max(1, round(0.6 * width)))
-        for top in (0, height - part[0]):
-            for left in (0, width - part[1]):
-                view = np.ascontiguousarray(picture[top : top + part[0], left : left + part[1]])
-                for (x0, y0, x1, y1), score in self.find(view, least_score):
+        for side in part_sides(max(height, width)):
+            faces = []
+            for top, left in product(starts(height, side), starts(width, side)):
+                part = np.ascontiguousarray(picture[top : top + side, left : left + side])
+                for (x0, y0, x1, y1), score in self.find(part, least_score):
                     faces.append(((x0 + left, y0 + top, x1 + left, y1 + top), score))
-        return without_doubles(faces)
+            yield without_doubles(faces)
 
 
 def read_face_finder(path: str | Path) -> FaceFinder:
@@ -73,6 +81,20 @@ def face_finder_from(weights: Weights) -> FaceFinder:
         )
     widths, blocks = network_size(weights)
     return FaceFinder(fill(lambda: empty_landmark_network(widths, blocks, outputs=OUTPUTS), weights))
+
+
+def part_sides(longest: int) -> Iterator[int]:
+    """Sides of the parts of a picture with this longer side, in pixels, ever smaller."""
+    side = longest
+    while side > SMALLEST_PART:
+        side = max(-(-side // 2), SMALLEST_PART)
+        yield side
+
+
+def starts(length: int, side: int) -> list[int]:
+    """Where parts of this side begin that cover a length and overlap by `OVERLAP`, evenly spaced."""
+    count = 1 + max(0, math.ceil((length - side) / ((1 - OVERLAP) * side)))
+    return [round(start) for start in np.linspace(0, max(0, length - side), count)]
 
 
 def padded_square(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[UInt8[np.ndarray, "s s 3"], float]:
