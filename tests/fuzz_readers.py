@@ -117,6 +117,12 @@ def make_landmarks_pts(folder: Path) -> None:
     landmark_files.write_landmark_file(folder / "points.pts", _records()[:1])
 
 
+def make_pts_folder(folder: Path) -> None:
+    for record in _records():
+        if record.landmarks is not None:
+            landmark_files.write_landmark_file(folder / f"{record.name}.pts", [record])
+
+
 def make_openface(folder: Path) -> None:
     faces = [record.landmarks.points for record in _records() if record.landmarks is not None]
     rows = [("1, 0, 0.000, 0.98, 1", faces[0]), ("1, 1, 0.000, 0.97, 1", faces[1]), ("3, 0, 0.067, 0.1, 0", faces[1])]
@@ -151,12 +157,20 @@ def read_sizeless_landmarks(folder: Path) -> None:
     _use_landmarks(folder, (640, 480))
 
 
+def read_pts_folder(folder: Path) -> None:
+    _check_landmarks(folder, (640, 480))
+
+
 def read_landmarks(folder: Path) -> None:
     _use_landmarks(folder, None)
 
 
 def _use_landmarks(folder: Path, image_size: tuple[int, int] | None) -> None:
     (path,) = folder.iterdir()
+    _check_landmarks(path, image_size)
+
+
+def _check_landmarks(path: Path, image_size: tuple[int, int] | None) -> None:
     for record in landmark_files.read_landmark_file(path, image_size):
         assert record.frame >= 0
         assert record.image_size is None or min(record.image_size) >= 1
@@ -359,6 +373,7 @@ READERS = (
     Reader("landmarks csv", make_landmarks_csv, read_landmarks),
     Reader("landmarks json", make_landmarks_json, read_landmarks),
     Reader("landmarks pts", make_landmarks_pts, read_landmarks),
+    Reader("landmarks pts of a clip", make_pts_folder, read_pts_folder),
     Reader("OpenFace csv", make_openface, read_sizeless_landmarks),
     Reader("MediaPipe csv", make_mesh_csv, read_sizeless_landmarks),
     Reader("MediaPipe json", make_mesh_json, read_sizeless_landmarks),

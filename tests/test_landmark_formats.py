@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,11 +19,13 @@ from tests.landmark_layouts import (
     openface_csv,
     openface_picture_csv,
 )
+from workbench.config import preset
 from workbench.errors import InputError
 from workbench.landmarks.files import LandmarkRecord, read_landmark_file, states_size
 from workbench.landmarks.formats.mediapipe import VERTICES
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import MIRROR, outer_eye_distance
+from workbench.pipeline import open_source
 from workbench.samples import sample
 
 SIZE = (640, 360)
@@ -89,6 +92,48 @@ def test_a_published_annotation_counts_pixels_from_one(tmp_path):
     (record,) = read(tmp_path / "face.pts", ibug_pts(LARGE))
     at(record, LARGE)
     assert found(record).image_size == SIZE
+
+
+def test_a_folder_of_annotations_is_a_clip_in_the_order_of_its_names(tmp_path):
+    folder = tmp_path / "annot"
+    folder.mkdir()
+    for name, face in {"frame10.pts": LARGE, "frame2.PTS": SMALL, "frame11.pts": SMALL}.items():
+        (folder / name).write_text(ibug_pts(face))
+    for name in ("frame2.jpg", ".frame3.pts", "notes.txt"):
+        (folder / name).write_text("no annotation")
+    first, second, third = read_landmark_file(folder, SIZE)
+    assert [(record.frame, record.name) for record in (first, second, third)] == [
+        (0, "frame2"),
+        (1, "frame10"),
+        (2, "frame11"),
+    ]
+    at(first, SMALL)
+    at(second, LARGE)
+    assert found(third).image_size == third.image_size == SIZE
+    assert not states_size(folder)
+
+
+def test_what_is_wrong_in_a_folder_of_annotations_is_named_with_its_file(tmp_path):
+    with pytest.raises(InputError, match=r"is a folder without \.pts files: name a landmark file"):
+        read_landmark_file(tmp_path, SIZE)
+    (tmp_path / "1.pts").write_text(ibug_pts(LARGE))
+    (tmp_path / "2.pts").write_text(ibug_pts(LARGE)[:-1].replace("}", ""))
+    with pytest.raises(InputError, match="does not say how large its pictures are"):
+        read_landmark_file(tmp_path)
+    records = read_landmark_file(tmp_path, SIZE)
+    assert next(records).frame == 0
+    with pytest.raises(InputError, match=r"2\.pts, line 72: the closing brace is missing"):
+        next(records)
+
+
+def test_photos_and_the_folder_of_their_annotations_are_tracked_together(tmp_path):
+    for name, face in {"b.pts": LARGE, "a.pts": SMALL}.items():
+        (tmp_path / name).write_text(ibug_pts(face))
+        cv2.imwrite(str(tmp_path / f"{name[0]}.png"), np.zeros((360, 640, 3), np.uint8))
+    source = open_source([tmp_path], preset("face-it"), tmp_path)
+    seen = [observation.landmarks for observation in source.observations(0, {}, stills=True)]
+    np.testing.assert_allclose([landmarks.points for landmarks in seen], [SMALL, LARGE], atol=1e-3)
+    assert (source.count, source.image_size) == (2, SIZE)
 
 
 # --- face-alignment ---

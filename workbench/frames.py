@@ -6,7 +6,6 @@ is called again.
 """
 
 import os
-import re
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -38,7 +37,7 @@ from PIL import (
 
 from workbench.errors import InputError
 from workbench.files import atomic_path
-from workbench.reading import MOST_PIXELS, checked_content, checked_file, reading
+from workbench.reading import MOST_PIXELS, checked_content, checked_file, natural_key, reading
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".pbm", ".jp2")
 VIDEO_SUFFIXES = (
@@ -128,13 +127,7 @@ def images_in_folder(folder: Path) -> list[Path]:
     files = [p for p in listed if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
     if not files:
         raise InputError(f"expected pictures ({', '.join(IMAGE_SUFFIXES)}) in the folder {folder}, found none")
-    return sorted(files, key=_natural_key)
-
-
-def _natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
-    """Order by the numbers inside a name: frame2 before frame10; equal numbers (2, 02) by the plain name."""
-    parts = re.split(r"([0-9]+)", path.name.casefold())
-    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts], path.name
+    return sorted(files, key=natural_key)
 
 
 def _open_file(path: Path) -> Frames:

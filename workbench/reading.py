@@ -102,6 +102,12 @@ def checked_content(path: str | Path, kind: str, error: Kind = InputError) -> by
     return path.read_bytes()
 
 
+def natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """Order by the numbers inside a name: frame2 before frame10; equal numbers (2, 02) by the plain name."""
+    parts = re.split(r"([0-9]+)", path.name.casefold())
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts], path.name
+
+
 def shortened(value: object, longest: int = LONGEST_REASON) -> str:
     """A value for a message: printable, and not longer than a line."""
     text = str(value)

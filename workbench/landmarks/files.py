@@ -5,13 +5,14 @@
 | `.csv` | the workbench's (`formats.own_csv`); OpenFace's, and MediaPipe's points in columns (`formats.columns`) |
 | `.json` | the workbench's (`formats.own_json`); MediaPipe's results, face-alignment's points (`formats.nested`) |
 | `.npy` | face-alignment's and MediaPipe's points (`formats.nested`) |
-| `.pts` | iBUG's 300-W (`formats.pts`) |
+| `.pts` | iBUG's 300-W (`formats.pts`); a folder of them has a frame each |
 | `.xml` | dlib's imglab (`formats.dlib_xml`) |
 
 All become what `Landmarks2D` holds: 0-based pixel-centre coordinates, (0, 0) the centre of the top-left pixel. Only
 .pts files count pixels from 1, as iBUG's annotations do, and only MediaPipe's points are fractions of width and height.
 """
 
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -29,12 +30,15 @@ _LISTED = f"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
 
 
 def read_landmark_file(path: str | Path, image_size: tuple[int, int] | None = None) -> Iterator[LandmarkRecord]:
-    """Read a landmark file of the workbench or another program, see above; CSV is streamed.
+    """Read a landmark file of the workbench or another program, or a folder of .pts, see above; CSV is streamed.
 
-    `image_size`, (width, height) in pixels, counts for files that do not say it (`states_size`). Only for .pts it may
-    be left out: the smallest size that contains all points stands in. Raises `InputError` that names the line (or
+    `image_size`, (width, height) in pixels, counts for files that do not say it (`states_size`). Only for one .pts it
+    may be left out: the smallest size that contains all points stands in. Raises `InputError` that names the line (or
     entry) and what to mend, for the header of a CSV at this call, for its rows while iterating.
     """
+    path = Path(path)
+    if os.path.isdir(path):
+        return pts.read_folder(path, needed_size(path, image_size))
     path = _checked(path)
     suffix = path.suffix.lower()
     with door(path):
@@ -57,6 +61,8 @@ def read_landmark_file(path: str | Path, image_size: tuple[int, int] | None = No
 
 def states_size(path: str | Path) -> bool:
     """Whether a landmark file says how large its pictures are. Raises `InputError` as `read_landmark_file` does."""
+    if os.path.isdir(path):
+        return False
     path = _checked(path)
     suffix = path.suffix.lower()
     with door(path):

@@ -1,14 +1,19 @@
-"""iBUG's .pts, as 300-W is published: one face of one picture, whose pixels are counted from 1."""
+"""iBUG's .pts, as 300-W is published: one face of one picture, whose pixels are counted from 1.
 
+A clip, as in 300-VW, is a folder of them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from workbench.errors import InputError
-from workbench.landmarks.formats.records import LandmarkRecord, checked_landmarks
+from workbench.landmarks.formats.records import LandmarkRecord, checked_landmarks, door
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import POINT_COUNT
-from workbench.reading import shortened
+from workbench.reading import checked_file, natural_key, shortened
 
 
 def pts_text(landmarks: Landmarks2D) -> str:
@@ -40,3 +45,21 @@ def read_pts(path: Path, image_size: tuple[int, int] | None) -> LandmarkRecord:
     points = np.array(rows, np.float64).reshape(-1, 2)
     size = image_size or tuple(int(v) + 1 for v in np.nan_to_num(points).max(axis=0, initial=0))
     return LandmarkRecord(0, path.stem, checked_landmarks(str(path), points, None, size), image_size)
+
+
+def read_folder(folder: Path, image_size: tuple[int, int]) -> Iterator[LandmarkRecord]:
+    """The files of a folder as frames, in the order of their names (2 before 10); files of other kinds are left alone.
+
+    Raises `InputError` at once for a folder without any, for a damaged file when it is reached.
+    """
+    with door(folder):
+        files = [path for path in folder.iterdir() if path.suffix.lower() == ".pts" and path.name[0] != "."]
+    if not files:
+        raise InputError(f"{folder} is a folder without .pts files: name a landmark file, or a folder with one a frame")
+    return _frames(sorted(files, key=natural_key), image_size)
+
+
+def _frames(files: list[Path], image_size: tuple[int, int]) -> Iterator[LandmarkRecord]:
+    for index, path in enumerate(files):
+        with door(path):
+            yield replace(read_pts(checked_file(path, "landmarks"), image_size), frame=index)
