@@ -13,6 +13,8 @@ SAMPLES = {
     "speech-landmarks": "speech_landmarks.csv",
     "head": "head/head.npz",
     "head-texture": "head/albedo.png",
+    "characters": "head/people/characters.toml",
+    "parts": "head/people/parts.npz",
 }
 
 

@@ -3,8 +3,15 @@ from .alignment import rigid_alignment as rigid_alignment
 from .blendshapes import absolute_form as absolute_form
 from .blendshapes import delta_form as delta_form
 from .blendshapes import targets_to_deltas as targets_to_deltas
+from .characters import Character as Character
+from .characters import character_names as character_names
+from .characters import find_character as find_character
+from .characters import read_characters as read_characters
 from .default_head import GAZE_NAMES as GAZE_NAMES
 from .default_head import load_default_head as load_default_head
+from .dressed_head import DressedHead as DressedHead
+from .dressed_head import WornPart as WornPart
+from .dressed_head import load_character as load_character
 from .formats import arkit_name as arkit_name
 from .formats import load_face_model as load_face_model
 from .jaw import JawJoint as JawJoint
@@ -26,6 +33,7 @@ from .model import Embedding as Embedding
 from .model import FaceModel as FaceModel
 from .obj_folder import read_obj_folder as read_obj_folder
 from .parameters import FaceParameters as FaceParameters
+from .parts import Part as Part
 from .principal import principal_expressions as principal_expressions
 from .unknowns import BLOCKS as BLOCKS
 from .unknowns import free_parameters as free_parameters

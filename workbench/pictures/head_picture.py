@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.errors import InputError, MissingDependencyError, WorkbenchError
+from workbench.face.dressed_head import DressedHead
 from workbench.face.model import FaceModel
 from workbench.frames import read_picture
 from workbench.geometry import Camera
@@ -64,8 +65,10 @@ class HeadRenderer:
     All VTK work happens in a private thread, so calls may come from any thread. `texture` True takes the bundled
     albedo for the default head and the vertex colours for other models, False the vertex colours, and an RGB picture
     is used through the model's UVs. `supersampling` (1 to 4) renders larger and reduces, against jagged edges.
-    `fade_neck` lets the open end of the neck fade out, for portraits. Raises `MissingDependencyError` without usable
-    GL, `InputError` for a size outside 1..8192.
+    `fade_neck` lets the open end of the neck fade out, for portraits. `dressed` draws a character: its skin is the
+    texture, and what it wears follows the vertices; `model` is then the default head, or a person of it.
+    Raises `MissingDependencyError` without usable GL, `InputError` for a size outside 1..8192 and for a character on
+    another model.
     """
 
     note = None
@@ -77,8 +80,14 @@ class HeadRenderer:
         texture: bool | UInt8[np.ndarray, "th tw 3"] = True,
         supersampling: float = 2.0,
         fade_neck: bool = False,
+        dressed: DressedHead | None = None,
     ) -> None:
         _check_size(size)
+        if dressed is not None and len(model.neutral) != len(dressed.model.neutral):
+            raise InputError(
+                f"Characters are for the default head with {len(dressed.model.neutral)} vertices, "
+                f"got a model with {len(model.neutral)}; draw that one without a character."
+            )
         self._supersampling = supersampling
         drawn = self._drawn_larger(size)
         if not gl_available():
@@ -87,10 +96,10 @@ class HeadRenderer:
                 "install libegl1 and libgl1-mesa-dri, or use draw_wireframe."
             )
         self.size = size
-        self._vertex_count = len(model.neutral)
-        albedo = _albedo(model, texture)
+        self._rest, self._dressed = model.neutral, dressed
+        albedo = _albedo(model, texture if dressed is None else dressed.skin)
         self._thread = RenderThread(
-            lambda: _make_scene(model, size, albedo, drawn, fade_neck), lambda scene: scene.close()
+            lambda: _make_scene(model, size, albedo, drawn, fade_neck, dressed), lambda scene: scene.close()
         )
 
     def render(
@@ -136,10 +145,13 @@ class HeadRenderer:
         """As `render_with_mask`, without waiting: a future of (picture, mask)."""
         if not self._thread.running:
             raise WorkbenchError("This head renderer has been closed; make a new one.")
-        check_scene(vertices, self._vertex_count, rotation, translation, camera)
+        check_scene(vertices, len(self._rest), rotation, translation, camera)
         behind = background_picture(background, self.size)
         points_camera = to_camera(vertices, rotation, translation)
-        return self._thread.submit(_draw, points_camera, camera, lighting, behind, extras, (rotation, translation))
+        worn = () if self._dressed is None else self._dressed.parts_on(self._rest, vertices)
+        worn_camera = [to_camera(points, rotation, translation) for points in worn]
+        pose = (rotation, translation)
+        return self._thread.submit(_draw, points_camera, camera, lighting, behind, extras, pose, worn_camera)
 
     def resize(self, size: tuple[int, int]) -> None:
         """Draw pictures of another size (width, height) from now on."""
@@ -229,11 +241,12 @@ def head_painter(
     texture: bool | UInt8[np.ndarray, "th tw 3"] = True,
     supersampling: float = 2.0,
     fade_neck: bool = False,
+    dressed: DressedHead | None = None,
 ) -> HeadRenderer | PlainPainter:
     """The best way to draw this model here; `.note` says what is missing, None if nothing is."""
     if not gl_available():
         return PlainPainter(model, size)
-    return HeadRenderer(model, size, texture, supersampling, fade_neck)
+    return HeadRenderer(model, size, texture, supersampling, fade_neck, dressed)
 
 
 def picture_of_head(
@@ -247,9 +260,10 @@ def picture_of_head(
     texture: bool | UInt8[np.ndarray, "th tw 3"] = True,
     lighting: Lighting = STUDIO,
     fade_neck: bool = False,
+    dressed: DressedHead | None = None,
 ) -> tuple[UInt8[np.ndarray, "h w 3"], str | None]:
     """One picture as `HeadRenderer.render`, with a note where it had to be drawn without GL (else None)."""
-    with head_painter(model, size, texture, fade_neck=fade_neck) as painter:
+    with head_painter(model, size, texture, fade_neck=fade_neck, dressed=dressed) as painter:
         return painter.render(vertices, camera, rotation, translation, background, lighting), painter.note
 
 
@@ -271,16 +285,21 @@ def bundled_texture(model: FaceModel) -> UInt8[np.ndarray, "h w 3"] | None:
 
 
 def _make_scene(
-    model: FaceModel, size: tuple[int, int], albedo: np.ndarray | None, supersampling: float, fade_neck: bool
+    model: FaceModel,
+    size: tuple[int, int],
+    albedo: np.ndarray | None,
+    supersampling: float,
+    fade_neck: bool,
+    dressed: DressedHead | None,
 ):
     # VTK is imported in the thread that uses it, and only where GL has been found to work.
     from workbench.pictures.head_scene import HeadScene
 
-    return HeadScene(model, size, albedo, supersampling, fade_neck)
+    return HeadScene(model, size, albedo, supersampling, fade_neck, dressed)
 
 
-def _draw(scene, points_camera, camera: Camera, lighting: Lighting, behind: np.ndarray, extras: Extras, pose):
-    rgba = scene.render(points_camera, camera, lighting, extras, pose)
+def _draw(scene, points_camera, camera: Camera, lighting: Lighting, behind: np.ndarray, extras: Extras, pose, worn):
+    rgba = scene.render(points_camera, camera, lighting, extras, pose, worn)
     return composite(rgba, behind), rgba[..., 3].copy()
 
 

@@ -11,11 +11,12 @@ import cv2
 import numpy as np
 import pyvista
 import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  (registers the GL classes behind the abstract ones)
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
 
+from workbench.face.dressed_head import DressedHead, WornPart
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.pictures.extras import (
@@ -29,7 +30,10 @@ from workbench.pictures.extras import (
 )
 from workbench.pictures.lighting import SKIN_SHINE, WET_SHINE, Light, Lighting
 from workbench.pictures.mesh import corner_sum, neck_opacity, split_seams, to_camera, to_pixels, vertex_normals
+from workbench.pictures.worn_parts import WornActor
 
+PEELS = 8
+"""Layers of strands and cards that are blended one behind the other."""
 COLORS = "colors"
 """RGBA of the points."""
 VTK_AXES = np.array([1.0, -1.0, -1.0])
@@ -46,6 +50,7 @@ class HeadScene:
         texture: UInt8[np.ndarray, "th tw 3"] | None,
         supersampling: float,
         fade_neck: bool,
+        dressed: DressedHead | None = None,
     ) -> None:
         self.triangles = model.triangles
         self.corner_sum = corner_sum(model.triangles, len(model.neutral))
@@ -55,6 +60,8 @@ class HeadScene:
             points_of_triangle = model.triangles.astype(np.int64)
         else:
             self.vertex_of_point, uv_of_point, points_of_triangle = split_seams(model.triangles, model.triangles_uv)
+        # What wears a shirt has no open neck.
+        fade_neck = fade_neck and not (dressed and any(worn.part.kind == "clothes" for worn in dressed.worn))
         opacity = np.rint(255 * neck_opacity(model)) if fade_neck else np.full(len(model.neutral), 255)
         tint = model.colors if texture is None else np.full_like(model.colors, 255)
         self.opacity = opacity.astype(np.uint8)
@@ -70,7 +77,9 @@ class HeadScene:
         self.renderer.AutomaticLightCreationOff()
         self.renderer.SetLightFollowCamera(False)
         self.meshes, self.actors = [], []
-        for triangles, shine in zip(_by_shine(model, points_of_triangle), (SKIN_SHINE, WET_SHINE), strict=True):
+        shown = np.ones(len(model.triangles), bool) if dressed is None else dressed.shown
+        groups = _by_shine(model, points_of_triangle, shown)
+        for triangles, shine in zip(groups, (SKIN_SHINE, WET_SHINE), strict=True):
             mesh = _mesh(model.neutral[self.vertex_of_point], triangles)
             # The texture is multiplied by the colours of the points.
             mesh.point_data[COLORS] = self.own_colors[self.vertex_of_point]
@@ -83,6 +92,13 @@ class HeadScene:
             self.renderer.AddActor(actor)
         for part in (self.marks, self.ghost):
             self.renderer.AddActor(part.actor)
+        self.worn = [_worn_actor(worn) for worn in dressed.worn] if dressed else []
+        for worn in self.worn:
+            self.renderer.AddActor(worn.actor)
+        if self.worn:
+            self.renderer.SetUseDepthPeeling(True)
+            self.renderer.SetMaximumNumberOfPeels(PEELS)
+            self.renderer.SetOcclusionRatio(0.0)
         self.camera = self.renderer.GetActiveCamera()
         self.camera.SetPosition(0.0, 0.0, 0.0)
         self.camera.SetFocalPoint(0.0, 0.0, -1.0)
@@ -104,10 +120,12 @@ class HeadScene:
         lighting: Lighting,
         extras: Extras = NOTHING,
         pose: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None = None,
+        worn_camera: Sequence[Float[np.ndarray, "_ 3"]] = (),
     ) -> UInt8[np.ndarray, "h w 4"]:
         """RGBA of the head and the extras alone, colours already multiplied by alpha.
 
-        Camera-frame vertices in millimetres; `pose` (rotation, translation) takes the head-frame extras there.
+        Camera-frame vertices in millimetres, those of the worn parts too; `pose` (rotation, translation) takes the
+        head-frame extras there.
         """
         width, height = self.size
         depth = points_camera[:, 2]
@@ -115,7 +133,9 @@ class HeadScene:
             return np.zeros((height, width, 4), np.uint8)
         self._set_points(_distorted(camera, points_camera))
         self._set_colors(extras.colors)
-        depth = np.concatenate([depth, *self._set_extras(extras, camera, pose)])
+        self._set_worn(worn_camera, points_camera.mean(axis=0), camera)
+        worn_depth = [points[:, 2] for points in worn_camera]
+        depth = np.concatenate([depth, *worn_depth, *self._set_extras(extras, camera, pose)])
         self._set_lighting(lighting)
         # Depth resolution is near/far: the range hugs the head.
         self._set_projection(camera, near=max(0.95 * depth.min(), 0.05 * depth.max()), far=1.05 * depth.max())
@@ -155,6 +175,12 @@ class HeadScene:
         for mesh in self.meshes:
             mesh.points = points
             mesh.point_data.active_normals = normals
+
+    def _set_worn(self, worn_camera, middle: Float[np.ndarray, "3"], camera: Camera) -> None:
+        for worn, points_camera in zip(self.worn, worn_camera, strict=True):
+            points, normals = worn.place(_distorted(camera, points_camera), middle)
+            worn.mesh.points = np.ascontiguousarray(points * VTK_AXES, np.float32)
+            worn.mesh.point_data.active_normals = np.ascontiguousarray(normals * VTK_AXES, np.float32)
 
     def _set_colors(self, colors: UInt8[np.ndarray, "v 3"] | None) -> None:
         if colors is self.shown_colors:
@@ -240,9 +266,15 @@ class _Part:
         self.mesh.shallow_copy(made)
 
 
-def _by_shine(model: FaceModel, points_of_triangle) -> tuple[Int[np.ndarray, "a 3"], Int[np.ndarray, "b 3"]]:
+def _by_shine(
+    model: FaceModel, points_of_triangle, shown: Bool[np.ndarray, "t"]
+) -> tuple[Int[np.ndarray, "a 3"], Int[np.ndarray, "b 3"]]:
     inside = of_regions(model, WET_REGIONS)[model.triangles].all(1)
-    return points_of_triangle[~inside], points_of_triangle[inside]
+    return points_of_triangle[~inside & shown], points_of_triangle[inside & shown]
+
+
+def _worn_actor(worn: WornPart) -> WornActor:
+    return WornActor(worn, _mesh, lambda mesh, shine: _actor(mesh, shine, fade_neck=False), _texture, COLORS)
 
 
 def _mesh(points: Float[np.ndarray, "p 3"], triangles: Int[np.ndarray, "t 3"]) -> pyvista.PolyData:
@@ -270,7 +302,7 @@ def _actor(mesh: pyvista.PolyData, shine: Sequence[float], fade_neck: bool) -> p
     return actor
 
 
-def _texture(picture: UInt8[np.ndarray, "h w 3"]) -> pyvista.Texture:
+def _texture(picture: UInt8[np.ndarray, "h w _"]) -> pyvista.Texture:
     texture = pyvista.Texture(np.ascontiguousarray(picture))
     texture.interpolate = True
     texture.mipmap = True

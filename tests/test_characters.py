@@ -1,0 +1,281 @@
+"""Characters on the default head: parts follow it, the head stays as it was, and what is wrong is said."""
+
+import hashlib
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from workbench.errors import InputError, ModelError
+from workbench.face import (
+    DressedHead,
+    FaceParameters,
+    character_names,
+    find_character,
+    load_character,
+    load_default_head,
+    posed_vertices,
+)
+from workbench.face.parts import open_parts
+from workbench.pictures import HeadRenderer, gl_available, portrait_view
+from workbench.samples import sample
+
+PEOPLE = Path(__file__).parents[1] / "data_samples" / "head" / "people"
+HEAD_ARRAYS = "8fa74dfe6ec70c5c988380b8e420f1dae26015d4562cb4e32c088268a66ec556"
+KINDS = ("tongue", "teeth", "eyes", "corneas", "brows", "lashes")
+
+
+@lru_cache
+def dressed(name: str) -> DressedHead:
+    return load_character(name)
+
+
+def parameters(head: DressedHead, jaw=(), identity=None, scale=(), **weights: float) -> FaceParameters:
+    expression = np.zeros(len(head.model.expression_names))
+    for name, weight in weights.items():
+        expression[head.model.expression_names.index(name)] = weight
+    identity = np.zeros(0) if identity is None else identity
+    return FaceParameters(np.zeros(3), np.zeros(3), expression, identity, np.array(jaw, float), np.array(scale, float))
+
+
+def part(head: DressedHead, kind: str, **how) -> np.ndarray:
+    index = [worn.part.kind for worn in head.worn].index(kind)
+    return head.part_vertices(parameters(head, **how))[index]
+
+
+def rows_of(head: DressedHead, kind: str, region: str) -> np.ndarray:
+    """Vertices of a part that are tied to a region of the head."""
+    worn = next(worn.part for worn in head.worn if worn.part.kind == kind)
+    return np.isin(worn.anchors[:, 0], head.model.regions[region])
+
+
+def test_the_heads_geometry_is_the_one_that_tracks_were_made_with():
+    with np.load(sample("head")) as stored:
+        digest = hashlib.sha256()
+        for name in sorted(stored.files):
+            digest.update(name.encode() + np.ascontiguousarray(stored[name]).tobytes())
+    assert digest.hexdigest() == HEAD_ARRAYS
+    assert load_character("mei").model.fingerprint() == load_default_head(gaze=True).fingerprint()
+
+
+def test_there_are_many_and_they_differ():
+    names = character_names()
+    people = [find_character(name) for name in names]
+    assert len(names) >= 8
+    assert len({person.skin for person in people}) >= 6
+    assert len({person.hair for person in people}) >= 5
+    assert len({person.eyes for person in people}) >= 4
+    apart = [np.linalg.norm(a.identity - b.identity) for k, a in enumerate(people) for b in people[:k]]
+    assert min(apart) > 1.0
+
+
+@pytest.mark.parametrize("name", character_names())
+def test_every_character_is_complete(name):
+    head = dressed(name)
+    assert {worn.part.kind for worn in head.worn} >= set(KINDS)
+    for worn, points in zip(head.worn, head.part_vertices(parameters(head)), strict=True):
+        assert points.shape == (len(worn.part.offsets), 3)
+        assert np.isfinite(points).all()
+        np.testing.assert_allclose(worn.part.weights.sum(axis=1), 1.0, atol=0.02)
+
+
+def test_everything_of_the_package_is_small():
+    assert sum(path.stat().st_size for path in PEOPLE.rglob("*") if path.is_file()) <= 10_000_000
+
+
+def test_lower_teeth_go_with_the_jaw_and_upper_teeth_stay():
+    head = dressed("bruno")
+    lower, upper = (rows_of(head, "teeth", region) for region in ("teethL", "teethU"))
+    assert lower.sum() > 1000
+    assert upper.sum() > 1000
+    mean = np.zeros(50)
+    rest = part(head, "teeth", identity=mean)
+    for how in ({"jawOpen": 1.0}, {"jaw": (np.radians(24.0), 0, 0, 0, 0, 0)}):
+        moved = part(head, "teeth", identity=mean, **how) - rest
+        assert np.linalg.norm(moved[upper], axis=1).max() < 0.5
+        assert 15.0 < np.median(moved[lower][:, 1]) < 35.0
+        # A jaw is one bone: distances within it stay, up to the size of the teeth that the unit was made with.
+        rows = np.flatnonzero(lower)[[0, 400, 900, 1500]]
+        before, after = (np.linalg.norm(points[rows[1:]] - points[rows[0]], axis=1) for points in (rest, rest + moved))
+        np.testing.assert_allclose(after, before, rtol=0.02)
+
+
+def test_lashes_go_down_with_the_upper_lid():
+    head = dressed("amara")
+    moved = part(head, "lashes", eyeBlinkLeft=1.0) - part(head, "lashes")
+    left = part(head, "lashes")[:, 0] > 0
+    assert moved[left][:, 1].max() > 4.0
+    assert np.abs(moved[~left]).max() < 0.1
+
+
+def test_brows_follow_the_forehead_and_hair_does_not():
+    head = dressed("mei")
+    assert part(head, "brows", browInnerUp=1.0)[:, 1].mean() < part(head, "brows")[:, 1].mean() - 1.0
+    np.testing.assert_array_equal(part(head, "hair", browInnerUp=1.0, jawOpen=1.0), part(head, "hair"))
+
+
+def test_eyeballs_turn_without_changing_their_shape():
+    head = dressed("mei")
+    rest, turned = part(head, "eyes"), part(head, "eyes", eyeLookOutLeft=1.0, eyeLookInRight=1.0)
+    for side in (rest[:, 0] > 0, rest[:, 0] < 0):
+        before, after = (np.linalg.norm(points[side] - points[side][0], axis=1) for points in (rest, turned))
+        np.testing.assert_allclose(after, before, atol=0.8)
+    front = rest[:, 2].argmin()
+    assert turned[front, 0] - rest[front, 0] > 2.0
+
+
+def test_hair_follows_the_identity_and_the_scale():
+    head = dressed("bruno")
+    mean = part(head, "hair", identity=np.zeros(50))
+    assert np.abs(part(head, "hair") - mean).max() > 2.0
+    np.testing.assert_allclose(part(head, "hair", scale=(2.0,)), 2.0 * part(head, "hair"), atol=1e-6)
+    np.testing.assert_allclose(part(head, "brows", scale=(2.0,)), 2.0 * part(head, "brows"), atol=1e-6)
+
+
+def test_offsets_of_the_head_carry_over_to_blendshapes_of_the_parts():
+    head = dressed("bruno")
+    worn = next(worn.part for worn in head.worn if worn.part.kind == "brows")
+    shape = head.model.expression_names.index("browInnerUp")
+    carried = worn.carried(head.model.expression_deltas[shape : shape + 1])[0]
+    moved = part(head, "brows", browInnerUp=1.0) - part(head, "brows")
+    np.testing.assert_allclose(carried, moved, atol=1e-9)
+
+
+def test_upper_incisors_are_inside_the_closed_lips():
+    for name in character_names():
+        head = dressed(name)
+        teeth = part(head, "teeth")
+        seam = head.person.landmarks.of(head.person.neutral)[60:68]
+        front = teeth[(np.abs(teeth[:, 0]) < 8)][:, 2].min()
+        assert front > seam[:, 2].min() + 1.0, name
+
+
+def test_unknown_names_are_answered_with_those_there_are():
+    with pytest.raises(ModelError, match=r"no character 'nobody'; there are amara, bruno"):
+        load_character("nobody")
+    with pytest.raises(ModelError, match=r"no hair 'mohawk'; there are afro01"):
+        open_parts(sample("parts")).read("hair", "mohawk", 4823)
+
+
+WHOLE = (
+    '[me]\nwords = "me"\nskin = "young_lightskinned_male"\neyes = "blue"\nbrows = "eyebrow001"\n'
+    f'lashes = "eyelashes01"\nteeth = "teeth_base"\nidentity = [{", ".join(["0.0"] * 50)}]\n'
+)
+
+
+def test_a_character_of_ones_own_is_read(tmp_path):
+    path = tmp_path / "me.toml"
+    path.write_text(WHOLE + "skin_shift = [-10, 2, 3]\n")
+    head = load_character(path)
+    assert head.character.name == "me"
+    assert head.skin.mean() < load_character("bruno").skin.max()
+    assert "hair" not in [worn.part.kind for worn in head.worn]
+    brighter = tmp_path / "brighter.toml"
+    brighter.write_text(WHOLE)
+    assert head.skin.mean() < load_character(brighter).skin.mean() - 10
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("", ""), None),
+        (('eyes = "blue"\n', ""), "eyes is missing"),
+        (('eyes = "blue"', "eyes = 3"), "eyes needs a text"),
+        (('eyes = "blue"', 'eyes = "violet"'), "no eyes 'violet'; there are blue"),
+        (('skin = "young_lightskinned_male"', 'skin = "../head"'), "no skins '../head'"),
+        (('brows = "eyebrow001"', 'brows = "eyebrow999"'), "no brows 'eyebrow999'"),
+        (('words = "me"', 'words = "me"\nhat = "top"'), "no setting 'hat'"),
+        (('words = "me"', 'words = "me"\nhair_color = [300, 0, 0]'), "3 numbers from 0 to 255"),
+        (('words = "me"', 'words = "me"\nhair_color = [3, 0]'), "3 numbers from 0 to 255"),
+        (("identity = [0.0, ", "identity = ["), "49 identity coefficients"),
+        (("identity = [0.0, ", "identity = [nan, "), "a list of numbers from -6 to 6"),
+        (("[me]", "[me"), "not valid TOML"),
+    ],
+)
+def test_what_is_wrong_with_a_character_is_said(tmp_path, change, message):
+    path = tmp_path / "me.toml"
+    path.write_text(WHOLE.replace(*change) if change[0] else WHOLE)
+    if message is None:
+        load_character(path)
+        return
+    with pytest.raises(ModelError, match=message.replace("[", r"\[")):
+        load_character(path)
+
+
+def test_a_file_without_a_character_is_refused(tmp_path):
+    path = tmp_path / "none.toml"
+    path.write_text("# nobody yet\n")
+    with pytest.raises(ModelError, match="holds no character"):
+        load_character(path)
+    path.write_text("me = 3\n")
+    with pytest.raises(ModelError, match="expected a table of settings"):
+        load_character(path)
+
+
+def test_damaged_parts_are_refused(tmp_path):
+    with np.load(sample("parts")) as stored:
+        arrays = {name: stored[name] for name in stored.files if "eyebrow001" in name or "." not in name}
+    path = tmp_path / "parts.npz"
+    for name, damage in (
+        ("anchors", lambda array: array + 5000),
+        ("offsets", lambda array: array[:-1]),
+        ("triangles", lambda array: array + 200),
+        ("weights", lambda array: np.full_like(array, np.nan)),
+    ):
+        key = f"brows.eyebrow001.{name}"
+        np.savez(path, **(arrays | {key: damage(arrays[key])}))
+        with pytest.raises(ModelError, match=rf"brows eyebrow001 \({name}\)"):
+            open_parts(path).read("brows", "eyebrow001", 4823)
+    path.write_bytes(b"no archive")
+    with pytest.raises(ModelError, match="cannot be read as parts of a head"):
+        open_parts(path)
+    with pytest.raises(ModelError):
+        open_parts(tmp_path / "missing.npz")
+
+
+needs_gl = pytest.mark.skipif(not gl_available(), reason="no GL here")
+
+
+def drawn(head: DressedHead, size: int = 160, **weights: float) -> np.ndarray:
+    person = head.person
+    camera, translation = portrait_view(person, (size, size))
+    with HeadRenderer(person, (size, size), supersampling=1.0, dressed=head) as renderer:
+        vertices = posed_vertices(person, parameters(head, **weights).expression, np.zeros(6))
+        return renderer.render(vertices, camera, np.zeros(3), translation, background=(0, 0, 255)).astype(int)
+
+
+@needs_gl
+def test_hair_is_drawn_over_the_crown():
+    head = dressed("edda")
+    bald = replace(head, worn=tuple(worn for worn in head.worn if worn.part.kind != "hair"))
+    with_hair, without = drawn(head), drawn(bald)
+    crown = (slice(0, 50), slice(40, 120))
+    assert np.abs(with_hair[crown] - without[crown]).mean() > 10
+    below = (slice(100, 120), slice(70, 90))
+    assert np.abs(with_hair[below] - without[below]).mean() < 2
+
+
+@needs_gl
+def test_a_smile_shows_teeth():
+    smile = {"mouthSmileLeft": 0.9, "mouthSmileRight": 0.9, "jawOpen": 0.3, "mouthUpperUpLeft": 0.5}
+    head = dressed("thabo")
+    closed, smiling = drawn(head), drawn(head, mouthUpperUpRight=0.5, **smile)
+    mouth = (slice(100, 130), slice(55, 105))
+    assert smiling[mouth].mean(axis=2).max() > closed[mouth].mean(axis=2).max() + 40
+
+
+@needs_gl
+def test_eyes_have_a_highlight():
+    picture = drawn(dressed("mei"), size=320)
+    eyes = picture[130:175, 80:240]
+    assert (eyes.min(axis=2) > 235).any()
+
+
+@needs_gl
+def test_only_the_default_head_can_be_dressed():
+    other = SimpleNamespace(neutral=np.zeros((4824, 3)))
+    with pytest.raises(InputError, match="4823 vertices, got a model with 4824"):
+        HeadRenderer(other, (32, 32), dressed=dressed("mei"))

@@ -1,0 +1,169 @@
+"""The default head dressed as a character: a skin for its texture, and parts that follow it."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Integer, UInt8
+
+from workbench.errors import ModelError
+from workbench.face.characters import Character, find_character
+from workbench.face.default_head import load_default_head
+from workbench.face.jaw import posed_vertices
+from workbench.face.model import FaceModel
+from workbench.face.parameters import FaceParameters
+from workbench.face.parts import Part, open_parts
+from workbench.face.tinting import shifted, tinted
+from workbench.frames import read_picture
+from workbench.reading import checked_content, reading, shortened
+from workbench.samples import sample
+
+REPLACED_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
+"""What the plain head has of its own and a dressed one does not show."""
+EYES, TONGUE, TEETH_PICTURE = "high-poly", "tongue01", "teeth"
+CORNEA_ALPHA = 10
+"""A cornea is all but invisible: its highlight is seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class WornPart:
+    """A part with its picture."""
+
+    part: Part
+    picture: UInt8[np.ndarray, "h w 4"]
+    """RGBA; alpha cuts strands out of cards."""
+
+    @property
+    def translucent(self) -> bool:
+        """Whether what is behind shows through anywhere."""
+        return bool(self.picture[..., 3].min() < 255)
+
+
+@dataclass(frozen=True, eq=False)
+class DressedHead:
+    """A character on the default head, whose mesh is untouched: fits, tracks and landmarks know only `model`."""
+
+    character: Character
+    model: FaceModel
+    skin: UInt8[np.ndarray, "h w 3"]
+    """Texture for the model's UVs, RGB."""
+    worn: tuple[WornPart, ...]
+    """From the inside out."""
+    scale_vertices: Integer[np.ndarray, "3 2"]
+
+    @property
+    def person(self) -> FaceModel:
+        """The model with the character's identity baked in."""
+        return self.model.personal(self.character.identity)
+
+    @property
+    def shown(self) -> Bool[np.ndarray, "t"]:
+        """Triangles of the model that no part replaces."""
+        inner = np.zeros(len(self.model.neutral), bool)
+        for name in REPLACED_REGIONS:
+            inner[self.model.regions[name]] = True
+        return ~inner[self.model.triangles].all(axis=1)
+
+    def vertices(self, parameters: FaceParameters) -> Float[np.ndarray, "v 3"]:
+        """Head vertices of these parameters without the pose; an empty identity is the character's."""
+        return posed_vertices(self._person(parameters), parameters.expression, _jaw(parameters), _scale(parameters))
+
+    def part_vertices(self, parameters: FaceParameters) -> tuple[Float[np.ndarray, "_ 3"], ...]:
+        """Vertices of each worn part without the pose: head frame, millimetres."""
+        rest = self._person(parameters).neutral
+        return self.parts_on(rest, self.vertices(parameters))
+
+    def parts_on(
+        self, rest: Float[np.ndarray, "v 3"], posed: Float[np.ndarray, "v 3"]
+    ) -> tuple[Float[np.ndarray, "_ 3"], ...]:
+        """Vertices of each worn part, given the head's own: of the person at rest, and now; both in the head frame.
+
+        A head scaled as a whole has hair scaled with it: the width of the skull says by how much.
+        """
+        (left, right), scale = self.scale_vertices[0], 1.0
+        width = float(np.linalg.norm(rest[left] - rest[right]))
+        if width > 0.0:
+            scale = float(np.linalg.norm(posed[left] - posed[right])) / width
+        growth = scale * self.growth(rest)
+        return tuple(worn.part.on(scale * rest if worn.part.still else posed, growth) for worn in self.worn)
+
+    def growth(self, rest: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "3"]:
+        """Size of a resting head along x, y and z; 1 is the mean head's."""
+        first, second = self.scale_vertices.T
+        axes = np.arange(3)
+        own = np.abs(rest[first, axes] - rest[second, axes])
+        return own / np.abs(self.model.neutral[first, axes] - self.model.neutral[second, axes])
+
+    def _person(self, parameters: FaceParameters) -> FaceModel:
+        identity = parameters.identity if len(parameters.identity) else self.character.identity
+        return self.model.personal(np.asarray(identity, float))
+
+
+def load_character(name: str | Path, gaze: bool = True) -> DressedHead:
+    """The default head as a character: a ready one by name, or a TOML file of your own.
+
+    With `gaze`, the eyes' units are there too. Raises `ModelError` for a character, style or skin that is not there.
+    """
+    character = find_character(name)
+    model = load_default_head(gaze=gaze)
+    if len(character.identity) != len(model.identity_deltas):
+        raise ModelError(
+            f"The character {character.name!r} has {len(character.identity)} identity coefficients, "
+            f"the default head {len(model.identity_deltas)}; give one for each."
+        )
+    store = open_parts(sample("parts"))
+    worn = [
+        ("tongue", TONGUE, _rgba("tongue", TONGUE)),
+        ("teeth", character.teeth, _rgba("teeth", TEETH_PICTURE)),
+        ("eyes", EYES, _opaque(_rgba("eyes", character.eyes))),
+        ("corneas", EYES, np.full((2, 2, 4), (255, 255, 255, CORNEA_ALPHA), np.uint8)),
+        ("brows", character.brows, tinted(_rgba("brows", character.brows), character.brow_color)),
+        ("lashes", character.lashes, _rgba("lashes", character.lashes)),
+    ]
+    if character.clothes:
+        picture = tinted(_rgba("clothes", character.clothes), character.clothes_color)
+        worn.append(("clothes", character.clothes, picture))
+    if character.hair:
+        worn.append(("hair", character.hair, tinted(_rgba("hair", character.hair), character.hair_color)))
+    return DressedHead(
+        character=character,
+        model=model,
+        skin=shifted(read_picture(_picture_path("skins", character.skin)), character.skin_shift),
+        worn=tuple(WornPart(store.read(kind, style, len(model.neutral)), picture) for kind, style, picture in worn),
+        scale_vertices=store.scale_vertices,
+    )
+
+
+def _picture_path(kind: str, style: str) -> Path:
+    folder = sample("characters").parent / kind
+    known = sorted(path.stem for path in folder.glob("*.webp"))
+    if style not in known:
+        raise ModelError(f"There are no {kind} {shortened(style)!r}; there are {', '.join(known)}.")
+    return folder / f"{style}.webp"
+
+
+@lru_cache(maxsize=16)
+def _rgba(kind: str, style: str) -> UInt8[np.ndarray, "h w 4"]:
+    path = _picture_path(kind, style)
+    with reading(path, "a picture with transparency", "reinstall the workbench", ModelError):
+        content = checked_content(path, "a picture with transparency", ModelError)
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        if picture is None:
+            raise ValueError("it does not decode")
+        return cv2.cvtColor(picture, cv2.COLOR_BGRA2RGBA if picture.shape[2] == 4 else cv2.COLOR_BGR2RGBA)
+
+
+def _opaque(picture: UInt8[np.ndarray, "h w 4"]) -> UInt8[np.ndarray, "h w 4"]:
+    solid = picture.copy()
+    solid[..., 3] = 255
+    return solid
+
+
+def _jaw(parameters: FaceParameters) -> Float[np.ndarray, "6"]:
+    return np.asarray(parameters.jaw, float) if len(parameters.jaw) else np.zeros(6)
+
+
+def _scale(parameters: FaceParameters) -> float:
+    return float(parameters.scale[0]) if len(parameters.scale) else 1.0

@@ -1,0 +1,81 @@
+"""Actors of what a dressed head wears: textured meshes, some of them translucent."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyvista
+from jaxtyping import Float, UInt8
+
+from workbench.face.dressed_head import WornPart
+from workbench.pictures.mesh import corner_sum, split_seams, vertex_normals
+
+
+@dataclass(frozen=True)
+class Finish:
+    """How a kind of part takes the light."""
+
+    shine: tuple[float, float]
+    """Strength and exponent of the highlights."""
+    roundness: float = 0.0
+    """How far normals point away from the head's middle, 0 to 1: cards of hair are lit as the ball that they cover."""
+
+
+FINISHES = {
+    "eyes": Finish((0.10, 20.0)),
+    "corneas": Finish((1.0, 120.0)),
+    "teeth": Finish((0.40, 40.0)),
+    "tongue": Finish((0.35, 22.0)),
+    "brows": Finish((0.0, 1.0)),
+    "lashes": Finish((0.0, 1.0)),
+    "clothes": Finish((0.0, 1.0)),
+    "hair": Finish((0.14, 12.0), roundness=0.6),
+}
+# A highlight is light that comes back whatever lies below: it makes an otherwise invisible cornea opaque.
+HIGHLIGHT_IS_OPAQUE = """//VTK::Light::Impl
+  float glint = clamp(2.0 * specular.r, 0.0, 1.0);
+  fragOutput0 = mix(fragOutput0, vec4(1.0), glint);
+"""
+CORNEA_OPACITY = 0.03
+
+
+class WornActor:
+    """One part in the scene."""
+
+    def __init__(self, worn: WornPart, mesh_of, actor_of, texture_of, colors: str) -> None:
+        part = worn.part
+        self.finish = FINISHES[part.kind]
+        self.triangles = part.triangles
+        self.sums = corner_sum(part.triangles, len(part.offsets))
+        self.order, uv_of_point, triangles = split_seams(part.triangles, part.triangles_uv)
+        self.mesh: pyvista.PolyData = mesh_of(np.zeros((len(self.order), 3)), triangles)
+        self.mesh.point_data[colors] = shaded(part.shade)[self.order]
+        self.mesh.active_texture_coordinates = part.uv[uv_of_point].astype(np.float32)
+        self.actor: pyvista.Actor = actor_of(self.mesh, self.finish.shine)
+        if part.kind == "corneas":
+            self.actor.prop.opacity = CORNEA_OPACITY
+            self.actor.GetShaderProperty().AddFragmentShaderReplacement(
+                "//VTK::Light::Impl", True, HIGHLIGHT_IS_OPAQUE, False
+            )
+        else:
+            self.actor.texture = texture_of(worn.picture if worn.translucent else worn.picture[..., :3])
+        if worn.translucent:
+            self.actor.ForceOpaqueOff()
+            self.actor.ForceTranslucentOn()
+        else:
+            self.actor.ForceOpaqueOn()
+
+    def place(self, points: Float[np.ndarray, "n 3"], middle: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
+        """Points and normals (s 3) along the seams, in the frame of the given points; `middle` is the head's."""
+        normals = vertex_normals(points, self.triangles, self.sums)
+        if self.finish.roundness:
+            outward = points - middle
+            outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+            facing = np.where(np.einsum("nd,nd->n", normals, outward) < 0.0, -1.0, 1.0)[:, None]
+            normals = self.finish.roundness * outward + (1.0 - self.finish.roundness) * facing * normals
+            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        return points[self.order], normals[self.order]
+
+
+def shaded(shade: UInt8[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 4"]:
+    """RGBA of points whose texture is darkened."""
+    return np.column_stack([shade, shade, shade, np.full_like(shade, 255)])
