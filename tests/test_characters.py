@@ -9,11 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from workbench.errors import InputError, ModelError
+from workbench.config import preset
+from workbench.errors import ConfigError, InputError, ModelError
 from workbench.face import (
     DressedHead,
     FaceParameters,
     character_names,
+    dressed_as,
     find_character,
     load_character,
     load_default_head,
@@ -21,6 +23,7 @@ from workbench.face import (
 )
 from workbench.face.parts import open_parts
 from workbench.pictures import HeadRenderer, gl_available, portrait_view
+from workbench.pictures.extras import NOTHING, Extras
 from workbench.samples import sample
 
 PEOPLE = Path(__file__).parents[1] / "data_samples" / "head" / "people"
@@ -236,6 +239,22 @@ def test_damaged_parts_are_refused(tmp_path):
         open_parts(tmp_path / "missing.npz")
 
 
+def test_a_configuration_names_a_character_that_is_there():
+    assert preset("joint").head.character == "plain"
+    assert preset("joint").changed(head={"character": "mei"}).head.character == "mei"
+    assert preset("joint").changed(head={"character": "own.toml"}).head.character == "own.toml"
+    with pytest.raises(ConfigError, match="no character 'nobody'; there are plain, amara"):
+        preset("joint").changed(head={"character": "nobody"})
+
+
+def test_another_model_cannot_be_dressed():
+    head = load_default_head()
+    assert dressed_as("plain", head) is None
+    assert dressed_as("mei", head).character.name == "mei"
+    with pytest.raises(ModelError, match="this is the model flame; leave the character at 'plain'"):
+        dressed_as("mei", replace(head, name="flame"))
+
+
 needs_gl = pytest.mark.skipif(not gl_available(), reason="no GL here")
 
 
@@ -256,6 +275,20 @@ def test_hair_is_drawn_over_the_crown():
     assert np.abs(with_hair[crown] - without[crown]).mean() > 10
     below = (slice(100, 120), slice(70, 90))
     assert np.abs(with_hair[below] - without[below]).mean() < 2
+
+
+@needs_gl
+def test_hair_follows_the_person_that_a_picture_is_of():
+    head, size = dressed("kofi"), 120
+    person = head.model.personal(np.linspace(-2.0, 2.0, 50))
+    camera, translation = portrait_view(person, (size, size))
+    view = (camera, np.zeros(3), translation, (0, 0, 255))
+    pictures = []
+    for model, extras in ((person, NOTHING), (head.model, Extras(rest=person.neutral)), (head.model, NOTHING)):
+        with HeadRenderer(model, (size, size), supersampling=1.0, dressed=head) as renderer:
+            pictures.append(renderer.render(person.neutral, *view, extras=extras).astype(int))
+    assert np.abs(pictures[1] - pictures[0]).mean() < 0.1
+    assert np.abs(pictures[2] - pictures[0]).mean() > 0.5
 
 
 @needs_gl

@@ -187,3 +187,18 @@ def test_a_track_of_a_part_of_a_clip_is_shown_with_the_pictures_of_that_part(sto
     shades = [float(frame.picture.mean()) for frame in pictures_of(part).iterate()]
     assert shades == pytest.approx([80, 90, 100], abs=3)
     assert len(list(pictures_of(track).iterate())) == FRAMES
+
+
+def test_a_ready_character_plays_in_gltf_and_in_the_film(run, stored, tmp_path):
+    code, _, err = run("export", "talk", "--to", "mei.glb", "--to", "mei.mp4", "--character", "mei")
+    assert (code, err) == (0, "")
+    run("export", "talk", "--to", "plain.glb", "--to", "plain.mp4")
+    assert (tmp_path / "mei.glb").stat().st_size > 1.2 * (tmp_path / "plain.glb").stat().st_size
+    dressed, plain = (next(open_frames(tmp_path / f"{name}.mp4").iterate()).picture for name in ("mei", "plain"))
+    assert np.abs(dressed.astype(int) - plain)[:, plain.shape[1] // 2 :].mean() > 1.0
+
+
+def test_other_formats_cannot_show_a_character(run, stored):
+    code, _, err = run("export", "talk", "--to", "mei.csv", "--character", "mei")
+    assert code != 0
+    assert "cannot show the character mei" in " ".join(err.split())

@@ -19,6 +19,7 @@ from workbench.export import make_clip
 from workbench.export.clip import quaternions, to_world
 from workbench.export.gltf import render_corners, write_gltf
 from workbench.export.skinning import CORRECTIVES
+from workbench.face import load_character, load_default_head
 from workbench.geometry import project
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -280,3 +281,87 @@ def test_blender_sees_the_same_names_frames_and_vertices(jaw, head, tmp_path):
         ours = clip.vertices_world(frame)[corners][:, [0, 2, 1]] * [1.0, -1.0, 1.0]  # Blender's z is up
         assert 1000.0 * np.abs(vertices - ours).max() < 0.1
     np.testing.assert_allclose(seen["fov"][1], 2.0 * np.arctan(240.0 / clip.camera.focal_px[1]), atol=1e-5)
+
+
+# --- a character ---
+
+
+@pytest.fixture(scope="module")
+def dressed():
+    return load_character("kofi")
+
+
+@pytest.fixture(scope="module")
+def worn_glb(clip, dressed, tmp_path_factory):
+    path = tmp_path_factory.mktemp("gltf") / "kofi.glb"
+    write_gltf(replace(clip, person=load_default_head().personal(dressed.character.identity)), path, dressed)
+    return path
+
+
+@pytest.fixture(scope="module")
+def worn_document(worn_glb):
+    return pygltflib.GLTF2().load(str(worn_glb))
+
+
+def node_of(document, name: str) -> pygltflib.Node:
+    return next(node for node in document.nodes if node.name == name)
+
+
+def morphed(document, name: str, unit: str) -> np.ndarray:
+    """Offsets of a part's points by one blendshape; an accessor without bytes is zero."""
+    mesh = document.meshes[node_of(document, name).mesh]
+    number = mesh.primitives[0].targets[mesh.extras["targetNames"].index(unit)]["POSITION"]
+    accessor = document.accessors[number]
+    return np.zeros((accessor.count, 3)) if accessor.bufferView is None else array(document, number)
+
+
+def test_a_character_is_a_node_for_each_part(worn_document, dressed):
+    names = [worn.part.kind for worn in dressed.worn]
+    assert {node.name for node in worn_document.nodes} == {"camera", "head", "jaw", "face", *names}
+    assert worn_document.extras["character"] == "kofi"
+    modes = {material.name: material.alphaMode for material in worn_document.materials}
+    assert {modes[kind] for kind in ("skin", "eyes", "teeth", "tongue")} == {"OPAQUE"}
+    assert {modes[kind] for kind in ("brows", "lashes", "corneas")} == {"BLEND"}
+    assert {modes[kind] for kind in ("hair", "clothes")} == {"MASK"}
+
+
+def test_each_part_has_its_own_picture(worn_document):
+    textured = [material for material in worn_document.materials if material.name != "corneas"]
+    sources = [
+        worn_document.textures[material.pbrMetallicRoughness.baseColorTexture.index].source for material in textured
+    ]
+    assert [worn_document.images[source].name.split("-")[0] for source in sources] == [
+        "albedo" if material.name == "skin" else material.name for material in textured
+    ]
+
+
+def test_what_parts_replace_is_left_out_of_the_face(worn_document, document, dressed):
+    drawn = [array(each, each.meshes[0].primitives[0].indices).size // 3 for each in (document, worn_document)]
+    assert drawn[0] - drawn[1] == int((~dressed.shown).sum()) > 500
+
+
+def test_parts_play_the_performance_of_the_face(worn_document, clip):
+    (animation,) = worn_document.animations
+    played = [worn_document.nodes[c.target.node].name for c in animation.channels if c.target.path == "weights"]
+    assert set(played) == {"face", "tongue", "teeth", "eyes", "corneas", "brows", "lashes"}
+    assert np.abs(morphed(worn_document, "lashes", "eyeBlinkLeft")).max() > 0.004
+    assert np.abs(morphed(worn_document, "teeth", "browInnerUp")).max() == 0.0
+    lower = np.abs(morphed(worn_document, "teeth", "jawOpen")).max(axis=1) > 0.001
+    assert 0.3 < lower.mean() < 0.7
+    hair = node_of(worn_document, "hair")
+    assert worn_document.nodes.index(hair) in node_of(worn_document, "head").children
+    assert not worn_document.meshes[hair.mesh].primitives[0].targets
+
+
+def test_lower_teeth_hang_on_the_jaw_joint(worn_document):
+    attributes = worn_document.meshes[node_of(worn_document, "teeth").mesh].primitives[0].attributes
+    jaw = array(worn_document, attributes.WEIGHTS_0)[:, 1]
+    lower = np.abs(morphed(worn_document, "teeth", "jawOpen")).max(axis=1) > 0.001
+    assert jaw[lower].min() > 0.95
+    assert jaw[~lower].max() < 0.05
+
+
+@needs_khronos
+def test_a_character_passes_the_validator(worn_glb):
+    issues = validated(worn_glb)
+    assert issues["numErrors"] == 0, issues["messages"]

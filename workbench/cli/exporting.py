@@ -11,6 +11,8 @@ from workbench.cli import screen
 from workbench.cli.tracking import track_file
 from workbench.errors import InputError
 from workbench.export.suffixes import FORMATS, format_of
+from workbench.face.characters import is_character
+from workbench.face.dressed_head import dressed_as
 from workbench.files import check_not_inputs
 
 EXPORT_HELP = (
@@ -24,6 +26,8 @@ EXPORT_HELP = (
 
   workbench export out/talk --to talk.csv --to report.html
 
+  workbench export out/talk --to talk.glb --character mei
+
   workbench export out/talk --to hero.glb --character hero/
 
   workbench export out/talk --to hero.mp4 --character hero/ --map hero.toml
@@ -35,6 +39,7 @@ EXPORT_HELP = (
     + "\n"
 )
 
+CHARACTER_HELP = "A ready character such as mei (.glb, .mp4), or another face model that plays the performance."
 MOST_NAMES = 6
 """Blendshapes that are named where some have no counterpart."""
 
@@ -44,7 +49,7 @@ def export(
     to: Annotated[list[Path], typer.Option("--to", help="File to write; may be given several times.")],
     shot: Annotated[int | None, typer.Option(help="Only the frames of this shot, counted from 0.")] = None,
     fps: Annotated[float | None, typer.Option(help="Frames per second in place of the input's.")] = None,
-    character: Annotated[Path | None, typer.Option(help="Another face model that plays the performance.")] = None,
+    character: Annotated[str | None, typer.Option(help=CHARACTER_HELP)] = None,
     mapping: Annotated[Path | None, typer.Option("--map", help="How its blendshapes follow from ours (TOML).")] = None,
     surface: Annotated[
         bool, typer.Option("--surface", help="Match the character's surface, not the names; needs the same mesh.")
@@ -58,12 +63,15 @@ def export(
         format_of(path)  # a wrong suffix is refused before anything is written
         if path.exists() and stored.exists() and path.samefile(stored):
             raise InputError(f"{path} is the track itself; name another file.")
-    given = [path for path in (model, character, mapping) if path is not None]
+    dress = character if character is not None and is_character(character) else None
+    player = None if dress or character is None else Path(character)
+    given = [path for path in (model, player, mapping) if path is not None]
     track = workbench.Track.load(stored)
     check_not_inputs(to, [stored, *given, *workbench.export.input_files(track.meta)])
     head, notes = model_of_track(track, model)
-    if character is not None:
-        other = workbench.load_face_model(character)
+    dressed = None if dress is None else dressed_as(dress, head)
+    if player is not None:
+        other = workbench.load_face_model(player)
         track, more = _played(track, head, other, mapping, surface)
         head, notes = other, [*notes, *more]
     elif mapping is not None or surface:
@@ -72,7 +80,7 @@ def export(
         for path in to:
             try:
                 done = workbench.export_track(
-                    track, head, path, shot=shot, rate=fps, pictures=pictures, progress=progress
+                    track, head, path, shot=shot, rate=fps, pictures=pictures, dressed=dressed, progress=progress
                 )
             except KeyboardInterrupt:
                 screen.errors.print(f"[yellow]interrupted[/yellow]: {escape(str(path))} was not written")

@@ -43,6 +43,8 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
 
   workbench track talk.mp4 --model flame.pkl        another face model
 
+  workbench track talk.mp4 --character mei          the head in the film is a person
+
   workbench track talk.mp4 --resume                 continue an interrupted run
 """
 
@@ -69,6 +71,7 @@ NO_FACE = (
     "No face was found in any frame; look at the pictures, try another --detector, or enlarge or turn the pictures so "
     "that the face is upright and at least 60 pixels wide."
 )
+CHARACTER_HELP = "Who the head in 3D is drawn as: a ready character such as mei, or a TOML file of your own."
 OVERWRITE_HELP = "Replace what an earlier run left in the folder."
 FACE_HELP = "Pixel X,Y inside the face to follow."
 
@@ -95,11 +98,14 @@ def track(
     workers: Annotated[int, typer.Option(min=1, max=64, help=WORKERS_HELP, rich_help_panel=DEEP)] = 1,
     out: Annotated[Path | None, typer.Option(help=OUT_HELP, rich_help_panel=RESULTS)] = None,
     pictures: Annotated[bool, typer.Option(help=PICTURES_HELP, rich_help_panel=RESULTS)] = True,
+    character: Annotated[str | None, typer.Option(help=CHARACTER_HELP, rich_help_panel=RESULTS)] = None,
     resume: Annotated[bool, typer.Option("--resume", help=RESUME_HELP, rich_help_panel=RESULTS)] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP, rich_help_panel=RESULTS)] = False,
 ) -> None:
     """Track faces in pictures, a video or landmark files."""
     settings = _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine)
+    if character is not None:
+        settings = settings.changed(head={"character": character})
     folder = out or Path("out") / (inputs[0].stem or "run")
     workbench.pipeline.check_inputs_kept(folder, [path for path in (config, model) if path is not None])
     _run(

@@ -21,6 +21,7 @@ from .sections import ConstantsConfig as ConstantsConfig
 from .sections import ContourConfig as ContourConfig
 from .sections import DeepConfig as DeepConfig
 from .sections import FlowConfig as FlowConfig
+from .sections import HeadConfig as HeadConfig
 from .sections import IdentityConfig as IdentityConfig
 from .sections import InfillConfig as InfillConfig
 from .sections import LandmarksConfig as LandmarksConfig

@@ -13,6 +13,7 @@ from workbench.config.sections import (
     ContourConfig,
     DeepConfig,
     FlowConfig,
+    HeadConfig,
     IdentityConfig,
     InfillConfig,
     LandmarksConfig,
@@ -49,6 +50,7 @@ class Config(Section):
     contour: ContourConfig = ContourConfig()
     identity: IdentityConfig = IdentityConfig()
     landmarks: LandmarksConfig = LandmarksConfig()
+    head: HeadConfig = HeadConfig()
     deep: DeepConfig = DeepConfig()
     flow: FlowConfig = FlowConfig()
     infill: InfillConfig = InfillConfig()

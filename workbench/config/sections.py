@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator
 
 from workbench.energies.terms import NODES, TABLE, Term
+from workbench.face.characters import PLAIN, character_names
 
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
@@ -111,6 +112,22 @@ class IdentityConfig(Section):
     expression: NonNegative = Field(40.0, description="ω of the smoothed L1 norm of the weights during calibration.")
     jaw: NonNegative = Field(0.3, description="Landmark weight of the jaw contour in the second pass.")
     limits: tuple[Iterations, Iterations] = Field((30, 15), description="Iterations of the two passes.")
+
+
+class HeadConfig(Section):
+    """How the default head is drawn; no fit depends on it."""
+
+    character: str = Field(
+        PLAIN,
+        description="Who the head in 3D is drawn as: plain, a ready character, or a TOML file with one of your own.",
+    )
+
+    @field_validator("character")
+    @classmethod
+    def _is_there(cls, name: str) -> str:
+        if name != PLAIN and not name.endswith(".toml") and name not in character_names():
+            raise ValueError(f"there is no character {name!r}; there are {PLAIN}, {', '.join(character_names())}")
+        return name
 
 
 class LandmarksConfig(Section):

@@ -1,7 +1,7 @@
 """A track exported as what the suffix of the file says."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from workbench.errors import InputError
@@ -10,10 +10,10 @@ from workbench.export.live_link import write_live_link_csv
 from workbench.export.meshes import write_arrays, write_meshes
 from workbench.export.report import write_report
 from workbench.export.sources import input_files, pictures_of
-from workbench.export.suffixes import format_of
+from workbench.export.suffixes import DRESSED, format_of
 from workbench.export.tables import write_curves, write_parquet
 from workbench.export.usd import write_usd
-from workbench.face import FaceModel
+from workbench.face import DressedHead, FaceModel
 from workbench.files import check_not_inputs
 from workbench.frames import Frames
 from workbench.pictures.overlay_files import write_overlay_video
@@ -41,12 +41,14 @@ def export_track(
     shot: int | None = None,
     rate: float | int | None = None,
     pictures: str | Path | None = None,
+    dressed: DressedHead | None = None,
     progress: Progress | None = None,
 ) -> Exported:
     """Write a track as what the suffix of `path` says (`FORMATS`), whole or not at all.
 
     `model` is the model that it was fitted with, or the character that it was retargeted to. `shot` takes the frames
-    of one shot, `rate` replaces the frames per second, `pictures` stands for an input that was moved. The meshes of
+    of one shot, `rate` replaces the frames per second, `pictures` stands for an input that was moved. `dressed` shows
+    the default head as a character: with that person's face in .glb, with the fitted one in .mp4. The meshes of
     .obj and .ply go into a folder of that name without the suffix. Raises `InputError` for what cannot be exported,
     `OutputError` for a file that cannot be written or is an input, and `MissingDependencyError` where a format needs a
     package that is not installed.
@@ -55,6 +57,10 @@ def export_track(
     given = [] if pictures is None else [Path(pictures)]
     check_not_inputs([path], [*given, *input_files(track.meta)])
     check_model(track, model)
+    if dressed is not None and kind not in DRESSED:
+        raise InputError(
+            f"{path} cannot show the character {dressed.character.name}; name a file ending in {' or '.join(DRESSED)}."
+        )
     if shot is not None:
         track = track_of_shot(track, shot)
     if rate is not None and not 0.0 < rate <= 1000.0:
@@ -67,16 +73,18 @@ def export_track(
     elif kind == ".parquet":
         write_parquet(track, path, fps)
     elif kind == ".mp4":
-        return _film(track, model, path, pictures, progress)
+        return _film(track, model, path, pictures, dressed, progress)
     elif kind == ".html":
         return _report(track, model, path, pictures, progress)
     else:
-        return _in_3d(track, model, path, kind, fps if rate else None, progress)
+        return _in_3d(track, model, path, kind, fps if rate else None, dressed, progress)
     return Exported(path)
 
 
-def _in_3d(track, model, path: Path, kind: str, rate: float | None, progress: Progress) -> Exported:
+def _in_3d(track, model, path: Path, kind: str, rate: float | None, dressed, progress: Progress) -> Exported:
     clip = make_clip(track, model, rate=rate)
+    if dressed is not None:
+        clip = replace(clip, person=model.personal(dressed.character.identity))
     if kind in (".obj", ".ply"):
         folder = path.with_suffix("")
         write_meshes(clip, folder, kind[1:], lambda done, total: progress("meshes", done, total))
@@ -88,13 +96,17 @@ def _in_3d(track, model, path: Path, kind: str, rate: float | None, progress: Pr
     else:
         from workbench.export.gltf import write_gltf  # here: it needs an extra, the other formats do not
 
-        write_gltf(clip, path)
+        write_gltf(clip, path, dressed)
     return Exported(path, clip.notes)
 
 
-def _film(track, model, path: Path, pictures, progress: Progress) -> Exported:
+def _film(track, model, path: Path, pictures, dressed: DressedHead | None, progress: Progress) -> Exported:
     frames = pictures_of(track, pictures)
-    note = write_overlay_video(frames, track, model, path, lambda done, total: progress("film", done, total))
+
+    def drawn(done: int, total: int) -> None:
+        progress("film", done, total)
+
+    note = write_overlay_video(frames, track, model, path, drawn, dressed=dressed)
     return Exported(path, (note,) if note else ())
 
 

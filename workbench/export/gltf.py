@@ -1,16 +1,16 @@
 """glTF 2.0 (.glb): the person's head with its blendshapes as morph targets, jaw joint, camera and animation."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
 from workbench.export.clip import FLIP, Clip, quaternions, to_world
+from workbench.export.gltf_buffer import INDICES, VERTICES, Buffer
+from workbench.export.gltf_parts import AddedParts, add_parts, embedded
 from workbench.export.skinning import Shapes, clip_shapes
 from workbench.extras import needs
-from workbench.face import FaceModel
+from workbench.face import DressedHead, FaceModel
 from workbench.files import atomic_path
 from workbench.geometry import Camera
 from workbench.pictures.head_picture import bundled_texture
@@ -20,37 +20,33 @@ with needs("formats"):
     import pygltflib
 
 NEAR_M, FAR_M = 0.01, 100.0
-JPEG_QUALITY = 92
-VERTICES = pygltflib.ARRAY_BUFFER
-COMPONENTS = {
-    np.dtype(np.float32): pygltflib.FLOAT,
-    np.dtype(np.uint8): pygltflib.UNSIGNED_BYTE,
-    np.dtype(np.uint16): pygltflib.UNSIGNED_SHORT,
-    np.dtype(np.uint32): pygltflib.UNSIGNED_INT,
-}
-KINDS = {(): pygltflib.SCALAR, (2,): pygltflib.VEC2, (3,): pygltflib.VEC3, (4,): pygltflib.VEC4, (4, 4): pygltflib.MAT4}
+SMOOTH = pygltflib.Sampler(magFilter=pygltflib.LINEAR, minFilter=pygltflib.LINEAR_MIPMAP_LINEAR)
 
 
-def write_gltf(clip: Clip, path: str | Path) -> None:
+def write_gltf(clip: Clip, path: str | Path, dressed: DressedHead | None = None) -> None:
     """Write a binary glTF that other programs play.
 
     Nodes: `camera` in the origin, `head` (animated; a joint), `jaw` below it, and `face`, the mesh that both move.
     Morph targets have the blendshapes' names (`extras.targetNames`). Keys lie at the times of the frames with a face.
-    Vertices along the seams of the texture are doubled, as the format wants it.
+    Vertices along the seams of the texture are doubled, as the format wants it. With `dressed` the character plays:
+    the face has its skin, and each part that it wears is a node of its own, with the same morph targets if it moves.
     """
-    document = _document(clip)
+    document = _document(clip, dressed)
     with atomic_path(path) as temporary:
         document.save_binary(str(temporary))
 
 
-def _document(clip: Clip) -> pygltflib.GLTF2:
+def _document(clip: Clip, dressed: DressedHead | None) -> pygltflib.GLTF2:
     person, track = clip.person, clip.track
-    pool = _Buffer()
+    pool = Buffer()
     corners, uv_corners, triangles = render_corners(person)
+    triangles = triangles if dressed is None else triangles[dressed.shown]
     found = np.flatnonzero(track.found)
     jawed = "jaw" in person.joints and bool(person.jaw_weights.any())
     shapes = clip_shapes(clip)
-    mesh = _mesh(pool, person, shapes, corners, uv_corners, triangles, shapes.weights[found[0]], jawed)
+    picture = bundled_texture(person) if dressed is None else dressed.skin
+    textured = picture is not None
+    mesh = _mesh(pool, person, shapes, corners, uv_corners, triangles, shapes.weights[found[0]], jawed, textured)
     nodes = [
         pygltflib.Node(name="camera", camera=0),
         pygltflib.Node(
@@ -73,23 +69,33 @@ def _document(clip: Clip) -> pygltflib.GLTF2:
         scene.append(2)
     else:
         nodes[1].children = [2]
-    image, texture = _texture(pool, person)
+    images = [] if picture is None else [embedded(pool, "albedo", picture)]
+    worn = add_parts(pool, clip, shapes, dressed, found[0], len(images)) if dressed else AddedParts()
+    moving = [2]
+    for number, (node, follows) in enumerate(zip(worn.nodes, worn.follow, strict=True), len(nodes)):
+        moving += [number] if follows else []
+        if follows and jawed:
+            node.skin = 0
+            scene.append(number)
+        else:
+            nodes[1].children = [*(nodes[1].children or []), number]
+    nodes += worn.nodes
+    images += worn.images
+    named = {"character": dressed.character.name} if dressed else {}
     document = pygltflib.GLTF2(
         asset=pygltflib.Asset(version="2.0", generator="Face Energy Workbench"),
         scene=0,
         scenes=[pygltflib.Scene(name="performance", nodes=scene)],
         nodes=nodes,
-        meshes=[mesh],
+        meshes=[mesh, *worn.meshes],
         skins=skins,
         cameras=[_camera(clip.camera, clip.image_size)],
-        materials=[_material(texture)],
-        animations=[_animation(pool, clip, shapes, found)],
-        images=image,
-        textures=[pygltflib.Texture(source=0, sampler=0)] if texture else [],
-        samplers=[pygltflib.Sampler(magFilter=pygltflib.LINEAR, minFilter=pygltflib.LINEAR_MIPMAP_LINEAR)]
-        if texture
-        else [],
-        extras={"frames_per_second": clip.rate, "frames": len(track), "model": person.name},
+        materials=[_material(textured), *worn.materials],
+        animations=[_animation(pool, clip, shapes, found, moving)],
+        images=images,
+        textures=[pygltflib.Texture(source=source, sampler=0) for source in range(len(images))],
+        samplers=[SMOOTH] if images else [],
+        extras={"frames_per_second": clip.rate, "frames": len(track), "model": person.name} | named,
     )
     document.accessors, document.bufferViews = pool.accessors, pool.views
     document.buffers = [pygltflib.Buffer(byteLength=len(pool.data))]
@@ -106,7 +112,7 @@ def render_corners(person: FaceModel) -> tuple[Int[np.ndarray, "c"], Int[np.ndar
 
 
 def _mesh(
-    pool, person: FaceModel, shapes: Shapes, corners, uv_corners, triangles, weights, jawed: bool
+    pool, person: FaceModel, shapes: Shapes, corners, uv_corners, triangles, weights, jawed: bool, textured: bool
 ) -> pygltflib.Mesh:
     sums = corner_sum(person.triangles, len(person.neutral))
 
@@ -121,7 +127,7 @@ def _mesh(
     attributes.NORMAL = pool.add(neutral, VERTICES)
     if len(person.uv) > 1:
         attributes.TEXCOORD_0 = pool.add(person.uv[uv_corners] * [1.0, -1.0] + [0.0, 1.0], VERTICES)  # v counts down
-    if bundled_texture(person) is None:
+    if not textured:
         linear = ((person.colors[corners] / 255.0) ** 2.2).astype(np.float32)
         attributes.COLOR_0 = pool.add(linear, VERTICES)
     if jawed:
@@ -137,9 +143,7 @@ def _mesh(
         }
         for delta in shapes.deltas
     ]
-    indices = pool.add(
-        triangles.astype(np.uint32 if len(corners) > 65_535 else np.uint16).ravel(), pygltflib.ELEMENT_ARRAY_BUFFER
-    )
+    indices = pool.add(triangles.astype(np.uint32 if len(corners) > 65_535 else np.uint16).ravel(), INDICES)
     return pygltflib.Mesh(
         name="face",
         primitives=[pygltflib.Primitive(attributes=attributes, indices=indices, material=0, targets=targets)],
@@ -148,7 +152,8 @@ def _mesh(
     )
 
 
-def _animation(pool, clip: Clip, shapes: Shapes, found: Int[np.ndarray, "m"]) -> pygltflib.Animation:
+def _animation(pool, clip: Clip, shapes: Shapes, found: Int[np.ndarray, "m"], moving: list[int]) -> pygltflib.Animation:
+    """Curves of head and jaw, and the weights of all nodes that have the morph targets."""
     track = clip.track
     times = pool.add(clip.times_s[found], bounds=True)
     curves = {
@@ -166,6 +171,9 @@ def _animation(pool, clip: Clip, shapes: Shapes, found: Int[np.ndarray, "m"]) ->
         made.samplers.append(pygltflib.AnimationSampler(input=times, output=pool.add(values)))
         target = pygltflib.AnimationChannelTarget(node=node, path=path)
         made.channels.append(pygltflib.AnimationChannel(sampler=number, target=target))
+        if path == "weights":
+            targets = [pygltflib.AnimationChannelTarget(node=other, path=path) for other in moving if other != node]
+            made.channels += [pygltflib.AnimationChannel(sampler=number, target=other) for other in targets]
     return made
 
 
@@ -195,47 +203,5 @@ def _material(texture: bool) -> pygltflib.Material:
     return pygltflib.Material(name="skin", pbrMetallicRoughness=surface, alphaMode=pygltflib.OPAQUE, alphaCutoff=None)
 
 
-def _texture(pool, person: FaceModel) -> tuple[list[pygltflib.Image], bool]:
-    picture = bundled_texture(person)
-    if picture is None:
-        return [], False
-    encoded = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-    return [pygltflib.Image(name="albedo", bufferView=pool.view(encoded), mimeType="image/jpeg")], True
-
-
 def _numbers(values: Float[np.ndarray, "..."]) -> list[float]:
     return np.asarray(values, float).tolist()
-
-
-@dataclass
-class _Buffer:
-    """The binary part of the file, with what describes it."""
-
-    data: bytearray = field(default_factory=bytearray)
-    views: list[pygltflib.BufferView] = field(default_factory=list)
-    accessors: list[pygltflib.Accessor] = field(default_factory=list)
-
-    def view(self, content: bytes, target: int | None = None) -> int:
-        """Bytes as a new view, aligned to four; `target` says whether they are vertices or indices."""
-        self.data.extend(b"\0" * (-len(self.data) % 4))
-        place = {"byteOffset": len(self.data), "byteLength": len(content)}
-        self.views.append(pygltflib.BufferView(buffer=0, target=target, **place))
-        self.data.extend(content)
-        return len(self.views) - 1
-
-    def add(self, values: np.ndarray, target: int | None = None, bounds: bool = False) -> int:
-        """An array as a new accessor; floating-point numbers in single precision."""
-        if np.issubdtype(values.dtype, np.floating):
-            values = values.astype(np.float32)
-        values = np.ascontiguousarray(values)
-        accessor = pygltflib.Accessor(
-            bufferView=self.view(values.tobytes(), target),
-            componentType=COMPONENTS[values.dtype],
-            count=len(values),
-            type=KINDS[values.shape[1:]],
-        )
-        if bounds:
-            accessor.min = np.atleast_1d(values.min(0)).astype(float).tolist()
-            accessor.max = np.atleast_1d(values.max(0)).astype(float).tolist()
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1

@@ -17,6 +17,8 @@ FORMATS = {
     ".html": "a report: pictures, curves, worst frames, settings",
 }
 """Suffixes and what is written under them."""
+DRESSED = (".glb", ".mp4")
+"""Formats that show a character."""
 SAME = {".usda": ".usd", ".usdc": ".usd", ".htm": ".html"}
 
 

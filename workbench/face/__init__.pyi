@@ -11,6 +11,7 @@ from .default_head import GAZE_NAMES as GAZE_NAMES
 from .default_head import load_default_head as load_default_head
 from .dressed_head import DressedHead as DressedHead
 from .dressed_head import WornPart as WornPart
+from .dressed_head import dressed_as as dressed_as
 from .dressed_head import load_character as load_character
 from .formats import arkit_name as arkit_name
 from .formats import load_face_model as load_face_model

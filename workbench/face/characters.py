@@ -56,6 +56,11 @@ def character_names() -> tuple[str, ...]:
     return tuple(_bundled())
 
 
+def is_character(name: str) -> bool:
+    """Whether a name is that of a ready character or of a file with one."""
+    return name.endswith(".toml") or name in _bundled()
+
+
 def find_character(name: str | Path) -> Character:
     """A ready character by name, or the first one of a TOML file. Raises `ModelError` for one that is not there."""
     if isinstance(name, Path) or name.endswith(".toml"):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
 
 from workbench.errors import ModelError
-from workbench.face.characters import Character, find_character
+from workbench.face.characters import PLAIN, Character, find_character
 from workbench.face.default_head import load_default_head
 from workbench.face.jaw import posed_vertices
 from workbench.face.model import FaceModel
@@ -134,6 +134,17 @@ def load_character(name: str | Path, gaze: bool = True) -> DressedHead:
         worn=tuple(WornPart(store.read(kind, style, len(model.neutral)), picture) for kind, style, picture in worn),
         scale_vertices=store.scale_vertices,
     )
+
+
+def dressed_as(character: str, model: FaceModel) -> DressedHead | None:
+    """The default head as a character, None for `plain`; raises `ModelError` where the model is another one."""
+    if character == PLAIN:
+        return None
+    if model.name != load_default_head().name:
+        raise ModelError(
+            f"Characters are for the default head, this is the model {model.name}; leave the character at {PLAIN!r}."
+        )
+    return load_character(character)
 
 
 def _picture_path(kind: str, style: str) -> Path:

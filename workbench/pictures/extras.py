@@ -45,6 +45,9 @@ class Extras:
     ghost: Float[np.ndarray, "v 3"] | None = None
     """Vertices of a second head."""
     ghost_opacity: float = 0.35
+    rest: Float[np.ndarray, "v 3"] | None = None
+    """The person without an expression, whom a character's hair follows; None: the neutral that the painter was made
+    with."""
 
 
 NOTHING = Extras()

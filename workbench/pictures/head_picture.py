@@ -148,7 +148,8 @@ class HeadRenderer:
         check_scene(vertices, len(self._rest), rotation, translation, camera)
         behind = background_picture(background, self.size)
         points_camera = to_camera(vertices, rotation, translation)
-        worn = () if self._dressed is None else self._dressed.parts_on(self._rest, vertices)
+        rest = self._rest if extras.rest is None else extras.rest
+        worn = () if self._dressed is None else self._dressed.parts_on(rest, vertices)
         worn_camera = [to_camera(points, rotation, translation) for points in worn]
         pose = (rotation, translation)
         return self._thread.submit(_draw, points_camera, camera, lighting, behind, extras, pose, worn_camera)

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from workbench.errors import InputError
-from workbench.face import FaceModel, posed_vertices
+from workbench.face import DressedHead, FaceModel, posed_vertices
 from workbench.frames import Frame, Frames, VideoWriter, write_picture
 from workbench.pictures.background import background_picture
+from workbench.pictures.extras import Extras
 from workbench.pictures.head_picture import HeadRenderer, PlainPainter, head_painter, portrait_view
 from workbench.pictures.overlay import ALL_BUT_MESH, OverlayParts, displayed_size, draw_overlay, side_by_side
 from workbench.tracking.records import FrameFit
@@ -44,19 +45,21 @@ def write_overlay_video(
     progress: Callable[[int, int], None] | None = None,
     view: str = "pose",
     parts: OverlayParts = ALL_BUT_MESH,
+    dressed: DressedHead | None = None,
 ) -> str | None:
     """Write an H.264 video of a tracked input: the frames of `track` with their fits, beside the head in 3D.
 
     A second, streaming pass over the frames that holds two of them at a time; the head is rendered in its own thread
-    while the previous frame is encoded. `progress` is called with (frames done, frames of the track). Returns a note
-    where the head had to be drawn without GL, else None. Raises `InputError` for an empty track, and if none of its
-    frames is in the input; after any error there is nothing under `path`.
+    while the previous frame is encoded. `dressed` shows the head as a character with the fitted face. `progress` is
+    called with (frames done, frames of the track). Returns a note where the head had to be drawn without GL, else None.
+    Raises `InputError` for an empty track, and if none of its frames is in the input; after any error there is nothing
+    under `path`.
     """
     if len(track) == 0:
         raise InputError("The track has no frames, so there is nothing to draw; track the input first.")
     first_width, first_height = displayed_size(frames.image_size)
     with (
-        HeadPanel(model, (first_width, first_height), view, VIDEO_SUPERSAMPLING) as panel,
+        HeadPanel(model, (first_width, first_height), view, VIDEO_SUPERSAMPLING, dressed) as panel,
         VideoWriter(path, rate=frames.rate or RATE_OF_IMAGES) as writer,
     ):
         waiting: tuple[np.ndarray, Future] | None = None
@@ -79,9 +82,10 @@ def write_overlay_picture(
     model: FaceModel,
     view: str = "pose",
     parts: OverlayParts = ALL_BUT_MESH,
+    dressed: DressedHead | None = None,
 ) -> str | None:
     """Write one frame with its fit and the head in 3D beside it, as PNG or JPEG; returns a note as the video does."""
-    with OverlayPictures(model, view, parts) as pictures:
+    with OverlayPictures(model, view, parts, dressed) as pictures:
         pictures.add(path, picture, fit)
         pictures.flush()
         return pictures.note
@@ -93,8 +97,14 @@ class OverlayPictures:
     The head of one frame is rendered while the caller is busy with the next.
     """
 
-    def __init__(self, model: FaceModel, view: str = "pose", parts: OverlayParts = ALL_BUT_MESH) -> None:
-        self.model, self.view, self.parts = model, view, parts
+    def __init__(
+        self,
+        model: FaceModel,
+        view: str = "pose",
+        parts: OverlayParts = ALL_BUT_MESH,
+        dressed: DressedHead | None = None,
+    ) -> None:
+        self.model, self.view, self.parts, self.dressed = model, view, parts, dressed
         self._panel: HeadPanel | None = None
         self._waiting: tuple[str | Path, np.ndarray, Future] | None = None
 
@@ -120,7 +130,7 @@ class OverlayPictures:
     def _panel_beside(self, overlay: UInt8[np.ndarray, "h w 3"]) -> "HeadPanel":
         height, width = overlay.shape[:2]
         if self._panel is None:
-            self._panel = HeadPanel(self.model, (width, height), self.view)
+            self._panel = HeadPanel(self.model, (width, height), self.view, dressed=self.dressed)
         self._panel.resize((width, height))
         return self._panel
 
@@ -133,13 +143,18 @@ class OverlayPictures:
 
 
 class HeadPanel:
-    """The 3D head of one fit after the other, sized to go beside frames of (width, height).
+    """The 3D head of one fit after the other, sized to go beside frames of (width, height); `dressed`: as a character.
 
     Raises `InputError` for another `view` than "pose" and "front".
     """
 
     def __init__(
-        self, model: FaceModel, frame_size: tuple[int, int], view: str = "pose", supersampling: float = 2.0
+        self,
+        model: FaceModel,
+        frame_size: tuple[int, int],
+        view: str = "pose",
+        supersampling: float = 2.0,
+        dressed: DressedHead | None = None,
     ) -> None:
         if view not in HEAD_VIEWS:
             raise InputError(f'The view of the head is "pose" or "front", got {view!r}.')
@@ -147,7 +162,7 @@ class HeadPanel:
         self.model, self.view = model, view
         self.camera, self.translation = portrait_view(model, size)
         self.painter: HeadRenderer | PlainPainter = head_painter(
-            model, size, supersampling=supersampling, fade_neck=True
+            model, size, supersampling=supersampling, fade_neck=True, dressed=dressed
         )
         self.note = self.painter.note
         self._identity: np.ndarray | None = None
@@ -171,9 +186,9 @@ class HeadPanel:
         if self._identity is None or not np.array_equal(fit.identity, self._identity):
             self._identity, self._person = fit.identity, self.model.personal(fit.identity)
         rotation = fit.rotation if self.view == "pose" else np.zeros(3)
-        return self.painter.submit(
-            posed_vertices(self._person, fit.expression, fit.jaw, fit.scale), self.camera, rotation, self.translation
-        )
+        vertices = posed_vertices(self._person, fit.expression, fit.jaw, fit.scale)
+        rest = Extras(rest=self._person.neutral)
+        return self.painter.submit(vertices, self.camera, rotation, self.translation, extras=rest)
 
     def __enter__(self) -> "HeadPanel":
         return self

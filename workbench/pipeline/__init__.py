@@ -19,7 +19,7 @@ from workbench.config import Config, write_config
 from workbench.errors import InputError, OutputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.export.sources import input_files
-from workbench.face import FaceModel
+from workbench.face import FaceModel, dressed_as
 from workbench.frames import Frames, ImageFrames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.pictures.overlay_files import write_overlay_video
@@ -170,6 +170,8 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
         raise InputError("Unrelated photos have no neighbours in time; leave infill and refinement out, or --stills.")
     if steps:
         FlowFitter(model, plan_of(config))  # refuses settings of the flow before a clip is fitted for nothing
+    # A character that cannot be drawn is refused before a clip is fitted for nothing.
+    dressed = dressed_as(config.head.character, model) if job.pictures else None
     tracker = FaceTracker(model, config, stills=stills)
     tracker.warm_up(source.image_size)
     writer = TrackWriter(job.fits_path, meta, _fingerprint(meta), job.resume)
@@ -179,7 +181,7 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     with ExitStack() as stack:
         drawn = None
         if stills and job.pictures:
-            drawn = stack.enter_context(StillPictures(source, model, meta["names"], folder))
+            drawn = stack.enter_context(StillPictures(source, model, meta["names"], folder, dressed))
             drawn.add_missing(writer)
         try:
             if deep:
@@ -204,7 +206,7 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     if job.pictures and deep:
         files += write_strips(strips, tracker.fitter, folder, progress)
     if job.pictures and not stills:
-        files += _write_film(source.frames, written, model, folder, progress, notes)
+        files += _write_film(source.frames, written, model, dressed, folder, progress, notes)
     for finished in dict.fromkeys((writer, written)):  # track.npz comes last: with it a run is finished
         finished.close()
     kept = (folder / UNREFINED,) if steps else ()
@@ -235,6 +237,7 @@ def retrack(
     check_model(reader.meta, model)
     if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
         raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
+    dressed = dressed_as(config.head.character, model) if pictures else None
     opened = views_of(reader.meta, config, clip, views)
     inputs = [reader.path, *_given(clip), *views.values(), *_given(config.camera.rig), *input_files(reader.meta)]
     with run_folder(folder, inputs, False, overwrite):
@@ -246,7 +249,7 @@ def retrack(
         files = _write_tables(writer, summary, model, config, folder)
         notes = [note for frames in opened for note in frames.notes]
         if pictures and opened:
-            files += _write_film(opened[0], writer, model, folder, progress, notes)
+            files += _write_film(opened[0], writer, model, dressed, folder, progress, notes)
         writer.close()
         return RunResult(folder, summary, (folder / "track.npz", *files), tuple(notes))
 
@@ -345,11 +348,13 @@ def landmark_record(fit: FrameFit) -> LandmarkRecord:
     return LandmarkRecord(fit.index, f"frame-{fit.index}", fit.landmarks, fit.image_size)
 
 
-def _write_film(frames, writer, model, folder, progress, notes) -> tuple[Path, ...]:
+def _write_film(frames, writer, model, dressed, folder, progress, notes) -> tuple[Path, ...]:
     path = folder / "overlay.mp4"
-    note = write_overlay_video(
-        frames, writer, model, path, progress=lambda done, total: progress("overlay", done, total)
-    )
+
+    def drawn(done: int, total: int) -> None:
+        progress("overlay", done, total)
+
+    note = write_overlay_video(frames, writer, model, path, drawn, dressed=dressed)
     notes += [note] if note else []
     return (path,)
 

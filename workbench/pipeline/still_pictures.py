@@ -7,7 +7,7 @@ from types import TracebackType
 import numpy as np
 from jaxtyping import UInt8
 
-from workbench.face import FaceModel
+from workbench.face import DressedHead, FaceModel
 from workbench.pictures.overlay_files import OverlayPictures
 from workbench.pipeline.sources import canvas
 from workbench.tracking import FrameFit, FrameObservation
@@ -17,9 +17,11 @@ from workbench.tracking.track_writer import TrackWriter
 class StillPictures:
     """Draws `overlay/0012-name.jpg` for each still (`overlay.png` for a single one); used in a `with` block."""
 
-    def __init__(self, source, model: FaceModel, names: Sequence[str], folder: Path) -> None:
+    def __init__(
+        self, source, model: FaceModel, names: Sequence[str], folder: Path, dressed: DressedHead | None = None
+    ) -> None:
         self._source, self._names, self._folder = source, names, folder
-        self._pictures = OverlayPictures(model)
+        self._pictures = OverlayPictures(model, dressed=dressed)
 
     def add(self, observation: FrameObservation, fit: FrameFit) -> None:
         """Draw a still that was just fitted."""

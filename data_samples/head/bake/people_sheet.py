@@ -34,7 +34,8 @@ def portraits(dressed: DressedHead, sights: tuple[str, ...], size: int) -> list[
     person, shape = dressed.person, (size, round(1.15 * size))
     camera, translation = portrait_view(person, shape)
     camera = camera._replace(focal_px=ZOOM * camera.focal_px)
-    translation = translation + [0.0, DOWN_MM, 0.0]
+    middle = np.array([0.0, 0.0, np.median(person.neutral[:, 2])])
+    translation = translation + np.array([0.0, DOWN_MM, 0.0]) + middle
     pictures = []
     with HeadRenderer(person, shape, dressed=dressed) as renderer:
         for sight in sights:
@@ -42,7 +43,8 @@ def portraits(dressed: DressedHead, sights: tuple[str, ...], size: int) -> list[
             expression = np.array([weights.get(name, 0.0) for name in person.expression_names])
             vertices = posed_vertices(person, expression, np.zeros(6))
             rotation = np.array([0.0, np.radians(yaw), 0.0])
-            pictures.append(renderer.render(vertices, camera, rotation, translation, GROUND))
+            about_the_middle = translation - cv2.Rodrigues(rotation)[0] @ middle
+            pictures.append(renderer.render(vertices, camera, rotation, about_the_middle, GROUND))
     return pictures
 
 
