@@ -10,6 +10,7 @@ import pytest
 
 from tests.javascript import asked_of_node, functions, needs_node
 from workbench.errors import InputError
+from workbench.face import load_character
 from workbench.geometry import project
 from workbench.pictures.mesh import face_normals, to_camera
 from workbench.widgets.browser_program import BROWSER, browser_program
@@ -233,7 +234,9 @@ class TestOverlay:
 @needs_node
 class TestHead:
     VIEWPOINT, MOUSE = (BROWSER / "head" / name for name in ("viewpoint.js", "mouse.js"))
-    RODS, MESH, GEOMETRY, SCENE = (BROWSER / "drawing" / f"{name}.js" for name in ("rods", "mesh", "geometry", "scene"))
+    RODS, MESH, GEOMETRY, SCENE, WORN = (
+        BROWSER / "drawing" / f"{name}.js" for name in ("rods", "mesh", "geometry", "scene", "worn")
+    )
     SIZE = (300, 240)
 
     @pytest.mark.parametrize(
@@ -306,6 +309,18 @@ class TestHead:
         assert np.array_equal(normals[4], normals[0])
         assert (((places - places[:4].mean(0)) * normals).sum(1) > 0).all()
         assert stamp == 1
+
+    def test_the_browser_ties_parts_to_the_head_as_the_kernel_does(self):
+        kofi = load_character("kofi")
+        growth, part = [1.1, 0.9, 1.2], next(worn.part for worn in kofi.worn if worn.part.kind == "brows")
+        used = np.unique(part.anchors)
+        vertices = np.zeros_like(kofi.model.neutral)
+        vertices[used] = np.round(kofi.person.neutral[used], 3)
+        arrays = {name: getattr(part, name).ravel().tolist() for name in ("anchors", "weights", "offsets")}
+        flat = json.dumps({int(3 * v + axis): vertices[v, axis] for v in used for axis in range(3)})
+        ask = f"[...tied({json.dumps(arrays)}, {flat}, 2, {growth}, new Float64Array({3 * len(part.offsets)}))]"
+        found = np.reshape(asked_of_node(self.WORN, "tied", ask), (-1, 3))
+        np.testing.assert_allclose(found, part.on(2.0 * vertices, np.array(growth)), atol=1e-9)
 
     def test_the_ends_of_a_rod_are_round_and_turn_their_outsides_out(self):
         ask = "(r => [[...r.corners], [...r.triangles]])(roundEnds())"

@@ -5,11 +5,13 @@ import threading
 import types
 from dataclasses import replace
 
+import cv2
 import ipywidgets
 import numpy as np
 import pytest
 
 from workbench.errors import InputError, WorkbenchError
+from workbench.face import load_character
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov, project
 from workbench.pictures import HeadRenderer, gl_available, gl_probe
 from workbench.pictures.extras import SEGMENT_MM, Extras, marks_mesh, outer_triangles
@@ -631,3 +633,54 @@ def test_closing_frees_what_the_browser_and_the_kernel_hold_and_closing_twice_is
         view.close()
         assert view.widget.comm is None
         assert not any(thread.is_alive() for thread in threads)
+
+
+@pytest.fixture(scope="module")
+def kofi():
+    return load_character("kofi")
+
+
+def test_a_character_brings_its_skin_and_its_parts_to_the_browser(head, kofi):
+    plain, mesh = surface_message(head), surface_message(head, kofi)
+    assert plain["worn"] == []
+    assert mesh["texture"] != plain["texture"]
+    assert len(mesh["drawn"]) == 12 * int(kofi.shown.sum()) < len(plain["drawn"])
+    assert mesh["collar"] is None
+    assert (np.frombuffer(mesh["shown"], "<f4") == 1.0).all()
+    assert [part["kind"] for part in mesh["worn"]] == [worn.part.kind for worn in kofi.worn]
+    for part, worn in zip(mesh["worn"], kofi.worn, strict=True):
+        order = np.frombuffer(part["order"], "<u4")
+        assert np.frombuffer(part["drawn"], "<u4").max() == len(order) - 1
+        assert len(part["uv"]) == 8 * len(order)
+        assert len(part["anchors"]) == len(part["weights"]) == 4 * worn.part.anchors.size
+        assert cv2.imdecode(np.frombuffer(part["picture"], np.uint8), cv2.IMREAD_UNCHANGED) is not None
+
+
+def test_the_person_is_sent_when_it_changes(head, kofi):
+    view = make_head_view(head, SIZE, "webgl", kofi)
+    person = head.personal(kofi.character.identity)
+    before = view.canvas._person
+    view.set_vertices(head.neutral)
+    assert view.canvas._person == before
+    view.set_vertices(person.neutral, person.neutral)
+    np.testing.assert_allclose(np.frombuffer(view.canvas._person["rest"], "<f4"), person.neutral.ravel(), rtol=1e-6)
+    assert view.canvas._person["growth"] == pytest.approx(kofi.growth(person.neutral).tolist())
+    with pytest.raises(InputError, match="4823 vertices"):
+        view.set_vertices(person.neutral, person.neutral[1:])
+    view.close()
+
+
+@needs_gl
+def test_both_back_ends_picture_the_same_character(head, kofi):
+    person = head.personal(kofi.character.identity)
+    shots = []
+    for backend in ("webgl", "pictures"):
+        view = make_head_view(head, SIZE, backend, kofi)
+        view.set_vertices(person.neutral, person.neutral)
+        shots.append(view.snapshot().astype(int))
+        view.close()
+    plain = make_head_view(head, SIZE, "pictures")
+    plain.set_vertices(person.neutral)
+    assert np.abs(shots[0] - shots[1]).max() <= 2
+    assert np.abs(shots[0] - plain.snapshot()).mean() > 5
+    plain.close()

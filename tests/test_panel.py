@@ -332,6 +332,22 @@ def test_stepping_shows_one_iteration_after_the_other(panel):
     np.testing.assert_array_equal(panel.fit.expression, panel.session.fit_frame(0).expression)
 
 
+def test_the_head_is_drawn_as_the_chosen_character(fresh_panel):
+    session, before = fresh_panel.session, fresh_panel.fit
+    assert not fresh_panel.head.view.canvas._mesh["worn"]
+    fresh_panel.head.character.widget.value = "leila"
+    fresh_panel.wait_idle()
+    assert session.config.head.character == "leila"
+    assert [part["kind"] for part in fresh_panel.head.view.canvas._mesh["worn"]][-1] == "hair"
+    assert fresh_panel.head.view.canvas._person["rest"]
+    np.testing.assert_array_equal(fresh_panel.fit.expression, before.expression)
+    assert not session.stale.any()
+    fresh_panel.undo.click()
+    fresh_panel.wait_idle()
+    assert fresh_panel.head.character.widget.value == "plain"
+    assert not fresh_panel.head.view.canvas._mesh["worn"]
+
+
 def test_undo_redo_presets_and_snapshots(fresh_panel):
     start = fresh_panel.session.config
     fresh_panel.turn("weights.tau", 3.0)

@@ -1,35 +1,13 @@
 """Actors of what a dressed head wears: textured meshes, some of them translucent."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pyvista
 from jaxtyping import Float, UInt8
 
 from workbench.face.dressed_head import WornPart
+from workbench.pictures.finish import FINISHES
 from workbench.pictures.mesh import corner_sum, split_seams, vertex_normals
 
-
-@dataclass(frozen=True)
-class Finish:
-    """How a kind of part takes the light."""
-
-    shine: tuple[float, float]
-    """Strength and exponent of the highlights."""
-    roundness: float = 0.0
-    """How far normals point away from the head's middle, 0 to 1: cards of hair are lit as the ball that they cover."""
-
-
-FINISHES = {
-    "eyes": Finish((0.10, 20.0)),
-    "corneas": Finish((1.0, 120.0)),
-    "teeth": Finish((0.40, 40.0)),
-    "tongue": Finish((0.35, 22.0)),
-    "brows": Finish((0.0, 1.0)),
-    "lashes": Finish((0.0, 1.0)),
-    "clothes": Finish((0.0, 1.0)),
-    "hair": Finish((0.14, 12.0), roundness=0.6),
-}
 # A highlight is light that comes back whatever lies below: it makes an otherwise invisible cornea opaque.
 HIGHLIGHT_IS_OPAQUE = """//VTK::Light::Impl
   float glint = clamp(2.0 * specular.r, 0.0, 1.0);

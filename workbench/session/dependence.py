@@ -31,7 +31,7 @@ def frame_key(config: Config) -> str:
 def _unread(config: Config) -> set[str]:
     """Sections that a single frame's fit does not depend on; on flow it does where a stage names a term of it."""
     of_flow = any(TABLE[name].compares_pictures or TABLE[name].key.startswith("flow.") for name in config.summed_terms)
-    return {"preset", "provenance", *TIME_SECTIONS} - ({"flow"} if of_flow else set())
+    return {"preset", "provenance", "head", *TIME_SECTIONS} - ({"flow"} if of_flow else set())
 
 
 def identity_key(config: Config, window: Sequence[FrameObservation]) -> str:

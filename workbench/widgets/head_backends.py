@@ -4,6 +4,7 @@ import os
 import sys
 
 from workbench.errors import InputError
+from workbench.face.dressed_head import DressedHead
 from workbench.face.model import FaceModel
 from workbench.widgets.head_view import HeadView
 from workbench.widgets.picture_head_view import PictureHeadView
@@ -15,8 +16,10 @@ VSCODE_VARIABLES = ("VSCODE_PID", "VSCODE_CWD", "VSCODE_HANDLES_UNCAUGHT_ERRORS"
 UNTRIED_NOTE = 'The 3D view uses pictures from the kernel: WebGL is untested in {place}; backend="webgl" tries it.'
 
 
-def make_head_view(model: FaceModel, size: tuple[int, int] = (440, 440), backend: str = "auto") -> HeadView:
-    """A live view of the model's head, (width, height) in pixels.
+def make_head_view(
+    model: FaceModel, size: tuple[int, int] = (440, 440), backend: str = "auto", dressed: DressedHead | None = None
+) -> HeadView:
+    """A live view of the model's head, (width, height) in pixels; `dressed`: as a character.
 
     "webgl" draws in the browser, "pictures" in the kernel; "auto" uses WebGL unless the notebook runs where that is
     untested. Raises `InputError` for an unknown back end or size.
@@ -24,7 +27,7 @@ def make_head_view(model: FaceModel, size: tuple[int, int] = (440, 440), backend
     if not all(64 <= side <= 4096 for side in size):
         raise InputError(f"The sides of a 3D view must be 64 to 4096 pixels, got {size[0]} × {size[1]}.")
     chosen, note = chosen_backend(backend)
-    return WebGLHeadView(model, size) if chosen == "webgl" else PictureHeadView(model, size, note)
+    return WebGLHeadView(model, size, dressed) if chosen == "webgl" else PictureHeadView(model, size, note, dressed)
 
 
 def chosen_backend(backend: str = "auto") -> tuple[str, str | None]:

@@ -11,6 +11,7 @@ from workbench.face import posed_vertices
 from workbench.pictures.overlay import residual_colors
 from workbench.session import FittedHead, TuningSession
 from workbench.tracking import FrameFit
+from workbench.widgets.character_choice import CharacterChoice
 from workbench.widgets.head_backends import make_head_view
 from workbench.widgets.head_view import HeadView
 from workbench.widgets.latest import LatestWins
@@ -40,7 +41,8 @@ class HeadColumn:
         self._worker: LatestWins[FrameFit] = LatestWins(self._work_out, self._failed, "panel-uncertainty")
         self._spread: tuple[tuple, np.ndarray | str] | None = None
         self._colored = self._marked = False
-        self.view: HeadView = make_head_view(head.model, size, backend)
+        self._backend, self.character = backend, CharacterChoice(session, head.model)
+        self.view: HeadView = make_head_view(head.model, size, backend, self.character.dressed)
         self.look = widgets.ToggleButtons(
             options=["front", "camera", "free"], style={"button_width": "auto"},
             tooltips=["from the front", "as the camera sees it", "as turned with the mouse"],
@@ -71,7 +73,7 @@ class HeadColumn:
         self.note = widgets.Label(self.view.note or "")
         self.working = widgets.HTML(layout=widgets.Layout(display="none"))
         more = widgets.HBox(
-            [self.color, self.shape, self.points, self.compare, self.beside],
+            [self.character.widget, self.color, self.shape, self.points, self.compare, self.beside],
             layout=widgets.Layout(flex_flow="row wrap"),
         )
         self._holder = widgets.VBox([self.view.widget])
@@ -83,7 +85,9 @@ class HeadColumn:
         """Show the head of a fit; it is unchanged for a frame without a face."""
         if not fit.found:
             return
-        self.view.set_vertices(self._head.vertices(fit))
+        if self.character.follow():
+            self._make_view()
+        self.view.set_vertices(self._head.vertices(fit), self._head.personal(fit.identity).neutral)
         self.view.set_pose(fit.rotation, fit.translation, fit.camera, fit.image_size)
         self._color(fit)
         self._mark(fit)
@@ -96,12 +100,17 @@ class HeadColumn:
 
     def use_pictures(self, why: str) -> None:
         """Switch to the back end that needs no WebGL in the browser."""
-        old, self.view = self.view, make_head_view(self._head.model, self._size, "pictures")
+        self._backend = "pictures"
+        self._make_view()
+        self.note.value, self.note.layout.display = why, None
+        self._redraw()
+
+    def _make_view(self) -> None:
+        dressed = self.character.dressed
+        old, self.view = self.view, make_head_view(self._head.model, self._size, self._backend, dressed)
         self.view.set_view(self.look.value)
         self._holder.children = (self.view.widget,)
-        self.note.value, self.note.layout.display = why, None
         old.close()
-        self._redraw()
 
     def refresh_comparisons(self) -> None:
         """Update the list of snapshots."""

@@ -4,12 +4,14 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from workbench.face.dressed_head import DressedHead
 from workbench.face.model import FaceModel
 from workbench.pictures.background import SLATE
 from workbench.pictures.extras import GHOST_COLOR, WET_REGIONS, is_outer, of_regions
 from workbench.pictures.head_picture import bundled_texture
 from workbench.pictures.lighting import SKIN_SHINE, STUDIO, WET_SHINE
 from workbench.pictures.mesh import neck_opacity, split_seams
+from workbench.widgets.worn_message import worn_message
 
 TEXTURE_QUALITY = 90
 COLLAR_TILT, COLLAR_MM = 0.25, 600.0
@@ -17,13 +19,14 @@ COLLAR_TILT, COLLAR_MM = 0.25, 600.0
 the cut goes from 0 to 1 over more than a head's length; it is linear in every triangle, so the cut is straight."""
 
 
-def surface_message(model: FaceModel) -> dict[str, object]:
+def surface_message(model: FaceModel, dressed: DressedHead | None = None) -> dict[str, object]:
     """The static data of a head: triangles, texture or colours, lights; see `drawing/mesh.js`.
 
     Vertices on a texture seam become several points: "order" has the vertex of each point, "drawn" the triangles over
     points, with those of the skin ("outer" of them) before those of eyes and mouth. "triangles" are the model's own.
+    "worn" has the parts of a character (`worn_message`), which stand for the model's eyes, teeth and tongue.
     """
-    picture = bundled_texture(model)
+    picture = bundled_texture(model) if dressed is None else dressed.skin
     if picture is None:
         order, drawn, uv, texture = np.arange(len(model.neutral)), model.triangles, np.zeros((0, 2)), b""
     else:
@@ -32,18 +35,21 @@ def surface_message(model: FaceModel) -> dict[str, object]:
         quality = [cv2.IMWRITE_JPEG_QUALITY, TEXTURE_QUALITY]
         texture = cv2.imencode(".jpg", picture[..., ::-1], quality)[1].tobytes()
     outer = is_outer(model)
+    inner = ~outer if dressed is None else ~outer & dressed.shown
+    clothed = dressed is not None and any(worn.part.kind == "clothes" for worn in dressed.worn)
+    plane = None if clothed else collar(model)
     directions = np.array([light.direction for light in STUDIO.lights])
     return {
         "vertices": len(model.neutral),
         "triangles": np.ascontiguousarray(model.triangles, "<u4").tobytes(),
-        "drawn": np.concatenate([drawn[outer], drawn[~outer]]).astype("<u4").tobytes(),
+        "drawn": np.concatenate([drawn[outer], drawn[inner]]).astype("<u4").tobytes(),
         "outer": int(outer.sum()),
         "order": np.ascontiguousarray(order, "<u4").tobytes(),
         "uv": np.ascontiguousarray(uv, "<f4").tobytes(),
         "texture": texture,
         "colors": np.ascontiguousarray(model.colors).tobytes(),
-        "collar": None if (plane := collar(model)) is None else plane.tolist(),
-        "shown": np.ascontiguousarray(collar_opacity(model), "<f4").tobytes(),
+        "collar": None if plane is None else plane.tolist(),
+        "shown": np.ascontiguousarray(collar_opacity(model, plane), "<f4").tobytes(),
         "wet": (255 * of_regions(model, WET_REGIONS).astype(np.uint8)).tobytes(),
         "lights": {
             "from": (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel().tolist(),
@@ -53,6 +59,8 @@ def surface_message(model: FaceModel) -> dict[str, object]:
         "shine": [*SKIN_SHINE, *WET_SHINE],
         "ghost": list(GHOST_COLOR),
         "ground": list(SLATE),
+        "worn": [] if dressed is None else [worn_message(worn) for worn in dressed.worn],
+        "width": [] if dressed is None else dressed.scale_vertices[0].tolist(),
     }
 
 
@@ -70,9 +78,8 @@ def collar(model: FaceModel) -> Float[np.ndarray, "4"] | None:
     return np.append(normal, (model.neutral[rim] @ normal).min() - 1.0) if rim.any() else None
 
 
-def collar_opacity(model: FaceModel) -> Float[np.ndarray, "v"]:
-    """Above 0.5 on the head's side of the cutting plane and below 0.5 on the neck's; 1 for a head without a rim."""
-    plane = collar(model)
+def collar_opacity(model: FaceModel, plane: Float[np.ndarray, "4"] | None) -> Float[np.ndarray, "v"]:
+    """Above 0.5 on the head's side of the cutting plane and below 0.5 on the neck's; 1 without a plane."""
     if plane is None:
         return np.ones(len(model.neutral))
     return np.clip(0.5 + (plane[3] - model.neutral @ plane[:3]) / COLLAR_MM, 0.0, 1.0)

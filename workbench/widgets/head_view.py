@@ -31,8 +31,11 @@ class HeadView(Protocol):
     note: str | None
     """A message for the user; None if there is nothing to report."""
 
-    def set_vertices(self, vertices: Float[np.ndarray, "v 3"]) -> None:
-        """Show the head with these vertices: head frame, millimetres."""
+    def set_vertices(self, vertices: Float[np.ndarray, "v 3"], rest: Float[np.ndarray, "v 3"] | None = None) -> None:
+        """Show the head with these vertices: head frame, millimetres.
+
+        `rest` is the person without an expression, whom a character's hair follows; None: as before, or the model.
+        """
 
     def set_pose(
         self,

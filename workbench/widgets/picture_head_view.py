@@ -11,6 +11,7 @@ import traitlets
 from jaxtyping import Float, UInt8
 
 from workbench.errors import WorkbenchError
+from workbench.face.dressed_head import DressedHead
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.pictures.head_picture import head_painter
@@ -56,9 +57,15 @@ class _Scene:
 class PictureHeadView:
     """A `HeadView` made of pictures. One thread draws the latest state; changes made while it draws are drawn next."""
 
-    def __init__(self, model: FaceModel, size: tuple[int, int], note: str | None = None) -> None:
+    def __init__(
+        self,
+        model: FaceModel,
+        size: tuple[int, int],
+        note: str | None = None,
+        dressed: DressedHead | None = None,
+    ) -> None:
         self._model, self._size = model, size
-        self._painter = head_painter(model, size, fade_neck=True)
+        self._painter = head_painter(model, size, fade_neck=True, dressed=dressed)
         self.note = " ".join(part for part in (note, self._painter.note) if part) or None
         self._scene = _Scene(Shown(model.neutral.astype(np.float32)), front_viewpoint(model, size))
         self._changed = threading.Condition(threading.RLock())
@@ -79,11 +86,13 @@ class PictureHeadView:
         """The current viewpoint."""
         return self._scene.viewpoint
 
-    def set_vertices(self, vertices: Float[np.ndarray, "v 3"]) -> None:
+    def set_vertices(self, vertices: Float[np.ndarray, "v 3"], rest: Float[np.ndarray, "v 3"] | None = None) -> None:
         """See `HeadView.set_vertices`."""
-        check_vertices(vertices, len(self._model.neutral))
+        for points in (vertices,) if rest is None else (vertices, rest):
+            check_vertices(points, len(self._model.neutral))
         with self._changed:
-            self._show(replace(self._scene.shown, vertices=vertices.astype(np.float32)))
+            shown = replace(self._scene.shown, vertices=vertices.astype(np.float32))
+            self._show(shown if rest is None else shown.with_extras(rest=rest))
 
     def set_pose(
         self,

@@ -9,6 +9,7 @@ import numpy as np
 import traitlets
 from jaxtyping import Float, UInt8
 
+from workbench.face.dressed_head import DressedHead
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
 from workbench.pictures.extras import SEGMENT_MM
@@ -28,6 +29,7 @@ from workbench.widgets.head_view import (
     viewpoint_of,
 )
 from workbench.widgets.viewpoint import Viewpoint, front_viewpoint
+from workbench.widgets.worn_message import person_message
 
 NO_WEBGL_NOTE = "This browser has no WebGL; choose the back end 'pictures' for the 3D view."
 NOTHING: dict[str, object] = {}
@@ -43,6 +45,7 @@ class WebGLCanvas(anywidget.AnyWidget):
     _size = traitlets.List(traitlets.Int()).tag(sync=True)
     _mesh = traitlets.Dict(help="`surface_message`").tag(sync=True)
     _vertices = traitlets.Bytes(help="float32, head frame, mm").tag(sync=True)
+    _person = traitlets.Dict(help="`person_message`, or empty for a plain head").tag(sync=True)
     _colors = traitlets.Bytes(help="RGB of each vertex; empty: the skin").tag(sync=True)
     _points = traitlets.Dict(help="`rods_message`, or empty").tag(sync=True)
     _segments = traitlets.Dict(help="`rods_message`, or empty").tag(sync=True)
@@ -56,14 +59,14 @@ class WebGLCanvas(anywidget.AnyWidget):
 class WebGLHeadView:
     """A `HeadView` in WebGL. The browser keeps the mesh and the viewpoint; only what changed is sent."""
 
-    def __init__(self, model: FaceModel, size: tuple[int, int]) -> None:
-        self._model, self._size = model, size
+    def __init__(self, model: FaceModel, size: tuple[int, int], dressed: DressedHead | None = None) -> None:
+        self._model, self._size, self._dressed = model, size, dressed
         self._lock = threading.RLock()
         self._shown = Shown(model.neutral.astype(np.float32))
         front = viewpoint_numbers(front_viewpoint(model, size))
         self.canvas = WebGLCanvas(
-            _size=list(size), _mesh=surface_message(model), _vertices=_packed(model.neutral), _viewpoint=front,
-            _front=front,
+            _size=list(size), _mesh=surface_message(model, dressed), _vertices=_packed(model.neutral),
+            _person=self._person(model.neutral), _viewpoint=front, _front=front,
         )  # fmt: skip
         self.canvas.layout = widgets.Layout(width=f"{size[0]}px", max_width="100%")
         self._legend = Legend(size[0])
@@ -77,11 +80,15 @@ class WebGLHeadView:
     def __repr__(self) -> str:
         return f"WebGLHeadView({self._model.name!r}, {self._size[0]} × {self._size[1]})"
 
-    def set_vertices(self, vertices: Float[np.ndarray, "v 3"]) -> None:
+    def set_vertices(self, vertices: Float[np.ndarray, "v 3"], rest: Float[np.ndarray, "v 3"] | None = None) -> None:
         """See `HeadView.set_vertices`."""
-        check_vertices(vertices, len(self._model.neutral))
+        for points in (vertices,) if rest is None else (vertices, rest):
+            check_vertices(points, len(self._model.neutral))
         with self._lock:
             self._shown = replace(self._shown, vertices=vertices.astype(np.float32))
+            if rest is not None:
+                self._shown = self._shown.with_extras(rest=rest)
+                self.canvas._person = self._person(rest)
             self.canvas._vertices = _packed(vertices)
 
     def set_pose(
@@ -149,7 +156,7 @@ class WebGLHeadView:
         """See `HeadView.snapshot`."""
         with self._lock:
             shown, viewpoint = self._shown, self.viewpoint
-        with head_painter(self._model, self._size, fade_neck=True) as painter:
+        with head_painter(self._model, self._size, fade_neck=True, dressed=self._dressed) as painter:
             return painter.render(shown.vertices.astype(float), viewpoint.camera, *viewpoint.pose, extras=shown.extras)
 
     @property
@@ -163,6 +170,9 @@ class WebGLHeadView:
         """See `HeadView.close`."""
         for part in (self.canvas, self._legend, self.widget):
             part.close()
+
+    def _person(self, rest: Float[np.ndarray, "v 3"]) -> dict[str, object]:
+        return NOTHING if self._dressed is None else person_message(self._dressed, rest)
 
     def _look_from(self, viewpoint: Viewpoint) -> None:
         numbers = viewpoint_numbers(viewpoint)

@@ -13,6 +13,16 @@ export function readMesh(message) {
   };
 }
 
+// A part that a character wears, as sent by Python (`worn_message`).
+export function readPart(message) {
+  const { anchors, weights, offsets, triangles, drawn, order, uv, shade } = message;
+  return {
+    ...message, anchors: indicesOf(anchors), weights: floatsOf(weights), offsets: floatsOf(offsets),
+    triangles: indicesOf(triangles), drawn: indicesOf(drawn), order: indicesOf(order), uv: floatsOf(uv),
+    shade: new Uint8Array(bytesOf(shade)),
+  };
+}
+
 // Copies three numbers per vertex to three numbers per point.
 export function spread(order, values, points) {
   for (let i = 0; i < order.length; i++) {
@@ -24,8 +34,9 @@ export function spread(order, values, points) {
 // Positions and normals of a mesh's points, from the positions of its vertices; `stamp` counts the changes.
 export function makeShape(mesh) {
   const normals = new Float32Array(3 * mesh.vertices), count = 3 * mesh.order.length;
-  const shape = { places: new Float32Array(count), normals: new Float32Array(count), stamp: 0 };
+  const shape = { places: new Float32Array(count), normals: new Float32Array(count), vertices: null, stamp: 0 };
   shape.take = (places) => {
+    shape.vertices = places;
     sumNormals(places, mesh.triangles, normals);
     spread(mesh.order, places, shape.places);
     spread(mesh.order, normals, shape.normals);

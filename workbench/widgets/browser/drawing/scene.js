@@ -1,15 +1,18 @@
 import { projectionOf, transposed } from "./geometry.js";
 import { makeProgram } from "./program.js";
 import { makeRods } from "./rods.js";
-import { rodShaders, surfaceShaders } from "./shaders.js";
+import { rodShaders, surfaceShaders, wornShaders } from "./shaders.js";
 import { loadTexture, makeSurface } from "./surface.js";
 import { dot } from "./vectors.js";
+import { makeWorn } from "./worn.js";
 
 // A head, a second translucent one, balls and rods in one WebGL context. `redraw` is called when the texture is loaded.
 export function makeScene(gl, mesh, redraw) {
   const surfaces = makeProgram(gl, surfaceShaders()), rods = makeProgram(gl, rodShaders());
   const head = makeSurface(gl, surfaces, mesh), texture = loadTexture(gl, mesh.texture, redraw);
   const marks = { points: makeRods(gl, rods), segments: makeRods(gl, rods) }, ghost = makeGhost(gl, surfaces, mesh);
+  const cloth = mesh.worn.length ? makeProgram(gl, wornShaders()) : null;
+  const worn = cloth && makeWorn(gl, cloth, mesh, redraw);
   let colored = false;
   head.setColors(mesh.colors);
   gl.enable(gl.DEPTH_TEST);
@@ -27,14 +30,26 @@ export function makeScene(gl, mesh, redraw) {
     marks.segments.draw();
     look(gl, surfaces, mesh, pose);
     gl.uniform1i(surfaces.uniform("textured"), texture.ready && !colored ? 1 : 0);
+    gl.bindTexture(gl.TEXTURE_2D, texture.texture);
     if (seesInside(mesh.collar, pose)) gl.disable(gl.CULL_FACE);
     head.draw(mesh.drawn.length / 3);
+    if (worn) {
+      gl.disable(gl.CULL_FACE); // cards have two sides
+      look(gl, cloth, mesh, pose);
+      worn.draw();
+      surfaces.use();
+    }
     gl.enable(gl.CULL_FACE);
     ghost.draw();
   }
 
+  function setHead(shape) {
+    head.setShape(shape);
+    worn?.follow(shape.vertices);
+  }
+
   return {
-    draw, setHead: head.setShape, setGhost: ghost.set,
+    draw, setHead, setGhost: ghost.set, setPerson: (person) => worn?.setPerson(person),
     // RGB per vertex to replace the skin, or null.
     setColors(colors) {
       colored = Boolean(colors);

@@ -14,10 +14,11 @@ const LIGHTING = `${HEADER}
 in vec3 n, p, tint;
 uniform vec3 from[3], strength[3]; uniform float ambient, opacity;
 out vec4 result;
+float spark;
 void light(vec3 albedo, vec2 gloss) {
   vec3 m = normalize(gl_FrontFacing ? n : -n), sum = vec3(ambient);
   for (int k = 0; k < 3; k++) sum += max(dot(m, from[k]), 0.0) * strength[k];
-  float spark = pow(max(dot(reflect(normalize(p), m), from[0]), 0.0), gloss.y);
+  spark = pow(max(dot(reflect(normalize(p), m), from[0]), 0.0), gloss.y);
   result = vec4(albedo * sum + gloss.x * spark * strength[0], opacity);
 }`;
 
@@ -37,6 +38,26 @@ void main() {
   vec3 albedo = textured ? texture(skin, at).rgb : tint;
   if (kind.x < 0.5) discard;
   light(albedo, mix(shine[0], shine[1], kind.y));
+}`];
+}
+
+// A part that a character wears, drawn where its alpha is in the pass's range. A glint comes back whatever lies below it.
+export function wornShaders() {
+  return [`${PLACING}
+in vec3 place, normal; in vec2 uv; in float shade;
+out vec2 at;
+void main() {
+  at = uv;
+  show(place, normal, vec3(shade));
+}`, `${LIGHTING}
+in vec2 at;
+uniform sampler2D skin; uniform vec2 gloss; uniform float from_alpha, below_alpha; uniform bool glint;
+void main() {
+  vec4 color = texture(skin, at);
+  if (color.a < from_alpha || color.a >= below_alpha) discard;
+  light(color.rgb * tint, gloss);
+  result.a *= color.a;
+  if (glint) result = mix(result, vec4(1.0), clamp(2.0 * spark, 0.0, 1.0));
 }`];
 }
 

@@ -37,18 +37,22 @@ function spreadOnes(order, values, points) {
 }
 
 // Loads the texture and then calls `loaded`; a mesh without a texture keeps the colours of its points.
-export function loadTexture(gl, picture, loaded) {
-  const texture = { ready: false };
-  if (!picture.byteLength) return texture;
-  createImageBitmap(new Blob([bytesOf(picture)], { type: "image/jpeg" })).then((image) => {
-    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+export const loadTexture = (gl, picture, loaded) => loadPicture(gl, picture, "image/jpeg", loaded);
+
+// Loads a picture (RGBA; what is transparent keeps its colour) and then calls `loaded`.
+export function loadPicture(gl, picture, type, loaded) {
+  const made = { ready: false, texture: null };
+  if (!picture.byteLength) return made;
+  createImageBitmap(new Blob([bytesOf(picture)], { type }), { premultiplyAlpha: "none" }).then((image) => {
+    made.texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, made.texture);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
     gl.generateMipmap(gl.TEXTURE_2D);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
     gl.texParameterf(gl.TEXTURE_2D, gl.TEXTURE_MAX_LOD, 1); // at coarser levels, skin would show at the hair's seams
     image.close();
-    texture.ready = true;
+    made.ready = true;
     loaded();
   });
-  return texture;
+  return made;
 }

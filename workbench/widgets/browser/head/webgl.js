@@ -16,6 +16,12 @@ const SHARPEST = 2; // drawn pixels per CSS pixel along an axis
 function makeFeeding(model, mesh) {
   const head = makeShape(mesh), ghost = makeShape(mesh);
   const feeds = {
+    _person(scene) {
+      const person = model.get("_person");
+      if (!person.rest) return;
+      scene.setPerson(person);
+      if (head.vertices) scene.setHead(head);
+    },
     _vertices: (scene) => scene.setHead(head.take(floatsOf(model.get("_vertices")))),
     _colors(scene) {
       const colors = model.get("_colors");
