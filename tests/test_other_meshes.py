@@ -181,15 +181,12 @@ def solved(monkeypatch):
         )  # fmt: skip
 
     class Solver:
-        def __init__(self, head):
-            pass
-
         def solve(self, config, frames, study, label):
             fitter = SimpleNamespace(record=lambda solution: solution)
             return SimpleNamespace(fitter=fitter, solutions={frame: fit(frame) for frame in frames})
 
     seen = lambda frame: SimpleNamespace(landmarks=SimpleNamespace(points=truth.landmarks[frame]))  # noqa: E731
-    monkeypatch.setattr(other_meshes, "ClipSolver", Solver)
+    monkeypatch.setattr(other_meshes, "clip_solver", Solver)
     monkeypatch.setattr(other_meshes, "observed", seen)
 
 

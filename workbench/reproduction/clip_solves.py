@@ -1,18 +1,22 @@
-"""Deep Energies on frames of the bundled clip, with the truth of each beside its solution."""
+"""Deep Energies on frames of the bundled clip, with the truth of each beside its solution.
+
+Items that look at the same frame under the same configuration solve it once, as long as they are made by one process.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from workbench.config import Config
-from workbench.face import FaceModel
+from workbench.config import Config, preset
+from workbench.face import FaceModel, load_default_head, principal_expressions
 from workbench.landmarks.network_detector import bundled_landmark_network
 from workbench.planning import plan_of
 from workbench.rendering import Appearance
 from workbench.reproduction.rendered_clip import (
+    FOV_DEG,
     NEUTRAL_FRAME,
     clip_landmarks,
     clip_pictures,
@@ -20,7 +24,7 @@ from workbench.reproduction.rendered_clip import (
     errors_of_pose_and_jaw,
 )
 from workbench.reproduction.study import Study
-from workbench.tracking import FrameContext, FrameObservation
+from workbench.tracking import FrameContext, FrameFit, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_solution import DeepSolution
 from workbench.tracking.deep_target import photo_landmarks
@@ -68,11 +72,15 @@ def seen_in(picture: UInt8[np.ndarray, "480 640 3"], frame: int) -> FrameObserva
 
 
 class ClipSolver:
-    """Solves frames under several configurations, from one appearance."""
+    """Solves frames of the default head under several configurations, from one appearance."""
 
-    def __init__(self, head: FaceModel):
-        self._head = head
-        self._appearance: Appearance | None = None
+    def __init__(self) -> None:
+        self._solved: dict[tuple[str, int], DeepSolution] = {}
+
+    @cached_property
+    def _appearance(self) -> Appearance | None:
+        """Of the neutral frame under the preset deep, whatever is solved."""
+        return _fitter(_with_camera(preset("deep"))).appearance([observed(NEUTRAL_FRAME)], clip_truth().identity)
 
     def solve(
         self,
@@ -82,17 +90,54 @@ class ClipSolver:
         label: str,
         observe: Callable[[int], FrameObservation] = observed,
     ) -> ClipSolves:
-        """The frames, each on its own, with the clip's camera and its person's identity."""
-        config = config.changed(
-            camera={"matrix": clip_truth().camera_matrix.tolist()},
-            identity={"calibrate": False},
-            deep={"distance_mm": START_MM},
-        )
-        fitter, identity = DeepFitter(self._head, plan_of(config)), clip_truth().identity
-        if self._appearance is None:
-            self._appearance = fitter.appearance([observed(NEUTRAL_FRAME)], identity)
-        context, solutions = FrameContext(0, identity, None, None, self._appearance), {}
+        """The frames, each on its own, with the clip's camera and its person's identity.
+
+        What was solved before, and as `observed`, is not solved again: its seconds are those that it took then.
+        """
+        config = _with_camera(config)
+        fitter, settings, solutions = _fitter(config), config.model_dump_json(), {}
+        context = FrameContext(0, clip_truth().identity, None, None, self._appearance)
         for done, frame in enumerate(frames):
             study.progress(label, done, len(frames))
-            solutions[frame] = fitter.solve(fitter.problem(observe(frame), context))
+            known = self._solved.get((settings, frame)) if observe is observed else None
+            solutions[frame] = known or fitter.solve(fitter.problem(observe(frame), context))
+            if observe is observed:
+                self._solved[settings, frame] = solutions[frame]
         return ClipSolves(fitter, solutions)
+
+
+@cache
+def clip_solver() -> ClipSolver:
+    """The one whose solutions items share."""
+    return ClipSolver()
+
+
+@cache
+def parallel_fit(name: str, frame: int) -> FrameFit:
+    """A frame under a preset of Appendix C.2: ten components each of shape and expression, no lens known."""
+    fitter = _parallel_fitter(name)
+    return fitter.fit(observed(frame), FrameContext(0, fitter.mean_identity(), None, None))[0]
+
+
+@cache
+def parallel_head() -> FaceModel:
+    """The default head with ten principal components of its own expressions."""
+    return principal_expressions(load_default_head())
+
+
+@cache
+def _parallel_fitter(name: str) -> DeepFitter:
+    return DeepFitter(parallel_head(), plan_of(preset(name).changed(camera={"fov_deg": FOV_DEG})))
+
+
+def _fitter(config: Config) -> DeepFitter:
+    return DeepFitter(load_default_head(), plan_of(config))
+
+
+def _with_camera(config: Config) -> Config:
+    """With what of a frame is known."""
+    return config.changed(
+        camera={"matrix": clip_truth().camera_matrix.tolist()},
+        identity={"calibrate": False},
+        deep={"distance_mm": START_MM},
+    )

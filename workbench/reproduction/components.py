@@ -4,36 +4,28 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench import plots
-from workbench.config import preset
-from workbench.face import FaceModel, load_default_head, principal_expressions
+from workbench.face import FaceModel, load_default_head
 from workbench.landmarks.scheme import lip_distance, outer_eye_distance
-from workbench.planning import plan_of
-from workbench.reproduction.clip_solves import observed
-from workbench.reproduction.rendered_clip import FOV_DEG, clip_truth
+from workbench.reproduction.clip_solves import parallel_fit, parallel_head
+from workbench.reproduction.rendered_clip import OPEN_MOUTH, SEVEN_FRAMES, clip_truth
 from workbench.reproduction.study import Result, Study, Table
-from workbench.tracking import FrameContext
-from workbench.tracking.deep_fitter import DeepFitter
 
-FRAMES = tuple(range(4, 240, 20))
-QUICK_FRAMES = (4, 184)
+QUICK_FRAMES = (SEVEN_FRAMES[0], OPEN_MOUTH)
 
 
 def opening(study: Study) -> Result:
     """Whether ten components open the mouth: distance of the lips, as found and as rendered."""
-    head, frames = load_default_head(), QUICK_FRAMES if study.quick else FRAMES
+    head, frames = load_default_head(), QUICK_FRAMES if study.quick else SEVEN_FRAMES
     truth = clip_truth()
     true_person = head.personal(truth.identity)
     names = ("deep-parallel",) if study.quick else ("deep-parallel", "orthographic")
     found: dict[str, list[float]] = {name: [] for name in names}
     rendered = [_lips_apart(true_person, true_person.vertices(truth.expression[k])) for k in frames]
-    model = principal_expressions(head)
     for name in names:
-        fitter = DeepFitter(model, plan_of(preset(name).changed(camera={"fov_deg": FOV_DEG})))
-        context = FrameContext(0, fitter.mean_identity(), None, None)
         for done, frame in enumerate(frames):
             study.progress(name, done, len(frames))
-            fit, _ = fitter.fit(observed(frame), context)
-            person = model.personal(np.asarray(fit.identity))
+            fit = parallel_fit(name, frame)
+            person = parallel_head().personal(np.asarray(fit.identity))
             found[name].append(_lips_apart(person, person.vertices(fit.expression)))
     rows = tuple(
         (str(frame), *(f"{100.0 * value:.1f}" for value in (rendered[k], *(found[name][k] for name in names))))

@@ -6,7 +6,7 @@ from workbench import plots
 from workbench.config import preset
 from workbench.face import load_default_head
 from workbench.pictures import stage_strip
-from workbench.reproduction.clip_solves import QUANTITIES, QUICK_NOTE, ClipSolver
+from workbench.reproduction.clip_solves import QUANTITIES, QUICK_NOTE, clip_solver
 from workbench.reproduction.rendered_clip import OPEN_MOUTH, SEVEN_FRAMES, clip_pictures
 from workbench.reproduction.stereo_film import APART_DEG, AXES, film_stereo
 from workbench.reproduction.stereo_solves import rigid_differences, solve_film
@@ -24,7 +24,7 @@ OTHER_PARTS = (
 def stages(study: Study) -> Result:
     """Figs. 3 to 6: what each stage leaves, as strips and as errors."""
     frames = (OPEN_MOUTH,) if study.quick else STRIPS
-    solver = ClipSolver(load_default_head())
+    solver = clip_solver()
     solves = {
         name: solver.solve(preset(name), frames, study, name)
         for name in (("deep",) if study.quick else ("deep-energies", "deep"))
@@ -82,7 +82,7 @@ def seen_or_preselected(study: Study) -> Result:
     """Fig. 19: landmarks that the network sees in the render against points on the mesh."""
     frames = (OPEN_MOUTH,) if study.quick else SEVEN_FRAMES
     ours, printed = ("deep", "deep-points"), ("deep-energies", "preselected-points")
-    solver = ClipSolver(load_default_head())
+    solver = clip_solver()
     solves = {
         name: solver.solve(preset(name), frames, study, name) for name in (ours if study.quick else printed + ours)
     }

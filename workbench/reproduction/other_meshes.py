@@ -9,20 +9,18 @@ from matplotlib.figure import Figure
 
 from workbench import plots
 from workbench.config import preset
-from workbench.face import FaceModel, load_default_head, posed_vertices, principal_expressions
+from workbench.face import FaceModel, load_default_head, posed_vertices
 from workbench.geometry import Camera, camera_from_matrix
 from workbench.landmarks.scheme import outer_eye_distance
 from workbench.pictures.mesh import to_camera
-from workbench.planning import plan_of
-from workbench.reproduction.clip_solves import ClipSolver, observed
+from workbench.reproduction.clip_solves import clip_solver, observed, parallel_fit, parallel_head
 from workbench.reproduction.head_pose import pose_by_pnp
 from workbench.reproduction.mesh_files import FoundMesh, read_mesh_folder
 from workbench.reproduction.mesh_pictures import mesh_panel, photo_panel, square_around
 from workbench.reproduction.mesh_placing import IN_CROP, distance_px, in_picture, read_over
-from workbench.reproduction.rendered_clip import FOV_DEG, OPEN_MOUTH, SIZE, clip_pictures, clip_truth
+from workbench.reproduction.rendered_clip import OPEN_MOUTH, SIZE, clip_pictures, clip_truth
 from workbench.reproduction.study import Result, Study, Table
-from workbench.tracking import FrameContext, FrameFit
-from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking import FrameFit
 
 FRAMES, QUICK_FRAMES = (60, 140, OPEN_MOUTH), (OPEN_MOUTH,)
 PANEL, COLUMNS, MARGIN = 280, 4, 1.45
@@ -59,8 +57,8 @@ def compared(study: Study) -> Result:
     meshes = [_placed(other, faces[other.frame], study) for other in others if other.frame in frames]
     meshes += [_by_pnp(head, frame) for frame in frames]
     if not study.quick:
-        meshes += _by_parallel_projection(head, frames, study)
-    solves = ClipSolver(head).solve(preset("deep"), frames, study, OURS)
+        meshes += _by_parallel_projection(frames, study)
+    solves = clip_solver().solve(preset("deep"), frames, study, OURS)
     meshes += [_fitted(OURS, head, solves.fitter.record(solves.solutions[frame])) for frame in frames]
     header = ("", "frame", "vertices", "triangles", "axes in the file", "distance")
     title = "Meshes, and their mean distance from the rendered face, % of the eye distance"
@@ -116,14 +114,12 @@ def _by_pnp(head: FaceModel, frame: int) -> Shown:
     return Shown(PNP, frame, in_picture(camera, to_camera(head.neutral, *pose)), head.triangles)
 
 
-def _by_parallel_projection(head: FaceModel, frames: Sequence[int], study: Study) -> list[Shown]:
+def _by_parallel_projection(frames: Sequence[int], study: Study) -> list[Shown]:
     """Appendix C.2: ten components each of shape and expression, no lens known."""
-    model = principal_expressions(head)
-    fitter = DeepFitter(model, plan_of(preset(PARALLEL).changed(camera={"fov_deg": FOV_DEG})))
-    context, found = FrameContext(0, fitter.mean_identity(), None, None), []
+    found = []
     for done, frame in enumerate(frames):
         study.progress(PARALLEL, done, len(frames))
-        found.append(_fitted(PARALLEL, model, fitter.fit(observed(frame), context)[0]))
+        found.append(_fitted(PARALLEL, parallel_head(), parallel_fit(PARALLEL, frame)))
     return found
 
 

@@ -11,7 +11,7 @@ from workbench import plots
 from workbench.config import preset
 from workbench.face import load_default_head
 from workbench.landmarks.scheme import GROUPS, outer_eye_distance
-from workbench.reproduction.clip_solves import QUANTITIES, ClipSolver, ClipSolves, seen_in
+from workbench.reproduction.clip_solves import QUANTITIES, ClipSolves, clip_solver, seen_in
 from workbench.reproduction.rendered_clip import clip_pictures, clip_truth, errors_of_pose_and_jaw, true_parameters
 from workbench.reproduction.study import Result, Study, Table
 from workbench.tracking import FrameFit, FrameObservation
@@ -84,7 +84,7 @@ def _fits(shot: Mapping[int, Picture], observation: FrameObservation, study: Stu
     configs = {WHOLE: alike, WITHOUT_JAW: alike.changed(landmarks={"weights": {"jaw": 0.0}})}
     if not study.quick:
         configs |= {"with confidences": preset("deep"), "preset deep-energies": preset("deep-energies")}
-    solver = ClipSolver(head)
+    solver = clip_solver()
     solves = {label: solver.solve(config, (FRAME,), study, label, seen.get) for label, config in configs.items()}
     ends = solver.solve(preset("deep"), (first, last), study, "neighbours", seen.get)
     fitter = FlowFitter(head, ends.fitter.plan)
