@@ -1,28 +1,39 @@
 """The flow energy with the network on photos and renders, and its derivative (Deep Energies Secs. 6 and 7)."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 
 from tests import paper_formulas as paper
-from tests.films import film_config, landmark_error_px, lost
+from tests.films import DEPTH_MM, FOV_DEG, SIZE, film_config, landmark_error_px, lost
+from tests.networks import randomised
+from tests.old_checkpoints import write_old_checkpoint
+from tests.stereo_scenes import make_rig
 from tests.test_infill import snap
 from workbench.config import Stage
 from workbench.energies.flow import LANDMARKS, FlowWeights
 from workbench.errors import ConfigError
-from workbench.face import pack, typical_sizes, unpack
+from workbench.face import FaceParameters, pack, typical_sizes, unpack
 from workbench.face.unknowns import slots
+from workbench.flow import read_flow
+from workbench.geometry import Rig, pose_in_view, write_rig
+from workbench.networks import named_arrays
+from workbench.networks.flownet2 import empty_flownet2
 from workbench.planning import plan_of
-from workbench.rendering import render_model
+from workbench.rendering import Appearance, render_model, turned_light
+from workbench.tracking.deep_programs import CHUNK
+from workbench.tracking.deep_views import light_of
 from workbench.tracking.flow_fitter import FlowFitter, parameters_of
 from workbench.tracking.flow_solver import MOVING, FlowLimits
 from workbench.tracking.infill import fill_by_flow, fill_linearly, infilled
 from workbench.tracking.photo_flow import cutout_about
 from workbench.tracking.point_links import Neighbour, places_of
 from workbench.tracking.refinement import refined
-from workbench.tracking.rendered_flow import look_at, read_grid
+from workbench.tracking.rendered_flow import look_at, read_grid, rendered_derivative
 from workbench.tracking.rendered_flow_problem import MovingFrame, RenderedFlow
 from workbench.tracking.rendered_flow_solver import (
     differences_of,
@@ -38,6 +49,8 @@ STAGE = Stage(name="all", free=("rotation", "translation", "expression"), shapes
 STEP = 0.05
 """Half the width of a central difference, in units of the unknown's typical size."""
 PLAIN = {"robust": 1e4, "stay": 0.0}
+SMALL = {"side": 64, "iterations": 3}
+"""The smallest pictures that the bundled network sees."""
 
 
 @pytest.fixture(scope="module")
@@ -222,3 +235,152 @@ def test_nothing_free_leaves_the_frame_where_it_is(film, plain):
 def places(fitter, film, state):
     """The surface points in the only view, pixels."""
     return np.asarray(places_of(fitter.linker.points, fitter.views(film.truth[0]), state), float)[0]
+
+
+# Small cut-outs: one anchor, two cameras, another network.
+
+
+def turning(index: int):
+    """A head that turns and moves to the side."""
+    return {"jawOpen": 0.3}, (5.0 * index - 8.0, 0.0, 0.0), (2.0 * index, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def turn(film_maker):
+    return film_maker.film(4, turning)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("anchor", "gap"), [(1, (2, 3)), (2, (0, 1))], ids=["after the anchor", "before it"])
+def test_a_gap_with_one_anchor_is_followed_from_there(film_maker, turn, anchor, gap):
+    """A clip that ends, or begins, with lost frames: each is solved from the one nearer to the anchor (Appendix A)."""
+    fitter = fitter_of(film_maker, flow=SMALL, infill={"method": "flow"})
+    fits = [lost(fit) if fit.index in gap else fit for fit in turn.truth]
+    result = [moment.fit for moment in infilled(fitter, turn.moments(fits))]
+    for k in gap:
+        stayed = landmark_error_px(turn.truth[anchor], turn.truth[k])
+        assert landmark_error_px(result[k], turn.truth[k]) < 0.5 * stayed
+
+
+@dataclass(frozen=True, eq=False)
+class StereoTurn:
+    """The turning head before two cameras, 35° apart."""
+
+    rig: Rig
+    path: Path
+    states: list[FaceParameters]
+    """In the frame of the first camera."""
+    pictures: list[tuple[np.ndarray, ...]]
+    """By frame, of both."""
+
+    def neighbour(self, index: int) -> Neighbour:
+        return Neighbour(self.states[index], self.pictures[index])
+
+
+@pytest.fixture(scope="module")
+def stereo(film_maker, turn, tmp_path_factory):
+    rig = make_rig((0.0, 35.0), distance_mm=DEPTH_MM, image_size=SIZE, fov_deg=FOV_DEG)
+    path = tmp_path_factory.mktemp("rig") / "rig.toml"
+    write_rig(rig, path)
+    states = [parameters_of(fit) for fit in turn.truth[:3]]
+    aside = [film_maker.picture(beside(state, rig)) for state in states]
+    return StereoTurn(rig, path, states, list(zip(turn.pictures, aside, strict=False)))
+
+
+def beside(state: FaceParameters, rig: Rig) -> FaceParameters:
+    """The same head in the frame of the second camera."""
+    rotation, translation = pose_in_view(state.rotation, state.translation, rig.placed_view(1))
+    return state._replace(rotation=np.asarray(rotation), translation=np.asarray(translation))
+
+
+def problem_of(fitter, fit, ends, pictures, start, light=None):
+    """A frame that starts at `start` between two neighbours, which nothing holds, in this light."""
+    free = np.full(len(pack(start, MOVING)), np.inf)
+    limits, weights = FlowLimits(-free, free, 4, 1e-4), FlowWeights(1.0, 0.0, 0.0, 1e4)
+    colors = np.asarray(render_model(fitter.model).colors)
+    appearance = None if light is None else Appearance(colors, np.asarray(light), np.ones(len(colors)), 0.0)
+    frame = MovingFrame(start, start, fitter.views(fit), weights, limits, appearance)
+    return maker_of(fitter).between(ends, pictures, frame)
+
+
+@pytest.mark.slow
+def test_each_of_two_views_is_compared_as_by_a_camera_of_its_own(film_maker, turn, stereo):
+    """Flow, photos' flow, mask, unit and the derivative by the translation, which the rig turns into the view."""
+    both = fitter_of(film_maker, flow=SMALL, camera={"rig": str(stereo.path)})
+    alone = fitter_of(film_maker, flow=SMALL)
+    ends = stereo.neighbour(0), stereo.neighbour(2)
+    start, columns = stereo.states[1], np.arange(3, 6)
+    problem = problem_of(both, turn.truth[1], ends, stereo.pictures[1], start)
+    flows, moved = flows_at(problem, start), flow_derivative(problem, start, columns)
+    assert flows.shape[:2] == (2, 2)
+    for view in range(2):
+        seen = (lambda state: beside(state, stereo.rig)) if view else (lambda state: state)
+        own_ends = tuple(Neighbour(seen(end.parameters), end.pictures[view : view + 1]) for end in ends)
+        light = turned_light(light_of(None), stereo.rig.views[view].rotation_view_world)
+        own = problem_of(alone, turn.truth[1], own_ends, stereo.pictures[1][view : view + 1], seen(start), light)
+        np.testing.assert_allclose(flows[:, view], flows_at(own, seen(start))[:, 0], atol=0.02)
+        turned = np.tensordot(
+            stereo.rig.views[view].rotation_view_world, flow_derivative(own, seen(start), columns), axes=(0, 0)
+        )
+        assert agreement(moved[:, :, view], turned[:, :, 0]) > 0.99
+        assert problem.unit_px[view] == pytest.approx(own.unit_px[0], rel=0.01)
+        for term, other in zip(problem.differences, own.differences, strict=True):
+            np.testing.assert_allclose(term.target[view], other.target[0], atol=0.02)
+            assert np.abs(term.weights[view] - other.weights[0]).mean() < 0.01
+
+
+@pytest.mark.slow
+def test_the_second_camera_finds_the_depth(film_maker, turn, stereo):
+    """The first one hardly sees it."""
+    true = stereo.states[1]
+    start = true._replace(translation=true.translation + np.array([0.0, 0.0, 12.0]))
+    off = {}
+    for name, count, camera in (("one", 1, {}), ("two", 2, {"camera": {"rig": str(stereo.path)}})):
+        fitter = fitter_of(film_maker, flow=SMALL, **camera)
+        end = Neighbour(stereo.states[0], stereo.pictures[0][:count])
+        found = fitter.between((end, None), stereo.pictures[1][:count], start, start, fitter.views(turn.truth[1]))
+        off[name] = abs(found.parameters.translation[2] - true.translation[2])
+    assert off["two"] < 1.5
+    assert off["two"] < 0.5 * off["one"]
+
+
+@pytest.fixture(scope="module")
+def flownet2_file(tmp_path_factory):
+    """A narrow FlowNet2 with random weights, as a file of the published kind."""
+    arrays = {name: np.asarray(array) for name, array in named_arrays(randomised(empty_flownet2(4))).items()}
+    return write_old_checkpoint(tmp_path_factory.mktemp("flownet2") / "FlowNet2_checkpoint.pth.tar", arrays)
+
+
+@pytest.mark.slow
+def test_flownet2_sees_photos_and_renders_and_has_the_derivative(film_maker, turn, flownet2_file):
+    """The published network as `flow.estimator`: its own flows are compared, and its own slope is taken."""
+    fitter = fitter_of(film_maker, flow={**SMALL, "estimator": str(flownet2_file)})
+    start = parameters_of(turn.truth[1])
+    known = Neighbour(parameters_of(turn.truth[0]), (turn.pictures[0],))
+    problem = problem_of(fitter, turn.truth[1], (known, None), (turn.pictures[1],), start)
+    own = read_flow(flownet2_file, SMALL["side"])
+    cutout = cutout_about(np.concatenate([places(fitter, turn, at) for at in (known.parameters, start)]), SMALL["side"])
+    photos = read_grid(own(*(cutout.cut(picture) for picture in turn.pictures[:2])))
+    drawn = [np.asarray(look_at(problem.model, problem.views[0], at, 64)) for at in (known.parameters, start)]
+    np.testing.assert_allclose(problem.differences[0].target[0], photos, atol=1e-3)
+    np.testing.assert_allclose(flows_at(problem, start)[0, 0], read_grid(own(*drawn)), atol=1e-3)
+    columns, traced = np.array([0, 3, 5]), jax.jit(own.traced)
+    padded = np.array([*columns, *[-1] * (CHUNK - len(columns))])
+    changes = np.asarray(rendered_derivative(problem.model, problem.views[0], start, padded, pixels=SMALL["side"]))
+    for ours, change in zip(flow_derivative(problem, start, columns)[:, 0, 0], changes, strict=False):
+        step = 1e-3 / np.abs(change).max()
+        ends = [read_grid(traced(drawn[0], drawn[1] + sign * step * change)) for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(ours, (ends[0] - ends[1]) / (2.0 * step), atol=0.05 * np.abs(ours).max())
+
+
+@pytest.mark.slow
+def test_a_frame_is_drawn_back_through_flownet2(film_maker, turn, flownet2_file):
+    """Even random weights tell where the frame is, if renders look like the photos."""
+    fitter = fitter_of(film_maker, flow={**SMALL, **PLAIN, "estimator": str(flownet2_file), "iterations": 6})
+    true = parameters_of(turn.truth[1])
+    start = true._replace(translation=true.translation + np.array([4.0, -3.0, 0.0]))
+    known = Neighbour(parameters_of(turn.truth[0]), (turn.pictures[0],))
+    views, appearance = fitter.views(turn.truth[1]), fitter.appearance(turn.truth[0], turn.pictures[0])
+    found = fitter.between((known, None), (turn.pictures[1],), start, start, views, appearance=appearance)
+    off = np.linalg.norm(found.parameters.translation - true.translation)
+    assert off < 0.5 * 5.0

@@ -2,6 +2,8 @@
 
 import time
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -52,7 +54,7 @@ def fill_gap(
     inside = [pictures[k] for k in frames]
     if method == FLOW:
         ends = Moment(before[-1], pictures[frames.start - 1]), Moment(after[0], pictures[frames.stop])
-        fill_by_flow(fitter, *ends, inside[:1])  # compiles
+        fill_by_flow(_of_one_step(fitter), *ends, inside[:1])  # compiles
     began = time.perf_counter()
     if method == FLOW:
         found = fill_by_flow(fitter, *ends, inside)
@@ -97,6 +99,13 @@ def flow_figure(fitter: FlowFitter, fits: Sequence[FrameFit], photos: Sequence[U
     }
     ends = (fits[0].index, fits[-1].index)
     return plots.picture_rows(rows, [f"frame {fit.index}" + (", anchor" if fit.index in ends else "") for fit in fits])
+
+
+def _of_one_step(fitter: FlowFitter) -> FlowFitter:
+    """The same fitter with one iteration a solve: it takes the same programs."""
+    brief = copy(fitter)
+    brief.plan = replace(fitter.plan, flow=replace(fitter.plan.flow, iterations=1))
+    return brief
 
 
 def _beside(fitter: FlowFitter, track: Track, frames: range) -> tuple[list[FrameFit], list[FrameFit]]:
