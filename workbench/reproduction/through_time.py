@@ -44,8 +44,8 @@ USUAL_FLOW = (
 )
 BEFORE_AND_AFTER = {"before": "none", "hybrid": "hybrid"}
 SMALL_SIDE, SIDE = 128, 256
-"""Cut-outs in which the forms of the flow are compared, pixels; those through the network in small ones, as a quarter of
-the pixels takes a quarter of the time."""
+"""Cut-outs in which the forms of the flow are compared, pixels; through the network in small ones, as a quarter of the
+pixels takes a quarter of the time."""
 QUICK_ITERATIONS = 4
 QUICK_NOTE = "A quick run solves by preselected points alone: renders seen by the network take longer."
 
@@ -199,9 +199,9 @@ def flow_forms(study: Study) -> Result:
         [Table(f"Mean absolute errors in frames {_listed(gap)}, {solve.series}", header, tuple(rows))],
         "The flow network is the workbench's own, in place of FlowNet2; in the first form, dense inverse search is on "
         "the photos. As published: by the network's derivative, forward and then backward over the filled frames, all "
-        "compared pixels alike, nothing that holds the blendshapes. "
-        "The sides of cut-outs are in the labels, in the paper it is 512; through the network they are small, because it "
-        "takes long: compare with the row of the same side. Times are those of the computer that made this page.",
+        "compared pixels alike, nothing that holds the blendshapes. The sides of cut-outs are in the labels, in the "
+        "paper 512; through the network they are small, because it takes long: compare with the row of the same side. "
+        "Times are those of the computer that made this page.",
         *quick,
     )
 
