@@ -97,6 +97,7 @@ def sheet(study: Study) -> Result:
         (str(k + 1), case.says, *(text for name in fits for text in _errors(fits[name][k], case)))
         for k, case in enumerate(cases)
     )
+    unseen = [str(k + 1) for k, observation in enumerate(observations) if observation.landmarks is None]
     seen = [k for k, observation in enumerate(observations) if observation.landmarks is not None]
     figures = {
         f"Cases {', '.join(str(k + 1) for k in some)}: what the camera sees, and both presets' faces over it.": (
@@ -111,7 +112,11 @@ def sheet(study: Study) -> Result:
         data=f"{len(cases)} rendered pictures of five people, 640 × 480, each alone; landmarks by {chosen_detector()}.",
         figures=figures,
         tables=(Table("Errors", header, rows),),
-        notes=("The paper shows photos of real people; these are rendered, so that the angles are known.",),
+        notes=(
+            "The paper shows photos of real people, and a character that has their expressions; these people are "
+            "rendered, so that the angles are known, and the face over them is the default head.",
+            *((f"The detector finds no face in {', '.join(unseen)}: these are not pictured.",) if unseen else ()),
+        ),
     )
 
 
