@@ -10,18 +10,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from workbench import reproduction
+from workbench.config import preset
 from workbench.errors import InputError
 from workbench.face import FaceParameters
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures.lighting import Light, Lighting
-from workbench.reproduction import Item, Result, Study, Table, boston_camera, pose_errors
+from workbench.reproduction import Item, Result, Study, Table, boston_camera, clip_solves, pose_errors
 from workbench.reproduction import study as studies
 from workbench.reproduction.boston import INCH_MM, NAMES, BostonSequence, read_set
-from workbench.reproduction.differences import deep_configs, face_it_configs
+from workbench.reproduction.differences import FEW_FRAMES, deep_configs, deep_rows, face_it_configs
 from workbench.reproduction.head_pose import POSE_COLUMNS, errors_of, poses_by_pnp, read_poses
 from workbench.reproduction.items import ITEMS
-from workbench.reproduction.rendered_clip import clip_truth, errors_of_pose_and_jaw
+from workbench.reproduction.rendered_clip import SEVEN_FRAMES, clip_truth, errors_of_pose_and_jaw
 from workbench.reproduction.simulated_boston import (
     DISTANCE_MM,
     SHIFT_MM,
@@ -371,3 +372,44 @@ def test_the_truth_of_the_clip_has_no_errors(head, frame):
 def test_every_row_of_the_differences_is_another_configuration(configs):
     made = [config.model_dump_json(exclude={"preset"}) for config in configs().values()]
     assert len(set(made)) == len(made)
+
+
+def test_the_derivative_through_the_network_is_taken_on_few_frames_and_the_label_says_so():
+    rows = {label: (config.deep.derivative, tuple(frames)) for label, config, frames in deep_rows(quick=False)}
+    few = {label: kind for label, (kind, frames) in rows.items() if frames != SEVEN_FRAMES}
+    assert {rows[label][1] for label in few} == {FEW_FRAMES}
+    assert set(few.values()) == {"forward", "broyden"}
+    assert all(f"frames {FEW_FRAMES[0]} and {FEW_FRAMES[1]} alone" in label for label in few)
+    assert not any("alone" in label for label in rows.keys() - few.keys())
+    assert {config.deep.derivative for _, config, _ in deep_rows(quick=True)} == {"broyden"}
+
+
+def test_a_frame_of_the_clip_is_solved_once_under_each_configuration(monkeypatch):
+    """Unless it is seen in another picture."""
+    asked = []
+
+    class Fitter:
+        def __init__(self, head, plan):
+            self.name = plan.deep.energy
+
+        def appearance(self, observations, identity):
+            return None
+
+        def problem(self, observation, context):
+            return observation
+
+        def solve(self, observation):
+            asked.append((self.name, observation))
+            return (self.name, observation)
+
+    seen = lambda frame: frame  # noqa: E731
+    monkeypatch.setattr(clip_solves, "DeepFitter", Fitter)
+    monkeypatch.setattr(clip_solves, "observed", seen)
+    solver, study, name = clip_solves.ClipSolver(), Study("nowhere"), preset("deep").deep.energy
+    first = solver.solve(preset("deep"), (60, 140), study, "", seen)
+    again = solver.solve(preset("deep"), (140, 200), study, "", seen)
+    assert asked == [(name, 60), (name, 140), (name, 200)]
+    assert again.solutions[140] is first.solutions[140]
+    assert solver.solve(preset("deep-points"), (140,), study, "", seen).solutions == {140: ("points", 140)}
+    assert solver.solve(preset("deep"), (140,), study, "", lambda frame: -frame).solutions == {140: (name, -140)}
+    assert solver.solve(preset("deep"), (140,), study, "", seen).solutions == {140: (name, 140)}

@@ -11,14 +11,15 @@ from workbench.frames import write_picture
 from workbench.geometry import write_rig, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
 from workbench.planning import plan_of
-from workbench.reproduction import Study, film_solves
+from workbench.reproduction import Study, film_solves, gaps
 from workbench.reproduction.clip_through_time import failing_frames, good_frames, hidden_gaps
 from workbench.reproduction.film_solves import ONE_POINTS, TWO, film_parameters, solved
 from workbench.reproduction.gaps import FLOW, LINEAR, SPLINE, fill_gap, flow_figure
 from workbench.reproduction.stereo_film import AWAY_MM, AXES, two_cameras
 from workbench.reproduction.talking_film import FULL, QUICK, TalkingFilm, Timeline, performance, talking_film
+from workbench.reproduction.through_time import flow_form_settings
 from workbench.tracking import FrameObservation, Track
-from workbench.tracking.flow_fitter import FlowFitter
+from workbench.tracking.flow_fitter import FlowFitter, parameters_of
 from workbench.tracking.records import stack_fits
 
 SMALL = Timeline(8, (64, 48), opened=1, shut=4, blink=5, nod=6, lost=range(3, 5), stuck=range(6, 8))
@@ -213,6 +214,30 @@ def test_flow_fills_a_gap_better_than_a_line_and_is_timed(snap, fitter):
         assert [fit.index for fit in each.fits] == [*gap]
         assert {fit.source for fit in each.fits} == {"filled"}
         assert each.seconds > 0.0
+
+
+def test_what_compiles_beforehand_takes_one_iteration_and_what_is_timed_all(snap, fitter, monkeypatch):
+    _, track, pictures = snap
+    asked = []
+
+    def fill(fitter, before, after, inside):
+        asked.append((fitter.plan.flow.iterations, len(inside)))
+        return [parameters_of(before.fit)] * len(inside)
+
+    monkeypatch.setattr(gaps, "fill_by_flow", fill)
+    fill_gap(fitter, track, pictures, range(6, 9), FLOW)
+    assert asked == [(1, 1), (8, 3)]
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_forms_of_the_flow_say_how_large_their_cut_outs_are(quick):
+    """The network's derivative is compared with a row of the same side."""
+    forms = flow_form_settings(quick)
+    sides = {label: changes["flow"]["side"] for label, changes in forms.items()}
+    assert all(label.endswith(f", {side} px") for label, side in sides.items())
+    through = {side for label, side in sides.items() if forms[label]["flow"].get("renders") == "network"}
+    cheap = {side for label, side in sides.items() if "photos by the network" in label}
+    assert through <= cheap
 
 
 def test_a_gap_is_filled_from_good_fits_alone(snap, fitter):

@@ -76,7 +76,7 @@ def face_it_configs() -> dict[str, Config]:
 def deep_energies(study: Study) -> Result:
     """`deep` with one part of the paper's at a time, and `deep-energies`."""
     rows = []
-    for label, config, frames in _deep_rows(study.quick):
+    for label, config, frames in deep_rows(study.quick):
         found = clip_solver().solve(config, frames, study, label)
         rows.append((label, *(f"{value:.2f}" for value in found.errors().mean(axis=0)), f"{found.seconds:.1f}"))
     whole = (OPEN_MOUTH,) if study.quick else SEVEN_FRAMES
@@ -90,7 +90,7 @@ def deep_energies(study: Study) -> Result:
     )
 
 
-def _deep_rows(quick: bool) -> Iterator[tuple[str, Config, Sequence[int]]]:
+def deep_rows(quick: bool) -> Iterator[tuple[str, Config, Sequence[int]]]:
     """Labels, configurations and frames."""
     configs, frames = deep_configs(), (OPEN_MOUTH,) if quick else SEVEN_FRAMES
     for label, config in configs.items():

@@ -183,7 +183,7 @@ def flow_forms(study: Study) -> Result:
     own, line = [solve.track[k] for k in gap], solve.filled(gap, LINEAR)
     rows = [("solved", *_means(solve.errors(own)), ""), ("linear", *_means(line.errors), f"{line.gap.seconds:.2f}")]
     shown = {"solved": own, "linear": line.gap.fits}
-    for done, (label, changes) in enumerate(_forms(study.quick).items()):
+    for done, (label, changes) in enumerate(flow_form_settings(study.quick).items()):
         study.progress(f"{solve.series}: forms of the flow", done, None)
         found = solve.filled(gap, FLOW, **changes)
         rows.append((label, *_means(found.errors), f"{found.gap.seconds:.2f}"))
@@ -297,7 +297,8 @@ def reestimation(study: Study) -> Result:
     )
 
 
-def _forms(quick: bool) -> dict[str, dict[str, dict[str, Any]]]:
+def flow_form_settings(quick: bool) -> dict[str, dict[str, dict[str, Any]]]:
+    """Changes to the configuration by form, as for `Config.changed`."""
     side, limit = (SMALL_SIDE, {"iterations": QUICK_ITERATIONS}) if quick else (SIDE, {})
     network, small = ({"side": pixels, "estimator": "network", **limit} for pixels in (side, SMALL_SIDE))
     through = {**small, "renders": "network"}
