@@ -255,8 +255,8 @@ def head_pose(study: Study) -> Result:
     notes = () if study.boston else (
         "Rows marked *printed* are the paper's, on the real set: they stand beside ours, not against them. The "
         "simulated people are samples of the default head's own shapes, with exact poses: expect larger errors on real "
-        "faces and a magnetic sensor. The mean face by PnP comes about as close as ours here: the simulated people hardly "
-        "change their faces. `--boston FOLDER` fills the table from the real set.",
+        "faces and a magnetic sensor. The mean face by PnP comes about as close as ours here: the simulated people "
+        "hardly change their faces. `--boston FOLDER` fills the table from the real set.",
     )  # fmt: skip
     sensor = (
         "Positions are those of a sensor on the head, calibrated by the first frame alone: when the head turns, the "
