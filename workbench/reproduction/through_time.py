@@ -175,9 +175,9 @@ def infill(study: Study) -> Result:
     return films.result(
         figures,
         tables,
-        "As in the paper, flow keeps the mouth open until it snaps shut, where interpolation shuts it evenly. In the nod "
-        "splines come about as close as flow. The photos' flow beside the face is that of a plain wall, which the "
-        "paper's is not; it is not compared.",
+        "As in the paper, flow keeps the mouth open until it snaps shut, where interpolation shuts it evenly. In the "
+        "nod splines come about as close as flow. The photos' flow beside the face is that of a plain wall and not "
+        "compared. Passes meet in the middle of the gap; the paper's go back and forth.",
         USUAL_FLOW,
         "Times are those of the computer that made this page.",
     )
