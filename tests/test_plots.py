@@ -1,6 +1,7 @@
 """Figures of the notebooks: what they show, and that pictures keep their pixels."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -166,6 +167,17 @@ def test_boxes_of_errors_show_every_frame():
     assert {7.5, 2.25} <= set(medians)
     assert [text.get_text() for text in axis.get_xticklabels()] == ["one\ncamera", "two\ncameras"]
     assert axis.get_ylim()[0] == 0.0
+
+
+@pytest.mark.parametrize(("quantities", "series"), [(4, 4), (6, 3), (4, 3)])
+def test_names_of_boxes_do_not_lie_on_one_another(quantities, series):
+    names = ("deep-energies", "preselected-points", "deep", "deep-points")[:series]
+    errors = {f"error {k}": {name: np.arange(5.0) for name in names} for k in range(quantities)}
+    figure = plots.error_boxes(errors)
+    figure.draw_without_rendering()
+    for axis in figure.axes:
+        places = [label.get_window_extent() for label in axis.get_xticklabels()]
+        assert all(one.x1 < other.x0 for one, other in pairwise(places))
 
 
 def test_a_heat_map_has_a_readable_number_in_every_cell():

@@ -1,9 +1,11 @@
 """Line plots over frames, iterations, stages and settings, and related figures."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
@@ -202,12 +204,21 @@ def error_boxes(errors: dict[str, dict[str, Float[np.ndarray, "_"]]]) -> Figure:
             axis.plot(apart, values, ".", color=color, markersize=4, alpha=0.7)
         axis.set_ylim(bottom=0.0)
         axis.tick_params(axis="x", length=0, labelsize=8)
-        if len(errors) > 4 and len(groups) > 2:
-            axis.tick_params(axis="x", rotation=90)
         axis.set_title(title, fontsize=9)
         without_frame(axis)
     figure.tight_layout()
+    figure.draw_without_rendering()
+    if any(_names_overlap(axis) for axis in axes):
+        for axis in axes:
+            axis.tick_params(axis="x", rotation=90)
+        figure.tight_layout()
     return figure
+
+
+def _names_overlap(axis: Axes) -> bool:
+    """Whether names below a drawn axis lie on one another."""
+    places = [label.get_window_extent() for label in axis.get_xticklabels()]
+    return any(one.x1 >= other.x0 for one, other in pairwise(places))
 
 
 def sweep_figure(
