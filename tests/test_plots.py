@@ -353,6 +353,18 @@ def test_rows_of_pictures_have_their_labels_and_one_size():
     assert [text.get_text() for text in figure.texts] == ["dark", "bright"]
 
 
+def test_long_names_of_rows_stand_on_several_lines_beside_their_own_row():
+    names = ("exact, photos by the network, 128 px", "estimated, the mesh's derivative, 256 px", "linear")
+    figure = plots.picture_rows({name: [np.zeros((192, 192, 3), np.uint8)] * 2 for name in names}, ["a", "b"])
+    figure.draw_without_rendering()
+    rows = {text.get_text().replace("\n", " "): text.get_window_extent() for text in figure.texts}
+    assert list(rows) == list(names)
+    for place, axis in zip(rows.values(), figure.axes[::2], strict=True):
+        beside = axis.get_window_extent()
+        assert beside.y0 <= place.y0 < place.y1 <= beside.y1
+        assert 0.0 <= place.x0 < place.x1 <= beside.x0
+
+
 def test_a_film_strip_has_a_row_of_pictures_and_one_for_each_track(head, portrait, short_track):
     picture, _ = portrait
     right = [short_track[k] for k in (0, 1, 3)]

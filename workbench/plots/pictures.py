@@ -1,5 +1,6 @@
 """Pictures for the notebooks: crops of faces, rows and film strips, with points, arrows and heat maps over them."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -26,6 +27,8 @@ HEAD_CUT = 1.35
 """Side of a rendered head relative to the part of it that is shown."""
 STRIP_LABEL, STRIP_LARGEST = 0.24, 2.0
 """Film strips: space for the row names, and the largest side of a picture, inches."""
+LETTER, LINE = 0.075, 0.16
+"""Width of a letter of a row's name and height of its further lines, inches."""
 STRIP_MARGIN, HEAD_SHARE = 1.2, 0.6
 """Film strips: margin like `CLOSE_UP_MARGIN`, and opacity of the head over the picture."""
 LINES_ALONE = OverlayParts(observed=False, model_points=False, residuals=False, axes=False, text=False, legend=False)
@@ -240,16 +243,18 @@ def _labelled_rows(
 ) -> Figure:
     """Square pictures in a table with column names above and row names on the left."""
     side = len(panels[0][0]) / DPI
-    width, height = STRIP_LABEL + len(tops) * (side + GAP), TITLE_HEIGHT + len(panels) * (side + GAP)
+    names = [textwrap.wrap(label, max(1, int(side / LETTER))) for label in labels]
+    margin = STRIP_LABEL + LINE * (max(map(len, names)) - 1)
+    width, height = margin + len(tops) * (side + GAP), TITLE_HEIGHT + len(panels) * (side + GAP)
     figure = empty_figure(width, height)
-    for row, (pictures, label, said) in enumerate(zip(panels, labels, notes, strict=True)):
+    for row, (pictures, name, said) in enumerate(zip(panels, names, notes, strict=True)):
         bottom = height - TITLE_HEIGHT - row * (side + GAP) - side
         figure.text(
-            0.45 * STRIP_LABEL / width, (bottom + side / 2) / height, label, rotation=90, ha="center", va="center",
-            fontsize=9,
+            0.45 * margin / width, (bottom + side / 2) / height, "\n".join(name), rotation=90, ha="center",
+            va="center", fontsize=9,
         )  # fmt: skip
         for column, (picture, note) in enumerate(zip(pictures, said, strict=True)):
-            left = STRIP_LABEL + column * (side + GAP)
+            left = margin + column * (side + GAP)
             axis = figure.add_axes((left / width, bottom / height, side / width, side / height))
             axis.imshow(picture)
             axis.axis("off")

@@ -210,6 +210,8 @@ def flow_forms(study: Study) -> Result:
         "compared pixels alike, nothing that holds the blendshapes. The sides of cut-outs are in the labels, in the "
         "paper 512; through the network they are small, because it takes long: compare with the row of the same side. "
         "Times are those of the computer that made this page.",
+        "Forms that hold the blendshapes keep a mouth as it is shaped; as published it may be drawn out of shape, which "
+        "the paper's pictures, of 512 pixels and by FlowNet2, do not have.",
         *quick,
     )
 
