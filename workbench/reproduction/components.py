@@ -36,7 +36,8 @@ def opening(study: Study) -> Result:
         data=f"{len(frames)} frames of the bundled clip; the default head with ten principal components of its own "
         "expressions and its first ten of identity, from the mean face, no lens known.",
         figures={
-            "Distance of the lips, % of the distance of the outer eye corners.": plots.curves(
+            f"Distance of the lips in frames {', '.join(map(str, frames))}, % of the distance of the outer eye "
+            "corners; between these frames lines lead the eye alone.": plots.curves(
                 np.array(frames),
                 {label: 100.0 * np.array(values) for label, values in curves.items()},
                 "frame",

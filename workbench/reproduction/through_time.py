@@ -128,7 +128,8 @@ def alignment(study: Study) -> Result:
     return films.result(
         {"Sec. 8.4: what was rendered, and the solves by one camera and by two; errors in depth.": strip},
         tables,
-        "Failed: fits that say so themselves, by their residuals.",
+        "As in the paper, rotations are alike by one camera and by two, and two find the depth much better; that a "
+        "detector sticks harms both. Failed: fits that say so themselves, by their residuals.",
     )
 
 
@@ -210,8 +211,8 @@ def flow_forms(study: Study) -> Result:
         "compared pixels alike, nothing that holds the blendshapes. The sides of cut-outs are in the labels, in the "
         "paper 512; through the network they are small, because it takes long: compare with the row of the same side. "
         "Times are those of the computer that made this page.",
-        "Forms that hold the blendshapes keep a mouth as it is shaped; as published it may be drawn out of shape, which "
-        "the paper's pictures, of 512 pixels and by FlowNet2, do not have.",
+        "Where something holds the blendshapes the mouth keeps its shape; as published it may be drawn out of it, "
+        "unlike in the paper's pictures, which are of 512 pixels and by FlowNet2.",
         *quick,
     )
 
