@@ -269,9 +269,9 @@ def smoothing(study: Study) -> Result:
         figures,
         tables,
         USUAL_FLOW,
-        "As in the paper, averaging and hybrid are smooth, and hybrid does not increase the errors of the pose. Unlike "
-        "there, plate flow repairs frames in which the detector sticks by a part only, and in the full film the first "
-        "of them not at all: its neighbour is as wrong. Self flow has more effect on noise than there.",
+        "As in the paper, averaging and hybrid are smooth, hybrid does not increase the errors of the pose, and errors "
+        "of the landmarks propagate: plate flow repairs frames in which the detector sticks by a part only, and in the "
+        "full film the first of them not at all. Unlike there, self flow has some effect on noise.",
         "Before: frames without a detection are filled by flow. Jitter: mean second difference over time of the errors "
         "of angles and position.",
     )
