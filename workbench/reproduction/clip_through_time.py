@@ -119,6 +119,9 @@ def hidden_frames(study: Study) -> Result:
             f"it repeats itself, and in {lost.start} to {lost.stop - 1}, where the lips do, it finds nothing. Truth is "
             "not used: fits and landmarks of a detector that does not fail stand for it, with their own errors. Jitter "
             "is the mean second difference over time of angles and position, of which a living head has some.",
+            "Where a cut-out reaches beyond the picture it repeats the border: stripes in the photos, and flow there "
+            "that is not compared. As in the paper, flow follows lips that interpolation does not, and plate flow and "
+            "hybrid repair where the detector sticks by a part.",
             "`--clip FILE` takes a video of one face, of which the first frames count. The paper's clip is not public.",
         ),
     )

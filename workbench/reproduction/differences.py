@@ -26,10 +26,10 @@ OUTSIDE = 0.01
 OURS, PUBLISHED = "deep", "deep-energies"
 THROUGH = f"{OURS}, derivative through the network"
 FEW_FRAMES = (60, OPEN_MOUTH)
-"""For the derivative through the network, which takes ten times as long."""
+"""For the derivative through the network, which takes several times as long."""
 FEW_NOTE = (
-    "The derivative through the network takes ten times as long, so that with our settings it is taken on two frames; "
-    "the row above it has ours on the same two. All others, the published preset's too, are on all frames."
+    "The derivative through the network takes several times as long, so that with our settings it is taken on two "
+    "frames; the row above it has ours on the same two. All others, the published preset's too, are on all frames."
 )
 FEW = f"frames {' and '.join(map(str, FEW_FRAMES))} alone"
 Changes = Mapping[str, Any]
