@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.pages import code_blocks, snippet
 from workbench.config import preset
 from workbench.errors import ConfigError, InputError, ModelError
 from workbench.face import (
@@ -253,6 +254,19 @@ def test_another_model_cannot_be_dressed():
     assert dressed_as("mei", head).character.name == "mei"
     with pytest.raises(ModelError, match="this is the model flame; leave the character at 'plain'"):
         dressed_as("mei", replace(head, name="flame"))
+
+
+def test_the_guides_own_person_is_one(tmp_path):
+    (written,) = (text for page, text in code_blocks("toml") if page.endswith("characters.md"))
+    path = tmp_path / "me.toml"
+    path.write_text(written)
+    assert load_character(path).character.clothes == "shirt"
+
+
+def test_the_guides_python_draws_a_person():
+    names: dict = {}
+    exec(compile(snippet("load_character"), "documentation", "exec"), names)
+    assert names["picture"].shape == (480, 480, 3)
 
 
 needs_gl = pytest.mark.skipif(not gl_available(), reason="no GL here")
