@@ -476,3 +476,15 @@ def test_a_panel_that_cannot_be_made_says_why(head, tmp_path):
 
 def test_it_has_a_short_name(panel):
     assert repr(panel) == "LivePanel(LiveSession('default-head', 'joint', 0 frames), stopped)"
+
+
+def test_the_avatar_is_drawn_as_the_character_of_the_configuration():
+    panel = LivePanel(config=preset("joint").changed(head={"character": "ravi"}))
+    try:
+        assert [part["kind"] for part in panel.view._mesh["worn"]][-1] == "hair"
+        before = panel.view._person["growth"]
+        panel.view.set_person(np.linspace(-1.5, 1.5, 50))
+        assert len(before) == 3
+        assert panel.view._person["growth"] != before
+    finally:
+        panel.close()

@@ -8,7 +8,7 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.config import Config
-from workbench.face import FaceModel, load_default_head
+from workbench.face import FaceModel, dressed_as, load_default_head
 from workbench.runtime import ShortTurns
 from workbench.session.live import LiveSession
 from workbench.session.live_frame import FrameSource, LiveFrame
@@ -53,8 +53,8 @@ class LivePanel(widgets.VBox):
         self._source: FrameSource | None = None
         self._warm = False
         self._person: np.ndarray = self.session.identity
-        self.view, self.drags = LiveView(model, height_px - 32), DragWatch()
-        self._messages = LiveMessages(self.view)
+        self.view = LiveView(model, height_px - 32, dressed_as(self.session.config.head.character, model))
+        self._messages, self.drags = LiveMessages(self.view), DragWatch()
         self.say = self._messages.say
         self._slow, self._turns = SlowJobs(self._messages.failed, "live-save"), ShortTurns()
         cameras = cameras_by_name(self.view, camera)

@@ -11,7 +11,7 @@ import numpy as np
 import traitlets
 from jaxtyping import Float, Float32
 
-from workbench.face import FaceModel
+from workbench.face import DressedHead, FaceModel
 from workbench.geometry import rotation_matrix
 from workbench.landmarks.scheme import POLYLINES
 from workbench.pictures.head_picture import portrait_view
@@ -74,8 +74,8 @@ class LiveView(anywidget.AnyWidget):
     _mesh = traitlets.Dict().tag(sync=True)
     _person = traitlets.Dict().tag(sync=True)
 
-    def __init__(self, model: FaceModel, height_px: int = 340) -> None:
-        self._model = model
+    def __init__(self, model: FaceModel, height_px: int = 340, dressed: DressedHead | None = None) -> None:
+        self._model, self._dressed = model, dressed
         self._lock = threading.RLock()
         self._pages: set[str] = set()
         self._page: str | None = None
@@ -89,8 +89,8 @@ class LiveView(anywidget.AnyWidget):
         super().__init__(
             height_px=height_px,
             _scheme={"lines": [list(line) for line in POLYLINES], "colors": color_table().tobytes()},
-            _mesh=mesh_message(model),
-            _person=person_message(model, np.zeros(len(model.identity_deltas))),
+            _mesh=mesh_message(model, dressed),
+            _person=person_message(model, np.zeros(len(model.identity_deltas)), dressed),
         )
         self.on_msg(self._on_message)
 
@@ -109,7 +109,7 @@ class LiveView(anywidget.AnyWidget):
 
     def set_person(self, identity: Float[np.ndarray, "i"]) -> None:
         """Show the avatar with this face shape."""
-        self._person = person_message(self._model, identity)
+        self._person = person_message(self._model, identity, self._dressed)
 
     def open_camera(self, deliver: Deliver, trouble: Trouble) -> None:
         """Ask the pages that show the view for their camera; the first to answer is used."""
@@ -240,13 +240,13 @@ def pack_fit(fit: FrameFit) -> Float32[np.ndarray, "n"]:
     return np.concatenate([np.ravel(np.asarray(part, float)) for part in parts]).astype("<f4")
 
 
-def mesh_message(model: FaceModel) -> dict[str, object]:
+def mesh_message(model: FaceModel, dressed: DressedHead | None = None) -> dict[str, object]:
     """The static data: the surface, morph targets in 16 bits, and the portrait's camera."""
     steps = np.maximum(np.abs(model.expression_deltas).max(axis=(1, 2)), 1e-9) / 32767.0
     deltas = np.rint(model.expression_deltas / steps[:, None, None])
     camera, translation = portrait_view(model, (1000, 1000))
     return {
-        **surface_message(model),
+        **surface_message(model, dressed),
         "shapes": len(model.expression_names),
         "names": list(model.expression_names),
         "deltas": np.ascontiguousarray(deltas, "<i2").tobytes(),
@@ -257,12 +257,18 @@ def mesh_message(model: FaceModel) -> dict[str, object]:
     }
 
 
-def person_message(model: FaceModel, identity: Float[np.ndarray, "i"]) -> dict[str, object]:
-    """The data that depends on the identity: the neutral face, and the scale of each morph target."""
+def person_message(
+    model: FaceModel, identity: Float[np.ndarray, "i"], dressed: DressedHead | None = None
+) -> dict[str, object]:
+    """What depends on the identity: the neutral face, and the scale of each morph target and of a character's parts."""
     personal = model.personal(identity)
     largest = np.maximum(np.abs(model.expression_deltas).max(axis=(1, 2)), 1e-9)
     factors = np.abs(personal.expression_deltas).max(axis=(1, 2)) / largest
-    return {"neutral": np.ascontiguousarray(personal.neutral, "<f4").tobytes(), "factors": factors.tolist()}
+    return {
+        "neutral": np.ascontiguousarray(personal.neutral, "<f4").tobytes(),
+        "factors": factors.tolist(),
+        "growth": [] if dressed is None else dressed.growth(personal.neutral).tolist(),
+    }
 
 
 class BrowserCamera:

@@ -41,7 +41,7 @@ void main() {
 }`];
 }
 
-// A part that a character wears, drawn where its alpha is in the pass's range. A glint comes back whatever lies below it.
+// A part that a character wears, drawn where its alpha is in the pass's range. A glint hides what lies below it.
 export function wornShaders() {
   return [`${PLACING}
 in vec3 place, normal; in vec2 uv; in float shade;
@@ -51,12 +51,12 @@ void main() {
   show(place, normal, vec3(shade));
 }`, `${LIGHTING}
 in vec2 at;
-uniform sampler2D skin; uniform vec2 gloss; uniform float from_alpha, below_alpha; uniform bool glint;
+uniform sampler2D skin; uniform vec2 gloss; uniform float from_alpha, below_alpha; uniform bool blends, glint;
 void main() {
   vec4 color = texture(skin, at);
   if (color.a < from_alpha || color.a >= below_alpha) discard;
   light(color.rgb * tint, gloss);
-  result.a *= color.a;
+  if (blends) result.a *= color.a; // what is not blended is opaque, or the page would shine through
   if (glint) result = mix(result, vec4(1.0), clamp(2.0 * spark, 0.0, 1.0));
 }`];
 }

@@ -28,6 +28,7 @@ export function makeWorn(gl, program, mesh, redraw) {
       if (!part.picture.ready) continue;
       gl.uniform1f(program.uniform("from_alpha"), pass.from);
       gl.uniform1f(program.uniform("below_alpha"), pass.below);
+      gl.uniform1i(program.uniform("blends"), pass.blends ? 1 : 0);
       if (pass.blends) gl.enable(gl.BLEND);
       gl.depthMask(!pass.blends);
       part.draw();

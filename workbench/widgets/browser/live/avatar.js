@@ -10,10 +10,11 @@ export function makeAvatar(canvas, mesh, head, redraw) {
   const options = { antialias: !drawsInSoftware() };
   const stage = makeStage(canvas, options, (gl) => makeScene(gl, mesh, redraw), redraw);
   if (!stage) return null;
-  let stamp = -1;
+  let stamp = -1, person = null;
 
   function draw(pose) {
     stage.draw((scene, fresh) => {
+      if (fresh || person !== head.person()) scene.setPerson(person = head.person());
       if (fresh || stamp !== head.shape.stamp) scene.setHead(head.shape);
       stamp = head.shape.stamp;
       scene.draw(pose, GROUND);

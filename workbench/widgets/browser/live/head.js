@@ -6,11 +6,12 @@ export function makeHead(mesh) {
   const size = 3 * mesh.vertices, raw = new Int16Array(bytesOf(mesh.deltas));
   const deltas = mesh.steps.map((_, k) => raw.subarray(k * size, (k + 1) * size));
   const places = new Float32Array(size), shape = makeShape(mesh);
-  let neutral = null, factors = null;
+  let neutral = null, factors = null, person = null;
 
-  function setPerson(person) {
-    neutral = floatsOf(person.neutral);
-    factors = person.factors;
+  function setPerson(message) {
+    neutral = floatsOf(message.neutral);
+    factors = message.factors;
+    person = { rest: message.neutral, growth: message.growth };
   }
 
   function move(weights) {
@@ -22,5 +23,5 @@ export function makeHead(mesh) {
     }
     shape.take(places);
   }
-  return { move, setPerson, shape };
+  return { move, setPerson, shape, person: () => person };
 }
