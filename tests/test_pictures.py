@@ -465,7 +465,12 @@ def test_pictures_of_any_size_are_drawn_by_one_renderer_as_each_would_be_alone(h
     from workbench.pictures import overlay_files
 
     made, panel = [], overlay_files.HeadPanel
-    monkeypatch.setattr(overlay_files, "HeadPanel", lambda *arguments: made.append(arguments) or panel(*arguments))
+
+    def counted(*arguments, **options):
+        made.append(arguments)
+        return panel(*arguments, **options)
+
+    monkeypatch.setattr(overlay_files, "HeadPanel", counted)
     sizes = [first, (480, 640), (640, 360)]
     fits = [fit_of(head, noise_px=2.0), fit_of(head, found=False), fit_of(head, noise_px=1.0)]
     pictures = [np.full((*size, 3), 90, np.uint8) for size in sizes]
