@@ -182,6 +182,25 @@ def test_a_character_of_ones_own_is_read(tmp_path):
     assert head.skin.mean() < load_character(brighter).skin.mean() - 10
 
 
+def test_the_scalp_takes_the_colour_of_the_hair(tmp_path):
+    path = tmp_path / "me.toml"
+    path.write_text(WHOLE)
+    bald = load_character(path)
+    path.write_text(WHOLE + 'hair = "short02"\nhair_color = [30, 30, 200]\n')
+    blue = load_character(path)
+    changed = np.abs(blue.skin.astype(int) - bald.skin).max(axis=2) > 20
+
+    def there(region: str) -> np.ndarray:
+        inside = np.zeros(len(bald.model.neutral), bool)
+        inside[bald.model.regions[region]] = True
+        triangles = bald.model.triangles_uv[inside[bald.model.triangles].all(axis=1)]
+        column, row = (bald.model.uv[triangles].mean(axis=1) * [1, -1] + [0, 1]).T * len(changed)
+        return changed[row.astype(int), column.astype(int)]
+
+    assert there("scalp").mean() > 0.9
+    assert there("lips").mean() == there("brow").mean() == 0.0
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -466,9 +466,9 @@ def test_pictures_of_any_size_are_drawn_by_one_renderer_as_each_would_be_alone(h
 
     made, panel = [], overlay_files.HeadPanel
 
-    def counted(*arguments, **options):
+    def counted(*arguments, **named):
         made.append(arguments)
-        return panel(*arguments, **options)
+        return panel(*arguments, **named)
 
     monkeypatch.setattr(overlay_files, "HeadPanel", counted)
     sizes = [first, (480, 640), (640, 360)]

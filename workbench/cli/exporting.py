@@ -12,7 +12,6 @@ from workbench.cli.tracking import track_file
 from workbench.errors import InputError
 from workbench.export.suffixes import FORMATS, format_of
 from workbench.face.characters import is_character
-from workbench.face.dressed_head import dressed_as
 from workbench.files import check_not_inputs
 
 EXPORT_HELP = (
@@ -69,7 +68,7 @@ def export(
     track = workbench.Track.load(stored)
     check_not_inputs(to, [stored, *given, *workbench.export.input_files(track.meta)])
     head, notes = model_of_track(track, model)
-    dressed = None if dress is None else dressed_as(dress, head)
+    dressed = None if dress is None else workbench.face.dressed_as(dress, head)
     if player is not None:
         other = workbench.load_face_model(player)
         track, more = _played(track, head, other, mapping, surface)

@@ -15,7 +15,7 @@ from workbench.face.jaw import posed_vertices
 from workbench.face.model import FaceModel
 from workbench.face.parameters import FaceParameters
 from workbench.face.parts import Part, open_parts
-from workbench.face.tinting import shifted, tinted
+from workbench.face.tinting import shifted, tinted, with_scalp
 from workbench.frames import read_picture
 from workbench.reading import checked_content, reading, shortened
 from workbench.samples import sample
@@ -23,6 +23,8 @@ from workbench.samples import sample
 REPLACED_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
 """What the plain head has of its own and a dressed one does not show."""
 EYES, TONGUE, TEETH_PICTURE = "high-poly", "tongue01", "teeth"
+SCALP_EDGE = 0.008
+"""Softness of the hairline in widths of the texture."""
 CORNEA_ALPHA = 10
 """A cornea is all but invisible: its highlight is seen."""
 
@@ -113,6 +115,9 @@ def load_character(name: str | Path, gaze: bool = True) -> DressedHead:
             f"The character {character.name!r} has {len(character.identity)} identity coefficients, "
             f"the default head {len(model.identity_deltas)}; give one for each."
         )
+    skin = shifted(read_picture(_picture_path("skins", character.skin)), character.skin_shift)
+    if character.hair and character.hair_color is not None:
+        skin = with_scalp(skin, _scalp(len(skin)), character.hair_color)
     store = open_parts(sample("parts"))
     worn = [
         ("tongue", TONGUE, _rgba("tongue", TONGUE)),
@@ -130,7 +135,7 @@ def load_character(name: str | Path, gaze: bool = True) -> DressedHead:
     return DressedHead(
         character=character,
         model=model,
-        skin=shifted(read_picture(_picture_path("skins", character.skin)), character.skin_shift),
+        skin=skin,
         worn=tuple(WornPart(store.read(kind, style, len(model.neutral)), picture) for kind, style, picture in worn),
         scale_vertices=store.scale_vertices,
     )
@@ -153,6 +158,19 @@ def _picture_path(kind: str, style: str) -> Path:
     if style not in known:
         raise ModelError(f"There are no {kind} {shortened(style)!r}; there are {', '.join(known)}.")
     return folder / f"{style}.webp"
+
+
+@lru_cache(maxsize=2)
+def _scalp(size: int) -> Float[np.ndarray, "s s"]:
+    """Where the scalp is in a texture of the head, 0 to 1 with a soft edge."""
+    model = load_default_head(gaze=True)
+    inside = np.zeros(len(model.neutral), bool)
+    inside[model.regions["scalp"]] = True
+    corners = model.uv[model.triangles_uv[inside[model.triangles].all(axis=1)]] * [1.0, -1.0] + [0.0, 1.0]
+    mask = np.zeros((size, size), np.uint8)
+    for corner in np.rint(corners * size).astype(np.int32):
+        cv2.fillConvexPoly(mask, corner, 255)
+    return cv2.GaussianBlur(mask, (0, 0), SCALP_EDGE * size) / 255.0
 
 
 @lru_cache(maxsize=16)

@@ -7,6 +7,7 @@ from jaxtyping import Float, UInt8
 SOLID = 128
 """Alpha from which a texel counts for a picture's own mean."""
 BRIGHTEST = 240.0
+SCALP_SHARE = 0.75
 LUMINANCE = np.array([0.299, 0.587, 0.114])
 
 
@@ -28,6 +29,16 @@ def tinted(picture: UInt8[np.ndarray, "h w 4"], color: tuple[float, float, float
     ratio = (1.0 - np.exp(-ratio / most)) / (1.0 - np.exp(-1.0 / most))
     shades = np.clip(ratio[..., None] * np.asarray(color, float), 0, 255)
     return np.dstack([np.rint(shades).astype(np.uint8), picture[..., 3]])
+
+
+def with_scalp(
+    skin: UInt8[np.ndarray, "h w 3"], scalp: Float[np.ndarray, "h w"], color: tuple[float, float, float]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The skin (RGB) with its scalp, 0 to 1, drawn to the colour of the hair, which it shows between."""
+    light = skin @ LUMINANCE
+    mean = max(float((light * scalp).sum() / max(float(scalp.sum()), 1e-6)), 1.0)
+    roots = np.clip(0.5 * (1.0 + light / mean)[..., None] * np.asarray(color, float), 0, 255)
+    return np.rint(skin + SCALP_SHARE * scalp[..., None] * (roots - skin)).astype(np.uint8)
 
 
 def shifted(picture: UInt8[np.ndarray, "h w 3"], shift: tuple[float, float, float]) -> UInt8[np.ndarray, "h w 3"]:
