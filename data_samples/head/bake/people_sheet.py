@@ -34,7 +34,7 @@ def portraits(dressed: DressedHead, sights: tuple[str, ...], size: int) -> list[
     person, shape = dressed.person, (size, round(1.15 * size))
     camera, translation = portrait_view(person, shape)
     camera = camera._replace(focal_px=ZOOM * camera.focal_px)
-    middle = np.array([0.0, 0.0, np.median(person.neutral[:, 2])])
+    middle = np.array([0.0, 0.0, (person.neutral[:, 2].min() + person.neutral[:, 2].max()) / 2])
     translation = translation + np.array([0.0, DOWN_MM, 0.0]) + middle
     pictures = []
     with HeadRenderer(person, shape, dressed=dressed) as renderer:
