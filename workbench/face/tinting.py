@@ -8,6 +8,8 @@ SOLID = 128
 """Alpha from which a texel counts for a picture's own mean."""
 BRIGHTEST = 240.0
 SCALP_SHARE = 0.75
+DARK = 30.0
+"""Lightness (L) below which a skin is shifted less."""
 LUMINANCE = np.array([0.299, 0.587, 0.114])
 
 
@@ -42,9 +44,10 @@ def with_scalp(
 
 
 def shifted(picture: UInt8[np.ndarray, "h w 3"], shift: tuple[float, float, float]) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture (RGB) with (L, a, b) added in CIE Lab (L of 0 to 100)."""
+    """The picture (RGB) with (L, a, b) added in CIE Lab (L of 0 to 100), less and less where it is dark."""
     if not any(shift):
         return picture
     lab: Float[np.ndarray, "h w 3"] = cv2.cvtColor(picture.astype(np.float32) / 255.0, cv2.COLOR_RGB2LAB)
-    moved = cv2.cvtColor((lab + np.asarray(shift, np.float32)).astype(np.float32), cv2.COLOR_LAB2RGB)
+    share = np.clip(lab[..., :1] / DARK, 0.0, 1.0)  # a shifted black, as deep in the mouth, would be a colour
+    moved = cv2.cvtColor((lab + share * np.asarray(shift, np.float32)).astype(np.float32), cv2.COLOR_LAB2RGB)
     return np.rint(np.clip(moved, 0.0, 1.0) * 255.0).astype(np.uint8)
