@@ -1,6 +1,9 @@
-"""Names for the kinds of number that functions here take."""
+"""Names for the kinds of number that functions here take, and the library that computes with them."""
+
+from types import ModuleType
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -8,3 +11,8 @@ AnyArray = jax.Array | np.ndarray
 """NumPy's on the host, JAX's on a device or under a trace."""
 Scalar = Float[AnyArray, ""] | float
 Count = Int[AnyArray, ""] | int
+
+
+def library_of(*arrays: AnyArray | float) -> ModuleType:
+    """`jax.numpy` where one of the arrays is JAX's, else `numpy`: one formula, on the host without a dispatch."""
+    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np

@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 from av.container import InputContainer
 from av.video.frame import VideoFrame
+from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 from jaxtyping import UInt8
 from PIL import (
@@ -280,7 +281,7 @@ class VideoFrames:
                 raise InputError(f"no frame of the video {self.path} can be decoded: it is damaged or cut off")
             self._first_pts = first.pts
             self._time_base = float(first.time_base or 0)
-            height, width = _upright_rgb(first).shape[:2]
+            height, width = _upright_rgb(first, VideoReformatter()).shape[:2]
             self.image_size = (width, height)
             aspect = stream.sample_aspect_ratio
             if aspect and aspect != 1:
@@ -294,11 +295,12 @@ class VideoFrames:
             decoded = self._decoded_after_seek(stack.enter_context(self._open()), origin) if origin else None
             if decoded is None:
                 origin, decoded = 0, self._decoded(stack.enter_context(self._open()))
-            index = origin - 1
+            index, reformatter = origin - 1, VideoReformatter()
             for index, frame in enumerate(decoded, origin):
                 self._remember(index, frame)
                 if index >= start:
-                    yield Frame(index, _upright_rgb(frame), self._time(index, frame.pts), f"{self.name}#{index}")
+                    picture = _upright_rgb(frame, reformatter)
+                    yield Frame(index, picture, self._time(index, frame.pts), f"{self.name}#{index}")
             if index >= 0 and self.announced_count and index + 1 < self.announced_count:
                 announced = f"the header announces {self.announced_count} frames"
                 self._note(f"{self.path.name}: {announced}, {index + 1} could be decoded")
@@ -374,9 +376,12 @@ class VideoFrames:
             self.notes.append(sentence)
 
 
-def _upright_rgb(frame: VideoFrame) -> UInt8[np.ndarray, "h w 3"]:
-    """Convert with the colour matrix named in the file and turn by the quarter turns of its display matrix."""
-    picture = frame.to_ndarray(format="rgb24")
+def _upright_rgb(frame: VideoFrame, reformatter: VideoReformatter) -> UInt8[np.ndarray, "h w 3"]:
+    """Convert with the colour matrix named in the file and turn by the quarter turns of its display matrix.
+
+    A reformatter keeps its tables from frame to frame; making them anew takes longer than converting a small frame.
+    """
+    picture = reformatter.reformat(frame, format="rgb24").to_ndarray()
     quarter_turns = round(frame.rotation / 90) % 4  # counter-clockwise, as in np.rot90
     return np.ascontiguousarray(np.rot90(picture, quarter_turns)) if quarter_turns else picture
 

@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 
 import cv2
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -23,7 +22,6 @@ from workbench.networks import BETA, Calibration, CropBox, LandmarkNetwork, read
 from workbench.networks.face_finder import FaceFinder, FoundFace, read_face_finder, without_doubles
 from workbench.networks.frozen import FrozenNetwork
 from workbench.networks.landmark_network import confidence_of
-from workbench.runtime import COMPUTING
 
 CROP_SIDE = 256
 """Pixels of the network's input."""
@@ -133,8 +131,7 @@ class NetworkDetector:
         """Landmarks in the picture, and the network's heat maps (of the mirrored crop if it was)."""
         crop = sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT)
         heat_maps = self._maps(np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop)
-        with COMPUTING:
-            points, confidence = (np.asarray(read, np.float64) for read in _read(heat_maps, self._calibration))
+        points, confidence = _read(heat_maps, self._calibration)
         if mirrored:
             points, confidence = points[list(MIRROR)], confidence[list(MIRROR)]
             points[:, 0] = CROP_SIDE - 1 - points[:, 0]
@@ -180,13 +177,13 @@ def bundled_face_finder() -> FaceFinder:
     return read_face_finder(BUNDLED / "finder.safetensors")
 
 
-@jax.jit
 def _read(
-    heat_maps: Float[AnyArray, "68 m m"], calibration: Calibration | None
-) -> tuple[Float[jax.Array, "68 2"], Float[jax.Array, "68"]]:
+    heat_maps: Float[np.ndarray, "68 m m"], calibration: Calibration | None
+) -> tuple[Float[np.ndarray, "68 2"], Float[np.ndarray, "68"]]:
     """Points in the crop's pixels, and confidences."""
     stride = CROP_SIDE / heat_maps.shape[-1]
-    return (soft_argmax(heat_maps) + 0.5) * stride - 0.5, confidence_of(heat_maps, calibration)
+    points = (soft_argmax(heat_maps).astype(np.float64) + 0.5) * stride - 0.5
+    return points, confidence_of(heat_maps, calibration).astype(np.float64)
 
 
 def _probability(heat_maps: Float[np.ndarray, "n m m"]) -> Float[np.ndarray, "n m m"]:

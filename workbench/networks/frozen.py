@@ -81,8 +81,7 @@ def _graph_of(network: LandmarkNetwork):
     """The network as an ONNX model, from a picture of bytes to heat maps."""
     graph = _Graph()
     channels = graph.add("Transpose", graph.add("Cast", PICTURE, to=TensorProto.FLOAT), perm=[0, 3, 1, 2])
-    x = graph.add("Div", channels, graph.constant(255))
-    x = graph.add("Div", graph.add("Sub", x, graph.constant(MIDDLE)), graph.constant(SPREAD))
+    x = graph.add("Div", graph.add("Sub", channels, graph.constant(255 * MIDDLE)), graph.constant(255 * SPREAD))
     x0 = graph.residual(graph.step(x, network.stem), network.e0)
     x1 = graph.residual(graph.step(x0, network.d1), *network.e1)
     x2 = graph.residual(graph.step(x1, network.d2), *network.e2)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from workbench.arrays import AnyArray
+from workbench.arrays import AnyArray, library_of
 from workbench.errors import ModelError
 from workbench.networks.layers import Conv, empty_conv, enlarge
 from workbench.networks.soft_argmax import patch_mass
@@ -40,9 +40,11 @@ class Calibration(eqx.Module):
     confidence: Float[Array, "knots"]
     """0..1."""
 
-    def __call__(self, mass: Float[Array, "n"]) -> Float[Array, "n"]:
+    def __call__(self, mass: Float[AnyArray, "n"]) -> Float[AnyArray, "n"]:
         """Linear between the knots, constant beyond the first and last."""
-        return jnp.interp(mass, self.mass.astype(mass.dtype), self.confidence.astype(mass.dtype))
+        library = library_of(mass)
+        knots = (library.asarray(values, mass.dtype) for values in (self.mass, self.confidence))
+        return library.interp(mass, *knots)
 
 
 class LandmarkNetwork(eqx.Module):
@@ -81,7 +83,7 @@ class LandmarkNetwork(eqx.Module):
         x0 = _residual(x0 + enlarge(_step(x1, self.u0)), self.f0)
         return jnp.moveaxis(self.head(x0), -1, 0)
 
-    def confidence_of(self, heat_maps: Float[AnyArray, "n h w"]) -> Float[Array, "n"]:
+    def confidence_of(self, heat_maps: Float[AnyArray, "n h w"]) -> Float[AnyArray, "n"]:
         """How likely each landmark is found, 0..1: the calibrated mass of its map (the mass itself if uncalibrated)."""
         return confidence_of(heat_maps, self.calibration)
 
@@ -91,7 +93,7 @@ class LandmarkNetwork(eqx.Module):
         return tuple(conv.weight.shape[0] for conv in (self.stem, self.d1, self.d2, self.d3))
 
 
-def confidence_of(heat_maps: Float[AnyArray, "n h w"], calibration: Calibration | None) -> Float[Array, "n"]:
+def confidence_of(heat_maps: Float[AnyArray, "n h w"], calibration: Calibration | None) -> Float[AnyArray, "n"]:
     """As `LandmarkNetwork.confidence_of`, where the maps come from elsewhere."""
     mass = patch_mass(heat_maps)
     return mass if calibration is None else calibration(mass)
