@@ -19,6 +19,7 @@ from workbench.networks import (
     fan_box_from_landmarks,
     landmarks_of,
     patch_mass,
+    place_and_mass,
     reduction_for,
     soft_argmax,
     to_crop,
@@ -147,14 +148,20 @@ def test_soft_argmax_and_mass_work_under_vmap():
         np.testing.assert_allclose(jax.vmap(read)(maps), np.stack([read(one) for one in maps]), rtol=1e-15, atol=1e-15)
 
 
-@pytest.mark.parametrize("read", [soft_argmax, patch_mass])
-def test_numpy_and_jax_read_maps_alike(read):
+def test_numpy_and_jax_read_maps_alike():
     maps = RNG.uniform(-0.2, 0.2, (68, 64, 64)).astype(np.float32)
     maps[::2] += np.stack([bump(*RNG.uniform(-1, 64, 2)) for _ in range(34)])  # at the border too
-    by_numpy, by_jax = read(maps), read(jnp.asarray(maps))
-    assert isinstance(by_numpy, np.ndarray)
-    assert isinstance(by_jax, jax.Array)
-    np.testing.assert_allclose(by_numpy, by_jax, rtol=1e-6, atol=1e-6)
+    for by_numpy, by_jax in zip(place_and_mass(maps), place_and_mass(jnp.asarray(maps)), strict=True):
+        assert isinstance(by_numpy, np.ndarray)
+        assert isinstance(by_jax, jax.Array)
+        np.testing.assert_allclose(by_numpy, by_jax, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, jnp.asarray])
+def test_place_and_mass_are_what_each_is_alone(kind):
+    maps = kind(RNG.uniform(size=(5, 9, 12)))
+    for together, alone in zip(place_and_mass(maps), (soft_argmax(maps), patch_mass(maps)), strict=True):
+        np.testing.assert_array_equal(together, alone)
 
 
 def test_patch_mass_is_the_softmax_probability_of_the_patch():

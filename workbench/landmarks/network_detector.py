@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import cv2
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -18,10 +19,10 @@ from workbench.landmarks.detection import Box, Effort, FaceDetection
 from workbench.landmarks.lids import true_lids
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS, MIRROR
-from workbench.networks import BETA, Calibration, CropBox, LandmarkNetwork, read_landmark_network, soft_argmax
+from workbench.networks import BETA, Calibration, CropBox, LandmarkNetwork, place_and_mass, read_landmark_network
 from workbench.networks.face_finder import FaceFinder, FoundFace, read_face_finder, without_doubles
 from workbench.networks.frozen import FrozenNetwork
-from workbench.networks.landmark_network import confidence_of
+from workbench.networks.landmark_network import confidence_by_mass
 
 CROP_SIDE = 256
 """Pixels of the network's input."""
@@ -64,7 +65,8 @@ class NetworkDetector:
 
     def __init__(self, landmarks: LandmarkNetwork | None = None, finder: FaceFinder | None = None) -> None:
         network = landmarks or bundled_landmark_network()
-        self._maps, self._calibration = FrozenNetwork(network), network.calibration
+        self._maps = FrozenNetwork(network)
+        self._calibration = jax.tree.map(np.asarray, network.calibration)
         self._finder = finder or bundled_face_finder()
 
     def detect_faces(self, picture: UInt8[np.ndarray, "h w 3"], effort: Effort = "full") -> list[FaceDetection]:
@@ -182,8 +184,8 @@ def _read(
 ) -> tuple[Float[np.ndarray, "68 2"], Float[np.ndarray, "68"]]:
     """Points in the crop's pixels, and confidences."""
     stride = CROP_SIDE / heat_maps.shape[-1]
-    points = (soft_argmax(heat_maps).astype(np.float64) + 0.5) * stride - 0.5
-    return points, confidence_of(heat_maps, calibration).astype(np.float64)
+    places, mass = (read.astype(np.float64) for read in place_and_mass(heat_maps))
+    return (places + 0.5) * stride - 0.5, confidence_by_mass(mass, calibration)
 
 
 def _probability(heat_maps: Float[np.ndarray, "n m m"]) -> Float[np.ndarray, "n m m"]:

@@ -31,6 +31,7 @@ from workbench.networks.raft import convert_raft as convert_raft
 from workbench.networks.raft import read_raft as read_raft
 from workbench.networks.soft_argmax import BETA as BETA
 from workbench.networks.soft_argmax import patch_mass as patch_mass
+from workbench.networks.soft_argmax import place_and_mass as place_and_mass
 from workbench.networks.soft_argmax import soft_argmax as soft_argmax
 from workbench.networks.torch_checkpoints import read_checkpoint as read_checkpoint
 from workbench.networks.weights import Weights as Weights

@@ -85,7 +85,7 @@ class LandmarkNetwork(eqx.Module):
 
     def confidence_of(self, heat_maps: Float[AnyArray, "n h w"]) -> Float[AnyArray, "n"]:
         """How likely each landmark is found, 0..1: the calibrated mass of its map (the mass itself if uncalibrated)."""
-        return confidence_of(heat_maps, self.calibration)
+        return confidence_by_mass(patch_mass(heat_maps), self.calibration)
 
     @property
     def widths(self) -> tuple[int, int, int, int]:
@@ -93,9 +93,8 @@ class LandmarkNetwork(eqx.Module):
         return tuple(conv.weight.shape[0] for conv in (self.stem, self.d1, self.d2, self.d3))
 
 
-def confidence_of(heat_maps: Float[AnyArray, "n h w"], calibration: Calibration | None) -> Float[AnyArray, "n"]:
-    """As `LandmarkNetwork.confidence_of`, where the maps come from elsewhere."""
-    mass = patch_mass(heat_maps)
+def confidence_by_mass(mass: Float[AnyArray, "n"], calibration: Calibration | None) -> Float[AnyArray, "n"]:
+    """The confidence of landmarks whose heat maps have this `patch_mass`; the mass itself if uncalibrated."""
     return mass if calibration is None else calibration(mass)
 
 

@@ -1,11 +1,10 @@
 """From heat maps to points: the soft-argmax of Deep Energies (Eq. 3), and how sure a heat map is of its point."""
 
-from types import ModuleType
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from workbench.arrays import AnyArray, Scalar, library_of
 
@@ -28,14 +27,7 @@ def soft_argmax(heat_maps: Float[AnyArray, "n h w"], beta: Scalar = BETA) -> Flo
     close to a staircase that follows the maximum. A heat map that itself is a Gaussian bump of height 1 and deviation
     s, as those of 3D-FAN, has σ ≈ s/√β: β = 50 is sharp for it, and a β near 4·s² tells the most.
     """
-    library = library_of(heat_maps, beta)
-    patch = _patch_around_maximum(heat_maps, library)
-    weights = _exponentials(patch, beta, library)
-    share = weights / weights.sum(axis=1, keepdims=True)
-    dtype = share.dtype
-    x = patch.column.astype(dtype) + share @ library.asarray(_COLUMNS, dtype)
-    y = patch.row.astype(dtype) + share @ library.asarray(_ROWS, dtype)
-    return library.stack([x, y], axis=-1)
+    return _place(_patch_around_maximum(heat_maps, beta))
 
 
 def patch_mass(heat_maps: Float[AnyArray, "n h w"], beta: Scalar = BETA) -> Float[AnyArray, "n"]:
@@ -43,24 +35,28 @@ def patch_mass(heat_maps: Float[AnyArray, "n h w"], beta: Scalar = BETA) -> Floa
 
     Where softmax(β·H) is the probability of the landmark's place, this is the probability that it lies in the patch.
     """
-    library = library_of(heat_maps, beta)
-    patch = _patch_around_maximum(heat_maps, library)
-    inside = _exponentials(patch, beta, library).sum(axis=1)
-    everywhere = library.exp(beta * (heat_maps - patch.largest[:, None, None])).sum(axis=(1, 2))
-    return inside / everywhere
+    return _mass(_patch_around_maximum(heat_maps, beta), heat_maps, beta)
+
+
+def place_and_mass(
+    heat_maps: Float[AnyArray, "n h w"], beta: Scalar = BETA
+) -> tuple[Float[AnyArray, "n 2"], Float[AnyArray, "n"]]:
+    """`soft_argmax` and `patch_mass`, with one search for the maxima."""
+    patch = _patch_around_maximum(heat_maps, beta)
+    return _place(patch), _mass(patch, heat_maps, beta)
 
 
 class _Patch(NamedTuple):
-    values: Float[AnyArray, "n 9"]
-    inside: Bool[AnyArray, "n 9"]
-    """Which of the nine pixels belong to the map."""
+    weights: Float[AnyArray, "n 9"]
+    """exp(β·(H − the largest)) in reading order; 0 outside of the map."""
     largest: Float[AnyArray, "n"]
     """Constant in the derivative: it only keeps the exponentials in range and cancels in every ratio."""
     row: Int[AnyArray, "n"]
     column: Int[AnyArray, "n"]
 
 
-def _patch_around_maximum(heat_maps: Float[AnyArray, "n h w"], library: ModuleType) -> _Patch:
+def _patch_around_maximum(heat_maps: Float[AnyArray, "n h w"], beta: Scalar) -> _Patch:
+    library = library_of(heat_maps, beta)
     count, height, width = heat_maps.shape
     flat = library.reshape(heat_maps, (count, height * width))
     place = library.argmax(_constant(flat), axis=1)
@@ -70,11 +66,24 @@ def _patch_around_maximum(heat_maps: Float[AnyArray, "n h w"], library: ModuleTy
     # Pixels beyond the border read their neighbour inside; their weight is zero.
     read = library.clip(rows, 0, height - 1) * width + library.clip(columns, 0, width - 1)
     values = library.take_along_axis(flat, read, axis=1)
-    return _Patch(values, inside, _constant(values[:, 4]), row, column)
+    largest = _constant(values[:, 4])
+    return _Patch(library.where(inside, library.exp(beta * (values - largest[:, None])), 0), largest, row, column)
 
 
-def _exponentials(patch: _Patch, beta: Scalar, library: ModuleType) -> Float[AnyArray, "n 9"]:
-    return library.where(patch.inside, library.exp(beta * (patch.values - patch.largest[:, None])), 0)
+def _place(patch: _Patch) -> Float[AnyArray, "n 2"]:
+    """The mean of the patch's pixels by their weights."""
+    library = library_of(patch.weights)
+    share = patch.weights / patch.weights.sum(axis=1, keepdims=True)
+    dtype = share.dtype
+    x = patch.column.astype(dtype) + share @ library.asarray(_COLUMNS, dtype)
+    y = patch.row.astype(dtype) + share @ library.asarray(_ROWS, dtype)
+    return library.stack([x, y], axis=-1)
+
+
+def _mass(patch: _Patch, heat_maps: Float[AnyArray, "n h w"], beta: Scalar) -> Float[AnyArray, "n"]:
+    library = library_of(heat_maps, beta)
+    everywhere = library.exp(beta * (heat_maps - patch.largest[:, None, None])).sum(axis=(1, 2))
+    return patch.weights.sum(axis=1) / everywhere
 
 
 def _constant(values: AnyArray) -> AnyArray:
