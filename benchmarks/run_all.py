@@ -13,6 +13,7 @@ BENCHMARKS = (
     *(
         "solve_time",
         "video_rate",
+        "video_rate_peers",
         "memory",
         "compile_time",
         "import_time",
