@@ -366,7 +366,7 @@ class PicturesOfPaper:
 
     note = None
 
-    def __init__(self, model):
+    def __init__(self, model, dressed=None):
         self._waiting = None
 
     def add(self, path, picture, fit):
