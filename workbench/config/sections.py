@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator
 
 from workbench.energies.terms import NODES, TABLE, Term
-from workbench.face.characters import PLAIN, character_names
+from workbench.face.characters import PLAIN, character_names, is_character
 
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
@@ -125,7 +125,7 @@ class HeadConfig(Section):
     @field_validator("character")
     @classmethod
     def _is_there(cls, name: str) -> str:
-        if name != PLAIN and not name.endswith(".toml") and name not in character_names():
+        if name != PLAIN and not is_character(name):
             raise ValueError(f"there is no character {name!r}; there are {PLAIN}, {', '.join(character_names())}")
         return name
 

@@ -68,6 +68,11 @@ class DressedHead:
             inner[self.model.regions[name]] = True
         return ~inner[self.model.triangles].all(axis=1)
 
+    @property
+    def clothed(self) -> bool:
+        """Whether clothes cover the open end of the neck."""
+        return any(worn.part.kind == "clothes" for worn in self.worn)
+
     def vertices(self, parameters: FaceParameters) -> Float[np.ndarray, "v 3"]:
         """Head vertices of these parameters without the pose; an empty identity is the character's."""
         return posed_vertices(self._person(parameters), parameters.expression, _jaw(parameters), _scale(parameters))

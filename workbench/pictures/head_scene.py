@@ -60,8 +60,7 @@ class HeadScene:
             points_of_triangle = model.triangles.astype(np.int64)
         else:
             self.vertex_of_point, uv_of_point, points_of_triangle = split_seams(model.triangles, model.triangles_uv)
-        # What wears a shirt has no open neck.
-        fade_neck = fade_neck and not (dressed and any(worn.part.kind == "clothes" for worn in dressed.worn))
+        fade_neck = fade_neck and not (dressed and dressed.clothed)
         opacity = np.rint(255 * neck_opacity(model)) if fade_neck else np.full(len(model.neutral), 255)
         tint = model.colors if texture is None else np.full_like(model.colors, 255)
         self.opacity = opacity.astype(np.uint8)

@@ -36,8 +36,7 @@ def surface_message(model: FaceModel, dressed: DressedHead | None = None) -> dic
         texture = cv2.imencode(".jpg", picture[..., ::-1], quality)[1].tobytes()
     outer = is_outer(model)
     inner = ~outer if dressed is None else ~outer & dressed.shown
-    clothed = dressed is not None and any(worn.part.kind == "clothes" for worn in dressed.worn)
-    plane = None if clothed else collar(model)
+    plane = None if dressed is not None and dressed.clothed else collar(model)
     directions = np.array([light.direction for light in STUDIO.lights])
     return {
         "vertices": len(model.neutral),
