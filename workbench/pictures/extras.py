@@ -35,6 +35,9 @@ class Extras:
 
     colors: UInt8[np.ndarray, "v 3"] | None = None
     """RGB of each vertex, in place of the head's texture and colours."""
+    light: UInt8[np.ndarray, "v 3"] | None = None
+    """Share, of 255, of the lights' red, green and blue that reaches each vertex; None: all of it. What is worn on the
+    face takes it from the vertices that it is tied to."""
     points: Float[np.ndarray, "p 3"] | None = None
     point_colors: UInt8[np.ndarray, "p 3"] | None = None
     point_mm: float = 2.0

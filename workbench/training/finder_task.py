@@ -11,12 +11,12 @@ from torch.nn import functional
 
 from workbench.landmarks.alignment import frame_from_points
 from workbench.networks.face_finder import NAME, OUTPUTS, PADDING_GREY, STRIDE, UNIT_SIDE
-from workbench.training.augment import photographed, random_background
+from workbench.training.augment import cut_out, photographed, random_background
 from workbench.training.loop import Batch, MapsTask, Phase
 from workbench.training.pool import Pool
 
 MOST_FACES = 4
-SMALLEST, LARGEST = 20.0, 190.0
+SMALLEST, LARGEST = 16.0, 190.0
 """Box sides in pixels of a 256×256 picture."""
 SPREAD = 0.18
 """Standard deviation of a face's blob in the score map, in box sides."""
@@ -81,8 +81,8 @@ def crowd(pool: Pool, rng: np.random.Generator, side: int) -> tuple[np.ndarray, 
     scale = side / 256
     kept = 0
     for size in sizes * scale:
-        rgba, points = pool.picture(int(rng.integers(len(pool))))
-        frame = frame_from_points(points.astype(np.float64))
+        rgba, points = cut_out(pool, int(rng.integers(len(pool))))
+        frame = frame_from_points(points[:68].astype(np.float64))
         centre = rng.uniform(-0.1 * size, side + 0.1 * size, 2)
         if any(np.linalg.norm(centre - box[:2]) < 0.8 * max(size, box[2]) for box in boxes[:kept]):
             continue
@@ -106,10 +106,10 @@ def crowd(pool: Pool, rng: np.random.Generator, side: int) -> tuple[np.ndarray, 
 def _placed(picture, rgba, frame, centre, size, rng):
     """The head with its box at `centre`, `size` pixels wide, turned a little."""
     side = len(picture)
-    angle = np.clip(rng.normal(0, np.radians(12)), -0.7, 0.7)
+    angle = np.radians(np.clip(rng.normal(0, 12), -40, 40) if rng.random() < 0.8 else rng.uniform(-60, 60))
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     matrix = turn * size / frame.side
-    head = np.ascontiguousarray(rgba)
+    head = rgba
     shrink = frame.side / size
     if shrink > 1.5:  # so that small heads do not alias
         head = cv2.resize(head, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA)
