@@ -60,7 +60,7 @@ def augmented(
     is_face = rng.random() > 0.04 * hardness.damage
     if is_face:
         head, points = _framed(rgba, points.astype(np.float64), rng, side, hardness)
-        head = _exposed(head, rng)
+        head = exposed(head, rng)
         picture = _clothed(background, points[:68], rng)
         cover = head[..., 3:].astype(np.float32) / 255
         light = rng.normal(1, 0.04, 3).astype(np.float32)
@@ -196,7 +196,7 @@ def _framed(rgba, points, rng, side, hardness):
     return head, to_image.to_face(points)
 
 
-def _exposed(head, rng):
+def exposed(head: UInt8[np.ndarray, "h w 4"], rng: np.random.Generator) -> UInt8[np.ndarray, "h w 4"]:
     """The head as a camera exposes it: its mean brightness where the scene's is not kept."""
     cover = head[..., 3] > 127
     if rng.random() < 0.2 or not cover.any():

@@ -19,11 +19,13 @@ from workbench.training.pool import make_pool, open_pool
 from workbench.training.report import write_report
 
 LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
-FURTHER_LANDMARK_PLAN = TrainingPlan(phases=(Phase(256, 1400, 16, 1e-3), Phase(256, 1000, 16, 4e-4)))
+FURTHER_LANDMARK_PLAN = TrainingPlan(
+    phases=(Phase(256, 1400, 16, 1e-3), Phase(256, 1000, 16, 4e-4), Phase(256, 1400, 16, 8e-4))
+)
 FINDER_PLAN = TrainingPlan(
     phases=(Phase(128, 2500, 32, 3e-3), Phase(256, 2500, 24, 2e-3)), widths=(16, 32, 64, 96), blocks=2
 )
-FURTHER_FINDER_PLAN = TrainingPlan(phases=(Phase(256, 1000, 16, 1e-3),), widths=(16, 32, 64, 96), blocks=2)
+FURTHER_FINDER_PLAN = TrainingPlan(phases=(Phase(256, 1400, 16, 1.5e-3),), widths=(16, 32, 64, 96), blocks=2)
 """For weights that are there already."""
 POOL_SEED, TEST_SEED = 1, 1002
 TEST_PICTURES, EVALUATED, CALIBRATED = 960, 800, 1500
