@@ -30,7 +30,7 @@ from workbench.training.evaluation import (
     rank_correlation,
     reliability,
 )
-from workbench.training.finder_task import FinderTask, crowd
+from workbench.training.finder_task import FinderTask, can_be_seen, crowd
 from workbench.training.landmark_task import LandmarkTask, local_soft_argmax, loss_of, target_distribution
 from workbench.training.loop import Phase, TrainingPlan, folded_arrays, train
 from workbench.training.pool import SHARD, Pool, open_pool, shard_paths
@@ -324,7 +324,7 @@ class TestFinderTask:
 
     def test_crowds_have_boxes_inside_and_sometimes_none(self, pool):
         counts = []
-        for seed in range(40):
+        for seed in range(250):
             picture, boxes = crowd(pool, np.random.default_rng(seed), 64)
             there = boxes[boxes[:, 2] > 0]
             assert picture.shape == (64, 64, 3)
@@ -332,6 +332,14 @@ class TestFinderTask:
             counts.append(len(there))
         assert min(counts) == 0
         assert max(counts) >= 2
+
+    def test_a_face_that_nobody_could_see_is_none(self):
+        picture = np.full((64, 64, 3), 12, np.uint8)
+        box = np.array([30.0, 30.0, 20.0], np.float32)
+        assert not can_be_seen(picture, box)
+        picture[26:34, 26:34] = 90
+        assert can_be_seen(picture, box)
+        assert not can_be_seen(picture, np.array([55.0, 10.0, 12.0], np.float32))
 
 
 class TestLoop:

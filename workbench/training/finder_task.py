@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 
@@ -100,7 +100,7 @@ def crowd(pool: Pool, rng: np.random.Generator, side: int) -> tuple[np.ndarray, 
         _decoy(picture, rng)
     picture = np.clip(photographed(picture, rng), 0, 255).astype(np.uint8)
     for box in boxes[:kept]:
-        if not _seen(picture, box):
+        if not can_be_seen(picture, box):
             box[:] = 0.0
     if rng.random() < 0.5:  # the padding of a picture that is not square
         margin = int(rng.uniform(0.1, 0.5) * side)
@@ -133,7 +133,7 @@ def _decoy(picture, rng) -> None:
         cv2.fillPoly(picture, [np.rint(outline).astype(np.int32)], tone.tolist(), cv2.LINE_AA)
 
 
-def _seen(picture, box) -> bool:
+def can_be_seen(picture: UInt8[np.ndarray, "s s 3"], box: Float[np.ndarray, "3"]) -> bool:
     """Whether there is anything to see in a box: a face in the dark, or blown out, is no lesson."""
     x, y, half = box[0], box[1], box[2] / 2
     top, left = max(0, round(y - half)), max(0, round(x - half))
