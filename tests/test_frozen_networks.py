@@ -48,7 +48,7 @@ def test_the_bundled_network_frozen_puts_landmarks_where_the_network_does():
     network = bundled_landmark_network()
     crop = np.random.default_rng(2).integers(0, 256, (256, 256, 3), dtype=np.uint8)
     expected = soft_argmax(eqx.filter_jit(network)(jnp.moveaxis(jnp.asarray(crop), -1, 0).astype(jnp.float32) / 255))
-    np.testing.assert_allclose(soft_argmax(FrozenNetwork(network)(crop)), expected, atol=1e-3)
+    np.testing.assert_allclose(soft_argmax(FrozenNetwork(network)(crop)[:68]), expected, atol=1e-3)
 
 
 def test_a_frozen_network_answers_several_threads_at_once():
