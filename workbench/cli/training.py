@@ -38,7 +38,7 @@ Workers = Annotated[int, typer.Option(min=1, help="Processes that render and aug
 Device = Annotated[str, typer.Option(help="Where PyTorch computes: cpu or cuda.")]
 Start = Annotated[
     Path | None,
-    typer.Option(exists=True, dir_okay=False, help="Weights to go on from, by a shorter plan; else from nothing."),
+    typer.Option(help="Weights to go on from, by a shorter plan; else from nothing."),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Train again, from the start; the pool is kept.")]
 

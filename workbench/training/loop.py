@@ -21,6 +21,7 @@ from workbench.errors import InputError
 from workbench.files import atomic_path, make_folder
 from workbench.networks.landmark_network import BLOCKS, WIDTHS
 from workbench.networks.weights import ARCHITECTURE, read_weights
+from workbench.reading import checked_file
 from workbench.training.pool import Pool, open_pool
 from workbench.training.torch_network import TorchLandmarkNetwork, conv_norms, go_on_from
 
@@ -169,7 +170,10 @@ def train(
     """
     make_folder(folder)
     if start is not None:
-        plan = replace(plan, start=hashlib.sha256(start.read_bytes()).hexdigest())
+        plan = replace(
+            plan,
+            start=hashlib.sha256(checked_file(start, "weights to go on from", InputError).read_bytes()).hexdigest(),
+        )
     _claim(folder / "plan.json", plan)
     torch.manual_seed(plan.seed)
     network = task.network(plan)

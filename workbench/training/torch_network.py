@@ -100,7 +100,7 @@ def go_on_from(
                 around = torch.stack([rows[start : start + 6].mean(0) for start in RIGHT_AND_LEFT_EYE])
                 rows = torch.cat([rows, known.get(f"pupils.{part}", around)])
             own.copy_(rows / output_scale)
-        network.eval()
+        network.train(False)
         network(pictures)
         network.train()
         for name, step in conv_norms(network):
