@@ -36,7 +36,7 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Recipe:
-    """Sizes of one training; the defaults made the bundled weights."""
+    """Sizes of one training."""
 
     pictures: int = 3600
     test_pictures: int = TEST_PICTURES
