@@ -36,6 +36,7 @@ ORDER = [
     "planning",
     "tracker",
     "diagnosis",
+    "objectives",
     "pictures",
     "training",
     "plots",

@@ -9,6 +9,7 @@ from . import frames as frames
 from . import geometry as geometry
 from . import landmarks as landmarks
 from . import networks as networks
+from . import objectives as objectives
 from . import pictures as pictures
 from . import pipeline as pipeline
 from . import plots as plots
