@@ -37,6 +37,7 @@ ORDER = [
     "tracker",
     "diagnosis",
     "objectives",
+    "learning",
     "pictures",
     "training",
     "plots",

@@ -126,7 +126,7 @@ def solve_frame(
     terms: tuple[str, ...] = FACE_IT_TERMS,
 ) -> SolvedFrame:
     """Run the stages in order, each from the previous result. `terms` names the columns of `program.omega`."""
-    settings = _within_range(settings, model)
+    settings = within_range(settings, model)
 
     def branch(free: tuple[str, ...]):
         def run(problem: EnergyProblem, parameters: FaceParameters, moves, limit):
@@ -169,7 +169,7 @@ def solve_frame(
     return SolvedFrame(*parts, report, rows[3])
 
 
-def _within_range(settings: SolveSettings, model: LandmarkModel) -> SolveSettings:
+def within_range(settings: SolveSettings, model: LandmarkModel) -> SolveSettings:
     """The settings with the model's own bounds of each weight; if weights are unbounded, only of those that the model
     holds."""
     held = model.expression_lower == model.expression_upper
