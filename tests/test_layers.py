@@ -44,6 +44,7 @@ ORDER = [
     "pipeline",
     "one_picture",
     "reproduction",
+    "sweeps",
     "session",
     "widgets",
     "cli",

@@ -1,0 +1,1 @@
+from .solving import ClipSolver as ClipSolver
