@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from workbench.errors import ConfigError
-from workbench.objectives import Truth
+from workbench.objectives import SecondView, Truth
 from workbench.tracking import FrameObservation
 
 WINDOW = 20
@@ -27,6 +27,7 @@ class SweptClip:
     truth: Truth = field(default_factory=Truth)
     flow: np.ndarray | None = None
     """As `ObservedClip.flow`, for all frames."""
+    second: SecondView | None = None
 
     @property
     def shots(self) -> tuple[range, ...]:

@@ -148,7 +148,7 @@ def read_sampling(text: str | None, seed: int = 0) -> Sampling:
     return Sampling(kind, int(count), seed)
 
 
-def points_of(axes: Sequence[Axis], sampling: Sampling = Sampling()) -> tuple[Point, ...]:  # noqa: B008
+def points_of(axes: Sequence[Axis], sampling: Sampling = Sampling()) -> tuple[Point, ...]:
     """The points of a space, in an order that is always the same.
 
     Sobol' points fill the space evenly: any power of two of them is balanced in every axis (SciPy's, scrambled by the
@@ -191,8 +191,10 @@ def config_at(base: Config, point: Point) -> Config:
     """The configuration of a point. Raises `ConfigError` for an unknown setting or a value out of range."""
     values = dict(point.values)
     if "preset" in values:
-        chosen = preset(str(values.pop("preset")))
-        base = chosen.model_copy(update={name: getattr(base, name) for name in ("camera", "landmarks", "subsets")})
+        # What belongs to the clip stays; everything else is the preset's.
+        kept = {name: getattr(base.landmarks, name) for name in ("detector", "face", "moved")}
+        chosen = preset(str(values.pop("preset"))).model_copy(update={"camera": base.camera, "subsets": base.subsets})
+        base = chosen.changed(landmarks=kept)
     if "schedule" in values:
         base = base.model_copy(update={"stages": preset(str(values.pop("schedule"))).stages})
     stored = base.model_dump()
