@@ -18,6 +18,7 @@ from . import reproduction as reproduction
 from . import samples as samples
 from . import session as session
 from . import solvers as solvers
+from . import sweeps as sweeps
 from . import tracking as tracking
 from . import widgets as widgets
 from .config import Config as Config

@@ -17,6 +17,8 @@ SMALL_ARRAYS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_
 a CPU builds every kernel as a module of its own and takes half as long again to compile such a program, and LLVM's
 higher levels another quarter; the programs run no faster for it. Renderer and networks keep both: without the newer way
 they run a quarter slower."""
+ONE_THREAD = SMALL_ARRAYS | {"xla_cpu_multi_thread_eigen": False}
+"""The same without sharing a product out over threads, which would change its last bits with the number of cores."""
 SHORT_TURN_S = 0.001
 """Python's own turn is 5 ms."""
 

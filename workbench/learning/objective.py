@@ -9,20 +9,17 @@ from jaxtyping import Float
 from workbench.arrays import AnyArray
 from workbench.config import Config
 from workbench.errors import ConfigError
+from workbench.geometry import Camera
 from workbench.learning.chain import FittedStretch, fitted_stretch
 from workbench.learning.examples import Example
 from workbench.learning.learnable import Logs, weighing_of
-from workbench.objectives import FOLDS, FittedClip, WeightedSum, measure, objective
+from workbench.objectives import FOLDS, FittedClip, WeightedSum, measure
 from workbench.planning import plan_of
 from workbench.runtime import SMALL_ARRAYS
+from workbench.sweeps.results import folds_needed
 
 WITHOUT_GRADIENT = ("mesh", "iterations")
-"""Objectives that are not computed from the fits of a stretch."""
-
-
-def kinds_of(objectives: WeightedSum) -> tuple[str, ...]:
-    """The folds that a sum of objectives looks at."""
-    return tuple(dict.fromkeys(objective(name).folds for name in objectives.names if objective(name).folds))
+"""Objectives that are not computed from the landmarks of a stretch's fits."""
 
 
 def check_gradient(objectives: WeightedSum) -> None:
@@ -32,20 +29,16 @@ def check_gradient(objectives: WeightedSum) -> None:
             raise ConfigError(f"The objective {name!r} has no gradient here; search with it (--search) instead.")
 
 
-def stretch_value(config: Config, objectives: WeightedSum, camera) -> Callable[[Logs, Example], Float[AnyArray, ""]]:
+def example_value(
+    config: Config, objectives: WeightedSum, camera: Camera
+) -> Callable[[Logs, Example], Float[AnyArray, ""]]:
     """The mean of a sum of objectives over the counted frames of an example, as a function of what is learned."""
-    plan = plan_of(config)
-    kinds = kinds_of(objectives)
+    plan, kinds = plan_of(config), folds_needed(objectives.names)
 
     def value(logs: Logs, example: Example) -> Float[AnyArray, ""]:
         weighing = weighing_of(config, logs, camera)
-
-        def fitted(hidden):
-            counts = jnp.where(hidden, 0.0, example.stretch.counts)
-            return fitted_stretch(plan.stages, plan.terms, weighing, example.stretch._replace(counts=counts))
-
-        found = jax.vmap(fitted)(example.hidden)
-        fits = _as_clip(found, kinds, example)
+        found = jax.vmap(lambda stretch: fitted_stretch(plan.stages, plan.terms, weighing, stretch))(example.stretches)
+        fits = _as_clip(found, kinds, len(example.counted))
         values = objectives.of({name: measure(name)(example.clip, fits) for name in objectives.names})
         known = example.counted & ~jnp.isnan(values)
         return jnp.sum(jnp.where(known, values, 0.0)) / jnp.maximum(jnp.sum(known), 1)
@@ -53,18 +46,18 @@ def stretch_value(config: Config, objectives: WeightedSum, camera) -> Callable[[
     return value
 
 
-def value_and_slope(config: Config, objectives: WeightedSum, camera) -> Callable[[Logs, Example], tuple]:
+def value_and_slope(
+    config: Config, objectives: WeightedSum, camera: Camera
+) -> Callable[[Logs, Example], tuple[Float[AnyArray, ""], Logs]]:
     """The compiled value of an example and its derivative by what is learned."""
-    return jax.jit(jax.value_and_grad(stretch_value(config, objectives, camera)), compiler_options=SMALL_ARRAYS)
+    return jax.jit(jax.value_and_grad(example_value(config, objectives, camera)), compiler_options=SMALL_ARRAYS)
 
 
-def _as_clip(found: FittedStretch, kinds: Sequence[str], example: Example) -> FittedClip:
+def _as_clip(found: FittedStretch, kinds: Sequence[str], frames: int) -> FittedClip:
     """The fits that see everything, and by kind the landmarks of those that do not."""
-    whole = jax.tree.map(lambda leaf: leaf[0], found)
-    folds: dict[str, AnyArray] = {}
-    first = 1
+    whole, folds, first = jax.tree.map(lambda leaf: leaf[0], found), {}, 1
     for kind in kinds:
-        count = len(FOLDS[kind](len(example.counted)))
+        count = len(FOLDS[kind](frames))
         folds[kind] = found.projected[first : first + count]
         first += count
     return FittedClip(
@@ -73,6 +66,6 @@ def _as_clip(found: FittedStretch, kinds: Sequence[str], example: Example) -> Fi
         expression=whole.parameters.expression,
         projected=whole.projected,
         inner_camera=whole.inner_camera,
-        iterations=jnp.full(len(example.counted), jnp.nan),
+        iterations=jnp.full(frames, jnp.nan),
         folds=folds,
     )

@@ -5,7 +5,6 @@ recompile anything. Only a trust region instead of Levenberg–Marquardt, or kee
 """
 
 import math
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -114,8 +113,7 @@ class SolvedFrame(NamedTuple):
     """None unless requested: per stage, energies (s, steps, t) and landmark residuals in pixels (s, steps, 68)."""
 
 
-@partial(jax.jit, static_argnames=("method", "trace_length", "terms"), compiler_options=SMALL_ARRAYS)
-def solve_frame(
+def run_stages(
     camera: Camera,
     model: LandmarkModel,
     settings: SolveSettings,
@@ -167,6 +165,10 @@ def solve_frame(
     parts = (parameters, pose, projected, *rows[:3])
     report = jnp.concatenate([jnp.ravel(leaf).astype(float) for leaf in jax.tree.leaves(parts)])
     return SolvedFrame(*parts, report, rows[3])
+
+
+solve_frame = jax.jit(run_stages, static_argnames=("method", "trace_length", "terms"), compiler_options=SMALL_ARRAYS)
+"""`run_stages` as a compiled program."""
 
 
 def within_range(settings: SolveSettings, model: LandmarkModel) -> SolveSettings:
