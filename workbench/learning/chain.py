@@ -143,4 +143,4 @@ def _box_of(settings: SolveSettings, parameters: FaceParameters, free: tuple[str
         )
 
     lower, upper = limits(-jnp.inf, settings.lower), limits(jnp.inf, settings.upper)
-    return Box(lower, upper, jnp.ones(len(lower)))
+    return Box(lower, upper)

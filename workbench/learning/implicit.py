@@ -1,9 +1,10 @@
 """The optimum of a stage as a function of everything that its energy depends on, with the derivative that it has there.
 
-At the optimum x of E(x; θ) the free unknowns feel no force: ∂E/∂x_f = 0, while the others rest on a bound or are held.
-Differentiated by θ this gives the implicit function theorem,
+At the optimum x of E(x; θ) unknowns either feel no force, ∂E/∂x_f = 0, or rest on a bound that E presses them against.
+Differentiated by θ (the weights of terms and landmarks, constants, camera, and what the stage holds) this gives, by the
+implicit function theorem,
 
-    H_ff · dx_f = −(∂²E/∂x_f∂θ · dθ + H_fh · dx_h),     dx of unknowns on a bound = 0,
+    H_ff · dx_f = −∂²E/∂x_f∂θ · dθ,     dx of unknowns on a bound = 0:
 
 one linear system a stage, however many iterations the solver took. H is the whole Hessian of the energy: Gauss–Newton's
 JᵀJ leaves out how residuals bend, and the smoothed L1 norm, linear far from 0, is all bend (its JᵀJ is 1/(4w) where its
@@ -37,8 +38,6 @@ class Box(NamedTuple):
 
     lower: Float[AnyArray, "n"]
     upper: Float[AnyArray, "n"]
-    moving: Float[AnyArray, "n"]
-    """1 for unknowns that the stage frees, 0 for those that it holds where they are."""
 
 
 class Effort(NamedTuple):
@@ -72,6 +71,22 @@ def smooth_energy(
     return sum(jnp.sum(part**2) for part in found.values())
 
 
+@partial(jax.jit, static_argnums=(3, 4))
+def slope_of(
+    problem: EnergyProblem, x: Float[AnyArray, "n"], held: FaceParameters, free: tuple[str, ...], terms: tuple[str, ...]
+) -> Float[AnyArray, "n"]:
+    """∂E/∂x."""
+    return jax.grad(smooth_energy, argnums=1)(problem, x, held, free, terms)
+
+
+@partial(jax.jit, static_argnums=(3, 4))
+def curvature_of(
+    problem: EnergyProblem, x: Float[AnyArray, "n"], held: FaceParameters, free: tuple[str, ...], terms: tuple[str, ...]
+) -> Float[AnyArray, "n n"]:
+    """∂²E/∂x²."""
+    return jax.jacfwd(slope_of, argnums=1)(problem, x, held, free, terms)
+
+
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def optimum(
     free: tuple[str, ...],
@@ -88,17 +103,22 @@ def optimum(
     hundredth of a weight away, which a derivative feels.
     """
     x = pack(start, free)
-    moving = box.moving > 0.5
-    lower, upper = jnp.where(moving, box.lower, x), jnp.where(moving, box.upper, x)
 
     def system(x):
-        return normal_system(problem, unpack(x, start, free), free, terms).restricted(moving)
+        return normal_system(problem, unpack(x, start, free), free, terms)
 
     def energy(x):
         return smooth_energy(problem, x, start, free, terms)
 
-    found = minimise(LevenbergMarquardt(), system, x, lower, upper, effort.limit, effort.tolerance, cost=energy)
-    return _by_newton(energy, found.x, lower, upper)
+    found = minimise(LevenbergMarquardt(), system, x, box.lower, box.upper, effort.limit, effort.tolerance, cost=energy)
+
+    def slope(x):
+        return slope_of(problem, x, start, free, terms)
+
+    def curvature(x):
+        return curvature_of(problem, x, start, free, terms)
+
+    return _by_newton(energy, slope, curvature, found.x, box.lower, box.upper)
 
 
 @optimum.defjvp
@@ -106,15 +126,12 @@ def _optimum_moves(free, terms, primals, tangents):
     problem, start, box, effort = primals
     problem_moves, start_moves, *_ = tangents
     x = optimum(free, terms, problem, start, box, effort)
-    force = jax.grad(lambda problem, held, x: smooth_energy(problem, x, held, free, terms), argnums=2)
-    moving = box.moving > 0.5
-    slope, curvature = force(problem, start, x), jax.jacfwd(partial(force, problem, start))(x)
-    at_bound = moving & resting(x, slope, box.lower, box.upper)
-    fixed = ~moving | at_bound
-    given = jnp.where(at_bound, 0.0, pack(start_moves, free)) * fixed
-    turned = jax.jvp(lambda problem, held: force(problem, held, x), (problem, start), (problem_moves, start_moves))[1]
-    right = jnp.where(fixed, given, -(turned + curvature @ given))
-    return x, jnp.linalg.solve(_among_free(curvature, fixed, jnp.zeros(len(x))), right)
+    slope, curvature = (of(problem, x, start, free, terms) for of in (slope_of, curvature_of))
+    at_bound = resting(x, slope, box.lower, box.upper)
+    turned = jax.jvp(
+        lambda problem, held: slope_of(problem, x, held, free, terms), (problem, start), (problem_moves, start_moves)
+    )[1]
+    return x, jnp.linalg.solve(_among_free(curvature, at_bound, 0.0), jnp.where(at_bound, 0.0, -turned))
 
 
 def resting(
@@ -142,20 +159,19 @@ class _Newton(NamedTuple):
     damping: Float[AnyArray, ""]
 
 
-def _by_newton(energy, x, lower, upper):
+def _by_newton(energy, slope_at, curvature_at, x, lower, upper):
     """The place of least energy near x, by steps with the whole Hessian; a step that makes the force on the free
     unknowns no less is taken again, shorter."""
-    slope_of = jax.grad(energy)
 
     def free_force(x):
-        slope = slope_of(x)
+        slope = slope_at(x)
         return jnp.max(jnp.abs(jnp.where(resting(x, slope, lower, upper), 0.0, slope)))
 
     def wanted(state):
         return (state.count < NEWTON_STEPS) & (state.force > STILL * scale) & (state.damping < 1e9)
 
     def step(state):
-        slope, curvature = slope_of(state.x), jax.jacfwd(slope_of)(state.x)
+        slope, curvature = slope_at(state.x), curvature_at(state.x)
         held = resting(state.x, slope, lower, upper)
         move = jnp.linalg.solve(_among_free(curvature, held, state.damping), jnp.where(held, 0.0, -slope))
         candidate = jnp.clip(state.x + move, lower, upper)
