@@ -54,7 +54,7 @@ def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Seq
             least = int(np.nanargmin(means))
             area.plot(places[least], means[least], "o", color=RED, markersize=10, fillstyle="none", label="least mean")
         _ticks(area, axis, values, places)
-        area.set_title(f"{name}, {TABLE[name].unit}", fontsize=10, loc="left")
+        area.set_title(TABLE[name].label, fontsize=10, loc="left")
         area.set_xlabel(axis.path, fontsize=9)
         area.tick_params(labelsize=9)
         without_frame(area)
@@ -102,7 +102,7 @@ def maps_figure(result: SweepResult, axes: tuple[Axis, Axis] | None = None, obje
         area.tick_params(axis="x", rotation=40 if _long(across) else 0)
         area.set_xlabel(across.path, fontsize=9)
         area.set_ylabel(up.path, fontsize=9)
-        area.set_title(f"{name}, {TABLE[name].unit}", fontsize=10, loc="left")
+        area.set_title(TABLE[name].label, fontsize=10, loc="left")
     for area in areas[len(names) :]:
         area.axis("off")
     figure.tight_layout()
@@ -126,7 +126,7 @@ def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
     places = np.arange(len(scales))
     for number in sorted(np.flatnonzero(known), key=lambda number: -ranks[number]):
         good = ranks[number] <= 0.1
-        colour, width, opacity = (RED, 1.6, 0.9) if good else (GREY, 0.8, 0.35)
+        colour, width, opacity = (RED, 1.6, 0.9) if good else (GREY, 0.9, 0.6)
         area.plot(places, lines[number], color=colour, linewidth=width, alpha=opacity)
     for place, (_, _, low, high) in enumerate(scales):
         area.axvline(place, color="0.3", linewidth=0.8)
@@ -154,7 +154,8 @@ def pareto_figure(
     x, y = result.means(across), result.means(up)
     figure, (area,) = subplots(1, 1, (WIDTH, 4.2))
     third = result.means(colour) if colour in result.objectives else None
-    drawn = area.scatter(x, y, c=BLUE if third is None else third, cmap=COLOURS, s=34, zorder=3)
+    colours = {"color": BLUE} if third is None else {"c": third, "cmap": COLOURS}
+    drawn = area.scatter(x, y, s=34, zorder=3, **colours)
     if third is not None:
         bar = figure.colorbar(drawn, ax=area, pad=0.02)
         bar.set_label(TABLE[colour].label, fontsize=9)
@@ -272,7 +273,7 @@ def _long(axis: Axis) -> bool:
 def _folded(name: str) -> str:
     """A name on as many lines as it has parts."""
     section, dot, rest = name.partition(".")
-    return f"{section}.\n{rest}" if dot else name.replace("-", "-\n", 1)
+    return f"{section}.\n{rest}" if dot else "-\n".join(name.rsplit("-", 1))
 
 
 def _name_some(area: Axes, result: SweepResult, front, x, y) -> None:

@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -110,7 +110,8 @@ class ClipSolver:
         if key not in self._identities:
             if self._fitter is None:
                 self._fitter = FaceItFitter(self.model, plan)
-            self._fitter.configure(plan)
+            # Hidden landmarks are muted too, or the poses that the calibration starts from would know them.
+            self._fitter.configure(replace(plan, point_weights=np.where(hidden, 0.0, plan.point_weights)))
             self._identities[key] = self._fitter.calibrate(window, 1 if clip.stills else config.identity.frames)
             while len(self._identities) > KEPT_IDENTITIES:
                 self._identities.popitem(last=False)
