@@ -176,7 +176,8 @@ def test_nothing_is_done_twice_and_points_can_be_added(done, clips, tmp_path):
 
 def test_a_torn_result_is_recognised_and_made_again(done, clips):
     result, folder = done
-    do(plan(*clips), folder, resume=True)
+    more = plan(*clips, axes=["weights.tau=log(1e-2,10,7)"])
+    do(more, folder, resume=True)
     files = sorted((folder / "results").rglob("*.npz"))
     whole = files[0].read_bytes()
     files[0].write_bytes(whole[: len(whole) // 2])
@@ -186,7 +187,7 @@ def test_a_torn_result_is_recognised_and_made_again(done, clips):
     files[2].write_bytes(damaged)
     clip = next((folder / "clips").glob("*.npz"))
     clip.write_bytes(clip.read_bytes()[:-9])
-    _, fits = do(plan(*clips, axes=["weights.tau=log(1e-2,10,7)"]), folder, resume=True)
+    _, fits = do(more, folder, resume=True)
     assert fits == 3 * 12
     same(result, do(plan(*clips), folder, resume=True)[0])
     assert files[0].read_bytes() == whole
@@ -394,3 +395,40 @@ def test_workers_without_a_scheduler_are_this_process_or_a_pool():
     assert isinstance(workers_for(1), ThisProcess)
     with pytest.raises(ConfigError, match="a pool has none"):
         workers_for(2, "tcp://nowhere:1", "pool")
+
+
+def session_of(head, frames):
+    sizes = [frame.image_size for frame in frames]
+    return TuningSession(head, Material("clip", tuple(frames), PictureStore(None, sizes), False), FACE_IT)
+
+
+class TestInASession:
+    def test_it_finds_what_the_command_finds_and_grows(self, head, done, monkeypatch):
+        session = session_of(head, observations(range(12)))
+        monkeypatch.setattr(sweep_module, "FITS", 12)
+        grown = []
+        result = session.sweep(TAU, objectives=("error", "jitter"), grown=grown.append)
+        assert [len(part.values) for part in grown] == [1, 2, 3, 4]
+        for number in range(4):
+            np.testing.assert_array_equal(result.values[number, "clip"], done[0].values[number, "one"])
+        assert np.isnan(grown[0].means("error")).tolist() == [False, True, True, True]
+
+    def test_a_point_can_be_taken_and_undone(self, head):
+        session = session_of(head, observations(range(12)))
+        before = session.config
+        result = session.sweep(TAU, objectives=("error",))
+        session.use(result.config(2), "sweep")
+        assert session.config.weights.tau == pytest.approx(1.0)
+        session.undo()
+        assert session.config == before
+
+    def test_it_stops_and_keeps_what_was_done(self, head, monkeypatch):
+        session = session_of(head, observations(range(12)))
+        monkeypatch.setattr(sweep_module, "FITS", 12)
+        asked = iter([False, False, True])
+        result = session.sweep(TAU, objectives=("error",), cancelled=lambda: next(asked))
+        assert len(result.values) == 2
+
+    def test_without_a_face_it_says_so(self, head):
+        with pytest.raises(InputError, match="clip has no face in any frame"):
+            session_of(head, observations(range(2), gaps=(0, 1))).sweep(TAU)
