@@ -8,7 +8,7 @@ from typing import Any
 from workbench.errors import InputError, OutputError
 from workbench.extras import needs
 from workbench.reading import reason_of
-from workbench.sweeps.tasks import Failed, Task, guarded
+from workbench.sweeps.tasks import Failed, Task, guarded_in_one_thread
 
 REACH_S = 10.0
 """Longest that a scheduler is waited for."""
@@ -74,7 +74,7 @@ class DaskWorkers:
             if task is None:
                 return
             # Impure: the same task may be asked for again after its result was torn.
-            future = self._client.submit(guarded, task, pure=False, retries=1)
+            future = self._client.submit(guarded_in_one_thread, task, pure=False, retries=1)
             out[future] = number
             future.add_done_callback(done.put)
 

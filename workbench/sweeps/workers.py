@@ -1,6 +1,7 @@
 """Who does the tasks of a sweep: this process, a pool of processes, a Dask cluster. The bits are the same."""
 
 import multiprocessing
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -8,7 +9,7 @@ from importlib.util import find_spec
 from typing import Any, Literal, Protocol
 
 from workbench.errors import ConfigError
-from workbench.sweeps.tasks import Failed, Task, guarded
+from workbench.sweeps.tasks import Failed, Task, guarded, guarded_in_one_thread
 
 MOST_DEATHS = 3
 """Processes that a task may end before it counts as failed."""
@@ -47,7 +48,8 @@ class Pool:
 
     said = ""
 
-    def __init__(self, count: int, do: Callable[[Task], Any] = guarded):
+    def __init__(self, count: int, do: Callable[[Task], Any] = guarded_in_one_thread):
+        share_cores()
         self._count, self._do = count, do
         self._pool: ProcessPoolExecutor | None = None
 
@@ -96,6 +98,14 @@ class Pool:
             self._pool = None
 
 
+def share_cores() -> None:
+    """Let processes that start from now on multiply in one thread each, unless the user has set a number.
+
+    OpenBLAS makes a thread a core as well: beside another worker, an identity took forty times as long with them.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 def workers_for(count: int = 1, scheduler: str | None = None, kind: Kind = "auto") -> Workers:
     """So many workers on this machine, or those of a Dask scheduler.
 
@@ -111,4 +121,5 @@ def workers_for(count: int = 1, scheduler: str | None = None, kind: Kind = "auto
         return ThisProcess() if count <= 1 else Pool(count)
     from workbench.sweeps.dask_workers import DaskWorkers
 
+    share_cores()
     return DaskWorkers(count, scheduler)
