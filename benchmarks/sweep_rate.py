@@ -18,7 +18,7 @@ from workbench.samples import sample
 from workbench.session import open_session
 from workbench.sweeps import ClipSolver, Sweep, SweptClip, read_axis, run_sweep, sources_of, workers_for
 
-SETTINGS = 16
+SETTINGS = 64
 BASE = preset("joint").changed(camera={"fov_deg": 33.0})
 OBJECTIVES = ("error", "jitter")
 
@@ -38,8 +38,8 @@ def main() -> None:
     workers = workers_for(2, kind="pool")
     try:
         with tempfile.TemporaryDirectory() as folder:
-            # Both processes load and compile first.
-            run_sweep(swept("1e-4,1e-3", 4), Path(folder) / "warm", workers)
+            # Enough tasks that both processes load and compile first.
+            run_sweep(swept("1e-4,1e-3", 16), Path(folder) / "warm", workers)
             both, _ = spent(lambda: run_sweep(swept("1e-3,10", SETTINGS), Path(folder) / "sweep", workers))
     finally:
         workers.close()
