@@ -8,7 +8,8 @@ from typing import Any
 from workbench.errors import InputError, OutputError
 from workbench.extras import needs
 from workbench.reading import reason_of
-from workbench.sweeps.tasks import Failed, Task, guarded_in_one_thread
+from workbench.runtime import ONE_CORE
+from workbench.sweeps.tasks import Failed, Task, guarded
 
 REACH_S = 10.0
 """Longest that a scheduler is waited for."""
@@ -31,7 +32,12 @@ class DaskWorkers:
         self._cluster = None
         if scheduler is None:
             self._cluster = LocalCluster(
-                n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=":0",
+                silence_logs=50,
+                env=ONE_CORE,
             )
             self.address = self._cluster.scheduler_address
         try:
@@ -74,7 +80,7 @@ class DaskWorkers:
             if task is None:
                 return
             # Impure: the same task may be asked for again after its result was torn.
-            future = self._client.submit(guarded_in_one_thread, task, pure=False, retries=1)
+            future = self._client.submit(guarded, task, pure=False, retries=1)
             out[future] = number
             future.add_done_callback(done.put)
 

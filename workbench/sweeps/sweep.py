@@ -22,8 +22,8 @@ from workbench.sweeps.tasks import Failed, FitTask, ObserveTask, fingerprint_of
 from workbench.sweeps.workers import Workers
 
 USUAL_OBJECTIVES = ("error", "left-out-points", "jitter", "iterations")
-FITS = 2000
-"""Fits of a task at most, folds included: one or two seconds."""
+FITS = 1000
+"""Fits of a task at most, folds included: about a second."""
 BEFORE_LANDMARKS = ("landmarks.detector", "landmarks.face", "camera.rig", "head", "system", "provenance", "version")
 """Settings that are not swept: landmarks are found once, before them."""
 DEFINITION = "sweep.json"

@@ -4,7 +4,6 @@ A task may run anywhere and twice. What goes wrong with its clip is its result: 
 """
 
 import json
-import os
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import lru_cache
@@ -118,16 +117,6 @@ def guarded(task: Task) -> Observed | int | Failed:
         return Failed(str(error))
     except Exception as error:
         return Failed(f"{task.clip} cannot be fitted ({type(error).__name__}: {reason_of(error)}).")
-
-
-def guarded_in_one_thread(task: Task) -> Observed | int | Failed:
-    """`guarded` for one of several processes of a machine.
-
-    XLA makes a thread a core when it first computes; those of several processes would wait for one another without
-    sleeping, and two workers take longer than one.
-    """
-    os.environ.setdefault("NPROC", "1")
-    return guarded(task)
 
 
 def config_of(text: str) -> Config:

@@ -1,7 +1,6 @@
 """Who does the tasks of a sweep: this process, a pool of processes, a Dask cluster. The bits are the same."""
 
 import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -9,7 +8,8 @@ from importlib.util import find_spec
 from typing import Any, Literal, Protocol
 
 from workbench.errors import ConfigError
-from workbench.sweeps.tasks import Failed, Task, guarded, guarded_in_one_thread
+from workbench.runtime import keep_to_one_core
+from workbench.sweeps.tasks import Failed, Task, guarded
 
 MOST_DEATHS = 3
 """Processes that a task may end before it counts as failed."""
@@ -48,8 +48,7 @@ class Pool:
 
     said = ""
 
-    def __init__(self, count: int, do: Callable[[Task], Any] = guarded_in_one_thread):
-        share_cores()
+    def __init__(self, count: int, do: Callable[[Task], Any] = guarded):
         self._count, self._do = count, do
         self._pool: ProcessPoolExecutor | None = None
 
@@ -71,7 +70,8 @@ class Pool:
         """The results until all are there; a dead process counts against the tasks that were being done then."""
         if self._pool is None:
             # Spawned: a forked child of a process that runs JAX's threads hangs.
-            self._pool = ProcessPoolExecutor(self._count, multiprocessing.get_context("spawn"))
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(self._count, context, initializer=keep_to_one_core)
         waiting, rest = {}, iter(list(left.items()))
         while True:
             # No more are handed out than there are processes, so that those that are out are those being done.
@@ -98,14 +98,6 @@ class Pool:
             self._pool = None
 
 
-def share_cores() -> None:
-    """Let processes that start from now on multiply in one thread each, unless the user has set a number.
-
-    OpenBLAS makes a thread a core as well: beside another worker, an identity took forty times as long with them.
-    """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-
 def workers_for(count: int = 1, scheduler: str | None = None, kind: Kind = "auto") -> Workers:
     """So many workers on this machine, or those of a Dask scheduler.
 
@@ -121,5 +113,4 @@ def workers_for(count: int = 1, scheduler: str | None = None, kind: Kind = "auto
         return ThisProcess() if count <= 1 else Pool(count)
     from workbench.sweeps.dask_workers import DaskWorkers
 
-    share_cores()
     return DaskWorkers(count, scheduler)
