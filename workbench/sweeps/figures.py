@@ -24,7 +24,7 @@ WIDTH = 8.0
 """Inches; at 100 dots an inch that of a notebook's outputs."""
 MOST_TICKS = 9
 COLOURS = "viridis_r"
-"""Dark is good: less is better."""
+"""Light is good: less is better."""
 
 
 def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Sequence[str] = ()) -> Figure:
@@ -166,13 +166,13 @@ def pareto_figure(
     front = front[np.argsort(x[front])]
     area.step(x[front], y[front], where="post", color=RED, linewidth=1.1, zorder=2)
     area.scatter(x[front], y[front], s=90, facecolors="none", edgecolors=RED, linewidths=1.8, zorder=4)
-    _name_some(area, result, front, x, y)
+    named = _name_some(area, result, front, x, y)
     area.set_xlabel(TABLE[across].label, fontsize=9)
     area.set_ylabel(TABLE[up].label, fontsize=9)
     area.tick_params(labelsize=9)
     area.margins(0.08)
     without_frame(area)
-    area.set_title(f"what no other point beats in {across} and {up}", fontsize=10, loc="left")
+    area.set_title("\n".join((f"what no other point beats in {across} and {up}", *named)), fontsize=9, loc="left")
     figure.tight_layout()
     return figure
 
@@ -276,10 +276,16 @@ def _folded(name: str) -> str:
     return f"{section}.\n{rest}" if dot else "-\n".join(name.rsplit("-", 1))
 
 
-def _name_some(area: Axes, result: SweepResult, front, x, y) -> None:
-    """The settings of the two ends and the middle of a front."""
+def _name_some(area: Axes, result: SweepResult, front, x, y) -> list[str]:
+    """Letters at the two ends and the middle of a front; returns what they stand for."""
     if not len(front) or not result.axes:
-        return
-    for number in dict.fromkeys((front[0], front[len(front) // 2], front[-1])):
-        text = "\n".join(f"{path.split('.')[-1]} {shown(value)}" for path, value in result.points[number].values[:3])
-        area.annotate(text, (x[number], y[number]), xytext=(9, 6), textcoords="offset points", fontsize=8)
+        return []
+    named = []
+    for letter, number in zip("abc", dict.fromkeys((front[0], front[len(front) // 2], front[-1])), strict=False):
+        place = {"xytext": (-13, -13), "textcoords": "offset points"}
+        area.annotate(letter, (x[number], y[number]), fontsize=11, fontweight="bold", color=RED, **place)
+        settings = ", ".join(
+            f"{path.split('.')[-1]} {shown(value)}" for path, value in result.points[number].values[:4]
+        )
+        named.append(f"{letter}: {settings}")
+    return named
