@@ -46,6 +46,8 @@ SLOW = (
     "test_front_door.py",
     "test_rendered_flow.py",
     "test_cli_export.py",
+    "test_sweep_workers.py",
+    "test_sweeps.py",
 )
 """Files that `make test-fast` leaves out besides those in a browser, the longest first."""
 BROWSER = (

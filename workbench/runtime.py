@@ -66,6 +66,20 @@ def prepare_blas() -> None:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
+ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "NPROC": "1"}
+"""Environment of one of several processes that compute: a thread for NumPy and SciPy, and one for XLA."""
+
+
+def keep_to_one_core() -> None:
+    """Let this process, one of several, compute in one thread; at its start, before JAX makes a thread a core.
+
+    Threads of several processes wait for one another without sleeping: beside another worker, calibrating an identity
+    took forty times as long.
+    """
+    for name, value in ONE_CORE.items():
+        os.environ.setdefault(name, value)
+
+
 def prepare_jax() -> None:
     """Configure JAX before anybody makes an array: at once where it is loaded, else as soon as anything imports it.
 

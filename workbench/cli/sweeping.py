@@ -110,7 +110,7 @@ def sweep(
 def _list_objectives() -> None:
     table = screen.table("objective", "what it measures", "what it cannot see", whole=("objective",))
     for name, row in workbench.objectives.TABLE.items():
-        table.add_row(name, f"{row.says}, {row.unit}", row.blind)
+        table.add_row(name, f"{row.says}{', ' if row.unit else ''}{row.unit}", row.blind)
     screen.console.print(table)
 
 

@@ -39,6 +39,7 @@ class Objective:
     blind: str
     """What it cannot see: how a fit can be bad and this good; no full stop."""
     unit: str
+    """Empty for pure numbers."""
     function: str
     """Module and function of this package, from an `ObservedClip` and a `FittedClip` to a number a frame."""
     needs: Need | None = None
@@ -49,7 +50,7 @@ class Objective:
     @property
     def label(self) -> str:
         """Its axis in figures."""
-        return f"{self.name}, {self.unit}"
+        return f"{self.name}, {self.unit}" if self.unit else self.name
 
 
 ROWS = (
@@ -122,7 +123,7 @@ ROWS = (
         name="weights",
         says="mean distance of the blendshape weights from the true ones",
         blind="that different weights can make the same face: a fit may look right and be counted wrong",
-        unit="1",
+        unit="",
         function="with_truth:weight_error",
         needs="expression",
         digits=4,

@@ -1,5 +1,9 @@
 from .clips import SweptClip as SweptClip
 from .clips import chosen_windows as chosen_windows
+from .figures import curves_figure as curves_figure
+from .figures import maps_figure as maps_figure
+from .figures import parallel_figure as parallel_figure
+from .figures import pareto_figure as pareto_figure
 from .figures import write_figures as write_figures
 from .outcome import SweepResult as SweepResult
 from .solving import ClipSolver as ClipSolver

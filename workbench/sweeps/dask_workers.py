@@ -8,6 +8,7 @@ from typing import Any
 from workbench.errors import InputError, OutputError
 from workbench.extras import needs
 from workbench.reading import reason_of
+from workbench.runtime import ONE_CORE
 from workbench.sweeps.tasks import Failed, Task, guarded
 
 REACH_S = 10.0
@@ -31,7 +32,12 @@ class DaskWorkers:
         self._cluster = None
         if scheduler is None:
             self._cluster = LocalCluster(
-                n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=":0",
+                silence_logs=50,
+                env=ONE_CORE,
             )
             self.address = self._cluster.scheduler_address
         try:

@@ -24,7 +24,7 @@ WIDTH = 8.0
 """Inches; at 100 dots an inch that of a notebook's outputs."""
 MOST_TICKS = 9
 COLOURS = "viridis_r"
-"""Dark is good: less is better."""
+"""Light is good: less is better."""
 
 
 def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Sequence[str] = ()) -> Figure:
@@ -54,7 +54,7 @@ def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Seq
             least = int(np.nanargmin(means))
             area.plot(places[least], means[least], "o", color=RED, markersize=10, fillstyle="none", label="least mean")
         _ticks(area, axis, values, places)
-        area.set_title(f"{name}, {TABLE[name].unit}", fontsize=10, loc="left")
+        area.set_title(TABLE[name].label, fontsize=10, loc="left")
         area.set_xlabel(axis.path, fontsize=9)
         area.tick_params(labelsize=9)
         without_frame(area)
@@ -102,7 +102,7 @@ def maps_figure(result: SweepResult, axes: tuple[Axis, Axis] | None = None, obje
         area.tick_params(axis="x", rotation=40 if _long(across) else 0)
         area.set_xlabel(across.path, fontsize=9)
         area.set_ylabel(up.path, fontsize=9)
-        area.set_title(f"{name}, {TABLE[name].unit}", fontsize=10, loc="left")
+        area.set_title(TABLE[name].label, fontsize=10, loc="left")
     for area in areas[len(names) :]:
         area.axis("off")
     figure.tight_layout()
@@ -126,7 +126,7 @@ def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
     places = np.arange(len(scales))
     for number in sorted(np.flatnonzero(known), key=lambda number: -ranks[number]):
         good = ranks[number] <= 0.1
-        colour, width, opacity = (RED, 1.6, 0.9) if good else (GREY, 0.8, 0.35)
+        colour, width, opacity = (RED, 1.6, 0.9) if good else (GREY, 0.9, 0.6)
         area.plot(places, lines[number], color=colour, linewidth=width, alpha=opacity)
     for place, (_, _, low, high) in enumerate(scales):
         area.axvline(place, color="0.3", linewidth=0.8)
@@ -154,7 +154,8 @@ def pareto_figure(
     x, y = result.means(across), result.means(up)
     figure, (area,) = subplots(1, 1, (WIDTH, 4.2))
     third = result.means(colour) if colour in result.objectives else None
-    drawn = area.scatter(x, y, c=BLUE if third is None else third, cmap=COLOURS, s=34, zorder=3)
+    colours = {"color": BLUE} if third is None else {"c": third, "cmap": COLOURS}
+    drawn = area.scatter(x, y, s=34, zorder=3, **colours)
     if third is not None:
         bar = figure.colorbar(drawn, ax=area, pad=0.02)
         bar.set_label(TABLE[colour].label, fontsize=9)
@@ -165,13 +166,13 @@ def pareto_figure(
     front = front[np.argsort(x[front])]
     area.step(x[front], y[front], where="post", color=RED, linewidth=1.1, zorder=2)
     area.scatter(x[front], y[front], s=90, facecolors="none", edgecolors=RED, linewidths=1.8, zorder=4)
-    _name_some(area, result, front, x, y)
+    named = _name_some(area, result, front, x, y)
     area.set_xlabel(TABLE[across].label, fontsize=9)
     area.set_ylabel(TABLE[up].label, fontsize=9)
     area.tick_params(labelsize=9)
     area.margins(0.08)
     without_frame(area)
-    area.set_title(f"what no other point beats in {across} and {up}", fontsize=10, loc="left")
+    area.set_title("\n".join((f"what no other point beats in {across} and {up}", *named)), fontsize=9, loc="left")
     figure.tight_layout()
     return figure
 
@@ -272,13 +273,19 @@ def _long(axis: Axis) -> bool:
 def _folded(name: str) -> str:
     """A name on as many lines as it has parts."""
     section, dot, rest = name.partition(".")
-    return f"{section}.\n{rest}" if dot else name.replace("-", "-\n", 1)
+    return f"{section}.\n{rest}" if dot else "-\n".join(name.rsplit("-", 1))
 
 
-def _name_some(area: Axes, result: SweepResult, front, x, y) -> None:
-    """The settings of the two ends and the middle of a front."""
+def _name_some(area: Axes, result: SweepResult, front, x, y) -> list[str]:
+    """Letters at the two ends and the middle of a front; returns what they stand for."""
     if not len(front) or not result.axes:
-        return
-    for number in dict.fromkeys((front[0], front[len(front) // 2], front[-1])):
-        text = "\n".join(f"{path.split('.')[-1]} {shown(value)}" for path, value in result.points[number].values[:3])
-        area.annotate(text, (x[number], y[number]), xytext=(9, 6), textcoords="offset points", fontsize=8)
+        return []
+    named = []
+    for letter, number in zip("abc", dict.fromkeys((front[0], front[len(front) // 2], front[-1])), strict=False):
+        place = {"xytext": (-13, -13), "textcoords": "offset points"}
+        area.annotate(letter, (x[number], y[number]), fontsize=11, fontweight="bold", color=RED, **place)
+        settings = ", ".join(
+            f"{path.split('.')[-1]} {shown(value)}" for path, value in result.points[number].values[:4]
+        )
+        named.append(f"{letter}: {settings}")
+    return named

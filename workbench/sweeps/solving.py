@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from workbench.tracking.chain_solver import (
 )
 from workbench.tracking.face_it_solution import solve_settings, stage_program
 from workbench.tracking.fitting import Calibrated, corrected
-from workbench.tracking.frame_solver import Method
+from workbench.tracking.frame_solver import Method, SolveSettings, StageProgram
 from workbench.tracking.initial_pose import initial_pose
 from workbench.tracking.walk import jumped
 
@@ -38,21 +38,44 @@ KEPT_IDENTITIES = 256
 
 
 @dataclass(frozen=True, eq=False)
-class ChainJob:
-    """A run of frames under one plan."""
+class Setting:
+    """One configuration as its solves need it, on the host."""
 
+    config: Config
     plan: Plan
+    numbers: SolveSettings
+    first: StageProgram
+    later: StageProgram
+
+    @property
+    def program(self) -> tuple[Method, tuple[str, ...], int]:
+        """What is compiled: chains that agree in it are solved together."""
+        method = "levenberg-marquardt" if self.plan.solver.method == "lm" else "trust-region"
+        return method, self.plan.terms, len(self.first.limit)
+
+
+def setting_of(config: Config) -> Setting:
+    """The setting of a configuration. Raises `ConfigError` for one that no batch can solve."""
+    check_swept(config)
+    plan = plan_of(config)
+    numbers = solve_settings(plan), stage_program(plan, True), stage_program(plan, False)
+    return Setting(config, plan, *jax.tree.map(np.asarray, numbers))
+
+
+@dataclass(frozen=True, eq=False)
+class ChainJob:
+    """A run of frames under one setting."""
+
+    setting: Setting
     person: LandmarkModel
     camera: Camera
     frames: ChainFrames
     """On the host; (n, …)."""
 
     @property
-    def program(self) -> tuple[Method, tuple[str, ...], int]:
-        """What is compiled: jobs that agree in it are solved together."""
-        plan = self.plan
-        method = "levenberg-marquardt" if plan.solver.method == "lm" else "trust-region"
-        return method, plan.terms, len(stage_program(plan, True).limit)
+    def chain(self) -> Chain:
+        """All but the frames."""
+        return Chain(self.camera, self.person, self.setting.numbers, self.setting.first, self.setting.later)
 
 
 class ClipSolver:
@@ -88,19 +111,17 @@ class ClipSolver:
     ) -> Iterator[tuple[ChainJob, Float[np.ndarray, "i"]]]:
         """What is solved for some windows of a clip, with the identity of each: first with everything seen, then what
         the folds see; a job a window. Raises `ConfigError` for a configuration that no batch can solve."""
-        check_swept(config)
-        plan = plan_of(config)
+        setting = setting_of(config)
         ends = np.cumsum([*map(len, windows)])
         for fold in folds_of(kinds, int(ends[-1])):
             for window, mask in zip(windows, np.split(fold, ends[:-1]), strict=True):
                 shot = next(shot for shot in clip.shots if window.start in shot)
-                calibrated = self._calibrated(config, plan, clip, shot, mask)
-                yield self._job(config, plan, frames_of(clip, [window]), calibrated, mask), calibrated.identity
+                calibrated = self._calibrated(setting, clip, shot, mask)
+                yield self._job(setting, frames_of(clip, [window]), calibrated, mask), calibrated.identity
 
-    def _calibrated(
-        self, config: Config, plan: Plan, clip: SweptClip, shot: range, mask: Bool[np.ndarray, "n 68"]
-    ) -> Calibrated:
+    def _calibrated(self, setting: Setting, clip: SweptClip, shot: range, mask: Bool[np.ndarray, "n 68"]) -> Calibrated:
         """The identity of a shot, from landmarks that are not hidden in all frames."""
+        config, plan = setting.config, setting.plan
         nothing = Calibrated(np.zeros(len(self.model.identity_deltas)), {})
         if not plan.identity.calibrate:
             return nothing
@@ -115,7 +136,8 @@ class ClipSolver:
         if key not in self._identities:
             if self._fitter is None:
                 self._fitter = FaceItFitter(self.model, plan)
-            self._fitter.configure(plan)
+            # Hidden landmarks are muted too, or the poses that the calibration starts from would know them.
+            self._fitter.configure(replace(plan, point_weights=np.where(hidden, 0.0, plan.point_weights)))
             self._identities[key] = self._fitter.calibrate(window, 1 if clip.stills else config.identity.frames)
             while len(self._identities) > KEPT_IDENTITIES:
                 self._identities.popitem(last=False)
@@ -124,12 +146,12 @@ class ClipSolver:
 
     def _job(
         self,
-        config: Config,
-        plan: Plan,
+        setting: Setting,
         observations: Sequence[FrameObservation],
         calibrated: Calibrated,
         mask: Bool[np.ndarray, "n 68"],
     ) -> ChainJob:
+        config, plan = setting.config, setting.plan
         person = self._landmarks.personal(np.asarray(calibrated.identity, float))
         camera = plan.camera.of(observations[0].image_size)
         count, shapes = len(observations), len(self.model.expression_names)
@@ -157,7 +179,7 @@ class ClipSolver:
                     start = FaceParameters(*pose, np.zeros(shapes), np.zeros(0))
                 frames.rotation[k], frames.translation[k], frames.expression[k] = start[:3]
             before = points
-        return ChainJob(plan, person, camera, frames)
+        return ChainJob(setting, person, camera, frames)
 
     def _fitted(self, solved: Iterator, windows, kinds: tuple[str, ...], surface: bool) -> FittedClip:
         """Takes one configuration's chains, the folds' in their order."""
@@ -196,7 +218,7 @@ def solve_jobs(jobs: Sequence[ChainJob]) -> list[SolvedFrames]:
     found: dict[int, SolvedFrames] = {}
     by_program: dict[tuple, list[int]] = {}
     for number, job in enumerate(jobs):
-        by_program.setdefault(job.program, []).append(number)
+        by_program.setdefault(job.setting.program, []).append(number)
     for (method, terms, _), numbers in by_program.items():
         # Long chains together: a block runs until its longest chain ends.
         numbers = sorted(numbers, key=lambda number: -len(jobs[number].frames.present))
@@ -208,14 +230,7 @@ def solve_jobs(jobs: Sequence[ChainJob]) -> list[SolvedFrames]:
 
 def _solve_block(jobs: Sequence[ChainJob], method: Method, terms: tuple[str, ...]) -> list[SolvedFrames]:
     padded = [*jobs, *[jobs[0]] * (CHAINS - len(jobs))]
-    chains = _stacked(
-        [
-            Chain(
-                job.camera, job.person, solve_settings(job.plan), *(stage_program(job.plan, s) for s in (True, False))
-            )
-            for job in padded
-        ]
-    )
+    chains = _stacked([job.chain for job in padded])
     counts = [len(job.frames.present) for job in jobs]
     shapes = padded[0].frames.expression.shape[1]
     states = _at_rest(shapes)

@@ -4,12 +4,13 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from workbench.config import DEFAULT_PRESET, Config, preset
 from workbench.errors import ConfigError, InputError, OutputError
-from workbench.objectives import TABLE, objective
+from workbench.objectives import TABLE, folds_of, objective
 from workbench.sweeps.clips import chosen_windows, parts_of
 from workbench.sweeps.outcome import SweepResult
 from workbench.sweeps.results import folds_needed, result_key, stored_result
@@ -27,6 +28,7 @@ BEFORE_LANDMARKS = ("landmarks.detector", "landmarks.face", "camera.rig", "head"
 """Settings that are not swept: landmarks are found once, before them."""
 DEFINITION = "sweep.json"
 
+Item = TypeVar("Item")
 Progress = Callable[[str, int, int | None], None]
 
 
@@ -115,7 +117,7 @@ def run_sweep(
         )
         for name in observed
         for part in parts[name]
-        for chunk in _chunks(texts, sum(map(len, part)), sweep.objectives)
+        for chunk in chunked(texts, sum(map(len, part)), sweep.objectives)
     ]
     sizes = [len(task.configs) * sum(stop - start for start, stop in task.windows) for task in tasks]
     done, total = 0, sum(sizes)
@@ -162,12 +164,11 @@ def _observed(sweep: Sweep, storage: Storage, workers: Workers, progress: Progre
     return {name: found[name] for name in sweep.names if name in found}, failures
 
 
-def _chunks(texts: Sequence[str], frames: int, objectives: Sequence[str]):
-    """Configurations in groups that make tasks of about `FITS` fits."""
-    folds = {"points": 5, "frames": 3}
-    fits = frames * (1 + sum(folds[kind] for kind in folds_needed(objectives)))
+def chunked(items: Sequence[Item], frames: int, objectives: Sequence[str]) -> list[tuple[Item, ...]]:
+    """Configurations, or their numbers, in groups of about `FITS` fits of so many frames each."""
+    fits = frames * len(folds_of(folds_needed(objectives), 1))
     size = max(1, FITS // max(1, fits))
-    return [tuple(texts[first : first + size]) for first in range(0, len(texts), size)]
+    return [tuple(items[first : first + size]) for first in range(0, len(items), size)]
 
 
 def _gathered(sweep: Sweep, storage: Storage, configs, observed, parts):

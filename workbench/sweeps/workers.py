@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from typing import Any, Literal, Protocol
 
 from workbench.errors import ConfigError
+from workbench.runtime import keep_to_one_core
 from workbench.sweeps.tasks import Failed, Task, guarded
 
 MOST_DEATHS = 3
@@ -69,7 +70,8 @@ class Pool:
         """The results until all are there; a dead process counts against the tasks that were being done then."""
         if self._pool is None:
             # Spawned: a forked child of a process that runs JAX's threads hangs.
-            self._pool = ProcessPoolExecutor(self._count, multiprocessing.get_context("spawn"))
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(self._count, context, initializer=keep_to_one_core)
         waiting, rest = {}, iter(list(left.items()))
         while True:
             # No more are handed out than there are processes, so that those that are out are those being done.
