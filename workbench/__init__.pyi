@@ -8,6 +8,7 @@ from . import flow as flow
 from . import frames as frames
 from . import geometry as geometry
 from . import landmarks as landmarks
+from . import learning as learning
 from . import networks as networks
 from . import objectives as objectives
 from . import pictures as pictures

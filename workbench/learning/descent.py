@@ -30,6 +30,8 @@ AT_A_TIME = 2
 WATCHED = 4
 """Stretches of the part that chooses the step."""
 WATCH_EVERY = 3
+FAR_POINTS = 0.1
+"""What the mean square of the landmarks' logarithms costs: without it, they wander to fit the noise of a few frames."""
 FARTHEST = float(np.log(100.0))
 """No factor goes farther from 1 than 100."""
 FORMAT = 1
@@ -112,6 +114,8 @@ def _stepped(slope: Slope, chain, before: Learning, examples, watch, steps: int)
     logs = {path: jnp.array(log) for path, log in before.logs.items()}
     number = len(before.values)
     value, slopes = _mean(slope, logs, examples)
+    if POINTS in logs:
+        slopes[POINTS] = slopes[POINTS] + 2.0 * FAR_POINTS * logs[POINTS] / len(logs[POINTS])
     state = chain.init(logs)
     momentum = {path: jnp.array(log) for path, log in before.momentum.items()}
     state = (state[0]._replace(trace=momentum), state[1], state[2]._replace(count=jnp.asarray(number)))

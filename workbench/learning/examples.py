@@ -16,7 +16,6 @@ from workbench.objectives import ObservedClip
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import clip_in
 from workbench.sweeps.solving import ChainJob, ClipSolver
-from workbench.tracking.face_it_solution import solve_settings
 from workbench.tracking.walk import jumped
 
 LENGTH = 12
@@ -52,7 +51,7 @@ def _stretch_of(job: ChainJob) -> Stretch:
     frames = job.frames
     start = FaceParameters(frames.rotation[0], frames.translation[0], frames.expression[0], np.zeros(0))
     measured = frames.measured
-    return Stretch(measured[..., :2], measured[..., 2], start, job.person, solve_settings(job.plan))
+    return Stretch(measured[..., :2], measured[..., 2], start, job.person, job.setting.numbers)
 
 
 def stretches_in(clip: SweptClip, frames: range, length: int = LENGTH) -> list[range]:

@@ -21,12 +21,13 @@ from workbench.learning.parts import Parts
 from workbench.learning.report import Change, change_of
 from workbench.learning.search import searched
 from workbench.objectives import WeightedSum
-from workbench.pipeline import software_versions
+from workbench.pipeline import content_hash, software_versions
 from workbench.planning import plan_of
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import folds_needed, objectives_of
 from workbench.sweeps.solving import ClipSolver
 from workbench.sweeps.space import Axis
+from workbench.sweeps.stored_clips import ClipSource, digest_of, observe
 
 STEPS, TRIALS = 24, 40
 TRAINED = 12
@@ -108,6 +109,17 @@ def tuned(
     before, after = measured(solver, (config, found), clip, wanted)
     result = Tuned(found, config, before, after, learning)
     return Tuned(found.changed(provenance=_provenance(result, model, wanted, inputs)), config, before, after, learning)
+
+
+def observed(source: ClipSource, config: Config, model: FaceModel) -> SweptClip:
+    """A clip to tune on. Raises `InputError` if it cannot be read or has no face."""
+    return observe(source, config, model, digest_of(source, config, model))
+
+
+def inputs_of(source: ClipSource) -> list[str]:
+    """Path and SHA-256 of a clip's files, for the provenance."""
+    places = [Path(place) for place in (source.clip, source.landmarks, source.truth) if place]
+    return [f"{place} sha256:{content_hash(place)}" for place in places if place.exists()]
 
 
 def learn_on(
