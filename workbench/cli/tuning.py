@@ -19,7 +19,7 @@ A part of the clip is learned on, one chooses the step to stop at, and one that 
 
   workbench tune talk.mp4 --objective left-out-points --learn weights.sigma_smooth
 
-  workbench tune talk.mp4 --objective "left-out-frames + 0.2*jitter" --learn weights.tau --train 0:300 --held-out 300:400
+  workbench tune talk.mp4 --objective jitter+error --learn weights.tau --train 0:300 --held-out 300:400
 
   workbench tune talk.csv --objective left-out-points --search "stages.pose and expression.limit=1..30" --trials 30
 

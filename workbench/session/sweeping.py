@@ -57,7 +57,7 @@ class SessionSweeps:
             (ClipSource(self._material.name),), axes, base, read_sampling(sample, seed), tuple(objectives), frames
         )
         points, configs = sweep.checked()
-        clip = self._clip(sweep.objectives, truth)
+        clip = self.clip(sweep.objectives, truth)
         windows = chosen_windows(clip.shots, frames)
         total, done, values = len(points) * sum(map(len, windows)), 0, {}
         if self._solver is None:
@@ -74,7 +74,8 @@ class SessionSweeps:
                 grown(SweepResult(base, axes, points, sweep.objectives, dict(values)))
         return SweepResult(base, axes, points, sweep.objectives, values)
 
-    def _clip(self, objectives: Sequence[str], truth: str | Path | None) -> SweptClip:
+    def clip(self, objectives: Sequence[str], truth: str | Path | None) -> SweptClip:
+        """The material with what the objectives need. Raises `InputError` if it has no face."""
         material = self._material
         observations = material.observations
         if not any(observation.landmarks is not None for observation in observations):

@@ -11,6 +11,7 @@ from workbench.config import DEFAULT_PRESET, Config, Difference, parse_config, p
 from workbench.diagnosis import Change, Diagnosis
 from workbench.errors import InputError
 from workbench.face import FaceModel, load_default_head
+from workbench.learning import Tuned
 from workbench.session.calibrations import Calibrations
 from workbench.session.clip_run import ClipRuns, Run, described_track
 from workbench.session.diagnosing import Diagnosing, check_diagnosed
@@ -18,6 +19,7 @@ from workbench.session.exports import Exports, track_command
 from workbench.session.frame_fits import FrameFits, compile_solvers
 from workbench.session.gesture import Gesture
 from workbench.session.landmark_edits import moved, put_back, weighed, with_subset
+from workbench.session.learning import tune_material
 from workbench.session.material import Cancelled, Material, Progress, load_material, material_of_track
 from workbench.session.metrics import metrics_of
 from workbench.session.observed_frames import ObservedFrames
@@ -235,6 +237,11 @@ class TuningSession:
         `options`: objectives, frames (a budget), sample, seed, truth, progress, cancelled, grown; see `SessionSweeps`.
         """
         return self._sweeps.run([settings] if isinstance(settings, str) else settings, self.config, **options)
+
+    def tune(self, objective: str, learn: Sequence[str] = (), **options: Any) -> Tuned:
+        """Let the clip choose settings, as `session.tune("left-out-points", ["weights.sigma_smooth"])`; the session's
+        own configuration stays (`use` takes the result's). `options`: see `tune_material`."""
+        return tune_material(self._sweeps, self.model, self.config, objective, learn, **options)
 
     def _whole_run(self) -> Run:
         if self.run is None:
