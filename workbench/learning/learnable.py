@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from workbench.arrays import AnyArray
 from workbench.config import Config
@@ -71,23 +71,31 @@ def check_smooth(config: Config) -> None:
 def weighing_of(config: Config, logs: Logs, camera: Camera) -> Weighing:
     """What a configuration's fits are weighed with, at factors that may be traced; `camera` is the configuration's."""
     plan, factors = plan_of(config), {path: jnp.exp(jnp.asarray(log)) for path, log in logs.items()}
-    omega = {path: value * _scalar(factors, path) for path, value in config.omega().items()}
+    omega = jnp.asarray(_factors(config, config.omega()))
+    for path in OMEGAS:
+        omega = jnp.where(_below(config, path), omega * _scalar(factors, path), omega) if path in factors else omega
     by_point = factors.get(POINTS, 1.0)
     constants = {path.split(".")[1]: _scalar(factors, path) for path in CONSTANTS}
     constants = {name: getattr(plan.constants, name) * factor for name, factor in constants.items()}
     half = 0.5 * np.radians(config.camera.fov_deg)
     longer = jnp.tan(half) / jnp.tan(half * _scalar(factors, FOV))
     return Weighing(
-        omega=jnp.stack(
-            [
-                jnp.stack([*map(jnp.asarray, stage_factors(omega, config.system, stage.free, stage.terms, plan.terms))])
-                for stage in config.stages
-            ]
-        ),
+        omega=omega,
         landmark_weights=jnp.stack([stage.landmark_weights * by_point for stage in plan.stages]),
         constants=plan.constants._replace(**constants),
         camera=Camera(*camera)._replace(focal_px=jnp.asarray(camera.focal_px) * longer),
     )
+
+
+def _factors(config: Config, omega: Mapping[str, float]) -> Float[np.ndarray, "s t"]:
+    terms, system = config.terms, config.system
+    return np.array([stage_factors(omega, system, stage.free, stage.terms, terms) for stage in config.stages])
+
+
+def _below(config: Config, path: str) -> Bool[np.ndarray, "s t"]:
+    """Which factors an ω multiplies: those of the terms below it in the hierarchy."""
+    omega = config.omega()
+    return _factors(config, omega | {path: 2.0 * omega[path]}) > _factors(config, omega)
 
 
 def learned(config: Config, logs: Logs) -> Config:
