@@ -239,7 +239,7 @@ class TuningSession:
         return self._sweeps.run([settings] if isinstance(settings, str) else settings, self.config, **options)
 
     def tune(self, objective: str, learn: Sequence[str] = (), **options: Any) -> Tuned:
-        """What the clip chooses, as `session.tune("left-out-points", ["weights.tau"])`; options as in `tune_material`."""
+        """What the clip chooses, as `session.tune("jitter", ["weights.tau"])`; options as in `tune_material`."""
         return tune_material(self._sweeps, self.model, self.config, objective, learn, **options)
 
     def _whole_run(self) -> Run:
