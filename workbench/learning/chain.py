@@ -25,12 +25,9 @@ from workbench.arrays import AnyArray
 from workbench.energies import EnergyConstants, points_head, project_landmarks
 from workbench.face import FaceParameters, LandmarkModel, contour_blend, model_landmarks, unpack
 from workbench.geometry import Camera, head_yaw, rotation_matrix
-from workbench.learning.implicit import Box, Effort, optimum
+from workbench.learning.implicit import Box, optimum
 from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem, within_range
 from workbench.tracking.plan import StagePlan
-
-SOLVER_STEPS, SOLVER_TOLERANCE = 30.0, 1e-4
-"""What the solver does before Newton's steps."""
 
 
 class Weighing(NamedTuple):
@@ -106,7 +103,6 @@ def _fitted_frame(stages, is_first, terms, weighing, stretch, state, points, cou
     """The enabled stages of one frame, each from the result of the one before."""
     measured = jnp.concatenate([points, counts[:, None]], axis=1)
     parameters = state.parameters
-    effort = Effort(jnp.asarray(SOLVER_STEPS), jnp.asarray(SOLVER_TOLERANCE))
     turned = parameters.rotation
     for k, stage in enumerate(stages):
         if not stage.enabled:
@@ -117,7 +113,7 @@ def _fitted_frame(stages, is_first, terms, weighing, stretch, state, points, cou
             frame = FrameInput(measured, state.pose, state.last_pose, state.history * moves_pose, before)
             weights, omega = weighing.landmark_weights[k], weighing.omega[k]
             problem = stage_problem(weighing.camera, stretch.person, stretch.settings, weights, omega, frame, before)
-            x = optimum(free, terms, problem, before, _box_of(stretch.settings, before, free), effort)
+            x = optimum(free, terms, problem, before, _box_of(stretch.settings, before, free))
             return unpack(x, before, free), before.rotation
 
         if stage.first_only:

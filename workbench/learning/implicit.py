@@ -28,6 +28,8 @@ OFF = 1e-200
 """Added to every ω: the derivative of √ω exists at ω = 0, and no other number changes."""
 STILL = 1e-11
 """The force on free unknowns, relative to the forces of the terms, below which an optimum is reached."""
+SOLVER_STEPS, SOLVER_TOLERANCE = 30, 1e-4
+"""What the solver does before Newton's steps."""
 NEWTON_STEPS = 40
 RIDGE = 1e-13
 """Share of the largest curvature added to all: unknowns that nothing holds, as in a hidden frame, stay."""
@@ -38,13 +40,6 @@ class Box(NamedTuple):
 
     lower: Float[AnyArray, "n"]
     upper: Float[AnyArray, "n"]
-
-
-class Effort(NamedTuple):
-    """What the solver may do before Newton's steps end its work."""
-
-    limit: Float[AnyArray, ""]
-    tolerance: Float[AnyArray, ""]
 
 
 def smooth_energy(
@@ -94,7 +89,6 @@ def optimum(
     problem: EnergyProblem,
     start: FaceParameters,
     box: Box,
-    effort: Effort,
 ) -> Float[AnyArray, "n"]:
     """The unknowns `free` of a stage where its energy is least near `start`, inside the box.
 
@@ -110,7 +104,7 @@ def optimum(
     def energy(x):
         return smooth_energy(problem, x, start, free, terms)
 
-    found = minimise(LevenbergMarquardt(), system, x, box.lower, box.upper, effort.limit, effort.tolerance, cost=energy)
+    found = minimise(LevenbergMarquardt(), system, x, box.lower, box.upper, SOLVER_STEPS, SOLVER_TOLERANCE, cost=energy)
 
     def slope(x):
         return slope_of(problem, x, start, free, terms)
@@ -123,9 +117,9 @@ def optimum(
 
 @optimum.defjvp
 def _optimum_moves(free, terms, primals, tangents):
-    problem, start, box, effort = primals
+    problem, start, box = primals
     problem_moves, start_moves, *_ = tangents
-    x = optimum(free, terms, problem, start, box, effort)
+    x = optimum(free, terms, problem, start, box)
     slope, curvature = (of(problem, x, start, free, terms) for of in (slope_of, curvature_of))
     at_bound = resting(x, slope, box.lower, box.upper)
     turned = jax.jvp(
