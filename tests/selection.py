@@ -30,6 +30,7 @@ SLOW = (
     "test_cli_models.py",
     "test_fuzz.py",
     "test_live_panel.py",
+    "test_learning.py",
     "test_session.py",
     "test_session_temporal.py",
     "test_tracker.py",
