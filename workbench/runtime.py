@@ -66,15 +66,16 @@ def prepare_blas() -> None:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "NPROC": "1"}
-"""Environment of one of several processes that compute: a thread for NumPy and SciPy, and one for XLA."""
+ONE_CORE = {"OPENBLAS_NUM_THREADS": "1"}
+"""Environment of one of several processes that compute. XLA keeps its thread a core: with another number of them, the
+last bits of some sums are others."""
 
 
 def keep_to_one_core() -> None:
-    """Let this process, one of several, compute in one thread; at its start, before JAX makes a thread a core.
+    """Let BLAS and LAPACK in this process, one of several, compute in one thread; at its start, before they are loaded.
 
-    Threads of several processes wait for one another without sleeping: beside another worker, calibrating an identity
-    took forty times as long.
+    Their threads wait for one another without sleeping: beside another worker, calibrating an identity took forty times
+    as long.
     """
     for name, value in ONE_CORE.items():
         os.environ.setdefault(name, value)

@@ -67,17 +67,22 @@ class Pool:
                     yield number, Failed(f"{clip} ended the process that worked on it, {MOST_DEATHS} times.")
 
     def _round(self, left: dict[int, Task], deaths: list[int]) -> Iterator[tuple[int, Any]]:
-        """The results until all are there; a dead process counts against the tasks that were being done then."""
+        """The results of those that were at no death; then of the others, one at a time, to see whose they are.
+
+        A dead process counts against all tasks that were being done then.
+        """
+        unsuspected = [number for number in left if not deaths[number]]
+        at_once = self._count if unsuspected else 1
         if self._pool is None:
             # Spawned: a forked child of a process that runs JAX's threads hangs.
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(self._count, context, initializer=keep_to_one_core)
-        waiting, rest = {}, iter(list(left.items()))
+        waiting, rest = {}, iter([(number, left[number]) for number in unsuspected or left])
         while True:
             # No more are handed out than there are processes, so that those that are out are those being done.
             for number, task in rest:
                 waiting[self._pool.submit(self._do, task)] = number
-                if len(waiting) >= self._count:
+                if len(waiting) >= at_once:
                     break
             if not waiting:
                 return
