@@ -5,6 +5,7 @@ import sys
 import typer
 
 from workbench.cli import screen
+from workbench.cli.characters import CHARACTER_HELP, character
 from workbench.cli.configuration import config_app
 from workbench.cli.diagnosing import DIAGNOSE_HELP, diagnose
 from workbench.cli.exporting import EXPORT_HELP, export
@@ -37,6 +38,7 @@ app.command(help=REFINE_HELP)(refine)
 app.command(help=REESTIMATE_HELP)(reestimate)
 app.command(help=DIAGNOSE_HELP)(diagnose)
 app.command(help=EXPORT_HELP)(export)
+app.command(help=CHARACTER_HELP)(character)
 app.command(help=REPRODUCE_HELP)(reproduce)
 app.add_typer(config_app, name="config")
 app.add_typer(model_app, name="model")
