@@ -5,6 +5,7 @@ import sys
 import typer
 
 from workbench.cli import screen
+from workbench.cli.characters import CHARACTER_HELP, character
 from workbench.cli.configuration import config_app
 from workbench.cli.diagnosing import DIAGNOSE_HELP, diagnose
 from workbench.cli.exporting import EXPORT_HELP, export
@@ -41,6 +42,7 @@ app.command(help=DIAGNOSE_HELP)(diagnose)
 app.command(help=SWEEP_HELP)(sweep)
 app.command(help=TUNE_HELP)(tune)
 app.command(help=EXPORT_HELP)(export)
+app.command(help=CHARACTER_HELP)(character)
 app.command(help=REPRODUCE_HELP)(reproduce)
 app.add_typer(config_app, name="config")
 app.add_typer(model_app, name="model")

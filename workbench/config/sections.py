@@ -119,7 +119,7 @@ class HeadConfig(Section):
 
     character: str = Field(
         PLAIN,
-        description="Who the head in 3D is drawn as: plain, a ready character, or a TOML file with one of your own.",
+        description="Who the head in 3D is drawn as: plain, a ready character, or the file or folder of your own.",
     )
 
     @field_validator("character")

@@ -51,6 +51,8 @@ class Extras:
     rest: Float[np.ndarray, "v 3"] | None = None
     """The person without an expression, whom a character's hair follows; None: the neutral that the painter was made
     with."""
+    body: Float[np.ndarray, "3"] | None = None
+    """Rotation (axis-angle, to the camera) of a character's body, which its neck bends to; None: as the head."""
 
 
 NOTHING = Extras()
