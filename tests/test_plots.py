@@ -84,6 +84,18 @@ def test_several_vectors_of_weights_have_a_legend():
     assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == ["fit", "truth"]
 
 
+def test_factors_of_points_name_the_least_believed_and_frame_the_marked():
+    factors = np.exp(np.linspace(0.0, 1.0, 68))
+    factors[[7, 40]] = 0.1
+    figure = plots.point_factors({"one": factors, "other": np.ones(68)}, marked=[7])
+    one, _, bar = figure.axes
+    assert {"7", "40"} <= {text.get_text() for text in one.texts}
+    frames = one.collections[1].get_offsets()
+    np.testing.assert_allclose(frames, one.collections[0].get_offsets()[[7]])
+    assert bar.get_ylim() == pytest.approx((0.1, 10.0))
+    assert figure.get_figwidth() <= plots.PAGE_WIDTH
+
+
 def test_the_beta_figure_shows_the_step_and_the_needle():
     left, right = plots.beta_figure(EnergyConstants()).axes
     assert left.lines[0].get_ydata().max() == pytest.approx(2.5, abs=0.01)

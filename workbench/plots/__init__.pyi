@@ -28,6 +28,7 @@ from .pictures import pictures_in_a_row as pictures_in_a_row
 from .pictures import signed_picture as signed_picture
 from .pictures import with_arrows as with_arrows
 from .pictures import with_points as with_points
+from .points import point_factors as point_factors
 from .tables import heat_map as heat_map
 from .tables import markdown_table as markdown_table
 from .tables import matrix_figure as matrix_figure

@@ -1,0 +1,49 @@
+"""The 68 landmarks on a mean face, coloured by a number each."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from workbench.landmarks.alignment import MEAN_SHAPE
+from workbench.plots.figures import PAGE_WIDTH, subplots
+
+NAMED = 8
+"""Landmarks with the smallest factors, whose numbers stand beside them."""
+
+
+def point_factors(factors: dict[str, Float[np.ndarray, "68"]], marked: Sequence[int] = ()) -> Figure:
+    """How far each landmark is believed, a face per labelled set of factors above 0: blue above 1, red below.
+
+    The smallest have their numbers; `marked` landmarks have a square around them.
+    """
+    width = min(3.8 * len(factors) + 0.9, PAGE_WIDTH)
+    figure, axes = subplots(1, len(factors), (width, 3.9))
+    farthest = max(2.0, *(float(np.exp(np.abs(np.log(values)).max())) for values in factors.values()))
+    scale = LogNorm(1.0 / farthest, farthest)
+    for axis, (title, values) in zip(axes, factors.items(), strict=True):
+        shown = _drawn(axis, np.asarray(values), scale, marked)
+        axis.set_title(title, fontsize=10)
+    figure.tight_layout(rect=(0.0, 0.0, 1.0 - 0.95 / width, 1.0))
+    place = figure.add_axes((1.0 - 0.85 / width, 0.15, 0.16 / width, 0.7))
+    bar = figure.colorbar(shown, cax=place)
+    bar.formatter = bar.minorformatter = "{x:g}"
+    bar.set_ticks([1.0 / farthest, 1.0, farthest], labels=[f"{1.0 / farthest:.2g}", "1", f"{farthest:.2g}"])
+    bar.ax.minorticks_off()
+    bar.set_label("factor", fontsize=9)
+    return figure
+
+
+def _drawn(axis: Axes, values: Float[np.ndarray, "68"], scale: LogNorm, marked: Sequence[int]):
+    shown = axis.scatter(*MEAN_SHAPE.T, s=44, c=values, cmap="RdBu", norm=scale, edgecolors="0.35", linewidths=0.6)
+    axis.scatter(*MEAN_SHAPE[list(marked)].T, s=120, marker="s", facecolors="none", edgecolors="0.1", linewidths=1.2)
+    for point in np.argsort(values, kind="stable")[:NAMED]:
+        axis.annotate(str(point), MEAN_SHAPE[point], (6, 5), textcoords="offset points", fontsize=8, color="0.2")
+    axis.set_aspect("equal")
+    axis.invert_yaxis()
+    axis.margins(0.09)
+    axis.axis("off")
+    return shown
