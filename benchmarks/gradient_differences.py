@@ -24,6 +24,8 @@ from workbench.tracking import FaceItFitter, Walk
 from workbench.tracking.frame_solver import BLOCKS, stage_problem, within_range
 
 FRAMES, STEP = 50, 1e-4
+POLISHED = 2
+"""Newton's steps after those of a fit."""
 FELT = 1e-6
 """Share of the largest derivative of a frame below which one is only the rounding of differences."""
 CONFIG = preset("joint").changed(camera={"fov_deg": 33.0}, weights={"range": 1.0})
@@ -97,24 +99,38 @@ def derivatives_of(plan, stage, used):
         def resting(logs, x):
             return implicit.resting(x, slope(logs, x, seen), box.lower, box.upper)
 
-        x = fit(none, start)
+        def exact_fit(logs, begin):
+            # Depth is held so loosely that what is left of the force still moves it by a millionth of a millimetre,
+            # which a difference divides by its step.
+            x = fit(logs, begin)
+            for _ in range(POLISHED):
+                curvature = implicit.curvature_of(problem_of(logs, seen), x, start, BLOCKS, plan.terms)
+                x = jnp.clip(x + solved(curvature, resting(logs, x), -slope(logs, x, seen)), box.lower, box.upper)
+            return x
+
+        x = exact_fit(none, start)
         # The fits beside it begin at the one between them: they end where it does, with a few steps.
         middle = unpack(x, start, BLOCKS)
         fixed = resting(none, x)
 
         def difference(step):
-            ahead, behind = fit(step, middle), fit(-step, middle)
+            ahead, behind = exact_fit(step, middle), exact_fit(-step, middle)
             kink = jnp.any(resting(step, ahead) != fixed) | jnp.any(resting(-step, behind) != fixed)
             return (ahead - behind) / (2.0 * STEP), kink
 
         moves, kinks = jax.lax.map(difference, STEP * jnp.eye(len(none)))
         turned = jax.jacfwd(slope)(none, x, seen)
         normal = 2.0 * normal_system(problem_of(none, seen), middle, BLOCKS, plan.terms).matrix
-        free = ~fixed[:, None] & ~fixed[None, :]
-        gauss = -jnp.linalg.solve(jnp.where(free, normal, 0.0) + jnp.diag(fixed * 1.0), turned * ~fixed[:, None])
+        gauss = solved(normal, fixed, -turned)
         return jax.jacfwd(fit)(none, middle), moves.T, gauss, kinks, fixed
 
     return derivatives
+
+
+def solved(matrix, fixed, right):
+    """The solution of a linear system among the unknowns that are free; 0 for the others."""
+    free = ~fixed[:, None] & ~fixed[None, :]
+    return jnp.linalg.solve(jnp.where(free, matrix, 0.0) + jnp.diag(fixed * 1.0), (right.T * ~fixed).T)
 
 
 def compared(found, differences, gauss, kinks, fixed):

@@ -33,6 +33,7 @@ def main() -> None:
     """Learn, judge and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--on", nargs="+", choices=CLIPS, default=["performance"], help="clips to learn on")
+    parser.add_argument("--learn", nargs="+", choices=LEARNED, default=list(LEARNED), help="what to learn")
     parser.add_argument("--steps", type=int, default=24)
     parser.add_argument("--objective", default=OBJECTIVE, help="an objective without a truth, or a sum of them")
     parser.add_argument("--out", type=Path, help="folder for what was learned")
@@ -40,8 +41,8 @@ def main() -> None:
     head = load_default_head()
     clips = {name: observed_with_truth(name, head) for name in CLIPS}
     for name in asked.on:
-        for what, paths in LEARNED.items():
-            found = learned_on(clips[name], paths, asked, head)
+        for what in asked.learn:
+            found = learned_on(clips[name], LEARNED[what], asked, head)
             if asked.out is not None:
                 asked.out.mkdir(parents=True, exist_ok=True)
                 write_config(found.config, asked.out / f"{name}-{what.replace(' ', '-')}.toml")

@@ -38,6 +38,7 @@ LEAST_PICTURES = {
     "16_face_it_remade": 8,
     "17_deep_energies_remade": 10,
     "18_deep_energies_through_time": 13,
+    "19_let_the_data_choose": 4,
 }
 APP = "10_workbench_app"
 """No part of the path: `workbench app` shows it as a page."""

@@ -56,7 +56,9 @@ def true_clip(head):
     flow = np.concatenate([np.full((1, 68, 2), np.nan), np.diff(points, axis=0)])
     follows = np.arange(FRAMES) > 0
     clip = ObservedClip(points, np.ones((FRAMES, 68)), follows, truth, flow, SecondView(second, others))
-    folds = {"points": np.tile(points, (5, 1, 1, 1)), "frames": np.tile(points, (3, 1, 1, 1))}
+    folds = dict.fromkeys(("points", "parts"), np.tile(points, (5, 1, 1, 1))) | {
+        "frames": np.tile(points, (3, 1, 1, 1))
+    }
     fits = FittedClip(
         truth.rotation,
         truth.translation,
@@ -91,16 +93,23 @@ def test_a_moved_head_is_off_by_its_distance_and_its_mesh_by_nothing(true_clip):
     np.testing.assert_allclose(measure("mesh")(clip, moved), 0.0, atol=1e-9)
 
 
-def test_only_hidden_points_count_when_points_are_left_out(true_clip):
+@pytest.mark.parametrize("kind", ["points", "parts"])
+def test_only_hidden_points_count_when_some_are_left_out(true_clip, kind):
     clip, fits = true_clip
-    hidden = folds_of(("points",), FRAMES)[1:]
+    hidden = folds_of((kind,), FRAMES)[1:]
     assert (hidden.sum(0) == 1).all()
-    seen_moved = np.where(hidden[..., None], fits.folds["points"], fits.folds["points"] + 50.0)
-    blind = fits._replace(folds={"points": seen_moved})
-    np.testing.assert_allclose(measure("left-out-points")(clip, blind), 0.0, atol=1e-9)
-    off = fits._replace(folds={"points": fits.folds["points"] + [3.0, 4.0]})
+    seen_moved = np.where(hidden[..., None], fits.folds[kind], fits.folds[kind] + 50.0)
+    blind = fits._replace(folds={kind: seen_moved})
+    np.testing.assert_allclose(measure(f"left-out-{kind}")(clip, blind), 0.0, atol=1e-9)
+    off = fits._replace(folds={kind: fits.folds[kind] + [3.0, 4.0]})
     eyes = np.linalg.norm(clip.points[:, 36] - clip.points[:, 45], axis=1)
-    np.testing.assert_allclose(measure("left-out-points")(clip, off), 500.0 / eyes)
+    np.testing.assert_allclose(measure(f"left-out-{kind}")(clip, off), 500.0 / eyes)
+
+
+def test_a_part_of_the_face_is_hidden_as_a_whole():
+    hidden = folds_of(("parts",), 1)[1:, 0]
+    assert hidden[:, :17].sum(1).tolist() == [17, 0, 0, 0, 0]
+    assert hidden.sum(1).tolist() == [17, 10, 9, 12, 20]
 
 
 def test_a_hidden_frame_is_predicted_by_fits_that_did_not_see_it(true_clip):
@@ -163,13 +172,14 @@ def _fits_with_nan(clip):
 @pytest.mark.parametrize("name", sorted(set(TABLE) - {"iterations", "mesh", "second-view", "left-out-frames"}))
 def test_objectives_can_be_differentiated_by_the_fits_even_where_nothing_is_wrong(true_clip, name):
     clip, fits = true_clip
+    kind = name.removeprefix("left-out-")
     part = {"rotation": "rotation", "position": "translation", "weights": "expression"}.get(name, "projected")
 
     def mean(values):
-        changed = {"folds": {"points": values}} if name == "left-out-points" else {part: values}
+        changed = {"folds": {kind: values}} if kind in fits.folds else {part: values}
         return jnp.nanmean(measure(name)(clip, fits._replace(**changed)))
 
-    at = jnp.asarray(fits.folds["points"] if name == "left-out-points" else getattr(fits, part))
+    at = jnp.asarray(fits.folds[kind] if kind in fits.folds else getattr(fits, part))
     slope = jax.grad(mean)(at)
     assert np.isfinite(slope).all()
     off = at + 0.1 * np.random.default_rng(1).normal(size=at.shape)

@@ -73,15 +73,16 @@ def searched(
         return float(np.nanmean(found))
 
     try:
-        while len(study.trials) < trials:
+        # A trial that was interrupted is in the study, but not done.
+        while (done := len(_ended(study))) < trials:
             study.optimize(value, n_trials=1)
-            tell(len(study.trials), trials, _best_value(study))
+            tell(done + 1, trials, _best_value(study))
     except KeyboardInterrupt:
         pass
-    done = [trial for trial in study.trials if trial.state == optuna.trial.TrialState.COMPLETE]
-    if not done:
+    complete = [trial for trial in _ended(study) if not _given_up(trial)]
+    if not complete:
         return config
-    best = min(done, key=lambda trial: trial.value)
+    best = min(complete, key=lambda trial: trial.value)
     return config_at(config, _point({axis.path: _value_of(axis, best.params[axis.path]) for axis in axes}))
 
 
@@ -121,6 +122,14 @@ def _point(values: dict[str, Any]) -> Point:
     return Point(0, tuple(values.items()))
 
 
+def _ended(study) -> list:
+    """The trials that ran to their end or were given up by comparison."""
+    return [trial for trial in study.trials if trial.state.name in ("COMPLETE", "PRUNED")]
+
+
+def _given_up(trial) -> bool:
+    return trial.state.name == "PRUNED"
+
+
 def _best_value(study) -> float:
-    values = [trial.value for trial in study.trials if trial.value is not None]
-    return min(values, default=float("nan"))
+    return min((trial.value for trial in _ended(study) if not _given_up(trial)), default=float("nan"))

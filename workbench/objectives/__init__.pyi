@@ -7,6 +7,7 @@ from .evidence import without_hidden as without_hidden
 from .folds import FOLDS as FOLDS
 from .folds import folds_of as folds_of
 from .folds import frame_folds as frame_folds
+from .folds import part_folds as part_folds
 from .folds import point_folds as point_folds
 from .records import FittedClip as FittedClip
 from .records import ObservedClip as ObservedClip

@@ -10,6 +10,9 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Bool
 
+from workbench.landmarks.scheme import GROUPS
+
+PARTS = ("jaw", "brows", "nose", "eyes", "mouth")
 POINT_FOLDS = 5
 FRAME_FOLDS = 3
 
@@ -23,6 +26,12 @@ def point_folds(frames: int) -> Bool[np.ndarray, "f n 68"]:
     return np.repeat(hidden[:, None], frames, axis=1)
 
 
+def part_folds(frames: int) -> Bool[np.ndarray, "f n 68"]:
+    """Each fold hides a whole part of the face in all frames: no neighbour of a hidden point is seen."""
+    hidden = np.array([np.isin(np.arange(68), GROUPS[part]) for part in PARTS])
+    return np.repeat(hidden[:, None], frames, axis=1)
+
+
 def frame_folds(frames: int) -> Bool[np.ndarray, "f n 68"]:
     """Each fold hides all landmarks of every third frame: both neighbours of a hidden frame are seen."""
     hidden = np.arange(frames)[None, :] % FRAME_FOLDS == np.arange(FRAME_FOLDS)[:, None]
@@ -30,7 +39,7 @@ def frame_folds(frames: int) -> Bool[np.ndarray, "f n 68"]:
 
 
 FOLDS: Mapping[str, Callable[[int], Bool[np.ndarray, "f n 68"]]] = MappingProxyType(
-    {"points": point_folds, "frames": frame_folds}
+    {"points": point_folds, "parts": part_folds, "frames": frame_folds}
 )
 """By kind: what each fold hides in a clip of so many frames."""
 

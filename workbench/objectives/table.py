@@ -71,6 +71,16 @@ ROWS = (
         folds="points",
     ),
     Objective(
+        name="left-out-parts",
+        says="distance from the detected landmarks of each part of the face (jaw, brows, nose, eyes, mouth), predicted "
+        "by fits that saw the other parts only",
+        blind="what a part does by itself, such as a mouth or lids that open: no fit can foresee it, and a stiff one "
+        "loses nothing",
+        unit="% of the eye distance",
+        function="without_truth:left_out_parts_error",
+        folds="parts",
+    ),
+    Objective(
         name="left-out-frames",
         says="distance from a hidden frame's landmarks, predicted as the middle of its neighbours' fits",
         blind="errors that stay the same from frame to frame; fast motion such as a blink counts as error, for the "

@@ -6,7 +6,7 @@ from workbench.arrays import AnyArray, library_of
 from workbench.geometry import project
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 from workbench.objectives.distances import eye_distance, length, mean_known, since_last
-from workbench.objectives.folds import frame_folds, point_folds
+from workbench.objectives.folds import FOLDS, frame_folds
 from workbench.objectives.records import FittedClip, ObservedClip
 
 
@@ -18,11 +18,12 @@ def landmark_error(clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "n"]
 
 def left_out_points_error(clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "n"]:
     """Mean distance from the detected landmarks that the fit had not seen, % of the outer-eye distance."""
-    hidden, found = point_folds(len(clip.points)), fits.folds["points"]
-    library = library_of(found)
-    errors = length(found - clip.points) / eye_distance(clip)[:, None]
-    # Each landmark is hidden in one fold.
-    return 100.0 * library.where(hidden, errors, 0.0).sum(0).mean(-1)
+    return _left_out_error("points", clip, fits)
+
+
+def left_out_parts_error(clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "n"]:
+    """The same where a fit has not seen anything of the face part that a landmark belongs to."""
+    return _left_out_error("parts", clip, fits)
 
 
 def left_out_frames_error(clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "n"]:
@@ -69,6 +70,14 @@ def second_view_error(clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "
 def solver_steps(clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "n"]:
     """Iterations of all stages."""
     return fits.iterations
+
+
+def _left_out_error(kind: str, clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "n"]:
+    hidden, found = FOLDS[kind](len(clip.points)), fits.folds[kind]
+    library = library_of(found)
+    errors = length(found - clip.points) / eye_distance(clip)[:, None]
+    # Each landmark is hidden in one fold.
+    return 100.0 * library.where(hidden, errors, 0.0).sum(0).mean(-1)
 
 
 def _two_before(clip: ObservedClip) -> Bool[AnyArray, "n"]:

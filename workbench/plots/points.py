@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from workbench.landmarks.alignment import MEAN_SHAPE
 from workbench.plots.figures import PAGE_WIDTH, subplots
 
-NAMED = 8
-"""Landmarks with the smallest factors, whose numbers stand beside them."""
+NAMED, APART = 8, 0.09
+"""How many of the landmarks with the smallest factors have their numbers, and how far from each other, face widths."""
 
 
 def point_factors(factors: dict[str, Float[np.ndarray, "68"]], marked: Sequence[int] = ()) -> Figure:
@@ -40,10 +40,20 @@ def point_factors(factors: dict[str, Float[np.ndarray, "68"]], marked: Sequence[
 def _drawn(axis: Axes, values: Float[np.ndarray, "68"], scale: LogNorm, marked: Sequence[int]):
     shown = axis.scatter(*MEAN_SHAPE.T, s=44, c=values, cmap="RdBu", norm=scale, edgecolors="0.35", linewidths=0.6)
     axis.scatter(*MEAN_SHAPE[list(marked)].T, s=120, marker="s", facecolors="none", edgecolors="0.1", linewidths=1.2)
-    for point in np.argsort(values, kind="stable")[:NAMED]:
+    for point in _named(values):
         axis.annotate(str(point), MEAN_SHAPE[point], (6, 5), textcoords="offset points", fontsize=8, color="0.2")
     axis.set_aspect("equal")
     axis.invert_yaxis()
     axis.margins(0.09)
     axis.axis("off")
     return shown
+
+
+def _named(values: Float[np.ndarray, "68"]) -> list[int]:
+    """The landmarks with the smallest factors, none so near to another that their numbers lie on one another."""
+    apart, chosen = APART * np.ptp(MEAN_SHAPE[:, 0]), []
+    for point in np.argsort(values, kind="stable"):
+        far = all(np.linalg.norm(MEAN_SHAPE[point] - MEAN_SHAPE[other]) > apart for other in chosen)
+        if far and len(chosen) < NAMED:
+            chosen.append(int(point))
+    return chosen
