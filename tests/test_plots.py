@@ -87,7 +87,7 @@ def test_several_vectors_of_weights_have_a_legend():
 def test_factors_of_points_name_the_least_believed_and_frame_the_marked():
     factors = np.exp(np.linspace(0.0, 1.0, 68))
     factors[[7, 40]] = 0.1
-    figure = plots.point_factors({"one": factors, "other": np.ones(68)}, marked=[7])
+    figure = plots.point_factors({"one": factors, "other": np.ones(68)}, marked={"one": [7]})
     one, _, bar = figure.axes
     assert {"7", "40"} <= {text.get_text() for text in one.texts}
     frames = one.collections[1].get_offsets()

@@ -1,6 +1,7 @@
 """The 68 landmarks on a mean face, coloured by a number each."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float
@@ -15,17 +16,19 @@ NAMED, APART = 8, 0.09
 """How many of the landmarks with the smallest factors have their numbers, and how far from each other, face widths."""
 
 
-def point_factors(factors: dict[str, Float[np.ndarray, "68"]], marked: Sequence[int] = ()) -> Figure:
+def point_factors(
+    factors: dict[str, Float[np.ndarray, "68"]], marked: Mapping[str, Sequence[int]] = MappingProxyType({})
+) -> Figure:
     """How far each landmark is believed, a face per labelled set of factors above 0: blue above 1, red below.
 
-    The smallest have their numbers; `marked` landmarks have a square around them.
+    The smallest have their numbers; `marked` landmarks, by label, have a square around them.
     """
     width = min(3.8 * len(factors) + 0.9, PAGE_WIDTH)
     figure, axes = subplots(1, len(factors), (width, 3.9))
     farthest = max(2.0, *(float(np.exp(np.abs(np.log(values)).max())) for values in factors.values()))
     scale = LogNorm(1.0 / farthest, farthest)
     for axis, (title, values) in zip(axes, factors.items(), strict=True):
-        shown = _drawn(axis, np.asarray(values), scale, marked)
+        shown = _drawn(axis, np.asarray(values), scale, marked.get(title, ()))
         axis.set_title(title, fontsize=10)
     figure.tight_layout(rect=(0.0, 0.0, 1.0 - 0.95 / width, 1.0))
     place = figure.add_axes((1.0 - 0.85 / width, 0.15, 0.16 / width, 0.7))
@@ -39,7 +42,9 @@ def point_factors(factors: dict[str, Float[np.ndarray, "68"]], marked: Sequence[
 
 def _drawn(axis: Axes, values: Float[np.ndarray, "68"], scale: LogNorm, marked: Sequence[int]):
     shown = axis.scatter(*MEAN_SHAPE.T, s=44, c=values, cmap="RdBu", norm=scale, edgecolors="0.35", linewidths=0.6)
-    axis.scatter(*MEAN_SHAPE[list(marked)].T, s=120, marker="s", facecolors="none", edgecolors="0.1", linewidths=1.2)
+    axis.scatter(
+        *MEAN_SHAPE[np.array(marked, int)].T, s=120, marker="s", facecolors="none", edgecolors="0.1", linewidths=1.2
+    )
     for point in _named(values):
         axis.annotate(str(point), MEAN_SHAPE[point], (6, 5), textcoords="offset points", fontsize=8, color="0.2")
     axis.set_aspect("equal")
