@@ -20,10 +20,10 @@ class ClipViews:
     def __init__(self, session: TuningSession, go: Callable[[int], None]) -> None:
         self._session, self._go = session, go
         self._values = np.zeros((0, 68))
-        self.timeline = TimelineView(height_px=116, unit="% of eye distance")
+        self.timeline = TimelineView(height_px=100, unit="% of eye distance")
         self.timeline.observe(lambda change: self._go(change["new"]), "frame")
-        self.pose = ChartView(height_px=150, title="head pose")
-        self.weights = ChartView(height_px=150, title="weights that vary most")
+        self.pose = ChartView(height_px=140, title="head pose")
+        self.weights = ChartView(height_px=140, title="weights that vary most")
         for chart in (self.pose, self.weights):
             chart.on_pick(lambda x: self._go(round(x)))
         self.curves = widgets.HBox(
@@ -43,10 +43,10 @@ class ClipViews:
         first, last = self.timeline.in_view
         return (first, last) if last > first else (0, len(self._session) - 1)
 
-    def next_flagged(self, frame: int) -> int:
-        """The next flagged frame, wrapping around at the end; the frame itself if none is flagged."""
-        flagged = self.timeline.flagged
-        return next((other for other in flagged if other > frame), flagged[0] if flagged else frame)
+    def next_flagged(self, frame: int, way: int = 1) -> int:
+        """The next (`way` 1) or previous (-1) flagged frame, around the ends; the frame itself if none is flagged."""
+        flagged = self.timeline.flagged[::way]
+        return next((other for other in flagged if way * other > way * frame), flagged[0] if flagged else frame)
 
     def show_stale(self) -> None:
         """Mark the frames whose fits belong to another configuration."""
