@@ -60,7 +60,7 @@ def test_the_shown_frame_and_ranges_are_marked_and_shown_on_the_strip(panel):
 
 
 def test_the_panel_has_a_page_of_its_own_for_time_and_one_for_all_methods(panel):
-    assert panel.controls.widget.titles[-1] == "time"
+    assert panel.controls.pages.titles[-1] == "time"
     assert "Methods" in panel.tabs.titles
 
 

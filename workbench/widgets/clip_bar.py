@@ -39,6 +39,7 @@ class ClipBar:
         self.cancel.on_click(lambda _button: self._worker.submit("cancel"))
         self.progress = widgets.IntProgress(0, max=len(session), layout=widgets.Layout(width="120px"))
         self.hide_progress()
+        self.widgets = self.run_clip, self.follow, self.cancel, self.progress
 
     @property
     def is_clip(self) -> bool:

@@ -83,6 +83,10 @@ class LandmarkTools:
         """Residuals in the chosen unit."""
         return fit.residuals_px if self.unit.value == "px" else fit.residuals_percent
 
+    def in_percent(self) -> bool:
+        """Whether residuals are shown in % of the eye distance."""
+        return self.unit.value == "%"
+
     def refresh_groups(self) -> None:
         """Update the menu: groups first, then saved subsets."""
         if list(self.group.options) != (options := self._groups()):

@@ -152,9 +152,8 @@ class LivePanel(widgets.VBox):
     def _build(self, height_px: int) -> list[widgets.Widget]:
         session, messages = self.session, self._messages
         self.status = LiveStatus()
-        settings = LiveSettings(session, lambda: self.drags.drag, messages.guarded, self.status.write, height_px - 34)
+        settings = LiveSettings(session, self.drags, messages.guarded, self.status.write, height_px - 34)
         self.controls = settings.controls
-        self.drags.on_reset(self.controls.reset)
         self.preset, self.undo, self.defaults = settings.widgets
         self._recording = RecordBar(session, lambda: self.running, lambda: self.camera.value, messages, self._slow)
         self.record_button, self.pictures, self.folder, self.save_button, self.saved = self._recording.widgets

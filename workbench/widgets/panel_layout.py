@@ -1,5 +1,7 @@
 """The layout of a panel: its style sheet, rows of controls, columns, and borders that can be moved."""
 
+from collections.abc import Mapping, Sequence
+
 import ipywidgets as widgets
 
 CONTROLS_PX = 276
@@ -121,6 +123,22 @@ def classed(widget: widgets.Widget, *names: str) -> widgets.Widget:
 def border(across: bool = False) -> widgets.Widget:
     """A border that can be moved and resizes what stands before it; `across`: its height, not its width."""
     return classed(widgets.HTML(), "fw-split", *(["fw-split-y"] if across else []))
+
+
+def tabs(pages: Mapping[str, widgets.Widget | None]) -> widgets.Tab:
+    """Pages by title, without those that are None."""
+    there = {title: page for title, page in pages.items() if page is not None}
+    return widgets.Tab(children=list(there.values()), titles=list(there))
+
+
+def arranged(
+    settings: widgets.Widget, photo: widgets.Widget, head: widgets.Widget, clip: Sequence[widgets.Widget],
+    pages: widgets.Widget,
+) -> widgets.Widget:  # fmt: skip
+    """Settings beside the views, below which are the rows of the clip and the pages; borders between them move."""
+    views = classed(widgets.HBox([classed(photo, "fw-photo"), border(), classed(head, "fw-head")]), "fw-views")
+    main = classed(widgets.VBox([views, border(across=True), *clip, classed(pages, "fw-pages")]), "fw-main")
+    return classed(widgets.HBox([settings, border(), main]), "fw-body")
 
 
 def in_columns(*parts: widgets.Widget) -> widgets.Widget:

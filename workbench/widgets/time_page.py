@@ -9,8 +9,10 @@ from workbench.session import TuningSession
 from workbench.session.knobs import METHODS, TIME
 from workbench.session.worked import Worked
 from workbench.tracking import FrameFit
-from workbench.widgets.controls import KnobControl, Turned, small_button
+from workbench.widgets.clip_views import ClipViews
+from workbench.widgets.controls import small_button
 from workbench.widgets.failed_frames import FailedFrames
+from workbench.widgets.knob_control import KnobControl, Turned
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.methods_page import Methods
 from workbench.widgets.status_line import StatusLine
@@ -35,17 +37,18 @@ class TimePage:
     """The controls page (`widget`) and the curves page (`methods`) for the clip of a session.
 
     `turned` is called with the path and value of a knob, `go` with a frame, `redraw` to show another side or result;
-    `in_view` returns the first and last frame in view in the strip. Work is done in a separate thread; only the latest
+    `views` show the clip. Work is done in a separate thread; only the latest
     request counts.
     """
 
     def __init__(
         self, session: TuningSession, turned: Turned, go: Callable[[int], None], redraw: Callable[[], None],
-        in_view: Callable[[], tuple[int, int]],
+        views: ClipViews,
     ) -> None:  # fmt: skip
         self._session = session
         self.frame, self._busy = 0, False
         self.knobs: dict[str, KnobControl] = {}
+        self._views = views
         self.is_clip = len(session) > 1 and not session.material.stills
         self.played: TimePart | None = None
         """The part of the clip that is worked on and played."""
@@ -61,7 +64,7 @@ class TimePage:
         self._worker: LatestWins[str] = LatestWins(self._work, self.result.failed, "panel-time")
         self.knobs = {knob.path: KnobControl(knob, turned) for knob in (*METHODS, *TIME)}
         self._marks = FailedFrames(session, self.result, lambda: self.frame, lambda: self.run("flagged"))
-        self.played = TimePart(session, self.show_config, go, redraw, in_view)
+        self.played = TimePart(session, self.show_config, go, redraw, views.in_view)
         # For scripts to press and read.
         self.this, self.flagged, self.clear = self._marks.this, self._marks.flagged, self._marks.clear
         self.range, self.mark, self.unmark = self._marks.range, self._marks.mark, self._marks.unmark
@@ -129,6 +132,7 @@ class TimePage:
             self.played.begin_short(self.frame, DEEP_FRAMES)
         self._marks.show(self.played.usable)
         self.played.limit_play()
+        self._views.timeline.loop = list(self.played.usable or ())
         self.show_result()
 
     def show_result(self) -> None:

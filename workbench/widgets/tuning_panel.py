@@ -1,5 +1,6 @@
 """The panel: knobs of a session, the picture, the head, the clip and the diagnosis, all kept in step."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,8 +23,9 @@ from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.iterations import Iterations
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import border, classed, style_sheet
+from workbench.widgets.panel_layout import arranged, classed, style_sheet, tabs
 from workbench.widgets.panel_page import PanelPage
+from workbench.widgets.shared_scale import SharedScale
 from workbench.widgets.slow_jobs import SlowJobs
 from workbench.widgets.status_line import StatusLine, status_of
 from workbench.widgets.time_page import TimePage
@@ -33,6 +35,7 @@ from workbench.widgets.waiting import Waiting
 
 HEAD_SIZE, TABS_PX = (304, 308), 170
 """The part of a head that is always in view, pixels; height of the pages below the strip."""
+GETTING_READY = "getting ready: the first moves may be slower"
 PAUSE_S = 0.1
 """Numbers and curves wait for a pause of this length, because painting them would delay the pictures of a drag."""
 
@@ -58,15 +61,13 @@ class TuningPanel(widgets.VBox):
     def __init__(self, session: TuningSession, backend: str = "auto") -> None:
         self.session, self.frame, self._is_clip = session, 0, len(session) > 1
         self.fit: FrameFit | None = None
-        self._held: str | None = None
-        self._closed = False
+        self._held, self._closed = "", False
         self.status = classed(StatusLine(), "fw-status")
         self.say, self.waiting = self.status.say, Waiting()
         self._worker: LatestWins[Show] = LatestWins(self._refit, self._failed, "panel-fit")
         self._slow = SlowJobs(self._failed, "panel-slow")
         self._build_views(backend)
         self._build_controls()
-        self._build_pages()
         self._leave = session.listen(self._on_session)
         super().__init__([style_sheet(), self.page, *self._rows()])
         classed(self, "fw-panel", "fw-whole")
@@ -74,7 +75,7 @@ class TuningPanel(widgets.VBox):
         self.overlay.show_picture(0)
         self._worker.submit(Show(0))
         self._clip_bar.begin()
-        self._slow.submit(self._warm_up)
+        self._slow.submit(self.waiting.running(session.warm_up, GETTING_READY))
 
     def __repr__(self) -> str:
         return f"TuningPanel({self.session!r})"
@@ -91,6 +92,10 @@ class TuningPanel(widgets.VBox):
             self.time.show_frame(frame)
             self.diagnosis.clear()
             self._worker.submit(Show(frame))
+
+    def step(self, by: int) -> None:
+        """Go one frame (±1), or one flagged frame (±2), forth or back."""
+        self.go(self.frame + by if abs(by) == 1 else self.clip.next_flagged(self.frame, by // 2))
 
     def turn(self, path: str, value: Any) -> None:
         """Turn a knob as a user would; `session.knobs.KNOBS` lists the paths."""
@@ -122,19 +127,14 @@ class TuningPanel(widgets.VBox):
         self.page, self.clip = PanelPage(keys=True), ClipViews(session, self.go)
         self._iterations = Iterations(session, self.status, self._redraw, TABS_PX)
         self.energy, self.stages = self._iterations.energy, self._iterations.stages
-        self._diagnosing = FrameDiagnosis(
-            session, self.status, lambda job: self._slow.submit(self.waiting.running(job, "looking for reasons")),
-            lambda: self.frame, TABS_PX,
-        )  # fmt: skip
+        self._diagnosing = FrameDiagnosis(session, self.status, self._look_for, lambda: self.frame, TABS_PX)
         self.diagnosis = self._diagnosing.view
-        self.time = TimePage(session, self._on_knob, self.go, self._redraw, self.clip.in_view)
+        self.time = TimePage(session, self._on_knob, self.go, self._redraw, self.clip)
         self.overlay = LandmarkTools(session, head, self.say, self._redraw)
+        self.scale = SharedScale(self.overlay.view, self.clip.timeline, self.overlay.in_percent, self._redraw)
         self.head = HeadColumn(
-            session, head, HEAD_SIZE, backend, self._diagnosing.uncertainty, self._redraw,
-            lambda: self.overlay.view.scale if self.overlay.unit.value == "%" else self.clip.timeline.scale,
-        )  # fmt: skip
-        for one, other in ((self.overlay.view, self.clip.timeline), (self.clip.timeline, self.overlay.view)):
-            one.observe(lambda change, other=other: self._on_scale(other, change["new"]), "scale_max")
+            session, head, HEAD_SIZE, backend, self._diagnosing.uncertainty, self._redraw, lambda: self.scale.end
+        )
         self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
 
     def _build_controls(self) -> None:
@@ -142,37 +142,34 @@ class TuningPanel(widgets.VBox):
         self.controls = Controls(session.base, self._on_knob)
         self.controls.add("time", self.time.widget, self.time.knobs, session.config)
         self.changes = ChangesPage(session, TABS_PX)
-        self._history_bar = HistoryBar(session, self.status)
+        self.history = HistoryBar(session, self.status)
         self.export_dialog = ExportDialog(session, self._slow.submit)
         self._clip_bar = ClipBar(
             session, self.clip, lambda: self._worker.submit(Show(self.frame)), self.changes.show, self._failed
         )
-        self.transport = Transport(self._clip_bar, self._on_step, lambda: self.frame, self.time.played)
+        self.transport = Transport(self._clip_bar, self.step, lambda: self.frame, self.time.played)
         self.page.on_reset(self.controls.reset)
-        self.page.on_key(self._on_key)
+        self.page.on_key(lambda action: self.status.guarded(actions_of(self)[action]))
         # For scripts to press and read.
-        self.undo, self.redo = self._history_bar.undo, self._history_bar.redo
-        self.reset, self.name, self.keep = self._history_bar.reset, self._history_bar.name, self._history_bar.keep
+        self.undo, self.redo = self.history.undo, self.history.redo
+        self.reset, self.name, self.keep = self.history.reset, self.history.name, self.history.keep
         self.file, self.export, self.overwrite, self.exported = self.export_dialog.settings.widgets
-        self.run_clip, self.follow = self._clip_bar.run_clip, self._clip_bar.follow
-        self.cancel, self.progress = self._clip_bar.cancel, self._clip_bar.progress
+        self.run_clip, self.follow, self.cancel, self.progress = self._clip_bar.widgets
 
-    def _build_pages(self) -> None:
         self.strip = FilmStrip(self.session)
-        pages = {"Energy": self.energy, "Stages": self.stages.widget, "Diagnosis": self.diagnosis.widget}
-        pages |= {"Curves": self.clip.curves} if self._is_clip else {}
-        pages |= {"Methods": self.time.methods} if self.time.is_clip else {}
-        pages |= {"Film strip": self.strip, "Changes": self.changes}
-        self.tabs = classed(widgets.Tab(children=list(pages.values()), titles=list(pages)), "fw-pages")
+        pages = {
+            "Energy": self.energy, "Stages": self.stages.widget, "Diagnosis": self.diagnosis.widget,
+            "Curves": self.clip.curves if self._is_clip else None,
+            "Methods": self.time.methods if self.time.is_clip else None,
+            "Film strip": self.strip, "Changes": self.changes,
+        }  # fmt: skip
+        self.tabs = tabs(pages)
 
     def _rows(self) -> list[widgets.Widget]:
         told = (self.status, self.waiting, *self.export_dialog.buttons)
-        top = classed(widgets.HBox([self._history_bar.widget, *told]), "fw-top")
-        photo, head = classed(self.overlay.widget, "fw-photo"), classed(self.head.widget, "fw-head")
-        views = classed(widgets.HBox([photo, border(), head]), "fw-views")
+        top = classed(widgets.HBox([self.history.widget, *told]), "fw-top")
         clip = [self.clip.timeline, self.transport.widget] if self._is_clip else []
-        main = classed(widgets.VBox([views, border(across=True), *clip, self.tabs]), "fw-main")
-        body = classed(widgets.HBox([self.controls.widget, border(), main]), "fw-body")
+        body = arranged(self.controls.widget, self.overlay.widget, self.head.widget, clip, self.tabs)
         return [top, self.export_dialog.widget, body]
 
     # --- what the user does ---
@@ -180,33 +177,10 @@ class TuningPanel(widgets.VBox):
     def _on_knob(self, path: str, value: Any) -> None:
         self._held = path
         try:
-            self.status.guarded(self._set_knob, path, value)
+            changes = changed_by(self.session.config, path, value)
+            self.status.guarded(lambda: self.session.set(path, Gesture(path, self.page.drag), **changes))
         finally:
-            self._held = None
-
-    def _set_knob(self, path: str, value: Any) -> None:
-        changes = changed_by(self.session.config, path, value)
-        self.session.set(path, Gesture(path, self.page.drag), **changes)
-
-    def _on_step(self, by: int) -> None:
-        """One frame (±1), or one flagged frame (±2), forth or back."""
-        self.go(self.frame + by if abs(by) == 1 else self.clip.next_flagged(self.frame, by // 2))
-
-    def _on_key(self, action: str) -> None:
-        act = {
-            "play": self.transport.play, "in": lambda: self.transport.mark("in"),
-            "out": lambda: self.transport.mark("out"), "view": self.head.next_look, "why": self.diagnosis.ask.click,
-            "keep": self._history_bar.take, "export": self.export_dialog.fold, "undo": self.session.undo,
-            "redo": self.session.redo, "back": lambda: self._on_step(-1), "forth": lambda: self._on_step(1),
-            "previous": lambda: self._on_step(-2), "next": lambda: self._on_step(2),
-        }  # fmt: skip
-        self.status.guarded(act[action])
-
-    def _on_scale(self, other: Any, limit: float) -> None:
-        """Use the end of the colour scale that was chosen in one view in the others as well."""
-        if self.overlay.unit.value == "%" and other.scale_max != limit:
-            other.scale_max = limit
-        self._redraw()
+            self._held = ""
 
     # --- what the session reports ---
 
@@ -224,7 +198,7 @@ class TuningPanel(widgets.VBox):
             self.time.show_result()
             self._redraw()
         elif what == "snapshots":
-            self._history_bar.show_snapshots()
+            self.history.show_snapshots()
             self.head.refresh_comparisons()
 
     def _show_session(self) -> None:
@@ -235,13 +209,12 @@ class TuningPanel(widgets.VBox):
         self.overlay.refresh_groups()
         self.time.show_config()
         self.clip.timeline.marked = [list(part) for part in config.infill.frames]
-        self.clip.timeline.loop = list((self.time.played and self.time.played.usable) or ())
-        self._history_bar.show()
+        self.history.show()
 
     def _show_run(self) -> None:
         if self._is_clip:
             self.clip.show_run()
-            self.overlay.view.scale_with(self.clip.timeline.scale if self.overlay.unit.value == "%" else None)
+            self.scale.show_run()
             self.time.show_config()
         # The previous frame may have another pose now, and the identity is now exact.
         self._worker.submit(Show(self.frame, steps=self._iterations.steps))
@@ -277,10 +250,29 @@ class TuningPanel(widgets.VBox):
         if self.fit is not None:
             self._worker.submit(Show(self.frame, steps=self._iterations.steps))
 
-    def _warm_up(self) -> None:
-        with self.waiting.during("getting ready: the first moves may be slower"):
-            self.session.warm_up()
+    def _look_for(self, reasons: Callable[[], None]) -> None:
+        self._slow.submit(self.waiting.running(reasons, "looking for reasons"))
 
     def _failed(self, error: Exception) -> None:
         self._clip_bar.hide_progress()
         self.status.failed(error)
+
+
+def actions_of(panel: TuningPanel) -> dict[str, Callable[[], object]]:
+    """What the keys of a panel do: the callback of each of `panel_page.ACTIONS`."""
+    transport = panel.transport
+    return {
+        "play": transport.play,
+        "back": lambda: panel.step(-1),
+        "forth": lambda: panel.step(1),
+        "previous": lambda: panel.step(-2),
+        "next": lambda: panel.step(2),
+        "in": lambda: transport.mark("in"),
+        "out": lambda: transport.mark("out"),
+        "view": panel.head.next_look,
+        "why": panel.diagnosis.ask.click,
+        "keep": panel.history.take,
+        "export": panel.export_dialog.fold,
+        "undo": panel.session.undo,
+        "redo": panel.session.redo,
+    }
