@@ -322,7 +322,9 @@ def test_the_configuration_is_exported(clip, server):
     press(clip, "ω_τ", "PageUp")
     clip.page.get_by_role("button", name="Save · Export").click()
     clip.page.get_by_role("button", name="save settings").click()
-    clip.page.wait_for_function("() => document.querySelector('.fw-export').innerText.includes('to reproduce the numbers')")
+    clip.page.wait_for_function(
+        "() => document.querySelector('.fw-export').innerText.includes('to reproduce the numbers')"
+    )
     written = read_config(server.folder / "tuned.toml")
     assert written.weights.tau > 0.1
     assert written.provenance.after["frames_with_face"] == 240

@@ -155,6 +155,12 @@ TIME = (
 KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP, *METHODS, *TIME)
 
 
+def label_of(path: str) -> str:
+    """What undo calls a change of a knob: its symbol and its plain name."""
+    knob = next(knob for knob in KNOBS if knob.path == path)
+    return f"{knob.label}, {knob.words.name}"
+
+
 def is_inert(config: Config, path: str) -> bool:
     """Whether a knob has no effect under this configuration's system and stages."""
     section, _, key = path.rpartition(".")

@@ -65,7 +65,7 @@ FW_AT
 
 /* groups of controls with space between them */
 .fw-panel .fw-group { margin-right: 12px; }
-.fw-panel .fw-top { flex: 0 0 auto; align-items: center; }
+.fw-panel .fw-top-bar { flex: 0 0 auto; align-items: center; }
 .fw-panel .fw-status { flex: 1 1 0; min-width: 0; overflow: hidden; }
 .fw-panel .fw-status .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis;
   font-variant-numeric: tabular-nums; }

@@ -9,7 +9,7 @@ import numpy as np
 
 from workbench.session import FittedHead, TuningSession
 from workbench.session.gesture import Gesture
-from workbench.session.knobs import changed_by
+from workbench.session.knobs import changed_by, label_of
 from workbench.tracking import FrameFit
 from workbench.widgets.changes_page import ChangesPage
 from workbench.widgets.clip_bar import ClipBar
@@ -97,6 +97,11 @@ class TuningPanel(widgets.VBox):
         """Go one frame (±1), or one flagged frame (±2), forth or back."""
         self.go(self.frame + by if abs(by) == 1 else self.clip.next_flagged(self.frame, by // 2))
 
+    def ask_why(self) -> None:
+        """Bring the diagnosis to the front and ask for it."""
+        self.tabs.selected_index = list(self.tabs.titles).index("Diagnosis")
+        self.diagnosis.ask.click()
+
     def turn(self, path: str, value: Any) -> None:
         """Turn a knob as a user would; `session.knobs.KNOBS` lists the paths."""
         self.controls.by_path[path].turn(value)
@@ -167,7 +172,7 @@ class TuningPanel(widgets.VBox):
 
     def _rows(self) -> list[widgets.Widget]:
         told = (self.status, self.waiting, *self.export_dialog.buttons)
-        top = classed(widgets.HBox([self.history.widget, *told]), "fw-top")
+        top = classed(widgets.HBox([self.history.widget, *told]), "fw-top-bar")
         clip = [self.clip.timeline, self.transport.widget] if self._is_clip else []
         body = arranged(self.controls.widget, self.overlay.widget, self.head.widget, clip, self.tabs)
         return [top, self.export_dialog.widget, body]
@@ -178,7 +183,7 @@ class TuningPanel(widgets.VBox):
         self._held = path
         try:
             changes = changed_by(self.session.config, path, value)
-            self.status.guarded(lambda: self.session.set(path, Gesture(path, self.page.drag), **changes))
+            self.status.guarded(lambda: self.session.set(label_of(path), Gesture(path, self.page.drag), **changes))
         finally:
             self._held = ""
 
@@ -270,7 +275,7 @@ def actions_of(panel: TuningPanel) -> dict[str, Callable[[], object]]:
         "in": lambda: transport.mark("in"),
         "out": lambda: transport.mark("out"),
         "view": panel.head.next_look,
-        "why": panel.diagnosis.ask.click,
+        "why": panel.ask_why,
         "keep": panel.history.take,
         "export": panel.export_dialog.fold,
         "undo": panel.session.undo,

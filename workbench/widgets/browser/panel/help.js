@@ -32,7 +32,7 @@ export function actionOf(key) {
 }
 
 export function makeHelp(el) {
-  const box = element(el, "div", "fw-keys"), table = element(box, "table", "");
+  const box = element(el, "div", "fw-help-box"), table = element(box, "table", "");
   for (const [keys, told] of [...KEYS.map(([shown, , words]) => [shown, words]), ...MORE]) {
     const row = element(table, "tr", "");
     element(row, "th", "").textContent = keys;

@@ -25,6 +25,7 @@ export function listenToKeys(page) {
     if (!action) return;
     event.preventDefault();
     event.stopPropagation();
+    if (action === "why") page.panel().querySelector(".fw-pages")?.classList.remove("fw-folded");
     if (HERE[action]) HERE[action](page);
     else page.tell("key", action);
   }

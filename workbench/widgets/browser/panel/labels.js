@@ -1,10 +1,12 @@
 const SOON_MS = 400;
+const ICONS = { "fa-play": "play", "fa-pause": "pause", "fa-stop": "stop", "fa-retweet": "loop" };
 
 // Names for screen readers: controls that show a symbol or nothing are called what their tooltip says.
 export function labelControls(panel) {
   for (const control of panel.querySelectorAll("button, input, select, textarea, .noUi-handle")) {
     if (control.labels?.length || (control.ariaLabel && control.ariaLabel !== control.dataset.told)) continue;
-    const told = control.closest("[title]")?.title.split("\n")[0] || control.placeholder;
+    const icon = control.querySelector("i.fa"), shown = icon && Object.keys(ICONS).find((name) => icon.matches(`.${name}`));
+    const told = ICONS[shown] || control.closest("[title]")?.title.split("\n")[0] || control.placeholder;
     const named = control.matches("button") && /\p{L}{2}/u.test(control.textContent);
     if (told && !named) control.ariaLabel = control.dataset.told = told;
   }
