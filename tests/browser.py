@@ -272,6 +272,27 @@ class LabPage:
         encoded = self.page.evaluate("([s, side]) => window.pngOfCanvas(s, side)", [selector, side])
         return decoded(encoded, cv2.IMREAD_COLOR)[..., ::-1].astype(int)
 
+    def state(self) -> str:
+        """What a test that failed leaves behind: whether page, connection and kernel still answer, and its threads.
+
+        Asked for with little patience, because whatever is asked may be what is stuck.
+        """
+        asked = {"page": _VISIBLE, "draws": _DRAWS, "kernel": _KERNEL_STATE, "answers": _ANSWERS}
+        told = [f"{name}: {_told(lambda code=code: self.page.evaluate(code))}" for name, code in asked.items()]
+        told += [f"threads of the kernel:\n{_told(lambda: self.kernel_threads())}"]
+        told += [f"errors: {self.page_errors} {self.console_errors}"]
+        return "\n".join(told)
+
+    def kernel_threads(self) -> str:
+        """Where each thread of the kernel is; a kernel that does not answer is asked nothing."""
+        if "answered" not in self.page.evaluate(_ANSWERS):
+            return "not asked"
+        file = self.server.folder / "kernel-threads"
+        self.ask_kernel(
+            f"import faulthandler\nwith open({str(file)!r}, 'w') as told: faulthandler.dump_traceback(told, True)"
+        )
+        return file.read_text()
+
     def screenshots(self, folder: Path, stem: str) -> list[Path]:
         """The notebook from top to bottom, one file a screen."""
         folder.mkdir(parents=True, exist_ok=True)
@@ -292,6 +313,13 @@ class LabPage:
     def _on_console(self, message) -> None:
         if message.type == "error":
             self.console_errors.append(message.text[:300])
+
+
+def _told(ask: Callable[[], object]) -> object:
+    try:
+        return ask()
+    except Exception as error:  # what is asked of a page that is stuck can fail in any way
+        return f"{type(error).__name__}: {str(error)[:200]}"
 
 
 def decoded(address: str, flags: int) -> np.ndarray:
@@ -364,6 +392,15 @@ _ASK = """async (code) => {
   const kernel = window.jupyterapp.shell.currentWidget.sessionContext.session.kernel, start = performance.now();
   await kernel.requestExecute({code, store_history: false}).done;
   return performance.now() - start;
+}"""
+_VISIBLE = "() => document.visibilityState"
+_WITHIN = """const within = (asked, word) => Promise.race([
+  asked.then(() => word), new Promise((done) => setTimeout(() => done('nothing within 5 s'), 5000))]);"""
+_DRAWS = f"() => {{ {_WITHIN} return within(new Promise((done) => requestAnimationFrame(done)), 'a frame'); }}"
+_ANSWERS = f"() => {{ {_WITHIN} return within(({_ASK})('None'), 'answered'); }}"
+_KERNEL_STATE = """() => {
+  const kernel = window.jupyterapp.shell.currentWidget.sessionContext.session.kernel;
+  return `${kernel.status}, ${kernel.connectionStatus}`;
 }"""
 _COUNTS = """() => {
   const found = [], cells = window.jupyterapp.shell.currentWidget.content.model.cells;

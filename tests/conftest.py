@@ -63,6 +63,18 @@ def pytest_runtest_setup(item):
 
 
 @pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """A browser test that fails says what page and kernel were doing."""
+    report = yield
+    if report.when == "call" and report.failed and item.get_closest_marker("browser") is not None:
+        from tests.browser import LabPage
+
+        pages = (value for value in item.funcargs.values() if isinstance(value, LabPage))
+        report.sections += [("page and kernel", page.state()) for page in pages]
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item, nextitem):
     result = yield
     if nextitem is None or nextitem.path != item.path:

@@ -95,3 +95,12 @@ def test_a_preset_of_the_menu_is_fitted(lab):
 def test_nothing_came_from_another_host_and_the_page_had_no_errors(lab):
     assert lab.foreign_requests == []
     assert lab.page_errors == []
+
+
+def test_a_test_that_fails_can_say_what_page_and_kernel_are_doing(lab):
+    said = lab.state()
+    assert "page: visible" in said
+    assert "draws: a frame" in said
+    assert "kernel: idle, connected" in said
+    assert "answers: answered" in said
+    assert 'File "' in said.partition("threads of the kernel")[2]

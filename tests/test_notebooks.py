@@ -39,6 +39,16 @@ LEAST_PICTURES = {
     "17_deep_energies_remade": 10,
     "18_deep_energies_through_time": 13,
 }
+APP = "10_workbench_app"
+"""No part of the path: `workbench app` shows it as a page."""
+EXERCISES = (
+    "03_the_beta_trap",
+    "04_rho_and_epsilon",
+    "05_tau_and_jitter",
+    "06_why_a_frame_fails",
+    "09_deep_energies_on_one_frame",
+    "13_optical_flow_and_infill",
+)
 TIMEOUT_S = 300
 
 
@@ -158,3 +168,59 @@ def test_a_notebook_opens_with_what_it_uses_and_what_you_get(path):
     assert first.source.startswith("# ")
     assert "**Uses**" in first.source
     assert "**You get**" in first.source
+
+
+def cells_of(path):
+    return nbformat.read(path, as_version=4).cells
+
+
+def tagged(cells, tag):
+    return [cell for cell in cells if tag in cell.metadata.get("tags", ())]
+
+
+def titled(path):
+    """A notebook's number and title, as links call it."""
+    return f"{path.stem[:2]} · {cells_of(path)[0].source.splitlines()[0].removeprefix('# ')}"
+
+
+def test_the_index_lists_every_notebook_and_the_quickstart_ends_with_it():
+    index = (ROOT / "notebooks" / "README.md").read_text(encoding="utf-8")
+    for path in NOTEBOOKS:
+        assert f"| [{titled(path)}]({path.name}) |" in index
+    assert index.count(".ipynb)") == len(NOTEBOOKS)
+    last = cells_of(NOTEBOOKS[0])[-2].source
+    assert last.partition("\n\n")[0] == "## All notebooks"
+    assert last.partition("\n\n")[2] in index
+
+
+def test_each_notebook_leads_to_the_one_before_and_the_one_after():
+    path = [each for each in NOTEBOOKS if each.stem != APP]
+    for before, here, after in zip([None, *path], path, [*path[1:], None], strict=False):
+        cells = cells_of(here)
+        way_in, way_on = tagged(cells, "navigation")
+        assert (way_in, way_on) == (cells[1], cells[-1])
+        assert way_in.source == way_on.source
+        for other in (before, after):
+            assert other is None or f"[{titled(other)}]({other.name})" in way_in.source
+        assert "[all notebooks](" in way_in.source
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_no_notebook_shows_a_wall_of_imports(path):
+    for cell in cells_of(path):
+        lines = cell.source.splitlines()
+        imports = sum(line.startswith(("import ", "from ")) for line in lines)
+        folded = cell.metadata.get("jupyter", {}).get("source_hidden", False)
+        assert cell.cell_type != "code" or folded or imports <= 4
+
+
+@pytest.mark.parametrize("name", EXERCISES)
+def test_an_exercise_has_a_solution_that_is_folded_away(name):
+    cells = cells_of(ROOT / "notebooks" / f"{name}.ipynb")
+    exercise, solution, answer = (tagged(cells, tag) for tag in ("exercise", "solution", "answer"))
+    assert len(exercise) == len(solution) == len(answer) == 1
+    place = cells.index(exercise[0])
+    assert cells[place : place + 3] == [exercise[0], solution[0], answer[0]]
+    assert solution[0].metadata["jupyter"] == {"source_hidden": True, "outputs_hidden": True}
+    assert solution[0].cell_type == "code"  # which the test that runs notebooks runs too
+    assert answer[0].source.startswith("<details>")

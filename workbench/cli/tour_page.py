@@ -37,8 +37,11 @@ GREEK_INDEX = re.compile(r"\$(\w)_\\(\w+)\$")
 def write_tour_page(notebook: Path, page: Path) -> None:
     """Write a notebook's text and code as one HTML file that needs no other."""
     from nbconvert.exporters import HTMLExporter  # here: only the app needs it, and it takes a second
+    from traitlets.config import Config
 
-    body = HTMLExporter(template_name="basic", exclude_input_prompt=True).from_filename(str(notebook))[0]
+    without_ways = Config(TagRemovePreprocessor={"enabled": True, "remove_cell_tags": ["navigation"]})
+    exporter = HTMLExporter(without_ways, template_name="basic", exclude_input_prompt=True)
+    body = exporter.from_filename(str(notebook))[0]
     body = GREEK_INDEX.sub(r"<i>\1</i><sub>&\2;</sub>", LINK_TO_NOTEBOOK.sub(r"\1", body))
     heading = re.search("<h1[^>]*>([^<]+)", body)
     title = heading[1] if heading else html.escape(notebook.stem)
