@@ -134,7 +134,7 @@ class LandmarkTools:
         self.name = widgets.Text(placeholder="name", tooltip="name of a subset", layout=widgets.Layout(width="64px"))
         self.save = small_button("name it", "save the selection under this name, for stages and weights")
         self.save.on_click(lambda _button: self._save())
-        self._of_chosen = group(self.mute, self.up, self.down, self.back, self.name, self.save)
+        self._of_chosen = group(self.mute, self.up, self.down, self.back, self.name, self.save, name="fw-chosen")
         self._of_chosen.layout.display = "none"
         self.view.observe(self._on_selection, "selection")
         return widgets.HBox([group(self.tool, self.group, self.unit), self._of_chosen], layout=wrapped())

@@ -49,6 +49,9 @@ FW_AT
 .fw-whole .fw-controls > .widget-vbox { flex: 1 1 0; min-height: 0; }
 .fw-whole .fw-main { flex: 1 1 0; min-width: 0; min-height: 0; }
 .fw-whole .fw-views { flex: 1 1 0; min-height: 250px; }
+.fw-whole .fw-photo { position: relative; }
+.fw-whole .fw-chosen { position: absolute; z-index: 5; top: 34px; right: 6px; margin: 0; padding: 1px 3px;
+  border-radius: 6px; background: var(--jp-layout-color1, #fff); }
 .fw-whole .fw-photo { flex: 1 1 0; min-width: 0; overflow: hidden; }
 .fw-whole .fw-head { flex: 0 0 39%; min-width: 0; overflow: hidden; }
 .fw-whole .fw-grow { flex: 1 1 0; min-height: 0; position: relative; overflow: hidden; }
