@@ -97,11 +97,6 @@ class TuningPanel(widgets.VBox):
         """Go one frame (±1), or one flagged frame (±2), forth or back."""
         self.go(self.frame + by if abs(by) == 1 else self.clip.next_flagged(self.frame, by // 2))
 
-    def ask_why(self) -> None:
-        """Bring the diagnosis to the front and ask for it."""
-        self.tabs.selected_index = list(self.tabs.titles).index("Diagnosis")
-        self.diagnosis.ask.click()
-
     def turn(self, path: str, value: Any) -> None:
         """Turn a knob as a user would; `session.knobs.KNOBS` lists the paths."""
         self.controls.by_path[path].turn(value)
@@ -275,9 +270,15 @@ def actions_of(panel: TuningPanel) -> dict[str, Callable[[], object]]:
         "in": lambda: transport.mark("in"),
         "out": lambda: transport.mark("out"),
         "view": panel.head.next_look,
-        "why": panel.ask_why,
+        "why": lambda: ask_why(panel),
         "keep": panel.history.take,
         "export": panel.export_dialog.fold,
         "undo": panel.session.undo,
         "redo": panel.session.redo,
     }
+
+
+def ask_why(panel: TuningPanel) -> None:
+    """Bring the diagnosis to the front and ask for it."""
+    panel.tabs.selected_index = list(panel.tabs.titles).index("Diagnosis")
+    panel.diagnosis.ask.click()
