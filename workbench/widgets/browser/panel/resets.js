@@ -1,6 +1,7 @@
 import { listen } from "../shared/following.js";
 
 const PREFIX = "fw-knob--";
+const LATER_MS = 300; // the clicks of a double click move the slider, and its values arrive before this
 
 // The path of the knob that an element belongs to; null for others.
 function pathOf(node) {
@@ -14,7 +15,7 @@ export function listenToResets(page) {
   function reset(event, within) {
     if (!page.holds(event.target) || !event.target.closest(within)) return;
     const path = pathOf(event.target);
-    if (path) page.tell("reset", path);
+    if (path) setTimeout(() => page.tell("reset", path), LATER_MS);
   }
   return listen(document, {
     dblclick: (event) => reset(event, ".slider, .noUi-target, .widget-label"),
