@@ -1,23 +1,35 @@
-"""Make the sample clip: a synthetic person who talks, grimaces and turns, with the exact truth beside it.
+"""Make the sample clips: synthetic persons who talk, grimace, laugh and turn, with the exact truth beside each.
 
-    python data_samples/make_performance.py [--sheet sheet.png]
+    python data_samples/make_performance.py [laugh glasses ...] [--sheets FOLDER]
 
-writes performance.mp4 (9.6 s, 25 frames/s, 640 × 480), performance_truth.npz, performance_landmarks.csv and
-astronaut_landmarks.csv. Run it again after the head has been baked anew; everything random is seeded. The landmark
-files hold what the dlib tracker gives, so that a first run needs no detector; without dlib, they are left as they are.
+writes for each clip NAME.mp4 (25 frames/s, 640 × 480), NAME_truth.npz and NAME_landmarks.csv, and
+astronaut_landmarks.csv. `performance` is the plain head, which measurements are made with; `laugh` and `glasses` are
+characters. Run it again after the head has been baked anew; everything random is seeded. The landmark files hold what
+the dlib tracker gives, so that a first run needs no detector; without dlib, they are left as they are.
 """
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+from glasses import glasses
 from performance_look import Stage, albedo_of_person
-from performance_timeline import FRAME_COUNT, RATE, performance
+from performance_timeline import LAUGH, LOOKS, PERFORMANCE, RATE, Timeline, performance
 
 from workbench.energies import project_landmarks
 from workbench.errors import MissingDependencyError
-from workbench.face import FaceParameters, contour_blend, landmark_model, load_default_head, model_landmarks
+from workbench.face import (
+    DressedHead,
+    FaceParameters,
+    contour_blend,
+    find_character,
+    landmark_model,
+    load_character,
+    load_default_head,
+    model_landmarks,
+)
 from workbench.face.model import FaceModel
 from workbench.files import atomic_path
 from workbench.frames import VideoWriter, open_frames, write_picture
@@ -26,6 +38,8 @@ from workbench.landmarks.dlib_detector import DlibDetector
 from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.pictures import HeadRenderer
+from workbench.pictures.extras import Extras
+from workbench.pictures.neck import BODY_SHARE
 from workbench.tracking.frame_solver import head_yaw
 
 FOLDER = Path(__file__).resolve().parent
@@ -35,27 +49,54 @@ IDENTITY_SEED = 11
 QUALITY = 19
 """H.264's constant rate factor."""
 LARGEST_GAZE_DEG = 22.0
+SHEET = 24
+"""Frames of a contact sheet."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A person and what happens to them."""
+
+    name: str
+    timeline: Timeline
+    character: str = ""
+    """Empty: the plain head with an identity of its own."""
+    glasses: bool = False
+
+
+CLIPS = {
+    clip.name: clip
+    for clip in (
+        Clip("performance", PERFORMANCE),
+        Clip("laugh", LAUGH, "ravi"),
+        Clip("glasses", LOOKS, "edda", glasses=True),
+    )
+}
 
 
 def main() -> None:
-    """Make all files."""
+    """Make all files, or those of some clips."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--sheet", type=Path, help="also write a contact sheet of 24 frames (PNG)")
-    sheet = arguments.parse_args().sheet
+    arguments.add_argument("clips", nargs="*", metavar="CLIP", help=f"{', '.join(CLIPS)}; all of them if left out")
+    arguments.add_argument("--sheets", type=Path, help=f"also write contact sheets of {SHEET} frames here (PNG)")
+    options = arguments.parse_args()
+    if unknown := set(options.clips) - set(CLIPS):
+        arguments.error(f"there is no clip {', '.join(sorted(unknown))}; there are {', '.join(CLIPS)}")
     model = load_default_head()
-    truth = make_truth(model)
-    write_truth(FOLDER / "performance_truth.npz", truth)
-    pictures = write_clip(FOLDER / "performance.mp4", model, truth)
-    if sheet is not None:
-        write_picture(sheet, contact_sheet(pictures))
-    for name in ("performance.mp4", "astronaut.png"):
-        write_tracked_landmarks(FOLDER / name, FOLDER / f"{Path(name).stem}_landmarks.csv")
+    for clip in [CLIPS[name] for name in options.clips or CLIPS]:
+        truth = make_truth(model, clip)
+        write_truth(FOLDER / f"{clip.name}_truth.npz", truth)
+        pictures = write_clip(FOLDER / f"{clip.name}.mp4", model, clip, truth)
+        if options.sheets is not None:
+            options.sheets.mkdir(parents=True, exist_ok=True)
+            write_picture(options.sheets / f"{clip.name}.png", contact_sheet(pictures))
+        write_tracked_landmarks(FOLDER / f"{clip.name}.mp4")
+    write_tracked_landmarks(FOLDER / "astronaut.png")
 
 
-def make_truth(model: FaceModel) -> dict[str, np.ndarray]:
-    """Pose, expression, identity, camera and landmarks of every frame, as stored in performance_truth.npz."""
-    motion = performance(model.expression_names)
-    identity = 0.8 * np.random.default_rng(IDENTITY_SEED).standard_normal(len(model.identity_deltas))
+def make_truth(model: FaceModel, clip: Clip) -> dict[str, np.ndarray]:
+    """Pose, expression, identity, camera and landmarks of every frame, as stored in NAME_truth.npz."""
+    motion = performance(clip.timeline, model.expression_names)
     camera = camera_from_fov(SIZE, FOV_DEG)
     rotation = axis_angle_from_yaw_pitch_roll(motion.angles_deg)
     truth = {
@@ -63,7 +104,7 @@ def make_truth(model: FaceModel) -> dict[str, np.ndarray]:
         "translation": motion.translation,
         "expression": motion.expression,
         "expression_names": np.array(model.expression_names),
-        "identity": identity,
+        "identity": identity_of(model, clip),
         "focal_px": camera.focal_px,
         "principal_point_px": camera.principal_point_px,
         "distortion": camera.distortion,
@@ -73,6 +114,13 @@ def make_truth(model: FaceModel) -> dict[str, np.ndarray]:
     }
     truth["landmarks"] = exact_landmarks(model, truth)
     return truth
+
+
+def identity_of(model: FaceModel, clip: Clip) -> np.ndarray:
+    """Identity coefficients of the clip's person."""
+    if clip.character:
+        return find_character(clip.character).identity
+    return 0.8 * np.random.default_rng(IDENTITY_SEED).standard_normal(len(model.identity_deltas))
 
 
 def exact_landmarks(model: FaceModel, truth: dict[str, np.ndarray]) -> np.ndarray:
@@ -96,24 +144,27 @@ def write_truth(path: Path, truth: dict[str, np.ndarray]) -> None:
         np.savez_compressed(stream, **truth)
 
 
-def write_clip(path: Path, model: FaceModel, truth: dict[str, np.ndarray]) -> list[np.ndarray]:
-    """Render and encode all frames; returns every tenth picture."""
+def write_clip(path: Path, model: FaceModel, clip: Clip, truth: dict[str, np.ndarray]) -> list[np.ndarray]:
+    """Render and encode all frames; returns the pictures of a contact sheet."""
     person = model.personal(truth["identity"])
+    dressed: DressedHead | None = load_character(clip.character) if clip.character else None
     camera = Camera(truth["focal_px"], truth["principal_point_px"], truth["distortion"])
-    stage = Stage(SIZE, camera)
-    kept = []
-    with (
-        HeadRenderer(model, SIZE, texture=albedo_of_person(model)) as renderer,
-        VideoWriter(path, RATE, QUALITY) as out,
-    ):
-        for k in range(FRAME_COUNT):
-            rotation, translation = truth["rotation"][k], truth["translation"][k]
+    stage = Stage(SIZE, camera, sweater=dressed is None)
+    worn = (glasses(person.landmarks.of(person.neutral)),) if clip.glasses else ()
+    texture = albedo_of_person(model) if dressed is None else True
+    frames, kept = clip.timeline.frames, []
+    with HeadRenderer(model, SIZE, texture, dressed=dressed) as renderer, VideoWriter(path, RATE, QUALITY) as out:
+        for k in range(frames):
+            rotation, translation, light = (truth[name][k] for name in ("rotation", "translation", "light"))
             vertices = looking_at_camera(person, truth["expression"][k], rotation, translation)
-            lighting = stage.lighting(truth["light"][k])
-            head, mask = renderer.render_with_mask(vertices, camera, rotation, translation, (0, 0, 0), lighting)
-            picture = stage.compose(head, mask, truth["light"][k], translation, rotation)
+            body = None if dressed is None else BODY_SHARE * rotation
+            extras = Extras(meshes=worn, rest=person.neutral, body=body)
+            head, mask = renderer.render_with_mask(
+                vertices, camera, rotation, translation, (0, 0, 0), stage.lighting(light), extras
+            )
+            picture = stage.compose(head, mask, light, translation)
             out.write(picture)
-            if k % (FRAME_COUNT // 24) == 0:
+            if k % (frames // SHEET) == 0:
                 kept.append(picture)
     return kept
 
@@ -136,8 +187,9 @@ def looking_at_camera(
     return vertices
 
 
-def write_tracked_landmarks(source: Path, path: Path) -> None:
-    """What the dlib tracker gives on a clip or a picture."""
+def write_tracked_landmarks(source: Path) -> None:
+    """What the dlib tracker gives on a clip or a picture, beside it."""
+    path = source.with_name(f"{source.stem}_landmarks.csv")
     try:
         tracker = LandmarkTracker(DlibDetector())
     except MissingDependencyError as error:
@@ -152,9 +204,9 @@ def write_tracked_landmarks(source: Path, path: Path) -> None:
 
 
 def contact_sheet(pictures: list[np.ndarray]) -> np.ndarray:
-    """24 frames in four rows."""
-    small = [cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA) for picture in pictures[:24]]
-    return np.concatenate([np.concatenate(small[row : row + 6], axis=1) for row in range(0, 24, 6)])
+    """Frames in four rows."""
+    small = [cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA) for picture in pictures[:SHEET]]
+    return np.concatenate([np.concatenate(small[row : row + 6], axis=1) for row in range(0, SHEET, 6)])
 
 
 if __name__ == "__main__":

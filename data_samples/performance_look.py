@@ -1,4 +1,4 @@
-"""How the sample clip looks: the person's skin and hair, the room, the sweater, the light, and the camera's flaws."""
+"""How the sample clips look: the plain head's skin and sweater, the room, the light, and the camera's flaws."""
 
 import cv2
 import numpy as np
@@ -55,8 +55,8 @@ def albedo_of_person(model: FaceModel) -> np.ndarray:
 class Stage:
     """Room, clothes, light and camera around the rendered head."""
 
-    def __init__(self, size: tuple[int, int], camera: Camera) -> None:
-        self.size, self.camera = size, camera
+    def __init__(self, size: tuple[int, int], camera: Camera, sweater: bool) -> None:
+        self.size, self.camera, self.sweater = size, camera, sweater
         self.rng = np.random.default_rng(SEED)
         self.room = _room(size, np.random.default_rng(SEED))
         self.knit = _knit(size)
@@ -73,16 +73,16 @@ class Stage:
         ]  # fmt: skip
         return Lighting(tuple(lights), _mix((DAY.ambient,), (EVENING.ambient,), light)[0])
 
-    def compose(
-        self, head: np.ndarray, mask: np.ndarray, light: float, translation: np.ndarray, rotation: np.ndarray
-    ) -> np.ndarray:
+    def compose(self, head: np.ndarray, mask: np.ndarray, light: float, translation: np.ndarray) -> np.ndarray:
         """The frame: room, sweater behind, head (on black, with its coverage), sweater in front, lens and noise."""
         tint = (1 - light) + light * np.array([0.66, 0.72, 0.88])
         neck = self._neck(translation)
         picture = self.room * tint
-        picture = self._over(picture, *self._sweater(neck, light, front=False))
+        if self.sweater:
+            picture = self._over(picture, *self._sweater(neck, light, front=False))
         picture = head + picture * (1 - mask[..., None] / 255.0)
-        picture = self._over(picture, *self._sweater(neck, light, front=True))
+        if self.sweater:
+            picture = self._over(picture, *self._sweater(neck, light, front=True))
         picture = cv2.GaussianBlur(picture * self.vignette, (0, 0), 0.7)
         grain = cv2.GaussianBlur(self.rng.normal(0, 1, (*picture.shape[:2], 3)), (0, 0), 0.6) * 2.0
         return np.clip(picture + NOISE_LEVELS * grain, 0, 255).astype(np.uint8)

@@ -30,6 +30,7 @@ SLOW = (
     "test_cli_models.py",
     "test_fuzz.py",
     "test_live_panel.py",
+    "test_learning.py",
     "test_session.py",
     "test_session_temporal.py",
     "test_tracker.py",
@@ -47,6 +48,8 @@ SLOW = (
     "test_front_door.py",
     "test_rendered_flow.py",
     "test_cli_export.py",
+    "test_sweep_workers.py",
+    "test_sweeps.py",
 )
 """Files that `make test-fast` leaves out besides those in a browser, the longest first."""
 BROWSER = (

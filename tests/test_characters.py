@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -25,6 +26,7 @@ from workbench.face import (
 from workbench.face.parts import open_parts
 from workbench.pictures import HeadRenderer, gl_available, portrait_view
 from workbench.pictures.extras import NOTHING, Extras
+from workbench.pictures.neck import bent, neck_of
 from workbench.samples import sample
 
 PEOPLE = Path(__file__).parents[1] / "data_samples" / "head" / "people"
@@ -345,3 +347,40 @@ def test_only_the_default_head_can_be_dressed():
     other = SimpleNamespace(neutral=np.zeros((4824, 3)))
     with pytest.raises(InputError, match="4823 vertices, got a model with 4824"):
         HeadRenderer(other, (32, 32), dressed=dressed("mei"))
+
+
+def test_a_neck_bends_between_head_and_body():
+    head = dressed("mei")
+    rest = head.person.neutral
+    neck = neck_of(head.model, rest)
+    turned, body = np.array([0.1, 0.6, 0.2]), np.array([0.04, 0.24, 0.08])
+    moved = bent(rest, rest[:, 1], neck, turned, body)
+    above = rest[:, 1] <= neck.chin
+    np.testing.assert_array_equal(moved[above], rest[above])
+    landmarks = head.person.landmarks
+    np.testing.assert_array_equal(landmarks.of(moved), landmarks.of(rest))
+    shoulder = np.array([[150.0, 260.0, 120.0]])
+    towards_camera = (bent(shoulder, shoulder[:, 1], neck, turned, body) - neck.pivot) @ _matrix(turned).T
+    np.testing.assert_allclose(towards_camera, (shoulder - neck.pivot) @ _matrix(body).T, atol=1e-9)
+    np.testing.assert_array_equal(bent(rest, rest[:, 1], neck, turned, turned), rest)
+
+
+def _matrix(vector: np.ndarray) -> np.ndarray:
+    return cv2.Rodrigues(vector)[0]
+
+
+@needs_gl
+def test_a_body_that_stays_is_drawn_so():
+    head, size = dressed("walter"), 160
+    person = head.person
+    camera, translation = portrait_view(person, (size, size))
+    turned = np.array([0.0, 0.6, 0.0])
+    with HeadRenderer(person, (size, size), supersampling=1.0, dressed=head) as renderer:
+        whole, bending = (
+            renderer.render(person.neutral, camera, turned, translation, (0, 0, 255), extras=Extras(body=body))
+            for body in (None, np.zeros(3))
+        )
+    changed = np.abs(whole.astype(int) - bending).mean(axis=2)
+    chin = round(size * 0.85)
+    assert changed[chin:].mean() > 5.0
+    assert changed[: size // 2].mean() < 0.5

@@ -135,7 +135,7 @@ def test_the_demo_finds_the_faces_itself_and_says_what_to_open_next(run, monkeyp
     monkeypatch.setattr(workbench.pipeline, "track", beginning)
     code, out, err = run("demo", "--no-pictures")
     assert code == 0, err
-    for name, frames in (("astronaut", 1), ("performance", 6)):
+    for name, frames in (("astronaut", 1), ("laugh", 6)):
         summary = json.loads((tmp_path / "demo_out" / name / "summary.json").read_text(encoding="utf-8"))
         assert summary["detector"] == chosen_detector()
         tracked = Track.load(tmp_path / "demo_out" / name / "track.npz")
@@ -144,7 +144,7 @@ def test_the_demo_finds_the_faces_itself_and_says_what_to_open_next(run, monkeyp
     assert out.rstrip().splitlines()[-1].endswith("To tune it in the browser: workbench lab.")
 
 
-def test_the_demo_clip_is_tracked_close_to_its_truth(head):
+def test_a_clip_is_tracked_close_to_its_truth(head):
     records = read_landmark_file(sample("performance-landmarks"))
     config = preset("calibrated").changed(camera={"fov_deg": 33.0})
     fits = list(

@@ -2,7 +2,9 @@
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -14,7 +16,9 @@ from workbench.errors import InputError, MissingDependencyError
 from workbench.export import make_clip
 from workbench.export.meshes import write_arrays, write_meshes
 from workbench.export.usd import write_usd
+from workbench.face import load_character, load_default_head
 from workbench.geometry import project
+from workbench.pictures.mesh import to_camera
 
 
 @pytest.fixture(scope="module")
@@ -245,3 +249,82 @@ def test_a_jaw_joint_is_moved_with_numpy_alone(change, head, tmp_path):
         corrected = np.degrees(jaw[0]) / arrays["jaw_open_deg"] * arrays["jaw_corrective_mm"]
         face = arrays["scale"][frame] * (face + hang * (turned - face) + corrected)
     np.testing.assert_allclose(face, clip.vertices_head(frame), atol=1e-4)
+
+
+# --- a character in USD ---
+
+
+@pytest.fixture(scope="module")
+def dressed():
+    return load_character("kofi")
+
+
+@pytest.fixture(scope="module")
+def worn(clip, dressed, tmp_path_factory):
+    """The clip, and the path of a stage on which a character plays it."""
+    pytest.importorskip("pxr.Usd")
+    path = tmp_path_factory.mktemp("usd") / "kofi.usda"
+    played = replace(clip, person=load_default_head().personal(dressed.character.identity))
+    write_usd(played, path, dressed)
+    return played, path
+
+
+def bound_material(stage, name):
+    from pxr import UsdShade
+
+    return UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(f"/performance/{name}")).ComputeBoundMaterial()[0]
+
+
+def test_a_usd_character_has_a_mesh_and_a_material_for_each_part(worn, dressed):
+    from pxr import Usd, UsdGeom
+
+    _, path = worn
+    stage = Usd.Stage.Open(str(path))
+    names = ["face", *(part.part.kind for part in dressed.worn)]
+    meshes = [prim.GetName() for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+    assert sorted(meshes) == sorted(names)
+    for name in names:
+        surface = bound_material(stage, name).ComputeSurfaceSource()[0]
+        threshold, opacity = (surface.GetInput(key) for key in ("opacityThreshold", "opacity"))
+        assert (threshold.Get() > 0.0) == (name in ("hair", "clothes"))
+        assert opacity.HasConnectedSource() == (name in ("brows", "lashes", "hair", "clothes"))
+        assert surface.GetInput("diffuseColor").HasConnectedSource() == (name != "corneas")
+    assert bound_material(stage, "corneas").ComputeSurfaceSource()[0].GetInput("opacity").Get() < 0.2
+    face = UsdGeom.Mesh(stage.GetPrimAtPath("/performance/face"))
+    assert len(face.GetFaceVertexCountsAttr().Get()) == int(dressed.shown.sum())
+
+
+def test_pictures_of_a_usd_character_lie_beside_the_stage(worn, dressed):
+    from pxr import Usd, UsdShade
+
+    _, path = worn
+    stage = Usd.Stage.Open(str(path))
+    seen = {}
+    for prim in stage.Traverse():
+        if prim.IsA(UsdShade.Shader) and UsdShade.Shader(prim).GetIdAttr().Get() == "UsdUVTexture":
+            file = UsdShade.Shader(prim).GetInput("file").Get()
+            assert not Path(file.path).is_absolute()
+            seen[prim.GetParent().GetName()] = cv2.imread(file.resolvedPath, cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(seen["face"][..., ::-1], dressed.skin)
+    hair = next(part.picture for part in dressed.worn if part.part.kind == "hair")
+    np.testing.assert_array_equal(cv2.cvtColor(seen["hair"], cv2.COLOR_BGRA2RGBA), hair)
+
+
+def test_usd_moves_the_parts_where_the_character_has_them(worn, dressed):
+    from pxr import Gf, Usd, UsdGeom, UsdSkel
+
+    played, path = worn
+    stage = Usd.Stage.Open(str(path))
+    UsdSkel.BakeSkinning(UsdSkel.Root(stage.GetPrimAtPath("/performance")), Gf.Interval(0, FRAMES - 1))
+    rest = played.person.neutral
+    for frame in (0, FRAMES - 1):
+        head = played.vertices_head(frame)
+        for part, points in zip(dressed.worn, dressed.parts_on(rest, head), strict=True):
+            mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/performance/{part.part.kind}"))
+            found = 1000.0 * np.array(mesh.GetPointsAttr().Get(frame))
+            camera = to_camera(points, played.track.rotation[frame], played.track.translation[frame])
+            assert np.abs(found - camera * [1.0, -1.0, -1.0]).max() < 0.5, part.part.kind
+
+
+def test_a_stage_without_a_character_has_no_materials(stage):
+    assert not stage.GetPrimAtPath("/performance/materials")

@@ -21,6 +21,7 @@ MODULES = {
     "formats": ("h5py", "pygltflib", "trimesh"),
     "usd": ("pxr",),
     "parquet": ("pyarrow",),
+    "cluster": ("bokeh", "dask", "distributed", "fsspec"),
     "app": ("voila",),
     "dlib": ("dlib", "face_recognition_models"),
     "train": ("torch",),
@@ -65,6 +66,8 @@ def test_the_command_line_runs_without_extras(line):
         ("formats", "from pathlib import Path; from workbench.face.formats.hdf5 import hdf5_arrays; "
          "hdf5_arrays(Path('model.h5'), ['shape'])"),
         ("dlib", "from workbench.landmarks import make_detector; make_detector('dlib')"),
+        ("cluster", "from workbench.sweeps import workers_for; workers_for(2, kind='dask')"),
+        ("cluster", "from workbench.sweeps.storage import Storage; Storage('s3://films').read('a')"),
     ],
 )  # fmt: skip
 def test_what_needs_an_extra_names_it_and_the_command(extra, code):
@@ -75,7 +78,15 @@ def test_what_needs_an_extra_names_it_and_the_command(extra, code):
     assert f'pip install "face-energy-workbench[{extra}]"' in last
 
 
-@pytest.mark.parametrize(("extra", "line"), [("lab", "lab"), ("app", "app"), ("train", "train landmarks nowhere")])
+@pytest.mark.parametrize(
+    ("extra", "line"),
+    [
+        ("lab", "lab"),
+        ("app", "app"),
+        ("train", "train landmarks nowhere"),
+        ("cluster", "sweep a.csv --scheduler tcp://127.0.0.1:9"),
+    ],
+)
 def test_a_command_that_needs_an_extra_says_so_in_one_sentence(extra, line):
     done = in_a_bare_python(command(line))
     assert done.returncode == 2

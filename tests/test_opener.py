@@ -57,7 +57,7 @@ def test_a_sample_opens_with_one_click_and_the_panel_stands_under_the_chooser(op
 
 
 def test_every_sample_opens(opener):
-    for text, frames in {"sample portrait": 1, "sample clip": 240, "sample speech": 55}.items():
+    for text, frames in {"sample portrait": 1, "sample clip": 150, "sample glasses": 150, "sample speech": 55}.items():
         opener.open_sample(text)
         assert opener.wait_idle()
         assert len(opener.session) == frames

@@ -10,6 +10,7 @@ import pytest
 from tests.performances import FRAMES, GAP, other_character, performance
 from workbench.errors import InputError
 from workbench.export import retarget
+from workbench.face import load_character
 from workbench.frames import VideoWriter, open_frames
 from workbench.tracking.records import ARRAYS
 from workbench.widgets import AvatarPlayer
@@ -95,7 +96,7 @@ def test_the_input_stands_beside_the_head(track, head, tmp_path):
 
 
 def test_an_error_while_playing_is_shown(player, monkeypatch):
-    monkeypatch.setattr(player.view, "set_vertices", lambda vertices: 1 / 0)
+    monkeypatch.setattr(player.view, "set_vertices", lambda vertices, rest: 1 / 0)
     player.slider.value = 3
     assert player.wait_idle()
     assert "division by zero" in player.status.value
@@ -107,3 +108,16 @@ def test_a_track_of_another_model_is_refused(track, head):
     nothing = replace(track, **{name: getattr(track, name)[:0] for name in ARRAYS})
     with pytest.raises(InputError, match="nothing to play"):
         AvatarPlayer(nothing, head)
+
+
+def test_a_character_plays_with_the_fitted_face(head):
+    dressed = load_character("kofi")
+    track = performance(head, frames=2, gap=None)
+    player = AvatarPlayer(track, head, backend="pictures", dressed=dressed)
+    plain = AvatarPlayer(track, head, backend="pictures")
+    try:
+        shown = [each.view.snapshot().astype(int) for each in (player, plain)]
+        assert np.abs(shown[0] - shown[1]).mean() > 5.0
+    finally:
+        player.close()
+        plain.close()

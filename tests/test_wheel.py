@@ -76,7 +76,7 @@ def test_every_sample_that_a_notebook_opens_is_there(python, environment, tmp_pa
         for path in (ROOT / "notebooks").glob("*.ipynb")
         for name in re.findall(r'\bsample\(\\?"([\w-]+)\\?"\)', path.read_text(encoding="utf-8"))
     }
-    assert {"astronaut", "performance", "speech-landmarks"} <= names
+    assert {"astronaut", "laugh", "performance", "speech-landmarks"} <= names
     code = f"import workbench; print([workbench.sample(name).stat().st_size for name in {sorted(names)}])"
     done = subprocess.run([python, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -88,7 +88,7 @@ def test_the_demo_tracks_both_inputs_with_faces_that_it_finds(python, environmen
         workbench(python, "demo"), cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=500
     )
     assert done.returncode == 0, done.stderr
-    for name, frames, picture in (("astronaut", 1, "overlay.png"), ("performance", 240, "overlay.mp4")):
+    for name, frames, picture in (("astronaut", 1, "overlay.png"), ("laugh", 150, "overlay.mp4")):
         folder = tmp_path / "demo_out" / name
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         assert summary["frames"] == summary["frames_with_face"] == frames

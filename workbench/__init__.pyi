@@ -8,7 +8,9 @@ from . import flow as flow
 from . import frames as frames
 from . import geometry as geometry
 from . import landmarks as landmarks
+from . import learning as learning
 from . import networks as networks
+from . import objectives as objectives
 from . import pictures as pictures
 from . import pipeline as pipeline
 from . import plots as plots
@@ -17,6 +19,7 @@ from . import reproduction as reproduction
 from . import samples as samples
 from . import session as session
 from . import solvers as solvers
+from . import sweeps as sweeps
 from . import tracking as tracking
 from . import widgets as widgets
 from .config import Config as Config

@@ -17,6 +17,8 @@ SMALL_ARRAYS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_
 a CPU builds every kernel as a module of its own and takes half as long again to compile such a program, and LLVM's
 higher levels another quarter; the programs run no faster for it. Renderer and networks keep both: without the newer way
 they run a quarter slower."""
+ONE_THREAD = SMALL_ARRAYS | {"xla_cpu_multi_thread_eigen": False}
+"""The same without sharing a product out over threads, which would change its last bits with the number of cores."""
 SHORT_TURN_S = 0.001
 """Python's own turn is 5 ms."""
 
@@ -62,6 +64,21 @@ def prepare_blas() -> None:
     """
     if "numpy" not in sys.modules:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+ONE_CORE = {"OPENBLAS_NUM_THREADS": "1"}
+"""Environment of one of several processes that compute. XLA keeps its thread a core: with another number of them, the
+last bits of some sums are others."""
+
+
+def keep_to_one_core() -> None:
+    """Let BLAS and LAPACK in this process, one of several, compute in one thread; at its start, before they are loaded.
+
+    Their threads wait for one another without sleeping: beside another worker, calibrating an identity took forty times
+    as long.
+    """
+    for name, value in ONE_CORE.items():
+        os.environ.setdefault(name, value)
 
 
 def prepare_jax() -> None:

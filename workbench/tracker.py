@@ -197,3 +197,12 @@ def calibration_window(shot: Sequence[FrameObservation], window: int) -> Sequenc
     """The frames of a shot that the tracker looks at for its identity: `window` from the first face on."""
     first = next((k for k, observation in enumerate(shot) if observation.landmarks is not None), len(shot))
     return shot[first : first + window]
+
+
+def identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
+    """Key of the identity of a shot; `window` holds the frames that it is calibrated on."""
+    moved = {key: config.landmarks.moved[key] for item in window if (key := str(item.index)) in config.landmarks.moved}
+    kept = {"system", "camera", "identity", "contour", "subsets"}
+    kept |= {"deep"} if config.traits.reads("deep") else set()
+    sections = config.model_dump_json(include=kept)
+    return f"{sections}{config.point_weights()}{moved}"

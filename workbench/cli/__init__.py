@@ -5,6 +5,7 @@ import sys
 import typer
 
 from workbench.cli import screen
+from workbench.cli.characters import CHARACTER_HELP, character
 from workbench.cli.configuration import config_app
 from workbench.cli.diagnosing import DIAGNOSE_HELP, diagnose
 from workbench.cli.exporting import EXPORT_HELP, export
@@ -17,8 +18,10 @@ from workbench.cli.rigs import rig_app
 from workbench.cli.servers import APP_HELP, lab, serve_app
 from workbench.cli.servers import notebooks_folder as notebooks_folder
 from workbench.cli.servers import working_copies as working_copies
+from workbench.cli.sweeping import SWEEP_HELP, sweep
 from workbench.cli.tracking import TRACK_HELP, demo, track
 from workbench.cli.training import train_app
+from workbench.cli.tuning import TUNE_HELP, tune
 from workbench.cli.weights import weights_app
 from workbench.errors import WorkbenchError
 
@@ -36,7 +39,10 @@ app.command(help=INFILL_HELP)(infill)
 app.command(help=REFINE_HELP)(refine)
 app.command(help=REESTIMATE_HELP)(reestimate)
 app.command(help=DIAGNOSE_HELP)(diagnose)
+app.command(help=SWEEP_HELP)(sweep)
+app.command(help=TUNE_HELP)(tune)
 app.command(help=EXPORT_HELP)(export)
+app.command(help=CHARACTER_HELP)(character)
 app.command(help=REPRODUCE_HELP)(reproduce)
 app.add_typer(config_app, name="config")
 app.add_typer(model_app, name="model")

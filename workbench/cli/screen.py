@@ -62,8 +62,11 @@ def table(*columns: str, right: tuple[str, ...] = (), whole: tuple[str, ...] = (
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[[str, int, int | None], None]]:
-    """A bar for one step after the other; yields what tells it `(step, done, total)`. It vanishes at the end."""
+def progress_bar(unit: str = "frames/s") -> Iterator[Callable[[str, int, int | None], None]]:
+    """A bar for one step after the other; yields what tells it `(step, done, total)`. It vanishes at the end.
+
+    `unit` is that of its speed.
+    """
     bar = Progress(
         SpinnerColumn(),
         TextColumn("{task.description:8}"),
@@ -83,6 +86,6 @@ def progress_bar() -> Iterator[Callable[[str, int, int | None], None]]:
                 bar.update(tasks.popitem()[1], visible=False)
                 tasks[step] = bar.add_task(step, total=total, rate="")
             speed = bar.tasks[tasks[step]].speed
-            bar.update(tasks[step], completed=done, total=total, rate=f"{speed:.0f} frames/s" if speed else "")
+            bar.update(tasks[step], completed=done, total=total, rate=f"{speed:.0f} {unit}" if speed else "")
 
         yield progress

@@ -14,7 +14,7 @@ from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset, read_confi
 from workbench.errors import ConfigError, OutputError
 from workbench.samples import sample
 
-DEMO = {"astronaut": {}, "performance": {"camera": {"fov_deg": 33.0}}}
+DEMO = {"astronaut": {}, "laugh": {"camera": {"fov_deg": 33.0}}}
 """The bundled pictures; the clip's camera is known, the portrait's is guessed."""
 
 TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weights for every frame.
@@ -71,7 +71,7 @@ NO_FACE = (
     "No face was found in any frame; look at the pictures, try another --detector, or enlarge or turn the pictures so "
     "that the face is upright and at least 60 pixels wide."
 )
-CHARACTER_HELP = "Who the head in 3D is drawn as: a ready character such as mei, or a TOML file of your own."
+CHARACTER_HELP = "Who the head in 3D is drawn as: a ready character such as mei, or the file or folder of your own."
 OVERWRITE_HELP = "Replace what an earlier run left in the folder."
 FACE_HELP = "Pixel X,Y inside the face to follow."
 
@@ -138,7 +138,7 @@ def demo(
 
 def _next_steps(out: Path, pictures: bool) -> str:
     """The last line of the demo."""
-    clip, portrait = out / "performance", out / "astronaut"
+    clip, portrait = out / "laugh", out / "astronaut"
     look = f"Look at {clip / 'overlay.mp4'} and {portrait / 'overlay.png'}. " if pictures else ""
     return escape(f"{look}Why a frame is bad: workbench diagnose {clip}. To tune it in the browser: workbench lab.")
 

@@ -23,6 +23,9 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
 
   workbench train landmarks training --quick      everything at a tiny size, to see it work
 
+  workbench train landmarks training --start landmarks.safetensors
+                                                  go on from weights that are there
+
   workbench train finder training                 the face finder, from the same pool
 
   workbench train flow training                   the flow network, from pairs of its own
@@ -33,6 +36,10 @@ Folder = Annotated[Path, typer.Argument(help="Folder for the pool, the checkpoin
 Quick = Annotated[bool, typer.Option("--quick", help="A tiny run, to check that everything works.")]
 Workers = Annotated[int, typer.Option(min=1, help="Processes that render and augment.")]
 Device = Annotated[str, typer.Option(help="Where PyTorch computes: cpu or cuda.")]
+Start = Annotated[
+    Path | None,
+    typer.Option(help="Weights to go on from, by a shorter plan; else from nothing."),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Train again, from the start; the pool is kept.")]
 
 RESULTS = {
@@ -45,13 +52,19 @@ RESULTS = {
 
 @train_app.command(help="Train the landmark network.")
 def landmarks(
-    folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu", overwrite: Overwrite = False
+    folder: Folder,
+    quick: Quick = False,
+    workers: Workers = 1,
+    device: Device = "cpu",
+    start: Start = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Train the landmark network."""
     check_installed("train", "torch")
-    from workbench.training.recipe import QUICK, Recipe, train_landmark_network
+    from workbench.training.recipe import FURTHER_LANDMARK_PLAN, QUICK, Recipe, train_landmark_network
 
-    recipe = QUICK if quick else Recipe()
+    further = Recipe(plan=FURTHER_LANDMARK_PLAN, start=start) if start else Recipe()
+    recipe = QUICK if quick else further
     with training_folder(folder, "landmarks", overwrite):
         screen.console.print(train_landmark_network(folder, recipe, workers, device, screen.console.print))
     screen.console.print((folder / "tables.md").read_text(encoding="utf-8"), markup=False)
@@ -59,13 +72,19 @@ def landmarks(
 
 @train_app.command(help="Train the face finder.")
 def finder(
-    folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu", overwrite: Overwrite = False
+    folder: Folder,
+    quick: Quick = False,
+    workers: Workers = 1,
+    device: Device = "cpu",
+    start: Start = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Train the face finder."""
     check_installed("train", "torch")
-    from workbench.training.recipe import FINDER_PLAN, QUICK, Recipe, train_face_finder
+    from workbench.training.recipe import FINDER_PLAN, FURTHER_FINDER_PLAN, QUICK, Recipe, train_face_finder
 
-    recipe = QUICK if quick else Recipe(plan=FINDER_PLAN)
+    further = Recipe(plan=FURTHER_FINDER_PLAN, start=start) if start else Recipe(plan=FINDER_PLAN)
+    recipe = QUICK if quick else further
     with training_folder(folder, "finder", overwrite):
         screen.console.print(train_face_finder(folder, recipe, workers, device, screen.console.print))
 

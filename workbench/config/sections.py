@@ -119,7 +119,7 @@ class HeadConfig(Section):
 
     character: str = Field(
         PLAIN,
-        description="Who the head in 3D is drawn as: plain, a ready character, or a TOML file with one of your own.",
+        description="Who the head in 3D is drawn as: plain, a ready character, or the file or folder of your own.",
     )
 
     @field_validator("character")
@@ -279,3 +279,9 @@ class Provenance(Section):
     changed: list[str] = Field([], description="Differences from the preset that tuning started from.")
     before: dict[str, float] = Field({}, description="Metrics with that preset.")
     after: dict[str, float] = Field({}, description="Metrics with this configuration.")
+    objective: str | None = Field(None, description="What a tuning made least; before and after are its means by part.")
+    learned: list[str] | None = Field(None, description="The settings that were free.")
+    parts: dict[str, str] | None = Field(None, description="Frames by what they were for, FIRST:END.")
+    change_percent: dict[str, float] | None = Field(
+        None, description="Change of the objective on the held-out frames, with the 95 % interval of a bootstrap."
+    )

@@ -53,6 +53,8 @@ class Term:
     """Least ω above zero and largest one, on a logarithmic scale."""
     constants: tuple[str, ...] = ()
     """Constants that it reads, for panels that grey out what has no effect."""
+    smooth: bool = True
+    """Whether fits move smoothly with its ω. A step or a kink holds them where no derivative is."""
 
     @property
     def omega_symbol(self) -> str:
@@ -126,6 +128,7 @@ ROWS = (
         presets={"face-it": 3000.0},
         slider=(1e-4, 1e5),
         constants=("a", "b", "c"),
+        smooth=False,
     ),
     Term(
         name="sigma",
@@ -138,6 +141,7 @@ ROWS = (
         structure="single",
         systems=("face-it",),
         presets={"face-it": 1.0},
+        smooth=False,
     ),
     Term(
         name="sigma_smooth",

@@ -46,12 +46,12 @@ def export_track(
 ) -> Exported:
     """Write a track as what the suffix of `path` says (`FORMATS`), whole or not at all.
 
-    `model` is the model that it was fitted with, or the character that it was retargeted to. `shot` takes the frames
-    of one shot, `rate` replaces the frames per second, `pictures` stands for an input that was moved. `dressed` shows
-    the default head as a character: with that person's face in .glb, with the fitted one in .mp4. The meshes of
-    .obj and .ply go into a folder of that name without the suffix. Raises `InputError` for what cannot be exported,
-    `OutputError` for a file that cannot be written or is an input, and `MissingDependencyError` where a format needs a
-    package that is not installed.
+    `model` is the model that it was fitted with, or the character that it was retargeted to. `shot` takes the frames of
+    one shot, `rate` replaces the frames per second, `pictures` stands for an input that was moved. `dressed` shows the
+    default head as a character: with that person's face in .glb and .usd, with the fitted one in .mp4 and .html. The
+    meshes of .obj and .ply go into a folder of that name without the suffix. Raises `InputError` for what cannot be
+    exported, `OutputError` for a file that cannot be written or is an input, and `MissingDependencyError` where a
+    format needs a package that is not installed.
     """
     path, kind, progress = Path(path), format_of(path), progress or _silent
     given = [] if pictures is None else [Path(pictures)]
@@ -59,7 +59,7 @@ def export_track(
     check_model(track, model)
     if dressed is not None and kind not in DRESSED:
         raise InputError(
-            f"{path} cannot show the character {dressed.character.name}; name a file ending in {' or '.join(DRESSED)}."
+            f"{path} cannot show the character {dressed.character.name}; name a file ending in {', '.join(DRESSED)}."
         )
     if shot is not None:
         track = track_of_shot(track, shot)
@@ -75,7 +75,7 @@ def export_track(
     elif kind == ".mp4":
         return _film(track, model, path, pictures, dressed, progress)
     elif kind == ".html":
-        return _report(track, model, path, pictures, progress)
+        return _report(track, model, path, pictures, dressed, progress)
     else:
         return _in_3d(track, model, path, kind, fps if rate else None, dressed, progress)
     return Exported(path)
@@ -92,7 +92,7 @@ def _in_3d(track, model, path: Path, kind: str, rate: float | None, dressed, pro
     if kind == ".npz":
         write_arrays(clip, path)
     elif kind == ".usd":
-        write_usd(clip, path)
+        write_usd(clip, path, dressed)
     else:
         from workbench.export.gltf import write_gltf  # here: it needs an extra, the other formats do not
 
@@ -110,7 +110,7 @@ def _film(track, model, path: Path, pictures, dressed: DressedHead | None, progr
     return Exported(path, (note,) if note else ())
 
 
-def _report(track, model, path: Path, pictures, progress: Progress) -> Exported:
+def _report(track, model, path: Path, pictures, dressed: DressedHead | None, progress: Progress) -> Exported:
     frames: Frames | None = None
     notes: tuple[str, ...] = ()
     try:
@@ -119,7 +119,11 @@ def _report(track, model, path: Path, pictures, progress: Progress) -> Exported:
         if pictures is not None:
             raise
         notes = (f"the report has no pictures of the input: {error}",)
-    write_report(track, model, path, frames, progress=lambda done, total: progress("report", done, total))
+
+    def drawn(done: int, total: int) -> None:
+        progress("report", done, total)
+
+    write_report(track, model, path, frames, progress=drawn, dressed=dressed)
     return Exported(path, notes)
 
 

@@ -19,7 +19,7 @@ from workbench.export.report_charts import (
     strip_rows,
 )
 from workbench.export.summary import summary_of
-from workbench.face import FaceModel
+from workbench.face import DressedHead, FaceModel
 from workbench.files import atomic_path
 from workbench.frames import Frames
 from workbench.landmarks.scheme import GROUPS
@@ -50,8 +50,11 @@ def write_report(
     frames: Frames | None,
     title: str = "",
     progress: Progress | None = None,
+    dressed: DressedHead | None = None,
 ) -> None:
     """Write the report of a track; `model` is drawn beside the pictures, `frames` are the input's, None for grey ones.
+
+    `dressed` shows the default head as a character.
 
     The page needs no other file and no network, and follows the reader's light or dark setting.
     """
@@ -60,7 +63,7 @@ def write_report(
     flags = flag_frames(track, config)
     worst = worst_frames(track, flags)
     shown = _spread(track)
-    pictures = _pictures(track, model, frames, sorted({*worst, *shown}), progress)
+    pictures = _pictures(track, model, frames, sorted({*worst, *shown}), progress, dressed)
     title = title or _name(track)
     body = [
         f"<h1>{html.escape(title)}</h1>",
@@ -117,7 +120,9 @@ def _spread(track: Track) -> list[int]:
     return sorted({int(found[k]) for k in np.linspace(0, len(found) - 1, PICTURES).round().astype(int)})
 
 
-def _pictures(track, model, frames: Frames | None, positions, progress) -> dict[int, UInt8[np.ndarray, "h w 3"]]:
+def _pictures(
+    track, model, frames: Frames | None, positions, progress, dressed: DressedHead | None
+) -> dict[int, UInt8[np.ndarray, "h w 3"]]:
     """Overlay and head side by side, for some frames; a stream is read once."""
     made: dict[int, np.ndarray] = {}
     wanted = {int(track.index[position]): position for position in positions}
@@ -130,7 +135,7 @@ def _pictures(track, model, frames: Frames | None, positions, progress) -> dict[
             sources[wanted[frame.index]] = frame.picture
         if frame.index >= max(wanted):
             break
-    with HeadPanel(model, (PICTURE_PX, PICTURE_PX), supersampling=2.0) as panel:
+    with HeadPanel(model, (PICTURE_PX, PICTURE_PX), supersampling=2.0, dressed=dressed) as panel:
         for done, position in enumerate(positions, 1):
             fit = track[position]
             width, height = fit.image_size

@@ -17,7 +17,7 @@ FORMATS = {
     ".html": "a report: pictures, curves, worst frames, settings",
 }
 """Suffixes and what is written under them."""
-DRESSED = (".glb", ".mp4")
+DRESSED = (".glb", ".usd", ".mp4", ".html")
 """Formats that show a character."""
 SAME = {".usda": ".usd", ".usdc": ".usd", ".htm": ".html"}
 

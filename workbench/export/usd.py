@@ -7,8 +7,9 @@ from jaxtyping import Float
 
 from workbench.export.clip import Clip, quaternions, to_world
 from workbench.export.skinning import Shapes, clip_shapes
+from workbench.export.usd_parts import define_mesh, dress_stage, face_mesh
 from workbench.extras import needs
-from workbench.face import FaceModel
+from workbench.face import DressedHead
 from workbench.files import atomic_path
 
 JOINTS = ("head", "head/jaw")
@@ -16,11 +17,12 @@ APERTURE_MM = 36.0
 """Film width that represents the picture; USD gives lenses in tenths of its unit of length."""
 
 
-def write_usd(clip: Clip, path: str | Path) -> None:
+def write_usd(clip: Clip, path: str | Path, dressed: DressedHead | None = None) -> None:
     """Write a .usd, .usda, .usdc stage: `/performance/face` (mesh), `skeleton`, `animation`, and `/performance/camera`.
 
-    One unit of length is a metre, +y is up. Time codes are the input's frame numbers. Raises `MissingDependencyError`
-    without usd-core.
+    With `dressed` the character plays: its skin as a material, a mesh for each part beside the face, and their pictures
+    in the folder `STEM_textures`; `clip.person` should have its identity. One unit of length is a metre, +y is up. Time
+    codes are the input's frame numbers. Raises `MissingDependencyError` without usd-core.
     """
     with needs("usd"):
         from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel
@@ -39,7 +41,9 @@ def write_usd(clip: Clip, path: str | Path) -> None:
         animation = _animation(stage, clip, shapes)
         binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
         binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-        _mesh(stage, clip.person, shapes, skeleton)
+        define_mesh(stage, face_mesh(clip, shapes, dressed), skeleton)
+        if dressed is not None:
+            dress_stage(stage, clip, shapes, skeleton, dressed, Path(path))
         _camera(stage, clip)
         # The layer is made under a name that USD has not seen: it keeps layers by name for as long as a program runs.
         layer = Sdf.Layer.CreateAnonymous(path.suffix if isinstance(path, Path) else Path(path).suffix)
@@ -91,39 +95,6 @@ def _quaternions(rotations: Float[np.ndarray, "n 3"]) -> list:
     return [Gf.Quatf(w, x, y, z) for x, y, z, w in quaternions(rotations).tolist()]
 
 
-def _mesh(stage, person: FaceModel, shapes: Shapes, skeleton) -> None:
-    from pxr import Sdf, UsdGeom, UsdSkel, Vt
-
-    mesh = UsdGeom.Mesh.Define(stage, "/performance/face")
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    points = to_world(person.neutral).astype(np.float32)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
-    mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(person.triangles), 3, np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(person.triangles.astype(np.int32).ravel()))
-    primvars = UsdGeom.PrimvarsAPI(mesh)
-    colors = primvars.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex)
-    colors.Set(Vt.Vec3fArray.FromNumpy(((person.colors / 255.0) ** 2.2).astype(np.float32)))
-    if len(person.uv) > 1:
-        uv = primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
-        uv.Set(Vt.Vec2fArray.FromNumpy(person.uv[person.triangles_uv.ravel()].astype(np.float32)))
-    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
-    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-    weights = np.stack([1.0 - person.jaw_weights, person.jaw_weights], axis=1).astype(np.float32)
-    joints = np.tile(np.arange(2, dtype=np.int32), (len(points), 1))
-    binding.CreateJointIndicesPrimvar(False, 2).Set(Vt.IntArray.FromNumpy(joints.ravel()))
-    binding.CreateJointWeightsPrimvar(False, 2).Set(Vt.FloatArray.FromNumpy(weights.ravel()))
-    binding.CreateBlendShapesAttr(Vt.TokenArray(shapes.names))
-    targets = []
-    for name, delta in zip(shapes.names, shapes.deltas, strict=True):
-        moving = np.flatnonzero(np.abs(delta).max(1) > 0.0)
-        shape = UsdSkel.BlendShape.Define(stage, mesh.GetPath().AppendChild(_identifier(name)))
-        shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(to_world(delta[moving]).astype(np.float32)))
-        shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
-        targets.append(shape.GetPath())
-    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
-
-
 def _camera(stage, clip: Clip) -> None:
     """Lens and film: the same field of view and the same point where the optical axis meets the picture."""
     from pxr import Gf, UsdGeom
@@ -140,9 +111,3 @@ def _camera(stage, clip: Clip) -> None:
     camera.CreateHorizontalApertureOffsetAttr(film * ((width - 1) / 2 - cx) / width)
     camera.CreateVerticalApertureOffsetAttr(film * (cy - (height - 1) / 2) / fy / (width / fx))
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
-
-
-def _identifier(name: str) -> str:
-    from pxr import Tf
-
-    return Tf.MakeValidIdentifier(name)

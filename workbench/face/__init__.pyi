@@ -11,8 +11,11 @@ from .default_head import GAZE_NAMES as GAZE_NAMES
 from .default_head import load_default_head as load_default_head
 from .dressed_head import DressedHead as DressedHead
 from .dressed_head import WornPart as WornPart
+from .dressed_head import dress as dress
 from .dressed_head import dressed_as as dressed_as
 from .dressed_head import load_character as load_character
+from .dressed_head import read_skin as read_skin
+from .dressed_head import skin_names as skin_names
 from .formats import arkit_name as arkit_name
 from .formats import load_face_model as load_face_model
 from .jaw import JawJoint as JawJoint

@@ -26,9 +26,11 @@ class Character:
     words: str
     """Who it is, for lists."""
     skin: str
+    """One of the skins, or the path of a picture in the head's UVs."""
     eyes: str
     """Colour of the irises."""
     brows: str
+    """Empty: none but what the skin shows."""
     lashes: str
     teeth: str
     identity: Float[np.ndarray, "i"]
@@ -49,6 +51,9 @@ TEXTS = ("words", "skin", "eyes", "brows", "lashes", "teeth", "hair", "clothes")
 COLORS = {"skin_shift": (-100.0, 100.0)} | dict.fromkeys(("hair_color", "brow_color", "clothes_color"), (0.0, 255.0))
 MUST = ("words", "skin", "eyes", "brows", "lashes", "teeth", "identity")
 MOST_SIGMA = 6.0
+CHARACTER_FILE = "character.toml"
+"""In the folder of a character."""
+SKIN_SUFFIXES = (".png", ".webp", ".jpg", ".jpeg")
 
 
 def character_names() -> tuple[str, ...]:
@@ -57,20 +62,24 @@ def character_names() -> tuple[str, ...]:
 
 
 def is_character(name: str) -> bool:
-    """Whether a name is that of a ready character or of a file with one."""
-    return name.endswith(".toml") or name in _bundled()
+    """Whether a name is that of a ready character, or of a file or folder with one."""
+    return name.endswith(".toml") or name in _bundled() or (Path(name) / CHARACTER_FILE).is_file()
 
 
 def find_character(name: str | Path) -> Character:
-    """A ready character by name, or the first one of a TOML file. Raises `ModelError` for one that is not there."""
-    if isinstance(name, Path) or name.endswith(".toml"):
-        return next(iter(read_characters(Path(name)).values()))
-    if name not in _bundled():
-        raise ModelError(
-            f"There is no character {shortened(name)!r}; there are {', '.join(_bundled())}, "
-            "and a path ending in .toml is read as one of your own."
-        )
-    return _bundled()[name]
+    """A ready character by name, or the first one of a TOML file, or of the one in a folder.
+
+    Raises `ModelError` for one that is not there.
+    """
+    if name in _bundled():
+        return _bundled()[str(name)]
+    path = Path(name) / CHARACTER_FILE if (Path(name) / CHARACTER_FILE).is_file() else Path(name)
+    if isinstance(name, Path) or path.suffix == ".toml":
+        return next(iter(read_characters(path).values()))
+    raise ModelError(
+        f"There is no character {shortened(name)!r}; there are {', '.join(_bundled())}, and a path ending in .toml, "
+        f"or a folder with a {CHARACTER_FILE}, is read as one of your own."
+    )
 
 
 def read_characters(path: Path) -> Mapping[str, Character]:
@@ -103,6 +112,8 @@ def _character(path: Path, name: str, table: Any) -> Character:
     colors = {key: _numbers(place, key, table[key], 3, *within) for key, within in COLORS.items() if key in table}
     identity = _numbers(place, "identity", table["identity"], None, -MOST_SIGMA, MOST_SIGMA)
     texts = {key: table[key] for key in TEXTS if key in table}
+    if texts["skin"].lower().endswith(SKIN_SUFFIXES):
+        texts["skin"] = str(path.parent / texts["skin"])
     return Character(name=name, identity=np.array(identity, float), **texts, **colors)
 
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
 
-from workbench.errors import ModelError
-from workbench.face.characters import PLAIN, Character, find_character
+from workbench.errors import InputError, ModelError
+from workbench.face.characters import PLAIN, SKIN_SUFFIXES, Character, find_character
 from workbench.face.default_head import load_default_head
 from workbench.face.jaw import posed_vertices
 from workbench.face.model import FaceModel
@@ -109,18 +109,22 @@ class DressedHead:
 
 
 def load_character(name: str | Path, gaze: bool = True) -> DressedHead:
-    """The default head as a character: a ready one by name, or a TOML file of your own.
+    """The default head as a character: a ready one by name, or a TOML file of your own or the folder with it.
 
     With `gaze`, the eyes' units are there too. Raises `ModelError` for a character, style or skin that is not there.
     """
-    character = find_character(name)
+    return dress(find_character(name), gaze)
+
+
+def dress(character: Character, gaze: bool = True) -> DressedHead:
+    """The default head as this character. Raises `ModelError` for a style or skin that is not there."""
     model = load_default_head(gaze=gaze)
     if len(character.identity) != len(model.identity_deltas):
         raise ModelError(
             f"The character {character.name!r} has {len(character.identity)} identity coefficients, "
             f"the default head {len(model.identity_deltas)}; give one for each."
         )
-    skin = shifted(read_picture(_picture_path("skins", character.skin)), character.skin_shift)
+    skin = shifted(_skin(character.skin), character.skin_shift)
     if character.hair and character.hair_color is not None:
         skin = with_scalp(skin, _scalp(len(skin)), character.hair_color)
     store = open_parts(sample("parts"))
@@ -129,9 +133,10 @@ def load_character(name: str | Path, gaze: bool = True) -> DressedHead:
         ("teeth", character.teeth, _rgba("teeth", TEETH_PICTURE)),
         ("eyes", EYES, _opaque(_rgba("eyes", character.eyes))),
         ("corneas", EYES, np.full((2, 2, 4), (255, 255, 255, CORNEA_ALPHA), np.uint8)),
-        ("brows", character.brows, tinted(_rgba("brows", character.brows), character.brow_color)),
-        ("lashes", character.lashes, _rgba("lashes", character.lashes)),
     ]
+    if character.brows:
+        worn.append(("brows", character.brows, tinted(_rgba("brows", character.brows), character.brow_color)))
+    worn.append(("lashes", character.lashes, _rgba("lashes", character.lashes)))
     if character.clothes:
         picture = tinted(_rgba("clothes", character.clothes), character.clothes_color)
         worn.append(("clothes", character.clothes, picture))
@@ -155,6 +160,25 @@ def dressed_as(character: str, model: FaceModel) -> DressedHead | None:
             f"Characters are for the default head, this is the model {model.name}; leave the character at {PLAIN!r}."
         )
     return load_character(character)
+
+
+def skin_names() -> tuple[str, ...]:
+    """Names of the skins, of which each is a picture in the head's UVs."""
+    return tuple(sorted(path.stem for path in (sample("characters").parent / "skins").glob("*.webp")))
+
+
+def read_skin(name: str) -> UInt8[np.ndarray, "h w 3"]:
+    """A skin by name, RGB. Raises `ModelError` for one that is not there."""
+    return read_picture(_picture_path("skins", name))
+
+
+def _skin(name: str) -> UInt8[np.ndarray, "h w 3"]:
+    if not name.lower().endswith(SKIN_SUFFIXES):
+        return read_skin(name)
+    try:
+        return read_picture(name)
+    except InputError as error:
+        raise ModelError(f"The character's skin cannot be read: {error}") from error
 
 
 def _picture_path(kind: str, style: str) -> Path:

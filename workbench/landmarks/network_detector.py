@@ -22,7 +22,7 @@ from workbench.landmarks.scheme import GROUPS, MIRROR
 from workbench.networks import BETA, Calibration, CropBox, LandmarkNetwork, place_and_mass, read_landmark_network
 from workbench.networks.face_finder import FaceFinder, FoundFace, read_face_finder, without_doubles
 from workbench.networks.frozen import FrozenNetwork
-from workbench.networks.landmark_network import confidence_by_mass
+from workbench.networks.landmark_network import LANDMARKS, confidence_by_mass
 
 CROP_SIDE = 256
 """Pixels of the network's input."""
@@ -103,7 +103,21 @@ class NetworkDetector:
         """What the network sees in the crop around `points`, before `refine` lowers the lids of narrow eyes."""
         to_image = crop_frame(frame_from_points(points))
         landmarks, heat_maps = self._answer(picture, to_image, mirrored=False)
-        return NetworkLook(landmarks, _probability(heat_maps), to_image)
+        return NetworkLook(landmarks, _probability(heat_maps[:LANDMARKS]), to_image)
+
+    def pupils(
+        self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]
+    ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "2"]]:
+        """The person's right and left pupil near these landmarks, pixels, and their confidences, by one look.
+
+        Behind a shut lid, where it would be. NaN with confidence 0 from weights that know no pupils.
+        """
+        to_image = crop_frame(frame_from_points(points))
+        heat_maps = self._maps(sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT))[LANDMARKS:]
+        if len(heat_maps) == 0:
+            return np.full((2, 2), np.nan), np.zeros(2)
+        places, confidence = _read(heat_maps, self._calibration)
+        return to_image.to_image(places), np.clip(confidence, 0.0, 1.0)
 
     def _faces(self, picture: np.ndarray, found: list[FoundFace], effort: Effort) -> list[FaceDetection]:
         """What of the finder's proposals the landmark network takes for a face, with the boxes of its landmarks."""
@@ -133,7 +147,7 @@ class NetworkDetector:
         """Landmarks in the picture, and the network's heat maps (of the mirrored crop if it was)."""
         crop = sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT)
         heat_maps = self._maps(np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop)
-        points, confidence = _read(heat_maps, self._calibration)
+        points, confidence = _read(heat_maps[:LANDMARKS], self._calibration)
         if mirrored:
             points, confidence = points[list(MIRROR)], confidence[list(MIRROR)]
             points[:, 0] = CROP_SIDE - 1 - points[:, 0]
@@ -180,8 +194,8 @@ def bundled_face_finder() -> FaceFinder:
 
 
 def _read(
-    heat_maps: Float[np.ndarray, "68 m m"], calibration: Calibration | None
-) -> tuple[Float[np.ndarray, "68 2"], Float[np.ndarray, "68"]]:
+    heat_maps: Float[np.ndarray, "n m m"], calibration: Calibration | None
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
     """Points in the crop's pixels, and confidences."""
     stride = CROP_SIDE / heat_maps.shape[-1]
     places, mass = (read.astype(np.float64) for read in place_and_mass(heat_maps))

@@ -4,6 +4,9 @@ The same layers as in `LandmarkNetwork.__call__`, written as an ONNX graph that 
 needed, as in Deep Energies, the network itself runs.
 """
 
+from dataclasses import replace
+
+import jax.numpy as jnp
 import numpy as np
 import onnxruntime
 from jaxtyping import Float, UInt8
@@ -31,6 +34,7 @@ class FrozenNetwork:
     def __call__(self, picture: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "n h4 w4"]:
         """Heat maps of a quarter of the picture's size, which are `network(picture / 255)` up to rounding.
 
+        Where the network knows pupils, the maps of the person's right and left one follow the others.
         Height and width are multiples of 32 pixels.
         """
         return self._session.run([HEAT_MAPS], {PICTURE: picture[None]})[0][0]
@@ -89,8 +93,18 @@ def _graph_of(network: LandmarkNetwork):
     x2 = graph.decoded(x3, x2, network.u2, network.f2)
     x1 = graph.decoded(x2, x1, network.u1, network.f1)
     x0 = graph.decoded(x1, x0, network.u0, network.f0)
-    graph.conv(x0, network.head, result=HEAT_MAPS)
+    head = _all_maps(network)
+    graph.conv(x0, head, result=HEAT_MAPS)
     picture = helper.make_tensor_value_info(PICTURE, TensorProto.UINT8, [1, "height", "width", 3])
-    maps = helper.make_tensor_value_info(HEAT_MAPS, TensorProto.FLOAT, [1, network.head.weight.shape[0], "h4", "w4"])
+    maps = helper.make_tensor_value_info(HEAT_MAPS, TensorProto.FLOAT, [1, head.weight.shape[0], "h4", "w4"])
     made = helper.make_graph(graph.nodes, "heat_maps", [picture], [maps], graph.weights)
     return helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+
+
+def _all_maps(network: LandmarkNetwork) -> Conv:
+    """The landmarks' heat maps and the pupils' as one convolution."""
+    if network.pupils is None:
+        return network.head
+    parts = ((network.head.weight, network.pupils.weight), (network.head.bias, network.pupils.bias))
+    weight, bias = (jnp.concatenate(both) for both in parts)
+    return replace(network.head, weight=weight, bias=bias)

@@ -27,7 +27,7 @@ WIDTHS, BLOCKS = "widths", "blocks"
 
 MIDDLE, SPREAD = 0.5, 0.25
 """The network sees (picture − 0.5) / 0.25."""
-LANDMARKS = 68
+LANDMARKS, PUPILS = 68, 2
 MOST_CHANNELS, MOST_BLOCKS = 8192, 256
 """A file that names more is damaged; the network is built before its arrays are compared."""
 
@@ -70,9 +70,14 @@ class LandmarkNetwork(eqx.Module):
     f0: Conv
     head: Conv
     calibration: Calibration | None = None
+    pupils: Conv | None = None
+    """Beside `head`: heat maps of the person's right and left pupil."""
 
     def __call__(self, picture: Float[AnyArray, "3 h w"]) -> Float[Array, "n h4 w4"]:
-        """Heat maps (68; another network's `outputs`) of a quarter of the picture's size, RGB in 0..1."""
+        """Heat maps (68; another network's `outputs`) of a quarter of the picture's size, RGB in 0..1.
+
+        Those of the pupils, where the network has them, are `FrozenNetwork`'s alone.
+        """
         x = (jnp.moveaxis(picture, 0, -1) - MIDDLE) / SPREAD
         x0 = _residual(_step(x, self.stem), self.e0)
         x1 = _residual(_step(x0, self.d1), *self.e1)
@@ -99,7 +104,7 @@ def confidence_by_mass(mass: Float[AnyArray, "n"], calibration: Calibration | No
 
 
 def empty_landmark_network(
-    widths: tuple[int, int, int, int], blocks: int, knots: int = 0, outputs: int = LANDMARKS
+    widths: tuple[int, int, int, int], blocks: int, knots: int = 0, outputs: int = LANDMARKS, pupils: bool = False
 ) -> LandmarkNetwork:
     """The network with zero weights: channels per level, residual blocks on the lowest, knots of the calibration."""
     c0, c1, c2, c3 = widths
@@ -120,6 +125,7 @@ def empty_landmark_network(
         f0=empty_conv(c0, c0, 3),
         head=empty_conv(c0, outputs, 1),
         calibration=Calibration(jnp.zeros(knots, jnp.float32), jnp.zeros(knots, jnp.float32)) if knots else None,
+        pupils=empty_conv(c0, PUPILS, 1) if pupils else None,
     )
 
 
@@ -141,7 +147,8 @@ def landmark_network_from(weights: Weights) -> LandmarkNetwork:
         )
     widths, blocks = network_size(weights)
     mass = weights.arrays.get("calibration.mass")
-    network = fill(lambda: empty_landmark_network(widths, blocks, 0 if mass is None else mass.size), weights)
+    knots, pupils = 0 if mass is None else mass.size, "pupils.weight" in weights.arrays
+    network = fill(lambda: empty_landmark_network(widths, blocks, knots, pupils=pupils), weights)
     if network.calibration is not None:
         _check_calibration(network.calibration, weights.origin)
     return network

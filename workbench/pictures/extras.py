@@ -35,6 +35,9 @@ class Extras:
 
     colors: UInt8[np.ndarray, "v 3"] | None = None
     """RGB of each vertex, in place of the head's texture and colours."""
+    light: UInt8[np.ndarray, "v 3"] | None = None
+    """Share, of 255, of the lights' red, green and blue that reaches each vertex; None: all of it. What is worn on the
+    face takes it from the vertices that it is tied to."""
     points: Float[np.ndarray, "p 3"] | None = None
     point_colors: UInt8[np.ndarray, "p 3"] | None = None
     point_mm: float = 2.0
@@ -48,6 +51,8 @@ class Extras:
     rest: Float[np.ndarray, "v 3"] | None = None
     """The person without an expression, whom a character's hair follows; None: the neutral that the painter was made
     with."""
+    body: Float[np.ndarray, "3"] | None = None
+    """Rotation (axis-angle, to the camera) of a character's body, which its neck bends to; None: as the head."""
 
 
 NOTHING = Extras()

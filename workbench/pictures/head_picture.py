@@ -20,6 +20,7 @@ from workbench.pictures.extras import GHOST_COLOR, NOTHING, SEGMENT_MM, Extras, 
 from workbench.pictures.gl_probe import gl_available
 from workbench.pictures.lighting import STUDIO, Lighting
 from workbench.pictures.mesh import check_scene, to_camera, to_pixels
+from workbench.pictures.neck import bent, neck_of
 from workbench.pictures.render_thread import RenderThread
 from workbench.pictures.wireframe import draw_wireframe
 from workbench.samples import sample
@@ -147,12 +148,26 @@ class HeadRenderer:
             raise WorkbenchError("This head renderer has been closed; make a new one.")
         check_scene(vertices, len(self._rest), rotation, translation, camera)
         behind = background_picture(background, self.size)
-        points_camera = to_camera(vertices, rotation, translation)
-        rest = self._rest if extras.rest is None else extras.rest
-        worn = () if self._dressed is None else self._dressed.parts_on(rest, vertices)
+        shown, worn = self._dressed_points(vertices, rotation, extras)
+        points_camera = to_camera(shown, rotation, translation)
         worn_camera = [to_camera(points, rotation, translation) for points in worn]
         pose = (rotation, translation)
         return self._thread.submit(_draw, points_camera, camera, lighting, behind, extras, pose, worn_camera)
+
+    def _dressed_points(
+        self, vertices: np.ndarray, rotation: np.ndarray, extras: Extras
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """The head's vertices and those of each worn part, the neck bent to the body; head frame."""
+        if self._dressed is None:
+            return vertices, ()
+        rest = self._rest if extras.rest is None else extras.rest
+        worn = self._dressed.parts_on(rest, vertices)
+        if extras.body is None:
+            return vertices, worn
+        turns = (neck_of(self._dressed.model, rest), rotation, extras.body)
+        parts = zip(self._dressed.worn, worn, strict=True)
+        turned = tuple(bent(points, points[:, 1], *turns) if part.part.still else points for part, points in parts)
+        return bent(vertices, rest[:, 1], *turns), turned
 
     def resize(self, size: tuple[int, int]) -> None:
         """Draw pictures of another size (width, height) from now on."""

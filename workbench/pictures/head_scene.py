@@ -66,6 +66,7 @@ class HeadScene:
         self.opacity = opacity.astype(np.uint8)
         self.own_colors = np.column_stack([tint, self.opacity]).astype(np.uint8)
         self.shown_colors: UInt8[np.ndarray, "v 3"] | None = None
+        self.shown_light: UInt8[np.ndarray, "v 3"] | None = None
         self.texture = None if texture is None else _texture(texture)
         # VTK keeps on drawing a texture that is taken away; a white one takes its place.
         self.blank = None if texture is None else _texture(np.full((2, 2, 3), 255, np.uint8))
@@ -91,13 +92,9 @@ class HeadScene:
             self.renderer.AddActor(actor)
         for part in (self.marks, self.ghost):
             self.renderer.AddActor(part.actor)
-        self.worn = [_worn_actor(worn) for worn in dressed.worn] if dressed else []
-        for worn in self.worn:
-            self.renderer.AddActor(worn.actor)
-        if self.worn:
-            self.renderer.SetUseDepthPeeling(True)
-            self.renderer.SetMaximumNumberOfPeels(PEELS)
-            self.renderer.SetOcclusionRatio(0.0)
+        self.worn: list[WornActor] = []
+        if dressed:
+            self.wear(dressed.worn)
         self.camera = self.renderer.GetActiveCamera()
         self.camera.SetPosition(0.0, 0.0, 0.0)
         self.camera.SetFocalPoint(0.0, 0.0, -1.0)
@@ -131,7 +128,7 @@ class HeadScene:
         if depth.max() <= 0.0:
             return np.zeros((height, width, 4), np.uint8)
         self._set_points(_distorted(camera, points_camera))
-        self._set_colors(extras.colors)
+        self._set_colors(extras.colors, extras.light)
         self._set_worn(worn_camera, points_camera.mean(axis=0), camera)
         worn_depth = [points[:, 2] for points in worn_camera]
         depth = np.concatenate([depth, *worn_depth, *self._set_extras(extras, camera, pose)])
@@ -151,6 +148,20 @@ class HeadScene:
         self.size = size
         self.drawn_size = (math.ceil(size[0] * supersampling), math.ceil(size[1] * supersampling))
         self.window.SetSize(*self.drawn_size)
+
+    def wear(self, parts: Sequence[WornPart], peels: int = PEELS) -> None:
+        """Other parts on a head that was made for a dressed one; `peels` layers of translucent ones are told apart."""
+        for worn in self.worn:
+            self.renderer.RemoveActor(worn.actor)
+        self.worn = [_worn_actor(part) for part in parts]
+        for worn in self.worn:
+            self.renderer.AddActor(worn.actor)
+            if self.lighting is not None:
+                worn.actor.prop.ambient = self.lighting.ambient
+        self.shown_light = None
+        self.renderer.SetUseDepthPeeling(bool(self.worn))
+        self.renderer.SetMaximumNumberOfPeels(peels)
+        self.renderer.SetOcclusionRatio(0.0)
 
     def set_texture(self, texture: UInt8[np.ndarray, "th tw 3"]) -> None:
         """Another albedo for a head that was made with one."""
@@ -181,14 +192,18 @@ class HeadScene:
             worn.mesh.points = np.ascontiguousarray(points * VTK_AXES, np.float32)
             worn.mesh.point_data.active_normals = np.ascontiguousarray(normals * VTK_AXES, np.float32)
 
-    def _set_colors(self, colors: UInt8[np.ndarray, "v 3"] | None) -> None:
-        if colors is self.shown_colors:
+    def _set_colors(self, colors: UInt8[np.ndarray, "v 3"] | None, light: UInt8[np.ndarray, "v 3"] | None) -> None:
+        if colors is self.shown_colors and light is self.shown_light:
             return
         rgba = self.own_colors if colors is None else np.column_stack([colors, self.opacity])
+        if light is not None:
+            rgba = np.column_stack([np.rint(rgba[:, :3] * (light / 255.0)), self.opacity]).astype(np.uint8)
+        for worn in self.worn:
+            worn.mesh.point_data[COLORS] = worn.lit(light)
         for mesh, actor in zip(self.meshes, self.actors, strict=True):
             mesh.point_data[COLORS] = rgba[self.vertex_of_point]
             actor.texture = self.texture if colors is None else self.blank
-        self.shown_colors = colors
+        self.shown_colors, self.shown_light = colors, light
 
     def _set_extras(self, extras: Extras, camera: Camera, pose) -> list[Float[np.ndarray, "_"]]:
         """Show marks and ghost; the depths of their points."""

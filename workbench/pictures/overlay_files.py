@@ -14,6 +14,7 @@ from workbench.frames import Frame, Frames, VideoWriter, write_picture
 from workbench.pictures.background import background_picture
 from workbench.pictures.extras import Extras
 from workbench.pictures.head_picture import HeadRenderer, PlainPainter, head_painter, portrait_view
+from workbench.pictures.neck import BODY_SHARE
 from workbench.pictures.overlay import ALL_BUT_MESH, OverlayParts, displayed_size, draw_overlay, side_by_side
 from workbench.tracking.records import FrameFit
 
@@ -187,8 +188,8 @@ class HeadPanel:
             self._identity, self._person = fit.identity, self.model.personal(fit.identity)
         rotation = fit.rotation if self.view == "pose" else np.zeros(3)
         vertices = posed_vertices(self._person, fit.expression, fit.jaw, fit.scale)
-        rest = Extras(rest=self._person.neutral)
-        return self.painter.submit(vertices, self.camera, rotation, self.translation, extras=rest)
+        extras = Extras(rest=self._person.neutral, body=BODY_SHARE * rotation)
+        return self.painter.submit(vertices, self.camera, rotation, self.translation, extras=extras)
 
     def __enter__(self) -> "HeadPanel":
         return self

@@ -20,13 +20,13 @@ class WornActor:
     """One part in the scene."""
 
     def __init__(self, worn: WornPart, mesh_of, actor_of, texture_of, colors: str) -> None:
-        part = worn.part
+        self.part = part = worn.part
         self.finish = FINISHES[part.kind]
         self.triangles = part.triangles
         self.sums = corner_sum(part.triangles, len(part.offsets))
         self.order, uv_of_point, triangles = split_seams(part.triangles, part.triangles_uv)
         self.mesh: pyvista.PolyData = mesh_of(np.zeros((len(self.order), 3)), triangles)
-        self.mesh.point_data[colors] = shaded(part.shade)[self.order]
+        self.mesh.point_data[colors] = self.lit(None)
         self.mesh.active_texture_coordinates = part.uv[uv_of_point].astype(np.float32)
         self.actor: pyvista.Actor = actor_of(self.mesh, self.finish.shine)
         if part.kind == "corneas":
@@ -41,6 +41,14 @@ class WornActor:
             self.actor.ForceTranslucentOn()
         else:
             self.actor.ForceOpaqueOn()
+
+    def lit(self, light: UInt8[np.ndarray, "v 3"] | None) -> UInt8[np.ndarray, "s 4"]:
+        """RGBA of its points where this share of the light, of 255, reaches the head's vertices; None: all of it."""
+        colors = shaded(self.part.shade)
+        if light is not None and not self.part.still:
+            share = np.einsum("nj,njc->nc", self.part.weights, light[self.part.anchors] / 255.0)
+            colors[:, :3] = np.rint(colors[:, :3] * np.clip(share, 0.0, 1.0))
+        return colors[self.order]
 
     def place(self, points: Float[np.ndarray, "n 3"], middle: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
         """Points and normals (s 3) along the seams, in the frame of the given points; `middle` is the head's."""

@@ -295,11 +295,12 @@ def _smoothing(model: FaceModel) -> csr_matrix:
     edges = edges[face[edges].all(axis=1)]
     mirrored = np.stack([np.arange(count), model.mirror], axis=1)
     mirrored = mirrored[mirrored[:, 0] < mirrored[:, 1]]
-    laplacian = SMOOTH * _differences(edges, count) + MIRROR * _differences(mirrored, count)
+    laplacian = SMOOTH * differences(edges, count) + MIRROR * differences(mirrored, count)
     return (laplacian + PRIOR * diags_array(np.ones(count))).tocsr()
 
 
-def _differences(pairs: Int[np.ndarray, "n 2"], count: int) -> csr_matrix:
+def differences(pairs: Int[np.ndarray, "n 2"], count: int) -> csr_matrix:
+    """Quadratic form Σ (x_i − x_j)² over pairs (i, j) of `count` numbers."""
     rows = np.arange(len(pairs))
     ones = np.ones(len(pairs))
     matrix = coo_matrix(

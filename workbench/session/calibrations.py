@@ -3,10 +3,9 @@
 import threading
 
 from workbench.config import Config
-from workbench.session.dependence import identity_key
 from workbench.session.material import Material
 from workbench.session.observed_frames import ObservedFrames
-from workbench.tracker import calibration_window
+from workbench.tracker import calibration_window, identity_key
 from workbench.tracking.fitting import Calibrated, Fitter
 
 

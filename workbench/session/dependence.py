@@ -7,7 +7,6 @@ from jaxtyping import Bool
 
 from workbench.config import Config
 from workbench.energies.terms import TABLE
-from workbench.tracking import FrameObservation
 
 TIME_SECTIONS = ("flow", "infill", "refinement")
 """Sections of the configuration for what uses time."""
@@ -32,15 +31,6 @@ def _unread(config: Config) -> set[str]:
     """Sections that a single frame's fit does not depend on; on flow it does where a stage names a term of it."""
     of_flow = any(TABLE[name].compares_pictures or TABLE[name].key.startswith("flow.") for name in config.summed_terms)
     return {"preset", "provenance", "head", *TIME_SECTIONS} - ({"flow"} if of_flow else set())
-
-
-def identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
-    """Key of the identity of a shot; `window` holds the frames that it is calibrated on."""
-    moved = {key: config.landmarks.moved[key] for item in window if (key := str(item.index)) in config.landmarks.moved}
-    kept = {"system", "camera", "identity", "contour", "subsets"}
-    kept |= {"deep"} if config.traits.reads("deep") else set()
-    sections = config.model_dump_json(include=kept)
-    return f"{sections}{config.point_weights()}{moved}"
 
 
 def stale_frames(fitted: Config, config: Config, shots: Sequence[range]) -> Bool[np.ndarray, "n"]:

@@ -11,6 +11,7 @@ from workbench.config import DEFAULT_PRESET, Config, Difference, parse_config, p
 from workbench.diagnosis import Change, Diagnosis
 from workbench.errors import InputError
 from workbench.face import FaceModel, load_default_head
+from workbench.learning import Tuned
 from workbench.session.calibrations import Calibrations
 from workbench.session.clip_run import ClipRuns, Run, described_track
 from workbench.session.diagnosing import Diagnosing, check_diagnosed
@@ -18,11 +19,14 @@ from workbench.session.exports import Exports, track_command
 from workbench.session.frame_fits import FrameFits, compile_solvers
 from workbench.session.gesture import Gesture
 from workbench.session.landmark_edits import moved, put_back, weighed, with_subset
+from workbench.session.learning import tune_material
 from workbench.session.material import Cancelled, Material, Progress, load_material, material_of_track
 from workbench.session.metrics import metrics_of
 from workbench.session.observed_frames import ObservedFrames
+from workbench.session.sweeping import SessionSweeps
 from workbench.session.temporal import TemporalWork
 from workbench.session.tuned_config import TunedConfig
+from workbench.sweeps import SweepResult
 from workbench.tracking import FrameContext, FrameFit, FrameObservation, StageTrace, Track
 from workbench.tracking.deep_solution import DeepSolution
 from workbench.tracking.fitting import never
@@ -46,6 +50,7 @@ class TuningSession:
         self._fits = FrameFits(model, material, self.base, self._frames, calibrations, self._runs.continued_from)
         self._diagnosing = Diagnosing(model, material, self._frames)
         self._exports = Exports(model, material)
+        self._sweeps = SessionSweeps(model, material)
         self.temporal = TemporalWork(self)
         """Infill and refinement of the clip."""
 
@@ -225,6 +230,17 @@ class TuningSession:
     def track_fits(self) -> Sequence[FrameFit]:
         """The fits of the last complete run; fits all frames if there is none."""
         return self._whole_run().fits
+
+    def sweep(self, settings: Sequence[str] | str, **options: Any) -> SweepResult:
+        """Try many settings around the current configuration, as `session.sweep("weights.tau=log(1e-3,10,13)")`.
+
+        `options`: objectives, frames (a budget), sample, seed, truth, progress, cancelled, grown; see `SessionSweeps`.
+        """
+        return self._sweeps.run([settings] if isinstance(settings, str) else settings, self.config, **options)
+
+    def tune(self, objective: str, learn: Sequence[str] = (), **options: Any) -> Tuned:
+        """What the clip chooses, as `session.tune("jitter", ["weights.tau"])`; options as in `tune_material`."""
+        return tune_material(self._sweeps, self.model, self.config, objective, learn, **options)
 
     def _whole_run(self) -> Run:
         if self.run is None:

@@ -5,7 +5,6 @@ recompile anything. Only a trust region instead of Levenberg–Marquardt, or kee
 """
 
 import math
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -114,8 +113,7 @@ class SolvedFrame(NamedTuple):
     """None unless requested: per stage, energies (s, steps, t) and landmark residuals in pixels (s, steps, 68)."""
 
 
-@partial(jax.jit, static_argnames=("method", "trace_length", "terms"), compiler_options=SMALL_ARRAYS)
-def solve_frame(
+def run_stages(
     camera: Camera,
     model: LandmarkModel,
     settings: SolveSettings,
@@ -126,7 +124,7 @@ def solve_frame(
     terms: tuple[str, ...] = FACE_IT_TERMS,
 ) -> SolvedFrame:
     """Run the stages in order, each from the previous result. `terms` names the columns of `program.omega`."""
-    settings = _within_range(settings, model)
+    settings = within_range(settings, model)
 
     def branch(free: tuple[str, ...]):
         def run(problem: EnergyProblem, parameters: FaceParameters, moves, limit):
@@ -169,7 +167,11 @@ def solve_frame(
     return SolvedFrame(*parts, report, rows[3])
 
 
-def _within_range(settings: SolveSettings, model: LandmarkModel) -> SolveSettings:
+solve_frame = jax.jit(run_stages, static_argnames=("method", "trace_length", "terms"), compiler_options=SMALL_ARRAYS)
+"""`run_stages` as a compiled program."""
+
+
+def within_range(settings: SolveSettings, model: LandmarkModel) -> SolveSettings:
     """The settings with the model's own bounds of each weight; if weights are unbounded, only of those that the model
     holds."""
     held = model.expression_lower == model.expression_upper

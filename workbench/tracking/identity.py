@@ -17,7 +17,7 @@ from workbench.arrays import AnyArray, Count, Scalar
 from workbench.energies import FACE_IT_TERMS, EnergyConstants, energy, normal_system
 from workbench.face import FaceParameters, LandmarkModel, pack, unpack
 from workbench.geometry import Camera
-from workbench.runtime import SMALL_ARRAYS
+from workbench.runtime import ONE_THREAD
 from workbench.solvers import ArrowheadSystem, DenseSystem, LevenbergMarquardt, minimise
 from workbench.tracking.frame_solver import BLOCKS, FrameInput, SolveSettings, moving_unknowns, stage_problem
 
@@ -50,7 +50,7 @@ class Calibration(NamedTuple):
     iterations: Int[AnyArray, "passes"]
 
 
-@partial(jax.jit, compiler_options=SMALL_ARRAYS)
+@partial(jax.jit, compiler_options=ONE_THREAD)
 def calibrate_identity(
     cameras: Camera,
     model: LandmarkModel,

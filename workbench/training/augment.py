@@ -20,9 +20,14 @@ class TrainingPicture:
     """What the network sees, and what it should say."""
 
     picture: UInt8[np.ndarray, "s s 3"]
-    landmarks: Float[np.ndarray, "68 2"]
-    """Pixels of the picture; points outside of it are possible."""
+    points: Float[np.ndarray, "70 2"]
+    """The 68 landmarks and the two pupils in pixels of the picture; points outside of it are possible."""
     is_face: bool
+
+    @property
+    def landmarks(self) -> Float[np.ndarray, "68 2"]:
+        """The 68 landmarks alone."""
+        return self.points[:68]
 
 
 @dataclass(frozen=True)
@@ -35,24 +40,33 @@ class Hardness:
 
 
 TRAINING = Hardness()
+SHARP_SIDE = 128
+"""Sides of pictures beyond which most backgrounds are soft."""
+FEATHER = 28
+"""Pixels over which a render fades at its own border, where it cuts through hair and shoulders."""
+MIRRORED = (*MIRROR, 69, 68)
+"""Where each of the 68 landmarks and of the two pupils is in a mirrored picture."""
+EXPOSED = (60.0, 190.0)
+"""Mean grey values that automatic exposure may give a face."""
 
 
 def augmented(
     pool: Pool, index: int, rng: np.random.Generator, side: int = CROP_SIDE, hardness: Hardness = TRAINING
 ) -> TrainingPicture:
     """A random training picture of one render, `side` pixels wide (4 % show no face at all)."""
-    rgba, points = pool.picture(index)
+    rgba, points = cut_out(pool, index)
     background = random_background(rng, side)
     background = _with_bystander(background, pool, rng)
     is_face = rng.random() > 0.04 * hardness.damage
     if is_face:
-        head, points = _framed(np.asarray(rgba), points.astype(np.float64), rng, side, hardness)
-        picture = _clothed(background, points, rng)
+        head, points = _framed(rgba, points.astype(np.float64), rng, side, hardness)
+        head = exposed(head, rng)
+        picture = _clothed(background, points[:68], rng)
         cover = head[..., 3:].astype(np.float32) / 255
         light = rng.normal(1, 0.04, 3).astype(np.float32)
         picture = head[..., :3] * light + picture * (1 - cover)
         if rng.random() < 0.35 * hardness.occlusion:
-            picture = _occluded(picture, points, rng)
+            picture = _occluded(picture, points[:68], rng)
     else:
         picture = background
     if rng.random() < 0.35 * hardness.damage:
@@ -62,8 +76,20 @@ def augmented(
     return TrainingPicture(np.clip(picture, 0, 255).astype(np.uint8), points.astype(np.float32), is_face)
 
 
+def cut_out(pool: Pool, index: int) -> tuple[UInt8[np.ndarray, "s s 4"], Float[np.ndarray, "70 2"]]:
+    """A render whose border is faded, so that no straight cut tells of a face, and its points."""
+    rgba, points = pool.picture(index)
+    rgba = np.array(rgba)
+    fade = ((np.arange(FEATHER) + 0.5) / FEATHER)[:, None]
+    for turned in (rgba, rgba[::-1], rgba.transpose(1, 0, 2), rgba[:, ::-1].transpose(1, 0, 2)):
+        turned[:FEATHER] = turned[:FEATHER] * fade[:, None]
+    return rgba, points
+
+
 def random_background(rng: np.random.Generator, side: int = CROP_SIDE) -> Float[np.ndarray, "s s 3"]:
-    """Walls, gradients, noise at several scales, and cluttered shapes, sharp or out of focus."""
+    """Walls, gradients, noise at several scales, and cluttered shapes, sharp or out of focus, most in muted colours."""
+    if side > SHARP_SIDE and rng.random() < 0.6:
+        return cv2.resize(random_background(rng, side // 2), (side, side), interpolation=cv2.INTER_LINEAR)
     unit = side / CROP_SIDE
     base = rng.uniform(0, 255, 3)
     picture = np.empty((side, side, 3), np.float32)
@@ -95,6 +121,9 @@ def random_background(rng: np.random.Generator, side: int = CROP_SIDE) -> Float[
             picture = picture + rng.uniform(3, 40) * (noise if noise.ndim == 3 else noise[..., None])
     if rng.random() < 0.6:
         picture = cv2.GaussianBlur(picture, (0, 0), unit * float(np.exp(rng.uniform(np.log(0.6), np.log(12)))))
+    if rng.random() < 0.6:
+        grey = _grey(picture)
+        picture = grey + np.float32(rng.uniform(0.1, 0.6)) * (picture - grey)
     return picture
 
 
@@ -104,17 +133,20 @@ def photographed(
     """What lens, sensor and codec do: colour, contrast, blur, lost resolution, noise, compression."""
     side = picture.shape[0]
     unit = side / CROP_SIDE
-    picture = np.clip(picture, 0, 255).astype(np.float32) / 255
+    picture = np.clip(picture, 0, 255).astype(np.uint8)
     if rng.random() < 0.9 * amount:
-        picture = picture ** np.float32(np.exp(rng.normal(0, 0.28)))
-        picture = picture * np.float32(np.exp(rng.normal(0, 0.2))) + np.float32(rng.normal(0, 0.06))
-        picture = picture * np.exp(rng.normal(0, 0.08, 3)).astype(np.float32)
-        grey = picture.mean(axis=2, keepdims=True)
+        curve = np.linspace(0, 1, 256)[:, None] ** np.exp(rng.normal(0, 0.28))
+        curve = curve * np.exp(rng.normal(0, 0.2)) + rng.normal(0, 0.06)
+        picture = cv2.LUT(picture, (curve * np.exp(rng.normal(0, 0.08, 3))).astype(np.float32)[None])
+        grey = _grey(picture)
         saturation = 0.0 if rng.random() < 0.14 else rng.uniform(0.3, 1.5)
         picture = grey + np.float32(saturation) * (picture - grey)
         middle = np.float32(picture.mean())
         picture = middle + np.float32(np.exp(rng.normal(0, 0.25))) * (picture - middle)
-    picture = np.clip(picture * 255, 0, 255)
+        picture = picture * np.float32(255)
+    picture = np.clip(picture, 0, 255).astype(np.float32)
+    if rng.random() < 0.1 * amount:
+        picture = _dim(picture, rng)
     if rng.random() < 0.4 * amount:
         picture = cv2.GaussianBlur(picture, (0, 0), unit * float(rng.uniform(0.4, 2.6)))
     if rng.random() < 0.15 * amount:
@@ -141,12 +173,13 @@ def _framed(rgba, points, rng, side, hardness):
     """The crop a detector would ask for, more or less; half of the pictures are mirrored."""
     if rng.random() < 0.5:
         rgba = rgba[:, ::-1]
-        points = points[list(MIRROR)]
+        points = points[list(MIRRORED)]
         points[:, 0] = rgba.shape[1] - 1 - points[:, 0]
-    view = crop_frame(frame_from_points(points), side)
-    angle = np.radians(np.clip(rng.normal(0, 12), -40, 40)) * hardness.framing
-    scale = np.exp(np.clip(rng.normal(0, 0.11), -0.3, 0.3) * hardness.framing)
-    shift = np.clip(rng.normal(0, 0.055, 2), -0.15, 0.15) * side * hardness.framing
+    view = crop_frame(frame_from_points(points[:68]), side)
+    roll = np.clip(rng.normal(0, 14), -40, 40) if rng.random() < 0.85 else rng.uniform(-60, 60)
+    angle = np.radians(roll) * hardness.framing
+    scale = np.exp(np.clip(rng.normal(0, 0.13), -0.35, 0.35) * hardness.framing)
+    shift = np.clip(rng.normal(0, 0.06, 2), -0.17, 0.17) * side * hardness.framing
     # The face's own roll stays in the picture, so undo the frame's before turning by a random angle.
     own = np.arctan2(view.matrix[1, 0], view.matrix[0, 0])
     turn = np.array([[np.cos(angle - own), -np.sin(angle - own)], [np.sin(angle - own), np.cos(angle - own)]])
@@ -163,14 +196,28 @@ def _framed(rgba, points, rng, side, hardness):
     return head, to_image.to_face(points)
 
 
+def exposed(head: UInt8[np.ndarray, "h w 4"], rng: np.random.Generator) -> UInt8[np.ndarray, "h w 4"]:
+    """The head as a camera exposes it: its mean brightness where the scene's is not kept."""
+    cover = head[..., 3] > 127
+    if rng.random() < 0.2 or not cover.any():
+        return head
+    grey = max(float(head[cover, :3].mean()), 1.0)
+    gain = np.clip(rng.uniform(*EXPOSED) / grey, 0.5, 5.0)
+    # Highlights roll off as they do in a camera: what would be beyond white ends close below it.
+    lit = np.arange(256, dtype=np.float32) * (gain / 255)
+    table = np.where(lit < 0.8, lit, 1 - 0.2 * np.exp(-(lit - 0.8) / 0.2))
+    colors = cv2.LUT(np.ascontiguousarray(head[..., :3]), np.rint(255 * table).astype(np.uint8))
+    return np.dstack([np.minimum(colors, head[..., 3:]), head[..., 3]])
+
+
 def _with_bystander(background, pool, rng):
     """Now and then somebody else stands behind."""
     if rng.random() > 0.12:
         return background
-    rgba, _ = pool.picture(int(rng.integers(len(pool))))
+    rgba, _ = cut_out(pool, int(rng.integers(len(pool))))
     side = background.shape[0]
     size = int(rng.uniform(70, 260) * side / CROP_SIDE)
-    small = cv2.resize(np.asarray(rgba), (size, size), interpolation=cv2.INTER_AREA).astype(np.float32)
+    small = cv2.resize(rgba, (size, size), interpolation=cv2.INTER_AREA).astype(np.float32)
     x, y = (int(rng.uniform(-0.5 * size, side - 0.5 * size)) for _ in range(2))
     left, top = max(x, 0), max(y, 0)
     right, bottom = min(x + size, side), min(y + size, side)
@@ -253,6 +300,18 @@ def _shadowed(picture, rng):
     across = x * np.float32(np.cos(angle)) + y * np.float32(np.sin(angle)) - np.float32(place)
     share = 1 / (1 + np.exp(np.clip(across * np.float32(np.exp(rng.uniform(0.5, 4))), -30, 30)))
     return picture * (1 + np.float32(rng.uniform(-0.7, 0.5)) * share)[..., None]
+
+
+def _grey(picture):
+    return cv2.transform(picture, np.full((1, 3), 1 / 3, np.float32))[..., None]
+
+
+def _dim(picture, rng):
+    """Too little light: few photons, noise by their square root, and brightened again."""
+    full = np.exp(rng.uniform(np.log(30), np.log(400)))  # photons of a white pixel
+    photons = np.clip(picture, 0, 255) * (full / 255)
+    noisy = photons + np.sqrt(photons + 2.0) * rng.standard_normal(picture.shape, np.float32)
+    return (noisy * (255 / full * rng.uniform(0.4, 1.1))).astype(np.float32)
 
 
 def _moved(picture, rng):

@@ -5,22 +5,26 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 
 from workbench.landmarks.alignment import frame_from_points
 from workbench.networks.face_finder import NAME, OUTPUTS, PADDING_GREY, STRIDE, UNIT_SIDE
-from workbench.training.augment import photographed, random_background
+from workbench.training.augment import cut_out, exposed, photographed, random_background
 from workbench.training.loop import Batch, MapsTask, Phase
 from workbench.training.pool import Pool
 
 MOST_FACES = 4
-SMALLEST, LARGEST = 20.0, 190.0
+SMALLEST, LARGEST = 16.0, 190.0
 """Box sides in pixels of a 256×256 picture."""
 SPREAD = 0.18
 """Standard deviation of a face's blob in the score map, in box sides."""
 SIZE_WEIGHT = 0.5
+DARK = 0.35
+"""Share of pictures before a dark ground: stages, halls, the night."""
+LEAST_CONTRAST = 9.0
+"""Standard deviation of grey values in a box below which nobody could see a face in it."""
 
 
 @dataclass(frozen=True)
@@ -76,13 +80,15 @@ class FinderTask(MapsTask):
 def crowd(pool: Pool, rng: np.random.Generator, side: int) -> tuple[np.ndarray, Float[np.ndarray, "faces 3"]]:
     """A picture with up to three heads of any size, and their boxes; those nearer the camera cover the others."""
     picture = random_background(rng, side)
+    if rng.random() < DARK:
+        picture = picture * np.float32(rng.uniform(0.03, 0.4))
     boxes = np.zeros((MOST_FACES, 3), np.float32)
     sizes = np.sort(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST), rng.choice(4, p=[0.15, 0.5, 0.2, 0.15]))))
     scale = side / 256
     kept = 0
     for size in sizes * scale:
-        rgba, points = pool.picture(int(rng.integers(len(pool))))
-        frame = frame_from_points(points.astype(np.float64))
+        rgba, points = cut_out(pool, int(rng.integers(len(pool))))
+        frame = frame_from_points(points[:68].astype(np.float64))
         centre = rng.uniform(-0.1 * size, side + 0.1 * size, 2)
         if any(np.linalg.norm(centre - box[:2]) < 0.8 * max(size, box[2]) for box in boxes[:kept]):
             continue
@@ -90,7 +96,12 @@ def crowd(pool: Pool, rng: np.random.Generator, side: int) -> tuple[np.ndarray, 
         if (centre > 0).all() and (centre < side - 1).all():
             boxes[kept] = (*centre, size)
             kept += 1
+    for _ in range(rng.poisson(0.5)):
+        _decoy(picture, rng)
     picture = np.clip(photographed(picture, rng), 0, 255).astype(np.uint8)
+    for box in boxes[:kept]:
+        if not can_be_seen(picture, box):
+            box[:] = 0.0
     if rng.random() < 0.5:  # the padding of a picture that is not square
         margin = int(rng.uniform(0.1, 0.5) * side)
         if rng.random() < 0.5:
@@ -103,13 +114,40 @@ def crowd(pool: Pool, rng: np.random.Generator, side: int) -> tuple[np.ndarray, 
     return picture, boxes
 
 
+def _decoy(picture, rng) -> None:
+    """What is as bright as a face and none: hands, collars, cloths of skin's colours."""
+    side = len(picture)
+    tone = rng.uniform(60, 250) * np.array([1.0, rng.uniform(0.65, 1.0), rng.uniform(0.5, 1.0)])
+    centre, size = rng.uniform(0, side, 2), np.exp(rng.uniform(np.log(4), np.log(40))) * side / 256
+    if rng.random() < 0.6:  # a palm with fingers
+        cv2.ellipse(picture, (tuple(centre), (size, 1.3 * size), float(rng.uniform(0, 180))), tone.tolist(), -1)
+        start = rng.uniform(0, 2 * np.pi)
+        for finger in range(rng.integers(2, 6)):
+            angle = start + 0.3 * finger
+            tip = centre + rng.uniform(0.8, 1.4) * size * np.array([np.cos(angle), np.sin(angle)])
+            ends = [tuple(np.rint(end).astype(int).tolist()) for end in (centre, tip)]
+            shade = (tone * rng.uniform(0.7, 1.1)).tolist()
+            cv2.line(picture, *ends, shade, max(1, round(size / 4)), cv2.LINE_AA)
+    else:
+        outline = centre + rng.normal(0, size, (rng.integers(3, 6), 2))
+        cv2.fillPoly(picture, [np.rint(outline).astype(np.int32)], tone.tolist(), cv2.LINE_AA)
+
+
+def can_be_seen(picture: UInt8[np.ndarray, "s s 3"], box: Float[np.ndarray, "3"]) -> bool:
+    """Whether there is anything to see in a box: a face in the dark, or blown out, is no lesson."""
+    x, y, half = box[0], box[1], box[2] / 2
+    top, left = max(0, round(y - half)), max(0, round(x - half))
+    inside = picture[top : round(y + half) + 1, left : round(x + half) + 1]
+    return float(inside.mean(axis=2).std()) >= LEAST_CONTRAST
+
+
 def _placed(picture, rgba, frame, centre, size, rng):
     """The head with its box at `centre`, `size` pixels wide, turned a little."""
     side = len(picture)
-    angle = np.clip(rng.normal(0, np.radians(12)), -0.7, 0.7)
+    angle = np.radians(np.clip(rng.normal(0, 12), -40, 40) if rng.random() < 0.8 else rng.uniform(-60, 60))
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     matrix = turn * size / frame.side
-    head = np.ascontiguousarray(rgba)
+    head = exposed(rgba, rng)
     shrink = frame.side / size
     if shrink > 1.5:  # so that small heads do not alias
         head = cv2.resize(head, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA)

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 
-from workbench.networks.landmark_network import NAME
+from workbench.networks.landmark_network import LANDMARKS, NAME
 from workbench.training.augment import augmented
 from workbench.training.loop import Batch, MapsTask, Phase
 from workbench.training.pool import Pool
@@ -18,33 +18,48 @@ BETA = 50.0
 STRIDE = 4
 COORDINATE_WEIGHT = 0.25
 """Weight of the soft-argmax' error in heat-map pixels beside the cross entropy."""
-JAW_WEIGHT = 0.5
-"""Weight of the jaw's contour, whose points slide along an edge."""
+JAW_WEIGHT, EYE_WEIGHT, PUPIL_WEIGHT = 0.5, 1.4, 0.5
+"""Weights of the jaw's contour, whose points slide along an edge, of the lids, and of pupils, which lids hide."""
+OPENING_WEIGHT = 0.3
+"""Weight of the error of eyes' and lips' openings in heat-map pixels: two lids that are both off show no opening."""
+OPENINGS = ((37, 41), (38, 40), (43, 47), (44, 46), (61, 67), (62, 66), (63, 65))
+"""Points that face each other across an eye or the lips."""
+LIDS = tuple(range(36, 48))
+POINTS = 70
+"""The 68 landmarks and two pupils."""
 
 
 @dataclass(frozen=True)
 class LandmarkTask(MapsTask):
-    """68 heat maps: softmax of a map is the distribution of its landmark."""
+    """70 heat maps: softmax of a map is the distribution of its landmark or pupil."""
 
     architecture: str = NAME
-    outputs: int = 68
+    outputs: int = POINTS
     output_scale: float = 1 / BETA
     """The kept heat maps are the trained logits over β, so that the soft-argmax of Deep Energies reads them."""
 
+    def arrays(self, network: nn.Module) -> dict[str, np.ndarray]:
+        """As of all networks of this kind, with the pupils' maps apart from the landmarks'."""
+        arrays = super().arrays(network)
+        for part in ("weight", "bias"):
+            arrays[f"pupils.{part}"] = arrays[f"head.{part}"][LANDMARKS:].copy()
+            arrays[f"head.{part}"] = arrays[f"head.{part}"][:LANDMARKS].copy()
+        return arrays
+
     def batch(self, pool: Pool, phase: Phase, rngs: list[np.random.Generator]) -> Batch:
-        """Pictures, landmarks and whether there is a face."""
+        """Pictures, points and whether there is a face."""
         pictures = np.empty((len(rngs), phase.input_side, phase.input_side, 3), np.uint8)
-        landmarks = np.empty((len(rngs), 68, 2), np.float32)
+        points = np.empty((len(rngs), POINTS, 2), np.float32)
         is_face = np.empty(len(rngs), np.float32)
         for place, rng in enumerate(rngs):
             made = augmented(pool, int(rng.integers(len(pool))), rng, phase.input_side)
-            pictures[place], landmarks[place], is_face[place] = made.picture, made.landmarks, made.is_face
-        return pictures, (landmarks, is_face)
+            pictures[place], points[place], is_face[place] = made.picture, made.points, made.is_face
+        return pictures, (points, is_face)
 
-    def loss(self, maps: Float[Tensor, "n 68 h w"], targets: tuple[Tensor, Tensor]) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, maps: Float[Tensor, "n 70 h w"], targets: tuple[Tensor, Tensor]) -> tuple[Tensor, dict[str, float]]:
         """Cross entropy and coordinate loss of the logits, and what the curves show."""
-        landmarks, is_face = targets
-        return loss_of(maps, (landmarks + 0.5) / STRIDE - 0.5, is_face)
+        points, is_face = targets
+        return loss_of(maps, (points + 0.5) / STRIDE - 0.5, is_face)
 
 
 def target_distribution(points: Float[Tensor, "n k 2"], side: int) -> Float[Tensor, "n k cells"]:
@@ -60,7 +75,7 @@ def target_distribution(points: Float[Tensor, "n k 2"], side: int) -> Float[Tens
     return inside[..., None] * cells
 
 
-def local_soft_argmax(logits: Float[Tensor, "n 68 h w"]) -> Float[Tensor, "n 68 2"]:
+def local_soft_argmax(logits: Float[Tensor, "n k h w"]) -> Float[Tensor, "n k 2"]:
     """Deep Energies Eq. 3 on 50·H: the mean place in the 3×3 patch around the maximum, in heat-map pixels."""
     side = logits.shape[-1]
     best = logits.detach().flatten(2).argmax(-1)
@@ -76,28 +91,33 @@ def local_soft_argmax(logits: Float[Tensor, "n 68 h w"]) -> Float[Tensor, "n 68 
 
 
 def loss_of(
-    logits: Float[Tensor, "n 68 h w"], points: Float[Tensor, "n 68 2"], is_face: Float[Tensor, "n"]
+    logits: Float[Tensor, "n 70 h w"], points: Float[Tensor, "n 70 2"], is_face: Float[Tensor, "n"]
 ) -> tuple[Tensor, dict[str, float]]:
-    """Cross entropy to the landmark's distribution (an even one where there is no face) and the soft-argmax' error."""
+    """Cross entropy to the points' distributions (even ones where there is no face), and the soft-argmax' errors."""
     side = logits.shape[-1]
     target = target_distribution(points, side)
     known = (target.sum(-1) > 0).float()
     face = is_face[:, None]
     even = torch.full_like(target, 1.0 / side**2)
     target = face[..., None] * target + (1 - face[..., None]) * even
-    weight = torch.ones(68, device=logits.device)
-    weight[:17] = JAW_WEIGHT
+    weight = torch.ones(POINTS, device=logits.device)
+    weight[:17], weight[list(LIDS)], weight[68:] = JAW_WEIGHT, EYE_WEIGHT, PUPIL_WEIGHT
     weight = weight * torch.where(face > 0, known, torch.full_like(known, 0.3))
     entropy = -(target * torch.log_softmax(logits.flatten(2), dim=-1)).sum(-1)
-    distance = torch.linalg.vector_norm(local_soft_argmax(logits) - points, dim=-1)
+    read = local_soft_argmax(logits)
+    distance = torch.linalg.vector_norm(read - points, dim=-1)
     near = ((distance.detach() < 3.0) * known * face).float()
     coordinate = (
         near * weight * functional.smooth_l1_loss(distance, torch.zeros_like(distance), reduction="none", beta=0.5)
     )
     count = weight.sum().clamp_min(1.0)
-    loss = ((weight * entropy).sum() + COORDINATE_WEIGHT * coordinate.sum()) / count
+    upper, lower = (torch.tensor(side, device=logits.device) for side in zip(*OPENINGS, strict=True))
+    across = (read[:, lower] - read[:, upper]) - (points[:, lower] - points[:, upper])
+    opening = near[:, upper] * near[:, lower] * across.abs().sum(-1)
+    loss = (weight * entropy).sum() + COORDINATE_WEIGHT * coordinate.sum() + OPENING_WEIGHT * opening.sum()
+    loss = loss / count
     with torch.no_grad():
-        inner = (known * face)[:, 17:]
+        inner = (known * face)[:, 17:68]
         size = (points[:, 45] - points[:, 36]).norm(dim=-1).clamp_min(1e-3)[:, None]
-        error = 100 * (distance[:, 17:] / size * inner).sum() / inner.sum().clamp_min(1.0)
+        error = 100 * (distance[:, 17:68] / size * inner).sum() / inner.sum().clamp_min(1.0)
     return loss, {"loss": float(loss.detach()), "inner_percent": float(error)}

@@ -1,11 +1,12 @@
 """Training: the plan, the loop with its checkpoints and curves, and the export to safetensors."""
 
 import csv
+import hashlib
 import json
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -19,9 +20,10 @@ from torch import Tensor, nn
 from workbench.errors import InputError
 from workbench.files import atomic_path, make_folder
 from workbench.networks.landmark_network import BLOCKS, WIDTHS
-from workbench.networks.weights import ARCHITECTURE
+from workbench.networks.weights import ARCHITECTURE, read_weights
+from workbench.reading import checked_file
 from workbench.training.pool import Pool, open_pool
-from workbench.training.torch_network import TorchLandmarkNetwork
+from workbench.training.torch_network import TorchLandmarkNetwork, conv_norms, go_on_from
 
 AVERAGING = 0.998
 """Decay per step of the moving average of the weights, which is what is kept."""
@@ -46,6 +48,8 @@ class TrainingPlan:
     blocks: int = 2
     seed: int = 1
     weight_decay: float = 1e-4
+    start: str = ""
+    """SHA-256 of the weights that it began with; empty: random ones."""
 
     @property
     def steps(self) -> int:
@@ -105,6 +109,13 @@ class MapsTask:
         """An untrained one."""
         return TorchLandmarkNetwork(plan.widths, plan.blocks, self.outputs)
 
+    def begin(self, network: nn.Module, start: Path, pictures: Tensor) -> None:
+        """Give the network the weights of a file; `pictures` are some of those to come."""
+        weights = read_weights(start)
+        if weights.architecture != self.architecture:
+            raise InputError(f"{start} holds {weights.architecture}, expected {self.architecture}: start from another")
+        go_on_from(network, weights.arrays, pictures, self.output_scale)
+
     def arrays(self, network: nn.Module) -> dict[str, np.ndarray]:
         """What is kept of a trained one."""
         return folded_arrays(network, self.output_scale)
@@ -148,17 +159,28 @@ def train(
     device: str = "cpu",
     every: int = 250,
     report: Callable[[str], None] = print,
+    start: Path | None = None,
 ) -> Path:
     """Run the plan from wherever `folder` stands, and write `weights.safetensors` there.
 
     The folder keeps the plan, a checkpoint every `every` steps and the curves; an interrupted training goes on from
     its last checkpoint when it is called again. The training pictures depend on the plan's seed and the step alone, so
-    an interruption does not change them. Raises `InputError` where the folder belongs to another plan.
+    an interruption does not change them. `start`: weights to begin with instead of random ones. Raises `InputError`
+    where the folder belongs to another plan.
     """
     make_folder(folder)
+    if start is not None:
+        plan = replace(
+            plan,
+            start=hashlib.sha256(checked_file(start, "weights to go on from", InputError).read_bytes()).hexdigest(),
+        )
     _claim(folder / "plan.json", plan)
     torch.manual_seed(plan.seed)
-    network = task.network(plan).to(device).to(memory_format=torch.channels_last)
+    network = task.network(plan)
+    if start is not None and not (folder / "checkpoint.pt").is_file():
+        first, _ = next(_batches(task, pool_folder, plan, 0, 0))
+        task.begin(network, start, first.permute(0, 3, 1, 2).float() / 255)
+    network = network.to(device).to(memory_format=torch.channels_last)
     average = {name: value.detach().clone().float() for name, value in network.state_dict().items()}
     optimiser = torch.optim.AdamW(network.parameters(), lr=1e-3, weight_decay=plan.weight_decay)
     step = _resumed(folder / "checkpoint.pt", network, optimiser, average)
@@ -206,7 +228,13 @@ def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = N
         save_file(
             arrays,
             temporary,
-            {**(metadata or {}), ARCHITECTURE: task.architecture, **size, "steps": str(state["step"])},
+            {
+                **(metadata or {}),
+                ARCHITECTURE: task.architecture,
+                **size,
+                "steps": str(state["step"]),
+                "start": plan.start,
+            },
         )
     return path
 
@@ -214,13 +242,8 @@ def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = N
 def folded_arrays(network: TorchLandmarkNetwork, output_scale: float = 1.0) -> dict[str, np.ndarray]:
     """The inference network's arrays by name: normalisation folded, outputs scaled."""
     arrays: dict[str, Tensor] = {}
-    for name in ("stem", "d1", "d2", "d3", "u2", "u1", "u0"):
-        arrays[f"{name}.weight"], arrays[f"{name}.bias"] = getattr(network, name).folded()
-    for name in ("e0", "f2", "f1", "f0"):
-        arrays[f"{name}.weight"], arrays[f"{name}.bias"] = getattr(network, name).conv.folded()
-    for name in ("e1", "e2", "e3"):
-        for place, block in enumerate(getattr(network, name)):
-            arrays[f"{name}.{place}.weight"], arrays[f"{name}.{place}.bias"] = block.conv.folded()
+    for name, step in conv_norms(network):
+        arrays[f"{name}.weight"], arrays[f"{name}.bias"] = step.folded()
     arrays["head.weight"], arrays["head.bias"] = network.head.weight * output_scale, network.head.bias * output_scale
     return kept(arrays)
 

@@ -17,7 +17,7 @@ from workbench.training.skin import skin_painter
 
 SHARD = 240
 """Pictures in one file pair."""
-PICTURES_OF_A_PERSON = 3
+PICTURES_OF_A_PERSON = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,17 +25,17 @@ class Pool:
     """Rendered heads, memory-mapped."""
 
     pictures: list[UInt8[np.ndarray, "n s s 4"]]
-    landmarks: list[Float[np.ndarray, "n 68 2"]]
+    points: list[Float[np.ndarray, "n 70 2"]]
     angles_deg: list[Float[np.ndarray, "n 3"]]
     expressions: list[Float[np.ndarray, "n k"]]
 
     def __len__(self) -> int:
         return SHARD * len(self.pictures)
 
-    def picture(self, index: int) -> tuple[UInt8[np.ndarray, "s s 4"], Float[np.ndarray, "68 2"]]:
-        """RGBA (colours multiplied by coverage) and the 68 points."""
+    def picture(self, index: int) -> tuple[UInt8[np.ndarray, "s s 4"], Float[np.ndarray, "70 2"]]:
+        """RGBA (colours multiplied by coverage), and the 68 landmarks with the two pupils."""
         shard, place = divmod(index, SHARD)
-        return self.pictures[shard][place], self.landmarks[shard][place]
+        return self.pictures[shard][place], self.points[shard][place]
 
     def angles(self, index: int) -> Float[np.ndarray, "3"]:
         """Yaw, pitch, roll in degrees."""
@@ -53,7 +53,7 @@ def make_shard(folder: Path, seed: int, shard: int) -> None:
     pictures_path, numbers_path = shard_paths(folder, shard)
     if pictures_path.is_file() and numbers_path.is_file():
         return
-    model = load_default_head()
+    model = load_default_head(gaze=True)
     studio = FaceStudio(model, skin_painter(model))
     faces = []
     try:
@@ -66,7 +66,7 @@ def make_shard(folder: Path, seed: int, shard: int) -> None:
     with atomic_path(numbers_path) as path:
         np.savez(
             path,
-            landmarks=np.stack([face.landmarks for face in faces]).astype(np.float32),
+            points=np.stack([face.points for face in faces]).astype(np.float32),
             angles=np.stack([face.yaw_pitch_roll_deg for face in faces]).astype(np.float32),
             expressions=np.stack([face.expression for face in faces]).astype(np.float32),
         )
@@ -110,7 +110,7 @@ def open_pool(folder: Path) -> Pool:
     numbers = [np.load(path, allow_pickle=False) for path, _ in shards]
     return Pool(
         pictures=[np.load(path, mmap_mode="r", allow_pickle=False) for _, path in shards],
-        landmarks=[shard["landmarks"] for shard in numbers],
+        points=[shard["points"] for shard in numbers],
         angles_deg=[shard["angles"] for shard in numbers],
         expressions=[shard["expressions"] for shard in numbers],
     )

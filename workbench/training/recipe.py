@@ -19,11 +19,16 @@ from workbench.training.pool import make_pool, open_pool
 from workbench.training.report import write_report
 
 LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
+FURTHER_LANDMARK_PLAN = TrainingPlan(
+    phases=(Phase(256, 1400, 16, 1e-3), Phase(256, 1000, 16, 4e-4), Phase(256, 1400, 16, 8e-4))
+)
 FINDER_PLAN = TrainingPlan(
     phases=(Phase(128, 2500, 32, 3e-3), Phase(256, 2500, 24, 2e-3)), widths=(16, 32, 64, 96), blocks=2
 )
+FURTHER_FINDER_PLAN = TrainingPlan(phases=(Phase(256, 1400, 16, 1.5e-3),), widths=(16, 32, 64, 96), blocks=2)
+"""For weights that are there already."""
 POOL_SEED, TEST_SEED = 1, 1002
-TEST_PICTURES, EVALUATED, CALIBRATED = 1920, 800, 1500
+TEST_PICTURES, EVALUATED, CALIBRATED = 960, 800, 1500
 LICENCE = "Apache-2.0"
 
 Report = Callable[[str], None]
@@ -31,13 +36,15 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Recipe:
-    """Sizes of one training; the defaults made the bundled weights."""
+    """Sizes of one training."""
 
-    pictures: int = 21600
+    pictures: int = 3600
     test_pictures: int = TEST_PICTURES
     plan: TrainingPlan = LANDMARK_PLAN
     evaluated: int = EVALUATED
     calibrated: int = CALIBRATED
+    start: Path | None = None
+    """Weights to go on from."""
 
 
 QUICK = Recipe(
@@ -59,7 +66,9 @@ def train_landmark_network(
     another plan.
     """
     pool, test = _pools(folder, recipe, workers, report)
-    raw = train(LandmarkTask(), pool, folder / "landmarks", recipe.plan, workers, device, report=report)
+    raw = train(
+        LandmarkTask(), pool, folder / "landmarks", recipe.plan, workers, device, report=report, start=recipe.start
+    )
     side = recipe.plan.phases[-1].input_side
     look = looker(read_landmark_network(raw))
     held_out = open_pool(test)
@@ -88,7 +97,9 @@ def train_face_finder(
 ) -> Path:
     """Make the face finder from the same pool: `folder/finder.safetensors`; resumes like the landmark network."""
     pool, _ = _pools(folder, recipe, workers, report)
-    raw = read_weights(train(FinderTask(), pool, folder / "finder", recipe.plan, workers, device, report=report))
+    raw = read_weights(
+        train(FinderTask(), pool, folder / "finder", recipe.plan, workers, device, report=report, start=recipe.start)
+    )
     path = folder / "finder.safetensors"
     arrays = {name: array.astype(np.float16) for name, array in raw.arrays.items()}
     write_weights(path, arrays, {**raw.metadata, "licence": LICENCE, "data": "renders of the default head only"})

@@ -1,11 +1,13 @@
 """Random scenes for training: a person, an expression, a pose, a camera, lights, hair and glasses."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
+from workbench.face.characters import Character
+from workbench.face.dressed_head import DressedHead, WornPart
 from workbench.face.landmark_model import contour_blend
 from workbench.face.model import FaceModel
 from workbench.geometry import Camera
@@ -16,7 +18,10 @@ from workbench.pictures.head_scene import HeadScene
 from workbench.pictures.lighting import Light, Lighting
 from workbench.pictures.mesh import to_camera, to_pixels
 from workbench.training.accessories import glasses, hair
+from workbench.training.shading import Shader, random_sky
+from workbench.training.skin import SIDE as SKIN_SIDE
 from workbench.training.skin import SkinPainter
+from workbench.training.wardrobe import open_wardrobe
 
 SIDE = 320
 """Pixels of a rendered picture."""
@@ -24,8 +29,18 @@ BOX_SIDES = 2.2
 """Face boxes (see `landmarks.alignment`) across a rendered picture."""
 BOX_MM = 165.0
 """Side of a face box on an average head."""
+PAINTED = 0.2
+"""Share of people whose skin, eyes and teeth are painted, not photographed."""
+MOST_YAW_DEG = 90.0
+PEELS = 3
+LIGHTS = 3
+"""Lights of every picture, some of them off: VTK compiles its shaders for a number of lights."""
+PUPIL_RING = 8
+"""Vertices around the pole of an eyeball."""
 PAIRS = 0.75
 """Probability that both sides of a paired blendshape act alike."""
+
+_BLANK = np.full((8, 8, 3), 255, np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +49,8 @@ class RenderedFace:
 
     rgba: UInt8[np.ndarray, "s s 4"]
     """Colours multiplied by the coverage, and the coverage."""
-    landmarks: Float[np.ndarray, "68 2"]
+    points: Float[np.ndarray, "70 2"]
+    """The 68 landmarks, then the pupils: the person's right one and the left one."""
     yaw_pitch_roll_deg: Float[np.ndarray, "3"]
     expression: Float[np.ndarray, "k"]
 
@@ -46,6 +62,10 @@ class Person:
     model: FaceModel
     albedo: UInt8[np.ndarray, "a a 3"]
     hair_color: Float[np.ndarray, "3"]
+    worn: tuple[WornPart, ...] | None = None
+    """What a dressed head wears; None: a plain head, whose eyes and teeth are painted."""
+    painted_brows: bool = True
+    """Painted ones reach up to the head's landmarks; worn ones alone have landmarks of their own."""
 
 
 class Studio:
@@ -54,8 +74,7 @@ class Studio:
     def __init__(self, model: FaceModel, painter: SkinPainter, side: int) -> None:
         """`side`: pixels of a rendered picture."""
         self.model, self.painter = model, painter
-        blank = np.full((8, 8, 3), 255, np.uint8)
-        self.scene = HeadScene(model, (side, side), blank, supersampling=1.6, fade_neck=False)
+        self.scene = HeadScene(model, (side, side), _BLANK, supersampling=1.6, fade_neck=False)
 
     def cast(self, rng: np.random.Generator) -> Person:
         """A random person."""
@@ -68,45 +87,106 @@ class Studio:
         self.scene.close()
 
 
-class FaceStudio(Studio):
-    """Renders random heads."""
+class FaceStudio:
+    """Renders random heads: most in the art of the default head, some with painted skin, eyes and teeth."""
 
     def __init__(self, model: FaceModel, painter: SkinPainter) -> None:
-        super().__init__(model, painter, SIDE)
+        """`model` with the eyes' units."""
+        self.model, self.painter, self.wardrobe = model, painter, open_wardrobe(model, SKIN_SIDE)
+        self.shader = Shader(model)
+        self.pupils = pupil_vertices(model)
+        nobody = Character("nobody", "", "", "", "", "", "", np.zeros(len(model.identity_deltas)))
+        # All that a dressed head is asked for here: which triangles show, and how parts follow.
+        self.nobody = DressedHead(nobody, model, _BLANK, (), self.wardrobe.store.scale_vertices)
+        size = (SIDE, SIDE)
+        self.plain = HeadScene(model, size, _BLANK, supersampling=1.2, fade_neck=False)
+        self.dressed = HeadScene(model, size, _BLANK, supersampling=1.2, fade_neck=False, dressed=self.nobody)
+        self.wearing: tuple[WornPart, ...] = ()
+
+    def cast(self, rng: np.random.Generator) -> Person:
+        """A random person."""
+        identity = rng.normal(0, rng.uniform(0.4, 1.35), len(self.model.identity_deltas))
+        person = self.model.personal(np.clip(identity, -3.5, 3.5))
+        if rng.random() < PAINTED:
+            return Person(person, *self.painter.paint(rng))
+        albedo, hair_color, browed = self.painter.over_photo(self.wardrobe.skin(rng), rng)
+        return Person(person, albedo, hair_color, self.wardrobe.dress(rng, hair_color), browed)
 
     def shoot(self, who: Person, rng: np.random.Generator) -> RenderedFace:
         """A random picture of this person."""
         person = who.model
         expression = random_expression(person.expression_names, rng)
         vertices = person.vertices(expression)
-        angles = random_pose_deg(rng)
+        angles = random_pose_deg(rng, MOST_YAW_DEG)
         rotation = axis_angle_from_yaw_pitch_roll(angles)
-        points_head = landmarks_head(person, vertices, angles[0])
+        worn_head = [] if who.worn is None else self._worn(who.worn, person.neutral, vertices)
+        framed = landmarks_head(person, vertices, angles[0])
+        points_head = self._points(who, framed, vertices, worn_head)
         distance = np.exp(rng.uniform(np.log(300), np.log(2500)))
         focal = SIDE / BOX_SIDES * distance / BOX_MM
-        camera = Camera(np.array([focal, focal]), np.full(2, (SIDE - 1) / 2), np.zeros(5))
+        camera = Camera(np.array([focal, focal]), np.full(2, (SIDE - 1) / 2), random_lens(rng, SIDE / focal))
         translation = np.array([0.0, 0.0, distance])
         for _ in range(2):  # centre the face, and give it its size
-            frame = frame_from_points(to_pixels(camera, to_camera(points_head, rotation, translation)))
+            frame = frame_from_points(to_pixels(camera, to_camera(framed, rotation, translation)))
             translation[2] *= frame.side / (SIDE / BOX_SIDES)
             offset = (frame.origin - (SIDE - 1) / 2) * translation[2] / focal
             translation[:2] -= offset
-        self.scene.set_texture(who.albedo)
-        self.scene.set_shine(rng.uniform(0.0, 0.35), rng.uniform(6, 40))
-        meshes, lenses = [], []
-        if rng.random() < 0.75:
+        points_camera = to_camera(vertices, rotation, translation)
+        meshes, lenses, worn = [], [], []
+        if who.worn is None:
+            scene = self.plain
+        else:
+            scene = self.dressed
+            worn = [to_camera(part, rotation, translation) for part in worn_head]
+            if self.wearing is not who.worn:
+                scene.wear(who.worn, PEELS)
+                self.wearing = who.worn
+        scene.set_texture(who.albedo)
+        scene.set_shine(rng.uniform(0.0, 0.35), rng.uniform(6, 40))
+        bare = who.worn is None or all(part.part.kind != "hair" for part in who.worn)
+        if rng.random() < (0.75 if who.worn is None else 0.35 if bare else 0.0):
             meshes.append(hair(person.neutral, self.model, who.hair_color, rng))
         if rng.random() < 0.22:
-            frame_mesh, lenses = glasses(points_head, rng)
+            frame_mesh, lenses = glasses(framed, rng)
             meshes.append(frame_mesh)
-        rgba = self.scene.render(
-            to_camera(vertices, rotation, translation), camera, random_lighting(rng), Extras(meshes=tuple(meshes)),
-            (rotation, translation),
-        )  # fmt: skip
+        lighting = random_lighting(rng, LIGHTS)
+        above = [points for points, part in zip(worn, who.worn or (), strict=True) if part.part.kind == "hair"]
+        above += [to_camera(mesh.vertices, rotation, translation) for mesh in meshes]
+        light = self.shader.light(points_camera, lighting, random_sky(rng), above)
+        extras = Extras(light=light, meshes=tuple(meshes))
+        rgba = scene.render(points_camera, camera, lighting, extras, (rotation, translation), worn)
         if lenses:
             rgba = _tinted(rgba, [to_pixels(camera, to_camera(lens, rotation, translation)) for lens in lenses], rng)
         points = to_pixels(camera, to_camera(points_head, rotation, translation))
         return RenderedFace(np.ascontiguousarray(rgba), points, angles, expression)
+
+    def _worn(self, worn, rest, vertices) -> tuple[Float[np.ndarray, "_ 3"], ...]:
+        return replace(self.nobody, worn=worn).parts_on(rest, vertices)
+
+    def _points(self, who: Person, landmarks, vertices, worn_head) -> Float[np.ndarray, "70 3"]:
+        """Landmarks and pupils in the head frame: those of the brows where hair is seen."""
+        points = landmarks.copy()
+        for part, own in zip(who.worn or (), worn_head, strict=True):
+            if part.part.kind == "brows" and not who.painted_brows:
+                points[17:27] = self.wardrobe.brow_line(part.part.style).of(own)
+        return np.concatenate([points, vertices[self.pupils].mean(axis=1)])
+
+    def close(self) -> None:
+        """Give the GL contexts back."""
+        self.plain.close()
+        self.dressed.close()
+
+
+def pupil_vertices(model: FaceModel) -> Int[np.ndarray, "2 p"]:
+    """The ring of each eyeball, the person's right one first, whose middle is the pupil's."""
+    eyes = [model.regions[name] for name in ("eyeR", "eyeL")]
+    return np.stack([eye[np.argsort(model.neutral[eye, 2])[:PUPIL_RING]] for eye in eyes])
+
+
+def random_lens(rng: np.random.Generator, width: float) -> Float[np.ndarray, "5"]:
+    """Distortion (k1, k2, p1, p2, k3) of a lens whose picture is `width` focal lengths wide: most often none."""
+    edge = rng.normal(0, 0.05) if rng.random() < 0.3 else 0.0  # by how much a corner moves, of its distance
+    return np.array([np.clip(edge, -0.1, 0.1) / (0.5 * width**2), 0.0, 0.0, 0.0, 0.0])
 
 
 def landmarks_head(person: FaceModel, vertices: Float[np.ndarray, "v 3"], yaw_deg: float) -> Float[np.ndarray, "68 3"]:
@@ -121,10 +201,32 @@ def landmarks_head(person: FaceModel, vertices: Float[np.ndarray, "v 3"], yaw_de
     return np.concatenate([contour, inner])
 
 
-def random_pose_deg(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
-    """Yaw, pitch, roll in degrees: mostly near frontal, up to 65° of yaw."""
-    yaw = rng.normal(0, 20) if rng.random() < 0.55 else rng.uniform(-65, 65)
-    return np.array([np.clip(yaw, -65, 65), np.clip(rng.normal(0, 12), -35, 35), np.clip(rng.normal(0, 6), -20, 20)])
+def random_pose_deg(rng: np.random.Generator, most_yaw: float = 65.0) -> Float[np.ndarray, "3"]:
+    """Yaw, pitch, roll in degrees: mostly near frontal, up to `most_yaw`."""
+    yaw = rng.normal(0, 20) if rng.random() < 0.55 else rng.uniform(-most_yaw, most_yaw)
+    yaw = np.clip(yaw, -most_yaw, most_yaw)
+    return np.array([yaw, np.clip(rng.normal(0, 12), -35, 35), np.clip(rng.normal(0, 6), -20, 20)])
+
+
+MIENS: tuple[dict[str, float], ...] = (
+    {"mouthSmileLeft": 0.9, "cheekSquintLeft": 0.6, "eyeSquintLeft": 0.5},
+    {"mouthSmileLeft": 1.0, "cheekSquintLeft": 0.8, "eyeSquintLeft": 0.6, "jawOpen": 0.45, "mouthUpperUpLeft": 0.4},
+    {"mouthSmileLeft": 0.8, "mouthLowerDownLeft": 0.6, "mouthUpperUpLeft": 0.6, "mouthStretchLeft": 0.3},
+    {"jawOpen": 0.8, "eyeWideLeft": 0.8, "browInnerUp": 0.8, "browOuterUpLeft": 0.8},
+    {"browDownLeft": 0.9, "noseSneerLeft": 0.4, "mouthPressLeft": 0.5, "eyeSquintLeft": 0.4},
+    {"browDownLeft": 0.8, "jawOpen": 0.7, "mouthUpperUpLeft": 0.6, "mouthLowerDownLeft": 0.6, "noseSneerLeft": 0.6},
+    {"browInnerUp": 0.9, "mouthFrownLeft": 0.8, "mouthShrugLower": 0.4},
+    {"noseSneerLeft": 0.9, "mouthUpperUpLeft": 0.6, "browDownLeft": 0.5, "eyeSquintLeft": 0.5},
+    {"mouthPucker": 0.9, "mouthFunnel": 0.3},
+    {"mouthFunnel": 0.9, "jawOpen": 0.35},
+    {"jawOpen": 0.3, "mouthLowerDownLeft": 0.5, "mouthStretchLeft": 0.3},
+    {"mouthClose": 0.2, "jawOpen": 0.2, "mouthPressLeft": 0.5, "mouthRollLower": 0.5},
+    {"jawOpen": 1.0, "eyeBlinkLeft": 0.8, "browDownLeft": 0.4},
+    {"jawLeft": 0.6, "mouthLeft": 0.7},
+    {"cheekPuff": 0.9, "mouthPressLeft": 0.6},
+)
+"""Smile, laugh, grin, surprise, anger, a shout, sadness, disgust, lips of o and u, speech, closed lips, a yawn, and
+mouths to one side; with weights of the left sides."""
 
 
 def random_expression(names: tuple[str, ...], rng: np.random.Generator) -> Float[np.ndarray, "k"]:
@@ -136,7 +238,12 @@ def random_expression(names: tuple[str, ...], rng: np.random.Generator) -> Float
             if side in weights:
                 weights[side] = max(weights[side], float(np.clip(weight * rng.uniform(0.8, 1.2), 0, 1)))
 
-    if rng.random() < 0.85:
+    kind = rng.random()
+    if kind < 0.3:  # what faces do together, more or less of it
+        together, amount = MIENS[rng.integers(len(MIENS))], rng.uniform(0.3, 1.0)
+        for name, weight in together.items():
+            act(name, amount * weight)
+    elif kind < 0.88:
         movable = [name for name in names if not name.startswith(("eyeLook", "tongue", "eyeBlink", "jawOpen"))]
         for name in rng.choice(movable, size=min(1 + rng.poisson(2.5), len(movable)), replace=False):
             act(str(name), rng.beta(1.2, 1.6))
@@ -157,16 +264,24 @@ def random_expression(names: tuple[str, ...], rng: np.random.Generator) -> Float
     return np.array([weights[name] for name in names])
 
 
-def random_lighting(rng: np.random.Generator) -> Lighting:
-    """One to four distant lights of any colour temperature, from soft to harsh."""
+def random_lighting(rng: np.random.Generator, count: int | None = None) -> Lighting:
+    """One to four distant lights of any colour temperature, from soft to harsh; with a `count`, some of them off."""
     lights = []
-    for order in range(rng.integers(1, 5)):
+    for order in range(rng.integers(1, 5) if count is None else count):
         direction = rng.normal(0, 1, 3) * [1.0, 0.7, 0.7] + [0, -0.3, -0.7]
         warmth = rng.normal(0, 0.12)
         intensity = rng.uniform(0.3, 1.0) if order == 0 else rng.uniform(0, 0.45)
         color = tuple(np.clip([1 + warmth, 1.0, 1 - warmth], 0, 1.3).tolist())
+        if count is not None and order == 0:
+            intensity *= 1.4
+        if count is not None and order > 0 and rng.random() < 0.4:
+            intensity = 0.0
         lights.append(Light(tuple(direction.tolist()), float(intensity), color))
-    return Lighting(tuple(lights), float(rng.uniform(0.05, 0.6)))
+    if count is not None and rng.random() < 0.3:  # an overcast sky, a room without a lamp
+        dim = rng.uniform(0.0, 0.4)
+        lights = [replace(light, intensity=dim * light.intensity) for light in lights]
+        return Lighting(tuple(lights), float(rng.uniform(0.5, 1.0)))
+    return Lighting(tuple(lights), float(rng.uniform(0.05, 0.6) if count is None else rng.uniform(0.1, 0.7)))
 
 
 def _other_side(name: str) -> str:

@@ -56,6 +56,31 @@ class SkinPainter:
         picture = self.wet[..., None] * wet + (1 - self.wet[..., None]) * skin
         return np.clip(np.rint(255 * picture), 0, 255).astype(np.uint8), np.clip(hair_color, 0, 1)
 
+    def over_photo(
+        self, photo: UInt8[np.ndarray, "s s 3"], rng: np.random.Generator
+    ) -> tuple[UInt8[np.ndarray, "s s 3"], Float[np.ndarray, "3"], bool]:
+        """A photographed albedo with marks, make-up, a beard and roots of hair painted on; the hair's colour; and
+        whether brows are painted too."""
+        skin = photo.astype(np.float32) / 255
+        tone = np.median(skin[200:330, 180:332].reshape(-1, 3), axis=0)
+        hair_color = (HAIR_COLORS[rng.integers(len(HAIR_COLORS))] / 255 * rng.uniform(0.7, 1.25)).astype(np.float32)
+        skin = self._marks(skin, rng, tone)
+        if rng.random() < 0.4:
+            skin = self._wrinkles(skin, rng)
+        if rng.random() < 0.6:
+            skin = self._lips(skin, rng)
+        if rng.random() < 0.5:
+            skin = self._makeup(skin, rng, tone)
+        skin = self._hair(skin, rng, hair_color)
+        if rng.random() < 0.35:
+            skin = self._beard(skin, rng, hair_color)
+        browed = rng.random() < 0.45
+        if browed:
+            skin = self._brows(skin, rng, hair_color)
+        picture = self.wet[..., None] * photo / 255 + (1 - self.wet[..., None]) * skin
+        albedo = np.clip(np.rint(255 * picture), 0, 255).astype(np.uint8)
+        return albedo, np.clip(hair_color, 0, 1), browed
+
     def _skin(self, rng, tone) -> np.ndarray:
         mean = np.array([0.815, 0.635, 0.525], np.float32)  # of the bundled albedo's skin
         # The bundled colours' own variation (redder ears, nose and cheeks) in ratios, more or less of it.
@@ -66,9 +91,13 @@ class SkinPainter:
         )
         pores = rng.uniform(0, 0.06) * rng.standard_normal((SIDE, SIDE), np.float32)[..., None]
         skin = tone * ratio * (1 + blotches + cv2.GaussianBlur(pores, (0, 0), 0.7)[..., None] * 2)
+        return self._marks(skin, rng, tone)
+
+    def _marks(self, skin, rng, tone) -> np.ndarray:
+        """Freckles and moles."""
         if rng.random() < 0.25:  # freckles
             spots = (_noise(rng, SIDE, 110) > rng.uniform(1.6, 2.4)).astype(np.float32)
-            skin *= 1 - rng.uniform(0.1, 0.35) * cv2.GaussianBlur(spots, (0, 0), 0.8)[..., None]
+            skin = skin * (1 - rng.uniform(0.1, 0.35) * cv2.GaussianBlur(spots, (0, 0), 0.8)[..., None])
         for _ in range(rng.poisson(1.0)):  # moles
             centre = rng.uniform([230, 190], [790, 680]) * SIDE / 1024
             _blob(skin, centre, rng.uniform(0.8, 2.2), tone * 0.4, 0.8)

@@ -1,7 +1,13 @@
 """The landmark network in PyTorch, for training: the twin of `networks.landmark_network`, with batch normalisation."""
 
+from collections.abc import Iterator, Mapping
+
+import numpy as np
 import torch
 from torch import Tensor, nn
+
+RIGHT_AND_LEFT_EYE = (36, 42)
+"""First of the six points around each."""
 
 
 class ConvNorm(nn.Module):
@@ -61,6 +67,56 @@ class TorchLandmarkNetwork(nn.Module):
         x1 = self.f1(x1 + _twice(self.u1(x2)))
         x0 = self.f0(x0 + _twice(self.u0(x1)))
         return self.head(x0)
+
+
+def conv_norms(network: TorchLandmarkNetwork) -> Iterator[tuple[str, ConvNorm]]:
+    """The normalised convolutions, each with the name of its folded one in a weights file."""
+    for name in ("stem", "d1", "d2", "d3", "u2", "u1", "u0"):
+        yield name, getattr(network, name)
+    for name in ("e0", "f2", "f1", "f0"):
+        yield name, getattr(network, name).conv
+    for name in ("e1", "e2", "e3"):
+        for place, block in enumerate(getattr(network, name)):
+            yield f"{name}.{place}", block.conv
+
+
+def go_on_from(
+    network: TorchLandmarkNetwork, arrays: Mapping[str, np.ndarray], pictures: Tensor, output_scale: float
+) -> None:
+    """Make the network answer as these folded weights do, with normalisations that fit what `pictures` bring about.
+
+    Where the weights know no pupils and the network does, these begin as the mean of the points around them.
+    """
+    sides, known = {}, {name: torch.from_numpy(np.asarray(array, np.float32)) for name, array in arrays.items()}
+    with torch.no_grad():
+        for name, step in conv_norms(network):
+            step.conv.weight.copy_(known[f"{name}.weight"])
+            step.norm.bias.copy_(known[f"{name}.bias"])
+            step.norm.running_var.fill_(1.0 - step.norm.eps)
+            step.conv.register_forward_hook(_keeper(sides, name))
+        for part, own in (("weight", network.head.weight), ("bias", network.head.bias)):
+            rows = known[f"head.{part}"]
+            if len(rows) < len(own):
+                around = torch.stack([rows[start : start + 6].mean(0) for start in RIGHT_AND_LEFT_EYE])
+                rows = torch.cat([rows, known.get(f"pupils.{part}", around)])
+            own.copy_(rows / output_scale)
+        network.train(False)
+        network(pictures)
+        network.train()
+        for name, step in conv_norms(network):
+            step.conv._forward_hooks.clear()
+            mean, variance = sides[name]
+            step.norm.running_mean.copy_(mean)
+            step.norm.running_var.copy_(variance)
+            step.norm.weight.copy_(torch.sqrt(variance + step.norm.eps))
+            step.norm.bias.copy_(known[f"{name}.bias"] + mean)
+
+
+def _keeper(sides: dict[str, tuple[Tensor, Tensor]], name: str):
+    def keep(_module, _inputs, output: Tensor) -> None:
+        sides[name] = output.mean((0, 2, 3)), output.var((0, 2, 3))
+
+    return keep
 
 
 def _twice(x: Tensor) -> Tensor:

@@ -71,7 +71,7 @@ def cameras_by_name(view: LiveView, wanted: int | str | Path | FrameSource | Non
     cameras: dict[str, FrameSource] = {
         BROWSER: BrowserCamera(view),
         KERNEL: KernelCamera(0),
-        SAMPLE: KernelCamera(sample("performance")),
+        SAMPLE: KernelCamera(sample("laugh")),
     }
     if wanted is None:
         return cameras

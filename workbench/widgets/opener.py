@@ -40,7 +40,8 @@ def sample_choices() -> dict[str, Wanted]:
     known_lens = preset(DEFAULT_PRESET).changed(camera={"fov_deg": 33.0})
     return {
         "sample portrait": Wanted(sample("astronaut"), sample("astronaut-landmarks")),
-        "sample clip": Wanted(sample("performance"), sample("performance-landmarks"), known_lens),
+        "sample clip": Wanted(sample("laugh"), sample("laugh-landmarks"), known_lens),
+        "sample glasses": Wanted(sample("glasses"), sample("glasses-landmarks"), known_lens),
         "sample speech": Wanted(sample("speech-landmarks")),
     }
 

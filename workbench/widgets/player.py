@@ -9,7 +9,7 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.export.clip import RATE_OF_IMAGES, check_model
-from workbench.face import FaceModel
+from workbench.face import DressedHead, FaceModel
 from workbench.frames import Frames
 from workbench.pictures.overlay import draw_overlay
 from workbench.session import FittedHead
@@ -27,8 +27,8 @@ class AvatarPlayer(widgets.VBox):
     """Play, stop and a slider over the frames; the head can be turned with the mouse while it plays.
 
     The browser keeps the time; a kernel that cannot keep up skips frames instead of lagging behind. With `pictures`,
-    the input with its fit is shown next to the head. Raises `InputError` for a model other than the track's and for a
-    track without frames.
+    the input with its fit is shown next to the head; `dressed` shows the default head as a character. Raises
+    `InputError` for a model other than the track's and for a track without frames.
     """
 
     def __init__(
@@ -38,6 +38,7 @@ class AvatarPlayer(widgets.VBox):
         pictures: Frames | None = None,
         height_px: int = HEIGHT_PX,
         backend: str = "auto",
+        dressed: DressedHead | None = None,
     ) -> None:
         self._worker = self.view = None
         check_model(track, model)
@@ -48,7 +49,7 @@ class AvatarPlayer(widgets.VBox):
         self._store = (
             None if pictures is None else PictureStore(pictures, [tuple(s) for s in track.image_size.tolist()])
         )
-        self.view = make_head_view(model, (height_px, height_px), backend)
+        self.view = make_head_view(model, (height_px, height_px), backend, dressed)
         last = len(track) - 1
         rate = float(track.meta.get("rate") or RATE_OF_IMAGES)
         self.play = widgets.Play(min=0, max=last, interval=max(1, round(1000.0 / rate)), show_repeat=True)
@@ -86,7 +87,7 @@ class AvatarPlayer(widgets.VBox):
                 self.image.value = jpeg(_low(draw_overlay(self._store[fit.index], fit), self._height))
             if fit.found:
                 self.view.set_pose(fit.rotation, fit.translation, fit.camera, fit.image_size)
-                self.view.set_vertices(self._head.vertices(fit))
+                self.view.set_vertices(self._head.vertices(fit), self._head.personal(fit.identity).neutral)
             angles = (
                 "no face" if not fit.found else "yaw {:+.0f}°, pitch {:+.0f}°, roll {:+.0f}°".format(*fit.angles_deg)
             )

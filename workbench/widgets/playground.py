@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 
 from workbench.config import DEFAULT_PRESET, FACE_IT_PRESETS, Config, preset
 from workbench.errors import WorkbenchError
-from workbench.face import FaceModel
+from workbench.face import DressedHead, FaceModel
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures import HeadPanel, draw_overlay, side_by_side
 from workbench.pictures.overlay import OverlayParts
@@ -69,7 +69,7 @@ class FitPlayground(widgets.VBox):
     """Sliders on one photo: every move re-fits it and shows the overlay, the 3D head and the error.
 
     Callbacks may come from any thread, as in JupyterLab: one lock guards the tracker, and the head is drawn in its own
-    thread. `fit` and `config` hold the latest result.
+    thread. `fit` and `config` hold the latest result; `dressed` shows the default head as a character.
     """
 
     def __init__(
@@ -78,6 +78,7 @@ class FitPlayground(widgets.VBox):
         landmarks: Landmarks2D,
         model: FaceModel,
         config: Config | None = None,
+        dressed: DressedHead | None = None,
     ) -> None:
         config = preset(DEFAULT_PRESET) if config is None else config
         self._picture, self._model, self._base = picture, model, config
@@ -85,7 +86,7 @@ class FitPlayground(widgets.VBox):
         self._lock = threading.RLock()
         self._quiet = False
         self._tracker = FaceTracker(model, config, stills=True)
-        self._panel = HeadPanel(model, (SIDE_PX, SIDE_PX))
+        self._panel = HeadPanel(model, (SIDE_PX, SIDE_PX), dressed=dressed)
         self.config, self.fit = config, None
         self.preset = widgets.Dropdown(
             options=list(FACE_IT_PRESETS),

@@ -1,0 +1,124 @@
+"""Learning: gradients through the solver against differences, what has none, parts, bootstrap, and what is stored."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from workbench.config import config_toml, preset
+from workbench.errors import ConfigError, InputError
+from workbench.face import load_default_head
+from workbench.learning.chain import fitted_stretch
+from workbench.learning.descent import begin, store, stored
+from workbench.learning.examples import example_of, stretches_in
+from workbench.learning.learnable import learned, start_of, weighing_of
+from workbench.learning.parts import parts_of_clip, read_frames
+from workbench.learning.report import change_of
+from workbench.planning import plan_of
+from workbench.samples import sample
+from workbench.sweeps import ClipSolver
+from workbench.sweeps.stored_clips import ClipSource, observe
+
+CONFIG = preset("joint").changed(camera={"fov_deg": 33.0})
+STEP = 1e-4
+
+
+@pytest.fixture(scope="module")
+def clip():
+    source = ClipSource(str(sample("performance")), str(sample("performance-landmarks")))
+    return observe(source, CONFIG, load_default_head(), "clip")
+
+
+def test_the_gradient_is_that_of_differences_with_bounds_active_and_through_time(clip):
+    solver, plan = ClipSolver(load_default_head()), plan_of(CONFIG)
+    example = example_of(solver, CONFIG, clip, range(40, 44))
+    stretch = jax.tree.map(lambda leaf: leaf[0], example.stretches)
+    camera = plan.camera.of(clip.observations[0].image_size)
+    logs = start_of(CONFIG, ["weights.tau", "weights.sigma_smooth", "landmarks.weights"])
+    towards = np.random.default_rng(0).normal(size=51)
+
+    @jax.jit
+    def last_frame(logs):
+        fits = fitted_stretch(plan.stages, plan.terms, weighing_of(CONFIG, logs, camera), stretch)
+        return fits.projected[-1].mean() + fits.parameters.expression[-1] @ towards[:44], fits.parameters.expression
+
+    slope, weights = jax.jit(jax.grad(last_frame, has_aux=True))({path: jnp.array(log) for path, log in logs.items()})
+    assert (np.asarray(weights[-1]) == 0.0).sum() > 5
+    for path, point in (("weights.tau", 0), ("weights.sigma_smooth", 0), ("landmarks.weights", 60)):
+        moved = [{name: log.copy() for name, log in logs.items()} for _ in range(2)]
+        moved[0][path][point] += STEP
+        moved[1][path][point] -= STEP
+        difference = (last_frame(moved[0])[0] - last_frame(moved[1])[0]) / (2.0 * STEP)
+        np.testing.assert_allclose(slope[path][point], difference, rtol=1e-4, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("config", "path", "said"),
+    [
+        (preset("face-it"), "weights.tau", "step or a kink"),
+        (preset("deep"), "weights.tau", "FACE IT!'s"),
+        (CONFIG, "solver.tolerance", "has no gradient"),
+        (CONFIG, "weights.range", "is 0"),
+    ],
+)
+def test_what_has_no_gradient_is_said(config, path, said):
+    with pytest.raises(ConfigError, match=said):
+        start_of(config, [path])
+
+
+def test_learned_factors_scale_what_was_there():
+    found = learned(CONFIG, {"weights.tau": np.log([2.0]), "landmarks.weights": np.log(np.full(68, 0.5))})
+    assert found.weights.tau == pytest.approx(2.0 * CONFIG.weights.tau)
+    assert found.point_weights() == [0.5] * 68
+
+
+def test_parts_of_a_clip_do_not_overlap():
+    usual = parts_of_clip(100)
+    assert [len(part) for part in usual.named.values()] == [60, 20, 20]
+    assert parts_of_clip(400, read_frames("0:300"), None, read_frames("300:400")).watch is None
+    with pytest.raises(InputError, match="share frame 250"):
+        parts_of_clip(400, range(300), None, range(250, 400))
+    with pytest.raises(InputError, match="the clip has 0:100"):
+        parts_of_clip(100, range(50), None, range(60, 120))
+    with pytest.raises(InputError, match="reports"):
+        parts_of_clip(100, range(50))
+    with pytest.raises(ConfigError, match="FIRST:END"):
+        read_frames("5:5")
+
+
+def test_the_interval_of_a_change_holds_it():
+    before = np.abs(np.random.default_rng(0).normal(2.0, 0.3, 200))
+    change = change_of(before, 0.8 * before)
+    assert change.percent == pytest.approx(-20.0, abs=0.01)
+    assert change.low <= change.percent <= change.high
+    nothing = change_of(before, np.random.default_rng(1).permutation(before))
+    assert nothing.low < 0.0 < nothing.high
+
+
+def test_stretches_neither_cross_cuts_nor_gaps(clip):
+    observations = list(clip.observations[:40])
+    observations[5] = replace(observations[5], cut=True)
+    observations[20] = replace(observations[20], landmarks=None)
+    torn = replace(clip, observations=tuple(observations))
+    assert stretches_in(torn, range(40), 12) == [range(5, 17), range(21, 33)]
+    with pytest.raises(InputError, match="no 12 in a row"):
+        stretches_in(torn, range(10, 25), 12)
+
+
+def test_a_learning_is_stored_and_taken_up_only_for_the_same_thing(tmp_path):
+    begun = begin("key", {"weights.tau": np.zeros(1)}, 2.5)
+    store(begun, tmp_path / "a.json")
+    assert stored(tmp_path / "a.json", "key") == begun
+    with pytest.raises(InputError, match="another configuration"):
+        stored(tmp_path / "a.json", "other")
+    (tmp_path / "a.json").write_text("{}")
+    with pytest.raises(InputError, match="not a stored learning"):
+        stored(tmp_path / "a.json", "key")
+
+
+def test_a_configuration_says_what_it_was_tuned_on():
+    found = CONFIG.changed(provenance={"objective": "jitter", "parts": {"train": "0:300"}, "learned": ["weights.tau"]})
+    assert 'objective = "jitter"' in config_toml(found)
+    assert "objective" not in config_toml(CONFIG.changed(provenance={"exported": "now"}))

@@ -1,0 +1,434 @@
+"""Sweeps: the tracker's numbers many at once, each result stored once, and what goes wrong told in a sentence."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+from matplotlib import image
+
+from tests.short_clips import observations, write_clip
+from tests.test_nothing_lost import small_disk
+from workbench.config import preset, read_config
+from workbench.errors import ConfigError, InputError, OutputError
+from workbench.objectives import folds_of
+from workbench.session import Material, TuningSession
+from workbench.session.material import PictureStore
+from workbench.sweeps import (
+    ClipSolver,
+    Sweep,
+    SweptClip,
+    chosen_windows,
+    read_axis,
+    run_sweep,
+    sources_of,
+    workers_for,
+    write_outcome,
+)
+from workbench.sweeps import sweep as sweep_module
+from workbench.sweeps.solving import FRAMES
+from workbench.sweeps.storage import Storage
+from workbench.sweeps.tasks import FitTask
+from workbench.sweeps.workers import ThisProcess
+
+FOV = {"camera": {"fov_deg": 33.0}}
+FACE_IT = preset("face-it").changed(**FOV)
+TAU = "weights.tau=log(1e-2,10,4)"
+NAMES = ("rotation", "translation", "expression", "projected", "iterations")
+
+
+@pytest.fixture(scope="module")
+def solver(head):
+    return ClipSolver(head)
+
+
+def swept(frames, gaps=(), cuts=()):
+    return SweptClip("clip", f"{frames}{gaps}{cuts}", tuple(observations(frames, gaps, cuts)), False)
+
+
+@pytest.mark.parametrize("name", ["joint", "face-it", "calibrated"])
+def test_fits_are_those_of_the_tracker_to_the_last_bit(solver, head, name):
+    # A gap, a cut, a jump to another pose, and more frames than a block.
+    clip = swept([*range(20), *range(100, 122)], gaps=(5, 6), cuts=(12,))
+    assert len(clip.observations) > FRAMES
+    config = preset(name).changed(**FOV)
+    sizes = [observation.image_size for observation in clip.observations]
+    session = TuningSession(head, Material("clip", clip.observations, PictureStore(None, sizes), False), config)
+    track = session.track
+    (fits,) = solver.fits([config], clip, clip.shots)
+    for part in NAMES[:4]:
+        np.testing.assert_array_equal(getattr(fits, part), getattr(track, part))
+    np.testing.assert_array_equal(fits.iterations[track.found], track.iterations[track.found].sum(1))
+    assert np.isnan(fits.iterations[[5, 6]]).all()
+
+
+def test_fits_do_not_depend_on_what_else_is_solved_with_them(solver):
+    clip = swept(range(0, 60, 2))
+    configs = [FACE_IT.changed(weights={"tau": float(tau)}) for tau in np.geomspace(1e-3, 10, 21)]
+    together = solver.fits(configs, clip, clip.shots)
+    for number in (0, 7, 20):
+        (alone,) = solver.fits([configs[number]], clip, clip.shots)
+        for part in NAMES:
+            np.testing.assert_array_equal(getattr(alone, part), getattr(together[number], part))
+    assert np.abs(together[0].rotation - together[20].rotation).max() > 1e-4
+
+
+def test_a_run_inside_a_shot_starts_afresh_with_the_shots_identity(solver):
+    clip = swept(range(30))
+    config = preset("joint").changed(**FOV)
+    (whole,) = solver.fits([config], clip, clip.shots)
+    (part,) = solver.fits([config], clip, [range(10, 20)])
+    assert len(part.rotation) == 10
+    np.testing.assert_allclose(part.projected, whole.projected[10:20], atol=2.0)
+
+
+@pytest.mark.parametrize("name", ["joint", "face-it"])
+def test_what_a_fold_hides_has_no_effect_on_its_fits(solver, name):
+    clip = swept(range(9))
+    hidden = folds_of(("points",), 9)[1:]
+    moved = []
+    for observation in clip.observations:
+        points = observation.landmarks.points + np.where(hidden[0, 0], 0.8, 0.0)[:, None]
+        face = type(observation.landmarks)(points, observation.landmarks.confidence, observation.image_size)
+        moved.append(type(observation)(observation.index, face, observation.image_size))
+    other = SweptClip("clip", "moved", tuple(moved), False)
+    config = preset(name).changed(**FOV)
+    (before,), (after,) = (solver.fits([config], each, each.shots, ("points",)) for each in (clip, other))
+    np.testing.assert_array_equal(before.folds["points"][0], after.folds["points"][0])
+    assert np.abs(before.folds["points"][1] - after.folds["points"][1]).max() > 0.01
+
+
+def test_hidden_frames_are_not_seen_either(solver):
+    clip = swept(range(9))
+    (fits,) = solver.fits([FACE_IT], clip, clip.shots, ("points", "frames"))
+    assert fits.folds["points"].shape == (5, 9, 68, 2)
+    assert fits.folds["frames"].shape == (3, 9, 68, 2)
+    # A hidden frame keeps the pose of the one before, which its neighbour's prediction does not look at.
+    assert np.isfinite(fits.folds["frames"]).all()
+
+
+def plan(*clips, axes=(TAU,), objectives=("error", "jitter"), base=FACE_IT, **more):
+    return Sweep(
+        sources_of([str(clip) for clip in clips]), tuple(map(read_axis, axes)), base, objectives=objectives, **more
+    )
+
+
+class Counting(ThisProcess):
+    """This process, with the fits that were made."""
+
+    def __init__(self):
+        self.fits = 0
+
+    def results(self, tasks):
+        for number, result in super().results(tasks):
+            if isinstance(tasks[number], FitTask) and isinstance(result, int):
+                self.fits += result
+            yield number, result
+
+
+def do(sweep, folder, **options):
+    workers = Counting()
+    return run_sweep(sweep, folder, workers, **options), workers.fits
+
+
+def same(one, other):
+    assert one.values.keys() == other.values.keys()
+    for key, values in one.values.items():
+        np.testing.assert_array_equal(values, other.values[key])
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("clips")
+    return [write_clip(folder / f"{name}.csv", range(first, first + 12)) for name, first in (("one", 0), ("two", 60))]
+
+
+@pytest.fixture(scope="module")
+def done(clips, tmp_path_factory):
+    """A finished sweep over two clips, and its folder."""
+    folder = tmp_path_factory.mktemp("sweep")
+    return do(plan(*clips), folder)[0], folder
+
+
+def test_a_sweep_has_a_number_a_frame_for_every_point_and_clip(done):
+    result, _ = done
+    assert result.clips == ("one", "two")
+    assert set(result.values) == {(number, clip) for number in range(4) for clip in ("one", "two")}
+    assert all(values.shape == (2, 12) for values in result.values.values())
+    assert result.means("jitter")[3] < result.means("jitter")[0]
+    assert result.best("jitter") == int(np.argmin(result.means("jitter")))
+    assert result.steadiest() is not None
+    assert result.best("error") in result.pareto()
+
+
+def test_nothing_is_done_twice_and_points_can_be_added(done, clips, tmp_path):
+    result, folder = done
+    with pytest.raises(OutputError, match="holds a sweep; go on with it by --resume"):
+        do(plan(*clips), folder)
+    again, fits = do(plan(*clips), folder, resume=True)
+    assert fits == 0
+    same(result, again)
+    more, fits = do(plan(*clips, axes=["weights.tau=log(1e-2,10,7)"]), folder, resume=True)
+    assert fits == 3 * 2 * 12
+    np.testing.assert_array_equal(more.values[2, "two"], result.values[1, "two"])
+
+
+def test_a_torn_result_is_recognised_and_made_again(done, clips):
+    result, folder = done
+    more = plan(*clips, axes=["weights.tau=log(1e-2,10,7)"])
+    do(more, folder, resume=True)
+    files = sorted((folder / "results").rglob("*.npz"))
+    whole = files[0].read_bytes()
+    files[0].write_bytes(whole[: len(whole) // 2])
+    files[1].write_bytes(b"")
+    damaged = bytearray(files[2].read_bytes())
+    damaged[-5] ^= 1
+    files[2].write_bytes(damaged)
+    clip = next((folder / "clips").glob("*.npz"))
+    clip.write_bytes(clip.read_bytes()[:-9])
+    _, fits = do(more, folder, resume=True)
+    assert fits == 3 * 12
+    same(result, do(plan(*clips), folder, resume=True)[0])
+    assert files[0].read_bytes() == whole
+
+
+def test_an_interrupted_sweep_goes_on_with_the_same_bits(done, clips, tmp_path, monkeypatch):
+    monkeypatch.setattr(sweep_module, "FITS", 12)
+
+    def stop(step, done, total):
+        if step == "fits" and done >= 36:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        do(plan(*clips), tmp_path / "s", progress=stop)
+    result, fits = do(plan(*clips), tmp_path / "s", resume=True)
+    assert fits == 4 * 2 * 12 - 36
+    same(done[0], result)
+
+
+def test_a_sweep_is_the_same_by_url(done, clips, tmp_path):
+    urls = plan(*[clip.as_uri() for clip in clips])
+    result, _ = do(urls, (tmp_path / "s").as_uri())
+    same(done[0], result)
+    names = write_outcome(result, (tmp_path / "s").as_uri())
+    assert {"table.csv", "best.toml"} <= set(names)
+    assert all((tmp_path / "s" / name).stat().st_size for name in names)
+    assert not list((tmp_path / "s").rglob("*partial*"))
+
+
+def test_a_clip_without_faces_or_files_is_told_and_the_rest_goes_on(done, clips, tmp_path):
+    empty = write_clip(tmp_path / "empty.csv", range(4), faceless=True)
+    broken = tmp_path / "broken.csv"
+    broken.write_text("frame,width\n0,nonsense\n")
+    result, _ = do(plan(clips[0], empty, broken, tmp_path / "absent.mp4"), tmp_path / "s")
+    assert result.clips == ("one",)
+    assert set(result.failures) == {"empty", "broken", "absent"}
+    assert "has no face in any frame" in result.failures["empty"]
+    assert all("\n" not in reason for reason in result.failures.values())
+    np.testing.assert_array_equal(result.values[0, "one"], done[0].values[0, "one"])
+    with pytest.raises(InputError, match=r"None of the clips can be used: .*no face in any frame"):
+        do(plan(empty), tmp_path / "t")
+
+
+def test_a_full_disk_ends_a_sweep_in_a_sentence_and_what_was_done_stays(done, clips, tmp_path):
+    do(plan(clips[0], axes=["weights.tau=0.01,0.1"]), tmp_path / "s")
+    with (
+        small_disk(300),
+        pytest.raises(OutputError, match=r"cannot be written .*--resume goes on from there") as caught,
+    ):
+        _full(plan(*clips), tmp_path / "s")
+    assert "\n" not in str(caught.value)
+    result, fits = do(plan(*clips), tmp_path / "s", resume=True)
+    assert fits == 72
+    same(done[0], result)
+
+
+def _full(sweep, folder):
+    # The definition is there already; it is the landmarks of the second clip that find no room.
+    original = sweep_module._claim
+    try:
+        sweep_module._claim = lambda *given: None
+        do(sweep, folder, resume=True)
+    finally:
+        sweep_module._claim = original
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"axes": ["weights.tua=1,2"]}, "did you mean 'tau'"),
+        ({"axes": ["landmarks.detector=dlib,network"]}, "landmarks are found once"),
+        ({"objectives": ("eror",)}, "no objective 'eror'"),
+        ({"axes": ["preset=deep,joint"]}, "Deep Energies renders"),
+        ({"frames": 0}, "at least one frame"),
+    ],
+)
+def test_what_cannot_be_swept_is_told_before_anything_is_done(clips, tmp_path, changes, said):
+    with pytest.raises(ConfigError, match=said):
+        do(plan(*clips, **changes), tmp_path / "s")
+
+
+def test_an_objective_that_a_clip_cannot_have_is_told(clips, tmp_path):
+    result, _ = do(plan(clips[0], objectives=("error", "rotation")), tmp_path / "s")
+    assert "needs the true rotation of the head (--truth)" in result.failures["one"]
+    assert not result.values
+
+
+def test_the_tables_hold_settings_means_and_quartiles(done, tmp_path):
+    from pyarrow import parquet
+
+    result, _ = done
+    names = write_outcome(result, tmp_path)
+    with (tmp_path / "table.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 8
+    first = result.values[0, "one"][0]
+    assert float(rows[0]["error"]) == pytest.approx(first.mean())
+    assert float(rows[0]["error_p75"]) == pytest.approx(np.percentile(first, 75))
+    assert [row["weights.tau"] for row in rows[::2]] == ["0.01", "0.1", "1", "10"]
+    table = parquet.read_table(tmp_path / "table.parquet").to_pydict()
+    assert table["clip"] == ["one", "two"] * 4
+    assert table["error"] == pytest.approx([float(row["error"]) for row in rows])
+    best = read_config(tmp_path / "best.toml")
+    assert best.weights.tau == result.config(result.best("error")).weights.tau
+    assert best.provenance.after["error"] == pytest.approx(result.means("error").min())
+    for name in names:
+        if name.endswith(".png"):
+            assert image.imread(tmp_path / name).shape[1] == 800
+
+
+def test_figures_of_two_settings_words_and_samples(clips, tmp_path):
+    axes, objectives = ["weights.tau=0.01,1.0", "solver.bounded=true,false"], ("error", "jitter", "iterations")
+    two = plan(clips[0], axes=axes, objectives=objectives)
+    result, _ = do(two, tmp_path / "s")
+    assert set(write_outcome(result, tmp_path / "s")) >= {
+        "map.png", "parallel.png", "pareto.png", "curve-weights.tau.png", "curve-solver.bounded.png"
+    }  # fmt: skip
+    from workbench.sweeps import Sampling
+
+    result, _ = do(plan(clips[0], axes=["weights.tau=log(0.01,1)", "weights.range=log(0.1,10)"],
+                         sampling=Sampling("sobol", 4)), tmp_path / "t")  # fmt: skip
+    assert "map.png" not in write_outcome(result, tmp_path / "t")
+
+
+def test_mixed_values_go_into_parquet_as_text(clips, tmp_path):
+    from pyarrow import parquet
+
+    result, _ = do(plan(clips[0], axes=["landmarks.weights=[{}, {mouth=2.0}]"]), tmp_path / "s")
+    write_outcome(result, tmp_path / "s")
+    assert parquet.read_table(tmp_path / "s" / "table.parquet").to_pydict()["landmarks.weights"] == [
+        "{}",
+        "{'mouth': 2.0}",
+    ]
+
+
+def test_storage_reads_only_what_was_written_whole(tmp_path):
+    storage = Storage(str(tmp_path))
+    storage.write("a/b", b"content")
+    assert storage.read("a/b") == b"content"
+    assert storage.read("a/c") is None
+    (tmp_path / "a" / "b").write_bytes(b"content")
+    assert storage.read("a/b") is None
+    with pytest.raises(OutputError, match="check the address"):
+        Storage("nonsense://x").write("a", b"")
+
+
+class TestTheCommand:
+    def test_it_measures_prints_the_best_and_writes(self, run, clips, tmp_path):
+        measured = ["--objective", "error", "--objective", "jitter", "--best", "error + 2*jitter"]
+        where = ["--set", TAU, "--out", str(tmp_path / "s")]
+        code, out, err = run("sweep", str(clips[0]), "--preset", "face-it", *measured, *where)
+        assert (code, err) == (0, "")
+        assert "error + 2*jitter" in out
+        assert "jitter at equal error" in out
+        assert "table.csv" in out
+        assert json.loads(Storage(str(tmp_path / "s")).read("sweep.json"))["objectives"] == ["error", "jitter"]
+
+    @pytest.mark.parametrize(
+        ("arguments", "said"),
+        [
+            (["--set", "weights.tua=1,2"], "did you mean 'tau'"),
+            (["--set", "weights.tau=log(3,1,5)"], "the range is empty"),
+            (["--set", TAU, "--objective", "eror"], "no objective"),
+            (["--set", TAU, "--sample", "sobol"], "sobol:64"),
+            (["--set", TAU, "--backend", "threads"], "auto, pool or dask"),
+            (["--set", TAU, "--truth", "a.npz", "--truth", "b.npz"], "1 clips and 2 truths"),
+            (["--set", TAU, "--config", "a.toml", "--preset", "joint"], "not both"),
+        ],
+    )
+    def test_what_is_wrong_is_one_sentence_and_exit_code_2(self, run, clips, tmp_path, arguments, said):
+        code, _, err = run("sweep", str(clips[0]), "--out", str(tmp_path / "s"), *arguments)
+        assert code == 2
+        assert said in err
+        assert len(err.strip().splitlines()) == 1
+
+    def test_no_face_at_all_is_exit_code_2_and_a_bad_clip_among_others_1(self, run, clips, tmp_path):
+        empty = str(write_clip(tmp_path / "empty.csv", range(4), faceless=True))
+        given = ["--preset", "face-it", "--set", "weights.tau=0.01,1", "--objective", "error"]
+        code, _, err = run("sweep", empty, *given, "--out", str(tmp_path / "s"))
+        assert code == 2
+        assert "no face in any frame" in err
+        code, out, err = run("sweep", str(clips[0]), empty, *given, "--out", str(tmp_path / "t"))
+        assert code == 1
+        assert "no face in any frame" in err
+        assert "table.csv" in out
+
+    def test_the_objectives_are_listed_with_what_they_cannot_see(self, run):
+        code, out, _ = run("sweep", "--objective", "list")
+        assert code == 0
+        assert "left-out-points" in out
+        assert re.search(r"what it cannot\s+see", out)
+
+
+def test_windows_of_a_budget_are_what_is_measured(clips, tmp_path):
+    long = write_clip(tmp_path / "long.csv", range(0, 120))
+    result, fits = do(plan(long, frames=40, axes=["weights.tau=0.1"]), tmp_path / "s")
+    assert fits == 40
+    assert result.values[0, "long"].shape == (2, 40)
+    # Two runs of twenty: neither of their first two frames has two frames before it.
+    assert np.flatnonzero(np.isnan(result.values[0, "long"][1])).tolist() == [0, 1, 20, 21]
+    assert len(chosen_windows([range(120)], 40)) == 2
+
+
+def test_workers_without_a_scheduler_are_this_process_or_a_pool():
+    assert isinstance(workers_for(1), ThisProcess)
+    with pytest.raises(ConfigError, match="a pool has none"):
+        workers_for(2, "tcp://nowhere:1", "pool")
+
+
+def session_of(head, frames):
+    sizes = [frame.image_size for frame in frames]
+    return TuningSession(head, Material("clip", tuple(frames), PictureStore(None, sizes), False), FACE_IT)
+
+
+class TestInASession:
+    def test_it_finds_what_the_command_finds_and_grows(self, head, done, monkeypatch):
+        session = session_of(head, observations(range(12)))
+        monkeypatch.setattr(sweep_module, "FITS", 12)
+        grown = []
+        result = session.sweep(TAU, objectives=("error", "jitter"), grown=grown.append)
+        assert [len(part.values) for part in grown] == [1, 2, 3, 4]
+        for number in range(4):
+            np.testing.assert_array_equal(result.values[number, "clip"], done[0].values[number, "one"])
+        assert np.isnan(grown[0].means("error")).tolist() == [False, True, True, True]
+
+    def test_a_point_can_be_taken_and_undone(self, head):
+        session = session_of(head, observations(range(12)))
+        before = session.config
+        result = session.sweep(TAU, objectives=("error",))
+        session.use(result.config(2), "sweep")
+        assert session.config.weights.tau == pytest.approx(1.0)
+        session.undo()
+        assert session.config == before
+
+    def test_it_stops_and_keeps_what_was_done(self, head, monkeypatch):
+        session = session_of(head, observations(range(12)))
+        monkeypatch.setattr(sweep_module, "FITS", 12)
+        asked = iter([False, False, True])
+        result = session.sweep(TAU, objectives=("error",), cancelled=lambda: next(asked))
+        assert len(result.values) == 2
+
+    def test_without_a_face_it_says_so(self, head):
+        with pytest.raises(InputError, match="clip has no face in any frame"):
+            session_of(head, observations(range(2), gaps=(0, 1))).sweep(TAU)

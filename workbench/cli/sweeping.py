@@ -1,0 +1,133 @@
+"""`workbench sweep`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import workbench
+from workbench.cli import screen
+from workbench.config import DEFAULT_PRESET, preset, read_config
+from workbench.errors import ConfigError
+
+SWEEP_HELP = """Try many settings on many clips at once, and see which are best.
+
+[bold]Examples[/bold]
+
+  workbench sweep talk.mp4 --set "weights.tau=log(1e-3,10,13)"
+
+  workbench sweep talk.mp4 --set "weights.tau=log(1e-3,10,9)" --set "weights.range=log(0.01,100,9)" --frames 200
+
+  workbench sweep a.mp4 b.mp4 --set "preset=joint,calibrated,face-it" --workers 2
+
+  workbench sweep a.csv --set "weights.tau=log(1e-3,10)" --set "camera.fov_deg=lin(25,65)" --sample sobol:64
+
+  workbench sweep a.csv --set "stages.pose and expression.limit=1..30" --objective error --objective jitter
+
+  workbench sweep s3://films/a.mp4 --set "weights.tau=log(1e-3,10,13)" --out s3://films/sweep --scheduler tcp://host:8786
+
+  workbench sweep talk.mp4 --set "weights.tau=log(1e-3,10,13)" --resume
+"""
+INPUT, SPACE, RUNNING, RESULTS = "Input", "Space", "Running", "Results"
+SET_HELP = "A setting and its values: log(A,B,N), lin(A,B,N), 1..30, or a list. May be given more than once."
+SAMPLE_HELP = "How points are chosen: grid, random:N or sobol:N."
+OBJECTIVE_HELP = "What is measured; may be given more than once (`--objective list` names all)."
+FRAMES_HELP = "Budget of frames in each clip, in short runs spread over it (default: all)."
+TRUTH_HELP = "What is known of a clip (.npz, a track, a landmark file); one for each clip, in order."
+LANDMARKS_HELP = "Landmark file instead of a detector; one for each clip, in order."
+WORKERS_HELP = "Processes on this machine: a Dask cluster where it is installed, else a pool."
+SCHEDULER_HELP = "Address of a Dask scheduler, as tcp://host:8786; paths must be the same on its workers."
+BACKEND_HELP = "Who runs the processes: auto, pool or dask."
+OUT_HELP = "Folder or URL for the results (default: out/sweep-NAME)."
+RESUME_HELP = "Go on with an interrupted sweep, or add points to one."
+BEST_HELP = "Objective or sum that the best point has least of, as 'jitter + 0.5*error' (default: the first objective)."
+
+
+def sweep(
+    clips: Annotated[list[str] | None, typer.Argument(help="Videos, photos or landmark files, by path or URL.")] = None,
+    landmarks: Annotated[list[str] | None, typer.Option(help=LANDMARKS_HELP, rich_help_panel=INPUT)] = None,
+    truth: Annotated[list[str] | None, typer.Option(help=TRUTH_HELP, rich_help_panel=INPUT)] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help=FRAMES_HELP, rich_help_panel=INPUT)] = None,
+    stills: Annotated[bool, typer.Option("--stills", help="Unrelated photos.", rich_help_panel=INPUT)] = False,
+    settings: Annotated[list[str] | None, typer.Option("--set", help=SET_HELP, rich_help_panel=SPACE)] = None,
+    sample: Annotated[str | None, typer.Option(help=SAMPLE_HELP, rich_help_panel=SPACE)] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the samples.", rich_help_panel=SPACE)] = 0,
+    preset_name: Annotated[str | None, typer.Option("--preset", help="Preset that all points start from.",
+                                                    rich_help_panel=SPACE)] = None,
+    config: Annotated[Path | None, typer.Option(help="Configuration that all points start from.",
+                                                rich_help_panel=SPACE)] = None,
+    model: Annotated[str, typer.Option(help="Face model by path or URL.", rich_help_panel=SPACE)] = "",
+    objective: Annotated[list[str] | None, typer.Option(help=OBJECTIVE_HELP, rich_help_panel=RESULTS)] = None,
+    best: Annotated[str | None, typer.Option(help=BEST_HELP, rich_help_panel=RESULTS)] = None,
+    out: Annotated[str | None, typer.Option(help=OUT_HELP, rich_help_panel=RESULTS)] = None,
+    resume: Annotated[bool, typer.Option("--resume", help=RESUME_HELP, rich_help_panel=RESULTS)] = False,
+    workers: Annotated[int, typer.Option(min=1, max=1024, help=WORKERS_HELP, rich_help_panel=RUNNING)] = 1,
+    scheduler: Annotated[str | None, typer.Option(help=SCHEDULER_HELP, rich_help_panel=RUNNING)] = None,
+    backend: Annotated[str, typer.Option(help=BACKEND_HELP, rich_help_panel=RUNNING)] = "auto",
+) -> None:  # fmt: skip
+    """Sweep settings over clips."""
+    objectives = tuple(objective or ())
+    if "list" in objectives:
+        _list_objectives()
+        return
+    if config is not None and preset_name is not None:
+        raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
+    if backend not in ("auto", "pool", "dask"):
+        raise ConfigError(f"--backend is auto, pool or dask, got {backend!r}.")
+    sweeps = workbench.sweeps
+    wanted = sweeps.Sweep(
+        sources=sweeps.sources_of(clips or [], landmarks or [], truth or [], stills),
+        axes=tuple(sweeps.read_axis(text) for text in settings or []),
+        base=read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET),
+        sampling=sweeps.read_sampling(sample, seed),
+        objectives=objectives or sweeps.USUAL_OBJECTIVES,
+        frames=frames,
+        model=model,
+    )
+    least = workbench.objectives.read_sum(best) if best else None
+    wanted.checked()
+    place = out or str(Path("out") / f"sweep-{wanted.names[0]}")
+    staff = sweeps.workers_for(workers, scheduler, backend)
+    try:
+        if staff.said:
+            screen.console.print(staff.said, soft_wrap=True)
+        with screen.progress_bar("frames/s") as progress:
+            result = sweeps.run_sweep(wanted, place, staff, resume, progress)
+        written = sweeps.write_outcome(result, place, least)
+    except KeyboardInterrupt:
+        screen.errors.print("[yellow]interrupted[/yellow]: finished results are kept; --resume continues from there")
+        raise typer.Exit(130) from None
+    finally:
+        staff.close()
+    _print(result, least)
+    screen.console.print(f"\n{', '.join(written)} in {place}", soft_wrap=True)
+    for clip, reason in result.failures.items():
+        screen.print_error(f"{clip}: {reason}")
+    if result.failures:
+        raise typer.Exit(1)
+
+
+def _list_objectives() -> None:
+    table = screen.table("objective", "what it measures", "what it cannot see", whole=("objective",))
+    for name, row in workbench.objectives.TABLE.items():
+        table.add_row(name, f"{row.says}{', ' if row.unit else ''}{row.unit}", row.blind)
+    screen.console.print(table)
+
+
+def _print(result, least) -> None:
+    """The best point of each objective, and of the sum if one was asked for."""
+    table = screen.table("least", "is", "point", "settings", right=("is", "point"))
+    for name in result.objectives:
+        if (number := result.best(name)) is not None:
+            value = f"{result.means(name)[number]:.{workbench.objectives.TABLE[name].digits}f}"
+            table.add_row(name, value, str(number), _settings(result, number))
+    if least is not None and (number := result.best(least)) is not None:
+        table.add_row(str(least), "", str(number), _settings(result, number))
+    if (number := result.steadiest()) is not None:
+        value = f"{result.means('jitter')[number]:.3f}"
+        table.add_row("jitter at equal error", value, str(number), _settings(result, number))
+    screen.console.print(table)
+
+
+def _settings(result, number: int) -> str:
+    return str(result.points[number]) or "as configured"

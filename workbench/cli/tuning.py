@@ -1,0 +1,100 @@
+"""`workbench tune`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import workbench
+from workbench.cli import screen
+from workbench.config import DEFAULT_PRESET, differences, preset, read_config, write_config
+from workbench.errors import ConfigError, OutputError
+from workbench.files import check_not_inputs
+
+TUNE_HELP = """Let a clip choose settings: by gradients through the solver (--learn) or by search (--search).
+
+A part of the clip is learned on, one chooses the step to stop at, and one that nothing was chosen by reports.
+
+[bold]Examples[/bold]
+
+  workbench tune talk.mp4 --objective left-out-points --learn weights.sigma_smooth
+
+  workbench tune talk.mp4 --objective jitter+error --learn weights.tau --train 0:300 --held-out 300:400
+
+  workbench tune talk.csv --objective left-out-points --search "stages.pose and expression.limit=1..30" --trials 30
+
+  workbench tune talk.mp4 --objective left-out-points --learn weights.tau --resume
+
+Ctrl-C keeps the best so far. The result is a configuration: workbench track --config talk-learned.toml
+"""
+INPUT, TUNING, RESULTS = "Input", "Tuning", "Results"
+
+
+def tune(
+    clip: Annotated[str, typer.Argument(help="A video or a landmark file.")],
+    objective: Annotated[str, typer.Option(help="What to make least (`workbench sweep --objective list`), or a sum.")],
+    learn: Annotated[
+        list[str] | None, typer.Option(help="Setting with a gradient; may be repeated.", rich_help_panel=TUNING)
+    ] = None,
+    search: Annotated[
+        list[str] | None, typer.Option(help="Setting and values to search.", rich_help_panel=TUNING)
+    ] = None,
+    landmarks: Annotated[str, typer.Option(help="Landmark file instead of a detector.", rich_help_panel=INPUT)] = "",
+    truth: Annotated[str, typer.Option(help="What is known of the clip.", rich_help_panel=INPUT)] = "",
+    train: Annotated[str | None, typer.Option(help="Frames to learn on, FIRST:END.", rich_help_panel=INPUT)] = None,
+    watch: Annotated[str | None, typer.Option(help="Frames that choose the step.", rich_help_panel=INPUT)] = None,
+    held_out: Annotated[str | None, typer.Option(help="Frames that only report.", rich_help_panel=INPUT)] = None,
+    preset_name: Annotated[str | None, typer.Option("--preset", help="Preset to start from.")] = None,
+    config: Annotated[Path | None, typer.Option(help="Configuration to start from.")] = None,
+    model: Annotated[Path | None, typer.Option(help="Face model (default: the default head).")] = None,
+    steps: Annotated[int, typer.Option(min=1, max=1000, help="Steps of the gradient.", rich_help_panel=TUNING)] = 24,
+    trials: Annotated[int, typer.Option(min=1, max=10_000, help="Trials of a search.", rich_help_panel=TUNING)] = 40,
+    out: Annotated[Path | None, typer.Option(help="The result (default: NAME-learned.toml).")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted tuning.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier result.")] = False,
+) -> None:
+    """Tune settings on a clip."""
+    if config is not None and preset_name is not None:
+        raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
+    learning, sweeps = workbench.learning, workbench.sweeps
+    base = read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
+    sums = workbench.objectives.read_sum(objective)
+    path = out or Path(f"{Path(clip).stem}-learned.toml")
+    check_not_inputs([path], [Path(name) for name in (clip, landmarks, truth, config) if name])
+    if path.exists() and not (overwrite or resume):
+        raise OutputError(f"{path} exists already; name another (--out), or add --overwrite.")
+    head = workbench.load_default_head() if model is None else workbench.load_face_model(model)
+    parts = [None if text is None else learning.read_frames(text) for text in (train, watch, held_out)]
+    (source,) = sweeps.sources_of(
+        [clip], [landmarks] if landmarks else [], [truth] if truth else [], flow="flow" in sums.names
+    )
+    seen = learning.observed(source, base, head)
+    wanted = learning.Wanted(
+        objectives=sums,
+        parts=learning.parts_of_clip(len(seen.observations), *parts),
+        learn=tuple(learn or ()),
+        search=tuple(sweeps.read_axis(text) for text in search or ()),
+        steps=steps,
+        trials=trials,
+    )
+    with screen.progress_bar("steps/s") as progress:
+
+        def tell(what: str, done: int, total: int, value: float, watched: float | None) -> None:
+            progress(f"{what}: {value if watched is None else watched:.4g}", done, total)
+
+        found = learning.tuned(head, base, seen, wanted, tell, path, resume, learning.inputs_of(source))
+    write_config(found.config, path)
+    _print(found, path)
+
+
+def _print(found, path: Path) -> None:
+    table = screen.table("frames", "before", "after", right=("before", "after"))
+    for name, before in found.config.provenance.before.items():
+        table.add_row(name.replace("_", "-"), f"{before:.4g}", f"{found.config.provenance.after[name]:.4g}")
+    screen.console.print(table)
+    screen.console.print(f"held-out change, with its 95 % interval: {found.change}")
+    shown = [str(item) for item in differences(found.base, found.config)]
+    for line in shown[:8]:
+        screen.console.print(f"  {line}", markup=False, soft_wrap=True)
+    more = f" ({len(shown) - 8} more changes)" if len(shown) > 8 else ""
+    screen.console.print(f"{path} written{more}", markup=False, soft_wrap=True)

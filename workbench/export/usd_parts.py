@@ -1,0 +1,182 @@
+"""Meshes and materials of a USD stage: the face, and what a character wears on it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Integer, UInt8
+
+from workbench.export.clip import Clip, to_world
+from workbench.export.skinning import Shapes
+from workbench.face import DressedHead, WornPart
+from workbench.files import atomic_path
+
+STILL_MM = 0.005
+"""Parts that a blendshape moves less do not have it."""
+CORNEA_OPACITY, CORNEA_ROUGHNESS = 0.08, 0.05
+
+
+@dataclass(frozen=True)
+class Look:
+    """A material. Where a picture's alpha counts, a threshold cuts out what is less opaque; without, it is blended."""
+
+    roughness: float
+    alpha: bool = False
+    threshold: float = 0.0
+    both_sides: bool = False
+
+
+SKIN = Look(0.65)
+LOOKS = {
+    "tongue": Look(0.45),
+    "teeth": Look(0.3),
+    "eyes": Look(0.5),
+    "corneas": Look(CORNEA_ROUGHNESS),
+    "brows": Look(0.9, alpha=True, both_sides=True),
+    "lashes": Look(0.9, alpha=True, both_sides=True),
+    "clothes": Look(0.9, alpha=True, threshold=0.5, both_sides=True),
+    "hair": Look(0.7, alpha=True, threshold=0.35, both_sides=True),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class SkinnedMesh:
+    """A mesh on the two joints of the head; head frame, millimetres."""
+
+    name: str
+    points: Float[np.ndarray, "n 3"]
+    triangles: Integer[np.ndarray, "t 3"]
+    jaw_weights: Float[np.ndarray, "n"]
+    names: tuple[str, ...]
+    deltas: Float[np.ndarray, "k n 3"]
+    uv: Float[np.ndarray, "u 2"] | None = None
+    triangles_uv: Integer[np.ndarray, "t 3"] | None = None
+    colors: UInt8[np.ndarray, "n 3"] | None = None
+    both_sides: bool = False
+
+
+def face_mesh(clip: Clip, shapes: Shapes, dressed: DressedHead | None) -> SkinnedMesh:
+    """The face of a clip's person; of a character without what its parts replace."""
+    person = clip.person
+    shown = np.ones(len(person.triangles), bool) if dressed is None else dressed.shown
+    textured = len(person.uv) > 1
+    return SkinnedMesh(
+        name="face",
+        points=person.neutral,
+        triangles=person.triangles[shown],
+        jaw_weights=person.jaw_weights,
+        names=shapes.names,
+        deltas=shapes.deltas,
+        uv=person.uv if textured else None,
+        triangles_uv=person.triangles_uv[shown] if textured else None,
+        colors=person.colors if dressed is None else None,
+    )
+
+
+def part_mesh(clip: Clip, shapes: Shapes, worn: WornPart, points: Float[np.ndarray, "n 3"]) -> SkinnedMesh:
+    """A worn part; blendshapes that do not move it are left out."""
+    part = worn.part
+    jaw, names, deltas = np.zeros(len(points)), (), np.zeros((0, len(points), 3))
+    if not part.still:
+        jaw = np.clip(np.einsum("nj,nj->n", part.weights, clip.person.jaw_weights[part.anchors]), 0.0, 1.0)
+        carried = part.carried(shapes.deltas)
+        moving = np.flatnonzero(np.abs(carried).max(axis=(1, 2)) > STILL_MM)
+        names, deltas = tuple(shapes.names[k] for k in moving), carried[moving]
+    return SkinnedMesh(
+        part.kind, points, part.triangles, jaw, names, deltas, part.uv, part.triangles_uv,
+        both_sides=LOOKS[part.kind].both_sides,
+    )  # fmt: skip
+
+
+def define_mesh(stage, mesh: SkinnedMesh, skeleton) -> None:
+    """Add a mesh that the skeleton moves: `/performance/NAME`."""
+    from pxr import Sdf, Tf, UsdGeom, UsdSkel, Vt
+
+    made = UsdGeom.Mesh.Define(stage, f"/performance/{mesh.name}")
+    made.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    points = to_world(mesh.points).astype(np.float32)
+    made.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    made.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
+    made.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.triangles), 3, np.int32)))
+    made.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.triangles.astype(np.int32).ravel()))
+    if mesh.both_sides:
+        made.CreateDoubleSidedAttr(True)
+    primvars = UsdGeom.PrimvarsAPI(made)
+    if mesh.colors is not None:
+        colors = primvars.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex)
+        colors.Set(Vt.Vec3fArray.FromNumpy(((mesh.colors / 255.0) ** 2.2).astype(np.float32)))
+    if mesh.uv is not None and mesh.triangles_uv is not None:
+        uv = primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
+        uv.Set(Vt.Vec2fArray.FromNumpy(mesh.uv[mesh.triangles_uv.ravel()].astype(np.float32)))
+    binding = UsdSkel.BindingAPI.Apply(made.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    weights = np.stack([1.0 - mesh.jaw_weights, mesh.jaw_weights], axis=1).astype(np.float32)
+    joints = np.tile(np.arange(2, dtype=np.int32), (len(points), 1))
+    binding.CreateJointIndicesPrimvar(False, 2).Set(Vt.IntArray.FromNumpy(joints.ravel()))
+    binding.CreateJointWeightsPrimvar(False, 2).Set(Vt.FloatArray.FromNumpy(weights.ravel()))
+    if not mesh.names:
+        return
+    binding.CreateBlendShapesAttr(Vt.TokenArray(mesh.names))
+    targets = []
+    for name, delta in zip(mesh.names, mesh.deltas, strict=True):
+        moving = np.flatnonzero(np.abs(delta).max(1) > 0.0)
+        shape = UsdSkel.BlendShape.Define(stage, made.GetPath().AppendChild(Tf.MakeValidIdentifier(name)))
+        shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(to_world(delta[moving]).astype(np.float32)))
+        shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
+        targets.append(shape.GetPath())
+    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+
+
+def dress_stage(stage, clip: Clip, shapes: Shapes, skeleton, dressed: DressedHead, path: Path) -> None:
+    """Add what a character wears, its materials, and their pictures in the folder `STEM_textures` beside the stage."""
+    folder = path.parent / f"{path.stem}_textures"
+    define_material(stage, "face", SKIN, _picture(folder, "skin", dressed.skin))
+    rest = clip.person.neutral
+    for worn, points in zip(dressed.worn, dressed.parts_on(rest, rest), strict=True):
+        define_mesh(stage, part_mesh(clip, shapes, worn, points), skeleton)
+        kind = worn.part.kind
+        if kind == "corneas":
+            define_material(stage, kind, LOOKS[kind], None, CORNEA_OPACITY)
+        else:
+            define_material(stage, kind, LOOKS[kind], _picture(folder, kind, worn.picture))
+
+
+def define_material(stage, name: str, look: Look, picture: str | None, opacity: float = 1.0) -> None:
+    """A preview surface for `/performance/NAME`; `picture` is a file's name beside the stage."""
+    from pxr import Gf, Sdf, UsdShade
+
+    material = UsdShade.Material.Define(stage, f"/performance/materials/{name}")
+    surface = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("surface"))
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(look.roughness)
+    surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    surface.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(opacity)
+    surface.CreateInput("opacityThreshold", Sdf.ValueTypeNames.Float).Set(look.threshold)
+    color = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    if picture is None:
+        color.Set(Gf.Vec3f(1.0))
+    else:
+        reader = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("coordinates"))
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+        texture = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("picture"))
+        texture.CreateIdAttr("UsdUVTexture")
+        texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(picture))
+        texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+        coordinates = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(coordinates)
+        color.ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+        if look.alpha:
+            surface.GetInput("opacity").ConnectToSource(texture.CreateOutput("a", Sdf.ValueTypeNames.Float))
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath(f"/performance/{name}")).Bind(material)
+
+
+def _picture(folder: Path, name: str, picture: UInt8[np.ndarray, "h w _"]) -> str:
+    """Write a picture as PNG; its path as the stage names it."""
+    order = cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR
+    encoded = cv2.imencode(".png", cv2.cvtColor(picture, order))[1]
+    with atomic_path(folder / f"{name}.png") as temporary:
+        temporary.write_bytes(encoded.tobytes())
+    return f"./{folder.name}/{name}.png"

@@ -1,0 +1,12 @@
+from .descent import Learning as Learning
+from .learnable import LEARNABLE as LEARNABLE
+from .parts import Parts as Parts
+from .parts import parts_of_clip as parts_of_clip
+from .parts import read_frames as read_frames
+from .report import Change as Change
+from .report import change_of as change_of
+from .tuning import Tuned as Tuned
+from .tuning import Wanted as Wanted
+from .tuning import inputs_of as inputs_of
+from .tuning import observed as observed
+from .tuning import tuned as tuned

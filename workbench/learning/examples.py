@@ -1,0 +1,84 @@
+"""Stretches of a clip to learn from, each with what its objectives look at."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool
+
+from workbench.arrays import AnyArray
+from workbench.config import Config
+from workbench.errors import InputError
+from workbench.face import FaceParameters
+from workbench.learning.chain import Stretch
+from workbench.objectives import ObservedClip
+from workbench.sweeps.clips import SweptClip
+from workbench.sweeps.results import clip_in
+from workbench.sweeps.solving import ChainJob, ClipSolver
+from workbench.tracking.walk import jumped
+
+LENGTH = 12
+"""Frames of a stretch."""
+SETTLING = 4
+"""Frames at its beginning that no objective counts: it is fitted afresh, and E_τ begins with its third frame."""
+
+
+class Example(NamedTuple):
+    """A stretch of a clip, with what objectives look at in it."""
+
+    stretches: Stretch
+    """As each fit sees it, stacked: first everything, then what the folds of cross-validation see."""
+    clip: ObservedClip
+    counted: Bool[AnyArray, "n"]
+    """Frames that objectives count."""
+
+
+def example_of(
+    solver: ClipSolver, config: Config, clip: SweptClip, frames: range, kinds: tuple[str, ...] = ()
+) -> Example:
+    """The example of some frames in a row; `kinds` are the folds that its objectives look at.
+
+    Identities are those that the configuration calibrates; they do not move with what is learned.
+    """
+    jobs = [job for job, _ in solver.jobs(config, clip, [frames], kinds)]
+    stretches = jax.tree.map(lambda *leaves: np.stack([*map(np.asarray, leaves)]), *map(_stretch_of, jobs))
+    counted = np.arange(len(frames)) >= min(SETTLING, len(frames) - 1)
+    return Example(stretches, clip_in(clip, [frames]), counted)
+
+
+def _stretch_of(job: ChainJob) -> Stretch:
+    frames = job.frames
+    start = FaceParameters(frames.rotation[0], frames.translation[0], frames.expression[0], np.zeros(0))
+    measured = frames.measured
+    return Stretch(measured[..., :2], measured[..., 2], start, job.person, job.setting.numbers)
+
+
+def stretches_in(clip: SweptClip, frames: range, length: int = LENGTH) -> list[range]:
+    """The frames of a part in runs of `length` with a face throughout, without a cut, a gap or a jump between them.
+
+    Raises `InputError` for a part without any.
+    """
+    found, run = [], 0
+    for k in frames:
+        now = clip.observations[k].landmarks
+        if now is None:
+            run = 0
+            continue
+        goes_on = run and not clip.observations[k].cut
+        run = run + 1 if goes_on and not jumped(clip.observations[k - 1].landmarks.points, now.points) else 1
+        if run == length:
+            found.append(range(k + 1 - length, k + 1))
+            run = 0
+    if not found:
+        raise InputError(
+            f"Frames {frames.start}:{frames.stop} have no {length} in a row with a face and without a cut; choose a "
+            "longer part."
+        )
+    return found
+
+
+def spread(stretches: Sequence[range], count: int) -> list[range]:
+    """Up to `count` of the stretches, evenly over them."""
+    count = min(count, len(stretches))
+    return [stretches[(2 * k + 1) * len(stretches) // (2 * count)] for k in range(count)]

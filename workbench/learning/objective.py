@@ -1,0 +1,71 @@
+"""An objective of a stretch's fits as a number with a gradient by what is learned."""
+
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from workbench.arrays import AnyArray
+from workbench.config import Config
+from workbench.errors import ConfigError
+from workbench.geometry import Camera
+from workbench.learning.chain import FittedStretch, fitted_stretch
+from workbench.learning.examples import Example
+from workbench.learning.learnable import Logs, weighing_of
+from workbench.objectives import FOLDS, FittedClip, WeightedSum, measure
+from workbench.planning import plan_of
+from workbench.runtime import SMALL_ARRAYS
+from workbench.sweeps.results import folds_needed
+
+WITHOUT_GRADIENT = ("mesh", "iterations")
+"""Objectives that are not computed from the landmarks of a stretch's fits."""
+
+
+def check_gradient(objectives: WeightedSum) -> None:
+    """Raise `ConfigError` for a sum with an objective that has no gradient."""
+    for name in objectives.names:
+        if name in WITHOUT_GRADIENT:
+            raise ConfigError(f"The objective {name!r} has no gradient here; search with it (--search) instead.")
+
+
+def example_value(
+    config: Config, objectives: WeightedSum, camera: Camera
+) -> Callable[[Logs, Example], Float[AnyArray, ""]]:
+    """The mean of a sum of objectives over the counted frames of an example, as a function of what is learned."""
+    plan, kinds = plan_of(config), folds_needed(objectives.names)
+
+    def value(logs: Logs, example: Example) -> Float[AnyArray, ""]:
+        weighing = weighing_of(config, logs, camera)
+        found = jax.vmap(lambda stretch: fitted_stretch(plan.stages, plan.terms, weighing, stretch))(example.stretches)
+        fits = _as_clip(found, kinds, len(example.counted))
+        values = objectives.of({name: measure(name)(example.clip, fits) for name in objectives.names})
+        known = example.counted & ~jnp.isnan(values)
+        return jnp.sum(jnp.where(known, values, 0.0)) / jnp.maximum(jnp.sum(known), 1)
+
+    return value
+
+
+def value_and_slope(
+    config: Config, objectives: WeightedSum, camera: Camera
+) -> Callable[[Logs, Example], tuple[Float[AnyArray, ""], Logs]]:
+    """The compiled value of an example and its derivative by what is learned."""
+    return jax.jit(jax.value_and_grad(example_value(config, objectives, camera)), compiler_options=SMALL_ARRAYS)
+
+
+def _as_clip(found: FittedStretch, kinds: Sequence[str], frames: int) -> FittedClip:
+    """The fits that see everything, and by kind the landmarks of those that do not."""
+    whole, folds, first = jax.tree.map(lambda leaf: leaf[0], found), {}, 1
+    for kind in kinds:
+        count = len(FOLDS[kind](frames))
+        folds[kind] = found.projected[first : first + count]
+        first += count
+    return FittedClip(
+        rotation=whole.parameters.rotation,
+        translation=whole.parameters.translation,
+        expression=whole.parameters.expression,
+        projected=whole.projected,
+        inner_camera=whole.inner_camera,
+        iterations=jnp.full(frames, jnp.nan),
+        folds=folds,
+    )

@@ -1,0 +1,61 @@
+"""The parts of a clip: what is learned on, what chooses the step to stop at, and what only reports."""
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+
+from workbench.errors import ConfigError, InputError
+
+_PART = re.compile(r"(\d+):(\d+)")
+SHARES = (0.6, 0.8)
+"""Where a clip is cut if nothing is said: after what is learned on, and after what is watched."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Frames by what they are for. No frame is for two things."""
+
+    train: range
+    held_out: range
+    """Reports; nothing is chosen by it."""
+    watch: range | None = None
+    """Chooses the step whose values are kept; None: the last step's are."""
+
+    @property
+    def named(self) -> dict[str, range]:
+        """The parts by name."""
+        found = {"train": self.train, "watch": self.watch, "held_out": self.held_out}
+        return {name: frames for name, frames in found.items() if frames is not None}
+
+
+def read_frames(text: str) -> range:
+    """The frames that A:B names, B not among them. Raises `ConfigError` for anything else."""
+    found = _PART.fullmatch(text.strip())
+    if found is None or int(found[1]) >= int(found[2]):
+        raise ConfigError(f"A part of a clip is FIRST:END, the end not among it, got {text!r}; for example 0:300.")
+    return range(int(found[1]), int(found[2]))
+
+
+def parts_of_clip(
+    frames: int, train: range | None = None, watch: range | None = None, held_out: range | None = None
+) -> Parts:
+    """The parts of a clip of so many frames: three fifths, one and one if none is given.
+
+    Raises `InputError` for parts outside the clip, that overlap, or of which only one of train and held-out is given.
+    """
+    if train is None and held_out is None and watch is None:
+        first, second = (round(share * frames) for share in SHARES)
+        train, watch, held_out = range(first), range(first, second), range(second, frames)
+    if train is None or held_out is None:
+        raise InputError("A part to learn on needs a part that reports: give --train and --held-out, or neither.")
+    parts = Parts(train, held_out, watch)
+    in_order = sorted(parts.named.items(), key=lambda part: part[1].start)
+    for name, part in in_order:
+        if not (len(part) and part.stop <= frames):
+            raise InputError(
+                f"The part {name} is frames {part.start}:{part.stop}, and the clip has 0:{frames}; choose within it."
+            )
+    for (name, part), (other, later) in pairwise(in_order):
+        if later.start < part.stop:
+            raise InputError(f"The parts {name} and {other} share frame {later.start}; no frame is for two things.")
+    return parts

@@ -1,0 +1,205 @@
+"""Tuning as a whole: what is learned or searched, on which part of a clip, and the configuration that comes of it."""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench.config import Config, differences
+from workbench.errors import ConfigError
+from workbench.face import FaceModel
+from workbench.learning.descent import WATCHED, Learning, begin, descended, stored, watched_value
+from workbench.learning.examples import example_of, spread, stretches_in
+from workbench.learning.learnable import learned, start_of
+from workbench.learning.objective import check_gradient, value_and_slope
+from workbench.learning.parts import Parts
+from workbench.learning.report import Change, change_of
+from workbench.learning.search import searched
+from workbench.objectives import WeightedSum
+from workbench.pipeline import content_hash, software_versions
+from workbench.planning import plan_of
+from workbench.sweeps.clips import SweptClip
+from workbench.sweeps.results import folds_needed, objectives_of
+from workbench.sweeps.solving import ClipSolver
+from workbench.sweeps.space import Axis
+from workbench.sweeps.stored_clips import ClipSource, digest_of, observe
+
+STEPS, TRIALS = 24, 40
+TRAINED = 12
+"""Stretches that are learned on, at most."""
+
+Tell = Callable[[str, int, int, float, float | None], None]
+"""Called with what is done ("learn", "search"), how many steps of how many, the value and the watched value."""
+
+
+def silent(what: str, done: int, total: int, value: float, watched: float | None) -> None:
+    """The default for `tell`."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a tuning is asked for."""
+
+    objectives: WeightedSum
+    parts: Parts
+    learn: tuple[str, ...] = ()
+    """Settings by gradient."""
+    search: tuple[Axis, ...] = ()
+    """Settings by search, before the gradient."""
+    steps: int = STEPS
+    trials: int = TRIALS
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """A tuned configuration, and what is known of it."""
+
+    config: Config
+    """With its provenance."""
+    base: Config
+    before: dict[str, Float[np.ndarray, "n"]]
+    """By part: the objective of each frame under `base`, fitted as `workbench track` does."""
+    after: dict[str, Float[np.ndarray, "n"]]
+    learning: Learning | None = None
+
+    @property
+    def change(self) -> Change:
+        """How the objective changed on the held-out part."""
+        return change_of(self.before["held_out"], self.after["held_out"])
+
+    def __str__(self) -> str:
+        lines = [f"{name}: {_mean(self.before[name]):.4g} → {_mean(self.after[name]):.4g}" for name in self.before]
+        return "\n".join([*lines, f"held-out change: {self.change}", *map(str, differences(self.base, self.config))])
+
+
+def tuned(
+    model: FaceModel,
+    config: Config,
+    clip: SweptClip,
+    wanted: Wanted,
+    tell: Tell = silent,
+    place: Path | None = None,
+    resume: bool = False,
+    inputs: Sequence[str] = (),
+) -> Tuned:
+    """The configuration with the settings that its objective likes best on the part to learn on.
+
+    `place`: files of what was learned (`.learning.json`) and searched (`.study.log`) begin so, and `resume` goes on
+    with them. An interrupt (Ctrl-C) keeps what was found. Raises `ConfigError` for settings that cannot be learned or
+    searched, and `InputError` for a clip without frames to learn on.
+    """
+    if not (wanted.learn or wanted.search):
+        raise ConfigError("There is nothing to tune; name settings to learn (--learn) or to search (--search).")
+    solver, found, learning = ClipSolver(model), config, None
+    if wanted.search:
+        stretches = spread(stretches_in(clip, wanted.parts.train), TRAINED)
+        journal = _study_file(place, resume)
+        found = searched(
+            solver, found, wanted.search, wanted.objectives, clip, stretches, wanted.trials, journal,
+            lambda done, total, value: tell("search", done, total, value, None),
+        )  # fmt: skip
+    if wanted.learn:
+        learning = learn_on(solver, found, clip, wanted, tell, place, resume)
+        found = learned(found, learning.kept)
+    before, after = measured(solver, (config, found), clip, wanted)
+    result = Tuned(found, config, before, after, learning)
+    return Tuned(found.changed(provenance=_provenance(result, model, wanted, inputs)), config, before, after, learning)
+
+
+def observed(source: ClipSource, config: Config, model: FaceModel) -> SweptClip:
+    """A clip to tune on. Raises `InputError` if it cannot be read or has no face."""
+    return observe(source, config, model, digest_of(source, config, model))
+
+
+def inputs_of(source: ClipSource) -> list[str]:
+    """Path and SHA-256 of a clip's files, for the provenance."""
+    places = [Path(place) for place in (source.clip, source.landmarks, source.truth) if place]
+    return [f"{place} sha256:{content_hash(place)}" for place in places if place.exists()]
+
+
+def learn_on(
+    solver: ClipSolver, config: Config, clip: SweptClip, wanted: Wanted, tell: Tell, place: Path | None, resume: bool
+) -> Learning:
+    """The learning of a configuration's settings by gradient."""
+    start = start_of(config, wanted.learn)
+    check_gradient(wanted.objectives)
+    kinds = folds_needed(wanted.objectives.names)
+
+    def examples(frames: range | None, count: int):
+        windows = [] if frames is None else spread(stretches_in(clip, frames), count)
+        return [example_of(solver, config, clip, window, kinds) for window in windows]
+
+    train, watch = examples(wanted.parts.train, TRAINED), examples(wanted.parts.watch, WATCHED)
+    camera = plan_of(config).camera.of(clip.observations[0].image_size)
+    slope = value_and_slope(config, wanted.objectives, camera)
+    key = _key_of(config, clip, wanted)
+    file = None if place is None else place.with_suffix(".learning.json")
+    if resume and file is not None and file.exists():
+        begun = stored(file, key)
+    else:
+        begun = begin(key, start, watched_value(slope, start, watch))
+
+    def told(learning: Learning, steps: int) -> None:
+        seen = [value for value in learning.watched if value is not None]
+        tell("learn", len(learning.values), steps, learning.values[-1], seen[-1] if seen else None)
+
+    return descended(slope, begun, train, watch, wanted.steps, told, file)
+
+
+def measured(
+    solver: ClipSolver, configs: Sequence[Config], clip: SweptClip, wanted: Wanted
+) -> list[dict[str, Float[np.ndarray, "n"]]]:
+    """The objective of each frame of every part under some configurations, all fitted as `workbench track` does."""
+    names = wanted.objectives.names
+    found = []
+    for rows in objectives_of(solver, configs, clip, clip.shots, names):
+        values = wanted.objectives.of(dict(zip(names, rows, strict=True)))
+        found.append({part: values[frames.start : frames.stop] for part, frames in wanted.parts.named.items()})
+    return found
+
+
+def _study_file(place: Path | None, resume: bool) -> Path:
+    if place is None:
+        raise ConfigError("A search keeps its study in a file; name the result (--out, out=).")
+    journal = place.with_suffix(".study.log")
+    if not resume:
+        journal.unlink(missing_ok=True)
+    return journal
+
+
+def _key_of(config: Config, clip: SweptClip, wanted: Wanted) -> str:
+    """SHA-256 of all that a learning goes on from, besides its number of steps."""
+    read = {
+        "config": config.model_dump(mode="json", exclude={"provenance"}),
+        "clip": clip.digest,
+        "objective": str(wanted.objectives),
+        "learn": list(wanted.learn),
+        "parts": {name: [frames.start, frames.stop] for name, frames in wanted.parts.named.items()},
+    }
+    return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()
+
+
+def _provenance(result: Tuned, model: FaceModel, wanted: Wanted, inputs: Sequence[str]) -> dict:
+    change = result.change
+    return {
+        "exported": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": software_versions(),
+        "model": f"{model.name} sha256:{model.fingerprint()}",
+        "inputs": list(inputs),
+        "changed": [str(item) for item in differences(result.base, result.config)],
+        "before": {name: round(_mean(values), 5) for name, values in result.before.items()},
+        "after": {name: round(_mean(values), 5) for name, values in result.after.items()},
+        "objective": str(wanted.objectives),
+        "learned": [*wanted.learn, *(axis.path for axis in wanted.search)],
+        "parts": {name: f"{frames.start}:{frames.stop}" for name, frames in wanted.parts.named.items()},
+        "change_percent": {"held_out": change.percent, "low": change.low, "high": change.high},
+    }
+
+
+def _mean(values: Float[np.ndarray, "n"]) -> float:
+    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")

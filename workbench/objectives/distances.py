@@ -1,0 +1,36 @@
+"""Lengths, units and means that objectives share; all can be differentiated where nothing moves."""
+
+from jaxtyping import Float
+
+from workbench.arrays import AnyArray, library_of
+from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
+from workbench.objectives.records import ObservedClip
+
+
+def length(vectors: Float[AnyArray, "*n d"]) -> Float[AnyArray, "*n"]:
+    """Euclidean length; its derivative at zero is zero."""
+    library = library_of(vectors)
+    squared = (vectors * vectors).sum(-1)
+    zero = squared == 0.0
+    return library.where(zero, 0.0, library.sqrt(library.where(zero, 1.0, squared)))
+
+
+def eye_distance(clip: ObservedClip) -> Float[AnyArray, "n"]:
+    """The observed outer-eye distance of each frame, pixels: the unit of every error in percent."""
+    return length(clip.points[:, LEFT_EYE_OUTER_CORNER] - clip.points[:, RIGHT_EYE_OUTER_CORNER])
+
+
+def mean_known(values: Float[AnyArray, "n m"]) -> Float[AnyArray, "n"]:
+    """Mean over what is not NaN in each row; NaN for a row without anything."""
+    library = library_of(values)
+    known = ~library.isnan(values)
+    count = known.sum(-1)
+    total = library.where(known, values, 0.0).sum(-1)
+    return library.where(count > 0, total / library.maximum(count, 1), library.nan)
+
+
+def since_last(values: Float[AnyArray, "n *d"], order: int = 1) -> Float[AnyArray, "n *d"]:
+    """Difference of each frame from the one before, or of the second order; 0 in the first `order` frames."""
+    library = library_of(values)
+    found = library.diff(values, n=order, axis=0)
+    return library.concatenate([library.zeros_like(library.asarray(values)[:order]), found])

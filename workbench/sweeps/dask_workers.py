@@ -1,0 +1,100 @@
+"""The tasks of a sweep on a Dask cluster: of this machine, or of a scheduler anywhere."""
+
+import logging
+import queue
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from workbench.errors import InputError, OutputError
+from workbench.extras import needs
+from workbench.reading import reason_of
+from workbench.runtime import ONE_CORE
+from workbench.sweeps.tasks import Failed, Task, guarded
+
+REACH_S = 10.0
+"""Longest that a scheduler is waited for."""
+LOOK_S = 1.0
+"""Time between two looks at whether the scheduler is there."""
+AHEAD = 4
+"""Tasks a worker that are handed to the scheduler at once: enough that none waits, and few enough to stop soon."""
+
+
+class DaskWorkers:
+    """Workers of a Dask scheduler; without an address, a cluster of processes on this machine."""
+
+    def __init__(self, count: int = 1, scheduler: str | None = None):
+        """Raises `MissingDependencyError` without the extra, `InputError` for a scheduler that cannot be reached."""
+        with needs("cluster"):
+            from distributed import Client, LocalCluster
+        # What becomes of workers and scheduler is told by the errors below.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self.address = scheduler or ""
+        self._cluster = None
+        if scheduler is None:
+            self._cluster = LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=":0",
+                silence_logs=50,
+                env=ONE_CORE,
+            )
+            self.address = self._cluster.scheduler_address
+        try:
+            self._client = Client(self._cluster or scheduler, timeout=REACH_S, set_as_default=False)
+        except (OSError, ValueError, ImportError) as error:
+            raise InputError(
+                f"The scheduler {scheduler} cannot be reached ({reason_of(error)}); start one by `dask scheduler` and "
+                "workers by `dask worker`, or leave --scheduler out."
+            ) from error
+        self.said = f"Dask dashboard: {self._client.dashboard_link}"
+
+    def results(self, tasks: Sequence[Task]) -> Iterator[tuple[int, Any]]:
+        """As they are done. Raises `OutputError` where the scheduler is lost."""
+        done: queue.SimpleQueue = queue.SimpleQueue()
+        rest, out = iter(enumerate(tasks)), {}
+        while True:
+            self._hand_out(rest, out, done)
+            if not out:
+                return
+            try:
+                future = done.get(timeout=LOOK_S)
+            except queue.Empty:
+                self._check()
+                continue
+            number = out.pop(future, None)
+            if number is None:
+                continue
+            if future.status == "finished":
+                yield number, future.result()
+            elif future.status == "error":
+                # The task itself raises nothing: its worker died again and again.
+                yield number, Failed(f"{tasks[number].clip} cannot be fitted ({reason_of(future.exception())}).")
+            else:
+                raise self._lost()
+
+    def _hand_out(self, rest: Iterator[tuple[int, Task]], out: dict, done: queue.SimpleQueue) -> None:
+        workers = max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+        while len(out) < AHEAD * workers:
+            number, task = next(rest, (None, None))
+            if task is None:
+                return
+            # Impure: the same task may be asked for again after its result was torn.
+            future = self._client.submit(guarded, task, pure=False, retries=1)
+            out[future] = number
+            future.add_done_callback(done.put)
+
+    def _check(self) -> None:
+        if self._client.status not in ("running", "newly-created"):
+            raise self._lost()
+
+    def _lost(self) -> OutputError:
+        return OutputError(
+            f"The scheduler {self.address} is gone. Finished work is kept; start it again and go on with --resume."
+        )
+
+    def close(self) -> None:
+        """Leave the scheduler; a cluster of this machine ends."""
+        self._client.close(timeout=2)
+        if self._cluster is not None:
+            self._cluster.close(timeout=10)

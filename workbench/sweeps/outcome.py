@@ -1,0 +1,138 @@
+"""What a sweep found: a number a frame for every objective, point and clip, and the tables of them."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench.config import Config
+from workbench.errors import InputError
+from workbench.extras import needs
+from workbench.files import atomic_path
+from workbench.objectives import WeightedSum, least_at_equal, pareto_set
+from workbench.sweeps.space import Axis, Point, config_at
+
+BAND = (25.0, 75.0)
+"""Percentiles of the band over frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class SweepResult:
+    """The objectives of a sweep; points or clips that failed are missing."""
+
+    base: Config
+    axes: tuple[Axis, ...]
+    points: tuple[Point, ...]
+    objectives: tuple[str, ...]
+    values: Mapping[tuple[int, str], Float[np.ndarray, "m n"]]
+    """By number of the point and name of the clip: a row for each objective, a column for each frame."""
+    failures: Mapping[str, str] = field(default_factory=dict)
+    """By clip: why it has no numbers."""
+
+    @property
+    def clips(self) -> tuple[str, ...]:
+        """The clips that have numbers."""
+        return tuple(dict.fromkeys(clip for _, clip in self.values))
+
+    def config(self, number: int) -> Config:
+        """The configuration of a point."""
+        return config_at(self.base, self.points[number])
+
+    def frames(self, objective: str, number: int) -> Float[np.ndarray, "n"]:
+        """An objective of a point in all frames of all clips in which it is known."""
+        row = self._row(objective)
+        found = [self.values[number, clip][row] for clip in self.clips if (number, clip) in self.values]
+        whole = np.concatenate(found) if found else np.zeros(0)
+        return whole[np.isfinite(whole)]
+
+    def means(self, objective: str) -> Float[np.ndarray, "p"]:
+        """The mean of an objective over all frames at each point; NaN where none is known."""
+        return np.array([_mean(self.frames(objective, point.number)) for point in self.points])
+
+    def bands(self, objective: str) -> Float[np.ndarray, "p 2"]:
+        """The quartiles of an objective over all frames at each point."""
+        found = [self.frames(objective, point.number) for point in self.points]
+        return np.array([np.percentile(each, BAND) if len(each) else (np.nan, np.nan) for each in found])
+
+    def best(self, wanted: WeightedSum | str) -> int | None:
+        """The number of the point with the least mean of an objective or a sum; None if nothing is known of it."""
+        wanted = WeightedSum({wanted: 1.0}) if isinstance(wanted, str) else wanted
+        means = wanted.of({name: self.means(name) for name in wanted.names})
+        return None if np.isnan(means).all() else int(np.nanargmin(means))
+
+    def steadiest(self, slack: float = 0.05) -> int | None:
+        """The point with the least jitter among those within `slack` of the least error; None without either."""
+        if not {"error", "jitter"} <= set(self.objectives):
+            return None
+        return least_at_equal(self.means("jitter"), self.means("error"), slack)
+
+    def pareto(self, objectives: Sequence[str] | None = None) -> tuple[int, ...]:
+        """The points that no other beats in these objectives, or in all of them."""
+        chosen = self.objectives if objectives is None else tuple(objectives)
+        means = np.stack([self.means(name) for name in chosen], axis=1)
+        return tuple(int(k) for k in np.flatnonzero(pareto_set(means)))
+
+    def table(self) -> dict[str, list[Any]]:
+        """A row for each point and clip: the settings, the frames, and of each objective the mean over frames, the
+        quartiles and the 95th percentile; None where nothing is known."""
+        columns: dict[str, list[Any]] = {"point": [], "clip": [], **{axis.path: [] for axis in self.axes}, "frames": []}
+        for name in self.objectives:
+            columns |= {f"{name}{end}": [] for end in ("", "_p25", "_p75", "_p95")}
+        for (number, clip), values in sorted(self.values.items()):
+            columns["point"].append(number)
+            columns["clip"].append(clip)
+            for path, value in self.points[number].values:
+                columns[path].append(value)
+            columns["frames"].append(values.shape[1])
+            for name, row in zip(self.objectives, values, strict=True):
+                known = row[np.isfinite(row)]
+                numbers = [_mean(known), *(np.percentile(known, (25, 75, 95)) if len(known) else [np.nan] * 3)]
+                for end, number in zip(("", "_p25", "_p75", "_p95"), numbers, strict=True):
+                    columns[f"{name}{end}"].append(float(number) if np.isfinite(number) else None)
+        return columns
+
+    def write_csv(self, path: str | Path) -> None:
+        """`table` as CSV; a cell that is not known is empty."""
+        columns = self.table()
+        with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(columns)
+            for row in zip(*columns.values(), strict=True):
+                writer.writerow([_cell(value) for value in row])
+
+    def write_parquet(self, path: str | Path) -> None:
+        """`table` as Parquet. Raises `MissingDependencyError` without pyarrow."""
+        with needs("parquet"):
+            import pyarrow
+            from pyarrow import parquet
+        # Settings such as tables of weights have no type of their own in a column: they go as text.
+        columns = {
+            name: values if _one_kind(values) else [_cell(value) for value in values]
+            for name, values in self.table().items()
+        }
+        with atomic_path(path) as temporary:
+            parquet.write_table(pyarrow.table(columns), temporary)
+
+    def _row(self, objective: str) -> int:
+        if objective not in self.objectives:
+            raise InputError(f"The sweep did not measure {objective!r}; it has {', '.join(self.objectives)}.")
+        return self.objectives.index(objective)
+
+
+def _mean(values: Float[np.ndarray, "n"]) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _one_kind(values: Sequence[Any]) -> bool:
+    kinds = {type(value) for value in values} - {type(None)}
+    return (len(kinds) <= 1 and not kinds & {dict, list, tuple}) or kinds == {int, float}
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.9g}" if isinstance(value, float) else str(value)

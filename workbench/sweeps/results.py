@@ -1,0 +1,83 @@
+"""Results: the objectives of a part of a clip under one configuration, stored once under the hash of what made them."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from workbench import __version__
+from workbench.config import Config
+from workbench.objectives import TABLE, FittedClip, ObservedClip, SecondView, Truth, measured_by, observed_clip
+from workbench.sweeps.clips import SweptClip, frames_of
+from workbench.sweeps.solving import ClipSolver
+from workbench.sweeps.storage import Storage, packed, unpacked
+
+FORMAT = 1
+UNREAD = {"version", "preset", "provenance", "head", "infill", "refinement", "flow", "deep"}
+"""Sections that no fit of a sweep depends on."""
+
+
+def result_key(config: Config, digest: str, windows: Sequence[range], objectives: Sequence[str], model: str) -> str:
+    """SHA-256 of configuration, input and version: equal keys mean equal numbers."""
+    read = {
+        "config": config.model_dump(mode="json", exclude=UNREAD),
+        "clip": digest,
+        "windows": [[window.start, window.stop] for window in windows],
+        "objectives": list(objectives),
+        "model": model,
+        "version": __version__,
+        "format": FORMAT,
+    }
+    return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()
+
+
+def folds_needed(objectives: Sequence[str]) -> tuple[str, ...]:
+    """The kinds of folds that some objectives look at."""
+    return tuple(dict.fromkeys(TABLE[name].folds for name in objectives if TABLE[name].folds))
+
+
+def objectives_of(
+    solver: ClipSolver, configs: Sequence[Config], clip: SweptClip, windows: Sequence[range], names: Sequence[str]
+) -> list[Float[np.ndarray, "m n"]]:
+    """The objectives of some windows of a clip, a row each, under every configuration.
+
+    Raises `InputError` where the clip lacks what an objective needs.
+    """
+    seen = clip_in(clip, windows)
+    fits = solver.fits(
+        configs, clip, windows, folds_needed(names), any(TABLE[name].needs == "surface" for name in names)
+    )
+    return [_rows(names, seen, each) for each in fits]
+
+
+def clip_in(clip: SweptClip, windows: Sequence[range]) -> ObservedClip:
+    """What objectives look at of some windows of a clip."""
+    rows = np.concatenate([np.arange(window.start, window.stop) for window in windows])
+    truth = Truth(*(None if part is None else part[rows] for part in clip.truth))
+    second = None
+    if clip.second is not None:
+        second = SecondView(clip.second.placed, clip.second.points[rows])
+    seen = observed_clip(frames_of(clip, windows), truth)
+    return seen._replace(flow=None if clip.flow is None else clip.flow[rows], second=second)
+
+
+def _rows(names: Sequence[str], clip: ObservedClip, fits: FittedClip) -> Float[np.ndarray, "m n"]:
+    measured = measured_by(names, clip, fits)
+    return np.stack([np.asarray(measured[name], float) for name in names])
+
+
+def store_result(storage: Storage, key: str, values: Float[np.ndarray, "m n"]) -> None:
+    """Write a result under its key. Raises `OutputError`."""
+    storage.write(_name(key), packed({"values": values}))
+
+
+def stored_result(storage: Storage, key: str) -> Float[np.ndarray, "m n"] | None:
+    """The result of a key; None if it is not there, or torn."""
+    content = storage.read(_name(key))
+    return None if content is None else unpacked(content)["values"]
+
+
+def _name(key: str) -> str:
+    return f"results/{key[:2]}/{key}.npz"

@@ -1,0 +1,263 @@
+"""Fits of parts of a clip under many configurations at once, with what cross-validation hides as more of the same."""
+
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from workbench.config import Config
+from workbench.errors import ConfigError
+from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
+from workbench.geometry import Camera
+from workbench.objectives import FOLDS, FittedClip, folds_of, inner_landmarks, surface_points, without_hidden
+from workbench.planning import plan_of
+from workbench.runtime import COMPUTING
+from workbench.sweeps.clips import SweptClip, frames_of
+from workbench.tracker import calibration_window, identity_key
+from workbench.tracking import FaceItFitter, FrameObservation, Plan
+from workbench.tracking.chain_solver import (
+    CHAINS,
+    FRAMES,
+    Chain,
+    ChainFrames,
+    ChainState,
+    SolvedFrames,
+    solve_chains,
+)
+from workbench.tracking.face_it_solution import solve_settings, stage_program
+from workbench.tracking.fitting import Calibrated, corrected
+from workbench.tracking.frame_solver import Method, SolveSettings, StageProgram
+from workbench.tracking.initial_pose import initial_pose
+from workbench.tracking.walk import jumped
+
+KEPT_IDENTITIES = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """One configuration as its solves need it, on the host."""
+
+    config: Config
+    plan: Plan
+    numbers: SolveSettings
+    first: StageProgram
+    later: StageProgram
+
+    @property
+    def program(self) -> tuple[Method, tuple[str, ...], int]:
+        """What is compiled: chains that agree in it are solved together."""
+        method = "levenberg-marquardt" if self.plan.solver.method == "lm" else "trust-region"
+        return method, self.plan.terms, len(self.first.limit)
+
+
+def setting_of(config: Config) -> Setting:
+    """The setting of a configuration. Raises `ConfigError` for one that no batch can solve."""
+    check_swept(config)
+    plan = plan_of(config)
+    numbers = solve_settings(plan), stage_program(plan, True), stage_program(plan, False)
+    return Setting(config, plan, *jax.tree.map(np.asarray, numbers))
+
+
+@dataclass(frozen=True, eq=False)
+class ChainJob:
+    """A run of frames under one setting."""
+
+    setting: Setting
+    person: LandmarkModel
+    camera: Camera
+    frames: ChainFrames
+    """On the host; (n, …)."""
+
+    @property
+    def chain(self) -> Chain:
+        """All but the frames."""
+        return Chain(self.camera, self.person, self.setting.numbers, self.setting.first, self.setting.later)
+
+
+class ClipSolver:
+    """Solves parts of clips for one face model, in this process; the latest identities are kept."""
+
+    def __init__(self, model: FaceModel):
+        self.model = model
+        self._landmarks = landmark_model(model)
+        self._fitter: FaceItFitter | None = None
+        self._identities: OrderedDict[tuple, Calibrated] = OrderedDict()
+
+    def fits(
+        self,
+        configs: Sequence[Config],
+        clip: SweptClip,
+        windows: Sequence[range],
+        kinds: tuple[str, ...] = (),
+        surface: bool = False,
+    ) -> list[FittedClip]:
+        """The fits of some windows of a clip under each configuration, frames in a row as `frames_of` gives them.
+
+        `kinds` names the folds of cross-validation that are fitted too, `surface` asks for the points of the mesh.
+        Raises `ConfigError` for a configuration that no batch can solve.
+        """
+        jobs, identities = zip(
+            *(pair for config in configs for pair in self.jobs(config, clip, windows, kinds)), strict=True
+        )
+        solved = iter(zip(solve_jobs(jobs), identities, strict=True))
+        return [self._fitted(solved, windows, kinds, surface) for _ in configs]
+
+    def jobs(
+        self, config: Config, clip: SweptClip, windows: Sequence[range], kinds: tuple[str, ...] = ()
+    ) -> Iterator[tuple[ChainJob, Float[np.ndarray, "i"]]]:
+        """What is solved for some windows of a clip, with the identity of each: first with everything seen, then what
+        the folds see; a job a window. Raises `ConfigError` for a configuration that no batch can solve."""
+        setting = setting_of(config)
+        ends = np.cumsum([*map(len, windows)])
+        for fold in folds_of(kinds, int(ends[-1])):
+            for window, mask in zip(windows, np.split(fold, ends[:-1]), strict=True):
+                shot = next(shot for shot in clip.shots if window.start in shot)
+                calibrated = self._calibrated(setting, clip, shot, mask)
+                yield self._job(setting, frames_of(clip, [window]), calibrated, mask), calibrated.identity
+
+    def _calibrated(self, setting: Setting, clip: SweptClip, shot: range, mask: Bool[np.ndarray, "n 68"]) -> Calibrated:
+        """The identity of a shot, from landmarks that are not hidden in all frames."""
+        config, plan = setting.config, setting.plan
+        nothing = Calibrated(np.zeros(len(self.model.identity_deltas)), {})
+        if not plan.identity.calibrate:
+            return nothing
+        hidden = mask.all(0) & ~mask.all()
+        window = calibration_window(
+            clip.observations[shot.start : shot.stop], 1 if clip.stills else config.identity.window
+        )
+        window = [without_hidden(corrected(each, config.moved_points(each.index)), hidden) for each in window]
+        if not any(each.landmarks is not None for each in window):
+            return nothing
+        key = (clip.digest, shot.start, identity_key(config, window), hidden.tobytes())
+        if key not in self._identities:
+            if self._fitter is None:
+                self._fitter = FaceItFitter(self.model, plan)
+            # Hidden landmarks are muted too, or the poses that the calibration starts from would know them.
+            self._fitter.configure(replace(plan, point_weights=np.where(hidden, 0.0, plan.point_weights)))
+            self._identities[key] = self._fitter.calibrate(window, 1 if clip.stills else config.identity.frames)
+            while len(self._identities) > KEPT_IDENTITIES:
+                self._identities.popitem(last=False)
+        self._identities.move_to_end(key)
+        return self._identities[key]
+
+    def _job(
+        self,
+        setting: Setting,
+        observations: Sequence[FrameObservation],
+        calibrated: Calibrated,
+        mask: Bool[np.ndarray, "n 68"],
+    ) -> ChainJob:
+        config, plan = setting.config, setting.plan
+        person = self._landmarks.personal(np.asarray(calibrated.identity, float))
+        camera = plan.camera.of(observations[0].image_size)
+        count, shapes = len(observations), len(self.model.expression_names)
+        frames = ChainFrames(
+            np.zeros((count, 68, 3)),
+            np.zeros(count, bool),
+            np.zeros(count, bool),
+            *(np.zeros((count, size)) for size in (3, 3, shapes)),
+        )
+        before = None
+        for k, (observation, hidden) in enumerate(zip(observations, mask, strict=True)):
+            observation = without_hidden(corrected(observation, config.moved_points(observation.index)), hidden)
+            if observation.landmarks is None:
+                before = None
+                continue
+            points = observation.landmarks.points
+            frames.measured[k, :, :2], frames.measured[k, :, 2] = points, plan.counts(observation.landmarks.confidence)
+            frames.present[k] = True
+            frames.afresh[k] = before is None or jumped(before, points)
+            if frames.afresh[k]:
+                start = calibrated.starts.get(observation.index)
+                if start is None:
+                    used = (plan.point_weights > 0.0) & ~hidden
+                    pose = initial_pose(camera, person.frontal_neutral(), points, used)
+                    start = FaceParameters(*pose, np.zeros(shapes), np.zeros(0))
+                frames.rotation[k], frames.translation[k], frames.expression[k] = start[:3]
+            before = points
+        return ChainJob(setting, person, camera, frames)
+
+    def _fitted(self, solved: Iterator, windows, kinds: tuple[str, ...], surface: bool) -> FittedClip:
+        """Takes one configuration's chains, the folds' in their order."""
+
+        def next_fold():
+            pieces = [next(solved) for _ in windows]
+            fits = SolvedFrames(*(np.concatenate(part) for part in zip(*(fits for fits, _ in pieces), strict=True)))
+            identity = np.concatenate([np.tile(found, (len(fits.iterations), 1)) for fits, found in pieces])
+            return fits, identity
+
+        fits, identity = next_fold()
+        folds = {kind: np.stack([next_fold()[0].projected for _ in range(len(FOLDS[kind](1)))]) for kind in kinds}
+        numbers = (fits.rotation, fits.translation, fits.expression, identity)
+        return FittedClip(
+            *numbers[:3],
+            fits.projected,
+            inner_landmarks(self.model, *numbers),
+            fits.iterations,
+            surface_points(self.model, *numbers) if surface else None,
+            folds,
+        )
+
+
+def check_swept(config: Config) -> None:
+    """Raise `ConfigError` for a configuration whose frames need more than their landmarks."""
+    if config.traits.renders:
+        raise ConfigError(
+            "A sweep fits landmarks, and Deep Energies renders; start from joint, calibrated or face-it (--preset)."
+        )
+    if config.compares_pictures:
+        raise ConfigError("A sweep fits landmarks without pictures; take the term 'flow' out of the stages.")
+
+
+def solve_jobs(jobs: Sequence[ChainJob]) -> list[SolvedFrames]:
+    """The fits of every job on the host, in the order of the jobs."""
+    found: dict[int, SolvedFrames] = {}
+    by_program: dict[tuple, list[int]] = {}
+    for number, job in enumerate(jobs):
+        by_program.setdefault(job.setting.program, []).append(number)
+    for (method, terms, _), numbers in by_program.items():
+        # Long chains together: a block runs until its longest chain ends.
+        numbers = sorted(numbers, key=lambda number: -len(jobs[number].frames.present))
+        for first in range(0, len(numbers), CHAINS):
+            block = numbers[first : first + CHAINS]
+            found |= dict(zip(block, _solve_block([jobs[k] for k in block], method, terms), strict=True))
+    return [found[number] for number in range(len(jobs))]
+
+
+def _solve_block(jobs: Sequence[ChainJob], method: Method, terms: tuple[str, ...]) -> list[SolvedFrames]:
+    padded = [*jobs, *[jobs[0]] * (CHAINS - len(jobs))]
+    chains = _stacked([job.chain for job in padded])
+    counts = [len(job.frames.present) for job in jobs]
+    shapes = padded[0].frames.expression.shape[1]
+    states = _at_rest(shapes)
+    pieces: list[SolvedFrames] = []
+    for start in range(0, max(counts), FRAMES):
+        frames = _stacked([_block_of(job.frames, start, k < len(jobs)) for k, job in enumerate(padded)])
+        with COMPUTING:
+            states, solved = solve_chains(chains, states, frames, method, terms)
+        pieces.append(jax.tree.map(np.asarray, solved))
+    whole = SolvedFrames(*(np.concatenate(part, axis=1) for part in zip(*pieces, strict=True)))
+    return [SolvedFrames(*(part[k, :count] for part in whole)) for k, count in enumerate(counts)]
+
+
+def _block_of(frames: ChainFrames, start: int, used: bool) -> ChainFrames:
+    """`FRAMES` frames from `start` on; those beyond the end, and all of a chain that only fills a block, are absent."""
+    piece = ChainFrames(*(part[start : start + FRAMES] for part in frames))
+    missing = FRAMES - len(piece.present)
+    piece = ChainFrames(*(np.pad(part, [(0, missing)] + [(0, 0)] * (part.ndim - 1)) for part in piece))
+    return piece if used else piece._replace(present=np.zeros(FRAMES, bool))
+
+
+def _at_rest(shapes: int) -> ChainState:
+    """The state before the first frame, which starts afresh whatever it is."""
+    parameters = FaceParameters(*(jnp.zeros((CHAINS, size)) for size in (3, 3, shapes, 0, 0, 0)))
+    pose = jnp.zeros((CHAINS, 6))
+    return ChainState(parameters, pose, pose, jnp.zeros(CHAINS, int))
+
+
+def _stacked(trees: Sequence):
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves])), *trees)

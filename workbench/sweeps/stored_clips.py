@@ -1,0 +1,156 @@
+"""What is known of a clip, found once and stored, so that every task of a sweep begins with landmarks."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from workbench import __version__
+from workbench.config import Config
+from workbench.errors import InputError
+from workbench.face import FaceModel
+from workbench.landmarks.observations import Landmarks2D
+from workbench.objectives import Truth, flow_of_pictures, observed_clip, read_truth
+from workbench.pipeline import content_hash, open_source
+from workbench.sweeps.clips import SweptClip
+from workbench.sweeps.storage import Storage, local_file, packed, unpacked
+from workbench.tracking import FrameObservation
+
+NO_FACES = "has no face in any frame; look at its pictures, or try another detector (landmarks.detector)."
+_TRUTHS = ("rotation", "translation", "expression", "surface", "labels")
+
+
+@dataclass(frozen=True)
+class ClipSource:
+    """Where a clip comes from: paths or URLs."""
+
+    clip: str
+    """A video, a folder, a photo or a landmark file."""
+    landmarks: str = ""
+    """A file with the landmarks of the pictures; empty: the clip's own, or a detector's."""
+    truth: str = ""
+    """What is known of it (`objectives.read_truth`)."""
+    stills: bool = False
+    flow: bool = False
+    """Whether an objective needs the motion of the pictures."""
+
+    @property
+    def name(self) -> str:
+        """Its name in tables."""
+        return Path(self.clip).stem
+
+
+def digest_of(source: ClipSource, config: Config, model: FaceModel) -> str:
+    """SHA-256 of all that a clip's observations are made from. Raises `InputError` for files that are not there."""
+    files = [local_file(place) for place in (source.clip, source.landmarks, source.truth) if place]
+    for file in files:
+        if not file.exists():
+            raise InputError(f"{file} does not exist; check the name and the folder.")
+    read = {
+        **asdict(source),
+        "clip": "",
+        "landmarks": bool(source.landmarks),
+        "truth": bool(source.truth),
+        "files": [content_hash(file) for file in files],
+        "detector": config.model_dump(mode="json", include={"landmarks": {"detector", "face"}}),
+        "model": model.fingerprint() if source.truth else "",
+        "version": __version__,
+    }
+    return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()
+
+
+def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = "") -> SweptClip:
+    """Find the landmarks of every frame, and what the objectives need besides.
+
+    Raises `InputError` for a clip that cannot be read, that has no face, or whose motion is asked for without pictures.
+    """
+    clip, landmarks = local_file(source.clip), local_file(source.landmarks) if source.landmarks else None
+    opened = open_source([clip], config, landmarks, keep_pictures=source.flow)
+    stills = source.stills or opened.single_picture
+    found, pictures = [], []
+    for observation in opened.observations(0, {}, stills):
+        pictures.append(observation.picture)
+        found.append(_without_picture(observation))
+    if not any(observation.landmarks is not None for observation in found):
+        raise InputError(f"{source.clip} {NO_FACES}")
+    flow = None
+    if source.flow and all(picture is not None for picture in pictures):
+        flow = flow_of_pictures(pictures, observed_clip(found))
+    truth = Truth()
+    if source.truth:
+        indices = [observation.index for observation in found]
+        truth = read_truth(local_file(source.truth), model, indices, found[0].image_size)
+    return SweptClip(source.name, digest, tuple(found), stills, truth, flow)
+
+
+def _without_picture(observation: FrameObservation) -> FrameObservation:
+    return FrameObservation(
+        observation.index, observation.landmarks, observation.image_size, observation.source, observation.cut
+    )
+
+
+def store_clip(storage: Storage, clip: SweptClip) -> None:
+    """Write a clip under its digest. Raises `OutputError`."""
+    observations = clip.observations
+    faces = [observation.landmarks for observation in observations]
+    arrays = {
+        "index": np.array([observation.index for observation in observations]),
+        "cut": np.array([observation.cut for observation in observations]),
+        "image_size": np.array([observation.image_size for observation in observations]),
+        "found": np.array([face is not None for face in faces]),
+        "points": np.stack([np.zeros((68, 2)) if face is None else face.points for face in faces]),
+        "confidence": np.stack([np.zeros(68) if face is None else face.confidence for face in faces]),
+        "stills": np.array(clip.stills),
+    }
+    arrays |= {f"truth_{name}": part for name, part in zip(_TRUTHS, clip.truth, strict=True) if part is not None}
+    if clip.flow is not None:
+        arrays["flow"] = clip.flow
+    storage.write(_name(clip.digest), packed(arrays))
+
+
+def stored_clip(storage: Storage, digest: str, name: str) -> SweptClip | None:
+    """The clip of a digest; None if it is not there, or torn."""
+    content = storage.read(_name(digest))
+    if content is None:
+        return None
+    arrays = unpacked(content)
+    observations = tuple(
+        FrameObservation(
+            int(arrays["index"][k]),
+            Landmarks2D(arrays["points"][k], arrays["confidence"][k], size) if arrays["found"][k] else None,
+            size,
+            cut=bool(arrays["cut"][k]),
+        )
+        for k, size in enumerate((int(width), int(height)) for width, height in arrays["image_size"])
+    )
+    truth = Truth(*(arrays.get(f"truth_{part}") for part in _TRUTHS))
+    return SweptClip(name, digest, observations, bool(arrays["stills"]), truth, arrays.get("flow"))
+
+
+def sources_of(
+    clips: Sequence[str],
+    landmarks: Sequence[str] = (),
+    truths: Sequence[str] = (),
+    stills: bool = False,
+    flow: bool = False,
+) -> tuple[ClipSource, ...]:
+    """The sources of some clips; landmarks and truths are given for all of them in their order, or for none.
+
+    Raises `InputError` for another number of them, and for no clip.
+    """
+    if not clips:
+        raise InputError("There is nothing to sweep over; name a video, a photo or a landmark file.")
+    for what, given in (("landmark files", landmarks), ("truths", truths)):
+        if given and len(given) != len(clips):
+            raise InputError(f"There are {len(clips)} clips and {len(given)} {what}; give one for each clip, in order.")
+    return tuple(
+        ClipSource(clip, landmarks[k] if landmarks else "", truths[k] if truths else "", stills, flow)
+        for k, clip in enumerate(clips)
+    )
+
+
+def _name(digest: str) -> str:
+    return f"clips/{digest}.npz"

@@ -1,0 +1,187 @@
+"""A whole sweep: the plan of its points, the tasks, who does them, and what comes of it."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from workbench.config import DEFAULT_PRESET, Config, preset
+from workbench.errors import ConfigError, InputError, OutputError
+from workbench.objectives import TABLE, folds_of, objective
+from workbench.sweeps.clips import chosen_windows, parts_of
+from workbench.sweeps.outcome import SweepResult
+from workbench.sweeps.results import folds_needed, result_key, stored_result
+from workbench.sweeps.solving import check_swept
+from workbench.sweeps.space import Axis, Point, Sampling, config_at, points_of
+from workbench.sweeps.storage import Storage, is_url
+from workbench.sweeps.stored_clips import ClipSource
+from workbench.sweeps.tasks import Failed, FitTask, ObserveTask, fingerprint_of
+from workbench.sweeps.workers import Workers
+
+USUAL_OBJECTIVES = ("error", "left-out-points", "jitter", "iterations")
+FITS = 1000
+"""Fits of a task at most, folds included: about a second."""
+BEFORE_LANDMARKS = ("landmarks.detector", "landmarks.face", "camera.rig", "head", "system", "provenance", "version")
+"""Settings that are not swept: landmarks are found once, before them."""
+DEFINITION = "sweep.json"
+
+Item = TypeVar("Item")
+Progress = Callable[[str, int, int | None], None]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What is asked of a sweep."""
+
+    sources: tuple[ClipSource, ...]
+    axes: tuple[Axis, ...]
+    base: Config = field(default_factory=lambda: preset(DEFAULT_PRESET))
+    sampling: Sampling = field(default_factory=Sampling)
+    objectives: tuple[str, ...] = USUAL_OBJECTIVES
+    frames: int | None = None
+    """Budget of frames in each clip; None: all."""
+    model: str = ""
+    """Path or URL of the face model; empty: the default head."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The clips' names in tables; clips of the same name are numbered."""
+        names = [source.name for source in self.sources]
+        return tuple(
+            name if names.count(name) == 1 else f"{name}-{names[:k].count(name) + 1}" for k, name in enumerate(names)
+        )
+
+    def checked(self) -> tuple[tuple[Point, ...], tuple[Config, ...]]:
+        """The points with their configurations.
+
+        Raises `ConfigError` for an unknown setting or objective, an empty range, a value out of range, and for
+        settings that do not act on a fit from landmarks.
+        """
+        for name in self.objectives:
+            objective(name)
+        for axis in self.axes:
+            if any(axis.path == path or axis.path.startswith(f"{path}.") for path in BEFORE_LANDMARKS):
+                raise ConfigError(f"{axis.path!r} cannot be swept: landmarks are found once, before all fits.")
+        points = points_of(self.axes, self.sampling)
+        configs = tuple(config_at(self.base, point) for point in points)
+        for config in configs:
+            check_swept(config)
+        return points, configs
+
+    def definition(self) -> dict:
+        """What it asks for, as plain JSON."""
+        return {
+            "clips": [source.clip for source in self.sources],
+            "axes": {axis.path: list(axis.values) or list(axis.between) for axis in self.axes},
+            "sampling": [self.sampling.kind, self.sampling.count, self.sampling.seed],
+            "objectives": list(self.objectives),
+            "frames": self.frames,
+            "base": self.base.model_dump(mode="json"),
+            "model": self.model,
+        }
+
+
+def run_sweep(
+    sweep: Sweep, place: str | Path, workers: Workers, resume: bool = False, progress: Progress | None = None
+) -> SweepResult:
+    """Do a sweep, keeping its results in a folder by path or URL; what is there already is not done again.
+
+    A clip that cannot be fitted is told in `SweepResult.failures`, and the rest goes on. Raises `ConfigError` for what
+    the sweep asks for, `OutputError` for a place that takes no more or that holds a sweep unless `resume`, `InputError`
+    if no clip can be used. Whatever ends it, finished results stay.
+    """
+    points, configs = sweep.checked()
+    place = str(place) if is_url(str(place)) else str(Path(place).absolute())
+    storage, progress = Storage(place), progress or _silent
+    _claim(storage, sweep, resume)
+    observed, failures = _observed(sweep, storage, workers, progress)
+    if not observed:
+        raise InputError(f"None of the clips can be used: {next(iter(failures.values()))}")
+    parts = {
+        name: parts_of(chosen_windows([range(*shot) for shot in clip.shots], sweep.frames))
+        for name, clip in observed.items()
+    }
+    texts = [config.model_dump_json() for config in configs]
+    tasks = [
+        FitTask(
+            name,
+            observed[name].digest,
+            tuple((w.start, w.stop) for w in part),
+            chunk,
+            sweep.objectives,
+            place,
+            sweep.model,
+        )
+        for name in observed
+        for part in parts[name]
+        for chunk in chunked(texts, sum(map(len, part)), sweep.objectives)
+    ]
+    sizes = [len(task.configs) * sum(stop - start for start, stop in task.windows) for task in tasks]
+    done, total = 0, sum(sizes)
+    progress("fits", 0, total)
+    for number, result in workers.results(tasks):
+        if isinstance(result, Failed):
+            if result.fatal:
+                raise OutputError(f"{result.reason} Finished work is kept; --resume goes on from there.")
+            failures[tasks[number].name] = result.reason
+        done += sizes[number]
+        progress("fits", done, total)
+    values = _gathered(sweep, storage, configs, observed, parts)
+    return SweepResult(sweep.base, sweep.axes, points, sweep.objectives, values, failures)
+
+
+def _claim(storage: Storage, sweep: Sweep, resume: bool) -> None:
+    """Write down what the place is for. Raises `OutputError` where it holds a sweep already, unless it goes on."""
+    if storage.holds(DEFINITION) and not resume:
+        raise OutputError(
+            f"{storage.place} holds a sweep; go on with it by --resume (points may be added), or name another folder."
+        )
+    storage.write(DEFINITION, json.dumps(sweep.definition(), indent=1).encode())
+
+
+def _observed(sweep: Sweep, storage: Storage, workers: Workers, progress: Progress):
+    """The clips by name, with their landmarks stored; and why others have none."""
+    text = sweep.base.model_dump_json()
+    flow = any(TABLE[name].needs == "flow" for name in sweep.objectives)
+    tasks = [
+        ObserveTask(ClipSource(**{**vars(source), "flow": flow}), text, storage.place, sweep.model)
+        for source in sweep.sources
+    ]
+    found, failures = {}, {}
+    progress("clips", 0, len(tasks))
+    for number, result in workers.results(tasks):
+        name = sweep.names[number]
+        if not isinstance(result, Failed):
+            found[name] = result
+        elif result.fatal:
+            raise OutputError(f"{result.reason} Finished work is kept; --resume goes on from there.")
+        else:
+            failures[name] = result.reason
+        progress("clips", len(found) + len(failures), len(tasks))
+    return {name: found[name] for name in sweep.names if name in found}, failures
+
+
+def chunked(items: Sequence[Item], frames: int, objectives: Sequence[str]) -> list[tuple[Item, ...]]:
+    """Configurations, or their numbers, in groups of about `FITS` fits of so many frames each."""
+    fits = frames * len(folds_of(folds_needed(objectives), 1))
+    size = max(1, FITS // max(1, fits))
+    return [tuple(items[first : first + size]) for first in range(0, len(items), size)]
+
+
+def _gathered(sweep: Sweep, storage: Storage, configs, observed, parts):
+    """The stored results by point and clip, the parts of a clip in a row; nothing for what is not whole."""
+    model, values = fingerprint_of(sweep.model), {}
+    for number, config in enumerate(configs):
+        for name, clip in observed.items():
+            keys = [result_key(config, clip.digest, part, sweep.objectives, model) for part in parts[name]]
+            found = [stored_result(storage, key) for key in keys]
+            if all(each is not None for each in found):
+                values[number, name] = np.concatenate(found, axis=1)
+    return values
+
+
+def _silent(step: str, done: int, total: int | None) -> None:
+    """The default for `progress`: say nothing."""

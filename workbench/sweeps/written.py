@@ -1,0 +1,63 @@
+"""What a sweep leaves in its folder besides the results: tables, figures, the best configuration."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from workbench import __version__
+from workbench.config import Config, config_toml
+from workbench.config.sections import Provenance
+from workbench.files import make_folder, writing
+from workbench.objectives import WeightedSum
+from workbench.sweeps.figures import write_figures
+from workbench.sweeps.outcome import SweepResult
+from workbench.sweeps.storage import is_url
+
+
+def write_outcome(result: SweepResult, place: str | Path, wanted: WeightedSum | None = None) -> tuple[str, ...]:
+    """Write the tables, the figures and the best configuration; returns the names of the files.
+
+    `wanted` is what the best point has least of; None: the first objective. `table.parquet` comes with pyarrow. Raises
+    `OutputError` for a place that takes no more.
+    """
+    if not is_url(str(place)):
+        return _write(result, make_folder(place), wanted)
+    import fsspec
+
+    with TemporaryDirectory() as folder:
+        names = _write(result, Path(folder), wanted)
+        system, path = fsspec.core.url_to_fs(str(place))
+        with writing(place):
+            for name in names:
+                system.put_file(str(Path(folder) / name), f"{path.rstrip('/')}/{name}")
+    return names
+
+
+def _write(result: SweepResult, folder: Path, wanted: WeightedSum | None) -> tuple[str, ...]:
+    wanted = wanted or WeightedSum({result.objectives[0]: 1.0})
+    names = ["table.csv"]
+    result.write_csv(folder / "table.csv")
+    if find_spec("pyarrow"):
+        result.write_parquet(folder / "table.parquet")
+        names.append("table.parquet")
+    best = result.best(wanted)
+    if best is not None:
+        with writing(folder / "best.toml"):
+            (folder / "best.toml").write_text(config_toml(best_config(result, best)), encoding="utf-8")
+        names.append("best.toml")
+    if result.values:
+        with writing(folder):
+            names.extend(write_figures(result, folder))
+    return tuple(names)
+
+
+def best_config(result: SweepResult, number: int) -> Config:
+    """The configuration of a point, with where it comes from."""
+    settings = [f"{path} = {value}" for path, value in result.points[number].values]
+    provenance = Provenance(
+        versions={"workbench": __version__},
+        inputs=list(result.clips),
+        changed=settings,
+        after={name: float(result.means(name)[number]) for name in result.objectives},
+    )
+    return result.config(number).model_copy(update={"provenance": provenance})
