@@ -156,6 +156,42 @@ class TestChart:
 
 
 @needs_node
+class TestPainting:
+    def seen(self, happened: str) -> object:
+        """Which frames of a page's life painted; `hidden` takes what is painted out of the page."""
+        page = """
+            let frames = [], hidden = false, timers = [];
+            globalThis.requestAnimationFrame = (run) => frames.push(run);
+            globalThis.cancelAnimationFrame = () => { frames = []; };
+            globalThis.setTimeout = (run) => timers.push(run);
+            globalThis.clearTimeout = () => { timers = []; };
+            const all = (runs) => runs.splice(0).forEach((run) => run());
+            const later = () => all(timers), frame = () => all(frames);
+            const seen = [], painting = onDemand((all) => !hidden && Boolean(seen.push(all)));
+        """
+        path = BROWSER / "shared" / "painting.js"
+        return asked_of_node(path, "onDemand", f"(() => {{ {page} {happened}; return seen; }})()")
+
+    @needs_node
+    def test_much_is_asked_for_and_painted_once_in_the_next_frame(self):
+        assert self.seen("painting.ask(), painting.ask(true), frame(), frame(), painting.ask(), frame()") == [
+            True,
+            False,
+        ]
+
+    @needs_node
+    def test_what_is_out_of_the_page_for_a_moment_is_painted_when_it_is_back(self):
+        """As cells are when JupyterLab puts its list of cells into order."""
+        gone = "painting.ask(true), hidden = true, frame(), hidden = false, seen.push('back')"
+        assert self.seen(f"{gone}, frame(), later(), frame(), later(), frame()") == ["back", True]
+
+    @needs_node
+    def test_what_stays_away_is_not_asked_for_ever(self):
+        asked = "hidden = true, painting.ask(true); for (let k = 0; k < 99; k++) frame(), later()"
+        assert self.seen(f"{asked}; seen.push(timers.length, frames.length)") == [0, 0]
+        assert self.seen("painting.ask(), painting.stop(), later(), frame()") == []
+
+
 class TestTimeline:
     TRACK, SPAN = (BROWSER / "timeline" / name for name in ("track.js", "span.js"))
 

@@ -145,8 +145,10 @@ def place_of(page, point):
 def test_the_face_has_a_third_of_the_height_and_the_panel_fits_into_the_window(page, screenshots, size):
     page.page.set_viewport_size(size)
     to_top(page)
-    page.page.wait_for_timeout(300)
-    assert face_height(page) >= size["height"] / 3
+    browser.wait_until(
+        lambda: face_height(page) >= size["height"] / 3, "the face has a third of the height",
+        pause=lambda: page.page.wait_for_timeout(60),
+    )  # fmt: skip
     for theme in ("Light", "Dark"):
         page.page.evaluate(
             f"() => window.jupyterapp.commands.execute('apputils:change-theme', {{theme: 'JupyterLab {theme}'}})"
@@ -273,9 +275,11 @@ def test_the_question_mark_lists_the_keys(small, screenshots):
 
 
 def test_find_the_worst_frame(small, actions):
+    actions.key("n")  # the frame before it has a jump ahead, and is flagged too
+    becomes(small, "panel.frame", str(JUMP - 1))
     actions.key("n")
     becomes(small, "panel.frame", str(JUMP))
-    assert actions.count <= 1
+    assert actions.count <= 3
 
 
 def test_find_out_why(small, actions, screenshots):

@@ -129,18 +129,17 @@ def border(across: bool = False) -> widgets.Widget:
 
 
 def tabs(pages: Mapping[str, widgets.Widget | None]) -> widgets.Tab:
-    """Pages by title, without those that are None."""
+    """Pages by title, without those that are None, for the foot of a panel: tables need its whole width."""
     there = {title: page for title, page in pages.items() if page is not None}
-    return widgets.Tab(children=list(there.values()), titles=list(there))
+    return classed(widgets.Tab(children=list(there.values()), titles=list(there)), "fw-pages")
 
 
 def arranged(
-    settings: widgets.Widget, photo: widgets.Widget, head: widgets.Widget, clip: Sequence[widgets.Widget],
-    pages: widgets.Widget,
-) -> widgets.Widget:  # fmt: skip
-    """Settings beside the views, below which are the rows of the clip and the pages; borders between them move."""
+    settings: widgets.Widget, photo: widgets.Widget, head: widgets.Widget, clip: Sequence[widgets.Widget]
+) -> widgets.Widget:
+    """Settings beside the views, below which are the rows of the clip; borders between them move."""
     views = classed(widgets.HBox([classed(photo, "fw-photo"), border(), classed(head, "fw-head")]), "fw-views")
-    main = classed(widgets.VBox([views, border(across=True), *clip, classed(pages, "fw-pages")]), "fw-main")
+    main = classed(widgets.VBox([views, border(across=True), *clip]), "fw-main")
     return classed(widgets.HBox([settings, border(), main]), "fw-body")
 
 

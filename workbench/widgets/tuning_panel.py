@@ -169,8 +169,8 @@ class TuningPanel(widgets.VBox):
         told = (self.status, self.waiting, *self.export_dialog.buttons)
         top = classed(widgets.HBox([self.history.widget, *told]), "fw-top-bar")
         clip = [self.clip.timeline, self.transport.widget] if self._is_clip else []
-        body = arranged(self.controls.widget, self.overlay.widget, self.head.widget, clip, self.tabs)
-        return [top, self.export_dialog.widget, body]
+        body = arranged(self.controls.widget, self.overlay.widget, self.head.widget, clip)
+        return [top, self.export_dialog.widget, body, self.tabs]
 
     # --- what the user does ---
 
