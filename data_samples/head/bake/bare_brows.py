@@ -20,7 +20,7 @@ ABOVE_BROW_MM, ABOVE_LID_MM = 6.0, 3.0
 """Of the band's upper end from the brow's line, and of its lower end from the lid's edge."""
 INSIDE_MM, OUTSIDE_MM = (6.0, 15.0), (52.0, 64.0)
 """From the middle of the face: where the change sets in, and where it ends."""
-TOWARDS_LID = 2.0
+TOWARDS_LID = 4.0
 """Exponent of the share of the colour below: lids are dark near their edge alone."""
 MOST = 1.6
 """Largest factor of a colour."""
