@@ -13,6 +13,7 @@ import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlparse
 
@@ -43,6 +44,7 @@ OVERRIDES = {
     "@jupyterlab/docmanager-extension:plugin": {"autosave": False},
 }
 START_S, RUN_S = 240.0, 300.0
+POLLING_MS = 100
 SETTLED_MS = 300
 """Time without a change after which something counts as at rest."""
 
@@ -198,6 +200,8 @@ class LabPage:
 
     def __init__(self, page, server: LabServer):
         self.page, self.server = page, server
+        # By the clock, not in animation frames: there JupyterLab may have taken the cell out of the page for a moment.
+        page.wait_for_function = partial(page.wait_for_function, polling=POLLING_MS)
         self.page_errors: list[str] = []
         self.console_errors: list[str] = []
         self.foreign_requests: list[str] = []

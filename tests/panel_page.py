@@ -51,8 +51,15 @@ def to_top(page):
 
 
 def tab(page, title):
-    """Bring a page of a tab to the front."""
-    page.page.locator(".fw-panel .lm-TabBar-tab").filter(has_text=title).first.click()
+    """Bring a page of a tab to the front, unfolded."""
+    found = page.page.locator(".fw-panel .lm-TabBar-tab").filter(has_text=title).first
+    if not found.evaluate("(e) => e.matches('.lm-mod-current') && !e.closest('.fw-folded')"):
+        found.click()
+
+
+def fold(page):
+    """Fold the pages below the strip away."""
+    page.page.locator(".fw-pages .lm-TabBar-tab.lm-mod-current").click()
 
 
 def press(page, label, *keys):

@@ -39,6 +39,7 @@ SLOW = (
     "test_networks.py",
     "test_contributing.py",
     "test_time_page.py",
+    "test_panel_design.py",
     "test_infill.py",
     "test_paper_deep_energies.py",
     "test_extras.py",
@@ -57,6 +58,7 @@ BROWSER = (
     "test_head_views_browser.py",
     "test_live_browser.py",
     "test_panel_browser.py",
+    "test_panel_design_browser.py",
     "test_time_page_browser.py",
     "test_views_2d_browser.py",
 )

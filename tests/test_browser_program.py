@@ -15,6 +15,7 @@ from workbench.geometry import project
 from workbench.pictures.mesh import face_normals, to_camera
 from workbench.widgets.browser_program import BROWSER, browser_program
 from workbench.widgets.head_mesh import collar
+from workbench.widgets.panel_page import ACTIONS
 from workbench.widgets.viewpoint import front_viewpoint, orbited, panned, zoomed
 from workbench.widgets.webgl_head_view import viewpoint_numbers
 
@@ -155,6 +156,42 @@ class TestChart:
 
 
 @needs_node
+class TestPainting:
+    def seen(self, happened: str) -> object:
+        """Which frames of a page's life painted; `hidden` takes what is painted out of the page."""
+        page = """
+            let frames = [], hidden = false, timers = [];
+            globalThis.requestAnimationFrame = (run) => frames.push(run);
+            globalThis.cancelAnimationFrame = () => { frames = []; };
+            globalThis.setTimeout = (run) => timers.push(run);
+            globalThis.clearTimeout = () => { timers = []; };
+            const all = (runs) => runs.splice(0).forEach((run) => run());
+            const later = () => all(timers), frame = () => all(frames);
+            const seen = [], painting = onDemand((all) => !hidden && Boolean(seen.push(all)));
+        """
+        path = BROWSER / "shared" / "painting.js"
+        return asked_of_node(path, "onDemand", f"(() => {{ {page} {happened}; return seen; }})()")
+
+    @needs_node
+    def test_much_is_asked_for_and_painted_once_in_the_next_frame(self):
+        assert self.seen("painting.ask(), painting.ask(true), frame(), frame(), painting.ask(), frame()") == [
+            True,
+            False,
+        ]
+
+    @needs_node
+    def test_what_is_out_of_the_page_for_a_moment_is_painted_when_it_is_back(self):
+        """As cells are when JupyterLab puts its list of cells into order."""
+        gone = "painting.ask(true), hidden = true, frame(), hidden = false, seen.push('back')"
+        assert self.seen(f"{gone}, frame(), later(), frame(), later(), frame()") == ["back", True]
+
+    @needs_node
+    def test_what_stays_away_is_not_asked_for_ever(self):
+        asked = "hidden = true, painting.ask(true); for (let k = 0; k < 99; k++) frame(), later()"
+        assert self.seen(f"{asked}; seen.push(timers.length, frames.length)") == [0, 0]
+        assert self.seen("painting.ask(), painting.stop(), later(), frame()") == []
+
+
 class TestTimeline:
     TRACK, SPAN = (BROWSER / "timeline" / name for name in ("track.js", "span.js"))
 
@@ -424,3 +461,34 @@ class TestLivePanel:
             told.push(leaving.isUnderWay());
         }"""
         assert [word for word in self.told(happened) if isinstance(word, bool)] == [True, True, False, True, False]
+
+
+@needs_node
+class TestPanel:
+    HELP, CROP, VIEWPOINT = (BROWSER / name for name in ("panel/help.js", "head/crop.js", "head/viewpoint.js"))
+
+    def test_keys_have_their_actions_in_small_and_capital_letters(self):
+        ask = '["n", "N", ",", ".", " ", "?", "Enter", "q"].map((key) => actionOf(key) ?? null)'
+        wanted = ["next", "next", "back", "forth", "play", "help", None, None]
+        assert asked_of_node(self.HELP, "actionOf", ask) == wanted
+
+    def test_every_action_of_a_key_is_done_by_the_page_or_the_panel(self):
+        named = asked_of_node(self.HELP, "KEYS", 'KEYS.flatMap(([, , , actions]) => actions.split(" "))')
+        assert set(named) - {"bare", "search", "help"} <= set(ACTIONS)
+        assert set(ACTIONS) - set(named) == {"undo", "redo"}  # with Ctrl
+
+    def test_the_head_is_seen_through_the_crop_of_the_photo(self):
+        """A point of the picture lies as far from the middle of the head's stage as from that of the photo's."""
+        lens, crop = [500, 510, 320, 180], {"scale": 2.5, "x": -300, "y": -120, "width": 400, "height": 300}
+        fx, fy, cx, cy = asked_of_node(self.CROP, "throughCrop", f"throughCrop({lens}, {json.dumps(crop)}, [260, 300])")
+        point = np.array([12.0, -30.0, 700.0])
+        pixel = np.array([500 * point[0] / point[2] + 320, 510 * point[1] / point[2] + 180])
+        on_photo = 2.5 * pixel + [-300, -120] - np.array([400, 300]) / 2
+        on_head = np.array([fx * point[0] / point[2] + cx, fy * point[1] / point[2] + cy]) - np.array([260, 300]) / 2
+        np.testing.assert_allclose(on_head, on_photo)
+
+    def test_what_is_in_view_stays_in_view_on_a_stage_of_another_shape(self):
+        pose = {"camera": [600, 600, 151.5, 153.5], "size": [304, 308], "turn": [], "shift": [], "pivot": []}
+        found = asked_of_node(self.VIEWPOINT, "stretched", f"stretched({json.dumps(pose)}, [608, 400])")
+        assert found["size"] == [608, 400]
+        assert found["camera"] == pytest.approx([600 * 400 / 308, 600 * 400 / 308, 303.5, 199.5])

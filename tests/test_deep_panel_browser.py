@@ -79,7 +79,7 @@ def test_every_stage_can_be_reached(page, screenshots):
             assert abs(boxes[title]["x"] - rows.first.locator(part).bounding_box()["x"]) < 8
         table = page.page.locator(".fw-stages").bounding_box()
         assert boxes[-1]["x"] + boxes[-1]["width"] <= table["x"] + table["width"]
-    rows.last.get_by_role("button", name="✕", exact=True).hover()
+    rows.last.locator("button").filter(has_text="✕").hover()
 
 
 def test_the_kernel_has_the_chosen_energy_and_nothing_went_wrong(page):

@@ -2,6 +2,7 @@
 
 import threading
 
+import cv2
 import ipywidgets as widgets
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from workbench.config import preset
 from workbench.landmarks.files import LandmarkRecord, read_landmark_file, write_landmark_file
 from workbench.samples import sample
 from workbench.session import TuningSession, open_session
+from workbench.tracking import FrameObservation
+from workbench.widgets import detection_preview as preview_module
 from workbench.widgets import opener as opener_module
 from workbench.widgets.opener import SessionOpener
 
@@ -148,7 +151,7 @@ def test_landmarks_are_counted_while_they_are_found(opener, landmark_file):
 def test_a_newer_choice_ends_an_older_one(opener, landmark_file, monkeypatch):
     started, go_on = threading.Event(), threading.Event()
 
-    def slow(path, config, landmarks, progress):
+    def slow(path, config, landmarks, progress, seen):
         if path == landmark_file:
             started.set()
             go_on.wait(10)
@@ -173,3 +176,36 @@ def test_closing_closes_the_panel():
     opener.close()
     assert panel.closed.is_set()
     assert "SessionOpener" in repr(opener)
+
+
+def test_the_first_picture_is_there_before_the_detector_and_detections_follow(monkeypatch):
+    monkeypatch.setattr(preview_module, "EVERY_S", 0.0)
+    preview = preview_module.DetectionPreview()
+    preview.begin(sample("astronaut"))
+    assert preview.layout.display is None
+    first = decoded(preview)
+    assert first.shape == (512, 512, 3)
+    landmarks = next(read_landmark_file(sample("astronaut-landmarks"))).landmarks
+    preview.see(FrameObservation(0, landmarks, landmarks.image_size))
+    assert np.abs(decoded(preview).astype(int) - first).max() > 60
+    preview.end()
+    assert (preview.layout.display, preview.value) == ("none", b"")
+
+
+def test_between_two_pictures_the_detector_is_not_held_up():
+    preview = preview_module.DetectionPreview()
+    preview.begin(sample("astronaut"))
+    first = preview.value
+    landmarks = next(read_landmark_file(sample("astronaut-landmarks"))).landmarks
+    preview.see(FrameObservation(0, landmarks, landmarks.image_size))
+    assert preview.value == first
+
+
+def test_landmarks_alone_have_no_picture_to_show(landmark_file):
+    preview = preview_module.DetectionPreview()
+    preview.begin(landmark_file)
+    assert preview.layout.display == "none"
+
+
+def decoded(preview):
+    return cv2.imdecode(np.frombuffer(preview.value, np.uint8), cv2.IMREAD_COLOR)

@@ -35,9 +35,9 @@ from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
 from workbench.widgets import FitPlayground, LivePanel, SessionOpener, TuningPanel
 from workbench.widgets.chart_view import ChartView
-from workbench.widgets.controls import KnobControl, place_of, value_at
 from workbench.widgets.diagnosis_view import found_text
 from workbench.widgets.film_strip import FilmStrip
+from workbench.widgets.knob_control import KnobControl, place_of, value_at
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.light_panel import LightPanel
 from workbench.widgets.overlay_view import OverlayEvent
@@ -542,10 +542,10 @@ def test_the_film_strip_shows_the_stages_and_says_meanwhile_what_it_does(head, m
 def test_a_drag_of_a_slider_is_one_step_however_slow_and_the_next_drag_another(panel, monkeypatch):
     monkeypatch.setattr(gesture, "GESTURE_S", 0.0)
     for drag, values in ((1, (15.0, 9.0, 4.0)), (2, (3.0, 2.0))):
-        panel.drags.drag = drag
+        panel.page.drag = drag
         for value in values:
             panel.turn("weights.sigma_smooth", value)
-    panel.drags.drag = 0
+    panel.page.drag = 0
     panel.turn("weights.sigma_smooth", 1.0)
     found = []
     while panel.session.undo():
@@ -613,7 +613,7 @@ def test_a_clip_is_run_again_after_a_change_and_the_frame_follows_the_timeline(c
     assert panel.wait_idle()
     assert panel.frame == panel.fit.index == 6
     np.testing.assert_array_equal(panel.fit.expression, panel.session.run.fits[6].expression)
-    panel.step_buttons[0].click()
+    panel.transport.steps[-1].click()
     assert panel.frame == 5
     panel.follow.value = False
     panel.turn("weights.sigma_smooth", 9.0)
@@ -658,7 +658,7 @@ def test_the_export_offers_a_free_name_or_to_overwrite_what_is_there(jumping_pan
     panel.export.click()
     assert panel.wait_idle()
     assert taken.read_text() == "of another clip"
-    assert "tuned.toml exists already: pressing export again writes clip-tuned.toml." in panel.exported.value
+    assert "tuned.toml exists already: pressing save again writes clip-tuned.toml." in panel.exported.value
     assert panel.overwrite.description == "overwrite tuned.toml"
     assert panel.overwrite.layout.display is None
     panel.export.click()

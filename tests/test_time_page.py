@@ -1,5 +1,7 @@
 """The panel's page of infill and refinement without a browser: every control reaches the session, results are shown."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from workbench.session.knobs import METHODS, TIME, value_of
 from workbench.session.material import PictureStore
 from workbench.widgets import TuningPanel
 from workbench.widgets.failed_frames import failed_html
-from workbench.widgets.methods_page import chosen, colors_of, longest_gap, numbers_html
+from workbench.widgets.methods_page import chosen, colors_of, gaps, numbers_html
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +62,7 @@ def test_the_shown_frame_and_ranges_are_marked_and_shown_on_the_strip(panel):
 
 
 def test_the_panel_has_a_page_of_its_own_for_time_and_one_for_all_methods(panel):
-    assert panel.controls.widget.titles[-1] == "time"
+    assert panel.controls.pages.titles[-1] == "time"
     assert "Methods" in panel.tabs.titles
 
 
@@ -184,7 +186,7 @@ def test_all_methods_are_compared_line_by_line(panel):
     names = methods.charts[0]._series["names"]
     assert names[:4] == ["before", "flow", "linear", "spline"]
     assert len(names) == 8
-    assert methods.charts[0]._series["selected"] == [4.5, 6.5]
+    assert methods.charts[0]._series["shaded"] == [[4.5, 6.5]]
     assert methods.table.value.count("<tr>") == 9
     methods.shown.value = "infill"
     assert methods.charts[2]._series["names"] == ["before", "flow", "linear", "spline"]
@@ -241,6 +243,10 @@ def test_a_method_keeps_its_colour_whatever_is_shown(panel):
     assert chosen(results, "refinement") == {}
     assert colors_of(results)["before"] == "ink"
     assert len(set(colors_of(results).values())) == 3
-    assert longest_gap(results["linear"]) == (4.5, 5.5)
-    assert "<td>spline</td><td>1</td>" in numbers_html(results)
+    assert gaps(results["linear"]) == [(4.5, 5.5)]
+    table = numbers_html(results, colors_of(results))
+    for name in ("linear", "spline"):  # rows have the colours of the curves
+        assert re.search(rf"border-top:3px solid {colors_of(results)[name]}[^<]*></i>{name}</td><td>1</td>", table)
+    least = min(worked.numbers()["jitter_deg"] for worked in results.values())
+    assert f"<td class='fw-best'>{least:.3f}</td>" in table
     assert failed_html(panel.session, (2, 9)) == "marked: 5"

@@ -68,7 +68,7 @@ def test_frames_are_marked_and_shown_on_the_strip(page, screenshots):
 
 def test_a_run_is_cancelled(page):
     choose(page, "refine", "plate")
-    press(page, "▶ run")
+    press(page, "run")
     says(page, "refine 1")
     page.page.locator(".fw-controls").get_by_role("button", name="cancel").click()
     says(page, "Cancelled; finished results are kept.")
@@ -80,7 +80,7 @@ def test_a_run_fills_the_gap_and_the_toggle_shows_both_sides(page, screenshots):
     type_in(page, "whole clip", PART)
     to_frame(page, 128)
     before = rested(page, MARKS), rested(page, HEAD)
-    press(page, "▶ run")
+    press(page, "run")
     says(page, "linear 120-136, 9 filled")
     says(page, "filled from its neighbours")
     assert changed(page, MARKS, before[0]) > 0.0
@@ -102,7 +102,7 @@ def to_frame(page, frame):
 def test_the_part_plays(page):
     press(page, "after")
     to_frame(page, 120)
-    play = page.page.locator(".fw-controls .jupyter-widget-play button, .fw-controls .widget-play button").first
+    play = page.page.locator(".fw-play button").first
     play.click()
     page.page.wait_for_function("() => document.querySelector('.fw-status').innerText.includes('frame 136/')")
 
@@ -121,8 +121,9 @@ def test_all_methods_are_compared(page, screenshots):
 
 
 def test_the_choice_is_exported(page, screenshots):
-    press(page, "export")
-    says(page, "workbench track", 300)
+    press(page, "Save · Export")
+    press(page, "save settings")
+    says(page, "to reproduce the numbers", 300)
     written = read_config(page.server.folder / "tuned.toml")
     assert written.infill.frames == ((124, 132),)
     assert (written.infill.method, written.refinement.method) == ("linear", "none")

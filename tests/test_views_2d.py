@@ -434,9 +434,9 @@ class TestChart:
             pack_series(self.X[::-1].copy(), {})
 
     def test_marks_labels_and_cursor(self, chart):
-        chart.set_series(self.X, {"a": self.X}, marks=[(0, "pose"), (3, "expression")], cursor=2, selected=(1, 3))
+        chart.set_series(self.X, {"a": self.X}, marks=[(0, "pose"), (3, "expression")], cursor=2, shaded=[(1, 3)])
         assert chart._series["marks"] == [[0.0, "pose"], [3.0, "expression"]]
-        assert chart._series["selected"] == [1.0, 3.0]
+        assert chart._series["shaded"] == [[1.0, 3.0]]
         assert chart.cursor == 2.0
         chart.set_series(self.X, {"a": self.X})
         assert chart.cursor == 2.0

@@ -6,6 +6,7 @@ from typing import Any, Literal
 from workbench.config import Config
 from workbench.energies.terms import NODES, TABLE, Term, factor
 from workbench.landmarks.scheme import GROUPS
+from workbench.session.knob_words import Words, plain_words
 
 Kind = Literal["log", "linear", "whole", "switch", "choice"]
 Value = float | int | bool | str
@@ -27,6 +28,21 @@ class Knob:
     choices: tuple[str, ...] = ()
     level: int = 0
     """Depth in the hierarchy of ω (Eqs. 5–7)."""
+
+    @property
+    def words(self) -> Words:
+        """A plain name, and what happens when the knob is raised."""
+        return plain_words(self.path, self.tip.partition(": ")[2])
+
+    @property
+    def help(self) -> str:
+        """Two lines: what happens when it is raised, then the equation."""
+        return f"{self.words.effect}\n{self.tip}"
+
+    def matches(self, text: str) -> bool:
+        """Whether every word of a search is in its name, its plain words or its help."""
+        told = f"{self.path} {self.label} {self.words.name} {self.help}".lower().replace("_", " ")
+        return all(word in told for word in text.lower().replace("_", " ").split())
 
 
 def _of_term(term: Term, system: str = "face-it") -> Knob:
@@ -137,6 +153,12 @@ TIME = (
     _of_term(TABLE["stay"]),
 )  # fmt: skip
 KNOBS = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS, *DEEP, *METHODS, *TIME)
+
+
+def label_of(path: str) -> str:
+    """What undo calls a change of a knob: its symbol and its plain name."""
+    knob = next(knob for knob in KNOBS if knob.path == path)
+    return f"{knob.label}, {knob.words.name}"
 
 
 def is_inert(config: Config, path: str) -> bool:

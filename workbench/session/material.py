@@ -119,11 +119,12 @@ def load_material(
     landmarks: str | Path | None = None,
     stills: bool = False,
     progress: Progress | None = None,
+    seen: Callable[[FrameObservation], None] | None = None,
 ) -> Material:
     """Open pictures, a video or a landmark file as `workbench track` does, and find the landmarks of every frame.
 
     `landmarks` is a file with the landmarks of the pictures, used instead of a detector. `progress(step, done, total)`
-    is called after each frame. Raises `InputError` for unusable inputs.
+    and `seen(observation)` are called after each frame. Raises `InputError` for unusable inputs.
     """
     paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     if not paths:
@@ -133,6 +134,8 @@ def load_material(
     found = []
     for observation in source.observations(0, {}, stills):
         found.append(observation)
+        if seen is not None:
+            seen(observation)
         if progress is not None:
             progress("landmarks", len(found), source.count)
     if not found:

@@ -311,11 +311,12 @@ def open_session(
     landmarks: str | Path | None = None,
     stills: bool = False,
     progress: Progress | None = None,
+    seen: Callable[[FrameObservation], None] | None = None,
 ) -> TuningSession:
     """A session on a photo, photos, a clip, a landmark file, a `Track`, or a `Material`.
 
-    `config` is a configuration or the name of a preset; a track has its own. Raises `InputError` and `ConfigError`
-    if one of them cannot be read.
+    `config` is a configuration or the name of a preset; a track has its own. `progress` and `seen` are as for
+    `load_material`. Raises `InputError` and `ConfigError` if one of them cannot be read.
     """
     model = load_default_head() if model is None else model
     if isinstance(config, str):
@@ -327,4 +328,4 @@ def open_session(
         config = config or (parse_config(stored, "the track's configuration") if stored else None)
         return TuningSession(model, material_of_track(inputs), config)
     config = config or preset(DEFAULT_PRESET)
-    return TuningSession(model, load_material(inputs, config, landmarks, stills, progress), config)
+    return TuningSession(model, load_material(inputs, config, landmarks, stills, progress, seen), config)

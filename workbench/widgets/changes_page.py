@@ -1,30 +1,87 @@
-"""The changes since the start of a session, and the metrics of its last run."""
+"""What changed since the start of a session, and how the configurations that ran compare in numbers."""
 
 import html
 
 import ipywidgets as widgets
 
+from workbench.config import Config, Difference
 from workbench.session import TuningSession
+from workbench.session.knobs import KNOBS
+
+COLUMNS = {
+    "all_68_percent_mean": "error, %",
+    "all_68_percent_p95": "worst 5 %",
+    "inner_51_percent_mean": "without jaw line, %",
+    "jitter_deg": "jitter, °",
+}
+"""Metrics of a run, all better when lower, and what they are called."""
+START, NOW = "the start", "now"
+BY_PATH = {knob.path: knob for knob in KNOBS}
 
 
 class ChangesPage(widgets.HTML):
-    """A list of changes, with the metrics of the last run if it is up to date."""
+    """A list of changes, and a table of the start, the snapshots and the present. Runs are remembered as they end."""
 
     def __init__(self, session: TuningSession, height_px: int) -> None:
         self._session = session
+        self._ran: dict[str, dict[str, float]] = {}
         super().__init__(layout=widgets.Layout(height=f"{height_px}px", overflow="auto"))
 
     def show(self) -> None:
         """Update from the session."""
-        self.value = changes_html(self._session)
+        session = self._session
+        if session.run is not None:
+            self._ran[_key(session.run.config)] = session.run.metrics
+        configs = {START: session.base, **session.snapshots, NOW: session.config}
+        rows = {name: self._ran.get(_key(config), {}) for name, config in configs.items()}
+        self.value = (
+            f"<div style='display:flex;gap:32px;align-items:flex-start'><div>{changes_html(session)}</div>"
+            f"<div>{comparison_html(rows)}</div></div>"
+        )
 
 
 def changes_html(session: TuningSession) -> str:
-    """The changes since the start, and the metrics then and now, as HTML."""
-    rows = "".join(f"<li><code>{html.escape(str(item))}</code></li>" for item in session.changes())
-    unexported = len(session.unexported)
-    text = f"<b>Changed since the start</b><ul style='margin:2px 0'>{rows or '<li>nothing</li>'}</ul>"
-    if session.run is not None and not session.stale.any():
-        numbers = ", ".join(f"{name} {value:g}" for name, value in session.metrics().items())
-        text += f"<b>Last run</b>: {html.escape(numbers)}"
-    return text + f"<br>{unexported} change(s) not exported yet."
+    """The changes since the start as HTML."""
+    rows = "".join(f"<li>{html.escape(change_words(item))}</li>" for item in session.changes())
+    return (
+        f"<b>Changed since the start</b><ul style='margin:2px 0;padding-left:18px'>{rows or '<li>nothing</li>'}</ul>"
+        f"{len(session.unexported)} of them not saved yet."
+    )
+
+
+def change_words(item: Difference) -> str:
+    """A change in words: moved points are counted, settings have their symbol and plain name."""
+    if item.path.startswith("landmarks.moved"):
+        frame, points = item.path.removeprefix("landmarks.moved").strip("."), item.after or item.before or {}
+        if not frame:
+            return f"{sum(len(of_frame) for of_frame in points.values())} points moved in {len(points)} frames"
+        return f"frame {frame}: {len(points)} points " + ("moved" if item.after else "back at their detections")
+    knob = BY_PATH.get(item.path)
+    if knob is None:
+        return str(item)
+    return f"{knob.label} ({knob.words.name}): {str(item).partition(': ')[2]}"
+
+
+def comparison_html(rows: dict[str, dict[str, float]]) -> str:
+    """Metrics of each configuration as a table with the best of a column marked; a dash where it has not run."""
+    columns = [name for name in COLUMNS if any(name in numbers for numbers in rows.values())]
+    if not columns:
+        return ""
+    best = {name: min(numbers[name] for numbers in rows.values() if name in numbers) for name in columns}
+
+    def cell(numbers: dict[str, float], name: str) -> str:
+        if name not in numbers:
+            return "<td>–</td>"
+        mark = " class='fw-best'" if numbers[name] == best[name] else ""
+        return f"<td{mark}>{numbers[name]:.2f}</td>"
+
+    head = "".join(f"<th>{COLUMNS[name]}</th>" for name in columns)
+    lines = [
+        f"<tr><td>{html.escape(row)}</td>{''.join(cell(numbers, name) for name in columns)}</tr>"
+        for row, numbers in rows.items()
+    ]
+    return f"<table><tr><th>configuration</th>{head}</tr>{''.join(lines)}</table>"
+
+
+def _key(config: Config) -> str:
+    return config.changed(provenance=None).model_dump_json()

@@ -20,7 +20,7 @@ YELLOW = "#F0E442"
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", YELLOW, INK)
 """The Okabe–Ito palette, safe for colour-blind readers; its black follows the theme. Further series reuse it with
 dashed lines."""
-UNMARKED = {"marks": [], "selected": None, "x_label": "", "y_label": ""}
+UNMARKED = {"marks": [], "shaded": [], "x_label": "", "y_label": ""}
 """Empty values of everything that a chart shows besides its series."""
 
 
@@ -88,16 +88,16 @@ class ChartView(anywidget.AnyWidget):
         x_label: str = "",
         marks: Sequence[tuple[Number, str]] = (),
         cursor: Number | None = None,
-        selected: tuple[Number, Number] | None = None,
+        shaded: Sequence[tuple[Number, Number]] = (),
     ) -> None:
         """Show named series over ascending `x`, in the order given.
 
         `colors` are CSS colours by name (default: `series_colors`); `marks` are vertical lines with a label, such as
-        the starts of stages; `selected` is a shaded range of x; `cursor` None leaves the line where it is.
+        the starts of stages; `shaded` are ranges of x with a darker ground; `cursor` None leaves the line where it is.
         """
         packed = pack_series(x, series, colors)
         packed["marks"] = [[float(place), str(label)] for place, label in marks]
-        packed["selected"] = None if selected is None else [float(selected[0]), float(selected[1])]
+        packed["shaded"] = [[float(first), float(last)] for first, last in shaded]
         packed |= {"x_label": x_label, "y_label": y_label}
         self._series = packed
         if cursor is not None:

@@ -1,4 +1,4 @@
-"""Stepping through a clip and fitting all of it, after each change or on request."""
+"""Fitting all of a clip, after each change or on request."""
 
 from collections.abc import Callable
 
@@ -6,7 +6,7 @@ import ipywidgets as widgets
 
 from workbench.session import TuningSession
 from workbench.widgets.clip_views import ClipViews
-from workbench.widgets.controls import small_button
+from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.latest import LatestWins
 
 SETTLED_S = 0.3
@@ -16,43 +16,30 @@ LIVE_CLIP_FRAMES = 1500
 
 
 class ClipBar:
-    """Buttons for a clip, and the thread that fits it; only the latest request counts.
+    """Buttons that fit a clip, and the thread that does it; only the latest request counts.
 
-    `step` is called with -1, 1 or, for the next flagged frame, 0; `refit` if the fit of the shown frame is out of
-    date; `settled` if there is nothing to run; `failed` with errors.
+    `refit` is called if the fit of the shown frame is out of date; `settled` if there is nothing to run; `failed` with
+    errors.
     """
 
     def __init__(
         self,
         session: TuningSession,
         views: ClipViews,
-        step: Callable[[int], None],
         refit: Callable[[], None],
         settled: Callable[[], None],
         failed: Callable[[Exception], None],
     ) -> None:
         self._session, self._views, self._refit, self._settled = session, views, refit, settled
         self._worker: LatestWins[str] = LatestWins(self._work, failed, "panel-clip")
-        self.step_buttons = [
-            small_button("◀", "previous frame"),
-            small_button("▶", "next frame"),
-            small_button("⚑", "next flagged frame"),
-        ]
-        for button, by in zip(self.step_buttons, (-1, 1, 0), strict=True):
-            button.on_click(lambda _button, by=by: step(by))
-        self.run_clip = small_button("▶ run clip" if self.is_clip else "▶ run", "fit all frames")
+        self.run_clip = small_button("fit clip", "fit all frames with these settings")
         self.run_clip.on_click(lambda _button: self._worker.submit("run"))
-        self.follow = widgets.ToggleButton(
-            value=len(session) <= LIVE_CLIP_FRAMES, description="live",
-            layout=widgets.Layout(width="auto", flex="0 0 auto"),
-            tooltip="re-fit the whole clip after each change",
-        )  # fmt: skip
-        self.cancel = small_button("cancel", "stop the run or export; the last complete run stays")
+        self.follow = toggle("auto", "fit the whole clip after each change", len(session) <= LIVE_CLIP_FRAMES)
+        self.cancel = small_button("cancel", "stop fitting; the last complete run stays")
         self.cancel.on_click(lambda _button: self._worker.submit("cancel"))
         self.progress = widgets.IntProgress(0, max=len(session), layout=widgets.Layout(width="120px"))
         self.hide_progress()
-        shown = (*self.step_buttons, self.run_clip, self.follow, self.cancel, self.progress)
-        self.widgets = shown if self.is_clip else ()
+        self.widgets = self.run_clip, self.follow, self.cancel, self.progress
 
     @property
     def is_clip(self) -> bool:
@@ -81,8 +68,8 @@ class ClipBar:
         self._worker.close()
 
     def hide_progress(self) -> None:
-        """Hide the progress bar when nothing is running."""
-        self.progress.layout.visibility = "hidden"
+        """Hide the progress bar, and what cancels, when nothing is running."""
+        self.progress.layout.visibility = self.cancel.layout.visibility = "hidden"
 
     def _work(self, wanted: str) -> None:
         if wanted == "run" or (wanted == "settle" and not self._worker.wait_newer(SETTLED_S) and self._is_due()):
@@ -104,6 +91,7 @@ class ClipBar:
 
     def _run(self) -> None:
         self.progress.value, self.progress.layout.visibility = 0, "visible"
+        self.cancel.layout.visibility = "visible"
         shown = max(len(self._session) // 20, 1)
 
         def progress(_step: str, done: int, _total: int | None) -> None:

@@ -8,10 +8,15 @@ import numpy as np
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.session import TuningSession
 from workbench.widgets.chart_view import ChartView
+from workbench.widgets.controls import menu
 from workbench.widgets.timeline_view import TimelineView
 
 CURVES = 8
-"""Number of weights in the chart, which shows those that vary most."""
+"""Number of weights in the chart, which shows those of a family that vary most."""
+FAMILIES = {"those that vary most": ""} | {
+    f"of the {name}": name for name in ("mouth", "jaw", "eye", "brow", "cheek", "nose")
+}
+"""Beginnings of the names of the weights that can be shown."""
 
 
 class ClipViews:
@@ -20,15 +25,17 @@ class ClipViews:
     def __init__(self, session: TuningSession, go: Callable[[int], None]) -> None:
         self._session, self._go = session, go
         self._values = np.zeros((0, 68))
-        self.timeline = TimelineView(height_px=116, unit="% of eye distance")
+        self.timeline = TimelineView(height_px=100, unit="% of eye distance")
         self.timeline.observe(lambda change: self._go(change["new"]), "frame")
-        self.pose = ChartView(height_px=150, title="head pose")
-        self.weights = ChartView(height_px=150, title="weights that vary most")
+        self.pose = ChartView(height_px=140, title="head pose")
+        self.weights = ChartView(height_px=122, title="")
+        self.choice = menu(FAMILIES, "150px", "weights to show")
+        self.choice.observe(lambda _change: self._show_weights(), "value")
         for chart in (self.pose, self.weights):
             chart.on_pick(lambda x: self._go(round(x)))
         self.curves = widgets.HBox(
-            [widgets.VBox([chart], layout=widgets.Layout(width="50%", min_width="0"))
-             for chart in (self.pose, self.weights)]
+            [widgets.VBox(column, layout=widgets.Layout(width="50%", min_width="0"))
+             for column in ([self.pose], [self.choice, self.weights])]
         )  # fmt: skip
 
     def show_frame(self, frame: int) -> None:
@@ -43,10 +50,10 @@ class ClipViews:
         first, last = self.timeline.in_view
         return (first, last) if last > first else (0, len(self._session) - 1)
 
-    def next_flagged(self, frame: int) -> int:
-        """The next flagged frame, wrapping around at the end; the frame itself if none is flagged."""
-        flagged = self.timeline.flagged
-        return next((other for other in flagged if other > frame), flagged[0] if flagged else frame)
+    def next_flagged(self, frame: int, way: int = 1) -> int:
+        """The next (`way` 1) or previous (-1) flagged frame, around the ends; the frame itself if none is flagged."""
+        flagged = self.timeline.flagged[::way]
+        return next((other for other in flagged if way * other > way * frame), flagged[0] if flagged else frame)
 
     def show_stale(self) -> None:
         """Mark the frames whose fits belong to another configuration."""
@@ -67,9 +74,15 @@ class ClipViews:
         self.pose.set_series(
             frames, dict(zip(("yaw", "pitch", "roll"), angles.T, strict=True)), y_label="degrees", x_label="frame"
         )
-        motion = np.nan_to_num(np.nanstd(track.expression, axis=0)) if track.found.any() else np.zeros(1)
-        most = np.argsort(-motion)[:CURVES]
-        names = track.expression_names
+        self._show_weights()
+
+    def _show_weights(self) -> None:
+        if self._session.run is None:
+            return
+        track, family = self._session.track, self.choice.value
+        frames, names = np.arange(len(track), dtype=float), track.expression_names
+        motion = np.nan_to_num(np.nanstd(track.expression, axis=0)) if track.found.any() else np.zeros(len(names))
+        most = [k for k in np.argsort(-motion, kind="stable") if names[k].startswith(family)][:CURVES]
         self.weights.set_series(
             frames, {names[k]: track.expression[:, k] for k in most}, y_label="weight", x_label="frame"
         )

@@ -54,7 +54,8 @@ class DiagnosisView:
 
     def _row(self, number: int, reason: Reason) -> widgets.Widget:
         text = widgets.HTML(
-            f"<b>{number}. {html.escape(reason.title)}</b> <span style='opacity:.7'>({reason.score:.2f})</span><br>"
+            f"<b>{number}. {html.escape(reason.title)}</b> <span style='opacity:.7'>(score "
+            f"{reason.score:.2f})</span><br>"
             f"{html.escape(reason.evidence)}<br>"
             f"<span style='opacity:.7'>{html.escape(reason.measure)}: {reason.before_percent:.2f} → "
             f"{reason.after_percent:.2f} % of the eye distance with the change</span>"
@@ -108,8 +109,8 @@ def pulls_table(diagnosis: Diagnosis) -> str:
         for pull in diagnosis.leave_group_out
     )
     return (
-        "<b>Pull of each group</b> (change without it)<table><tr><th>group</th><th>turns</th><th>moves</th>"
-        f"<th>is off</th><th>weights</th></tr>{rows}</table>"
+        "<b>Pull of each group</b> (change without it)<table><tr><th>group</th><th>head turns by</th>"
+        f"<th>moves by</th><th>its points are off by</th><th>weights change most</th></tr>{rows}</table>"
     )
 
 

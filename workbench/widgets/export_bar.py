@@ -24,7 +24,7 @@ class ExportBar:
             "tuned.toml", tooltip="file for the configuration", continuous_update=False,
             layout=widgets.Layout(width="150px"),
         )  # fmt: skip
-        self.export = small_button("export", "write the configuration with its provenance")
+        self.export = small_button("save settings", "write the configuration with its provenance")
         self.export.on_click(lambda _button: later(self._on_export))
         self.overwrite = small_button("overwrite", "replace the existing file")
         self.overwrite.layout.display = "none"
@@ -53,7 +53,7 @@ class ExportBar:
         self.overwrite.description, self.overwrite.layout.display = f"overwrite {taken.name}", None
         self.exported.value = html.escape(
             f"{taken.name} exists already{f', exported for {whose}' if whose else ''}: "
-            f"pressing export again writes {free.name}."
+            f"pressing save again writes {free.name}."
         )
 
     def _on_overwrite(self) -> None:

@@ -17,9 +17,15 @@ UNTRIED_NOTE = 'The 3D view uses pictures from the kernel: WebGL is untested in 
 
 
 def make_head_view(
-    model: FaceModel, size: tuple[int, int] = (440, 440), backend: str = "auto", dressed: DressedHead | None = None
+    model: FaceModel,
+    size: tuple[int, int] = (440, 440),
+    backend: str = "auto",
+    dressed: DressedHead | None = None,
+    fills: bool = False,
 ) -> HeadView:
     """A live view of the model's head, (width, height) in pixels; `dressed`: as a character.
+
+    `fills`: where the browser draws, as large as the place that it is given.
 
     "webgl" draws in the browser, "pictures" in the kernel; "auto" uses WebGL unless the notebook runs where that is
     untested. Raises `InputError` for an unknown back end or size.
@@ -27,7 +33,9 @@ def make_head_view(
     if not all(64 <= side <= 4096 for side in size):
         raise InputError(f"The sides of a 3D view must be 64 to 4096 pixels, got {size[0]} × {size[1]}.")
     chosen, note = chosen_backend(backend)
-    return WebGLHeadView(model, size, dressed) if chosen == "webgl" else PictureHeadView(model, size, note, dressed)
+    if chosen == "webgl":
+        return WebGLHeadView(model, size, dressed, fills)
+    return PictureHeadView(model, size, note, dressed)
 
 
 def chosen_backend(backend: str = "auto") -> tuple[str, str | None]:

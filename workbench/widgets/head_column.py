@@ -12,11 +12,14 @@ from workbench.pictures.overlay import residual_colors
 from workbench.session import FittedHead, TuningSession
 from workbench.tracking import FrameFit
 from workbench.widgets.character_choice import CharacterChoice
+from workbench.widgets.controls import toggle
 from workbench.widgets.head_backends import make_head_view
 from workbench.widgets.head_view import HeadView
 from workbench.widgets.latest import LatestWins
+from workbench.widgets.panel_layout import classed, wrapped
 
-COLORINGS = ("skin", "residual", "blendshape", "uncertainty")
+COLORINGS = ("skin", "residual", "difference", "blendshape", "uncertainty")
+LOOKS = ("camera", "front", "free")
 START = "the start"
 BEHIND_MM = np.array([0.0, 0.0, 1.5])
 """Offset of a ghost, slightly behind the head, so that differences show and equal surfaces do not flicker."""
@@ -27,57 +30,55 @@ BESIDE_MM = np.array([170.0, 0.0, 0.0])
 class HeadColumn:
     """A `HeadView` and its controls. `uncertainty(fit)` returns a standard deviation in mm for every vertex.
 
-    This takes seconds, so it is computed in a separate thread. Until then the head shows its skin without a legend,
-    and a note says what is being computed.
+    `limit()` is the end of the residuals' colour scale, which picture and strip share. The uncertainty takes seconds,
+    so it is computed in a separate thread. Until then the head shows its skin without a legend, and a note says what
+    is being computed.
     """
 
     def __init__(
         self, session: TuningSession, head: FittedHead, size: tuple[int, int], backend: str,
-        uncertainty: Callable[[FrameFit], np.ndarray], redraw: Callable[[], None],
+        uncertainty: Callable[[FrameFit], np.ndarray], redraw: Callable[[], None], limit: Callable[[], float],
     ) -> None:  # fmt: skip
-        self._session, self._head, self._size = session, head, size
+        self._session, self._head, self._size, self._limit = session, head, size, limit
         self._uncertainty, self._redraw = uncertainty, redraw
         self._compared: tuple | None = None
+        self._other: np.ndarray | None = None
+        """Vertices of the compared fit."""
         self._worker: LatestWins[FrameFit] = LatestWins(self._work_out, self._failed, "panel-uncertainty")
         self._spread: tuple[tuple, np.ndarray | str] | None = None
         self._colored = self._marked = False
         self._backend, self.character = backend, CharacterChoice(session, head.model)
-        self.view: HeadView = make_head_view(head.model, size, backend, self.character.dressed)
+        self.view: HeadView = make_head_view(head.model, size, backend, self.character.dressed, fills=True)
+        self.view.set_view(LOOKS[0])
         self.look = widgets.ToggleButtons(
-            options=["front", "camera", "free"], style={"button_width": "auto"},
-            tooltips=["from the front", "as the camera sees it", "as turned with the mouse"],
+            options=list(LOOKS), style={"button_width": "auto"},
+            tooltips=["as the camera sees it, with the picture's crop and zoom (V)", "from the front (V)",
+                      "as turned with the mouse (V)"],
         )  # fmt: skip
         self.look.observe(lambda change: self.view.set_view(change["new"]), "value")
         self.color = widgets.Dropdown(
-            options=COLORINGS, tooltip="colour of the surface", layout=widgets.Layout(width="88px")
-        )
+            options=COLORINGS, tooltip="colour of the surface; difference: to the compared configuration",
+            layout=widgets.Layout(width="88px"),
+        )  # fmt: skip
         self.shape = widgets.Dropdown(
             options=list(head.model.expression_names), tooltip="blendshape whose displacement is shown",
             layout=widgets.Layout(width="150px", display="none"),
         )  # fmt: skip
-        self.points = widgets.ToggleButton(
-            description="points",
-            tooltip="landmarks and residuals in 3D",
-            layout=widgets.Layout(width="auto", flex="0 0 auto"),
-        )
+        self.points = toggle("points", "landmarks and residuals in 3D")
         self.compare = widgets.Dropdown(
             options=self._comparisons(), value="", tooltip="show another configuration's fit as a ghost",
             layout=widgets.Layout(width="92px"),
         )  # fmt: skip
-        self.beside = widgets.ToggleButton(
-            description="beside", tooltip="show the compared head next to this one, not as a ghost",
-            layout=widgets.Layout(width="auto", flex="0 0 auto"),
-        )  # fmt: skip
+        self.beside = toggle("beside", "show the compared head next to this one, not as a ghost")
+        self.beside.layout.display = "none"
         for control in (self.color, self.shape, self.points, self.compare, self.beside):
             control.observe(self._on_choice, "value")
         self.note = widgets.Label(self.view.note or "")
         self.working = widgets.HTML(layout=widgets.Layout(display="none"))
-        more = widgets.HBox(
-            [self.character.widget, self.color, self.shape, self.points, self.compare, self.beside],
-            layout=widgets.Layout(flex_flow="row wrap"),
-        )
-        self._holder = widgets.VBox([self.view.widget])
-        self.widget = widgets.VBox([self.look, self._holder, self.working, more, self.note])
+        above = widgets.HBox([self.look, self.color, self.shape], layout=wrapped())
+        below = widgets.HBox([self.character.widget, self.points, self.compare, self.beside], layout=wrapped())
+        self._holder = classed(widgets.VBox([classed(self.view.widget, "fw-grow")]), "fw-grow")
+        self.widget = widgets.VBox([above, self._holder, self.working, below, self.note])
         if not self.view.note:
             self.note.layout.display = "none"
 
@@ -89,9 +90,13 @@ class HeadColumn:
             self._make_view()
         self.view.set_vertices(self._head.vertices(fit), self._head.personal(fit.identity).neutral)
         self.view.set_pose(fit.rotation, fit.translation, fit.camera, fit.image_size)
+        self._ghost(fit)
         self._color(fit)
         self._mark(fit)
-        self._ghost(fit)
+
+    def next_look(self) -> None:
+        """Look from the next of `LOOKS`."""
+        self.look.value = LOOKS[(LOOKS.index(self.look.value) + 1) % len(LOOKS)]
 
     def show_webgl(self, there: bool | None) -> None:
         """Draw in the kernel if the browser has no WebGL; None: not known yet."""
@@ -107,9 +112,9 @@ class HeadColumn:
 
     def _make_view(self) -> None:
         dressed = self.character.dressed
-        old, self.view = self.view, make_head_view(self._head.model, self._size, self._backend, dressed)
+        old, self.view = self.view, make_head_view(self._head.model, self._size, self._backend, dressed, fills=True)
         self.view.set_view(self.look.value)
-        self._holder.children = (self.view.widget,)
+        self._holder.children = (classed(self.view.widget, "fw-grow"),)
         old.close()
 
     def refresh_comparisons(self) -> None:
@@ -134,10 +139,15 @@ class HeadColumn:
         if kind == "uncertainty":
             spread = self._spread_of(fit)
         self._say(spread if isinstance(spread, str) else "")
+        if kind == "difference" and self._other is None:
+            self._say("Choose under compare… what to compare with.")
         if kind == "residual":
             self.view.set_values(
-                self._head.surface_values(fit.residuals_percent), 0.0, 10.0, "residual, % of eye distance"
+                self._head.surface_values(fit.residuals_percent), 0.0, self._limit(), "residual, % of eye distance"
             )
+        elif kind == "difference" and self._other is not None:
+            moved = np.linalg.norm(self._head.vertices(fit) - self._other, axis=1)
+            self.view.set_values(moved, 0.0, max(float(moved.max()), 0.1), f"difference to {self.compare.value}, mm")
         elif kind == "blendshape":
             moved = self._head.displacement(fit, self.shape.value)
             self.view.set_values(moved, 0.0, max(float(moved.max()), 0.1), f"{self.shape.value} at 1, mm")
@@ -146,7 +156,8 @@ class HeadColumn:
             self.view.set_values(spread, 0.0, high, "standard deviation, mm")
         elif self._colored:
             self.view.set_values(None, 0.0, 1.0, "")
-        self._colored = kind in ("residual", "blendshape") or isinstance(spread, np.ndarray)
+        with_values = kind in ("residual", "blendshape") or (kind == "difference" and self._other is not None)
+        self._colored = with_values or isinstance(spread, np.ndarray)
 
     def _spread_of(self, fit: FrameFit) -> np.ndarray | str:
         """Standard deviations of the vertices, or the message to show while there are none."""
@@ -195,6 +206,7 @@ class HeadColumn:
         if key == self._compared:
             return
         if not name:
+            self._other = None
             self.view.set_ghost(None)
         else:
             config = self._session.base if name == START else self._session.snapshots[name]
@@ -202,8 +214,8 @@ class HeadColumn:
             # A separate model, because the other configuration may have another identity.
             model = self._head.model.personal(other.identity)
             place = BESIDE_MM if beside else BEHIND_MM
-            ghost = posed_vertices(model, other.expression, other.jaw, other.scale)
-            self.view.set_ghost(ghost + place, 1.0 if beside else 0.4)
+            self._other = posed_vertices(model, other.expression, other.jaw, other.scale)
+            self.view.set_ghost(self._other + place, 1.0 if beside else 0.4)
         self._compared = key
 
     def _comparisons(self) -> list[tuple[str, str]]:
@@ -211,4 +223,5 @@ class HeadColumn:
 
     def _on_choice(self, _change) -> None:
         self.shape.layout.display = None if self.color.value == "blendshape" else "none"
+        self.beside.layout.display = None if self.compare.value else "none"
         self._redraw()

@@ -159,14 +159,14 @@ def value_colors(
     if not low < high:
         raise InputError(f"A colour scale must ascend from low to high, got {low:g} to {high:g}.")
     places = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0)
-    colors = _scale()[np.rint(places * 255).astype(int)]
+    colors = scale_colors()[np.rint(places * 255).astype(int)]
     colors[np.isnan(values)] = 128
     return colors
 
 
 def legend(label: str, low: Number, high: Number) -> str:
     """The colour scale as one line of HTML."""
-    stops = ", ".join("#{:02x}{:02x}{:02x}".format(*color) for color in _scale()[::51].tolist())
+    stops = ", ".join("#{:02x}{:02x}{:02x}".format(*color) for color in scale_colors()[::51].tolist())
     bar = f"flex:1; height:8px; border-radius:4px; background:linear-gradient(to right, {stops})"
     style = (
         "display:flex; align-items:center; gap:8px; font-size:12px; line-height:18px; "
@@ -191,6 +191,7 @@ class Legend(widgets.HTML):
 
 
 @lru_cache(maxsize=1)
-def _scale() -> UInt8[np.ndarray, "256 3"]:
+def scale_colors() -> UInt8[np.ndarray, "256 3"]:
+    """The colours of numbers on heads, pictures and strips, from the least to the largest."""
     steps = np.linspace(DARKEST, 255, 256).astype(np.uint8)[:, None]
     return cv2.applyColorMap(steps, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1].copy()

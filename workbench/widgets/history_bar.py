@@ -1,47 +1,50 @@
-"""Undo and redo, presets and snapshots, with the status of the panel."""
+"""Undo and redo, presets and snapshots of a session."""
 
 import ipywidgets as widgets
 
 from workbench.config import PRESETS, preset
 from workbench.session import TuningSession
 from workbench.widgets.controls import small_button
+from workbench.widgets.panel_layout import classed, group, in_line
 from workbench.widgets.status_line import StatusLine
 
 
 class HistoryBar:
-    """A line of controls for the history of a session; `status` is at its end and shows refused requests."""
+    """A line of controls for the history of a session; `status` shows refused requests."""
 
     def __init__(self, session: TuningSession, status: StatusLine) -> None:
         self._session, self._status = session, status
-        self.undo = small_button("↶ undo", "undo the last change")
-        self.redo = small_button("↷ redo", "redo the last undone change")
+        self.undo = classed(small_button("↶", "undo the last change"), "fw-undo")
+        self.redo = classed(small_button("↷", "redo the last undone change"), "fw-redo")
         self.undo.on_click(lambda _button: session.undo())
         self.redo.on_click(lambda _button: session.redo())
         self.reset = widgets.Dropdown(
-            options=self._places(), value="", layout=widgets.Layout(width="88px"),
+            options=self._places(), value="", layout=widgets.Layout(width="104px"),
             tooltip="go to a preset, the start or a snapshot; undo brings you back",
         )  # fmt: skip
+        self.reset.add_class("fw-go-to")
         self.reset.observe(self._on_reset, "value")
         self.name = widgets.Text(
-            placeholder="snapshot name", tooltip="name of a snapshot", layout=widgets.Layout(width="92px")
+            placeholder="snapshot", tooltip="name of a snapshot", layout=widgets.Layout(width="82px")
         )
-        self.keep = small_button("keep", "keep the current configuration under this name")
-        self.keep.on_click(lambda _button: status.guarded(self._on_keep))
-        self.widget = widgets.HBox(
-            [self.undo, self.redo, self.reset, self.name, self.keep, status],
-            layout=widgets.Layout(align_items="center"),
-        )
+        self.keep = small_button("keep", "keep the current configuration under this name (S)")
+        self.keep.on_click(lambda _button: self.take())
+        self.widget = in_line(group(self.undo, self.redo), group(self.reset, self.name, self.keep))
 
     def show(self) -> None:
         """Update the buttons from the history."""
         undo, redo = self._session.undo_label, self._session.redo_label
         self.undo.disabled, self.redo.disabled = not undo, not redo
-        self.undo.tooltip = f"undo: {undo}" if undo else "nothing to undo"
-        self.redo.tooltip = f"redo: {redo}" if redo else "nothing to redo"
+        self.undo.tooltip = f"undo: {undo}" if undo else "undo: nothing"
+        self.redo.tooltip = f"redo: {redo}" if redo else "redo: nothing"
 
     def show_snapshots(self) -> None:
         """Update the list of snapshots."""
         self.reset.options = self._places()
+
+    def take(self) -> None:
+        """Keep a snapshot under the typed name, or a numbered one."""
+        self._status.guarded(self._take)
 
     def _on_reset(self, change) -> None:
         if change["new"]:
@@ -54,7 +57,7 @@ class HistoryBar:
             else:
                 self._status.guarded(self._session.restore_snapshot, name)
 
-    def _on_keep(self) -> None:
+    def _take(self) -> None:
         name = self.name.value.strip() or f"snapshot {len(self._session.snapshots) + 1}"
         self._session.take_snapshot(name)
         self.name.value = ""

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from workbench.energies.terms import TABLE
 from workbench.errors import WorkbenchError
 from workbench.session import TuningSession
 from workbench.tracking import FrameFit, StageTrace
@@ -51,7 +52,8 @@ class Iterations:
         lengths = [len(trace.energies) for trace in traces]
         marks = [(sum(lengths[:k]), trace.stage) for k, trace in enumerate(traces)]
         joined = {term: np.concatenate(parts) for term, parts in columns.items()}
-        seen = {"total": sum(joined.values())} | {term: values for term, values in joined.items() if values.any()}
+        names = {term: f"{TABLE[term].symbol} {term.replace('_', ' ')}" for term in terms}
+        seen = {"total": sum(joined.values())} | {names[term]: row for term, row in joined.items() if row.any()}
         x = np.arange(sum(lengths), dtype=float)
         self.energy.set_series(x, seen, marks=marks, x_label="iteration", y_label="energy")
 

@@ -10,42 +10,47 @@ from workbench.landmarks.scheme import GROUPS
 from workbench.session import FittedHead, TuningSession
 from workbench.session.gesture import Gesture
 from workbench.tracking import FrameFit
-from workbench.widgets.controls import small_button
+from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.overlay_view import OverlayEvent, OverlayView
+from workbench.widgets.panel_layout import classed, group, wrapped
 from workbench.widgets.picture_layers import PictureLayers
 
 UNITS = {"%": "% of eye distance", "px": "px"}
 WEIGHT_STEP = 2.0
+POINTS = ("observed", "model", "residuals")
+"""Layers that the button for points switches together."""
 LAYERS = {
-    "lines": ("lines", "connect the model's landmarks"),
-    "labels": ("123", "landmark numbers"),
+    "points": ("points", "rings: detections; dots: the model; lines: residuals"),
+    "arrows": ("arrows", "residuals four times as long, from the model to the detection"),
     "wire": ("mesh", "wireframe of the fitted head"),
     "layer": ("face", "the fitted head over the photo"),
+    "lines": ("lines", "connect the model's landmarks"),
+    "labels": ("123", "landmark numbers"),
+    "bright": ("☀", "brighten a dark picture"),
     "heat": (
         "heat",
         "the landmark network's view: its crop, and where it locates the selected landmarks (all, if none is selected)",
     ),
 }
-"""Optional layers besides landmarks and residuals: label and tooltip of their buttons."""
+"""What can be shown over the picture: label and tooltip of their buttons."""
 
 
 class LandmarkTools:
     """The overlay of the current frame and its toolbars; edits go to the session."""
 
     def __init__(
-        self, session: TuningSession, head: FittedHead, height_px: int, said: Callable[[str], None],
-        redraw: Callable[[], None],
-    ) -> None:  # fmt: skip
+        self, session: TuningSession, head: FittedHead, said: Callable[[str], None], redraw: Callable[[], None]
+    ) -> None:
         self._session, self._head, self._said, self._redraw = session, head, said, redraw
         self.frame = 0
         self._drags, self._dragging = 0, False
-        self.view = OverlayView(height_px=height_px, unit=UNITS["%"], at_face=True)
+        self.view = OverlayView(height_px=0, unit=UNITS["%"], at_face=True)
         self.view.on_event(self._on_event)
         self._pictures = PictureLayers(session, head, self.view, said)
         self.working = self._pictures.working
         tools, shown = self._tools(), self._shown()
         self._on_layers()
-        self.widget = widgets.VBox([tools, self.view, shown], layout=widgets.Layout(min_width="0"))
+        self.widget = widgets.VBox([tools, classed(self.view, "fw-grow"), shown])
 
     def show_picture(self, frame: int) -> None:
         """Show a frame before it is fitted; layers of other frames are removed."""
@@ -78,6 +83,10 @@ class LandmarkTools:
         """Residuals in the chosen unit."""
         return fit.residuals_px if self.unit.value == "px" else fit.residuals_percent
 
+    def in_percent(self) -> bool:
+        """Whether residuals are shown in % of the eye distance."""
+        return self.unit.value == "%"
+
     def refresh_groups(self) -> None:
         """Update the menu: groups first, then saved subsets."""
         if list(self.group.options) != (options := self._groups()):
@@ -101,7 +110,7 @@ class LandmarkTools:
     def _tools(self) -> widgets.Widget:
         """The toolbar above the picture: editing landmarks."""
         self.tool = widgets.ToggleButtons(
-            options=[("select", "select"), ("lasso", "lasso"), ("move", "move")], style={"button_width": "auto"},
+            options=[("➤ select", "select"), ("◌ lasso", "lasso"), ("✥ move", "move")], style={"button_width": "auto"},
             tooltips=["click landmarks; Ctrl adds", "draw around landmarks", "drag a wrong detection to its position"],
         )  # fmt: skip
         widgets.link((self.tool, "value"), (self.view, "tool"))
@@ -117,39 +126,30 @@ class LandmarkTools:
             layout=widgets.Layout(width="84px"),
         )  # fmt: skip
         self.group.observe(self._on_group, "value")
-        self.name = widgets.Text(placeholder="name", tooltip="name of a subset", layout=widgets.Layout(width="76px"))
-        self.save = small_button("save", "save the selection under this name, for stages and weights")
+        self.unit = widgets.Dropdown(
+            options=list(UNITS), tooltip="unit of residuals: % of the outer-eye distance, or pixels",
+            layout=widgets.Layout(width="48px"),
+        )  # fmt: skip
+        self.unit.observe(self._on_unit, "value")
+        self.name = widgets.Text(placeholder="name", tooltip="name of a subset", layout=widgets.Layout(width="64px"))
+        self.save = small_button("name it", "save the selection under this name, for stages and weights")
         self.save.on_click(lambda _button: self._save())
-        parts = [self.tool, self.mute, self.up, self.down, self.back, self.group, self.name, self.save]
-        return widgets.HBox(parts, layout=_wrapped())
+        self._of_chosen = group(self.mute, self.up, self.down, self.back, self.name, self.save, name="fw-chosen")
+        self._of_chosen.layout.display = "none"
+        self.view.observe(self._on_selection, "selection")
+        return widgets.HBox([group(self.tool, self.group, self.unit), self._of_chosen], layout=wrapped())
 
     def _shown(self) -> widgets.Widget:
         """The toolbar below the picture: layers drawn over it."""
-        self.layers = {
-            name: widgets.ToggleButton(
-                value=False, description=text, tooltip=tip, layout=widgets.Layout(width="auto", flex="0 0 auto")
-            )
-            for name, (text, tip) in LAYERS.items()
-        }
-        for toggle in self.layers.values():
-            toggle.observe(lambda _change: self._on_layers(), "value")
+        self.layers = {name: toggle(text, tip, value=name == "points") for name, (text, tip) in LAYERS.items()}
+        for button in self.layers.values():
+            button.observe(lambda _change: self._on_layers(), "value")
         self.opacity = widgets.FloatSlider(
             0.6, min=0.0, max=1.0, step=0.05, readout=False, tooltip="opacity of the face",
-            layout=widgets.Layout(width="42px"),
+            layout=widgets.Layout(width="70px", display="none"),
         )  # fmt: skip
         widgets.link((self.opacity, "value"), (self.view, "layer_opacity"))
-        self.unit = widgets.Dropdown(
-            options=list(UNITS), tooltip="unit of residuals: % of the outer-eye distance, or pixels",
-            layout=widgets.Layout(width="46px"),
-        )  # fmt: skip
-        self.unit.observe(self._on_unit, "value")
-        self.scale = widgets.BoundedFloatText(
-            0.0, min=0.0, max=1000.0, step=1.0, tooltip="end of the colour scale; 0: automatic",
-            layout=widgets.Layout(width="42px"),
-        )  # fmt: skip
-        widgets.link((self.scale, "value"), (self.view, "scale_max"))
-        parts = [*self.layers.values(), self.opacity, self.unit, self.scale, self.working]
-        return widgets.HBox(parts, layout=_wrapped())
+        return widgets.HBox([*self.layers.values(), self.opacity, self.working], layout=wrapped())
 
     # --- what the user does ---
 
@@ -210,13 +210,15 @@ class LandmarkTools:
         return [("select…", ""), *((name.replace("_", " "), name) for name in names)]
 
     def _on_layers(self) -> None:
-        self.view.layers = {**self.view.layers, **{name: toggle.value for name, toggle in self.layers.items()}}
+        chosen = {name: button.value for name, button in self.layers.items()}
+        chosen |= dict.fromkeys(POINTS, chosen.pop("points"))
+        self.opacity.layout.display = None if chosen["layer"] else "none"
+        self.view.layers = {**self.view.layers, **chosen}
         self._redraw()
+
+    def _on_selection(self, change) -> None:
+        self._of_chosen.layout.display = None if change["new"] else "none"
 
     def _on_unit(self, change) -> None:
         self.view.unit = UNITS[change["new"]]
         self._redraw()
-
-
-def _wrapped() -> widgets.Layout:
-    return widgets.Layout(flex_flow="row wrap", align_items="center")

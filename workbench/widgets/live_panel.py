@@ -15,13 +15,13 @@ from workbench.session.live_frame import FrameSource, LiveFrame
 from workbench.session.recording import Recording
 from workbench.tracking import FrameFit, Track
 from workbench.widgets.camera_bar import CameraBar, cameras_by_name
-from workbench.widgets.drag_watch import DragWatch
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.live_messages import NEUTRAL, READYING, STOPPED, WELCOME, LiveMessages
 from workbench.widgets.live_settings import LiveSettings
 from workbench.widgets.live_status import LiveStatus
 from workbench.widgets.live_view import LiveView
 from workbench.widgets.panel_layout import in_columns, in_line, style_sheet
+from workbench.widgets.panel_page import PanelPage
 from workbench.widgets.record_bar import NOT_STARTED, RecordBar
 from workbench.widgets.slow_jobs import SlowJobs
 
@@ -54,7 +54,7 @@ class LivePanel(widgets.VBox):
         self._warm = False
         self._person: np.ndarray = self.session.identity
         self.view = LiveView(model, height_px - 32, dressed_as(self.session.config.head.character, model))
-        self._messages, self.drags = LiveMessages(self.view), DragWatch()
+        self._messages, self.drags = LiveMessages(self.view), PanelPage()
         self.say = self._messages.say
         self._slow, self._turns = SlowJobs(self._messages.failed, "live-save"), ShortTurns()
         cameras = cameras_by_name(self.view, camera)
@@ -152,7 +152,7 @@ class LivePanel(widgets.VBox):
     def _build(self, height_px: int) -> list[widgets.Widget]:
         session, messages = self.session, self._messages
         self.status = LiveStatus()
-        settings = LiveSettings(session, lambda: self.drags.drag, messages.guarded, self.status.write, height_px - 34)
+        settings = LiveSettings(session, self.drags, messages.guarded, self.status.write, height_px - 34)
         self.controls = settings.controls
         self.preset, self.undo, self.defaults = settings.widgets
         self._recording = RecordBar(session, lambda: self.running, lambda: self.camera.value, messages, self._slow)

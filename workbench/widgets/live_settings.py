@@ -10,6 +10,7 @@ from workbench.session.gesture import Gesture
 from workbench.session.knobs import changed_by
 from workbench.session.live import LiveSession
 from workbench.widgets.controls import Controls, menu, small_button
+from workbench.widgets.panel_page import PanelPage
 
 PAGES = ("ω", "ρ ε", "camera", "points", "a b c")
 
@@ -17,19 +18,19 @@ PAGES = ("ω", "ρ ε", "camera", "points", "a b c")
 class LiveSettings:
     """The controls and buttons for the configuration of a session.
 
-    `drag` returns the number of the current slider drag; `guarded` is called with actions that may be refused, `write`
-    with a short status text.
+    `page` numbers the drags of sliders and asks for resets; `guarded` is called with actions that may be refused,
+    `write` with a short status text.
     """
 
     def __init__(
         self,
         session: LiveSession,
-        drag: Callable[[], int],
+        page: PanelPage,
         guarded: Callable[..., None],
         write: Callable[[str], None],
         height_px: int,
     ) -> None:
-        self._session, self._drag, self._guarded, self._write, self._quiet = session, drag, guarded, write, False
+        self._session, self._page, self._guarded, self._write, self._quiet = session, page, guarded, write, False
         self.preset = menu(FACE_IT_PRESETS, "96px", "preset", session.config.preset)
         self.preset.observe(self._on_preset, "value")
         self.undo = small_button("↶ undo", "undo the last change or calibration")
@@ -37,6 +38,7 @@ class LiveSettings:
         self.defaults = small_button("defaults", "back to the initial settings; undo brings yours back")
         self.defaults.on_click(lambda _button: guarded(self._use, session.base))
         self.controls = Controls(session.config, self._on_knob, height_px, PAGES)
+        page.on_reset(self.controls.reset)
         self.widgets: tuple[widgets.Widget, ...] = (self.preset, self.undo, self.defaults)
 
     def _on_knob(self, path: str, value: Any) -> None:
@@ -44,7 +46,7 @@ class LiveSettings:
 
     def _turn(self, path: str, value: Any) -> None:
         config = self._session.config.changed(**changed_by(self._session.config, path, value))
-        self._session.use(config, Gesture(path, self._drag()))
+        self._session.use(config, Gesture(path, self._page.drag))
         self._show(but=path)
 
     def _on_preset(self, change) -> None:

@@ -64,7 +64,7 @@ class Methods(widgets.VBox):
         """Show the session's results, on a part if there are results for it."""
         self._part = part
         results = self._session.temporal.comparable(part)
-        self.table.value = numbers_html(results)
+        self.table.value = numbers_html(results, colors_of(results))
         if results and not self._chosen:
             self._chosen = True
             worked = next(iter(results.values()))
@@ -88,7 +88,7 @@ class Methods(widgets.VBox):
             lines = {BEFORE: curve(worked.before, quantity.value, names)}
             lines |= {name: curve(item.after, quantity.value, names) for name, item in shown.items()}
             chart.set_series(
-                frames, lines, colors=colors_of(results), y_label=unit, x_label="frame", selected=longest_gap(worked)
+                frames, lines, colors=colors_of(results), y_label=unit, x_label="frame", shaded=gaps(worked)
             )
 
 
@@ -117,17 +117,13 @@ def legend_html(names: Iterable[str], colors: dict[str, str]) -> str:
     return "".join(f"<span style='white-space:nowrap'>{key}</span> " for key in keys)
 
 
-def longest_gap(worked: Worked) -> tuple[float, float] | None:
-    """First and last frame of the longest filled part, extended by half a frame on each side."""
-    parts = parts_of(worked.filled)
-    if not parts:
-        return None
-    first, last = max(parts, key=lambda part: part[1] - part[0])
-    return first - 0.5, last + 0.5
+def gaps(worked: Worked) -> list[tuple[float, float]]:
+    """First and last frame of each filled part, extended by half a frame on each side."""
+    return [(first - 0.5, last + 0.5) for first, last in parts_of(worked.filled)]
 
 
-def numbers_html(results: dict[str, Worked]) -> str:
-    """The numbers of every result as a table."""
+def numbers_html(results: dict[str, Worked], colors: dict[str, str]) -> str:
+    """The numbers of every result as a table: rows in the colours of their curves, the best of a column marked."""
     if not results:
         return (
             "<span style='opacity:.7'>Nothing to compare yet: on the page <b>time</b> next to the picture, "
@@ -135,15 +131,26 @@ def numbers_html(results: dict[str, Worked]) -> str:
         )
 
     def cell(numbers: dict[str, float], name: str, form: str) -> str:
-        return f"<td>{format(numbers[name], form)}</td>" if name in numbers else "<td>–</td>"
+        if name not in numbers:
+            return "<td>–</td>"
+        mark = " class='fw-best'" if numbers[name] == best.get(name) else ""
+        return f"<td{mark}>{format(numbers[name], form)}</td>"
 
     before = next(iter(results.values()))
     fitted = Worked(AS_FITTED, before.config, before.part, before.before, before.before, 0.0).numbers()
     fitted.pop("seconds")
+    every = {AS_FITTED: fitted} | {name: worked.numbers() for name, worked in results.items()}
+    best = {
+        column: min(numbers[column] for numbers in every.values() if column in numbers)
+        for column in RANKED
+        if any(column in numbers for numbers in every.values())
+    }
     rows = []
-    for name, numbers in ((AS_FITTED, fitted), *((name, worked.numbers()) for name, worked in results.items())):
+    for name, numbers in every.items():
+        color = colors.get(BEFORE if name == AS_FITTED else name, INK)
+        line = LINE.format("currentColor" if color == INK else color)
         cells = [cell(numbers, *column) for column in COLUMNS]
-        rows.append(f"<tr><td>{html.escape(name)}</td>{''.join(cells)}</tr>")
+        rows.append(f"<tr><td>{line}{html.escape(name)}</td>{''.join(cells)}</tr>")
     head = (
         "<tr><th>method</th><th>filled</th><th title='mean second difference of the rotation'>jitter, °</th>"
         "<th title='landmark error without filled frames'>error, %</th>"
@@ -153,6 +160,9 @@ def numbers_html(results: dict[str, Worked]) -> str:
     return f"<table>{head}{''.join(rows)}</table>"
 
 
+LINE = "<i style='display:inline-block;width:14px;border-top:3px solid {};margin:0 6px 3px 0'></i>"
+RANKED = ("jitter_deg", "error_percent", "hidden_percent", "seconds")
+"""Columns in which less is better."""
 LINES = (*(color for color in COLORS if color not in (INK, YELLOW)), "#9467d6")
 """Purple replaces yellow, which is hard to see on a white page."""
 COLUMNS = (

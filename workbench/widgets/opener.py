@@ -15,6 +15,7 @@ from workbench.samples import sample
 from workbench.session import TuningSession, open_session
 from workbench.tracking import Track
 from workbench.widgets.controls import small_button
+from workbench.widgets.detection_preview import DetectionPreview
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.tuning_panel import TuningPanel
 
@@ -71,9 +72,9 @@ class SessionOpener(widgets.VBox):
         self.open_button.on_click(lambda _button: self._on_open())
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="140px", display="none"))
         self.message = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
-        self.place = widgets.VBox()
+        self.preview, self.place = DetectionPreview(), widgets.VBox()
         choices = [*self.samples.values(), self.path, self.landmarks, self.open_button]
-        super().__init__([_row(choices), _row([self.progress, self.message]), self.place])
+        super().__init__([_row(choices), _row([self.progress, self.message]), self.preview, self.place])
 
     def __repr__(self) -> str:
         return f"SessionOpener({self.session!r})"
@@ -116,13 +117,16 @@ class SessionOpener(widgets.VBox):
         self.place.children = (self.panel,)
         if before is not None:
             self._closer.submit(before.close)
-        self.progress.layout.display = "none"
+        self._rest()
         self._say(f"{session.material.name}: {len(session)} frame{'s' if len(session) > 1 else ''}.")
 
     def _session_of(self, wanted: Wanted) -> TuningSession:
         if wanted.path.suffix == ".npz":
             return open_session(Track.load(wanted.path))
-        return open_session(wanted.path, wanted.config, landmarks=wanted.landmarks, progress=self._on_progress)
+        self.preview.begin(wanted.path)
+        return open_session(
+            wanted.path, wanted.config, landmarks=wanted.landmarks, progress=self._on_progress, seen=self.preview.see
+        )
 
     def _on_progress(self, _step: str, done: int, total: int | None) -> None:
         if self._worker.newer():
@@ -134,8 +138,12 @@ class SessionOpener(widgets.VBox):
         self.progress.layout.display = None
         self._say(f"Finding landmarks: frame {done}{f' of {total}' if total else ''}")
 
-    def _failed(self, error: Exception) -> None:
+    def _rest(self) -> None:
         self.progress.layout.display = "none"
+        self.preview.end()
+
+    def _failed(self, error: Exception) -> None:
+        self._rest()
         self._say(str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}", wrong=True)
 
     def _say(self, text: str, wrong: bool = False) -> None:

@@ -14,8 +14,8 @@ from jaxtyping import Float, Num, Shaped, UInt8
 
 from workbench.errors import InputError, WorkbenchError
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT, POINT_NAMES, POLYLINES, check_68
-from workbench.pictures.overlay import WORST_PERCENT, residual_colors
 from workbench.widgets.browser_program import BROWSER, browser_program
+from workbench.widgets.head_view import scale_colors
 
 JPEG_QUALITY = 88
 LARGEST_SIDE = 2560
@@ -35,6 +35,8 @@ LAYERS: Mapping[str, bool] = {
     "wire": True,
     "layer": True,
     "heat": True,
+    "arrows": False,
+    "bright": False,
 }
 """Layers shown initially; the wireframe and the picture layers appear when they are set."""
 FINE_GROUPS = (
@@ -68,8 +70,8 @@ def automatic_scale(values: Num[np.ndarray, "..."]) -> float:
 
 
 def color_table() -> UInt8[np.ndarray, "256 3"]:
-    """The colours of residuals from 0 to the end of the scale: viridis, as in the drawn overlays."""
-    return np.array(residual_colors(np.linspace(0.0, WORST_PERCENT, 256)), np.uint8)
+    """The colours of residuals from 0 to the end of the scale: viridis as on heads, without its darkest steps."""
+    return scale_colors()
 
 
 def point_groups() -> list[str]:
@@ -161,7 +163,7 @@ class OverlayView(anywidget.AnyWidget):
     tool = traitlets.Enum(TOOLS, "select").tag(sync=True)
     message = traitlets.Unicode("", help="message over the picture").tag(sync=True)
     webgl = traitlets.Bool(None, allow_none=True, help="WebGL2 in the browser; None until shown").tag(sync=True)
-    height_px = traitlets.Int(420, min=80).tag(sync=True)
+    height_px = traitlets.Int(420, min=0, help="0: as high as its place").tag(sync=True)
     at_face = traitlets.Bool(False, help="start zoomed to the face, not the whole picture").tag(sync=True)
     _picture = traitlets.Bytes(b"").tag(sync=True)
     _size = traitlets.List(traitlets.Int(), [0, 0]).tag(sync=True)
@@ -180,6 +182,7 @@ class OverlayView(anywidget.AnyWidget):
         self._callbacks: list[Callable[[OverlayEvent], object]] = []
         self._failed = False
         self._shown: np.ndarray | None = None
+        self._automatic: float | None = None
         self._rows: Float[np.ndarray, "68 8"] | None = None
         scheme = {"names": list(POINT_NAMES), "groups": point_groups(), "lines": [list(line) for line in POLYLINES]}
         scheme["colors"] = color_table().tobytes()
@@ -271,7 +274,13 @@ class OverlayView(anywidget.AnyWidget):
             return self.scale_max
         if self._rows is None:
             return self._scale
-        return automatic_scale(self._rows[self._rows[:, 7] != 0, 4])
+        return self._automatic or automatic_scale(self._rows[self._rows[:, 7] != 0, 4])
+
+    def scale_with(self, automatic: float | None) -> None:
+        """End automatic scales here, as the strip of a clip does; None: by the residuals of the picture."""
+        with self._lock:
+            self._automatic = automatic
+            self._scale = self._chosen_scale()
 
     def _on_scale(self, _change: object) -> None:
         with self._lock:

@@ -1,24 +1,99 @@
-"""The layout of a panel: its style sheet, rows of controls, columns."""
+"""The layout of a panel: its style sheet, rows of controls, columns, and borders that can be moved."""
+
+from collections.abc import Mapping, Sequence
 
 import ipywidgets as widgets
 
-CONTROLS_PX = 262
+CONTROLS_PX = 276
+"""Width of the settings, which leaves their sliders 150 pixels and more."""
+OTHERS_PX = 130
+"""Height of what a notebook shows around a panel that is as high as the window."""
+LOWEST_PX = 540
 STYLE = """<style>
-.fw-panel { --jp-widgets-inline-height: 24px; --jp-widgets-font-size: 12px; max-width: 1500px; }
-.fw-panel .jupyter-button { padding: 0 5px; line-height: 22px; }
+.fw-panel { --jp-widgets-inline-height: 24px; --jp-widgets-font-size: 12px; position: relative; outline: none;
+  --fw-accent: var(--jp-brand-color1, #1976d2); --fw-soft: var(--jp-layout-color2, #eee);
+  --fw-line: var(--jp-border-color2, #ddd); overflow: visible; }
+.fw-panel .jupyter-button { padding: 0 6px; line-height: 22px; border-radius: 4px; }
+.fw-panel .jupyter-button:focus-visible, .fw-panel .noUi-handle:focus-visible, .fw-panel select:focus-visible
+  { outline: 2px solid var(--fw-accent); outline-offset: 1px; }
 .fw-panel .jupyter-widget-Tab > .jupyter-widget-TabPanel-tabContents, .fw-panel .widget-tab-contents { padding: 4px; }
-.fw-panel .lm-TabBar-tab { min-width: 0; flex: 0 1 auto; padding: 0 6px; font-size: 12px; }
+.fw-panel .lm-TabBar-tab { min-width: 0; flex: 0 1 auto; padding: 0 8px; font-size: 12px; }
 .fw-panel .fw-controls .lm-TabBar-tab { flex: 1 1 auto !important; padding: 0 3px !important; }
 .fw-panel .widget-html-content, .fw-panel .jupyter-widget-html-content { line-height: 18px; font-size: 12px; }
-.fw-panel .fw-status code { white-space: nowrap; font-size: 12px; }
 .fw-panel table { font-size: 12px; }
 .fw-panel td, .fw-panel th { padding: 0 6px; text-align: left; }
+.fw-panel .fw-best { font-weight: 600; color: var(--fw-accent); }
+
+/* settings: the slider, below it plain words and the number; the start's value is a line on the slider */
+.fw-panel .fw-knob { padding: 1px 4px 2px 5px; border-left: 3px solid transparent; }
+.fw-panel .fw-knob > * { margin: 0; }
+.fw-panel .fw-knob .widget-label { text-align: left; }
+.fw-panel .fw-knob.fw-changed { border-left-color: var(--fw-accent); background: var(--fw-soft); }
+.fw-panel .fw-knob.fw-level-1 { margin-left: 8px; }
+.fw-panel .fw-knob .fw-below { color: var(--jp-ui-font-color2, #666); }
+.fw-panel .fw-knob .fw-below > * { margin: 0 2px 0 0; }
+.fw-panel .fw-knob .fw-below .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis;
+  color: var(--jp-ui-font-color2, #666); }
+.fw-panel .fw-knob .fw-below input { text-align: right; font-variant-numeric: tabular-nums; }
+.fw-panel .fw-knob .noUi-base::before { content: ""; position: absolute; top: -4px; bottom: -4px; width: 2px;
+  margin-left: -1px; background: var(--jp-ui-font-color2, #666); opacity: 0.55; left: var(--fw-at, -99px); }
+FW_AT
+
+/* a panel as high as the window: the views get what is left */
+.fw-panel.fw-whole { min-height: calc(max(100vh - FW_OTHERSpx, FW_LOWESTpx)); }
+.fw-panel.fw-whole > .fw-body { flex: 1 1 0; min-height: 0; }
+.fw-whole .fw-controls { flex: 0 0 FW_CONTROLSpx; min-width: 0; min-height: 0; }
+.fw-whole .fw-controls > .jupyter-widget-Tab, .fw-whole .fw-controls > .widget-tab { flex: 1 1 0; min-height: 0; }
+.fw-whole .fw-controls .widget-tab-contents, .fw-whole .fw-controls .jupyter-widget-TabPanel-tabContents
+  { flex: 1 1 0; min-height: 0; overflow: hidden auto; padding: 4px 0; }
+.fw-whole .fw-controls > .widget-vbox { flex: 1 1 0; min-height: 0; }
+.fw-whole .fw-main { flex: 1 1 0; min-width: 0; min-height: 0; }
+.fw-whole .fw-views { flex: 1 1 0; min-height: 250px; }
+.fw-whole .fw-photo { position: relative; }
+.fw-whole .fw-chosen { position: absolute; z-index: 5; top: 34px; right: 6px; margin: 0; padding: 1px 3px;
+  border-radius: 6px; background: var(--jp-layout-color1, #fff); }
+.fw-whole .fw-photo { flex: 1 1 0; min-width: 0; overflow: hidden; }
+.fw-whole .fw-head { flex: 0 0 39%; min-width: 0; overflow: hidden; }
+.fw-whole .fw-grow { flex: 1 1 0; min-height: 0; position: relative; overflow: hidden; }
+.fw-whole .fw-head3d.fw-fill { position: relative; flex: 1 1 0; min-height: 0; width: 100%; margin: 0; }
+.fw-whole .fw-split { flex: 0 0 7px; margin: 0; cursor: col-resize; touch-action: none; border-radius: 3px;
+  background: linear-gradient(var(--fw-line), var(--fw-line)) center / 1px 100% no-repeat; }
+.fw-whole .fw-split.fw-split-y { cursor: row-resize; background-size: 100% 1px; }
+.fw-whole .fw-split:hover, .fw-whole .fw-split:focus-visible { background-color: var(--fw-soft); outline: none; }
+.fw-whole .fw-pages { flex: 0 0 auto; width: auto; }
+.fw-whole .fw-pages.fw-folded > .widget-tab-contents,
+.fw-whole .fw-pages.fw-folded > .jupyter-widget-TabPanel-tabContents { display: none; }
+.fw-whole .fw-pages.fw-folded .lm-TabBar-tab.lm-mod-current::before { display: none; }
+.fw-whole .fw-old { opacity: 0.45; transition: opacity 0.2s; }
+
+/* groups of controls with space between them */
+.fw-panel .fw-group { margin-right: 12px; }
+.fw-panel .fw-top-bar { flex: 0 0 auto; align-items: center; }
+.fw-panel .fw-status { flex: 1 1 0; min-width: 0; overflow: hidden; }
+.fw-panel .fw-status .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis;
+  font-variant-numeric: tabular-nums; }
+.fw-panel .fw-status b { font-weight: 600; }
+.fw-panel .fw-transport { flex: 0 0 auto; align-items: center; padding-left: 48px; }
+.fw-panel .fw-play { margin: 2px; width: auto; }
+.fw-panel .fw-play button:nth-of-type(2) { display: none; }
+.fw-panel .fw-export { flex: 0 0 auto; border: 1px solid var(--jp-border-color2, #ddd); border-radius: 6px;
+  padding: 6px 10px; margin: 2px 0 6px; background: var(--jp-layout-color1, #fff); }
+.fw-panel .fw-export code { user-select: all; background: var(--fw-soft); padding: 1px 4px; border-radius: 3px;
+  white-space: pre-wrap; }
+.fw-panel .fw-waiting { flex: 0 1 auto; color: var(--jp-ui-font-color2, #666); white-space: nowrap; }
+.fw-panel .fw-spin { display: inline-block; width: 10px; height: 10px; border-radius: 50%; margin-right: 4px;
+  border: 2px solid var(--fw-accent); border-right-color: transparent; animation: fw-turn 0.9s linear infinite; }
+@keyframes fw-turn { to { transform: rotate(360deg); } }
 </style>"""
 
 
 def style_sheet() -> widgets.Widget:
     """An invisible widget with the style of everything in a box of class fw-panel."""
-    return widgets.HTML(STYLE, layout=widgets.Layout(display="none"))
+    marks = "\n".join(f".fw-panel .fw-at-{k} {{ --fw-at: {k}%; }}" for k in range(101))
+    style = STYLE.replace("FW_AT", marks)
+    for name, pixels in (("OTHERS", OTHERS_PX), ("LOWEST", LOWEST_PX), ("CONTROLS", CONTROLS_PX)):
+        style = style.replace(f"FW_{name}", str(pixels))
+    return widgets.HTML(style, layout=widgets.Layout(display="none"))
 
 
 def in_line(*parts: widgets.Widget) -> widgets.Widget:
@@ -26,10 +101,49 @@ def in_line(*parts: widgets.Widget) -> widgets.Widget:
     return widgets.HBox(parts, layout=widgets.Layout(align_items="center"))
 
 
-def in_columns(*parts: widgets.Widget, last_px: int | None = None) -> widgets.Widget:
-    """Controls, a picture that takes the remaining width, and optionally a column of fixed width."""
-    last = "" if last_px is None else f" {last_px}px"
-    layout = widgets.Layout(
-        grid_template_columns=f"{CONTROLS_PX}px minmax(240px, 1fr){last}", grid_gap="6px", width="100%"
-    )
+def wrapped() -> widgets.Layout:
+    """Layout of a line of controls that goes on below where the place is narrow."""
+    return widgets.Layout(flex_flow="row wrap", align_items="center", flex="0 0 auto")
+
+
+def group(*parts: widgets.Widget, name: str = "") -> widgets.Widget:
+    """Controls that belong together, with space after them; `name` is a class besides."""
+    made = in_line(*parts)
+    made.layout.flex = "0 0 auto"
+    made.add_class("fw-group")
+    if name:
+        made.add_class(name)
+    return made
+
+
+def classed(widget: widgets.Widget, *names: str) -> widgets.Widget:
+    """The widget, with these classes."""
+    for name in names:
+        widget.add_class(name)
+    return widget
+
+
+def border(across: bool = False) -> widgets.Widget:
+    """A border that can be moved and resizes what stands before it; `across`: its height, not its width."""
+    return classed(widgets.HTML(), "fw-split", *(["fw-split-y"] if across else []))
+
+
+def tabs(pages: Mapping[str, widgets.Widget | None]) -> widgets.Tab:
+    """Pages by title, without those that are None, for the foot of a panel: tables need its whole width."""
+    there = {title: page for title, page in pages.items() if page is not None}
+    return classed(widgets.Tab(children=list(there.values()), titles=list(there)), "fw-pages")
+
+
+def arranged(
+    settings: widgets.Widget, photo: widgets.Widget, head: widgets.Widget, clip: Sequence[widgets.Widget]
+) -> widgets.Widget:
+    """Settings beside the views, below which are the rows of the clip; borders between them move."""
+    views = classed(widgets.HBox([classed(photo, "fw-photo"), border(), classed(head, "fw-head")]), "fw-views")
+    main = classed(widgets.VBox([views, border(across=True), *clip]), "fw-main")
+    return classed(widgets.HBox([settings, border(), main]), "fw-body")
+
+
+def in_columns(*parts: widgets.Widget) -> widgets.Widget:
+    """Controls, and a picture that takes the remaining width."""
+    layout = widgets.Layout(grid_template_columns=f"{CONTROLS_PX}px minmax(240px, 1fr)", grid_gap="6px", width="100%")
     return widgets.GridBox(parts, layout=layout)

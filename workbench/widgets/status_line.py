@@ -1,12 +1,17 @@
 """One line of status and error messages."""
 
 import html
+import re
 from collections.abc import Callable
 
 import ipywidgets as widgets
 
 from workbench.errors import WorkbenchError
+from workbench.tracking import FrameFit
+from workbench.tracking.failures import why_failed
 
+SLOW_MS = 1500.0
+"""A solve under FACE IT! that took longer was compiled; its time says nothing."""
 WRONG = "color:var(--jp-error-color1, #b3261e)"
 
 
@@ -26,6 +31,10 @@ class StatusLine(widgets.HTML):
         """Show a text; `wrong`: in red."""
         self.value = f"<{self._tag} style='{WRONG if wrong else ''}'>{html.escape(text)}</{self._tag}>"
 
+    def tell(self, said: str) -> None:
+        """Show a text of HTML."""
+        self.value = f"<span title='{html.escape(re.sub('<[^>]*>', '', said), quote=True)}'>{said}</span>"
+
     def failed(self, error: Exception) -> None:
         """Show an error, for example from a thread that cannot raise it to a caller."""
         self.say(error_text(error), wrong=True)
@@ -36,3 +45,27 @@ class StatusLine(widgets.HTML):
             act(*arguments)
         except WorkbenchError as error:
             self.failed(error)
+
+
+def status_of(fit: FrameFit, frames: int, after: bool = False) -> str:
+    """Error, pose and time of a fit in words, as HTML; `after`: it was infilled or refined."""
+    where = [f"frame {fit.index}/{frames - 1}"] if frames > 1 else []
+    if not fit.found:
+        return " · ".join([*where, "no face"])
+    yaw, pitch, roll = fit.angles_deg
+    angles = f"yaw {degrees(yaw)} · pitch {degrees(pitch)} · roll {degrees(roll)}"
+    if fit.source == "filled":
+        return " · ".join([*where, "filled from its neighbours", angles])
+    pixels, inner, every = fit.errors
+    error = f"error <b>{every:.1f} %</b> of the eye distance"
+    more = f"<span style='opacity:.7'>{pixels:.2f} px, without the jaw line {inner:.1f} %</span>"
+    took = fit.milliseconds[2]
+    time = [f"{took:.0f} ms" if took < SLOW_MS else f"{took / 1000:.1f} s"]
+    why = why_failed(fit)
+    failed = [f"<span style='{WRONG}'>failed: {html.escape(why)}</span>"] if why else []
+    return " · ".join([*where, *(["after"] if after else []), *failed, error, angles, *time, more])
+
+
+def degrees(angle: float) -> str:
+    """A whole number of degrees with a true minus, without a sign at zero."""
+    return f"{angle:.0f}°".replace("-0°", "0°").replace("-", "−")

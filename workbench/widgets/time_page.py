@@ -9,8 +9,10 @@ from workbench.session import TuningSession
 from workbench.session.knobs import METHODS, TIME
 from workbench.session.worked import Worked
 from workbench.tracking import FrameFit
-from workbench.widgets.controls import KnobControl, Turned, small_button
+from workbench.widgets.clip_views import ClipViews
+from workbench.widgets.controls import small_button
 from workbench.widgets.failed_frames import FailedFrames
+from workbench.widgets.knob_control import KnobControl, Turned
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.methods_page import Methods
 from workbench.widgets.status_line import StatusLine
@@ -35,19 +37,22 @@ class TimePage:
     """The controls page (`widget`) and the curves page (`methods`) for the clip of a session.
 
     `turned` is called with the path and value of a knob, `go` with a frame, `redraw` to show another side or result;
-    `in_view` returns the first and last frame in view in the strip. Work is done in a separate thread; only the latest
+    `views` show the clip. Work is done in a separate thread; only the latest
     request counts.
     """
 
     def __init__(
         self, session: TuningSession, turned: Turned, go: Callable[[int], None], redraw: Callable[[], None],
-        in_view: Callable[[], tuple[int, int]], height_px: int,
+        views: ClipViews,
     ) -> None:  # fmt: skip
         self._session = session
         self.frame, self._busy = 0, False
         self.knobs: dict[str, KnobControl] = {}
+        self._views = views
         self.is_clip = len(session) > 1 and not session.material.stills
-        layout = widgets.Layout(height=f"{height_px - 34}px", overflow="hidden auto")
+        self.played: TimePart | None = None
+        """The part of the clip that is worked on and played."""
+        layout = widgets.Layout(overflow="hidden auto")
         if not self.is_clip:
             what = "this is one photo" if len(session) == 1 else f"these are {len(session)} unrelated photos"
             self.widget = widgets.VBox([widgets.HTML(NO_CLIP.format(what=what))], layout=layout)
@@ -59,12 +64,12 @@ class TimePage:
         self._worker: LatestWins[str] = LatestWins(self._work, self.result.failed, "panel-time")
         self.knobs = {knob.path: KnobControl(knob, turned) for knob in (*METHODS, *TIME)}
         self._marks = FailedFrames(session, self.result, lambda: self.frame, lambda: self.run("flagged"))
-        self._part = TimePart(session, self.show_config, go, redraw, in_view)
+        self.played = TimePart(session, self.show_config, go, redraw, views.in_view)
         # For scripts to press and read.
         self.this, self.flagged, self.clear = self._marks.this, self._marks.flagged, self._marks.clear
         self.range, self.mark, self.unmark = self._marks.range, self._marks.mark, self._marks.unmark
-        self.summary, self.part, self.view = self._marks.summary, self._part.part, self._part.view
-        self.sides, self.play = self._part.played
+        self.summary, self.part, self.view = self._marks.summary, self.played.part, self.played.view
+        self.sides, self.play = self.played.sides, self.played.play
         self.widget = widgets.VBox(self._rows(), layout=layout)
         self.show_config()
 
@@ -95,7 +100,7 @@ class TimePage:
         """The fit of a frame on the chosen side; None if the current settings have no result for it."""
         if not self.is_clip:
             return None
-        worked = self._session.temporal.result(self._part.whole)
+        worked = self._session.temporal.result(self.played.whole)
         pair = None if worked is None else worked.pair(frame)
         return None if pair is None else pair[self.side == AFTER]
 
@@ -111,7 +116,7 @@ class TimePage:
         """Update for the shown frame."""
         self.frame = frame
         if self.is_clip:
-            self._part.show_frame(frame)
+            self.played.show_frame(frame)
             self.methods.show_frame(frame)
 
     def show_config(self) -> None:
@@ -124,16 +129,17 @@ class TimePage:
         self.note.value = "<br>".join(notes)
         self.note.layout.display = None if notes else "none"
         if slow:
-            self._part.begin_short(self.frame, DEEP_FRAMES)
-        self._marks.show(self._part.usable)
-        self._part.limit_play()
+            self.played.begin_short(self.frame, DEEP_FRAMES)
+        self._marks.show(self.played.usable)
+        self.played.limit_play()
+        self._views.timeline.loop = list(self.played.usable or ())
         self.show_result()
 
     def show_result(self) -> None:
         """Update from the results."""
         if not self.is_clip:
             return
-        part = self._part.whole
+        part = self.played.whole
         worked = self._session.temporal.result(part)
         if not self._busy:
             self.result.value = result_html(worked)
@@ -146,7 +152,7 @@ class TimePage:
     # --- parts ---
 
     def _rows(self) -> list[widgets.Widget]:
-        self.go = small_button("▶ run", "infill and refine these frames with these settings", "primary")
+        self.go = small_button("run", "infill and refine these frames with these settings", "primary")
         self.go.on_click(lambda _button: self.run("run"))
         self.compare = small_button("compare all", "run every method and keep the results; see the page Methods")
         self.compare.on_click(lambda _button: self.run("compare"))
@@ -161,12 +167,12 @@ class TimePage:
             *(in_row(*row) for row in self._marks.rows),
             self._marks.summary,
             *(self.knobs[knob.path].widget for knob in METHODS),
-            in_row(*self._part.named),
+            in_row(*self.played.named),
             self.note,
             in_row(self.go, self.compare, self.cancel),
             self.progress,
             self.result,
-            in_row(*self._part.played),
+            in_row(self.played.sides),
             widgets.HTML("<b>settings of the methods</b>"),
             *(self.knobs[knob.path].widget for knob in TIME),
         ]
@@ -177,7 +183,7 @@ class TimePage:
         if wanted == "cancel":
             self.result.say("Cancelled; finished results are kept.")
             return
-        temporal, part = self._session.temporal, self._part.wanted
+        temporal, part = self._session.temporal, self.played.wanted
         self.progress.value, self.progress.layout.visibility, self._busy = 0, "visible", True
         try:
             if wanted == "flagged":

@@ -15,7 +15,7 @@ RATE = 25.0
 
 
 class TimePart:
-    """The field with first and last frame, the player limited to them, and the choice of a side.
+    """The field with first and last frame, the player limited to them (`play`), and the choice of a side.
 
     `changed` is called when another part is typed, `go` with the frame being played, `redraw` to show another side;
     `in_view` returns the first and last frame in view in the strip.
@@ -47,7 +47,7 @@ class TimePart:
         )  # fmt: skip
         self.play.observe(self._on_play, "value")
         label = widgets.HTML("<b>frames</b>", layout=widgets.Layout(width="44px", flex="0 0 auto"))
-        self.named, self.played = (label, self.part, self.view), (self.sides, self.play)
+        self.named = (label, self.part, self.view)
 
     @property
     def wanted(self) -> tuple[int, int] | None:

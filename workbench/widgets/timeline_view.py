@@ -61,6 +61,7 @@ class TimelineView(anywidget.AnyWidget):
     unit = traitlets.Unicode("px", help="unit of the residuals").tag(sync=True)
     height_px = traitlets.Int(150, min=100).tag(sync=True)
     marked = traitlets.List(help="first and last frame of each part that the user marked as failed").tag(sync=True)
+    loop = traitlets.List(help="first and last frame of the part that is worked on; empty: the whole").tag(sync=True)
     in_view = traitlets.List([0, 0], help="first and last frame shown in the browser").tag(sync=True)
     _scale = traitlets.Float(SMALLEST_SCALE).tag(sync=True)
     _scheme = traitlets.Dict().tag(sync=True)

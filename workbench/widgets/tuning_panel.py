@@ -1,5 +1,6 @@
 """The panel: knobs of a session, the picture, the head, the clip and the diagnosis, all kept in step."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,15 +9,13 @@ import numpy as np
 
 from workbench.session import FittedHead, TuningSession
 from workbench.session.gesture import Gesture
-from workbench.session.knobs import changed_by
+from workbench.session.knobs import changed_by, label_of
 from workbench.tracking import FrameFit
-from workbench.tracking.failures import why_failed
 from workbench.widgets.changes_page import ChangesPage
 from workbench.widgets.clip_bar import ClipBar
 from workbench.widgets.clip_views import ClipViews
 from workbench.widgets.controls import Controls
-from workbench.widgets.drag_watch import DragWatch
-from workbench.widgets.export_bar import ExportBar
+from workbench.widgets.export_dialog import ExportDialog
 from workbench.widgets.film_strip import FilmStrip
 from workbench.widgets.frame_diagnosis import FrameDiagnosis
 from workbench.widgets.head_column import HeadColumn
@@ -24,13 +23,19 @@ from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.iterations import Iterations
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import in_columns, in_line, style_sheet
+from workbench.widgets.panel_layout import arranged, classed, style_sheet, tabs
+from workbench.widgets.panel_page import PanelPage
+from workbench.widgets.shared_scale import SharedScale
 from workbench.widgets.slow_jobs import SlowJobs
-from workbench.widgets.status_line import StatusLine
+from workbench.widgets.status_line import StatusLine, status_of
 from workbench.widgets.time_page import TimePage
 from workbench.widgets.time_part import AFTER
+from workbench.widgets.transport import Transport
+from workbench.widgets.waiting import Waiting
 
-HEAD_PX, TABS_PX = 304, 190
+HEAD_SIZE, TABS_PX = (304, 308), 170
+"""The part of a head that is always in view, pixels; height of the pages below the strip."""
+GETTING_READY = "getting ready: the first moves may be slower"
 PAUSE_S = 0.1
 """Numbers and curves wait for a pause of this length, because painting them would delay the pictures of a drag."""
 
@@ -50,30 +55,27 @@ class TuningPanel(widgets.VBox):
     """A view of a `TuningSession` that follows every change of the session.
 
     Callbacks submit requests to a worker, and only the latest counts; results are shown from its thread. Scripts and
-    tests wait for it with `wait_idle`.
+    tests wait for it with `wait_idle`. It is as high as the window, at least `LOWEST_PX`.
     """
 
-    def __init__(self, session: TuningSession, backend: str = "auto", height_px: int = 372) -> None:
+    def __init__(self, session: TuningSession, backend: str = "auto") -> None:
         self.session, self.frame, self._is_clip = session, 0, len(session) > 1
         self.fit: FrameFit | None = None
-        self._held: str | None = None
-        self._closed = False
-        self.status = StatusLine("code", layout=widgets.Layout(min_width="0", flex="1 1 0", overflow="hidden"))
-        self.status.add_class("fw-status")
-        self.say = self.status.say
+        self._held, self._closed = "", False
+        self.status = classed(StatusLine(), "fw-status")
+        self.say, self.waiting = self.status.say, Waiting()
         self._worker: LatestWins[Show] = LatestWins(self._refit, self._failed, "panel-fit")
         self._slow = SlowJobs(self._failed, "panel-slow")
-        self._build_views(backend, height_px)
-        self._build_controls(height_px)
-        self._build_pages()
+        self._build_views(backend)
+        self._build_controls()
         self._leave = session.listen(self._on_session)
-        super().__init__([style_sheet(), self.drags, *self._rows()])
-        self.add_class("fw-panel")
+        super().__init__([style_sheet(), self.page, *self._rows()])
+        classed(self, "fw-panel", "fw-whole")
         self._show_session()
         self.overlay.show_picture(0)
         self._worker.submit(Show(0))
         self._clip_bar.begin()
-        self._slow.submit(self._warm_up)
+        self._slow.submit(self.waiting.running(session.warm_up, GETTING_READY))
 
     def __repr__(self) -> str:
         return f"TuningPanel({self.session!r})"
@@ -91,6 +93,10 @@ class TuningPanel(widgets.VBox):
             self.diagnosis.clear()
             self._worker.submit(Show(frame))
 
+    def step(self, by: int) -> None:
+        """Go one frame (±1), or one flagged frame (±2), forth or back."""
+        self.go(self.frame + by if abs(by) == 1 else self.clip.next_flagged(self.frame, by // 2))
+
     def turn(self, path: str, value: Any) -> None:
         """Turn a knob as a user would; `session.knobs.KNOBS` lists the paths."""
         self.controls.by_path[path].turn(value)
@@ -107,76 +113,74 @@ class TuningPanel(widgets.VBox):
             return
         self._closed = True
         self._leave()
-        self._export_bar.stop()
+        self.export_dialog.stop()
         for part in (self.time, self._worker, self._clip_bar, self._slow, self.overlay, self.head):
             part.close()
         super().close()
 
     # --- parts ---
 
-    def _build_views(self, backend: str, height_px: int) -> None:
+    def _build_views(self, backend: str) -> None:
         # Shown first, because a browser gives their programs two seconds to load, too little next to hundreds of
         # controls or during the layout of the panel. A view that loads later would never hear from the kernel.
         session, head = self.session, FittedHead(self.session.model)
-        self.drags, self.clip = DragWatch(), ClipViews(session, self.go)
+        self.page, self.clip = PanelPage(keys=True), ClipViews(session, self.go)
         self._iterations = Iterations(session, self.status, self._redraw, TABS_PX)
         self.energy, self.stages = self._iterations.energy, self._iterations.stages
-        self._diagnosing = FrameDiagnosis(session, self.status, self._slow.submit, lambda: self.frame, TABS_PX)
+        self._diagnosing = FrameDiagnosis(session, self.status, self._look_for, lambda: self.frame, TABS_PX)
         self.diagnosis = self._diagnosing.view
-        self.time = TimePage(session, self._on_knob, self.go, self._redraw, self.clip.in_view, height_px)
-        self.overlay = LandmarkTools(session, head, height_px - 96, self.say, self._redraw)
-        size = (HEAD_PX, height_px - 64)
-        self.head = HeadColumn(session, head, size, backend, self._diagnosing.uncertainty, self._redraw)
+        self.time = TimePage(session, self._on_knob, self.go, self._redraw, self.clip)
+        self.overlay = LandmarkTools(session, head, self.say, self._redraw)
+        self.scale = SharedScale(self.overlay.view, self.clip.timeline, self.overlay.in_percent, self._redraw)
+        self.head = HeadColumn(
+            session, head, HEAD_SIZE, backend, self._diagnosing.uncertainty, self._redraw, lambda: self.scale.end
+        )
         self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
 
-    def _build_controls(self, height_px: int) -> None:
+    def _build_controls(self) -> None:
         session = self.session
-        self.controls = Controls(session.config, self._on_knob, height_px)
+        self.controls = Controls(session.base, self._on_knob)
         self.controls.add("time", self.time.widget, self.time.knobs, session.config)
         self.changes = ChangesPage(session, TABS_PX)
-        self._history_bar = HistoryBar(session, self.status)
-        self._export_bar = ExportBar(session, self._slow.submit)
+        self.history = HistoryBar(session, self.status)
+        self.export_dialog = ExportDialog(session, self._slow.submit)
         self._clip_bar = ClipBar(
-            session, self.clip, self._on_step, lambda: self._worker.submit(Show(self.frame)), self.changes.show,
-            self._failed,
-        )  # fmt: skip
-        self._clip_bar.cancel.on_click(lambda _button: self._export_bar.stop())
+            session, self.clip, lambda: self._worker.submit(Show(self.frame)), self.changes.show, self._failed
+        )
+        self.transport = Transport(self._clip_bar, self.step, lambda: self.frame, self.time.played)
+        self.page.on_reset(self.controls.reset)
+        self.page.on_key(lambda action: self.status.guarded(actions_of(self)[action]))
         # For scripts to press and read.
-        self.undo, self.redo = self._history_bar.undo, self._history_bar.redo
-        self.reset, self.name, self.keep = self._history_bar.reset, self._history_bar.name, self._history_bar.keep
-        self.file, self.export, self.overwrite, self.exported = self._export_bar.widgets
-        self.step_buttons, self.run_clip = self._clip_bar.step_buttons, self._clip_bar.run_clip
-        self.follow, self.cancel, self.progress = self._clip_bar.follow, self._clip_bar.cancel, self._clip_bar.progress
+        self.undo, self.redo = self.history.undo, self.history.redo
+        self.reset, self.name, self.keep = self.history.reset, self.history.name, self.history.keep
+        self.file, self.export, self.overwrite, self.exported = self.export_dialog.settings.widgets
+        self.run_clip, self.follow, self.cancel, self.progress = self._clip_bar.widgets
 
-    def _build_pages(self) -> None:
         self.strip = FilmStrip(self.session)
-        pages = {"Energy": self.energy, "Stages": self.stages.widget, "Diagnosis": self.diagnosis.widget}
-        pages |= {"Curves": self.clip.curves} if self._is_clip else {}
-        pages |= {"Methods": self.time.methods} if self.time.is_clip else {}
-        pages |= {"Film strip": self.strip, "Changes": self.changes}
-        self.tabs = widgets.Tab(children=list(pages.values()), titles=list(pages))
+        pages = {
+            "Energy": self.energy, "Stages": self.stages.widget, "Diagnosis": self.diagnosis.widget,
+            "Curves": self.clip.curves if self._is_clip else None,
+            "Methods": self.time.methods if self.time.is_clip else None,
+            "Film strip": self.strip, "Changes": self.changes,
+        }  # fmt: skip
+        self.tabs = tabs(pages)
 
     def _rows(self) -> list[widgets.Widget]:
-        files = in_line(*self._clip_bar.widgets, *self._export_bar.widgets)
-        columns = in_columns(self.controls.widget, self.overlay.widget, self.head.widget, last_px=HEAD_PX + 6)
-        strip = [self.clip.timeline] if self._is_clip else []
-        return [self._history_bar.widget, files, columns, *strip, self.tabs]
+        told = (self.status, self.waiting, *self.export_dialog.buttons)
+        top = classed(widgets.HBox([self.history.widget, *told]), "fw-top-bar")
+        clip = [self.clip.timeline, self.transport.widget] if self._is_clip else []
+        body = arranged(self.controls.widget, self.overlay.widget, self.head.widget, clip)
+        return [top, self.export_dialog.widget, body, self.tabs]
 
     # --- what the user does ---
 
     def _on_knob(self, path: str, value: Any) -> None:
         self._held = path
         try:
-            self.status.guarded(self._set_knob, path, value)
+            changes = changed_by(self.session.config, path, value)
+            self.status.guarded(lambda: self.session.set(label_of(path), Gesture(path, self.page.drag), **changes))
         finally:
-            self._held = None
-
-    def _set_knob(self, path: str, value: Any) -> None:
-        changes = changed_by(self.session.config, path, value)
-        self.session.set(path, Gesture(path, self.drags.drag), **changes)
-
-    def _on_step(self, by: int) -> None:
-        self.go(self.frame + by if by else self.clip.next_flagged(self.frame))
+            self._held = ""
 
     # --- what the session reports ---
 
@@ -194,7 +198,7 @@ class TuningPanel(widgets.VBox):
             self.time.show_result()
             self._redraw()
         elif what == "snapshots":
-            self._history_bar.show_snapshots()
+            self.history.show_snapshots()
             self.head.refresh_comparisons()
 
     def _show_session(self) -> None:
@@ -205,11 +209,12 @@ class TuningPanel(widgets.VBox):
         self.overlay.refresh_groups()
         self.time.show_config()
         self.clip.timeline.marked = [list(part) for part in config.infill.frames]
-        self._history_bar.show()
+        self.history.show()
 
     def _show_run(self) -> None:
         if self._is_clip:
             self.clip.show_run()
+            self.scale.show_run()
             self.time.show_config()
         # The previous frame may have another pose now, and the identity is now exact.
         self._worker.submit(Show(self.frame, steps=self._iterations.steps))
@@ -219,15 +224,17 @@ class TuningPanel(widgets.VBox):
 
     def _refit(self, request: Show) -> None:
         session = self.session
-        if request.steps is None:
-            # A temporal result also contains the frame as it was fitted.
-            fit = self.time.fit(request.frame) or session.fit_frame(request.frame, request.coarse)
-        else:
-            fit = session.fit_steps(request.frame, request.steps)
+        old = (self.overlay.view, self.head.view.widget)
+        with self.waiting.during(f"fitting frame {request.frame}", f"fit {session.config.system}", old):
+            if request.steps is None:
+                # A temporal result also contains the frame as it was fitted.
+                fit = self.time.fit(request.frame) or session.fit_frame(request.frame, request.coarse)
+            else:
+                fit = session.fit_steps(request.frame, request.steps)
         self._show(fit)
         if self._worker.wait_newer(PAUSE_S):
             return
-        self.say(status_of(fit, len(session)) + ("  after" if self.time.side == AFTER else ""))
+        self.status.tell(status_of(fit, len(session), after=self.time.side == AFTER))
         if fit.found:
             self._iterations.show(fit, session.explain_frame(request.frame)[1], request.steps)
             self.strip.show_frame(request.frame)
@@ -243,28 +250,35 @@ class TuningPanel(widgets.VBox):
         if self.fit is not None:
             self._worker.submit(Show(self.frame, steps=self._iterations.steps))
 
-    def _warm_up(self) -> None:
-        self.exported.value = "getting ready in the background: the first moves may be slower …"
-        self.session.warm_up()
-        self.exported.value = ""
+    def _look_for(self, reasons: Callable[[], None]) -> None:
+        self._slow.submit(self.waiting.running(reasons, "looking for reasons"))
 
     def _failed(self, error: Exception) -> None:
         self._clip_bar.hide_progress()
         self.status.failed(error)
 
 
-def status_of(fit: FrameFit, frames: int) -> str:
-    """Error, pose and time of a fit in one line."""
-    where = f"frame {fit.index}/{frames - 1}  " if frames > 1 else ""
-    if not fit.found:
-        return f"{where}no face"
-    why = why_failed(fit)
-    failed = f"  FAILED: {why}" if why else ""
-    yaw, pitch, roll = fit.angles_deg
-    if fit.source == "filled":
-        return f"{where}filled from its neighbours  yaw {yaw:+.0f}° pitch {pitch:+.0f}° roll {roll:+.0f}°"
-    pixels, inner, every = fit.errors
-    return (
-        f"{where}{pixels:.2f} px = {every:.2f} % (inner {inner:.2f} %)  yaw {yaw:+.0f}° pitch {pitch:+.0f}° "
-        f"roll {roll:+.0f}°  {fit.milliseconds[2]:.0f} ms{failed}"
-    )
+def actions_of(panel: TuningPanel) -> dict[str, Callable[[], object]]:
+    """What the keys of a panel do: the callback of each of `panel_page.ACTIONS`."""
+    transport = panel.transport
+    return {
+        "play": transport.play,
+        "back": lambda: panel.step(-1),
+        "forth": lambda: panel.step(1),
+        "previous": lambda: panel.step(-2),
+        "next": lambda: panel.step(2),
+        "in": lambda: transport.mark("in"),
+        "out": lambda: transport.mark("out"),
+        "view": panel.head.next_look,
+        "why": lambda: ask_why(panel),
+        "keep": panel.history.take,
+        "export": panel.export_dialog.fold,
+        "undo": panel.session.undo,
+        "redo": panel.session.redo,
+    }
+
+
+def ask_why(panel: TuningPanel) -> None:
+    """Bring the diagnosis to the front and ask for it."""
+    panel.tabs.selected_index = list(panel.tabs.titles).index("Diagnosis")
+    panel.diagnosis.ask.click()

@@ -52,23 +52,34 @@ class WebGLCanvas(anywidget.AnyWidget):
     _ghost = traitlets.Dict(help="vertices as above and their opacity, or empty").tag(sync=True)
     _viewpoint = traitlets.List(traitlets.Float(), help="`viewpoint_numbers`; the mouse changes it").tag(sync=True)
     _front = traitlets.List(traitlets.Float(), help="the viewpoint after a reset").tag(sync=True)
+    _lens = traitlets.List(
+        traitlets.Float(), help="focal lengths and principal point of the picture while seen by its camera, or empty"
+    ).tag(sync=True)
+    _fills = traitlets.Bool(False, help="whether the canvas is as large as its place, not `_size`").tag(sync=True)
     _note = traitlets.Unicode(NO_WEBGL_NOTE).tag(sync=True)
     _missing = traitlets.Bool(False, help="whether WebGL is missing").tag(sync=True)
 
 
 class WebGLHeadView:
-    """A `HeadView` in WebGL. The browser keeps the mesh and the viewpoint; only what changed is sent."""
+    """A `HeadView` in WebGL. The browser keeps the mesh and the viewpoint; only what changed is sent.
 
-    def __init__(self, model: FaceModel, size: tuple[int, int], dressed: DressedHead | None = None) -> None:
+    With `fills` the canvas takes all the place that it is given, and `size` is only what must be in view. Beside a
+    photo in a panel, the view "camera" shows the photo's crop and zoom.
+    """
+
+    def __init__(
+        self, model: FaceModel, size: tuple[int, int], dressed: DressedHead | None = None, fills: bool = False
+    ) -> None:
         self._model, self._size, self._dressed = model, size, dressed
+        self._lens: list[float] = []
         self._lock = threading.RLock()
         self._shown = Shown(model.neutral.astype(np.float32))
         front = viewpoint_numbers(front_viewpoint(model, size))
         self.canvas = WebGLCanvas(
             _size=list(size), _mesh=surface_message(model, dressed), _vertices=_packed(model.neutral),
-            _person=self._person(model.neutral), _viewpoint=front, _front=front,
+            _person=self._person(model.neutral), _viewpoint=front, _front=front, _fills=fills,
         )  # fmt: skip
-        self.canvas.layout = widgets.Layout(width=f"{size[0]}px", max_width="100%")
+        self.canvas.layout = widgets.Layout(width="auto" if fills else f"{size[0]}px", max_width="100%")
         self._legend = Legend(size[0])
         self.widget = widgets.VBox([self.canvas, self._legend], layout=widgets.Layout(overflow="hidden"))
 
@@ -102,6 +113,8 @@ class WebGLHeadView:
         pose = posed(rotation, translation, camera, image_size, self._size)
         with self._lock:
             self._shown = replace(self._shown, pose=pose)
+            self._lens = np.concatenate([camera.focal_px, camera.principal_point_px]).astype(float).tolist()
+            self._look_through()
             if self._shown.view == "camera":
                 self._look_from(pose)
 
@@ -110,6 +123,7 @@ class WebGLHeadView:
         check_view(view)
         with self._lock:
             self._shown = replace(self._shown, view=view)
+            self._look_through()
             viewpoint = viewpoint_of(self._shown, self._model, self._size)
             if viewpoint is not None:
                 self._look_from(viewpoint)
@@ -173,6 +187,11 @@ class WebGLHeadView:
 
     def _person(self, rest: Float[np.ndarray, "v 3"]) -> dict[str, object]:
         return NOTHING if self._dressed is None else person_message(self._dressed, rest)
+
+    def _look_through(self) -> None:
+        lens = self._lens if self._shown.view == "camera" else []
+        if lens != self.canvas._lens:
+            self.canvas._lens = lens
 
     def _look_from(self, viewpoint: Viewpoint) -> None:
         numbers = viewpoint_numbers(viewpoint)

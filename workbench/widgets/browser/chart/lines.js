@@ -8,9 +8,9 @@ import { linearTicks, logTicks, words } from "./ticks.js";
 export function paintLines(canvas, chart) {
   const context = cleared(canvas), { scale, theme, sent, rows } = chart;
   context.font = `10px ${theme.font}`;
-  if (sent.selected) {
-    const [start, end] = sent.selected.map((value) => clamp(scale.toX(value), LEFT, scale.right));
-    context.fillStyle = theme.grid;
+  context.fillStyle = theme.grid;
+  for (const part of sent.shaded) {
+    const [start, end] = part.map((value) => clamp(scale.toX(value), LEFT, scale.right));
     context.fillRect(start, TOP, Math.max(end - start, 1), scale.height);
   }
   paintLevels(context, scale, theme);

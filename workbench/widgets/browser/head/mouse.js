@@ -14,9 +14,9 @@ export function spanOf([a, b = a]) {
   return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, length: Math.hypot(a.x - b.x, a.y - b.y) };
 }
 
-// Turns actions of mouse, fingers and keyboard into calls of `move`, with pixels of a picture of the given width or a
-// zoom. One finger turns the head, two move and zoom it.
-export function listenTo(canvas, width, move) {
+// Turns actions of mouse, fingers and keyboard into calls of `move`, with pixels or a zoom; `perPixel()` is the number of
+// a view's pixels in one of the screen. One finger turns the head, two move and zoom it.
+export function listenTo(canvas, perPixel, move) {
   const held = new Map(); // positions of the pressed pointers
   let panning = false;
   const placeOf = (event) => ({ x: event.clientX, y: event.clientY });
@@ -29,7 +29,7 @@ export function listenTo(canvas, width, move) {
   }
   function onMove(event) {
     if (!held.has(event.pointerId)) return;
-    const before = spanOf([...held.values()]), scale = width / canvas.getBoundingClientRect().width;
+    const before = spanOf([...held.values()]), scale = perPixel();
     held.set(event.pointerId, placeOf(event));
     const now = spanOf([...held.values()]), by = [(now.x - before.x) * scale, (now.y - before.y) * scale];
     if (held.size === 2) move({ pan: by, zoom: now.length ? before.length / now.length : 1 });

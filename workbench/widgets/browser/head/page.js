@@ -12,3 +12,9 @@ export function makePage(el, kind, width, height) {
   message.style.cssText = "font-size:12px; color:var(--jp-error-color1, #b3261e)";
   return { canvas, message };
 }
+
+// Makes a canvas as large as its place in a column that its widgets share.
+export function fillPlace(el, canvas) {
+  el.classList.add("fw-fill");
+  canvas.style.cssText += "; position:absolute; inset:0; width:100%; height:100%; aspect-ratio:auto";
+}

@@ -24,7 +24,7 @@ function render({ model, el }) {
   const { draw, stop } = makeDrawing(model, canvas), moves = makeMoves(model);
   const onMessage = () => { message.textContent = model.get("_message"); };
   const stops = [
-    listenTo(canvas, width, moves.move), moves.stop, stop,
+    listenTo(canvas, () => width / canvas.getBoundingClientRect().width, moves.move), moves.stop, stop,
     follow(model, [["change:_jpeg", draw], ["change:_done", moves.onDone], ["change:_message", onMessage]]),
   ];
   draw();

@@ -20,6 +20,15 @@ export function poseOf({ position, target, up, focal }, [width, height]) {
   };
 }
 
+// How much larger a picture of one size is drawn to fit into another.
+export const stretchOf = ([width, height], [wide, high]) => Math.min(wide / width, high / height);
+
+// A pose for a picture of another size: what was in view stays in view.
+export function stretched({ camera, size, ...pose }, [wide, high]) {
+  const [fx, fy] = camera, scale = stretchOf(size, [wide, high]);
+  return { ...pose, camera: [fx * scale, fy * scale, (wide - 1) / 2, (high - 1) / 2], size: [wide, high] };
+}
+
 // The viewpoint turned about the target (radians) as if dragging the head: yaw image right, pitch down.
 function orbited(viewpoint, yaw, pitch) {
   const { target, up } = viewpoint, away = rotated(added(viewpoint.position, target, -1), up, -yaw);

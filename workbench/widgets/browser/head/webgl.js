@@ -3,12 +3,13 @@ import { floatsOf, makeShape, readMesh } from "../drawing/mesh.js";
 import { makeScene } from "../drawing/scene.js";
 import { makeStage } from "../drawing/stage.js";
 import { bytesOf } from "../shared/bytes.js";
-import { follow } from "../shared/following.js";
+import { follow, followSize, listen } from "../shared/following.js";
 import { onDemand } from "../shared/painting.js";
 import { drawsInSoftware } from "../shared/webgl.js";
+import { cropOf, throughCrop } from "./crop.js";
 import { listenTo } from "./mouse.js";
-import { makePage } from "./page.js";
-import { moved, numbersOf, poseOf, viewpointOf } from "./viewpoint.js";
+import { fillPlace, makePage } from "./page.js";
+import { moved, numbersOf, poseOf, stretchOf, stretched, viewpointOf } from "./viewpoint.js";
 
 const SHARPEST = 2; // drawn pixels per CSS pixel along an axis
 
@@ -52,18 +53,23 @@ function sharpen(canvas, [width, height]) {
 }
 
 function render({ model, el }) {
-  const size = model.get("_size"), [width, height] = size, mesh = readMesh(model.get("_mesh"));
+  const size = model.get("_size"), [width, height] = size, fills = model.get("_fills");
+  const mesh = readMesh(model.get("_mesh"));
   const ground = [...mesh.ground.map((value) => value / 255), 1];
   const { canvas, message } = makePage(el, "fw-webgl", width, height), feeding = makeFeeding(model, mesh);
   // Without a graphics card, antialiasing costs as much as everything else.
   const options = { alpha: false, antialias: !drawsInSoftware() };
   const stage = makeStage(canvas, options, (gl) => makeScene(gl, mesh, ask), ask);
   if (!stage) message.textContent = model.get("_note");
+  if (fills) fillPlace(el, canvas);
+  const place = () => (fills ? [Math.max(canvas.clientWidth, 1), Math.max(canvas.clientHeight, 1)] : size);
   const painting = onDemand(() => {
-    sharpen(canvas, size);
+    const now = place(), lens = model.get("_lens"), crop = lens.length ? cropOf(canvas) : null;
+    sharpen(canvas, now);
     stage?.draw((scene, fresh) => {
       feeding.feed(scene, fresh);
-      scene.draw(poseOf(viewpointOf(model.get("_viewpoint")), size), ground);
+      const pose = stretched(poseOf(viewpointOf(model.get("_viewpoint")), size), now);
+      scene.draw(crop ? { ...pose, camera: throughCrop(lens, crop, now) } : pose, ground);
     });
     return true;
   });
@@ -77,8 +83,10 @@ function render({ model, el }) {
   }
   const onChange = (name) => [`change:${name}`, () => { feeding.spoil(name); ask(); }];
   const stops = [
-    listenTo(canvas, width, move), painting.stop, () => stage?.close(),
-    follow(model, [...feeding.names.map(onChange), ["change:_viewpoint", ask]]),
+    listenTo(canvas, () => (fills ? 1 / stretchOf(size, place()) : width / canvas.clientWidth), move),
+    painting.stop, () => stage?.close(), fills ? followSize(canvas, ask) : () => {},
+    follow(model, [...feeding.names.map(onChange), ["change:_viewpoint", ask], ["change:_lens", ask]]),
+    listen(document, { "fw-crop": () => model.get("_lens").length && ask() }),
   ];
   model.set("_missing", !stage);
   model.save_changes();

@@ -21,7 +21,9 @@ export function listenToKeys(overlay, model, send) {
 
   function acted(event) {
     const selection = model.get("selection"), kind = KINDS[event.key], arrow = ARROWS[event.key];
-    if (event.key === "Escape") {
+    if (event.key.toLowerCase() === "h") {
+      overlay.bare = !overlay.bare;
+    } else if (event.key === "Escape") {
       cancelGesture(overlay);
       if (selection.length) send.selection([]);
     } else if (kind && selection.length) {

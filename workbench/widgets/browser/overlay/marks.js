@@ -36,9 +36,9 @@ export function paintLasso(context, path) {
 // The landmarks of a fit. `look`: {layer, colors, limit, lines, chosen, subset, hovered}, as assembled in view.js.
 export function paintLandmarks(context, landmarks, view, look) {
   const { layer } = look, { observed } = landmarks, { toScreen } = view;
-  // Marks grow slowly with the size of the face on the screen, measured between the outer eye corners.
+  // Marks grow with the size of the face on the screen, measured between the outer eye corners.
   const eyes = view.scale * Math.hypot(observed(36)[0] - observed(45)[0], observed(36)[1] - observed(45)[1]);
-  const unit = clamp(Math.pow((eyes || 80) / 110, 0.45), 0.55, 2.2), all = indices(landmarks);
+  const unit = clamp(Math.pow((eyes || 80) / 110, 0.7), 0.45, 2.6), all = indices(landmarks);
   const pen = { context, landmarks, toScreen, unit, circle: circleOf(context, toScreen) };
   pen.colorOf = (i) => {
     const share = Number.isFinite(landmarks.value(i)) ? landmarks.value(i) / look.limit : 1;
@@ -47,6 +47,7 @@ export function paintLandmarks(context, landmarks, view, look) {
   if (layer("lines")) paintLines(pen, look.lines);
   paintRings(pen, look.subset, 6.5 * unit + 1);
   if (layer("residuals")) all.filter(landmarks.weight).forEach((i) => paintResidual(pen, i));
+  if (layer("arrows")) all.filter(landmarks.weight).forEach((i) => paintArrow(pen, i));
   if (layer("observed")) all.forEach((i) => paintDetection(pen, i));
   if (layer("model")) all.forEach((i) => paintProjection(pen, i));
   for (const i of look.chosen) {
@@ -90,6 +91,22 @@ function paintResidual({ context, landmarks, toScreen, unit, colorOf }, i) {
   context.moveTo(...toScreen(...landmarks.observed(i)));
   context.lineTo(...toScreen(...landmarks.projected(i)));
   outline(context, colorOf(i), 1.7 * unit);
+}
+
+const LONGER = 4, HEAD = 5; // how much longer arrows are than residuals, and the size of their heads
+
+// From the model's landmark towards the detection, longer than it is, with a head at its end.
+function paintArrow({ context, landmarks, toScreen, unit, colorOf }, i) {
+  const [x, y] = toScreen(...landmarks.projected(i)), [ox, oy] = toScreen(...landmarks.observed(i));
+  const [dx, dy] = [LONGER * (ox - x), LONGER * (oy - y)], length = Math.hypot(dx, dy);
+  if (!(length > 1)) return;
+  const [ux, uy] = [dx / length, dy / length], head = Math.min(HEAD * unit, 0.5 * length);
+  const [tx, ty] = [x + dx, y + dy], side = 0.5 * head;
+  context.beginPath();
+  context.moveTo(x, y), context.lineTo(tx, ty);
+  context.moveTo(tx - head * ux - side * uy, ty - head * uy + side * ux), context.lineTo(tx, ty);
+  context.lineTo(tx - head * ux + side * uy, ty - head * uy - side * ux);
+  outline(context, colorOf(i), 1.8 * unit);
 }
 
 // A ring, small if the detector's confidence is low, crossed out if muted.

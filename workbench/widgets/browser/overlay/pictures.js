@@ -31,6 +31,18 @@ export function makePicture(changed) {
   };
 }
 
+const BRIGHT = 118, MOST = 4; // mean brightness wanted, of 255, and the largest factor
+
+// A CSS filter that brings a dark picture to a middling brightness; empty for one that is bright enough.
+export function brightened(image) {
+  if (!image) return "";
+  const context = new OffscreenCanvas(16, 16).getContext("2d");
+  context.drawImage(image, 0, 0, 16, 16);
+  const bytes = context.getImageData(0, 0, 16, 16).data.filter((_, k) => k % 4 !== 3);
+  const factor = Math.min(BRIGHT / Math.max(bytes.reduce((sum, value) => sum + value, 0) / bytes.length, 1), MOST);
+  return factor > 1 ? `brightness(${factor.toFixed(2)})` : "";
+}
+
 // Pictures on top of each other, at the position of the first; `layers`: pairs of an image, or null, and its opacity.
 export function paintPictures(canvas, view, size, layers) {
   const context = cleared(canvas);

@@ -2,14 +2,16 @@
 import { bytesOf } from "../shared/bytes.js";
 import { cleared } from "../shared/canvas.js";
 import { cssColors } from "../shared/colors.js";
-import { follow, followSize } from "../shared/following.js";
+import { follow, followSize, listen } from "../shared/following.js";
+import { dragLimit } from "../shared/limit.js";
 import { onDemand } from "../shared/painting.js";
 import { hasWebGL } from "../shared/webgl.js";
 import { listenToKeys } from "./keys.js";
 import { indices, makeLandmarks } from "./landmarks.js";
 import { paintLandmarks, paintLasso, paintWire } from "./marks.js";
-import { makePicture, paintPictures } from "./pictures.js";
+import { brightened, makePicture, paintPictures } from "./pictures.js";
 import { faceBox, fitted, makeView, wholeBox, zoomedAt } from "./places.js";
+import { listenToRest } from "./rest.js";
 import { listenToPointer } from "./tools.js";
 import { factsOf, makePage, paintHover, paintWords } from "./words.js";
 
@@ -20,7 +22,7 @@ function makeOverlay(model, el) {
   const scheme = model.get("_scheme"), colors = cssColors(new Uint8Array(bytesOf(scheme.colors)));
   const overlay = {
     scheme, colors, page: makePage(el, colors), view: makeView(model.get("at_face") ? "face" : "whole"),
-    size: [0, 0], wire: null, hovered: -1, pointer: null, gesture: null,
+    size: [0, 0], wire: null, hovered: -1, pointer: null, gesture: null, bare: false,
     layer: (name) => Boolean(model.get("layers")[name]),
     draw: () => {},
   };
@@ -49,11 +51,12 @@ function makeOverlay(model, el) {
 
 function makePainting(model, overlay) {
   const { page, view, landmarks, pictures, scheme, layer } = overlay, { root, stage } = page;
-  let draws = 0;
+  let draws = 0, told = "";
 
   function paintMarks() {
     const context = cleared(page.marks), { wire, gesture } = overlay;
     context.lineCap = context.lineJoin = "round";
+    if (overlay.bare) return;
     if (wire && layer("wire")) paintWire(context, wire, view.toScreen);
     if (landmarks.found()) {
       paintLandmarks(context, landmarks, view, {
@@ -67,7 +70,7 @@ function makePainting(model, overlay) {
   function paintTexts() {
     const { hovered, gesture } = overlay, tool = model.get("tool"), unit = model.get("unit");
     paintWords(page, {
-      tool, unit, limit: model.get("_scale"), legend: landmarks.found() && (layer("model") || layer("residuals")),
+      tool, unit, limit: model.get("_scale"), legend: landmarks.found() && !overlay.bare && ["model", "residuals", "arrows"].some(layer),
       message: model.get("message") || (model.get("_no_face") ? "no face in this frame" : ""),
     });
     const idle = tool === "lasso" ? "crosshair" : hovered < 0 ? "grab" : "pointer";
@@ -85,6 +88,15 @@ function makePainting(model, overlay) {
       hovered: overlay.hovered, scaleMax: model.get("_scale"), decoded: Boolean(pictures.picture.image()),
       ms: performance.now() - asked,
     });
+    tellCrop();
+  }
+
+  // A head that is seen by the same camera shows the same part of the picture.
+  function tellCrop() {
+    const crop = [view.scale, view.x, view.y, stage.clientWidth, stage.clientHeight].join();
+    if (crop === told) return;
+    told = crop;
+    root.dispatchEvent(new CustomEvent("fw-crop", { bubbles: true }));
   }
 
   return onDemand((all, asked) => {
@@ -94,6 +106,7 @@ function makePainting(model, overlay) {
     if (all) {
       const overlaid = [layer("layer") ? pictures.layer.image() : null, model.get("layer_opacity")];
       const heat = [layer("heat") ? pictures.heat.image() : null, 1];
+      page.picture.style.filter = layer("bright") ? brightened(pictures.picture.image()) : "";
       paintPictures(page.picture, view, overlay.size, [[pictures.picture.image(), 1], overlaid, heat]);
     }
     paintMarks();
@@ -144,7 +157,9 @@ function followModel(model, overlay, draw) {
   }
 
   function onSize() {
-    page.stage.style.height = `${model.get("height_px")}px`;
+    const height = model.get("height_px");
+    page.root.classList.toggle("fw-fill", !height);
+    page.stage.style.height = height ? `${height}px` : "";
     overlay.place();
     redraw();
   }
@@ -170,7 +185,9 @@ function render({ model, el }) {
     model.save_changes();
   }
   const stops = [
-    ...followModel(model, overlay, draw), painting.stop,
+    ...followModel(model, overlay, draw), painting.stop, listenToRest(overlay, model),
+    dragLimit(overlay.page.limit, model, draw),
+    listen(overlay.page.root, { "fw-bare": () => { overlay.bare = !overlay.bare; draw(); } }),
     ...Object.values(overlay.pictures).map((picture) => picture.close), () => overlay.page.root.remove(),
   ];
   return () => stops.forEach((stop) => stop());

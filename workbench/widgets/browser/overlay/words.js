@@ -10,6 +10,7 @@ const HELP = {
 const HELP_MORE = `Wheel: zoom. Drag the background, or drag with Shift or the middle or right button: pan.
 Double-click: the face or the whole picture. Click: select; Ctrl or Shift adds; Escape: none.
 M: mute or unmute. + and −: double or halve the weight. R: back to the detected position.
+H: hide or show what is drawn over the picture.
 Move tool: drag a ring, or arrow keys for 0.5 px (with Shift 5 px).`;
 
 export function makePage(el, colors) {
@@ -19,7 +20,7 @@ export function makePage(el, colors) {
   const legend = element(stage, "div", "fw-legend"), banner = element(stage, "div", "fw-message");
   const hoverBox = element(stage, "div", "fw-hover"), help = element(root, "div", "fw-help");
   const legendTitle = element(legend, "div", ""), bar = element(legend, "div", "fw-bar");
-  const numbers = element(legend, "div", "fw-numbers"), ends = [0, 1, 2].map(() => element(numbers, "span", ""));
+  const numbers = element(legend, "div", "fw-numbers"), ends = ["", "", "fw-limit"].map((name) => element(numbers, "span", name));
   bar.style.background = gradientOf(colors);
   hoverBox.hidden = true;
   hoverBox.setAttribute("role", "status");
@@ -28,7 +29,7 @@ export function makePage(el, colors) {
   stage.setAttribute("role", "application");
   stage.setAttribute("aria-label", "Frame with landmarks. " + HELP_MORE);
   root.dataset.lmSuppressShortcuts = "true"; // otherwise JupyterLab handles M and R itself
-  return { root, stage, picture, marks, legend, legendTitle, ends, banner, hoverBox, help };
+  return { root, stage, picture, marks, legend, legendTitle, ends, banner, hoverBox, help, limit: ends[2] };
 }
 
 // `said`: {limit, unit, message, tool, legend} as texts and numbers.

@@ -1,4 +1,5 @@
 import { cleared } from "../shared/canvas.js";
+import { clamp } from "../shared/numbers.js";
 import { FLAG_ROW, GUTTER, roundStep } from "./span.js";
 import { FLAGGED, FOUND, NEW_SHOT, NOTHING, POINTS, STALE, columnFrames } from "./track.js";
 
@@ -32,8 +33,8 @@ function stripPixels(track, columns, { from, to }, table) {
   return image;
 }
 
-// Everything but the cursor. `strip`: {track, rows, table, marked, span, theme}.
-export function paintStrip(canvas, { track, rows, table, marked, span, theme }) {
+// Everything but the cursor. `strip`: {track, rows, table, marked, loop, span, theme}.
+export function paintStrip(canvas, { track, rows, table, marked, loop, span, theme }) {
   const context = cleared(canvas), width = span.width(), height = span.bottom() - FLAG_ROW;
   context.fillStyle = theme.ground;
   context.fillRect(GUTTER, FLAG_ROW, width, height);
@@ -49,6 +50,7 @@ export function paintStrip(canvas, { track, rows, table, marked, span, theme }) 
   context.fillStyle = "rgba(255, 255, 255, 0.55)";
   lines.slice(1).forEach((y) => context.fillRect(GUTTER, Math.round(y), width, 1));
   paintMarked(context, marked, track.first, span, height);
+  paintLoop(context, loop, track.first, span, height, theme);
   paintFlags(context, track, span, columns, theme.muted, height);
   paintAxis(context, track.first, span, theme.muted);
 }
@@ -72,6 +74,21 @@ function paintMarked(context, marked, firstOfTrack, span, height) {
     context.fillStyle = MARK_COLOR;
     context.fillRect(left, FLAG_ROW - 4, Math.max(wide, 2), 4);
   }
+}
+
+// What is outside the part that is worked on is pale, and its ends are marked.
+function paintLoop(context, loop, firstOfTrack, span, height, { ground, ink }) {
+  if (loop.length < 2) return;
+  const left = GUTTER, right = GUTTER + span.width();
+  const [from, to] = [loop[0], loop[1] + 1].map((frame) => clamp(span.toX(frame - firstOfTrack), left, right));
+  context.globalAlpha = 0.72;
+  context.fillStyle = ground;
+  context.fillRect(left, FLAG_ROW, from - left, height);
+  context.fillRect(to, FLAG_ROW, right - to, height);
+  context.globalAlpha = 1;
+  context.fillStyle = ink;
+  context.fillRect(from - 1, FLAG_ROW, 2, height);
+  context.fillRect(to - 1, FLAG_ROW, 2, height);
 }
 
 // Flags, out-of-date frames and shots; a column with several frames shows all their marks.

@@ -3,6 +3,7 @@ import { bytesOf } from "../shared/bytes.js";
 import { cleared, element } from "../shared/canvas.js";
 import { cssColors, gradientOf } from "../shared/colors.js";
 import { follow, followSize, followTheme } from "../shared/following.js";
+import { dragLimit } from "../shared/limit.js";
 import { onDemand } from "../shared/painting.js";
 import { themeOf } from "../shared/theme.js";
 import { paintCursor, placeHover, wordsOf } from "./cursor.js";
@@ -18,7 +19,7 @@ function makePage(el, rgb) {
   const strip = element(stage, "canvas", "fw-strip"), over = element(stage, "canvas", "fw-cursor");
   const hoverBox = element(stage, "div", "fw-hover"), below = element(root, "div", "fw-below");
   const help = element(below, "div", "fw-help"), scale = element(below, "div", "fw-scale");
-  const zero = element(scale, "span", ""), bar = element(scale, "span", "fw-bar"), limit = element(scale, "span", "");
+  const zero = element(scale, "span", ""), bar = element(scale, "span", "fw-bar"), limit = element(scale, "span", "fw-limit");
   hoverBox.hidden = true;
   help.textContent = HELP;
   help.title = scale.title = HELP_MORE;
@@ -56,7 +57,8 @@ function makePainting(model, page, clip) {
   return onDemand((all) => {
     if (!stage.clientWidth) return false; // in a hidden tab
     const theme = themeOf(root), { track, span } = clip;
-    if (all) paintStrip(page.strip, { track, rows: scheme.rows, table, marked: model.get("marked"), span, theme });
+    const [marked, loop] = [model.get("marked"), model.get("loop")];
+    if (all) paintStrip(page.strip, { track, rows: scheme.rows, table, marked, loop, span, theme });
     paintPlace(theme);
     paintHover();
     page.zero.textContent = "0";
@@ -128,9 +130,9 @@ function render({ model, el }) {
   const stops = [
     follow(model, [
       ["change:_track", onTrack], ["change:frame", onFrame], ["change:_scale", redraw], ["change:unit", redraw],
-      ["change:height_px", onSize], ["change:marked", redraw], ["msg:custom", onPart],
+      ["change:height_px", onSize], ["change:marked", redraw], ["change:loop", redraw], ["msg:custom", onPart],
     ]),
-    followSize(page.stage, onSize), followTheme(redraw), painting.stop, () => page.root.remove(),
+    followSize(page.stage, onSize), followTheme(redraw), painting.stop, dragLimit(page.limit, model, redraw), () => page.root.remove(),
   ];
   onSize();
   onTrack();

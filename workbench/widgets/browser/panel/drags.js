@@ -1,11 +1,5 @@
-"""Identifies the mouse drag that moves a slider, so that a slow drag is one undo step."""
-
-import anywidget
-import traitlets
-
-WATCH = """
-function render({ model, el }) {
-  el.style.display = "none";
+// Numbers the drags of sliders, so that a slow drag is one undo step; 0 after a key or another press.
+export function watchDrags(model) {
   const tell = (drag) => {
     if (model.get("drag") === drag) return;
     model.set("drag", drag);
@@ -24,16 +18,3 @@ function render({ model, el }) {
     document.removeEventListener("keydown", onKey, true);
   };
 }
-export default { render };
-"""
-
-
-class DragWatch(anywidget.AnyWidget):
-    """An invisible widget. `drag` numbers the latest drag of any slider in the page; 0 after a key or another click.
-
-    Values throttled by the browser arrive after the mouse is released, so the end of a drag is unknown: it lasts until
-    the next one begins.
-    """
-
-    _esm = WATCH
-    drag = traitlets.Int(0).tag(sync=True)

@@ -1,0 +1,396 @@
+"""The panel's design without a browser: plain words, marked starts, search, transport, one colour scale, export."""
+
+import shlex
+import threading
+
+import numpy as np
+import pytest
+
+from tests.scenes import IMAGE_SIZE, make_scene
+from workbench.config import Config, preset
+from workbench.export import export_track
+from workbench.session import Material, TuningSession
+from workbench.session.knob_words import WORDS, plain_words
+from workbench.session.knobs import KNOBS
+from workbench.session.material import PictureStore
+from workbench.session.performance import performance_commands, performance_track
+from workbench.widgets import TuningPanel
+from workbench.widgets.controls import Controls
+from workbench.widgets.knob_control import CHANGED, KnobControl
+from workbench.widgets.performance_export import PerformanceExport
+from workbench.widgets.status_line import degrees, status_of
+from workbench.widgets.waiting import OLD, Waiting, text_of
+
+BY_PATH = {knob.path: knob for knob in KNOBS}
+FRAMES = 9
+
+
+@pytest.fixture(scope="module")
+def clip(head):
+    scenes = [make_scene(head, (2.0 * k - 8.0, 0, 0), {"jawOpen": 0.05 * k}) for k in range(FRAMES)]
+    observations = tuple(scene.observation(k, noise_px=0.4) for k, scene in enumerate(scenes))
+    return Material("clip", observations, PictureStore(None, [IMAGE_SIZE] * FRAMES), stills=False)
+
+
+@pytest.fixture(scope="module")
+def shared_panel(head, clip):
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(TuningSession, "warm_up", lambda session: None)
+        made = TuningPanel(TuningSession(head, clip), backend="webgl")
+        assert made.wait_idle(550)
+        yield made
+        made.close()
+
+
+@pytest.fixture
+def panel(shared_panel):
+    """One panel for all tests, brought back to the start."""
+    yield shared_panel
+    shared_panel.session.use(shared_panel.session.base)
+    shared_panel.transport.mark("whole")
+    shared_panel.overlay.view.scale_max = 0.0
+    shared_panel.head.color.value = "skin"
+    shared_panel.go(0)
+    assert shared_panel.wait_idle(60)
+
+
+# --- settings ---
+
+
+@pytest.mark.parametrize("knob", KNOBS, ids=lambda knob: knob.path)
+def test_every_setting_has_a_plain_name_and_says_what_it_does_before_its_equation(knob):
+    assert knob.path in WORDS or knob.path.startswith("group.")
+    effect, equation = knob.help.split("\n")
+    assert effect == knob.words.effect
+    assert effect.endswith(".")
+    assert equation == knob.tip
+    assert len(knob.words.name) <= 24  # beside the number, in the width of the settings
+
+
+def test_a_setting_of_a_new_term_is_called_what_the_term_says():
+    assert plain_words("weights.symmetry", "neighbouring weights alike").name == "neighbouring weights alike"
+
+
+def test_no_words_are_left_of_a_setting_that_is_gone():
+    assert set(WORDS) <= set(BY_PATH)
+
+
+def test_the_start_is_marked_and_what_differs_from_it_is_highlighted_until_it_is_reset():
+    turned = []
+    control = KnobControl(BY_PATH["identity.jaw"], lambda path, value: turned.append(value))
+    control.show(0.75)
+    control.begin_at(0.75)
+    assert "fw-at-25" in control.widget._dom_classes  # of 0 to 3
+    assert CHANGED not in control.widget._dom_classes
+    control.input.value = 1.5
+    assert CHANGED in control.widget._dom_classes
+    control.reset()
+    assert turned == [1.5, 0.75]
+    assert CHANGED not in control.widget._dom_classes
+    control.reset()
+    assert turned == [1.5, 0.75]
+
+
+def test_a_whole_number_stays_whole_when_it_is_typed():
+    turned = []
+    control = KnobControl(BY_PATH["rho"], lambda path, value: turned.append(value))
+    control.show(15)
+    control.readout.value = "7.6"
+    assert turned == [8]
+    assert type(turned[0]) is int
+
+
+@pytest.fixture
+def controls():
+    return Controls(preset("joint"), lambda path, value: None)
+
+
+def found_by(controls, text):
+    controls.search.value = text
+    shown = {id(widget) for widget in controls.found.children}
+    return {path for path, control in controls.by_path.items() if id(control.widget) in shown}
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("steady head", {"weights.tau"}),
+        ("ω_τ", {"weights.tau", "weights.prior"}),  # the hierarchy names it too
+        ("LENS", {"camera.fov_deg"}),
+        ("group lips", {"group.outer_lips", "group.inner_lips"}),
+    ],
+)
+def test_settings_are_found_by_plain_words_symbols_and_names(controls, text, wanted):
+    assert found_by(controls, text) == wanted
+    assert controls.pages.layout.display == "none"
+    assert found_by(controls, "") == set()
+    assert controls.pages.layout.display is None
+
+
+def test_a_search_without_a_find_says_so(controls):
+    found_by(controls, "moustache")
+    assert "No setting has these words" in controls.found.children[0].value
+
+
+def test_only_the_changed_settings_are_listed_when_asked(controls):
+    controls.changed.value = True
+    assert "as it was at the start" in controls.found.children[0].value
+    controls.changed.value = False
+    controls.show(preset("joint").changed(weights={"tau": 3.0}))
+    controls.changed.value = True
+    assert found_by(controls, "") == {"weights.tau"}
+
+
+def test_a_double_click_in_the_page_sets_a_setting_back(panel):
+    panel.turn("weights.tau", 3.0)
+    panel.page._handle_custom_msg({"kind": "reset", "what": "weights.tau"}, [])
+    assert panel.session.config.weights.tau == panel.session.base.weights.tau
+    before = panel.session.config
+    for content in ({"kind": "reset", "what": "weights.nothing"}, {"kind": "reset"}, "reset", {"kind": "key"}):
+        panel.page._handle_custom_msg(content, [])
+    assert panel.session.config == before
+
+
+# --- moving through the clip ---
+
+
+def key(panel, action):
+    panel.page._handle_custom_msg({"kind": "key", "what": action}, [])
+    assert panel.wait_idle(60)
+
+
+def test_keys_move_through_the_clip_mark_its_part_and_play_it(panel):
+    key(panel, "forth")
+    key(panel, "forth")
+    key(panel, "in")
+    assert panel.frame == 2
+    assert (panel.time.play.min, panel.time.play.max) == (2, FRAMES - 1)
+    panel.go(6)
+    key(panel, "out")
+    assert (panel.time.play.min, panel.time.play.max) == (2, 6)
+    assert panel.clip.timeline.loop == [2, 6]
+    key(panel, "back")
+    assert panel.frame == 5
+    key(panel, "play")
+    assert panel.time.play.playing
+    key(panel, "play")
+    assert not panel.time.play.playing
+    panel.transport.whole.click()
+    assert panel.clip.timeline.loop == []
+    assert panel.time.play.max == FRAMES - 1
+
+
+def test_slow_motion_waits_longer_and_double_speed_skips_frames(panel):
+    play, normal = panel.time.play, panel.time.play.interval
+    panel.transport.speed.value = 0.25
+    assert (play.interval, play.step) == (4 * normal, 1)
+    panel.transport.speed.value = 2.0
+    assert play.interval / play.step == normal / 2
+    panel.transport.speed.value = 1.0
+    assert (play.interval, play.step) == (normal, 1)
+
+
+def test_flagged_frames_are_reached_both_ways_and_around_the_ends(panel):
+    panel.clip.timeline._flagged[:] = [frame in (2, 7) for frame in range(FRAMES)]
+    visited = []
+    for action in ("next", "next", "next", "previous", "previous"):
+        key(panel, action)
+        visited.append(panel.frame)
+    panel.clip.timeline._flagged[:] = False
+    assert visited == [2, 7, 2, 7, 2]
+
+
+def test_other_keys_undo_take_snapshots_and_look_from_elsewhere(panel):
+    panel.turn("weights.tau", 3.0)
+    key(panel, "keep")
+    assert panel.session.snapshots["snapshot 1"].weights.tau == 3.0
+    key(panel, "undo")
+    assert panel.session.config.weights.tau == panel.session.base.weights.tau
+    key(panel, "redo")
+    assert panel.session.config.weights.tau == 3.0
+    before = panel.head.look.value
+    key(panel, "view")
+    assert panel.head.look.value != before
+    panel.head.look.value = before
+    key(panel, "export")
+    assert panel.export_dialog.widget.layout.display is None
+    key(panel, "export")
+    assert panel.export_dialog.widget.layout.display == "none"
+
+
+# --- one colour scale ---
+
+
+def test_picture_strip_and_head_share_the_end_of_their_scale(panel):
+    strip, picture = panel.clip.timeline, panel.overlay.view
+    assert picture.scale == strip.scale
+    panel.head.color.value = "residual"
+    picture.scale_max = 7.0  # as dragged in the picture
+    assert panel.wait_idle(60)
+    assert strip.scale == 7.0
+    assert ">7<" in panel.head.view._legend.value
+    strip.scale_max = 3.0  # as dragged at the strip
+    assert panel.wait_idle(60)
+    assert picture.scale == 3.0
+    assert ">3<" in panel.head.view._legend.value
+    picture.scale_max = 0.0
+    assert panel.wait_idle(60)
+    assert picture.scale == strip.scale != 3.0
+
+
+def test_the_head_is_seen_through_the_lens_of_the_picture(panel):
+    canvas, camera = panel.head.view.canvas, panel.fit.camera
+    assert canvas._lens == [*camera.focal_px, *camera.principal_point_px]
+    panel.head.look.value = "front"
+    assert canvas._lens == []
+    panel.head.look.value = "camera"
+    assert canvas._lens
+
+
+def test_the_difference_to_a_compared_configuration_colours_the_head(panel):
+    panel.turn("weights.sigma_smooth", 2.0)
+    panel.head.color.value = "difference"
+    assert panel.wait_idle(60)
+    assert not panel.head.view.canvas._colors
+    assert "compare" in panel.head.working.value
+    panel.head.compare.value = "the start"
+    assert panel.wait_idle(60)
+    assert "difference to the start, mm" in panel.head.view._legend.value
+    assert panel.head.view.canvas._colors
+    panel.head.compare.value = ""
+    assert panel.wait_idle(60)
+
+
+# --- words ---
+
+
+def test_the_status_is_in_words(panel):
+    said = panel.status.value
+    assert "frame 0/8 · error <b>" in said
+    assert "% of the eye distance" in said
+    assert " ms" in said
+
+
+def test_angles_have_a_true_minus_and_no_sign_at_zero():
+    assert [degrees(angle) for angle in (-4.2, 3.0, -0.3)] == ["−4°", "3°", "0°"]
+
+
+def test_a_frame_without_a_face_has_no_numbers(panel):
+    from dataclasses import replace
+
+    assert status_of(replace(panel.fit, found=False), FRAMES) == "frame 0/8 · no face"
+
+
+# --- what takes its time ---
+
+
+def test_what_is_quick_is_not_mentioned_and_what_is_slow_is_with_its_last_duration():
+    waiting = Waiting(patience_s=0.02)
+    shown = Waiting()
+    with waiting.during("fitting"):
+        pass
+    assert waiting.value == ""
+    said, release = [], threading.Event()
+    with waiting.during("fitting", old=(shown,)):
+        for _ in range(200):
+            if waiting.value:
+                break
+            release.wait(0.01)
+        said.append((waiting.value, OLD in shown._dom_classes))
+    assert "fitting …" in said[0][0]
+    assert said[0][1]
+    assert waiting.value == ""
+    assert OLD not in shown._dom_classes
+    assert text_of("fitting", None) == "fitting …"
+    assert text_of("fitting", 12.4) == "fitting … about 12 s"
+
+
+def test_a_failure_ends_the_waiting_too():
+    waiting = Waiting(patience_s=0.0)
+    with pytest.raises(ValueError, match="broken"), waiting.during("fitting"):
+        raise ValueError("broken")
+    assert waiting.value == ""
+    assert waiting._running == {}
+
+
+# --- export ---
+
+
+@pytest.fixture
+def export(panel, tmp_path):
+    made = PerformanceExport(panel.session, lambda job: job(), lambda: "tuned.toml")
+    made.file.value = str(tmp_path / "talk.glb")
+    return made
+
+
+def test_the_performance_is_exported_as_the_command_line_would(export, panel, tmp_path):
+    export.go.click()
+    assert "Wrote" in export.said.value
+    session = panel.session
+    export_track(performance_track(session), session.model, tmp_path / "other.glb")
+    assert (tmp_path / "talk.glb").read_bytes() == (tmp_path / "other.glb").read_bytes()
+
+
+def test_another_format_brings_its_suffix_and_options(export, tmp_path):
+    export.format.value = ".arkit.csv"
+    assert export.file.value == str(tmp_path / "talk.arkit.csv")
+    assert export.character.layout.display == "none"
+    export.fps.value = "12,5"
+    export.go.click()
+    assert (tmp_path / "talk.arkit.csv").exists()
+    assert "--fps 12,5" in export.command.value
+    export.format.value = ".html"
+    assert export.fps.layout.display == "none"
+    assert "--fps" not in export.command.value
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("talk.mp3", "A track is exported as"),
+        ("talk.csv", "ends otherwise than the chosen format"),
+        ("there.glb", "exists already"),
+    ],
+)
+def test_what_cannot_be_written_is_said_and_writes_nothing(export, tmp_path, name, said):
+    (tmp_path / "there.glb").write_text("kept")
+    export.file.value = str(tmp_path / name)
+    export.go.click()
+    assert said in export.said.value
+    assert [path.name for path in tmp_path.iterdir()] == ["there.glb"]
+    assert (tmp_path / "there.glb").read_text() == "kept"
+
+
+def test_a_rate_that_is_no_number_is_said(export):
+    export.fps.value = "fast"
+    export.go.click()
+    assert "Frames per second are a number such as 25" in export.said.value
+
+
+def test_a_cancelled_export_writes_nothing(export, tmp_path, monkeypatch):
+    def cancelling(*_arguments):
+        export.cancel.click()
+        return performance_track(export._session, export._told, export._cancelled.is_set)
+
+    monkeypatch.setattr("workbench.widgets.performance_export.performance_track", cancelling)
+    export._session.set(weights={"sigma_smooth": 7.0})
+    export.go.click()
+    assert "Cancelled" in export.said.value
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_commands_name_the_same_run(clip):
+    track, export = performance_commands(clip, "my tuned.toml", "a b.glb", ["--shot", "1"]).splitlines()
+    words = shlex.split(track)
+    assert words[words.index("--out") + 1] == "out/clip"
+    assert words[words.index("--config") + 1] == "my tuned.toml"
+    assert shlex.split(export) == ["workbench", "export", "out/clip", "--to", "a b.glb", "--shot", "1"]
+
+
+def test_the_performance_carries_what_exports_need(panel):
+    track = performance_track(panel.session)
+    assert len(track) == FRAMES
+    assert track.meta["model"]["name"] == panel.session.model.name
+    assert Config.model_validate(track.meta["config"]) == panel.session.config
+    np.testing.assert_array_equal(track.expression[3], panel.session.run.fits[3].expression)
+    assert track.meta["versions"]["workbench"]

@@ -1,0 +1,388 @@
+"""The panel's design in a real browser: the face is large, nothing is cut, and common tasks take few actions."""
+
+import json
+import os
+import re
+
+import numpy as np
+import pytest
+
+from tests import browser
+from tests.panel_page import HEAD, MARKS, fold, opened, tab, to_top, write_notebook
+from tests.test_panel_browser import changed, rested, wrong_outputs
+
+lacking = browser.missing()
+
+if lacking and os.environ.get("CI") != "true":
+    pytest.skip(f"browser tests: {lacking}", allow_module_level=True)
+
+JUMP = 120
+"""The frame whose head jumps aside, so that it is flagged."""
+CELLS = (
+    f"""
+    from dataclasses import replace
+    import numpy as np
+    import workbench
+    from workbench.session import TuningSession, open_session
+    from workbench.widgets import TuningPanel
+
+    opened = open_session(workbench.sample("performance"), landmarks=workbench.sample("performance-landmarks"))
+    observations = list(opened.material.observations)
+    landmarks = observations[{JUMP}].landmarks
+    moved = replace(landmarks, points=landmarks.points + np.array([60.0, 0.0]))
+    observations[{JUMP}] = replace(observations[{JUMP}], landmarks=moved)
+    session = TuningSession(opened.model, replace(opened.material, observations=tuple(observations)))
+    panel = TuningPanel(session, backend="webgl")
+    panel
+    """,
+    "ready = panel.wait_idle(300)",
+)
+SMALL, LARGE = {"width": 1366, "height": 768}, {"width": 1920, "height": 1080}
+ABOVE = 1.33
+"""From the chin to the hairline, in heights from the chin to the brows."""
+CUT = """() => [...document.querySelectorAll('.fw-panel :is(button, .lm-TabBar-tabLabel, .fw-below span)')]
+  .filter((e) => e.offsetWidth && e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).overflow !== 'visible')
+  .map((e) => e.textContent)"""
+UNNAMED = """() => [...document.querySelectorAll('.fw-panel :is(button, input, select)')]
+  .filter((e) => e.offsetWidth && !e.labels?.length && !e.ariaLabel && !/[\\p{L}]{2}/u.test(e.textContent))
+  .map((e) => e.outerHTML.slice(0, 200))"""
+
+
+@pytest.fixture(scope="module")
+def page(server, chromium):
+    """The panel on the sample clip with a flagged frame, shown and ready at 1366 × 768."""
+    write_notebook(server.folder / "design.ipynb", CELLS)
+    with browser.lab_tab(server, chromium) as page:
+        page.page.set_viewport_size(SMALL)
+        page.page.add_init_script(browser.KEEP_PIXELS)
+        opened(page, "design.ipynb")
+        page.page.set_default_timeout(60_000)
+        yield page
+
+
+@pytest.fixture
+def small(page):
+    """The page at 1366 × 768, at frame 0 and the start, with the focus in the panel."""
+    page.page.set_viewport_size(SMALL)
+    page.ask_kernel(
+        "session.use(session.base)\npanel.go(0)\npanel.transport.mark('whole')\nready = panel.wait_idle(60)"
+    )
+    to_top(page)
+    page.page.locator(".fw-status").click()
+    return page
+
+
+def state(page):
+    return json.loads(page.page.locator(".fw-overlay").get_attribute("data-state"))
+
+
+def face_height(page):
+    """From the chin to the hairline on the screen, pixels."""
+    points = np.array(json.loads(page.kernel_value("panel.fit.observed.tolist()")))
+    return ABOVE * float(np.ptp(points[:, 1])) * state(page)["scale"]
+
+
+def becomes(page, expression, wanted):
+    browser.wait_until(
+        lambda: page.kernel_value(expression) == wanted, f"{expression} is {wanted}",
+        pause=lambda: page.page.wait_for_timeout(60),
+    )  # fmt: skip
+
+
+class Actions:
+    """What a user does, counted."""
+
+    def __init__(self, page):
+        self._page, self.count = page.page, 0
+
+    def key(self, key):
+        self.count += 1
+        self._page.keyboard.press(key)
+
+    def click(self, locator, **options):
+        self.count += 1
+        assert_in_window(self._page, locator)
+        locator.click(**options)
+
+    def type(self, text):
+        self.count += 1
+        self._page.keyboard.type(text)
+
+    def choose(self, locator, option):
+        self.count += 1
+        assert_in_window(self._page, locator)
+        locator.select_option(option)
+
+
+def assert_in_window(page, locator):
+    """No scrolling is needed to reach it."""
+    box, size = locator.bounding_box(), page.viewport_size
+    assert box is not None
+    assert box["y"] >= 0
+    assert box["y"] + box["height"] <= size["height"]
+    assert box["x"] + box["width"] <= size["width"]
+
+
+@pytest.fixture
+def actions(small):
+    return Actions(small)
+
+
+def button(page, name):
+    return page.page.locator(".fw-panel").get_by_role("button", name=name, exact=True).first
+
+
+def place_of(page, point):
+    box, seen = page.page.locator(MARKS).bounding_box(), state(page)
+    x, y = json.loads(page.kernel_value(f"panel.fit.observed[{point}].tolist()"))
+    return box["x"] + seen["scale"] * x + seen["x"], box["y"] + seen["scale"] * y + seen["y"]
+
+
+# --- the page ---
+
+
+@pytest.mark.parametrize("size", [SMALL, LARGE], ids=["1366", "1920"])
+def test_the_face_has_a_third_of_the_height_and_the_panel_fits_into_the_window(page, screenshots, size):
+    page.page.set_viewport_size(size)
+    to_top(page)
+    browser.wait_until(
+        lambda: face_height(page) >= size["height"] / 3, "the face has a third of the height",
+        pause=lambda: page.page.wait_for_timeout(60),
+    )  # fmt: skip
+    for theme in ("Light", "Dark"):
+        page.page.evaluate(
+            f"() => window.jupyterapp.commands.execute('apputils:change-theme', {{theme: 'JupyterLab {theme}'}})"
+        )
+        page.page.wait_for_function(
+            f"() => document.body.dataset.jpThemeLight === '{'true' if theme == 'Light' else 'false'}'"
+        )
+        to_top(page)
+        page.page.screenshot(path=screenshots / f"design-{size['width']}-{theme}.png")
+    box = page.page.locator(".fw-panel").bounding_box()
+    assert box["y"] + box["height"] <= size["height"]
+    page.page.evaluate("() => window.jupyterapp.commands.execute('apputils:change-theme', {theme: 'JupyterLab Light'})")
+
+
+def test_sliders_are_long_and_no_text_is_cut(small):
+    for title in ("ω", "ρ ε", "camera", "points", "a b c", "deep", "time"):
+        tab(small, title)
+        widths = small.page.locator(".fw-controls .noUi-target:visible").evaluate_all(
+            "(all) => all.map((e) => e.offsetWidth)"
+        )
+        assert all(width >= 150 for width in widths), (title, widths)
+        assert small.page.evaluate(CUT) == [], title
+    tab(small, "ω")
+
+
+def test_every_control_has_a_name_for_screen_readers(small):
+    for title in ("time", "ω"):
+        tab(small, title)
+        small.page.wait_for_timeout(700)
+        assert small.page.evaluate(UNNAMED) == []
+
+
+def test_the_head_lies_where_the_face_is_and_follows_its_zoom(small):
+    """Both are seen by the same camera: the middle of the head's skin moves and grows with the photo's crop."""
+    before = rested(small, HEAD)
+    small.page.locator(MARKS).hover()
+    small.page.mouse.wheel(0, -300)
+    assert changed(small, HEAD, before) > 0.05
+    small.page.locator(MARKS).dblclick(position={"x": 5, "y": 5})
+    small.page.locator(MARKS).dblclick(position={"x": 5, "y": 5})
+
+
+def test_a_border_moves_and_goes_back(small):
+    border = small.page.locator(".fw-views > .fw-split")
+    width = lambda: small.page.locator(".fw-photo").bounding_box()["width"]  # noqa: E731 - asked three times
+    before, box = width(), border.bounding_box()
+    small.page.mouse.move(box["x"] + 3, box["y"] + 40)
+    small.page.mouse.down()
+    small.page.mouse.move(box["x"] - 57, box["y"] + 40, steps=4)
+    small.page.mouse.up()
+    assert width() == pytest.approx(before - 60, abs=3)
+    border.focus()
+    small.page.keyboard.press("ArrowRight")
+    assert width() == pytest.approx(before - 36, abs=3)
+    border.dblclick()
+    assert width() == pytest.approx(before, abs=3)
+
+
+def test_pages_fold_away_and_come_back(small):
+    pages = small.page.locator(".fw-pages")
+    assert "fw-folded" in pages.get_attribute("class")  # at first in a low window
+    height = small.page.locator(".fw-photo").bounding_box()["height"]
+    tab(small, "Stages")
+    small.page.locator(".fw-stages").wait_for()
+    assert small.page.locator(".fw-photo").bounding_box()["height"] < height
+    fold(small)
+    browser.wait_until(
+        lambda: small.page.locator(".fw-photo").bounding_box()["height"] == height, "the views have their height again",
+        pause=lambda: small.page.wait_for_timeout(40),
+    )  # fmt: skip
+
+
+def test_a_double_click_on_a_slider_goes_back_to_the_start(small):
+    tab(small, "ω")
+    handle = small.slider("ω_τ")
+    handle.press("PageUp")
+    knob = small.page.locator(".fw-knob").filter(has_text="ω_τ").first
+    small.page.wait_for_function("(e) => e.classList.contains('fw-changed')", arg=knob.element_handle())
+    small.page.locator(".fw-knob").filter(has_text="ω_τ").first.locator(".noUi-target").dblclick(
+        position={"x": 4, "y": 2}
+    )
+    small.page.wait_for_function("(e) => !e.classList.contains('fw-changed')", arg=knob.element_handle())
+    becomes(small, "session.config.weights.tau == session.base.weights.tau", "True")
+
+
+def test_the_end_of_the_colours_is_dragged_in_the_picture_and_followed_by_the_strip(small):
+    small.page.mouse.move(*place_of(small, 30))
+    handle = small.page.locator(".fw-overlay .fw-limit")
+    box = handle.bounding_box()
+    small.page.mouse.move(box["x"] + 5, box["y"] + 5)
+    small.page.mouse.down()
+    small.page.mouse.move(box["x"] + 65, box["y"] + 5, steps=5)
+    small.page.mouse.up()
+    becomes(small, "panel.clip.timeline.scale == panel.overlay.view.scale > 8", "True")
+    handle.dblclick()
+    becomes(small, "panel.overlay.view.scale_max", "0.0")
+
+
+def test_the_marks_fade_at_rest_and_vanish_with_a_key(small):
+    small.page.mouse.move(20, 20)
+    small.page.wait_for_function("() => document.querySelector('.fw-overlay').classList.contains('fw-rest')")
+    small.page.mouse.move(*place_of(small, 30))
+    small.page.wait_for_function("() => !document.querySelector('.fw-overlay').classList.contains('fw-rest')")
+    small.page.locator(".fw-status").click()
+    small.page.keyboard.press("h")
+    small.wait_drawn()
+    assert small.pixels(MARKS).std(axis=(0, 1)).max() < 1.0
+    small.page.keyboard.press("h")
+    small.wait_drawn()
+    assert small.pixels(MARKS).std(axis=(0, 1)).max() > 1.0
+
+
+def test_the_question_mark_lists_the_keys(small, screenshots):
+    small.page.keyboard.press("?")
+    shown = small.page.locator(".fw-help-box")
+    shown.wait_for()
+    assert "next, previous flagged frame" in shown.inner_text()
+    small.page.screenshot(path=screenshots / "design-keys.png")
+    small.page.keyboard.press("Escape")
+    shown.wait_for(state="hidden")
+
+
+# --- tasks: at most three actions each, without scrolling ---
+
+
+def test_find_the_worst_frame(small, actions):
+    actions.key("n")  # the frame before it has a jump ahead, and is flagged too
+    becomes(small, "panel.frame", str(JUMP - 1))
+    actions.key("n")
+    becomes(small, "panel.frame", str(JUMP))
+    assert actions.count <= 3
+
+
+def test_find_out_why(small, actions, screenshots):
+    actions.key("n")
+    actions.key("w")
+    small.page.wait_for_function(
+        "() => document.querySelector('.fw-diagnosis').innerText.includes('flagged, ')", timeout=120_000
+    )
+    shown = small.page.locator(".fw-diagnosis .fw-reason, .fw-diagnosis table").first
+    assert shown.is_visible()
+    assert actions.count <= 3
+    small.page.screenshot(path=screenshots / "design-why.png")
+    fold(small)
+
+
+def test_mute_two_points(small, actions):
+    actions.count += 3
+    small.page.mouse.click(*place_of(small, 8))
+    small.page.keyboard.down("Control")
+    small.page.mouse.click(*place_of(small, 9))
+    small.page.keyboard.up("Control")
+    small.page.keyboard.press("m")
+    becomes(small, "panel.overlay.view.muted", "(8, 9)")
+    small.page.keyboard.press("Escape")
+
+
+def test_free_the_weights_in_a_stage(small, actions):
+    actions.click(small.page.locator(".fw-pages .lm-TabBar-tab").filter(has_text="Stages"))
+    row = small.page.locator(".fw-stages > .widget-hbox:has(input[type=text])").first
+    actions.click(row.locator("button").filter(has_text=re.compile("^w$")))
+    becomes(small, "'expression' in session.config.stages[0].free", "True")
+    assert actions.count <= 3
+    fold(small)
+
+
+def test_compare_two_weights(small, actions):
+    tab(small, "ω")
+    actions.count += 1
+    small.slider("ω_σ L1").press("PageDown")
+    actions.choose(small.page.locator(".fw-head select").filter(has_text="compare…"), "the start")
+    becomes(small, "bool(panel.head.view.canvas._ghost)", "True")
+    assert actions.count <= 3
+    small.ask_kernel("panel.head.compare.value = ''")
+
+
+def test_fill_a_gap(small, actions):
+    tab(small, "time")
+    small.ask_kernel("panel.go(100)\nready = panel.wait_idle(60)")
+    actions.click(button(small, "this frame"))
+    row = small.page.locator(".fw-knob").filter(has_text=re.compile("^infill"))
+    actions.choose(row.locator("select").first, "linear")
+    actions.click(button(small, "run"))
+    becomes(small, "panel.fit.source", "'filled'")
+    assert actions.count <= 3
+    small.ask_kernel("panel.time.sides.value = 'before'")
+    tab(small, "ω")
+
+
+def test_export_an_animation(small, actions, screenshots):
+    actions.key("e")
+    actions.click(button(small, "export"))
+    small.page.get_by_text("Wrote ").wait_for(timeout=120_000)
+    assert actions.count <= 3
+    assert (small.server.folder / "performance.glb").stat().st_size > 100_000
+    small.page.screenshot(path=screenshots / "design-export.png")
+    assert "workbench export out/performance --to performance.glb" in small.page.locator(".fw-command").inner_text()
+    small.page.keyboard.press("e")
+
+
+def test_find_a_setting_and_raise_it(small, actions):
+    actions.key("/")
+    actions.type("steady head")
+    small.page.wait_for_function("() => document.querySelectorAll('.fw-controls .fw-knob').length > 0")
+    actions.count += 1
+    small.slider("ω_τ").press("PageUp")
+    becomes(small, "session.config.weights.tau > session.base.weights.tau", "True")
+    assert actions.count <= 3
+    small.page.locator(".fw-controls input").first.fill("")
+
+
+def test_undo(small, actions):
+    small.ask_kernel("panel.turn('weights.tau', 3.0)")
+    actions.key("Control+z")
+    becomes(small, "session.config.weights.tau == session.base.weights.tau", "True")
+    assert actions.count <= 3
+
+
+def test_play_a_part(small, actions):
+    small.ask_kernel("panel.go(30)\nready = panel.wait_idle(60)")
+    actions.key("i")
+    becomes(small, "panel.time.play.min", "30")
+    small.ask_kernel("panel.go(40)\nready = panel.wait_idle(60)")
+    actions.key("o")
+    becomes(small, "panel.time.play.max", "40")
+    small.ask_kernel("panel.go(30)\nready = panel.wait_idle(60)")
+    actions.key(" ")
+    browser.wait_until(lambda: int(small.kernel_value("panel.frame")) > 30, "it plays")
+    assert actions.count <= 3
+    small.ask_kernel("panel.time.play.playing = False")
+
+
+def test_nothing_failed_and_nothing_came_from_another_host(page):
+    assert page.foreign_requests == []
+    assert page.page_errors == []
+    assert [text for text in page.console_errors if "404" not in text] == []
+    assert wrong_outputs(page) == []

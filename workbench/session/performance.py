@@ -1,0 +1,48 @@
+"""The performance of a session as a track that can be exported, and the commands that make the same file."""
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from workbench.pipeline import content_hash, software_versions
+from workbench.session.clip_run import Run, described_track
+from workbench.session.exports import track_command
+from workbench.session.material import Cancelled, Material, Progress
+from workbench.session.tuning import TuningSession
+from workbench.tracking import Track
+from workbench.tracking.fitting import never
+from workbench.tracking.records import stack_fits
+
+
+def performance_track(
+    session: TuningSession, progress: Progress | None = None, cancelled: Cancelled = never
+) -> Track | None:
+    """The clip under the current configuration, infilled and refined if configured; None if cancelled."""
+    config, material = session.config, session.material
+    fits = session.temporal.fits_by(config, progress, cancelled)
+    if fits is None:
+        return None
+    run = Run(config, Track(meta={}, **stack_fits(list(fits))), ())
+    track = described_track(run, session.model, material.stills)
+    file = material.landmark_file
+    meta = {
+        "inputs": [_named(path) for path in material.inputs if path.exists()],
+        "landmarks": None if file is None or not file.exists() else _named(file),
+        "rate": getattr(material.pictures.frames, "rate", None),
+        "versions": software_versions(),
+    }
+    return replace(track, meta=track.meta | meta)
+
+
+def performance_commands(
+    material: Material, settings: str | Path, file: str | Path, options: Sequence[str] = ()
+) -> str:
+    """The two command lines that track a material by saved settings, and export the track to a file."""
+    run = Path("out") / material.name
+    export = ["workbench", "export", run, "--to", file, *options]
+    return f"{track_command(material, settings)} --out {shlex.quote(str(run))}\n{shlex.join(map(str, export))}"
+
+
+def _named(path: Path) -> dict[str, str]:
+    return {"path": str(path), "sha256": content_hash(path)}

@@ -1,0 +1,46 @@
+import { element } from "../shared/canvas.js";
+
+// The keys of a panel: what the help shows, and what is done. `act` is called on the page of view.js.
+export const KEYS = [
+  ["space", " ", "play or pause", "play"],
+  [",  .", ",.", "one frame back, forth", "back forth"],
+  ["N  P", "np", "next, previous flagged frame", "next previous"],
+  ["I  O", "io", "first, last frame of the loop: here", "in out"],
+  ["H", "h", "hide or show everything over the picture", "bare"],
+  ["V", "v", "the head: as the camera sees it, from the front, free", "view"],
+  ["W", "w", "why this frame?", "why"],
+  ["S", "s", "keep a snapshot", "keep"],
+  ["E", "e", "save and export", "export"],
+  ["/", "/", "search the settings", "search"],
+  ["?", "?", "this list", "help"],
+];
+const MORE = [
+  ["Ctrl Z,  Ctrl Y", "undo, redo"],
+  ["Delete", "on a slider: back to the start (or double click)"],
+  ["M  +  −  R", "selected landmarks: mute, weigh more or less, back to the detection"],
+  ["arrows", "slider, strip, head or moved landmark, whichever has the focus"],
+  ["Esc", "selects nothing, closes this list"],
+];
+
+// What a key does; undefined for others.
+export function actionOf(key) {
+  for (const [, letters, , actions] of KEYS) {
+    const at = letters.indexOf(key.length === 1 ? key.toLowerCase() : "none");
+    if (at >= 0) return actions.split(" ")[at];
+  }
+  return undefined;
+}
+
+export function makeHelp(el) {
+  const box = element(el, "div", "fw-help-box"), table = element(box, "table", "");
+  for (const [keys, told] of [...KEYS.map(([shown, , words]) => [shown, words]), ...MORE]) {
+    const row = element(table, "tr", "");
+    element(row, "th", "").textContent = keys;
+    element(row, "td", "").textContent = told;
+  }
+  box.hidden = true;
+  box.setAttribute("role", "dialog");
+  box.setAttribute("aria-label", "Keys");
+  box.addEventListener("click", () => { box.hidden = true; });
+  return { toggle: () => { box.hidden = !box.hidden; }, close: () => { box.hidden = true; } };
+}

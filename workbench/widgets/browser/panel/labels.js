@@ -1,0 +1,38 @@
+const SOON_MS = 400;
+const ICONS = { "fa-play": "play", "fa-pause": "pause", "fa-stop": "stop", "fa-retweet": "loop" };
+
+// Names for screen readers: controls that show a symbol or nothing are called what their tooltip says.
+export function labelControls(panel) {
+  for (const control of panel.querySelectorAll("button, input, select, textarea, .noUi-handle")) {
+    if (control.labels?.length || (control.ariaLabel && control.ariaLabel !== control.dataset.told)) continue;
+    const icon = control.querySelector("i.fa"), shown = icon && Object.keys(ICONS).find((name) => icon.matches(`.${name}`));
+    const told = ICONS[shown] || control.closest("[title]")?.title.split("\n")[0] || control.placeholder;
+    const named = control.matches("button") && /\p{L}{2}/u.test(control.textContent);
+    if (told && !named) control.ariaLabel = control.dataset.told = told;
+  }
+  for (const border of panel.querySelectorAll(".fw-split")) {
+    border.tabIndex = 0;
+    border.setAttribute("role", "separator");
+    border.setAttribute("aria-label", "border: drag or arrow keys move it, a double click puts it back");
+  }
+  panel.dataset.lmSuppressShortcuts = "true"; // otherwise JupyterLab handles the panel's keys itself
+  if (!panel.hasAttribute("tabindex")) panel.tabIndex = -1;
+}
+
+// Labels a panel shortly after it was shown or changed.
+export function labelSoon(page) {
+  let timer = 0, watch = null;
+  function label() {
+    timer = 0;
+    const panel = page.panel();
+    if (!panel) return soon();
+    labelControls(panel);
+    if (watch) return;
+    watch = new MutationObserver(soon);
+    watch.observe(panel, { subtree: true, attributeFilter: ["title"] });
+  }
+  function soon() {
+    timer ||= setTimeout(label, SOON_MS);
+  }
+  return { soon, stop: () => { clearTimeout(timer); watch?.disconnect(); } };
+}

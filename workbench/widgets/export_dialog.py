@@ -1,0 +1,54 @@
+"""What is written to files: the settings, and the performance. Folded away until it is asked for."""
+
+from collections.abc import Callable
+
+import ipywidgets as widgets
+
+from workbench.session import TuningSession
+from workbench.widgets.controls import small_button
+from workbench.widgets.export_bar import ExportBar
+from workbench.widgets.panel_layout import classed, in_line, wrapped
+from workbench.widgets.performance_export import PerformanceExport
+
+TITLE = "<b style='display:inline-block;width:84px'>{}</b>"
+
+
+class ExportDialog:
+    """Buttons for the top of a panel (`buttons`) and what they unfold (`widget`); `later` is called with slow jobs."""
+
+    def __init__(self, session: TuningSession, later: Callable[[Callable[[], None]], None]) -> None:
+        self.settings = ExportBar(session, later)
+        self.performance = PerformanceExport(session, later, lambda: self.settings.file.value.strip() or "tuned.toml")
+        self.settings.file.observe(lambda _change: self.performance.show_command(), "value")
+        self.open = small_button("Save · Export", "save the settings, export the animation, a film or a report (E)",
+                                 "primary")  # fmt: skip
+        self.open.on_click(lambda _button: self.fold())
+        self.help = classed(small_button("?", "keys (?)"), "fw-help-button")
+        self.buttons = (self.open, self.help)
+        copy = classed(small_button("copy", "copy the commands"), "fw-copy")
+        made = self.performance
+        options = widgets.HBox(
+            [made.format, made.file, made.character, made.shot, made.fps, made.go, made.cancel, made.progress],
+            layout=wrapped(),
+        )
+        close = small_button("✕", "fold this away (E)")
+        close.on_click(lambda _button: self.fold())
+        rows = [
+            in_line(widgets.HTML(TITLE.format("settings")), *self.settings.widgets, close),
+            in_line(widgets.HTML(TITLE.format("performance")), options),
+            made.said,
+            in_line(widgets.HTML(TITLE.format("commands")), made.command, copy),
+        ]
+        self.widget = classed(widgets.VBox(rows, layout=widgets.Layout(display="none")), "fw-export")
+
+    def fold(self) -> None:
+        """Unfold it, or fold it away."""
+        folded = self.widget.layout.display == "none"
+        if folded:
+            self.performance.show_options()
+        self.widget.layout.display = None if folded else "none"
+
+    def stop(self) -> None:
+        """Stop what is being written."""
+        self.settings.stop()
+        self.performance.stop()
