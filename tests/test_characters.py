@@ -123,6 +123,44 @@ def test_brows_follow_the_forehead_and_hair_does_not():
     np.testing.assert_array_equal(part(head, "hair", browInnerUp=1.0, jawOpen=1.0), part(head, "hair"))
 
 
+@pytest.mark.parametrize("name", character_names())
+def test_worn_brows_lie_on_the_landmarks_of_brows(name):
+    head = dressed(name)
+    worn = next(worn for worn in head.worn if worn.part.kind == "brows")
+    corners, where = worn.part.triangles, worn.part.uv[worn.part.triangles_uv].mean(axis=1)
+    height, width = worn.picture.shape[:2]
+    alpha = worn.picture[((1 - where[:, 1]) * height).astype(int), (where[:, 0] * width).astype(int), 3]
+    for sights in ({}, {"browInnerUp": 1.0}, {"browDownLeft": 1.0, "browDownRight": 1.0}, {"eyeBlinkLeft": 1.0}):
+        hair = part(head, "brows", **sights)[corners[alpha >= 100]].mean(axis=1)
+        own = head.model.landmarks.of(head.vertices(parameters(head, **sights)))[17:27]
+        for side, line in ((hair[:, 0] < 0, own[:5]), (hair[:, 0] > 0, own[5:])):
+            within = side & (hair[:, 0] > line[0, 0]) & (hair[:, 0] < line[-1, 0])
+            below = hair[within, 1] - np.interp(hair[within, 0], line[:, 0], line[:, 1])
+            assert within.sum() > 8
+            assert abs(below.mean()) < 1.5
+
+
+def test_worn_brows_lie_just_before_the_skin():
+    head = dressed("walter")
+    brows = next(worn.part for worn in head.worn if worn.part.kind == "brows")
+    for sights in ({}, {"browInnerUp": 1.0}, {"browDownLeft": 1.0}, {"eyeBlinkLeft": 1.0}, {"noseSneerLeft": 1.0}):
+        vertices, points = head.vertices(parameters(head, **sights)), part(head, "brows", **sights)
+        skin = np.einsum("nk,nkd->nd", brows.weights, vertices[brows.anchors])
+        assert np.linalg.norm(points - skin, axis=1).max() < 1.0
+        middles = points[brows.triangles].mean(axis=1)
+        corners = vertices[head.model.triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        seen = np.flatnonzero((normals[:, 2] < 0) & np.isin(head.model.triangles, brows.anchors).any(axis=1))
+        # A ray from a middle along the depth goes through the skin behind it.
+        first, edges = corners[seen, 0, :2], np.stack([corners[seen, k, :2] - corners[seen, 0, :2] for k in (1, 2)], 2)
+        share = np.einsum("tij,ntj->nti", np.linalg.inv(edges), middles[:, None, :2] - first)
+        share = np.concatenate([1 - share.sum(axis=2, keepdims=True), share], axis=2)
+        depth = np.einsum("ntk,tk->nt", share, corners[seen, :, 2])
+        hit = (share >= 0).all(axis=2)
+        assert hit.any(axis=1).mean() > 0.99
+        assert (np.where(hit, depth, np.inf).min(axis=1) > middles[:, 2])[hit.any(axis=1)].all()
+
+
 def test_eyeballs_turn_without_changing_their_shape():
     head = dressed("mei")
     rest, turned = part(head, "eyes"), part(head, "eyes", eyeLookOutLeft=1.0, eyeLookInRight=1.0)

@@ -118,9 +118,8 @@ class TestRenders:
             who = studio.cast(rng)
             shot = studio.shoot(who, rng)
             face = frame_from_points(shot.points[:68])
-            # A picture is framed by the head's own landmarks; brows that are worn may be elsewhere.
-            assert face.side == pytest.approx(320 / 2.2, rel=0.03 if who.painted_brows else 0.06)
-            assert face.origin == pytest.approx(np.full(2, 159.5), abs=3 if who.painted_brows else 6)
+            assert face.side == pytest.approx(320 / 2.2, rel=0.03)
+            assert face.origin == pytest.approx(np.full(2, 159.5), abs=3)
             covered = cv2.dilate(shot.rgba[..., 3], np.ones((5, 5), np.uint8))
             inner = np.clip(np.rint(shot.points[17:]).astype(int), 0, 319)
             assert (covered[inner[:, 1], inner[:, 0]] > 0).mean() > 0.95
@@ -155,7 +154,7 @@ class TestRenders:
             points = line.of(part.on(gazing.neutral))
             assert (np.diff(points[:, 0]) > 0).all()
             assert points[4, 0] < 0 < points[5, 0]
-            assert np.abs(points - own).max() < 22
+            assert np.abs(points - own).max() < 12
 
     def test_a_lens_moves_the_corner_of_a_picture_by_a_tenth_at_most(self):
         width = 0.8

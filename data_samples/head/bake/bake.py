@@ -19,7 +19,7 @@ from closure import blink_scale, corner_seal, levelled_blink, lid_slit, mouth_sl
 from crop import REGIONS, Crop, cut_head, lip_coverage, region_ids, triangulate
 from expressions import face_units
 from identities import JOINT_CUBES, Generator, principal_components
-from landmarks import read_landmarks
+from landmarks import Embedding, read_landmarks
 from makehuman import MakeHuman
 from paint import SKIN_REGION, Sitter, Surface, brow_coverage, paint, scalp_coverage
 from people import Wardrobe, bake_characters, bake_parts, bake_skins
@@ -150,12 +150,17 @@ def albedo(head: Head, uvs: np.ndarray) -> np.ndarray:
     return assembled(raster, paint(surface, sitter(head)), SIZE * OVERSAMPLING)
 
 
-def assemble(head: Head, landmarks: Path) -> dict[str, np.ndarray]:
+def embedding_of(head: Head, landmarks: Path) -> Embedding:
+    """The landmarks of a file, in the head's own vertex numbers."""
+    crop = head.crop
+    table = np.full(crop.base_ids.max() + 1, np.iinfo(np.uint16).max)
+    table[crop.base_ids] = np.arange(len(crop.base_ids))
+    return read_landmarks(landmarks).renumbered(table)
+
+
+def assemble(head: Head, embedding: Embedding) -> dict[str, np.ndarray]:
     """The arrays of head.npz; see data_samples/head/README.md for their meaning."""
     crop, count = head.crop, len(head.crop.base_ids)
-    table = np.full(crop.base_ids.max() + 1, np.iinfo(np.uint16).max)
-    table[crop.base_ids] = np.arange(count)
-    embedding = read_landmarks(landmarks).renumbered(table)
     surface = vertex_surface(head)
     half_face = np.abs(surface.points * [1.0, 0.0, 0.0]) + surface.points * [0.0, 1.0, 1.0]
     brow, scalp = (cover(half_face / head.scale, 0.0) for cover in (brow_coverage, scalp_coverage))
@@ -189,12 +194,14 @@ def assemble(head: Head, landmarks: Path) -> dict[str, np.ndarray]:
     }
 
 
-def people(head: Head, uvs: np.ndarray, art: Path, out: Path) -> None:
+def people(head: Head, uvs: np.ndarray, embedding: Embedding, art: Path, out: Path) -> None:
     """Bake the characters into the folder `out`."""
     neutral, identities = (points[..., : len(head.crop.base_ids), :] for points in (head.neutral, head.identities))
-    wardrobe = Wardrobe.of(head.source, head.crop, neutral, head.scale)
+    points = np.einsum("lk,lkd->ld", embedding.weights, neutral[embedding.vertices])
+    wardrobe = Wardrobe.of(head.source, head.crop, neutral, head.scale, head.triangles, points)
     bake_parts(wardrobe, art, out)
-    bake_skins(make_canvas(head.crop, neutral, uvs, head.triangles, head.triangles_uv), art, out)
+    canvas = make_canvas(head.crop, neutral, uvs, head.triangles, head.triangles_uv, points)
+    bake_skins(canvas, art, out)
     bake_characters(wardrobe, identities, head.scale, Path(__file__).with_name("sitters.toml"), out)
 
 
@@ -214,12 +221,13 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         head = build(options.wheel or fetch_wheel(Path(folder)))
-    arrays = assemble(head, Path(__file__).resolve().parents[1] / "landmarks.toml")
+    embedding = embedding_of(head, Path(__file__).resolve().parents[1] / "landmarks.toml")
+    arrays = assemble(head, embedding)
     options.out.mkdir(parents=True, exist_ok=True)
     write_npz(options.out / "head.npz", arrays)
     (options.out / "albedo.png").write_bytes(encoded_png(albedo(head, arrays["uv"])))
     if options.art:
-        people(head, arrays["uv"], options.art, options.out / "people")
+        people(head, arrays["uv"], embedding, options.art, options.out / "people")
     size = (options.out / "head.npz").stat().st_size
     print(f"head.npz: {len(arrays['neutral'])} vertices, {len(arrays['triangles'])} triangles, {size / 1e6:.2f} MB")
     print(f"scale {head.scale:.4f}, mean share of mouthClose at rest {head.rest_mouth_close:.3f}")

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from anchoring import Ties, lid_edges, lid_ties, nearest_ties, own_ties, rigid_ties, stacked
 from asset import quantised, write_npz
+from brows import raised_brows
 from clothes import Clothes, read_clothes
 from crop import Crop, head_islands, uv_islands
 from identities import AVERAGE, DECIMETRES, Generator
@@ -65,9 +66,19 @@ class Wardrobe:
     """Head vertices, millimetres, head frame."""
     base: np.ndarray
     """All vertices of the base mesh in the same frame: the head's, and helpers carried along with them."""
+    triangles: np.ndarray
+    landmarks: np.ndarray
+    """The 68 points on the head, millimetres."""
 
     @staticmethod
-    def of(source: MakeHuman, crop: Crop, neutral: np.ndarray, scale: float) -> "Wardrobe":
+    def of(
+        source: MakeHuman,
+        crop: Crop,
+        neutral: np.ndarray,
+        scale: float,
+        triangles: np.ndarray,
+        landmarks: np.ndarray,
+    ) -> "Wardrobe":
         """Base vertices that the head lacks are MakeHuman's average, moved as the nearest skin has moved."""
         generator = Generator(source, crop)
         raw = source.base.vertices + source.macro(*AVERAGE)
@@ -79,15 +90,15 @@ class Wardrobe:
         weights = 1.0 / np.maximum(distance, 0.5)
         base = base + np.einsum("nk,nkd->nd", weights / weights.sum(axis=1, keepdims=True), moved[skin][nearest])
         base[crop.base_ids] = neutral
-        return Wardrobe(source, crop, neutral, base)
+        return Wardrobe(source, crop, neutral, base, triangles, landmarks)
 
 
 def part_arrays(
-    wardrobe: Wardrobe, kind: str, clothes: Clothes, points: np.ndarray | None = None
+    wardrobe: Wardrobe, kind: str, clothes: Clothes, points: np.ndarray | None = None, alpha: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
     """One part as it is stored: ties to the head's vertices, what they leave over, triangles and UVs.
 
-    `points` are its vertices on the head, where they are not MakeHuman's.
+    `points` are its vertices on the head, where they are not MakeHuman's; `alpha` is the opacity of brows.
     """
     crop = wardrobe.crop
     points = clothes.worn(wardrobe.base) if points is None else points
@@ -95,6 +106,9 @@ def part_arrays(
         points = points + UPPER_TEETH_SHIFT_MM * _upper(crop, clothes)[:, None]
     if kind == "lashes":
         ties, points = _lash_ties(wardrobe, clothes, points)
+    elif kind == "brows":
+        skin = wardrobe.triangles[crop.outer[wardrobe.triangles].all(axis=1)]
+        ties, points = raised_brows(clothes, points, alpha, wardrobe.landmarks, wardrobe.neutral, skin)
     else:
         ties = _ties(wardrobe, kind, clothes, points)
     weights = ties.weights.astype(np.float16)
@@ -234,8 +248,10 @@ def bake_parts(wardrobe: Wardrobe, art: Path, out: Path) -> None:
         "scale_vertices": np.searchsorted(wardrobe.crop.base_ids, np.array(SCALE_PAIRS)).astype(np.uint16),
     }
 
-    def add(kind: str, style: str, clothes: Clothes, points: np.ndarray | None = None) -> None:
-        stored = part_arrays(wardrobe, kind, clothes, points)
+    def add(
+        kind: str, style: str, clothes: Clothes, points: np.ndarray | None = None, alpha: np.ndarray | None = None
+    ) -> None:
+        stored = part_arrays(wardrobe, kind, clothes, points, alpha)
         arrays.update({f"{kind}.{style}.{name}": array for name, array in stored.items()})
 
     for kind, folder in KINDS.items():
@@ -245,6 +261,8 @@ def bake_parts(wardrobe: Wardrobe, art: Path, out: Path) -> None:
                 eyeball = clothes.seen(_alpha(art / folder / f"{EYES_OF_ALPHA}.png"))
                 add("eyes", fit.stem, clothes.of_triangles(eyeball))
                 add("corneas", fit.stem, clothes.of_triangles(~eyeball))
+            elif kind == "brows":
+                add(kind, fit.stem, clothes, alpha=_alpha(fit.with_suffix(".png")))
             else:
                 add(kind, fit.stem, clothes)
         _write_pictures(out / kind, {path.stem: part_picture(kind, path) for path in (art / folder).glob("*.png")})

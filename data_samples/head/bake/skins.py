@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from bare_brows import Band, brow_band, without_brows
 from crop import Crop
 from jaxtyping import Float, Int, UInt8
 from noise import noise
@@ -58,10 +59,16 @@ class Canvas:
     """For each texel of the neck, the entries of `seam` that it takes its colour from."""
     neck_weights: Float[np.ndarray, "m k"]
     neck_mottle: Float[np.ndarray, "m"]
+    brows: Band
 
 
 def make_canvas(
-    crop: Crop, neutral: np.ndarray, uvs: np.ndarray, triangles: np.ndarray, triangles_uv: np.ndarray
+    crop: Crop,
+    neutral: np.ndarray,
+    uvs: np.ndarray,
+    triangles: np.ndarray,
+    triangles_uv: np.ndarray,
+    landmarks: Float[np.ndarray, "68 3"],
 ) -> Canvas:
     """The texels of the head's texture."""
     raster = rasterise(uvs, triangles_uv, SKIN_PX * OVERSAMPLING)
@@ -80,6 +87,8 @@ def make_canvas(
     seam = face[near][::SEAM_STEP]
     distance, nearest = cKDTree(points[seam]).query(neck, k=SEAM_POINTS)
     weights = 1.0 / (distance + 2.0) ** 2
+    corners = neutral[triangles]
+    ahead = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] < 0
     return Canvas(
         raster=raster,
         padding=padding(raster, SKIN_PX * OVERSAMPLING),
@@ -91,6 +100,7 @@ def make_canvas(
         neck_from=nearest,
         neck_weights=weights / weights.sum(axis=1, keepdims=True),
         neck_mottle=noise(neck / 1.1, 21) + noise(neck / 4.0, 22) - 1.0,
+        brows=brow_band(points, np.flatnonzero((region == "face") & ahead[raster.triangle]), landmarks),
     )
 
 
@@ -107,7 +117,7 @@ def read_skin(folder: Path, name: str) -> Float[np.ndarray, "h w 3"]:
 
 def skin_texture(canvas: Canvas, skin: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "s s 3"]:
     """The head's texture with one skin on it, RGB."""
-    colour = _sampled(skin, canvas.atlas)
+    colour = without_brows(_sampled(skin, canvas.atlas), canvas.brows)
     region = canvas.region
     skin_tone = np.median(colour[region == "face"], axis=0)
     smooth = np.einsum("nk,nkd->nd", canvas.neck_weights, colour[canvas.seam][canvas.neck_from])
