@@ -73,7 +73,7 @@ class TestFailures:
 
     def test_panel_and_overlay_say_why(self, track):
         fit = track[RECORDED]
-        assert status_of(fit, len(track)).endswith("FAILED: jaw and face disagree")
+        assert ">failed: jaw and face disagree</span>" in status_of(fit, len(track))
         width, height = fit.image_size
         paper = np.full((height, width, 3), 60, np.uint8)
         only_text = OverlayParts(False, False, False, False, axes=False, legend=False)

@@ -33,6 +33,8 @@ heard.clear()
 print("heard", elsewhere)
 """
 LONGEST_S = 60.0
+MANY = 20000
+"""Messages: far more than ZeroMQ keeps by itself, and the buffers of a connection hold."""
 
 
 @pytest.fixture(scope="module")
@@ -92,3 +94,18 @@ def test_a_widget_hears_the_browser_while_a_cell_runs(kernel, subshell, widget, 
     message["header"]["subshell_id"] = subshell
     kernel.shell_channel.send(message)
     assert printed(kernel, "heard") == "heard [True]"
+
+
+def test_nothing_is_lost_while_the_server_does_not_listen(kernel, widget):
+    """Neither are the parts of a panel, which come all at once."""
+    kernel.execute(f"for number in range({MANY}):\n    widget.send({{'number': number, 'padding': 'x' * 500}})")
+    kernel.execute("print('all sent')")
+    time.sleep(2.0)  # a server that is busy
+    numbers, deadline = [], time.monotonic() + LONGEST_S
+    while time.monotonic() < deadline:
+        message = kernel.get_iopub_msg(timeout=LONGEST_S)
+        if message["msg_type"] == "comm_msg" and "number" in message["content"]["data"].get("content", {}):
+            numbers.append(message["content"]["data"]["content"]["number"])
+        if message["msg_type"] == "stream" and "all sent" in message["content"]["text"]:
+            break
+    assert numbers == list(range(MANY))
