@@ -27,8 +27,8 @@ def answer_while_cells_run() -> None:
 def lose_no_messages() -> None:
     """Let the kernel's messages to the browser wait, however many, until the server takes them.
 
-    ZeroMQ drops what is more than 1,000 messages ahead, without a word. A panel is 1,600: beside a busy server its parts
-    were missing ("widget model not found"), or the cell never ended in the browser. Does nothing outside a kernel.
+    ZeroMQ drops what is more than 1,000 messages ahead, without a word. A panel is 1,600: beside a busy server parts of
+    it were missing ("widget model not found"), or the cell never ended in the browser. Does nothing outside a kernel.
     """
     kernelbase = sys.modules.get("ipykernel.kernelbase")
     if kernelbase is None or not kernelbase.Kernel.initialized():
