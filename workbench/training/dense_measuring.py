@@ -30,7 +30,7 @@ class DenseAnswers:
     @property
     def errors_percent(self) -> Float[np.ndarray, "n k"]:
         """Distances in percent of the outer-eye distance in the picture (which shrinks as the head turns)."""
-        unit = outer_eye_distance(self.truth)
+        unit = outer_eye_distance(self.truth[:, :68])
         return 100 * np.linalg.norm(self.points - self.truth, axis=-1) / unit[:, None]
 
     @property
