@@ -23,14 +23,16 @@ from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.iterations import Iterations
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import arranged, classed, style_sheet, tabs
+from workbench.widgets.panel_layout import arranged, classed, on_front, style_sheet, tabs
 from workbench.widgets.panel_page import PanelPage
 from workbench.widgets.shared_scale import SharedScale
 from workbench.widgets.slow_jobs import SlowJobs
 from workbench.widgets.status_line import StatusLine, status_of
+from workbench.widgets.sweep_page import SweepPage
 from workbench.widgets.time_page import TimePage
 from workbench.widgets.time_part import AFTER
 from workbench.widgets.transport import Transport
+from workbench.widgets.tune_page import TunePage
 from workbench.widgets.waiting import Waiting
 
 HEAD_SIZE, TABS_PX = (304, 308), 170
@@ -104,7 +106,8 @@ class TuningPanel(widgets.VBox):
     def wait_idle(self, timeout_s: float | int = 60.0) -> bool:
         """Wait until everything requested is shown; False if that takes longer."""
         # A fit requests layers and colours, and finished colours request that the fit is shown again.
-        workers = (self._slow, self.time, self._clip_bar, self._worker, self.overlay, self.head, self._worker)
+        slow = (self._slow, self.time, self.sweep, self.tune, self._clip_bar)
+        workers = (*slow, self._worker, self.overlay, self.head, self._worker)
         return all(worker.wait_idle(timeout_s) for worker in workers)
 
     def close(self) -> None:
@@ -114,7 +117,16 @@ class TuningPanel(widgets.VBox):
         self._closed = True
         self._leave()
         self.export_dialog.stop()
-        for part in (self.time, self._worker, self._clip_bar, self._slow, self.overlay, self.head):
+        for part in (
+            self.time,
+            self.sweep,
+            self.tune,
+            self._worker,
+            self._clip_bar,
+            self._slow,
+            self.overlay,
+            self.head,
+        ):
             part.close()
         super().close()
 
@@ -157,13 +169,17 @@ class TuningPanel(widgets.VBox):
         self.run_clip, self.follow, self.cancel, self.progress = self._clip_bar.widgets
 
         self.strip = FilmStrip(self.session)
+        self.sweep = SweepPage(session, self._worker.wait_idle, TABS_PX)
+        self.tune = TunePage(session, self._worker.wait_idle, TABS_PX)
         pages = {
             "Energy": self.energy, "Stages": self.stages.widget, "Diagnosis": self.diagnosis.widget,
             "Curves": self.clip.curves if self._is_clip else None,
             "Methods": self.time.methods if self.time.is_clip else None,
+            "Sweep": self.sweep, "Tune": self.tune if self.time.is_clip else None,
             "Film strip": self.strip, "Changes": self.changes,
         }  # fmt: skip
         self.tabs = tabs(pages)
+        on_front(self.tabs, {"Sweep": self.sweep.warm_up})
 
     def _rows(self) -> list[widgets.Widget]:
         told = (self.status, self.waiting, *self.export_dialog.buttons)
@@ -176,6 +192,7 @@ class TuningPanel(widgets.VBox):
 
     def _on_knob(self, path: str, value: Any) -> None:
         self._held = path
+        self.sweep.moved(path)
         try:
             changes = changed_by(self.session.config, path, value)
             self.status.guarded(lambda: self.session.set(label_of(path), Gesture(path, self.page.drag), **changes))
@@ -208,6 +225,8 @@ class TuningPanel(widgets.VBox):
         self.strip.show_config()
         self.overlay.refresh_groups()
         self.time.show_config()
+        self.sweep.show_config()
+        self.tune.show_config()
         self.clip.timeline.marked = [list(part) for part in config.infill.frames]
         self.history.show()
 
