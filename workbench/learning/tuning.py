@@ -156,7 +156,8 @@ def learn_on(
         begun = begin(key, start, watched_value(slope, start, watch))
 
     def told(learning: Learning, steps: int) -> None:
-        seen = [value for value in learning.watched if value is not None]
+        seen = [begun.best_value] if watch else []
+        seen += [value for value in learning.watched if value is not None]
         tell("learn", len(learning.values), steps, learning.values[-1], seen[-1] if seen else None)
 
     return descended(slope, begun, train, watch, wanted.steps, told, file, stopped)

@@ -1,5 +1,6 @@
 """Tuning in the panel: the clip chooses settings by an objective; its result is taken as one undo step, or left."""
 
+import html
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ from workbench.session.sweep_settings import value_at
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import in_line, wrapped
+from workbench.widgets.panel_layout import classed, one_row, wrapped
 from workbench.widgets.status_line import StatusLine
 
 OBJECTIVES = ("left-out-parts", "left-out-points", "left-out-frames", "jitter + error", "error", "jitter")
@@ -52,16 +53,19 @@ class TunePage(widgets.HBox):
         self._session, self._give_way = session, give_way
         self.result: Tuned | None = None
         self._values: list[tuple[float, float]] = []
-        self.said, self.words = StatusLine(), StatusLine()
+        self.said, self.words = StatusLine(), classed(StatusLine(), "fw-one-line")
         self._worker: LatestWins[Asked | str] = LatestWins(self._work, self._failed, "panel-tune")
         self.chart = ChartView(height_px=height_px - 38, title="")
         self._build_controls()
         rows = [
-            in_line(widgets.Label("make least"), self.objective, self.words),
+            widgets.HBox([widgets.Label("make least"), self.objective, self.words], layout=one_row()),
             widgets.HBox([widgets.Label("learn"), *self.learn.values()], layout=wrapped()),
-            in_line(widgets.Label("learn on"), self.train, widgets.Label("hold out"), self.held_out,
-                    widgets.Label("steps"), self.steps),
-            in_line(self.go, self.stop, self.take, self.leave), self.progress, self.said,
+            widgets.HBox(
+                [widgets.Label("learn on"), self.train, widgets.Label("hold out"), self.held_out,
+                 widgets.Label("steps"), self.steps, self.go, self.stop, self.take, self.leave],
+                layout=wrapped(),
+            ),
+            self.progress, self.said,
         ]  # fmt: skip
         left = widgets.VBox(rows, layout=widgets.Layout(flex=f"0 0 {CONTROLS_PX}px", overflow="hidden auto"))
         right = widgets.VBox([self.chart], layout=widgets.Layout(flex="1 1 0", min_width="0"))
@@ -125,7 +129,7 @@ class TunePage(widgets.HBox):
     def _explain(self) -> None:
         rows = [TABLE[name] for name in read_sum(self.objective.value).names]
         blind = "; ".join(row.blind for row in rows)
-        self.words.say("; ".join(row.says for row in rows))
+        self.words.tell(html.escape("; ".join(row.says for row in rows)))
         self.objective.tooltip = f"cannot see: {blind}"
 
     # --- what the user does ---
