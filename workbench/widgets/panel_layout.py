@@ -84,7 +84,15 @@ FW_AT
 .fw-panel .fw-spin { display: inline-block; width: 10px; height: 10px; border-radius: 50%; margin-right: 4px;
   border: 2px solid var(--fw-accent); border-right-color: transparent; animation: fw-turn 0.9s linear infinite; }
 @keyframes fw-turn { to { transform: rotate(360deg); } }
+
+/* told after a while, unless the panel's own programs have come, whose style hides it (panel/view.css) */
+.fw-panel .fw-unloaded { max-height: 0; margin: 0; overflow: hidden; animation: fw-late 0s linear 20s forwards; }
+@keyframes fw-late { to { max-height: 140px; } }
 </style>"""
+UNLOADED = """<b>The picture and the head have not come.</b> This front end has not loaded the programs of the package
+anywidget. In VS Code, let <code>jupyter.widgetScriptSources</code> name a source; in Colab, run
+<code>from google.colab import output; output.enable_custom_widget_manager()</code>; then run this cell again. Or see the same
+session without them: <code>from workbench.widgets import PlainPanel; PlainPanel(session)</code>."""
 
 
 def style_sheet() -> widgets.Widget:
@@ -94,6 +102,11 @@ def style_sheet() -> widgets.Widget:
     for name, pixels in (("OTHERS", OTHERS_PX), ("LOWEST", LOWEST_PX), ("CONTROLS", CONTROLS_PX)):
         style = style.replace(f"FW_{name}", str(pixels))
     return widgets.HTML(style, layout=widgets.Layout(display="none"))
+
+
+def unloaded_note() -> widgets.Widget:
+    """What a front end shows that cannot load the views of a panel."""
+    return classed(widgets.HTML(UNLOADED), "fw-unloaded")
 
 
 def in_line(*parts: widgets.Widget) -> widgets.Widget:

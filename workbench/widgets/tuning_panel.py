@@ -23,7 +23,7 @@ from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.iterations import Iterations
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import arranged, classed, style_sheet, tabs
+from workbench.widgets.panel_layout import arranged, classed, style_sheet, tabs, unloaded_note
 from workbench.widgets.panel_page import PanelPage
 from workbench.widgets.shared_scale import SharedScale
 from workbench.widgets.slow_jobs import SlowJobs
@@ -69,7 +69,7 @@ class TuningPanel(widgets.VBox):
         self._build_views(backend)
         self._build_controls()
         self._leave = session.listen(self._on_session)
-        super().__init__([style_sheet(), self.page, *self._rows()])
+        super().__init__([style_sheet(), unloaded_note(), self.page, *self._rows()])
         classed(self, "fw-panel", "fw-whole")
         self._show_session()
         self.overlay.show_picture(0)
