@@ -65,7 +65,7 @@ def a_second_camera_locates_the_head(rows):
 
 CONCLUSIONS = {
     "03_the_beta_trap": ("from outside", bounds_hold_and_the_step_does_not),
-    "12_two_cameras": ("mean error of six frames", a_second_camera_locates_the_head),
+    "12_two_cameras": ("mean error of four frames", a_second_camera_locates_the_head),
 }
 """What the text around a table concludes: the head of its first column, and the check of its rows."""
 

@@ -91,8 +91,8 @@ FW_AT
 </style>"""
 UNLOADED = """<b>The picture and the head have not come.</b> This front end has not loaded the programs of the package
 anywidget. In VS Code, let <code>jupyter.widgetScriptSources</code> name a source; in Colab, run
-<code>from google.colab import output; output.enable_custom_widget_manager()</code>; then run this cell again. Or see the
-same session without them: <code>from workbench.widgets import PlainPanel; PlainPanel(session)</code>."""
+<code>from google.colab import output; output.enable_custom_widget_manager()</code>; then run this cell again. Or see
+the same session without them: <code>from workbench.widgets import PlainPanel; PlainPanel(session)</code>."""
 
 
 def style_sheet() -> widgets.Widget:
