@@ -28,8 +28,8 @@ LEAST_PICTURES = {
     "10_workbench_app": 0,  # the panel alone
     "11_other_programs_other_faces": 4,
     "12_two_cameras": 6,
-    "13_optical_flow_and_infill": 11,
-    "14_temporal_refinement": 11,
+    "13_optical_flow_and_infill": 10,
+    "14_temporal_refinement": 10,
     "15_live": 2,
     "16_face_it_remade": 8,
     "17_deep_energies_remade": 10,
