@@ -97,9 +97,12 @@ def test_the_learning_path_has_its_notebooks():
 
 def test_the_failing_frame_of_the_sixth_notebook_is_mended_by_its_first_reason():
     config = preset("face-it").changed(
-        weights={"beta": 0.0, "sigma": 0.01}, solver={"bounded": True}, landmarks={"confidence": True}
+        weights={"beta": 0.0, "sigma": 0.01},
+        solver={"bounded": True},
+        landmarks={"confidence": True},
+        camera={"fov_deg": 33.0},
     )
-    session = open_session(sample("speech-landmarks"), config)
+    session = open_session(sample("glasses"), config, landmarks=sample("glasses-landmarks"))
     before = session.fit_clip()
     frame = int((before.expression > 0.999).sum(axis=1).argmax())
     reasons = session.diagnose(frame).reasons

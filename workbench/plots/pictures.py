@@ -14,7 +14,7 @@ from matplotlib.patheffects import Normal, Stroke
 
 from workbench.arrays import AnyArray
 from workbench.errors import InputError
-from workbench.face import FaceModel
+from workbench.face import DressedHead, FaceModel
 from workbench.face.jaw import posed_vertices
 from workbench.geometry import Camera
 from workbench.pictures import HeadPanel, OverlayParts, draw_overlay, head_painter
@@ -156,15 +156,16 @@ def compared_fits(
     view: str = "pose",
     columns: int | None = None,
     about: Float[np.ndarray, "n 2"] | None = None,
+    dressed: DressedHead | None = None,
 ) -> Figure:
-    """Fits of one frame side by side with labels: drawn over the picture, with 3D heads below.
+    """Fits of one frame side by side with labels: drawn over the picture, with heads below, `dressed` as a character.
 
     A single fit has its head next to it; without a picture only heads are shown, in rows of `columns`. With `view`
     "pose" the heads turn with the face, with "front" they stay frontal. All close-ups show the same square: around
     the points `about`, by default the observed landmarks.
     """
     wide = round(HEAD_CUT * side)
-    with HeadPanel(model, (wide, wide), view) as panel:
+    with HeadPanel(model, (wide, wide), view, dressed=dressed) as panel:
         whole = [panel.submit(fit).result()[0] for fit in fits.values()]
     edge = round(len(whole[0]) * (1.0 - 1.0 / HEAD_CUT) / 2)
     heads = [_resized(head[edge : len(head) - edge, edge : len(head) - edge], side) for head in whole]
