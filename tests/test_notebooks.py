@@ -32,7 +32,7 @@ LEAST_PICTURES = {
     "14_temporal_refinement": 10,
     "15_live": 2,
     "16_face_it_remade": 8,
-    "17_deep_energies_remade": 10,
+    "17_deep_energies_remade": 7,
     "18_deep_energies_through_time": 13,
     "19_let_the_data_choose": 4,
 }
