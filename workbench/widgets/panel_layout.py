@@ -48,7 +48,7 @@ FW_AT
   { flex: 1 1 0; min-height: 0; overflow: hidden auto; padding: 4px 0; }
 .fw-whole .fw-controls > .widget-vbox { flex: 1 1 0; min-height: 0; }
 .fw-whole .fw-main { flex: 1 1 0; min-width: 0; min-height: 0; }
-.fw-whole .fw-views { flex: 1 1 0; min-height: 250px; }
+.fw-whole .fw-views { flex: 1 1 0; min-height: 204px; }
 .fw-whole .fw-photo { position: relative; }
 .fw-whole .fw-chosen { position: absolute; z-index: 5; top: 34px; right: 6px; margin: 0; padding: 1px 3px;
   border-radius: 6px; background: var(--jp-layout-color1, #fff); }
@@ -61,10 +61,30 @@ FW_AT
 .fw-whole .fw-split.fw-split-y { cursor: row-resize; background-size: 100% 1px; }
 .fw-whole .fw-split:hover, .fw-whole .fw-split:focus-visible { background-color: var(--fw-soft); outline: none; }
 .fw-whole .fw-pages { flex: 0 0 auto; width: auto; }
+.fw-whole .fw-pages > .widget-tab-contents,
+.fw-whole .fw-pages > .jupyter-widget-TabPanel-tabContents { padding: 4px 8px; }
 .fw-whole .fw-pages.fw-folded > .widget-tab-contents,
 .fw-whole .fw-pages.fw-folded > .jupyter-widget-TabPanel-tabContents { display: none; }
 .fw-whole .fw-pages.fw-folded .lm-TabBar-tab.lm-mod-current::before { display: none; }
 .fw-whole .fw-old { opacity: 0.45; transition: opacity 0.2s; }
+
+/* narrow, as where the browser zooms to 125 %: rows go on below; at 200 %: first the views, then the settings */
+.fw-panel.fw-whole { container: fw-panel / inline-size; }
+@container fw-panel (max-width: 800px) {
+  .fw-photo .widget-hbox, .fw-head .widget-hbox, .fw-transport { flex-wrap: wrap; height: auto; }
+  .fw-transport { padding-left: 0 !important; }
+  .fw-top-bar { flex-wrap: wrap; }
+  .fw-top-bar .fw-status { flex: 1 0 100% !important; order: 9; }
+}
+@container fw-panel (max-width: 600px) {
+  .fw-body { flex: none !important; flex-direction: column; }
+  .fw-body > .fw-split, .fw-views > .fw-split { display: none; }
+  .fw-body > .fw-main { order: -1; flex: none !important; width: 100%; }
+  .fw-main > .fw-views { flex: none !important; flex-direction: column; }
+  .fw-views > .fw-photo, .fw-views > .fw-head { flex: none !important; width: 100% !important; height: 330px; }
+  .fw-body > .fw-controls { flex: none !important; width: 100% !important; height: 330px; }
+  .fw-pages .lm-TabBar-content { flex-wrap: wrap; }
+}
 
 /* groups of controls with space between them */
 .fw-panel .fw-group { margin-right: 12px; }
