@@ -200,10 +200,13 @@ def test_sliders_are_long_and_no_text_is_cut(small):
 
 
 def test_every_control_has_a_name_for_screen_readers(small):
-    for title in ("time", "ω"):
+    for title in ("ρ ε", "camera", "points", "a b c", "deep", "time", "ω", "Stages", "Diagnosis", "Methods"):
         tab(small, title)
-        small.page.wait_for_timeout(700)
-        assert small.page.evaluate(UNNAMED) == []
+        browser.wait_until(
+            lambda: small.page.evaluate(UNNAMED) == [], f"every control of {title} has a name",
+            timeout_s=20, pause=lambda: small.page.wait_for_timeout(60),
+        )  # fmt: skip
+    fold(small)
 
 
 def test_the_head_lies_where_the_face_is_and_follows_its_zoom(small):

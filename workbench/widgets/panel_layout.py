@@ -48,7 +48,7 @@ FW_AT
   { flex: 1 1 0; min-height: 0; overflow: hidden auto; padding: 4px 0; }
 .fw-whole .fw-controls > .widget-vbox { flex: 1 1 0; min-height: 0; }
 .fw-whole .fw-main { flex: 1 1 0; min-width: 0; min-height: 0; }
-.fw-whole .fw-views { flex: 1 1 0; min-height: 204px; }
+.fw-whole .fw-views { flex: 1 1 0; min-height: 190px; }
 .fw-whole .fw-photo { position: relative; }
 .fw-whole .fw-chosen { position: absolute; z-index: 5; top: 34px; right: 6px; margin: 0; padding: 1px 3px;
   border-radius: 6px; background: var(--jp-layout-color1, #fff); }
@@ -72,6 +72,7 @@ FW_AT
 .fw-panel.fw-whole { container: fw-panel / inline-size; }
 @container fw-panel (max-width: 800px) {
   .fw-photo .widget-hbox, .fw-head .widget-hbox, .fw-transport { flex-wrap: wrap; height: auto; }
+  .fw-photo .fw-group { flex: 0 1 auto !important; min-width: 0; }
   .fw-transport { padding-left: 0 !important; }
   .fw-top-bar { flex-wrap: wrap; }
   .fw-top-bar .fw-status { flex: 1 0 100% !important; order: 9; }
