@@ -28,7 +28,7 @@ LEAST_PICTURES = {
     "10_workbench_app": 0,  # the panel alone
     "11_other_programs_other_faces": 4,
     "12_two_cameras": 6,
-    "13_optical_flow_and_infill": 10,
+    "13_optical_flow_and_infill": 9,
     "14_temporal_refinement": 10,
     "15_live": 2,
     "16_face_it_remade": 8,

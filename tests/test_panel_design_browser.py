@@ -178,11 +178,9 @@ def test_the_face_has_a_third_of_the_height_and_the_panel_fits_into_the_window(p
 def test_where_the_browser_zooms_nothing_is_outside_of_the_panel_or_its_row(small, screenshots, percent):
     small.page.set_viewport_size({side: round(100 * length / percent) for side, length in SMALL.items()})
     to_top(small)
-    browser.wait_until(
-        lambda: small.page.evaluate(OUTSIDE) == [], "everything is inside",
-        timeout_s=20, pause=lambda: small.page.wait_for_timeout(100),
-    )  # fmt: skip
+    small.wait_at_rest(".fw-views")
     small.page.screenshot(path=screenshots / f"design-zoom-{percent}.png")
+    assert small.page.evaluate(OUTSIDE) == []
     for place in (".fw-photo", ".fw-head"):
         box = small.page.locator(place).bounding_box()
         assert min(box["width"], box["height"]) > 130, (place, box)

@@ -59,7 +59,7 @@ def test_a_panel_whose_programs_do_not_come_says_so_and_what_to_do(bare, screens
     bare.run_cell(2)
     note = bare.page.locator(".fw-unloaded").last
     note.wait_for(state="attached")
-    bare.page.evaluate("() => document.getAnimations().forEach((each) => each.finish())")
+    bare.page.evaluate("() => document.getAnimations().find((each) => each.animationName === 'fw-late').finish()")
     browser.wait_until(lambda: note.bounding_box()["height"] > 20, "the note is seen")
     assert "PlainPanel(session)" in note.inner_text()
     note.scroll_into_view_if_needed()
