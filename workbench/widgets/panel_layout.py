@@ -18,7 +18,7 @@ STYLE = """<style>
   { outline: 2px solid var(--fw-accent); outline-offset: 1px; }
 .fw-panel .jupyter-widget-Tab > .jupyter-widget-TabPanel-tabContents, .fw-panel .widget-tab-contents { padding: 4px; }
 .fw-panel .lm-TabBar-tab { min-width: 0; flex: 0 1 auto; padding: 0 8px; font-size: 12px; }
-.fw-panel .fw-controls .lm-TabBar-tab { flex: 1 1 auto !important; padding: 0 3px !important; }
+.fw-panel .fw-controls .lm-TabBar-tab { flex: 1 1 auto !important; padding: 0 1px !important; }
 .fw-panel .widget-html-content, .fw-panel .jupyter-widget-html-content { line-height: 18px; font-size: 12px; }
 .fw-panel table { font-size: 12px; }
 .fw-panel td, .fw-panel th { padding: 0 6px; text-align: left; }

@@ -11,6 +11,7 @@ from workbench.widgets.character_choice import CharacterChoice
 from workbench.widgets.controls import Controls
 from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.latest import LatestWins
+from workbench.widgets.panel_layout import classed, style_sheet
 from workbench.widgets.playground import PARTS, SEEN_WHOLE, SIDE_PX, jpeg
 from workbench.widgets.status_line import StatusLine, status_of
 
@@ -41,7 +42,8 @@ class PlainPanel(widgets.VBox):
         self.frame.observe(lambda change: self._worker.submit(change["new"]), "value")
         self.controls.widget.layout.flex = "0 0 320px"
         seen = widgets.VBox([self.frame, self.image, self.status], layout=widgets.Layout(flex="1 1 0", min_width="0"))
-        super().__init__([self.history.widget, widgets.HBox([self.controls.widget, seen])])
+        super().__init__([style_sheet(), self.history.widget, widgets.HBox([self.controls.widget, seen])])
+        classed(self, "fw-panel")
         self._show_config()
         self._worker.submit(0)
 
