@@ -18,7 +18,7 @@ STYLE = """<style>
   { outline: 2px solid var(--fw-accent); outline-offset: 1px; }
 .fw-panel .jupyter-widget-Tab > .jupyter-widget-TabPanel-tabContents, .fw-panel .widget-tab-contents { padding: 4px; }
 .fw-panel .lm-TabBar-tab { min-width: 0; flex: 0 1 auto; padding: 0 8px; font-size: 12px; }
-.fw-panel .fw-controls .lm-TabBar-tab { flex: 1 1 auto !important; padding: 0 1px !important; }
+.fw-panel .fw-controls .lm-TabBar-tab { flex: 1 1 auto !important; padding: 0 3px !important; }
 .fw-panel .widget-html-content, .fw-panel .jupyter-widget-html-content { line-height: 18px; font-size: 12px; }
 .fw-panel table { font-size: 12px; }
 .fw-panel td, .fw-panel th { padding: 0 6px; text-align: left; }
@@ -43,7 +43,8 @@ FW_AT
 .fw-panel.fw-whole { min-height: calc(max(100vh - FW_OTHERSpx, FW_LOWESTpx)); }
 .fw-panel.fw-whole > .fw-body { flex: 1 1 0; min-height: 0; }
 .fw-whole .fw-controls { flex: 0 0 FW_CONTROLSpx; min-width: 0; min-height: 0; }
-.fw-whole .fw-controls > .jupyter-widget-Tab, .fw-whole .fw-controls > .widget-tab { flex: 1 1 0; min-height: 0; }
+.fw-whole .fw-controls > .jupyter-widget-Tab, .fw-whole .fw-controls > .widget-tab
+  { flex: 1 1 0; min-height: 0; margin: 0; }
 .fw-whole .fw-controls .widget-tab-contents, .fw-whole .fw-controls .jupyter-widget-TabPanel-tabContents
   { flex: 1 1 0; min-height: 0; overflow: hidden auto; padding: 4px 0; }
 .fw-whole .fw-controls > .widget-vbox { flex: 1 1 0; min-height: 0; }
