@@ -2,7 +2,9 @@
 
 import shlex
 import threading
+import time
 
+import ipywidgets as widgets
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ from workbench.widgets.controls import Controls
 from workbench.widgets.knob_control import CHANGED, KnobControl
 from workbench.widgets.performance_export import PerformanceExport
 from workbench.widgets.status_line import degrees, status_of
-from workbench.widgets.waiting import OLD, Waiting, text_of
+from workbench.widgets.waiting import OLD, PATIENCE_S, Job, Waiting, text_of
 
 BY_PATH = {knob.path: knob for knob in KNOBS}
 FRAMES = 9
@@ -284,33 +286,141 @@ def test_a_frame_without_a_face_has_no_numbers(panel):
 # --- what takes its time ---
 
 
+def becomes(state, seconds=5.0):
+    """Whether a state is reached in time."""
+    end = time.monotonic() + seconds
+    while not state() and time.monotonic() < end:
+        time.sleep(0.01)
+    return bool(state())
+
+
 def test_what_is_quick_is_not_mentioned_and_what_is_slow_is_with_its_last_duration():
     waiting = Waiting(patience_s=0.02)
-    shown = Waiting()
+    shown = widgets.HTML()
     with waiting.during("fitting"):
         pass
-    assert waiting.value == ""
-    said, release = [], threading.Event()
+    assert waiting.said.value == ""
     with waiting.during("fitting", old=(shown,)):
-        for _ in range(200):
-            if waiting.value:
-                break
-            release.wait(0.01)
-        said.append((waiting.value, OLD in shown._dom_classes))
-    assert "fitting …" in said[0][0]
-    assert said[0][1]
-    assert waiting.value == ""
+        assert becomes(lambda: "fitting …" in waiting.said.value)
+        assert becomes(lambda: OLD in shown._dom_classes)
+        assert waiting.cancel.layout.display == "none"
+    assert waiting.said.value == ""
     assert OLD not in shown._dom_classes
     assert text_of("fitting", None) == "fitting …"
     assert text_of("fitting", 12.4) == "fitting … about 12 s"
+
+
+def test_what_has_never_run_takes_as_long_as_is_usual_and_then_as_long_as_it_took():
+    waiting = Waiting(patience_s=0.0)
+    with waiting.during("fitting", expected_s=40.0):
+        assert becomes(lambda: "fitting … about 40 s" in waiting.said.value)
+    with waiting.during("fitting", expected_s=40.0):
+        assert becomes(lambda: "fitting …" in waiting.said.value)
+        assert "40 s" not in waiting.said.value
+
+
+def test_progress_says_how_far_a_job_is_and_how_long_it_still_takes():
+    job = Job("fitting the clip")
+    assert job.text == "fitting the clip …"
+    job._began -= 20.0
+    job.progress("fit", 40, 120)
+    assert job.text == "fitting the clip: 40 of 120, 40 s left"
+
+
+def test_cancelling_tells_the_job_that_the_line_is_about_and_is_not_remembered_as_its_duration():
+    waiting, pressed = Waiting(patience_s=0.0), []
+    with waiting.during("first", expected_s=9.0, cancel=lambda: pressed.append("first")) as first:
+        assert becomes(lambda: "first" in waiting.said.value)
+        with waiting.during("second", cancel=lambda: pressed.append("second")) as second:
+            assert becomes(lambda: "second" in waiting.said.value)
+            assert waiting.cancel.layout.display is None
+            waiting.cancel.click()
+            assert "stopping: second" in waiting.said.value
+            assert waiting.cancel.layout.display == "none"
+        assert (first.cancelled(), second.cancelled(), pressed) == (False, True, ["second"])
+        assert "first" in waiting.said.value
+        waiting.cancel.click()
+    assert pressed == ["second", "first"]
+    with waiting.during("first", expected_s=9.0):
+        assert becomes(lambda: "first … about 9 s" in waiting.said.value)
 
 
 def test_a_failure_ends_the_waiting_too():
     waiting = Waiting(patience_s=0.0)
     with pytest.raises(ValueError, match="broken"), waiting.during("fitting"):
         raise ValueError("broken")
-    assert waiting.value == ""
+    assert waiting.said.value == ""
     assert waiting._running == {}
+
+
+@pytest.fixture
+def impatient(panel):
+    """The panel, which tells about everything at once."""
+    panel.waiting._patience_s = 0.0
+    yield panel
+    panel.waiting._patience_s = PATIENCE_S
+
+
+def test_a_cancelled_diagnosis_says_so_and_the_next_one_is_complete(impatient):
+    impatient.diagnosis.ask.click()
+    assert becomes(lambda: impatient.waiting.cancel.layout.display is None)
+    impatient.waiting.cancel.click()
+    assert impatient.wait_idle(120)
+    assert impatient.diagnosis.status.value == "The diagnosis of frame 0 was cancelled."
+    impatient.diagnosis.ask.click()
+    assert impatient.wait_idle(300)
+    assert "Frame 0" in impatient.diagnosis.status.value
+
+
+def test_a_cancelled_fit_leaves_what_was_shown_and_the_panel_usable(impatient, monkeypatch):
+    before, entered = impatient.fit, threading.Event()
+    plain = impatient.session.fit_frame
+
+    def slow(frame, coarse=False, config=None, cancelled=lambda: False):
+        entered.set()
+        assert becomes(cancelled, 20.0)
+        return plain(frame, coarse, config, cancelled)
+
+    monkeypatch.setattr(impatient.session, "fit_frame", slow)
+    impatient.go(3)
+    assert entered.wait(10)
+    assert becomes(lambda: impatient.waiting.cancel.layout.display is None)
+    assert OLD in impatient.overlay.view._dom_classes
+    impatient.waiting.cancel.click()
+    assert impatient.wait_idle(60)
+    assert impatient.fit is before
+    assert "frame 3 was cancelled; what is shown is from before" in impatient.status.value
+    assert "color:var(--jp-error" not in impatient.status.value
+    assert OLD not in impatient.overlay.view._dom_classes
+    monkeypatch.undo()
+    impatient.go(4)
+    assert impatient.wait_idle(60)
+    assert impatient.fit.index == 4
+
+
+def test_cancelling_the_uncertainty_goes_back_to_the_skin(impatient, monkeypatch):
+    release = threading.Event()
+    monkeypatch.setattr(impatient.head, "_uncertainty", lambda fit: release.wait(10) and np.zeros(1))
+    impatient.head.color.value = "uncertainty"
+    assert becomes(lambda: "computing the uncertainty" in impatient.waiting.said.value)
+    impatient.waiting.cancel.click()
+    release.set()
+    assert impatient.wait_idle(60)
+    assert impatient.head.color.value == "skin"
+
+
+def test_a_clip_that_is_fitted_says_how_long_it_takes_and_marks_the_old_result(panel):
+    said = []
+    panel._clip_bar.said.observe(
+        lambda change: said.append((change["new"], OLD in panel.clip.curves._dom_classes)), "value"
+    )
+    panel.run_clip.click()
+    assert panel.wait_idle(60)
+    texts, old = zip(*said, strict=True)
+    assert any(f"of {FRAMES}" in text for text in texts)
+    assert old[0]
+    assert panel._clip_bar.said.value == ""
+    assert OLD not in panel.clip.curves._dom_classes
 
 
 # --- export ---

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench.config import POSE, ROBUST_START, Config, Stage
+from workbench.diagnosis.appearance import FaceLook, Pictures, look_of
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, landmark_model
 from workbench.geometry import Camera
@@ -59,6 +60,7 @@ class ShotReference:
         self._fitter.configure(plan_of(self._config))
         self._model = model
         self._offsets: dict[str, np.ndarray] = {}
+        self._looks: dict[int, FaceLook] = {}
 
     @property
     def knows_person(self) -> bool:
@@ -130,6 +132,12 @@ class ShotReference:
                 offsets.append(100.0 * (points - fit.projected)[indices].mean(axis=0) / face_size(points))
             self._offsets[group] = np.array(offsets).reshape(-1, 2)
         return self._offsets[group]
+
+    def look(self, frame: FrameObservation, pictures: Pictures) -> FaceLook:
+        """How the face of a frame looks in its picture."""
+        if frame.index not in self._looks:
+            self._looks[frame.index] = look_of(pictures(frame.index), frame.landmarks.points)
+        return self._looks[frame.index]
 
     def steps_of(self, group: str) -> Float[np.ndarray, "n"]:
         """Motion of a group relative to the rest of the face between frames, % of the face's size."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import ipywidgets as widgets
 
-from workbench.errors import WorkbenchError
+from workbench.errors import StoppedError, WorkbenchError
 from workbench.tracking import FrameFit
 from workbench.tracking.failures import why_failed
 
@@ -36,8 +36,8 @@ class StatusLine(widgets.HTML):
         self.value = f"<span title='{html.escape(re.sub('<[^>]*>', '', said), quote=True)}'>{said}</span>"
 
     def failed(self, error: Exception) -> None:
-        """Show an error, for example from a thread that cannot raise it to a caller."""
-        self.say(error_text(error), wrong=True)
+        """Show an error, for example from a thread that cannot raise it to a caller; what was cancelled is none."""
+        self.say(error_text(error), wrong=not isinstance(error, StoppedError))
 
     def guarded(self, act: Callable[..., object], *arguments: object) -> None:
         """Run an action requested by the user; if it is refused, show why."""

@@ -10,6 +10,7 @@ from workbench.diagnosis.causes.groups import face_outside, group_biased, jaw_di
 from workbench.diagnosis.causes.motion import frozen_detector, low_flow_consistency, motion_blur
 from workbench.diagnosis.causes.order import mirrored_order, points_swapped
 from workbench.diagnosis.causes.person import wrong_focal, wrong_identity
+from workbench.diagnosis.causes.picture import blurred_face, covered, dark_face, jump, turned_away, unseen_cut
 
 INPUT_CAUSES = (
     mirrored_order,
@@ -18,6 +19,12 @@ INPUT_CAUSES = (
     frozen_detector,
     low_flow_consistency,
     motion_blur,
+    covered,
+    blurred_face,
+    dark_face,
+    turned_away,
+    unseen_cut,
+    jump,
     occluded,
     group_biased,
     jaw_disagrees,
