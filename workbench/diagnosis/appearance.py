@@ -29,6 +29,8 @@ FEWEST_LOOKS = 4
 """Other looks below which nothing is usual."""
 ALIKE = 0.25
 """Quantile over the other looks that counts as the likeness to them: an occlusion may have begun some frames before."""
+SOBEL_SUM = 8.0
+"""What OpenCV's Sobel filter makes of a slope of one."""
 FLOOR_LEVELS = 6.0
 """Colour difference of a cell, in levels of CIELAB, below which two faces count as alike."""
 
@@ -62,6 +64,8 @@ class FaceLook:
 
     colors: Float[np.ndarray, "c c 3"]
     """Mean colour of each cell in CIELAB, about 0..255."""
+    slopes: Float[np.ndarray, "c c 2"]
+    """Mean steepness of the lightness across and down each cell, levels: a hand has a face's colour, but no lips."""
     sharpness: float
     """Squared slope of the grey levels per unit of their variance, over the face scaled to a fixed size."""
 
@@ -71,9 +75,9 @@ class FaceLook:
         return float(np.median(self.colors[FACE][:, 0]))
 
     @cached_property
-    def levelled(self) -> Float[np.ndarray, "c c 3"]:
-        """The colours without the light that is common to the whole face."""
-        return self.colors - np.median(self.colors[FACE], axis=0)
+    def levelled(self) -> Float[np.ndarray, "c c 5"]:
+        """Colours without the light that is common to the whole face, and slopes."""
+        return np.concatenate([self.colors - np.median(self.colors[FACE], axis=0), self.slopes], axis=-1)
 
 
 def look_of(picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> FaceLook:
@@ -82,12 +86,16 @@ def look_of(picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2
     matrix = face.matrix * (2.0 * REACH / size)
     to_image = FaceFrame(matrix, face.origin - matrix @ np.full(2, (size - 1) / 2))
     crop = cv2.cvtColor(sampled(picture, to_image, size), cv2.COLOR_RGB2LAB).astype(float)
-    colors = crop.reshape(CELLS, CELL_PX, CELLS, CELL_PX, 3).mean(axis=(1, 3))
-    return FaceLook(colors, float(np.trace(gradient_energy(picture, points, float(face_size(points))))))
+    smooth = cv2.GaussianBlur(crop[..., 0], (0, 0), 1.0)
+    slopes = np.abs(np.stack([cv2.Sobel(smooth, cv2.CV_64F, *way) for way in ((1, 0), (0, 1))], axis=-1)) / SOBEL_SUM
+    colors, slopes = (
+        part.reshape(CELLS, CELL_PX, CELLS, CELL_PX, -1).mean(axis=(1, 3)) for part in (crop, CELL_PX * slopes)
+    )
+    return FaceLook(colors, slopes, float(np.trace(gradient_energy(picture, points, float(face_size(points))))))
 
 
 def differences(look: FaceLook, others: Sequence[FaceLook]) -> Float[np.ndarray, "c c"]:
-    """How far each cell's colour is from that of the most alike of the other looks, in levels."""
+    """How far each cell is from that of the most alike of the other looks, in levels."""
     apart = [np.linalg.norm(look.levelled - other.levelled, axis=-1) for other in others]
     return np.quantile(apart, ALIKE, axis=0)
 

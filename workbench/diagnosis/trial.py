@@ -32,6 +32,8 @@ PARAMETER = 2.0
 """Price of a free parameter of a hypothesis, nats."""
 MOTION_SHARE = 0.5
 """Weight of the evidence from motion, which is not independent because the detector uses motion too."""
+SURE = 0.4
+"""Usual confidence from which a lower one says something."""
 FLOW_USUAL = 1.2
 """Factor on the usual motion deviation for points predicted by optical flow."""
 
@@ -241,6 +243,13 @@ class Trial:
         if case.previous_picture is not None and case.before is not None:
             previous = gradient_energy(case.previous_picture, case.before.landmarks.points, self.face_px)
         return directional_blur(energy, previous)
+
+    @cached_property
+    def relative_confidence(self) -> Float[np.ndarray, "68"]:
+        """The detector's confidence in each point relative to its usual one in the shot; 1 where that is low, too."""
+        usual = self.reference.usual_confidence
+        now = self.case.observation.landmarks.confidence
+        return np.where(usual > SURE, now / np.maximum(usual, SURE), 1.0)
 
     @cached_property
     def look(self) -> FaceLook | None:

@@ -154,7 +154,7 @@ class TuningPanel(widgets.VBox):
         self.controls.add("time", self.time.widget, self.time.knobs, session.config)
         self.changes = ChangesPage(session, TABS_PX)
         self.history = HistoryBar(session, self.status)
-        self.export_dialog = ExportDialog(session, self._slow.submit)
+        self.export_dialog = ExportDialog(session, self._slow.submit, self.page.download)
         self._clip_bar = ClipBar(
             session, self.clip, lambda: self._worker.submit(Show(self.frame)), self.changes.show, self._failed
         )
@@ -164,7 +164,7 @@ class TuningPanel(widgets.VBox):
         # For scripts to press and read.
         self.undo, self.redo = self.history.undo, self.history.redo
         self.reset, self.name, self.keep = self.history.reset, self.history.name, self.history.keep
-        self.file, self.export, self.overwrite, self.exported = self.export_dialog.settings.widgets
+        self.file, self.export, self.overwrite, _, self.exported = self.export_dialog.settings.widgets
         self.run_clip, self.follow, self.cancel, self.progress = self._clip_bar.widgets
 
         self.strip = FilmStrip(self.session)

@@ -1,5 +1,6 @@
 """The causes of bad frames, each a small function that tests its hypothesis on a `Trial`."""
 
+from workbench.diagnosis.causes.confidence import doubted_part
 from workbench.diagnosis.causes.configuration import (
     not_converged,
     pose_expression_tradeoff,
@@ -20,6 +21,7 @@ INPUT_CAUSES = (
     low_flow_consistency,
     motion_blur,
     covered,
+    doubted_part,
     blurred_face,
     dark_face,
     turned_away,

@@ -6,22 +6,21 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from workbench.diagnosis.appearance import FACE, PARTS, FaceLook, UsualLook
-from workbench.diagnosis.causes.groups import SIDES, TITLES
+from workbench.diagnosis.causes.groups import HARDLY_SEEN, TITLES, muted, points_of
 from workbench.diagnosis.causes.motion import interpolated
-from workbench.diagnosis.records import Change
 from workbench.diagnosis.reference import robust_similarity
 from workbench.diagnosis.trial import Finding, Trial, points_change
-from workbench.landmarks.scheme import GROUPS
 from workbench.landmarks.shot_cuts import correlation, thumbnail_of
 
-SURPRISING = 3.0
-"""Multiple of the usual colour difference above which a cell shows something else than the face."""
-COVERED_SHARE = (0.1, 0.8)
-"""Share of the face's cells that is surprising: less is a wrinkle or a highlight, more is not this face at all."""
-LEAST_OVERLAP = 0.35
-"""Smallest overlap (intersection over union) of the surprising cells with a part of the face."""
-DOUBTFUL = 0.6
-"""Ratio of the detector's confidences in a part and elsewhere below which it doubts the part."""
+SURPRISING = 1.6
+"""Multiple of the usual colour difference above which a cell shows something else than the face; 0.5 is common."""
+COVERED_SHARE = (0.15, 0.8)
+"""Share of the face's cells that is surprising: less is a wrinkle or an open mouth, more is not this face at all."""
+LEAST_OVERLAP, SURE_OVERLAP = 0.3, 0.5
+"""Overlap (intersection over union) of the surprising cells with a part of the face from which it may be covered if
+the detector doubts it too, and from which it is in any case."""
+DOUBTFUL = 0.7
+"""Confidence relative to the usual one below which the detector doubts a part."""
 SOFT, VERY_SOFT = 0.5, 0.15
 """Sharpness relative to the shot's at which a face begins to be blurred, and at which it surely is."""
 SOFTER = 0.8
@@ -32,10 +31,12 @@ DIMMED = 0.6
 """Lightness relative to the shot's below which a face counts as dark."""
 TURNED_DEG, PROFILE_DEG = 40.0, 65.0
 """Yaw from which the far half of the face is foreshortened, and at which it is hidden."""
+BLURS = ("motion_blur", "blurred_face")
 CUT = 0.6
 """Correlation of consecutive pictures below which they show different scenes."""
-JUMP_PERCENT = 4.0
-"""Distance of the points from the middle of the adjacent frames', % of the eye distance, that counts as a jump."""
+JUMP_PERCENT, UNUSUAL_JUMP = 4.0, 3.0
+"""Distance of the points from the middle of the adjacent frames', % of the eye distance, that counts as a jump, and how
+many times the shot's usual one it is."""
 CONFIRMED = 0.4
 """Share of a jump that may be missing in the motion of the picture if the head itself jumps."""
 
@@ -48,31 +49,35 @@ def covered(trial: Trial) -> Iterator[Finding]:
     surprising = (usual.surprise(look) > SURPRISING) & FACE
     share = surprising.sum() / FACE.sum()
     name, overlap = max(((name, _overlap(surprising, part)) for name, part in PARTS.items()), key=lambda pair: pair[1])
-    if not COVERED_SHARE[0] <= share <= COVERED_SHARE[1] or overlap < LEAST_OVERLAP:
-        return
-    mask, title = np.isin(np.arange(68), _points(name)), TITLES.get(name, name.replace("_", " "))
+    mask, title = np.isin(np.arange(68), points_of(name)), TITLES.get(name, name.replace("_", " "))
     confidence = trial.case.observation.landmarks.confidence
     sure, others = float(confidence[mask].mean()), float(confidence[~mask].mean())
-    doubts = sure < DOUBTFUL * others
+    doubts = float(trial.relative_confidence[mask].mean()) < DOUBTFUL
+    needed = LEAST_OVERLAP if doubts else SURE_OVERLAP
+    if not COVERED_SHARE[0] <= share <= COVERED_SHARE[1] or overlap < needed:
+        return
+    # Where all points are in doubt they may have slid, and with them the part that is named.
+    slid = float(trial.relative_confidence[~mask].mean()) < DOUBTFUL
     part = PARTS[name] & surprising
     here, elsewhere = (float(np.median(usual.surprise(look)[cells])) for cells in (part, FACE & ~surprising))
     change, fit = _uncovered(trial, usual, name, mask, title)
+    muted_points = mask if change.config else None
     evidence = (
         f"{100 * part.sum() / PARTS[name].sum():.0f} % of the {title} looks like in none of the frames around: its "
         f"colours are {here:.1f} times as far from theirs as usual, {elsewhere:.1f} times elsewhere in the face"
     )
     if doubts:
-        evidence += f"; the detector's confidence there is {sure:.2f} against {others:.2f}"
+        evidence += f"; the detector's confidence there is {sure:.2f}, elsewhere {others:.2f}"
     yield Finding(
         code="occluded",
-        title=f"Something covers the {title}",
+        title="Something covers a part of the face" if slid else f"Something covers the {title}",
         evidence=evidence + ".",
         change=change,
         gain=trial.gain(fit, doubted=mask),
-        before_percent=trial.error_percent(trial.fit, mask),
-        after_percent=trial.error_percent(fit, mask),
-        doubted=mask,
-        direct=float(np.interp(overlap, [LEAST_OVERLAP, 0.7], [0.6, 0.85])) + 0.1 * doubts,
+        before_percent=trial.error_percent(trial.fit, muted_points),
+        after_percent=trial.error_percent(fit, muted_points),
+        doubted=muted_points,
+        direct=0.985 if confidence.mean() < HARDLY_SEEN else float(np.interp(overlap, [0.3, 0.7], [0.55, 0.85])),
         numbers={
             "covered_share": float(share),
             "overlap": overlap,
@@ -81,7 +86,14 @@ def covered(trial: Trial) -> Iterator[Finding]:
             "confidence": sure,
             "confidence_elsewhere": others,
         },
-        outranks=("group_biased", "jaw_disagrees", "low_flow_consistency", "motion_blur", "blurred_face"),
+        outranks=(
+            "doubted_part",
+            "group_biased",
+            "jaw_disagrees",
+            "low_flow_consistency",
+            "motion_blur",
+            "blurred_face",
+        ),
     )
 
 
@@ -124,6 +136,7 @@ def dark_face(trial: Trial) -> Iterator[Finding]:
         direct=max(absolute, 0.7 if dimmed else 0.0),
         numbers={"brightness": look.brightness, "usual_brightness": usually},
         lasts=not dimmed,
+        outranks=("occluded", "doubted_part"),
     )
 
 
@@ -176,7 +189,7 @@ def jump(trial: Trial) -> Iterator[Finding]:
         return
     away = trial.points - 0.5 * (before.landmarks.points + after.landmarks.points)
     percent = float(trial.percent(np.linalg.norm(away, axis=1).mean()))
-    if percent < JUMP_PERCENT:
+    if percent < max(JUMP_PERCENT, UNUSUAL_JUMP * trial.reference.jump_percent):
         return
     moved = _picture_step(trial)
     step = np.median(trial.points - before.landmarks.points, axis=0)
@@ -189,6 +202,7 @@ def jump(trial: Trial) -> Iterator[Finding]:
             evidence=f"{evidence}, and the picture moves with them: the head itself starts, stops or turns back here.",
             direct=0.55,
             numbers={"jump_percent": percent},
+            lasts=True,
         )
         return
     seen = "" if moved is None else f", but the picture has moved by {trial.percent(np.linalg.norm(moved)):.1f} % only"
@@ -203,11 +217,18 @@ def jump(trial: Trial) -> Iterator[Finding]:
 
 
 def _of_whole_face(
-    trial: Trial, code: str, title: str, evidence: str, direct: float, numbers: dict[str, float], lasts: bool = False
+    trial: Trial,
+    code: str,
+    title: str,
+    evidence: str,
+    direct: float,
+    numbers: dict[str, float],
+    lasts: bool = False,
+    outranks: tuple[str, ...] = ("doubted_part",),
 ) -> Finding:
     """A finding that doubts every point, with those of the adjacent frames as its change if they fit better.
 
-    `lasts`: the adjacent frames are no better.
+    `lasts`: the adjacent frames are no better, or the points are right.
     """
     change = interpolated(trial, trial.neighbours)
     before = after = trial.error_percent(trial.fit)
@@ -224,6 +245,7 @@ def _of_whole_face(
         after_percent=after if better else before,
         direct=direct,
         numbers=numbers,
+        outranks=outranks,
     )
 
 
@@ -233,7 +255,7 @@ def _uncovered(trial: Trial, usual: UsualLook, name: str, mask: Bool[np.ndarray,
     clear = [k for k, look in usual.looks.items() if not _covers(usual, look, name)]
     nearest = min(clear, key=lambda k: abs(k - index), default=None)
     if nearest is None:
-        change = Change(f"Mute the points of the {title}", config={"landmarks": {"weights": _muted(name)}})
+        change = muted(name)
         return change, trial.refit(change)
     source = trial.observation_at(nearest).landmarks.points
     places = robust_similarity(source, trial.points).to_image(source)
@@ -243,14 +265,6 @@ def _uncovered(trial: Trial, usual: UsualLook, name: str, mask: Bool[np.ndarray,
 
 def _covers(usual: UsualLook, look: FaceLook, name: str) -> bool:
     return float((usual.surprise(look) > SURPRISING)[PARTS[name]].mean()) > LEAST_OVERLAP
-
-
-def _muted(name: str) -> dict[str, float]:
-    return {name: 0.0} if name in GROUPS else {str(point): 0.0 for point in SIDES[name]}
-
-
-def _points(name: str) -> tuple[int, ...]:
-    return GROUPS[name] if name in GROUPS else SIDES[name]
 
 
 def _overlap(surprising: Bool[np.ndarray, "c c"], part: Bool[np.ndarray, "c c"]) -> float:
