@@ -1,8 +1,10 @@
 """The panel's design without a browser: plain words, marked starts, search, transport, one colour scale, export."""
 
+import io
 import shlex
 import threading
 import time
+import zipfile
 
 import ipywidgets as widgets
 import numpy as np
@@ -10,15 +12,18 @@ import pytest
 
 from tests.scenes import IMAGE_SIZE, make_scene
 from workbench.config import Config, preset
+from workbench.errors import InputError
 from workbench.export import export_track
 from workbench.session import Material, TuningSession
+from workbench.session.comparing import surface
 from workbench.session.knob_words import WORDS, plain_words
 from workbench.session.knobs import KNOBS
 from workbench.session.material import PictureStore
 from workbench.session.performance import performance_commands, performance_track
-from workbench.widgets import TuningPanel
+from workbench.widgets import TuningPanel, panel_page
 from workbench.widgets.controls import Controls
 from workbench.widgets.knob_control import CHANGED, KnobControl
+from workbench.widgets.panel_page import packed
 from workbench.widgets.performance_export import PerformanceExport
 from workbench.widgets.status_line import degrees, status_of
 from workbench.widgets.waiting import OLD, PATIENCE_S, Job, Waiting, text_of
@@ -283,6 +288,89 @@ def test_a_frame_without_a_face_has_no_numbers(panel):
     assert status_of(replace(panel.fit, found=False), FRAMES) == "frame 0/8 · no face"
 
 
+def test_a_flagged_frame_says_why_in_the_status_line(panel):
+    assert " · <b>flagged</b>: the pose jumps (10°, 10 mm) · " in status_of(
+        panel.fit, FRAMES, flag="the pose jumps (10°, 10 mm)"
+    )
+    assert "flagged" not in status_of(panel.fit, FRAMES)
+    assert "flagged" not in status_of(panel.fit, FRAMES, after=True, flag="the pose jumps")
+    assert panel.clip.why(0) == panel.session.run.flags.text[0] == ""
+
+
+# --- comparison ---
+
+
+@pytest.fixture
+def comparison(panel):
+    """The page of comparison in front, the present with less sparsity against the start and a snapshot of it."""
+    panel.session.take_snapshot("without smoothness")
+    panel.turn("weights.sigma_smooth", 0.5)
+    assert panel.wait_idle(120)
+    panel.tabs.selected_index = list(panel.tabs.titles).index("Compare")
+    panel.compare.choices[2].value = "without smoothness"
+    assert panel.wait_idle(120)
+    yield panel.compare
+    panel.compare.choices[2].value = "–"
+    panel.tabs.selected_index = 0
+
+
+def test_configurations_stand_side_by_side_with_their_distance_from_the_first_in_mm(comparison, panel):
+    views, session = comparison.views, panel.session
+    here = session.runs.known(session.config).fits[panel.frame]
+    start = session.runs.known(session.base).fits[panel.frame]
+    difference = np.linalg.norm(surface(session, here) - surface(session, start), axis=1)
+    assert difference.max() > 0.05
+    assert f"up to {difference.max():.1f} mm" in comparison.captions[1].value
+    assert "mm" not in comparison.captions[0].value
+    assert not views[0].canvas._colors
+    assert len(views[1].canvas._colors) == 3 * len(difference)
+    np.testing.assert_allclose(
+        np.frombuffer(views[1].canvas._vertices, "<f4"), surface(session, start).ravel(), atol=1e-3
+    )
+    assert views[1].canvas._viewpoint == views[0].canvas._viewpoint == views[2].canvas._viewpoint
+    assert views[1]._legend.value == views[2]._legend.value
+    comparison.color.value = False
+    assert panel.wait_idle(60)
+    assert not views[1].canvas._colors
+    comparison.color.value = True
+
+
+def test_another_frame_is_compared_as_soon_as_it_is_shown(comparison, panel):
+    before = comparison.captions[1].value
+    panel.go(6)
+    assert panel.wait_idle(60)
+    assert comparison.captions[1].value != before
+
+
+def test_the_metrics_of_the_compared_clips_are_a_table_with_the_best_marked(comparison, panel):
+    run = panel.session.run
+    comparison.choices[1].value = "–"
+    panel.session.set(weights={"sigma_smooth": 0.7})
+    panel.follow.value = False
+    try:
+        panel.session.take_snapshot("never fitted")
+        panel.turn("weights.sigma_smooth", 0.5)
+        assert panel.wait_idle(60)
+        comparison.choices[2].value = "never fitted"
+        assert panel.wait_idle(60)
+        assert "<td>–</td>" in comparison.table.value
+        assert not comparison.fit_all.disabled
+        comparison.fit_all.click()
+        assert panel.wait_idle(120)
+    finally:
+        panel.follow.value = True
+    assert "<td>–</td>" not in comparison.table.value
+    assert comparison.table.value.count("fw-best") >= 3
+    assert comparison.fit_all.disabled
+    assert panel.session.run is run or panel.session.run.config == panel.session.config
+
+
+def test_a_single_configuration_is_compared_with_nothing(comparison, panel):
+    comparison.choices[1].value = comparison.choices[2].value = "–"
+    assert panel.wait_idle(60)
+    assert comparison.captions[1].value == comparison.captions[2].value == ""
+
+
 # --- what takes its time ---
 
 
@@ -428,7 +516,7 @@ def test_a_clip_that_is_fitted_says_how_long_it_takes_and_marks_the_old_result(p
 
 @pytest.fixture
 def export(panel, tmp_path):
-    made = PerformanceExport(panel.session, lambda job: job(), lambda: "tuned.toml")
+    made = PerformanceExport(panel.session, lambda job: job(), lambda: "tuned.toml", panel.page.download)
     made.file.value = str(tmp_path / "talk.glb")
     return made
 
@@ -495,6 +583,32 @@ def test_the_commands_name_the_same_run(clip):
     assert words[words.index("--out") + 1] == "out/clip"
     assert words[words.index("--config") + 1] == "my tuned.toml"
     assert shlex.split(export) == ["workbench", "export", "out/clip", "--to", "a b.glb", "--shot", "1"]
+
+
+def test_what_was_written_can_be_downloaded(export, panel, tmp_path, monkeypatch):
+    sent = []
+    monkeypatch.setattr(panel.page, "send", lambda content, buffers: sent.append((content, buffers)))
+    assert export.download.layout.display == "none"
+    export.go.click()
+    assert export.download.layout.display is None
+    export.download.button.click()
+    assert sent == [({"kind": "download", "name": "talk.glb"}, [(tmp_path / "talk.glb").read_bytes()])]
+    (tmp_path / "talk.glb").unlink()
+    export.download.button.click()
+    assert "no longer there; write it again" in export.download.said.value
+    assert len(sent) == 1
+
+
+def test_a_folder_is_downloaded_as_an_archive_and_what_is_too_large_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "0001.obj").write_text("v 0 0 0")
+    name, content = packed(tmp_path / "meshes")
+    assert name == "meshes.zip"
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert archive.read("0001.obj") == b"v 0 0 0"
+    monkeypatch.setattr(panel_page, "LARGEST_MB", 1e-6)
+    with pytest.raises(InputError, match="a download at most"):
+        packed(tmp_path / "meshes")
 
 
 def test_the_performance_carries_what_exports_need(panel):

@@ -58,13 +58,8 @@ def changes_html(session: TuningSession) -> str:
 
 def change_words(item: Difference) -> str:
     """A change in words: moved points are counted, settings have their symbol and plain name."""
-    if item.path.startswith("landmarks.moved"):
-        frame, points = item.path.removeprefix("landmarks.moved").strip("."), item.after or item.before or {}
-        if not frame:
-            return f"{sum(len(of_frame) for of_frame in points.values())} points moved in {len(points)} frames"
-        return f"frame {frame}: {len(points)} points " + ("moved" if item.after else "back at their detections")
     knob = BY_PATH.get(item.path)
-    if knob is None:
+    if knob is None or item.moved_points:
         return str(item)
     return f"{knob.label} ({knob.words.name}): {str(item).partition(': ')[2]}"
 

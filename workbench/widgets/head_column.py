@@ -22,8 +22,6 @@ from workbench.widgets.waiting import Waiting
 COLORINGS = ("skin", "residual", "difference", "blendshape", "uncertainty")
 LOOKS = ("camera", "front", "free")
 START = "the start"
-BEHIND_MM = np.array([0.0, 0.0, 1.5])
-"""Offset of a ghost, slightly behind the head, so that differences show and equal surfaces do not flicker."""
 FIRST_S = 5.0
 """What the first uncertainty takes, its program included."""
 WORKING = "computing the uncertainty of frame {frame} …"
@@ -71,10 +69,10 @@ class HeadColumn:
         )  # fmt: skip
         self.points = toggle("points", "landmarks and residuals in 3D")
         self.compare = widgets.Dropdown(
-            options=self._comparisons(), value="", tooltip="show another configuration's fit as a ghost",
+            options=self._comparisons(), value="", tooltip="show the outline of another configuration's fit",
             layout=widgets.Layout(width="92px"),
         )  # fmt: skip
-        self.beside = toggle("beside", "show the compared head next to this one, not as a ghost")
+        self.beside = toggle("beside", "show the compared head next to this one, not as an outline")
         self.beside.layout.display = "none"
         for control in (self.color, self.shape, self.points, self.compare, self.beside):
             control.observe(self._on_choice, "value")
@@ -222,9 +220,9 @@ class HeadColumn:
             other = self._session.fit_frame(fit.index if len(self._session) > 1 else 0, config=config)
             # A separate model, because the other configuration may have another identity.
             model = self._head.model.personal(other.identity)
-            place = BESIDE_MM if beside else BEHIND_MM
+            place = BESIDE_MM if beside else 0.0
             self._other = posed_vertices(model, other.expression, other.jaw, other.scale)
-            self.view.set_ghost(self._other + place, 1.0 if beside else 0.4)
+            self.view.set_ghost(self._other + place, 1.0, outline=not beside)
         self._compared = key
 
     def _comparisons(self) -> list[tuple[str, str]]:

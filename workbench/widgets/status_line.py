@@ -47,8 +47,10 @@ class StatusLine(widgets.HTML):
             self.failed(error)
 
 
-def status_of(fit: FrameFit, frames: int, after: bool = False) -> str:
-    """Error, pose and time of a fit in words, as HTML; `after`: it was infilled or refined."""
+def status_of(fit: FrameFit, frames: int, after: bool = False, flag: str = "") -> str:
+    """Error, pose and time of a fit in words, as HTML; `after`: it was infilled or refined; `flag`: why its frame was
+    flagged, if it was.
+    """
     where = [f"frame {fit.index}/{frames - 1}"] if frames > 1 else []
     if not fit.found:
         return " · ".join([*where, "no face"])
@@ -63,7 +65,8 @@ def status_of(fit: FrameFit, frames: int, after: bool = False) -> str:
     time = [f"{took:.0f} ms" if took < SLOW_MS else f"{took / 1000:.1f} s"]
     why = why_failed(fit)
     failed = [f"<span style='{WRONG}'>failed: {html.escape(why)}</span>"] if why else []
-    return " · ".join([*where, *(["after"] if after else []), *failed, error, angles, *time, more])
+    flagged = [f"<b>flagged</b>: {html.escape(flag)}"] if flag and not after else []
+    return " · ".join([*where, *(["after"] if after else []), *failed, *flagged, error, angles, *time, more])
 
 
 def degrees(angle: float) -> str:

@@ -235,7 +235,7 @@ class TuningPanel(widgets.VBox):
         self._show(fit)
         if self._worker.wait_newer(PAUSE_S):
             return
-        self.status.tell(status_of(fit, len(session), after=self.time.side == AFTER))
+        self.status.tell(status_of(fit, len(session), self.time.side == AFTER, self.clip.why(frame)))
         if fit.found:
             self._iterations.show(fit, session.explain_frame(frame)[1], request.steps)
             self.strip.show_frame(frame)

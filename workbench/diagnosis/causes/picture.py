@@ -192,8 +192,20 @@ def jump(trial: Trial) -> Iterator[Finding]:
     if percent < max(JUMP_PERCENT, UNUSUAL_JUMP * trial.reference.jump_percent):
         return
     moved = _picture_step(trial)
-    step = np.median(trial.points - before.landmarks.points, axis=0)
+    steps = trial.points - before.landmarks.points
+    step, arrived = np.median(steps, axis=0), float(trial.percent(np.linalg.norm(steps, axis=1).mean()))
     evidence = f"The points lie {percent:.1f} % of the eye distance from the middle of the adjacent frames'"
+    if arrived < percent:
+        yield _of_whole_face(
+            trial,
+            code="next_jumps",
+            title="The points of the next frame jump",
+            evidence=f"{evidence}, but only {arrived:.1f} % from the previous frame's: look at frame {after.index}.",
+            direct=0.5,
+            numbers={"jump_percent": percent, "step_percent": arrived},
+            lasts=True,
+        )
+        return
     if moved is not None and np.linalg.norm(moved - step) < CONFIRMED * np.linalg.norm(step):
         yield _of_whole_face(
             trial,
