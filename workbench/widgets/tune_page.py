@@ -11,7 +11,7 @@ from workbench.config import Config
 from workbench.errors import ConfigError, InputError
 from workbench.learning import LEARNABLE, Tuned
 from workbench.learning.learnable import FOV, POINTS
-from workbench.learning.parts import SHARES
+from workbench.learning.parts import SHARES, read_frames
 from workbench.objectives import TABLE, read_sum
 from workbench.session import TuningSession
 from workbench.session.knob_words import plain_words
@@ -250,8 +250,9 @@ def conclusion(tuned: Tuned) -> str:
     """What was learned and whether it holds on frames that nothing was chosen by, in a sentence."""
     change = tuned.change
     verdict = "better" if change.high < 0.0 else "worse" if change.low > 0.0 else "not surely better or worse"
-    held_out = tuned.config.provenance.parts["held_out"]
-    return f"On frames {held_out}, held out: {change}, {verdict}. {'; '.join(_found(tuned))}. Take it or leave it."
+    frames = read_frames(tuned.config.provenance.parts["held_out"])
+    told = str(change).replace("-", "−")
+    return f"On frames {frames.start}-{frames.stop - 1}, held out: {told}, {verdict}. {'; '.join(_found(tuned))}. Take it or leave it."
 
 
 def _found(tuned: Tuned) -> Iterator[str]:
