@@ -252,7 +252,8 @@ def conclusion(tuned: Tuned) -> str:
     verdict = "better" if change.high < 0.0 else "worse" if change.low > 0.0 else "not surely better or worse"
     frames = read_frames(tuned.config.provenance.parts["held_out"])
     told = str(change).replace("-", "−")
-    return f"On frames {frames.start}-{frames.stop - 1}, held out: {told}, {verdict}. {'; '.join(_found(tuned))}. Take it or leave it."
+    where = f"On frames {frames.start}-{frames.stop - 1}, held out"
+    return f"{where}: {told}, {verdict}. {'; '.join(_found(tuned))}. Take it or leave it."
 
 
 def _found(tuned: Tuned) -> Iterator[str]:
