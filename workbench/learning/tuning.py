@@ -28,6 +28,7 @@ from workbench.sweeps.results import folds_needed, objectives_of
 from workbench.sweeps.solving import ClipSolver
 from workbench.sweeps.space import Axis
 from workbench.sweeps.stored_clips import ClipSource, digest_of, observe
+from workbench.tracking.fitting import never
 
 STEPS, TRIALS = 24, 40
 TRAINED = 12
@@ -86,12 +87,14 @@ def tuned(
     place: Path | None = None,
     resume: bool = False,
     inputs: Sequence[str] = (),
+    stopped: Callable[[], bool] = never,
 ) -> Tuned:
     """The configuration with the settings that its objective likes best on the part to learn on.
 
     `place`: files of what was learned (`.learning.json`) and searched (`.study.log`) begin so, and `resume` goes on
-    with them. An interrupt (Ctrl-C) keeps what was found. Raises `ConfigError` for settings that cannot be learned or
-    searched, and `InputError` for a clip without frames to learn on.
+    with them. An interrupt (Ctrl-C) keeps what was found, and so does `stopped`, which is asked before each step of a
+    gradient. Raises `ConfigError` for settings that cannot be learned or searched, and `InputError` for a clip without
+    frames to learn on.
     """
     if not (wanted.learn or wanted.search):
         raise ConfigError("There is nothing to tune; name settings to learn (--learn) or to search (--search).")
@@ -104,7 +107,7 @@ def tuned(
             lambda done, total, value: tell("search", done, total, value, None),
         )  # fmt: skip
     if wanted.learn:
-        learning = learn_on(solver, found, clip, wanted, tell, place, resume)
+        learning = learn_on(solver, found, clip, wanted, tell, place, resume, stopped)
         found = learned(found, learning.kept)
     before, after = measured(solver, (config, found), clip, wanted)
     result = Tuned(found, config, before, after, learning)
@@ -123,7 +126,14 @@ def inputs_of(source: ClipSource) -> list[str]:
 
 
 def learn_on(
-    solver: ClipSolver, config: Config, clip: SweptClip, wanted: Wanted, tell: Tell, place: Path | None, resume: bool
+    solver: ClipSolver,
+    config: Config,
+    clip: SweptClip,
+    wanted: Wanted,
+    tell: Tell,
+    place: Path | None,
+    resume: bool,
+    stopped: Callable[[], bool] = never,
 ) -> Learning:
     """The learning of a configuration's settings by gradient."""
     start = start_of(config, wanted.learn)
@@ -136,7 +146,8 @@ def learn_on(
 
     train, watch = examples(wanted.parts.train, TRAINED), examples(wanted.parts.watch, WATCHED)
     camera = plan_of(config).camera.of(clip.observations[0].image_size)
-    slope = value_and_slope(config, wanted.objectives, camera)
+    # Compiled while other programs may run, so that a panel beside it goes on.
+    slope = value_and_slope(config, wanted.objectives, camera).lower(start, train[0]).compile()
     key = _key_of(config, clip, wanted)
     file = None if place is None else place.with_suffix(".learning.json")
     if resume and file is not None and file.exists():
@@ -148,7 +159,7 @@ def learn_on(
         seen = [value for value in learning.watched if value is not None]
         tell("learn", len(learning.values), steps, learning.values[-1], seen[-1] if seen else None)
 
-    return descended(slope, begun, train, watch, wanted.steps, told, file)
+    return descended(slope, begun, train, watch, wanted.steps, told, file, stopped)
 
 
 def measured(

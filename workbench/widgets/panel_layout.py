@@ -1,6 +1,6 @@
 """The layout of a panel: its style sheet, rows of controls, columns, and borders that can be moved."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import ipywidgets as widgets
 
@@ -167,6 +167,16 @@ def tabs(pages: Mapping[str, widgets.Widget | None]) -> widgets.Tab:
     """Pages by title, without those that are None, for the foot of a panel: tables need its whole width."""
     there = {title: page for title, page in pages.items() if page is not None}
     return classed(widgets.Tab(children=list(there.values()), titles=list(there)), "fw-pages")
+
+
+def on_front(pages: widgets.Tab, callbacks: Mapping[str, Callable[[], None]]) -> None:
+    """Call the callback of a page, by its title, each time it is brought to the front."""
+
+    def turned(change) -> None:
+        if change["new"] is not None:
+            callbacks.get(pages.titles[change["new"]], lambda: None)()
+
+    pages.observe(turned, "selected_index")
 
 
 def arranged(
