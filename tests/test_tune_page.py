@@ -1,5 +1,7 @@
 """The panel's page of tuning without a browser: what is asked, what grows, and taking or leaving a result."""
 
+import inspect
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from workbench.config import preset
 from workbench.errors import ConfigError, InputError
 from workbench.learning import Tuned
 from workbench.session import Material, TuningSession
+from workbench.session.learning import tune_material
 from workbench.session.material import PictureStore
 from workbench.widgets.tune_page import (
     HELD_OUT,
@@ -40,6 +43,7 @@ class Tuning:
         self._session, self._before_step, self.asked = session, before_step, []
 
     def __call__(self, objective, learn, progress, cancelled, **options):
+        assert set(options) < set(inspect.signature(tune_material).parameters)
         self.asked.append((objective, tuple(learn), options))
         for step in range(3):
             self._before_step(step)
@@ -109,7 +113,7 @@ def test_it_learns_what_is_chosen_and_the_curve_grows_with_the_held_out_value(pa
     np.testing.assert_array_equal(
         np.frombuffer(sent["data"], np.float32).reshape(3, 3), [[1, 2, 3], [3, 2, 1], [np.nan, 2, 2]]
     )
-    assert "−20" in page.said.value.replace("-", "−")
+    assert "On frames 32-39, held out: −20.0 %" in page.said.value
     assert "better" in page.said.value
 
 

@@ -16,13 +16,12 @@ from workbench.face import FaceModel
 from workbench.learning.descent import WATCHED, Learning, begin, descended, stored, watched_value
 from workbench.learning.examples import example_of, spread, stretches_in
 from workbench.learning.learnable import learned, start_of
-from workbench.learning.objective import check_gradient, value_and_slope
+from workbench.learning.objective import check_gradient, compiled_slope
 from workbench.learning.parts import Parts
 from workbench.learning.report import Change, change_of
 from workbench.learning.search import searched
 from workbench.objectives import WeightedSum
 from workbench.pipeline import content_hash, software_versions
-from workbench.planning import plan_of
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import folds_needed, objectives_of
 from workbench.sweeps.solving import ClipSolver
@@ -145,9 +144,7 @@ def learn_on(
         return [example_of(solver, config, clip, window, kinds) for window in windows]
 
     train, watch = examples(wanted.parts.train, TRAINED), examples(wanted.parts.watch, WATCHED)
-    camera = plan_of(config).camera.of(clip.observations[0].image_size)
-    # Compiled while other programs may run, so that a panel beside it goes on.
-    slope = value_and_slope(config, wanted.objectives, camera).lower(start, train[0]).compile()
+    slope = compiled_slope(config, wanted.objectives, clip.observations[0].image_size, start, train[0])
     key = _key_of(config, clip, wanted)
     file = None if place is None else place.with_suffix(".learning.json")
     if resume and file is not None and file.exists():
@@ -156,7 +153,8 @@ def learn_on(
         begun = begin(key, start, watched_value(slope, start, watch))
 
     def told(learning: Learning, steps: int) -> None:
-        seen = [value for value in learning.watched if value is not None]
+        seen = [begun.best_value] if watch else []
+        seen += [value for value in learning.watched if value is not None]
         tell("learn", len(learning.values), steps, learning.values[-1], seen[-1] if seen else None)
 
     return descended(slope, begun, train, watch, wanted.steps, told, file, stopped)

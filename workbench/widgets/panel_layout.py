@@ -95,6 +95,8 @@ FW_AT
 .fw-panel .fw-status .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis;
   font-variant-numeric: tabular-nums; }
 .fw-panel .fw-status b { font-weight: 600; }
+.fw-panel .fw-one-line { flex: 1 1 0; min-width: 0; overflow: hidden; }
+.fw-panel .fw-one-line .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
 .fw-panel .fw-transport { flex: 0 0 auto; align-items: center; padding-left: 48px; }
 .fw-panel .fw-play { margin: 2px; width: auto; }
 .fw-panel .fw-play button:nth-of-type(2) { display: none; }
@@ -139,6 +141,11 @@ def in_line(*parts: widgets.Widget) -> widgets.Widget:
 def wrapped() -> widgets.Layout:
     """Layout of a line of controls that goes on below where the place is narrow."""
     return widgets.Layout(flex_flow="row wrap", align_items="center", flex="0 0 auto")
+
+
+def one_row() -> widgets.Layout:
+    """Layout of a line of controls that stays one, and as high as it is."""
+    return widgets.Layout(align_items="center", flex="0 0 auto", width="auto")
 
 
 def group(*parts: widgets.Widget, name: str = "") -> widgets.Widget:

@@ -15,7 +15,7 @@ from workbench.sweeps import Point, SweepResult, config_at
 from workbench.sweeps.space import shown
 from workbench.widgets.controls import small_button
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import classed, in_line
+from workbench.widgets.panel_layout import classed, one_row
 from workbench.widgets.setting_range import SettingRange
 from workbench.widgets.status_line import StatusLine
 from workbench.widgets.sweep_view import SweepView
@@ -23,7 +23,7 @@ from workbench.widgets.sweep_view import SweepView
 CHEAP = ("error", "jitter", "iterations")
 """Objectives that cost nothing besides the fits: they are measured each time, so that one can look at the others."""
 FRAMES, VALUES, VALUES_OF_SECOND = 60, 15, 7
-CONTROLS_PX = 560
+CONTROLS_PX = 520
 GIVE_WAY_S = 2.0
 """Longest wait for what the rest of the panel computes, between two groups of points."""
 CHANGED = "<span style='opacity:.7'>Other settings have changed since then; run it again.</span>"
@@ -58,9 +58,8 @@ class SweepPage(widgets.HBox):
         self.view.on_pick(self.take)
         self._build_controls()
         rows = [
-            in_line(*self.first.widgets, widgets.Label("values")),
-            in_line(*self.second.widgets, widgets.Label("values")),
-            in_line(self.objective, self.frames, widgets.Label("frames"), self.go, self.stop),
+            *(widgets.HBox([*choice.widgets, widgets.Label("values")], layout=one_row()) for choice in self._choices),
+            widgets.HBox([self.objective, self.frames, widgets.Label("frames"), self.go, self.stop], layout=one_row()),
             self.progress, self.said, self.note,
         ]  # fmt: skip
         left = widgets.VBox(rows, layout=widgets.Layout(flex=f"0 0 {CONTROLS_PX}px", overflow="hidden auto"))
@@ -109,7 +108,7 @@ class SweepPage(widgets.HBox):
     def show_config(self) -> None:
         """Update from the session's configuration."""
         self._settings = sweep_settings(self._session.config)
-        for choice in (self.first, self.second):
+        for choice in self._choices:
             choice.offer(self._settings)
         if self.result is None or self._asked is None:
             return
@@ -127,10 +126,11 @@ class SweepPage(widgets.HBox):
             "a second setting makes a map; empty: a curve", "and a second one: a map", VALUES_OF_SECOND,
             self.said.failed,
         )  # fmt: skip
+        self._choices = (self.first, self.second)
         self.first.name.observe(self._on_chosen, "value")
         self.objective = widgets.Dropdown(
             options=[(f"{name}: {TABLE[name].says}", name) for name in self._measurable()], value="error",
-            tooltip="what is measured; less is better", layout=widgets.Layout(width="290px"),
+            tooltip="what is measured; less is better", layout=widgets.Layout(width="252px"),
         )  # fmt: skip
         self.objective.observe(self._on_objective, "value")
         self.frames = widgets.BoundedIntText(
@@ -168,7 +168,7 @@ class SweepPage(widgets.HBox):
     # --- what the user does ---
 
     def _submit(self) -> None:
-        chosen = [(choice, choice.axis) for choice in (self.first, self.second)]
+        chosen = [(choice, choice.axis) for choice in self._choices]
         chosen = [(choice, axis) for choice, axis in chosen if axis is not None]
         if not chosen:
             raise ConfigError("Choose a setting first: type words such as steady, lens or jaw.")

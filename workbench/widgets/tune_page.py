@@ -1,5 +1,6 @@
 """Tuning in the panel: the clip chooses settings by an objective; its result is taken as one undo step, or left."""
 
+import html
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ from workbench.config import Config
 from workbench.errors import ConfigError, InputError
 from workbench.learning import LEARNABLE, Tuned
 from workbench.learning.learnable import FOV, POINTS
-from workbench.learning.parts import SHARES
+from workbench.learning.parts import SHARES, read_frames
 from workbench.objectives import TABLE, read_sum
 from workbench.session import TuningSession
 from workbench.session.knob_words import plain_words
@@ -20,7 +21,7 @@ from workbench.session.sweep_settings import value_at
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import in_line, wrapped
+from workbench.widgets.panel_layout import classed, one_row, wrapped
 from workbench.widgets.status_line import StatusLine
 
 OBJECTIVES = ("left-out-parts", "left-out-points", "left-out-frames", "jitter + error", "error", "jitter")
@@ -52,16 +53,19 @@ class TunePage(widgets.HBox):
         self._session, self._give_way = session, give_way
         self.result: Tuned | None = None
         self._values: list[tuple[float, float]] = []
-        self.said, self.words = StatusLine(), StatusLine()
+        self.said, self.words = StatusLine(), classed(StatusLine(), "fw-one-line")
         self._worker: LatestWins[Asked | str] = LatestWins(self._work, self._failed, "panel-tune")
         self.chart = ChartView(height_px=height_px - 38, title="")
         self._build_controls()
         rows = [
-            in_line(widgets.Label("make least"), self.objective, self.words),
+            widgets.HBox([widgets.Label("make least"), self.objective, self.words], layout=one_row()),
             widgets.HBox([widgets.Label("learn"), *self.learn.values()], layout=wrapped()),
-            in_line(widgets.Label("learn on"), self.train, widgets.Label("hold out"), self.held_out,
-                    widgets.Label("steps"), self.steps),
-            in_line(self.go, self.stop, self.take, self.leave), self.progress, self.said,
+            widgets.HBox(
+                [widgets.Label("learn on"), self.train, widgets.Label("hold out"), self.held_out,
+                 widgets.Label("steps"), self.steps, self.go, self.stop, self.take, self.leave],
+                layout=wrapped(),
+            ),
+            self.progress, self.said,
         ]  # fmt: skip
         left = widgets.VBox(rows, layout=widgets.Layout(flex=f"0 0 {CONTROLS_PX}px", overflow="hidden auto"))
         right = widgets.VBox([self.chart], layout=widgets.Layout(flex="1 1 0", min_width="0"))
@@ -125,7 +129,7 @@ class TunePage(widgets.HBox):
     def _explain(self) -> None:
         rows = [TABLE[name] for name in read_sum(self.objective.value).names]
         blind = "; ".join(row.blind for row in rows)
-        self.words.say("; ".join(row.says for row in rows))
+        self.words.tell(html.escape("; ".join(row.says for row in rows)))
         self.objective.tooltip = f"cannot see: {blind}"
 
     # --- what the user does ---
@@ -246,8 +250,10 @@ def conclusion(tuned: Tuned) -> str:
     """What was learned and whether it holds on frames that nothing was chosen by, in a sentence."""
     change = tuned.change
     verdict = "better" if change.high < 0.0 else "worse" if change.low > 0.0 else "not surely better or worse"
-    held_out = tuned.config.provenance.parts["held_out"]
-    return f"On frames {held_out}, held out: {change}, {verdict}. {'; '.join(_found(tuned))}. Take it or leave it."
+    frames = read_frames(tuned.config.provenance.parts["held_out"])
+    told = str(change).replace("-", "−")
+    where = f"On frames {frames.start}-{frames.stop - 1}, held out"
+    return f"{where}: {told}, {verdict}. {'; '.join(_found(tuned))}. Take it or leave it."
 
 
 def _found(tuned: Tuned) -> Iterator[str]:

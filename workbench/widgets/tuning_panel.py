@@ -73,8 +73,8 @@ class TuningPanel(widgets.VBox):
         self._slow = SlowJobs(self._failed, "panel-slow")
         self._build_views(backend)
         self._build_controls()
-        slow = (self._slow, self.time, self.sweep, self.tune, self._clip_bar)
-        self._workers = (*slow, self._worker, self.overlay, self.head, self.compare)
+        shown = (self._clip_bar, self._worker, self.overlay, self.head, self.compare)
+        self._workers = (self._slow, self.time, self.sweep, self.tune, *shown)
         self._leave = session.listen(self._on_session)
         super().__init__([style_sheet(), unloaded_note(), self.page, *rows_of(self)])
         classed(self, "fw-panel", "fw-whole")
@@ -150,8 +150,7 @@ class TuningPanel(widgets.VBox):
         )
         self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
         self.compare = ComparePage(session, backend, self.waiting, self._later, self._failed)
-        self.sweep = SweepPage(session, self._worker.wait_idle, TABS_PX)
-        self.tune = TunePage(session, self._worker.wait_idle, TABS_PX)
+        self.sweep, self.tune = (page(session, self._worker.wait_idle, TABS_PX) for page in (SweepPage, TunePage))
 
     def _build_controls(self) -> None:
         session = self.session
@@ -174,8 +173,8 @@ class TuningPanel(widgets.VBox):
 
         self.strip = FilmStrip(self.session)
         self.tabs = tabs(pages_of(self))
-        on_front(self.tabs, {"Sweep": self.sweep.warm_up})
         self.compare.follow(self.tabs)
+        on_front(self.tabs, {"Sweep": self.sweep.warm_up})
 
     # --- what the user does ---
 
@@ -276,8 +275,8 @@ def pages_of(panel: TuningPanel) -> dict[str, widgets.Widget | None]:
         "Energy": panel.energy, "Stages": panel.stages.widget, "Diagnosis": panel.diagnosis.widget,
         "Curves": panel.clip.curves if panel.is_clip else None,
         "Methods": panel.time.methods if panel.time.is_clip else None,
-        "Compare": panel.compare, "Sweep": panel.sweep, "Tune": panel.tune if panel.time.is_clip else None,
-        "Film strip": panel.strip, "Changes": panel.changes,
+        "Sweep": panel.sweep, "Tune": panel.tune if panel.time.is_clip else None,
+        "Compare": panel.compare, "Film strip": panel.strip, "Changes": panel.changes,
     }  # fmt: skip
 
 
