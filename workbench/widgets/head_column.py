@@ -17,12 +17,13 @@ from workbench.widgets.head_backends import make_head_view
 from workbench.widgets.head_view import HeadView
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.panel_layout import classed, wrapped
+from workbench.widgets.waiting import Waiting
 
 COLORINGS = ("skin", "residual", "difference", "blendshape", "uncertainty")
 LOOKS = ("camera", "front", "free")
 START = "the start"
-BEHIND_MM = np.array([0.0, 0.0, 1.5])
-"""Offset of a ghost, slightly behind the head, so that differences show and equal surfaces do not flicker."""
+FIRST_S = 5.0
+"""What the first uncertainty takes, its program included."""
 WORKING = "computing the uncertainty of frame {frame} …"
 BESIDE_MM = np.array([170.0, 0.0, 0.0])
 
@@ -32,13 +33,15 @@ class HeadColumn:
 
     `limit()` is the end of the residuals' colour scale, which picture and strip share. The uncertainty takes seconds,
     so it is computed in a separate thread. Until then the head shows its skin without a legend, and a note says what
-    is being computed.
+    is being computed; cancelling it goes back to the skin.
     """
 
     def __init__(
         self, session: TuningSession, head: FittedHead, size: tuple[int, int], backend: str,
-        uncertainty: Callable[[FrameFit], np.ndarray], redraw: Callable[[], None], limit: Callable[[], float],
+        uncertainty: Callable[[FrameFit], np.ndarray], waiting: Waiting, redraw: Callable[[], None],
+        limit: Callable[[], float],
     ) -> None:  # fmt: skip
+        self._waiting = waiting
         self._session, self._head, self._size, self._limit = session, head, size, limit
         self._uncertainty, self._redraw = uncertainty, redraw
         self._compared: tuple | None = None
@@ -66,10 +69,10 @@ class HeadColumn:
         )  # fmt: skip
         self.points = toggle("points", "landmarks and residuals in 3D")
         self.compare = widgets.Dropdown(
-            options=self._comparisons(), value="", tooltip="show another configuration's fit as a ghost",
+            options=self._comparisons(), value="", tooltip="show the outline of another configuration's fit",
             layout=widgets.Layout(width="92px"),
         )  # fmt: skip
-        self.beside = toggle("beside", "show the compared head next to this one, not as a ghost")
+        self.beside = toggle("beside", "show the compared head next to this one, not as an outline")
         self.beside.layout.display = "none"
         for control in (self.color, self.shape, self.points, self.compare, self.beside):
             control.observe(self._on_choice, "value")
@@ -170,13 +173,17 @@ class HeadColumn:
     def _work_out(self, fit: FrameFit) -> None:
         key = self._key(fit)
         if self._spread is None or self._spread[0] != key:
-            try:
-                found = self._uncertainty(fit)
-            except WorkbenchError as error:
-                found = str(error)
+            with self._waiting.during("computing the uncertainty", cancel=self._use_skin, expected_s=FIRST_S):
+                try:
+                    found = self._uncertainty(fit)
+                except WorkbenchError as error:
+                    found = str(error)
             self._spread = key, found
         if not self._worker.newer():
             self._redraw()
+
+    def _use_skin(self) -> None:
+        self.color.value = COLORINGS[0]
 
     def _failed(self, error: Exception) -> None:
         self._say(f"{type(error).__name__}: {error}")
@@ -213,9 +220,9 @@ class HeadColumn:
             other = self._session.fit_frame(fit.index if len(self._session) > 1 else 0, config=config)
             # A separate model, because the other configuration may have another identity.
             model = self._head.model.personal(other.identity)
-            place = BESIDE_MM if beside else BEHIND_MM
+            place = BESIDE_MM if beside else 0.0
             self._other = posed_vertices(model, other.expression, other.jaw, other.scale)
-            self.view.set_ghost(self._other + place, 1.0 if beside else 0.4)
+            self.view.set_ghost(self._other + place, 1.0, outline=not beside)
         self._compared = key
 
     def _comparisons(self) -> list[tuple[str, str]]:

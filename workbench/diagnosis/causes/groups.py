@@ -271,6 +271,11 @@ def muted(name: str) -> Change:
     return Change(f"Mute the points of the {title}", config={"landmarks": {"weights": weights}})
 
 
+def points_of(name: str) -> tuple[int, ...]:
+    """The points of a group, or of one of `SIDES`."""
+    return GROUPS[name] if name in GROUPS else SIDES[name]
+
+
 def _all_points(trial: Trial) -> list[dict]:
     """The stages with all landmarks in each, so that the jaw affects the pose in a fit to the jaw."""
     return [{**stage.model_dump(), "landmarks": {"all": 1.0}} for stage in trial.case.config.stages]
