@@ -33,7 +33,7 @@ LEAST_PICTURES = {
     "15_live": 2,
     "16_face_it_remade": 8,
     "17_deep_energies_remade": 8,
-    "18_deep_energies_through_time": 8,
+    "18_deep_energies_through_time": 11,
     "19_let_the_data_choose": 4,
 }
 APP = "10_workbench_app"

@@ -150,6 +150,7 @@ class TuningPanel(widgets.VBox):
         )
         self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
         self.compare = ComparePage(session, backend, self.waiting, self._later, self._failed)
+        self.sweep, self.tune = (page(session, self._worker.wait_idle, TABS_PX) for page in (SweepPage, TunePage))
 
     def _build_controls(self) -> None:
         session = self.session
@@ -171,7 +172,6 @@ class TuningPanel(widgets.VBox):
         self.run_clip, self.follow, self.cancel, self.progress = self._clip_bar.widgets
 
         self.strip = FilmStrip(self.session)
-        self.sweep, self.tune = (page(session, self._worker.wait_idle, TABS_PX) for page in (SweepPage, TunePage))
         self.tabs = tabs(pages_of(self))
         self.compare.follow(self.tabs)
         on_front(self.tabs, {"Sweep": self.sweep.warm_up})
