@@ -41,9 +41,8 @@ class HeadColumn:
         uncertainty: Callable[[FrameFit], np.ndarray], waiting: Waiting, redraw: Callable[[], None],
         limit: Callable[[], float],
     ) -> None:  # fmt: skip
-        self._waiting = waiting
         self._session, self._head, self._size, self._limit = session, head, size, limit
-        self._uncertainty, self._redraw = uncertainty, redraw
+        self._uncertainty, self._waiting, self._redraw = uncertainty, waiting, redraw
         self._compared: tuple | None = None
         self._other: np.ndarray | None = None
         """Vertices of the compared fit."""
@@ -76,14 +75,13 @@ class HeadColumn:
         self.beside.layout.display = "none"
         for control in (self.color, self.shape, self.points, self.compare, self.beside):
             control.observe(self._on_choice, "value")
-        self.note = widgets.Label(self.view.note or "")
+        hidden = widgets.Layout(display=None if self.view.note else "none")
+        self.note = widgets.Label(self.view.note or "", layout=hidden)
         self.working = widgets.HTML(layout=widgets.Layout(display="none"))
         above = widgets.HBox([self.look, self.color, self.shape], layout=wrapped())
         below = widgets.HBox([self.character.widget, self.points, self.compare, self.beside], layout=wrapped())
         self._holder = classed(widgets.VBox([classed(self.view.widget, "fw-grow")]), "fw-grow")
         self.widget = widgets.VBox([above, self._holder, self.working, below, self.note])
-        if not self.view.note:
-            self.note.layout.display = "none"
 
     def show(self, fit: FrameFit) -> None:
         """Show the head of a fit; it is unchanged for a frame without a face."""
@@ -138,9 +136,8 @@ class HeadColumn:
         return self._worker.wait_idle(timeout_s)
 
     def _color(self, fit: FrameFit) -> None:
-        kind, spread = self.color.value, None
-        if kind == "uncertainty":
-            spread = self._spread_of(fit)
+        kind = self.color.value
+        spread = self._spread_of(fit) if kind == "uncertainty" else None
         self._say(spread if isinstance(spread, str) else "")
         if kind == "difference" and self._other is None:
             self._say("Choose under compare… what to compare with.")
@@ -206,8 +203,7 @@ class HeadColumn:
         self._marked = self.points.value
 
     def _ghost(self, fit: FrameFit) -> None:
-        name = self.compare.value
-        beside = self.beside.value
+        name, beside = self.compare.value, self.beside.value
         kept = id(self._session.snapshots.get(name))
         key = (name, fit.index, kept, beside, fit.identity.tobytes()) if name else None
         if key == self._compared:
