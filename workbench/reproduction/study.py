@@ -19,7 +19,7 @@ from workbench.errors import InputError
 from workbench.files import atomic_path, make_folder
 from workbench.frames import write_picture
 from workbench.pipeline import Progress
-from workbench.plots import Picture
+from workbench.plots import LIGHT, Picture, on_page
 from workbench.reading import checked_content, checked_json, reading
 from workbench.reproduction.items import ITEMS, Item
 
@@ -95,6 +95,7 @@ def check_data(
             raise InputError(f"None of these items reads {name}; choose {readers} as well.")
 
 
+@on_page(LIGHT)
 def run(
     items: Iterable[Item],
     folder: str | Path,
