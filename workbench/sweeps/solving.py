@@ -3,6 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
@@ -237,11 +238,24 @@ def _solve_block(jobs: Sequence[ChainJob], method: Method, terms: tuple[str, ...
     pieces: list[SolvedFrames] = []
     for start in range(0, max(counts), FRAMES):
         frames = _stacked([_block_of(job.frames, start, k < len(jobs)) for k, job in enumerate(padded)])
+        program = _program_for((chains, states, frames), method, terms)
         with COMPUTING:
-            states, solved = solve_chains(chains, states, frames, method, terms)
+            states, solved = program(chains, states, frames)
         pieces.append(jax.tree.map(np.asarray, solved))
     whole = SolvedFrames(*(np.concatenate(part, axis=1) for part in zip(*pieces, strict=True)))
     return [SolvedFrames(*(part[k, :count] for part in whole)) for k, count in enumerate(counts)]
+
+
+def _program_for(arguments: tuple[Chain, ChainState, ChainFrames], method: Method, terms: tuple[str, ...]):
+    """The compiled program for arguments of these shapes. It is compiled while other programs may run, so that a panel
+    beside it goes on."""
+    leaves, tree = jax.tree.flatten(jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), arguments))
+    return _compiled(tree, tuple(leaves), method, terms)
+
+
+@lru_cache(maxsize=4)
+def _compiled(tree, leaves: tuple[jax.ShapeDtypeStruct, ...], method: Method, terms: tuple[str, ...]):
+    return solve_chains.lower(*jax.tree.unflatten(tree, leaves), method, terms).compile()
 
 
 def _block_of(frames: ChainFrames, start: int, used: bool) -> ChainFrames:

@@ -1,6 +1,6 @@
 """The layout of a panel: its style sheet, rows of controls, columns, and borders that can be moved."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import ipywidgets as widgets
 
@@ -95,6 +95,8 @@ FW_AT
 .fw-panel .fw-status .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis;
   font-variant-numeric: tabular-nums; }
 .fw-panel .fw-status b { font-weight: 600; }
+.fw-panel .fw-one-line { flex: 1 1 0; min-width: 0; overflow: hidden; }
+.fw-panel .fw-one-line .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
 .fw-panel .fw-transport { flex: 0 0 auto; align-items: center; padding-left: 48px; }
 .fw-panel .fw-play { margin: 2px; width: auto; }
 .fw-panel .fw-play button:nth-of-type(2) { display: none; }
@@ -141,6 +143,11 @@ def wrapped() -> widgets.Layout:
     return widgets.Layout(flex_flow="row wrap", align_items="center", flex="0 0 auto")
 
 
+def one_row() -> widgets.Layout:
+    """Layout of a line of controls that stays one, and as high as it is."""
+    return widgets.Layout(align_items="center", flex="0 0 auto", width="auto")
+
+
 def group(*parts: widgets.Widget, name: str = "") -> widgets.Widget:
     """Controls that belong together, with space after them; `name` is a class besides."""
     made = in_line(*parts)
@@ -167,6 +174,16 @@ def tabs(pages: Mapping[str, widgets.Widget | None]) -> widgets.Tab:
     """Pages by title, without those that are None, for the foot of a panel: tables need its whole width."""
     there = {title: page for title, page in pages.items() if page is not None}
     return classed(widgets.Tab(children=list(there.values()), titles=list(there)), "fw-pages")
+
+
+def on_front(pages: widgets.Tab, callbacks: Mapping[str, Callable[[], None]]) -> None:
+    """Call the callback of a page, by its title, each time it is brought to the front."""
+
+    def turned(change) -> None:
+        if change["new"] is not None:
+            callbacks.get(pages.titles[change["new"]], lambda: None)()
+
+    pages.observe(turned, "selected_index")
 
 
 def arranged(

@@ -24,14 +24,16 @@ from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.iterations import Iterations
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import arranged, classed, style_sheet, tabs, unloaded_note
+from workbench.widgets.panel_layout import arranged, classed, on_front, style_sheet, tabs, unloaded_note
 from workbench.widgets.panel_page import PanelPage
 from workbench.widgets.shared_scale import SharedScale
 from workbench.widgets.slow_jobs import SlowJobs
 from workbench.widgets.status_line import StatusLine, status_of
+from workbench.widgets.sweep_page import SweepPage
 from workbench.widgets.time_page import TimePage
 from workbench.widgets.time_part import AFTER
 from workbench.widgets.transport import Transport
+from workbench.widgets.tune_page import TunePage
 from workbench.widgets.waiting import Waiting, Work, nothing
 
 HEAD_SIZE, TABS_PX = (304, 308), 170
@@ -71,7 +73,8 @@ class TuningPanel(widgets.VBox):
         self._slow = SlowJobs(self._failed, "panel-slow")
         self._build_views(backend)
         self._build_controls()
-        self._workers = (self._slow, self.time, self._clip_bar, self._worker, self.overlay, self.head, self.compare)
+        shown = (self._clip_bar, self._worker, self.overlay, self.head, self.compare)
+        self._workers = (self._slow, self.time, self.sweep, self.tune, *shown)
         self._leave = session.listen(self._on_session)
         super().__init__([style_sheet(), unloaded_note(), self.page, *rows_of(self)])
         classed(self, "fw-panel", "fw-whole")
@@ -147,6 +150,7 @@ class TuningPanel(widgets.VBox):
         )
         self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
         self.compare = ComparePage(session, backend, self.waiting, self._later, self._failed)
+        self.sweep, self.tune = (page(session, self._worker.wait_idle, TABS_PX) for page in (SweepPage, TunePage))
 
     def _build_controls(self) -> None:
         session = self.session
@@ -170,11 +174,13 @@ class TuningPanel(widgets.VBox):
         self.strip = FilmStrip(self.session)
         self.tabs = tabs(pages_of(self))
         self.compare.follow(self.tabs)
+        on_front(self.tabs, {"Sweep": self.sweep.warm_up})
 
     # --- what the user does ---
 
     def _on_knob(self, path: str, value: Any) -> None:
         self._held = path
+        self.sweep.moved(path)
         try:
             changes = changed_by(self.session.config, path, value)
             self.status.guarded(lambda: self.session.set(label_of(path), Gesture(path, self.page.drag), **changes))
@@ -208,6 +214,8 @@ class TuningPanel(widgets.VBox):
         self.strip.show_config()
         self.overlay.refresh_groups()
         self.time.show_config()
+        self.sweep.show_config()
+        self.tune.show_config()
         self.clip.timeline.marked = [list(part) for part in config.infill.frames]
         self.history.show()
 
@@ -267,6 +275,7 @@ def pages_of(panel: TuningPanel) -> dict[str, widgets.Widget | None]:
         "Energy": panel.energy, "Stages": panel.stages.widget, "Diagnosis": panel.diagnosis.widget,
         "Curves": panel.clip.curves if panel.is_clip else None,
         "Methods": panel.time.methods if panel.time.is_clip else None,
+        "Sweep": panel.sweep, "Tune": panel.tune if panel.time.is_clip else None,
         "Compare": panel.compare, "Film strip": panel.strip, "Changes": panel.changes,
     }  # fmt: skip
 
