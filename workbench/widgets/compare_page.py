@@ -15,7 +15,7 @@ from workbench.widgets.head_view import HeadView
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.waiting import Job, Waiting
 
-SIZE = (232, 196)
+SIZE = (232, 146)
 NONE = "–"
 LEAST_SCALE_MM = 0.5
 """Smallest end of the scale of differences: less is noise."""
@@ -55,8 +55,9 @@ class ComparePage(widgets.VBox):
         for control in (*self.choices, self.color):
             control.observe(lambda _change: self._ask(), "value")
         self.captions = [widgets.HTML() for _ in self.choices]
+        cell = widgets.Layout(flex="0 0 auto", max_width=f"{SIZE[0] + 4}px")  # a longer caption goes on below
         self._cells = [
-            widgets.VBox([choice, widgets.VBox(), caption], layout=widgets.Layout(flex="0 0 auto"))
+            widgets.VBox([choice, widgets.VBox(), caption], layout=cell)
             for choice, caption in zip(self.choices, self.captions, strict=True)
         ]
         self.table = widgets.HTML(HINT)
