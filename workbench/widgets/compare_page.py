@@ -55,9 +55,8 @@ class ComparePage(widgets.VBox):
         for control in (*self.choices, self.color):
             control.observe(lambda _change: self._ask(), "value")
         self.captions = [widgets.HTML() for _ in self.choices]
-        cell = widgets.Layout(flex="0 0 auto", max_width=f"{SIZE[0] + 4}px")  # a longer caption goes on below
         self._cells = [
-            widgets.VBox([choice, widgets.VBox(), caption], layout=cell)
+            widgets.VBox([choice, widgets.VBox(), caption], layout=_as_wide_as_its_head())
             for choice, caption in zip(self.choices, self.captions, strict=True)
         ]
         self.table = widgets.HTML(HINT)
@@ -166,3 +165,8 @@ def caption_html(item: Compared, first: bool) -> str:
         return error
     apart = f"up to {item.apart_mm.max():.1f} mm, turned {item.turned_deg:.1f}°, moved {item.moved_mm:.0f} mm"
     return f"{error} · <span title='from the first: the surface, then the pose'>{html.escape(apart)}</span>"
+
+
+def _as_wide_as_its_head() -> widgets.Layout:
+    """A longer caption goes on below."""
+    return widgets.Layout(flex="0 0 auto", max_width=f"{SIZE[0] + 4}px")
