@@ -15,7 +15,7 @@ from workbench.widgets.head_view import HeadView
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.waiting import Job, Waiting
 
-SIZE = (232, 146)
+SIZE = (232, 132)
 NONE = "–"
 LEAST_SCALE_MM = 0.5
 """Smallest end of the scale of differences: less is noise."""
