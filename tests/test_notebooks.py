@@ -46,7 +46,7 @@ EXERCISES = (
     "09_deep_energies_on_one_frame",
     "13_optical_flow_and_infill",
 )
-MOST_SCREENS = {"01_face_it_step_by_step": 45}
+MOST_SCREENS = {"01_face_it_step_by_step": 35}
 """Of a window of 1366 × 768 pixels: the first paper from end to end, and `OTHER_SCREENS` for any other notebook."""
 OTHER_SCREENS = 15
 
