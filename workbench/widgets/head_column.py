@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Callable
+from functools import partial
 
 import ipywidgets as widgets
 import numpy as np
@@ -170,7 +171,8 @@ class HeadColumn:
     def _work_out(self, fit: FrameFit) -> None:
         key = self._key(fit)
         if self._spread is None or self._spread[0] != key:
-            with self._waiting.during("computing the uncertainty", cancel=self._use_skin, expected_s=FIRST_S):
+            stop = partial(self.color.set_trait, "value", COLORINGS[0])
+            with self._waiting.during("computing the uncertainty", cancel=stop, expected_s=FIRST_S):
                 try:
                     found = self._uncertainty(fit)
                 except WorkbenchError as error:
@@ -178,9 +180,6 @@ class HeadColumn:
             self._spread = key, found
         if not self._worker.newer():
             self._redraw()
-
-    def _use_skin(self) -> None:
-        self.color.value = COLORINGS[0]
 
     def _failed(self, error: Exception) -> None:
         self._say(f"{type(error).__name__}: {error}")
@@ -216,9 +215,8 @@ class HeadColumn:
             other = self._session.fit_frame(fit.index if len(self._session) > 1 else 0, config=config)
             # A separate model, because the other configuration may have another identity.
             model = self._head.model.personal(other.identity)
-            place = BESIDE_MM if beside else 0.0
             self._other = posed_vertices(model, other.expression, other.jaw, other.scale)
-            self.view.set_ghost(self._other + place, 1.0, outline=not beside)
+            self.view.set_ghost(self._other + BESIDE_MM * beside, 1.0, outline=not beside)
         self._compared = key
 
     def _comparisons(self) -> list[tuple[str, str]]:

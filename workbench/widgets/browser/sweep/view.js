@@ -10,7 +10,7 @@ import { paintMap } from "./map.js";
 import { middleOf, neighbour, plotOf, pointAt, readSweep, someOf } from "./places.js";
 import { factsOf } from "./words.js";
 
-const EMPTY = "Choose a setting and run: the curve grows here. Two settings make a map.";
+const EMPTY = "Choose a setting and run; two make a map.";
 
 function makePage(el) {
   const root = element(el, "div", "fw-sweep"), stage = element(root, "div", "fw-stage");
