@@ -178,7 +178,7 @@ def test_what_a_clip_has_chosen_is_shown_and_taken_as_one_step(page, screenshots
     page.page.screenshot(path=screenshots / "tune-result.png")
     pressed(page, "take", ".fw-tune")
     says(page, "Taken; undo brings back what was there.")
-    assert page.kernel_value("session.undo_label, session.config.weights.tau") == "('tuned: jitter + error', 0.2)"
+    assert page.kernel_value("(session.undo_label, session.config.weights.tau)") == "('tuned: jitter + error', 0.2)"
     page.ask_kernel("session.undo()")
 
 
