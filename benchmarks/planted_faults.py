@@ -296,6 +296,13 @@ def hand_before_the_mouth(rng, frame, config) -> FrameCase:
     return replace(case, observation=shot[index], shot=shot)
 
 
+def jump_aside(rng, frame, config) -> FrameCase:
+    """All points lie somewhere else for one frame, on another face or a poster, while the picture stays calm."""
+    index, points = frame(), clip().noisy(rng)
+    points[index] += rng.uniform(40.0, 70.0) * _direction(rng)
+    return case_at(index, points, config, pictures=clip().pictures)
+
+
 FAULTS: dict[str, tuple[str, Callable]] = {
     "swapped points": ("points_swapped", swapped),
     "shifted jaw": ("jaw_disagrees", shifted_jaw),
@@ -312,6 +319,7 @@ FAULTS: dict[str, tuple[str, Callable]] = {
     "out of focus": ("blurred_face", out_of_focus),
     "lights out": ("dark_face", lights_out),
     "hand before the mouth": ("occluded", hand_before_the_mouth),
+    "jump aside": ("jump", jump_aside),
 }
 """Fault → the code of the right reason, and what plants it."""
 

@@ -1,6 +1,7 @@
 """The chooser of material: samples, paths, errors in one sentence, one panel at a time."""
 
 import threading
+from datetime import UTC, datetime
 
 import cv2
 import ipywidgets as widgets
@@ -217,21 +218,25 @@ def decoded(preview):
 # --- a file that the browser sends ---
 
 
-def test_a_sent_photo_opens_and_is_removed_with_the_chooser(opener, landmark_file):
-    content = landmark_file.read_bytes()
-    sent = {"name": "C:\\faces\\three.csv", "type": "text/csv", "size": len(content), "content": memoryview(content)}
-    opener.upload.value = (sent,)
+def sent(name, content):
+    """A file as the browser sends it."""
+    told = {"name": name, "type": "", "size": len(content), "last_modified": datetime(2026, 1, 1, tzinfo=UTC)}
+    return told | {"content": memoryview(content)}
+
+
+def test_a_sent_file_opens_and_is_removed_with_the_chooser(opener, landmark_file):
+    opener.upload.value = (sent("C:\\faces\\three.csv", landmark_file.read_bytes()),)
     assert opener.wait_idle()
     assert opener.session.material.name == "three"
     assert len(opener.session) == 3
     path = opener.session.material.inputs[0]
-    assert path.read_bytes() == content
+    assert path.read_bytes() == landmark_file.read_bytes()
     opener.upload.close()
     assert not path.exists()
 
 
 def test_what_cannot_be_opened_or_is_too_large_is_refused(opener, tmp_path, monkeypatch):
-    opener.upload.value = ({"name": "notes.docx", "type": "", "size": 3, "content": memoryview(b"abc")},)
+    opener.upload.value = (sent("notes.docx", b"abc"),)
     assert "notes.docx is not a picture, a video or a landmark file" in opener.message.value
     monkeypatch.setattr(upload_module, "LARGEST_MB", 1e-6)
     with pytest.raises(InputError, match=r"face.png has .* send at most"):

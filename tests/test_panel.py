@@ -493,13 +493,16 @@ def test_the_head_and_the_fits_do_not_wait_for_a_slow_layer_of_the_picture(panel
     panel.overlay.layers["layer"].value = False
     panel.overlay.layers["layer"].value = True
     assert begun.wait(60)
-    assert "face" in panel.overlay.working.value
+    patience = time.monotonic() + 10.0
+    while "drawing the face" not in panel.waiting.said.value and time.monotonic() < patience:
+        time.sleep(0.02)
+    assert "drawing the face" in panel.waiting.said.value
     panel.head.color.value = "residual"
     assert panel._worker.wait_idle()
     assert shown_colors(panel)[0] == "values"
     go_on.set()
     assert panel.wait_idle()
-    assert panel.overlay.working.value == ""
+    assert "drawing the face" not in panel.waiting.said.value
     panel.overlay.layers["layer"].value = False
     panel.head.color.value = "skin"
 

@@ -412,6 +412,35 @@ def test_no_note_tells_that_programs_are_missing(small):
     assert not small.page.locator(".fw-unloaded").first.is_visible()
 
 
+def test_compared_heads_are_turned_together(small, screenshots):
+    small.ask_kernel("panel.turn('weights.sigma_smooth', 0.5)\npanel.go(60)\nready = panel.wait_idle(60)")
+    tab(small, "Compare")
+    becomes(small, "len(panel.compare.views) == 3 and bool(panel.compare.views[1].canvas._colors)", "True")
+    small.ask_kernel("before = list(panel.compare.views[0].canvas._viewpoint)")
+    place = small.page.locator(".fw-compare canvas").nth(1).bounding_box()
+    x, y = place["x"] + 0.5 * place["width"], place["y"] + 0.5 * place["height"]
+    small.page.mouse.move(x, y)
+    small.page.mouse.down()
+    small.page.mouse.move(x + 40, y, steps=4)
+    small.page.mouse.up()
+    becomes(small, "panel.compare.views[1].canvas._viewpoint != before", "True")
+    becomes(small, "len({tuple(view.canvas._viewpoint) for view in panel.compare.views})", "1")
+    small.page.screenshot(path=screenshots / "design-compare.png")
+    fold(small)
+
+
+def test_what_was_saved_is_downloaded(small):
+    small.page.keyboard.press("e")
+    small.ask_kernel("panel.file.value = 'mine.toml'")
+    button(small, "save settings").click()
+    small.page.get_by_text("to reproduce the numbers").wait_for(timeout=120_000)
+    with small.page.expect_download() as download:
+        button(small, "download").click()
+    assert download.value.suggested_filename == "mine.toml"
+    assert download.value.path().read_bytes() == (small.server.folder / "mine.toml").read_bytes()
+    small.page.keyboard.press("e")
+
+
 def test_nothing_failed_and_nothing_came_from_another_host(page):
     assert page.foreign_requests == []
     assert page.page_errors == []

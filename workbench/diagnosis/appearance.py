@@ -50,6 +50,9 @@ FACE: Bool[np.ndarray, "c c"] = _in_face()
 """Cells that lie in an average face."""
 PARTS: Mapping[str, Bool[np.ndarray, "c c"]] = {
     "mouth": FACE & (np.abs(PLACES[..., 0]) < 0.24) & (PLACES[..., 1] > 0.14) & (PLACES[..., 1] < 0.42),
+    "chin": FACE & (PLACES[..., 1] > 0.36),
+    "right_eye": FACE & (PLACES[..., 0] < -0.04) & (PLACES[..., 1] < -0.06),
+    "left_eye": FACE & (PLACES[..., 0] > 0.04) & (PLACES[..., 1] < -0.06),
     "lower_face": FACE & (PLACES[..., 1] > 0.1),
     "upper_face": FACE & (PLACES[..., 1] < -0.08),
     "right_side": FACE & (PLACES[..., 0] < -0.04),

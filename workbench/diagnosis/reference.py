@@ -103,7 +103,11 @@ class ShotReference:
 
     def fits(self, identity: Float[np.ndarray, "i"]) -> list[FrameFit]:
         """Independent fits of the frames with this identity."""
-        return [self._fitter.fit(frame, FrameContext(0, identity, None, None))[0] for frame in self._sound_frames]
+        return [self.fit(frame, identity) for frame in self._sound_frames]
+
+    def fit(self, frame: FrameObservation, identity: Float[np.ndarray, "i"]) -> FrameFit:
+        """The fit of a frame on its own, by a joint solve."""
+        return self._fitter.fit(frame, FrameContext(0, identity, None, None))[0]
 
     @cached_property
     def usual_fits(self) -> list[FrameFit]:

@@ -1,6 +1,5 @@
 """Two or three configurations side by side: the same frame from the same viewpoint, differences in mm, and metrics."""
 
-import html
 from collections.abc import Callable
 
 import ipywidgets as widgets
@@ -11,11 +10,11 @@ from workbench.session.comparing import Compared, against, compared
 from workbench.widgets.changes_page import NOW, START, comparison_html, configurations, metrics_under
 from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.head_backends import make_head_view
-from workbench.widgets.head_view import HeadView
+from workbench.widgets.head_view import HeadView, legend
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.waiting import Job, Waiting
 
-SIZE = (232, 132)
+SIZE = (176, 126)
 NONE = "–"
 LEAST_SCALE_MM = 0.5
 """Smallest end of the scale of differences: less is noise."""
@@ -42,7 +41,7 @@ class ComparePage(widgets.VBox):
         self._worker: LatestWins[int] = LatestWins(self._work, failed, "panel-compare")
         self.views: list[HeadView] = []
         self.choices = [
-            widgets.Dropdown(options=options, value=value, tooltip=tip, layout=widgets.Layout(width="140px"))
+            widgets.Dropdown(options=options, value=value, tooltip=tip, layout=widgets.Layout(width=f"{SIZE[0]}px"))
             for options, value, tip in (
                 ([NOW, START], NOW, "what the others are compared with"),
                 ([NOW, START, NONE], START, "a configuration"),
@@ -56,11 +55,13 @@ class ComparePage(widgets.VBox):
             control.observe(lambda _change: self._ask(), "value")
         self.captions = [widgets.HTML() for _ in self.choices]
         self._cells = [
-            widgets.VBox([choice, widgets.VBox(), caption], layout=_as_wide_as_its_head())
+            widgets.VBox(
+                [choice, widgets.VBox(), caption], layout=widgets.Layout(flex="0 0 auto", width=f"{SIZE[0] + 6}px")
+            )
             for choice, caption in zip(self.choices, self.captions, strict=True)
         ]
-        self.table = widgets.HTML(HINT)
-        beside = widgets.VBox([widgets.HBox([self.color, self.fit_all]), self.table])
+        self.table, self.scale = widgets.HTML(HINT), widgets.HTML()
+        beside = widgets.VBox([widgets.HBox([self.color, self.fit_all]), self.scale, self.table])
         beside.layout = widgets.Layout(flex="1 1 0", min_width="0", overflow="auto")
         super().__init__([widgets.HBox([*self._cells, beside])], layout=widgets.Layout(overflow="auto hidden"))
         self.add_class("fw-compare")
@@ -72,9 +73,9 @@ class ComparePage(widgets.VBox):
         tabs.observe(lambda change: self._front(change["new"] == place), "selected_index")
 
     def _front(self, is_open: bool) -> None:
-        self._open = is_open
         if is_open and not self.views:
             self._make_views()
+        self._open = is_open  # only now, because another thread may ask at any time
         self._ask()
 
     def show_frame(self, frame: int) -> None:
@@ -107,6 +108,7 @@ class ComparePage(widgets.VBox):
         self.views = [make_head_view(model, SIZE, self._backend) for _ in self.choices]
         for view, cell in zip(self.views, self._cells, strict=True):
             view.set_view("camera")
+            view.widget.children = view.widget.children[:1]  # one scale for all stands beside them
             cell.children = (cell.children[0], view.widget, cell.children[2])
         canvases = [view.canvas for view in self.views if hasattr(view, "canvas")]
         for canvas in canvases[1:]:
@@ -131,14 +133,15 @@ class ComparePage(widgets.VBox):
         first = fits[0]
         shown = [fit and against(self._session, fit, first) for fit in fits]
         high = max([LEAST_SCALE_MM, *(float(item.apart_mm.max()) for item in shown if item)])
+        colors = self.color.value and any(shown[1:])
+        self.scale.value = legend("distance from the first, mm", 0.0, high) if colors else ""
         for number, (view, item) in enumerate(zip(self.views, shown, strict=True)):
             self._cells[number].children[1].layout.visibility = "visible" if item else "hidden"
             self.captions[number].value = "" if item is None else caption_html(item, number == 0)
             if item is not None:
                 view.set_pose(first.rotation, first.translation, first.camera, first.image_size)
                 view.set_vertices(item.vertices, self._session.model.personal(item.fit.identity).neutral)
-                colored = self.color.value and number > 0
-                view.set_values(item.apart_mm if colored else None, 0.0, high, "distance, mm")
+                view.set_values(item.apart_mm if colors and number else None, 0.0, high, "distance, mm")
         self.show_table()
 
     def show_table(self) -> None:
@@ -163,10 +166,5 @@ def caption_html(item: Compared, first: bool) -> str:
     error = f"error <b>{item.fit.errors[2]:.1f} %</b>"
     if first:
         return error
-    apart = f"up to {item.apart_mm.max():.1f} mm, turned {item.turned_deg:.1f}°, moved {item.moved_mm:.0f} mm"
-    return f"{error} · <span title='from the first: the surface, then the pose'>{html.escape(apart)}</span>"
-
-
-def _as_wide_as_its_head() -> widgets.Layout:
-    """A longer caption goes on below."""
-    return widgets.Layout(flex="0 0 auto", max_width=f"{SIZE[0] + 4}px")
+    pose = f"pose: turned by {item.turned_deg:.1f}° and moved by {item.moved_mm:.0f} mm from the first"
+    return f"<span title='{pose}'>{error} · up to {item.apart_mm.max():.1f} mm</span>"

@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Callable
+from functools import partial
 
 import ipywidgets as widgets
 import numpy as np
@@ -41,9 +42,8 @@ class HeadColumn:
         uncertainty: Callable[[FrameFit], np.ndarray], waiting: Waiting, redraw: Callable[[], None],
         limit: Callable[[], float],
     ) -> None:  # fmt: skip
-        self._waiting = waiting
         self._session, self._head, self._size, self._limit = session, head, size, limit
-        self._uncertainty, self._redraw = uncertainty, redraw
+        self._uncertainty, self._waiting, self._redraw = uncertainty, waiting, redraw
         self._compared: tuple | None = None
         self._other: np.ndarray | None = None
         """Vertices of the compared fit."""
@@ -173,7 +173,8 @@ class HeadColumn:
     def _work_out(self, fit: FrameFit) -> None:
         key = self._key(fit)
         if self._spread is None or self._spread[0] != key:
-            with self._waiting.during("computing the uncertainty", cancel=self._use_skin, expected_s=FIRST_S):
+            stop = partial(self.color.set_trait, "value", COLORINGS[0])
+            with self._waiting.during("computing the uncertainty", cancel=stop, expected_s=FIRST_S):
                 try:
                     found = self._uncertainty(fit)
                 except WorkbenchError as error:
@@ -181,9 +182,6 @@ class HeadColumn:
             self._spread = key, found
         if not self._worker.newer():
             self._redraw()
-
-    def _use_skin(self) -> None:
-        self.color.value = COLORINGS[0]
 
     def _failed(self, error: Exception) -> None:
         self._say(f"{type(error).__name__}: {error}")
@@ -220,9 +218,8 @@ class HeadColumn:
             other = self._session.fit_frame(fit.index if len(self._session) > 1 else 0, config=config)
             # A separate model, because the other configuration may have another identity.
             model = self._head.model.personal(other.identity)
-            place = BESIDE_MM if beside else 0.0
             self._other = posed_vertices(model, other.expression, other.jaw, other.scale)
-            self.view.set_ghost(self._other + place, 1.0, outline=not beside)
+            self.view.set_ghost(self._other + BESIDE_MM * beside, 1.0, outline=not beside)
         self._compared = key
 
     def _comparisons(self) -> list[tuple[str, str]]:

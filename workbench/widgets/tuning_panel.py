@@ -139,15 +139,9 @@ class TuningPanel(widgets.VBox):
         self.overlay = LandmarkTools(session, head, self.say, self.waiting, self._redraw)
         self.scale = SharedScale(self.overlay.view, self.clip.timeline, self.overlay.in_percent, self._redraw)
         self.head = HeadColumn(
-            session,
-            head,
-            HEAD_SIZE,
-            backend,
-            self._diagnosing.uncertainty,
-            self.waiting,
-            self._redraw,
+            session, head, HEAD_SIZE, backend, self._diagnosing.uncertainty, self.waiting, self._redraw,
             lambda: self.scale.end,
-        )
+        )  # fmt: skip
         self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
         self.compare = ComparePage(session, backend, self.waiting, self._later, self._failed)
         self.sweep, self.tune = (page(session, self._worker.wait_idle, TABS_PX) for page in (SweepPage, TunePage))

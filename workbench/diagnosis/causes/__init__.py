@@ -11,7 +11,15 @@ from workbench.diagnosis.causes.groups import face_outside, group_biased, jaw_di
 from workbench.diagnosis.causes.motion import frozen_detector, low_flow_consistency, motion_blur
 from workbench.diagnosis.causes.order import mirrored_order, points_swapped
 from workbench.diagnosis.causes.person import wrong_focal, wrong_identity
-from workbench.diagnosis.causes.picture import blurred_face, covered, dark_face, jump, turned_away, unseen_cut
+from workbench.diagnosis.causes.picture import (
+    blurred_face,
+    covered,
+    dark_face,
+    jump,
+    pose_jump,
+    turned_away,
+    unseen_cut,
+)
 
 INPUT_CAUSES = (
     mirrored_order,
@@ -27,6 +35,7 @@ INPUT_CAUSES = (
     turned_away,
     unseen_cut,
     jump,
+    pose_jump,
     occluded,
     group_biased,
     jaw_disagrees,

@@ -28,6 +28,7 @@ SIDES = {
     "right_side": (*range(0, 8), *GROUPS["right_brow"], *GROUPS["right_eye"], 31, 32, 48, 49, 50, 58, 59, 60, 67),
     "left_side": (*range(9, 17), *GROUPS["left_brow"], *GROUPS["left_eye"], 34, 35, 52, 53, 54, 55, 56, 64, 65),
     "upper_face": (*GROUPS["brows"], *GROUPS["eyes"]),
+    "chin": range(5, 12),
     "lower_face": (*range(4, 13), *GROUPS["mouth"]),
 }
 """Larger parts of the face that an object may occlude."""

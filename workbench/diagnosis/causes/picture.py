@@ -4,19 +4,21 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
 
 from workbench.diagnosis.appearance import FACE, PARTS, FaceLook, UsualLook
 from workbench.diagnosis.causes.groups import HARDLY_SEEN, TITLES, muted, points_of
 from workbench.diagnosis.causes.motion import interpolated
+from workbench.diagnosis.flags import JUMP_DEG, JUMP_MM
 from workbench.diagnosis.reference import robust_similarity
 from workbench.diagnosis.trial import Finding, Trial, points_change
 from workbench.landmarks.shot_cuts import correlation, thumbnail_of
 
 SURPRISING = 1.6
 """Multiple of the usual colour difference above which a cell shows something else than the face; 0.5 is common."""
-COVERED_SHARE = (0.15, 0.8)
+COVERED_SHARE = (0.06, 0.8)
 """Share of the face's cells that is surprising: less is a wrinkle or an open mouth, more is not this face at all."""
-LEAST_OVERLAP, SURE_OVERLAP = 0.3, 0.5
+LEAST_OVERLAP, SURE_OVERLAP = 0.2, 0.5
 """Overlap (intersection over union) of the surprising cells with a part of the face from which it may be covered if
 the detector doubts it too, and from which it is in any case."""
 DOUBTFUL = 0.7
@@ -31,7 +33,6 @@ DIMMED = 0.6
 """Lightness relative to the shot's below which a face counts as dark."""
 TURNED_DEG, PROFILE_DEG = 40.0, 65.0
 """Yaw from which the far half of the face is foreshortened, and at which it is hidden."""
-BLURS = ("motion_blur", "blurred_face")
 CUT = 0.6
 """Correlation of consecutive pictures below which they show different scenes."""
 JUMP_PERCENT, UNUSUAL_JUMP = 4.0, 3.0
@@ -60,7 +61,8 @@ def covered(trial: Trial) -> Iterator[Finding]:
     slid = float(trial.relative_confidence[~mask].mean()) < DOUBTFUL
     part = PARTS[name] & surprising
     here, elsewhere = (float(np.median(usual.surprise(look)[cells])) for cells in (part, FACE & ~surprising))
-    change, fit = _uncovered(trial, usual, name, mask, title)
+    mask |= trial.relative_confidence < DOUBTFUL
+    change, fit = _uncovered(trial, usual, name, mask, slid)
     muted_points = mask if change.config else None
     evidence = (
         f"{100 * part.sum() / PARTS[name].sum():.0f} % of the {title} looks like in none of the frames around: its "
@@ -77,7 +79,9 @@ def covered(trial: Trial) -> Iterator[Finding]:
         before_percent=trial.error_percent(trial.fit, muted_points),
         after_percent=trial.error_percent(fit, muted_points),
         doubted=muted_points,
-        direct=0.985 if confidence.mean() < HARDLY_SEEN else float(np.interp(overlap, [0.3, 0.7], [0.55, 0.85])),
+        direct=0.985
+        if confidence.mean() < HARDLY_SEEN
+        else float(np.interp(overlap, [LEAST_OVERLAP, 0.7], [0.5, 0.85])),
         numbers={
             "covered_share": float(share),
             "overlap": overlap,
@@ -86,14 +90,7 @@ def covered(trial: Trial) -> Iterator[Finding]:
             "confidence": sure,
             "confidence_elsewhere": others,
         },
-        outranks=(
-            "doubted_part",
-            "group_biased",
-            "jaw_disagrees",
-            "low_flow_consistency",
-            "motion_blur",
-            "blurred_face",
-        ),
+        outranks=("doubted_part", "pose_jump", "group_biased", "jaw_disagrees", "low_flow_consistency"),
     )
 
 
@@ -113,6 +110,7 @@ def blurred_face(trial: Trial) -> Iterator[Finding]:
         f"of the grey levels, at equal size and contrast).",
         direct=float(np.interp(sharpness, [VERY_SOFT, SOFT], [0.9, 0.45])),
         numbers={"sharpness": sharpness},
+        outranks=("occluded", "doubted_part", "pose_jump"),
     )
 
 
@@ -136,7 +134,7 @@ def dark_face(trial: Trial) -> Iterator[Finding]:
         direct=max(absolute, 0.7 if dimmed else 0.0),
         numbers={"brightness": look.brightness, "usual_brightness": usually},
         lasts=not dimmed,
-        outranks=("occluded", "doubted_part"),
+        outranks=("occluded", "doubted_part", "pose_jump"),
     )
 
 
@@ -189,23 +187,13 @@ def jump(trial: Trial) -> Iterator[Finding]:
         return
     away = trial.points - 0.5 * (before.landmarks.points + after.landmarks.points)
     percent = float(trial.percent(np.linalg.norm(away, axis=1).mean()))
-    if percent < max(JUMP_PERCENT, UNUSUAL_JUMP * trial.reference.jump_percent):
-        return
-    moved = _picture_step(trial)
     steps = trial.points - before.landmarks.points
-    step, arrived = np.median(steps, axis=0), float(trial.percent(np.linalg.norm(steps, axis=1).mean()))
-    evidence = f"The points lie {percent:.1f} % of the eye distance from the middle of the adjacent frames'"
-    if arrived < percent:
-        yield _of_whole_face(
-            trial,
-            code="next_jumps",
-            title="The points of the next frame jump",
-            evidence=f"{evidence}, but only {arrived:.1f} % from the previous frame's: look at frame {after.index}.",
-            direct=0.5,
-            numbers={"jump_percent": percent, "step_percent": arrived},
-            lasts=True,
-        )
+    arrived = float(trial.percent(np.linalg.norm(steps, axis=1).mean()))
+    # Points that have hardly moved since the previous frame are where the next frame's jump away from.
+    if percent < max(JUMP_PERCENT, UNUSUAL_JUMP * trial.reference.jump_percent) or arrived < 0.5 * percent:
         return
+    moved, step = _picture_step(trial), np.median(steps, axis=0)
+    evidence = f"The points lie {percent:.1f} % of the eye distance from the middle of the adjacent frames'"
     if moved is not None and np.linalg.norm(moved - step) < CONFIRMED * np.linalg.norm(step):
         yield _of_whole_face(
             trial,
@@ -228,6 +216,36 @@ def jump(trial: Trial) -> Iterator[Finding]:
     )
 
 
+def pose_jump(trial: Trial) -> Iterator[Finding]:
+    """The head turns as no head does between the adjacent frames: here, or only from here to the next frame."""
+    before, after, identity = trial.case.before, trial.case.after, trial.case.context.identity
+    if before is None or after is None:
+        return
+    fits = [trial.reference.fit(frame, identity) for frame in (before, trial.case.observation, after)]
+    first, now, last = (Rotation.from_rotvec(np.array(fit.rotation)) for fit in fits)
+    turns = [(now * first.inv()).as_rotvec(degrees=True), (last * now.inv()).as_rotvec(degrees=True)]
+    places = np.array([fit.translation[:2] for fit in fits])
+    bend, swerve = float(np.linalg.norm(turns[1] - turns[0])), float(np.linalg.norm(np.diff(places, n=2, axis=0)))
+    above = max(bend / JUMP_DEG, swerve / JUMP_MM)
+    if above < 1.0:
+        return
+    arriving, leaving = (float(np.linalg.norm(turn)) for turn in turns)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    next_one = leaving > 1.5 * arriving if bend / JUMP_DEG == above else steps[1] > 1.5 * steps[0]
+    yield _of_whole_face(
+        trial,
+        code="pose_jump",
+        title="The pose of the next frame jumps" if next_one else "The pose jumps",
+        evidence=f"With each frame fitted on its own, the head turns by {arriving:.0f}° and moves by {steps[0]:.0f} mm "
+        f"from the previous frame to this one, and by {leaving:.0f}° and {steps[1]:.0f} mm to the next"
+        + (f": look at frame {after.index}." if next_one else "."),
+        direct=float(np.interp(above, [1.0, 3.0], [0.31, 0.38])),
+        numbers={"arriving_deg": arriving, "leaving_deg": leaving, "arriving_mm": steps[0], "leaving_mm": steps[1]},
+        lasts=next_one,
+        outranks=(),
+    )
+
+
 def _of_whole_face(
     trial: Trial,
     code: str,
@@ -236,7 +254,7 @@ def _of_whole_face(
     direct: float,
     numbers: dict[str, float],
     lasts: bool = False,
-    outranks: tuple[str, ...] = ("doubted_part",),
+    outranks: tuple[str, ...] = ("doubted_part", "pose_jump"),
 ) -> Finding:
     """A finding that doubts every point, with those of the adjacent frames as its change if they fit better.
 
@@ -261,8 +279,11 @@ def _of_whole_face(
     )
 
 
-def _uncovered(trial: Trial, usual: UsualLook, name: str, mask: Bool[np.ndarray, "68"], title: str):
-    """The part's points moved along with the rest from the nearest frame where nothing covers it, and the fit."""
+def _uncovered(trial: Trial, usual: UsualLook, name: str, mask: Bool[np.ndarray, "68"], slid: bool):
+    """The hidden points from the nearest frame where nothing covers the part, moved along with the rest, and the fit.
+
+    Where the rest has `slid` too, they stay where they were.
+    """
     index = trial.case.observation.index
     clear = [k for k, look in usual.looks.items() if not _covers(usual, look, name)]
     nearest = min(clear, key=lambda k: abs(k - index), default=None)
@@ -270,13 +291,13 @@ def _uncovered(trial: Trial, usual: UsualLook, name: str, mask: Bool[np.ndarray,
         change = muted(name)
         return change, trial.refit(change)
     source = trial.observation_at(nearest).landmarks.points
-    places = robust_similarity(source, trial.points).to_image(source)
-    change = points_change(f"Take the points of the {title} from frame {nearest}", places, mask)
+    places = source if slid else robust_similarity(source, trial.points).to_image(source)
+    change = points_change(f"Take the hidden points from frame {nearest}", places, mask)
     return change, trial.refit(change)
 
 
 def _covers(usual: UsualLook, look: FaceLook, name: str) -> bool:
-    return float((usual.surprise(look) > SURPRISING)[PARTS[name]].mean()) > LEAST_OVERLAP
+    return float((usual.surprise(look) > SURPRISING)[PARTS[name]].mean()) > SURE_OVERLAP
 
 
 def _overlap(surprising: Bool[np.ndarray, "c c"], part: Bool[np.ndarray, "c c"]) -> float:
