@@ -10,15 +10,14 @@ import ipywidgets as widgets
 import numpy as np
 import pytest
 
-from tests.scenes import IMAGE_SIZE, make_scene
+from tests.scenes import turning_clip
 from workbench.config import Config, preset
 from workbench.errors import InputError
 from workbench.export import export_track
-from workbench.session import Material, TuningSession
+from workbench.session import TuningSession
 from workbench.session.comparing import surface
 from workbench.session.knob_words import WORDS, plain_words
 from workbench.session.knobs import KNOBS
-from workbench.session.material import PictureStore
 from workbench.session.performance import performance_commands, performance_track
 from workbench.widgets import TuningPanel, panel_page
 from workbench.widgets.controls import Controls
@@ -34,9 +33,7 @@ FRAMES = 9
 
 @pytest.fixture(scope="module")
 def clip(head):
-    scenes = [make_scene(head, (2.0 * k - 8.0, 0, 0), {"jawOpen": 0.05 * k}) for k in range(FRAMES)]
-    observations = tuple(scene.observation(k, noise_px=0.4) for k, scene in enumerate(scenes))
-    return Material("clip", observations, PictureStore(None, [IMAGE_SIZE] * FRAMES), stills=False)
+    return turning_clip(head, FRAMES, -8.0)
 
 
 @pytest.fixture(scope="module")

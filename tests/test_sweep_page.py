@@ -5,11 +5,10 @@ import threading
 import numpy as np
 import pytest
 
-from tests.scenes import IMAGE_SIZE, make_scene
+from tests.scenes import turning_clip
 from workbench.config import preset
 from workbench.errors import InputError
-from workbench.session import Material, TuningSession
-from workbench.session.material import PictureStore
+from workbench.session import TuningSession
 from workbench.session.sweep_settings import found_setting, place_among, sweep_settings, value_at
 from workbench.session.sweeping import in_groups
 from workbench.sweeps import config_at, points_of, read_axis
@@ -22,9 +21,7 @@ CONFIG = preset("joint").changed(identity={"calibrate": False})
 
 @pytest.fixture(scope="module")
 def clip(head):
-    scenes = [make_scene(head, (2.0 * k - 6.0, 0, 0), {"jawOpen": 0.05 * k}) for k in range(FRAMES)]
-    observations = tuple(scene.observation(k, noise_px=0.4) for k, scene in enumerate(scenes))
-    return Material("clip", observations, PictureStore(None, [IMAGE_SIZE] * FRAMES), stills=False)
+    return turning_clip(head, FRAMES, -6.0)
 
 
 @pytest.fixture(scope="module")

@@ -16,11 +16,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter
-from workbench.tracking.fitting import never
-
-
-def silent(step: str, done: int, total: int) -> None:
-    """A progress callback that does nothing."""
+from workbench.tracking.fitting import never, silent
 
 
 def diagnose_frame(

@@ -6,10 +6,9 @@ from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Float
 
-from workbench.arrays import AnyArray
+from workbench.arrays import AnyArray, shapes_of
 from workbench.config import Config, parse_config
 from workbench.errors import ConfigError
 from workbench.geometry import Camera
@@ -63,10 +62,8 @@ def compiled_slope(
 
     It is compiled while other programs may run, so that a panel beside it goes on.
     """
-    leaves, tree = jax.tree.flatten((logs, example))
-    shapes = tuple(jax.ShapeDtypeStruct(np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves)
     text = config.model_dump_json(exclude={"provenance"})
-    return _compiled(text, tuple(objectives.factors.items()), image_size, tree, shapes)
+    return _compiled(text, tuple(objectives.factors.items()), image_size, *shapes_of((logs, example)))
 
 
 @lru_cache(maxsize=2)

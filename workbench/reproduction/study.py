@@ -22,13 +22,10 @@ from workbench.pipeline import Progress
 from workbench.plots import LIGHT, Picture, on_page
 from workbench.reading import checked_content, checked_json, reading
 from workbench.reproduction.items import ITEMS, Item
+from workbench.tracking.fitting import silent
 
 RESULT = "result.json"
 FIGURE_DPI = 160
-
-
-def silent(step: str, done: int, total: int | None) -> None:
-    """Progress that nobody watches."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 from workbench.config import Config
 from workbench.diagnosis import Diagnosis, FrameCase, ShotReference, diagnose_frame, reference_of
-from workbench.diagnosis.diagnose import silent
 from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.planning import plan_of
@@ -13,7 +12,7 @@ from workbench.session.clip_run import Run
 from workbench.session.material import Cancelled, Material, Progress
 from workbench.session.observed_frames import ObservedFrames
 from workbench.tracking import FaceItFitter
-from workbench.tracking.fitting import FrameProblem, never
+from workbench.tracking.fitting import FrameProblem, never, silent
 
 
 class Diagnosing:

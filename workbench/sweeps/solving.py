@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from workbench.arrays import shapes_of
 from workbench.config import Config
 from workbench.errors import ConfigError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
@@ -249,13 +250,12 @@ def _solve_block(jobs: Sequence[ChainJob], method: Method, terms: tuple[str, ...
 def _program_for(arguments: tuple[Chain, ChainState, ChainFrames], method: Method, terms: tuple[str, ...]):
     """The compiled program for arguments of these shapes. It is compiled while other programs may run, so that a panel
     beside it goes on."""
-    leaves, tree = jax.tree.flatten(jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), arguments))
-    return _compiled(tree, tuple(leaves), method, terms)
+    return _compiled(*shapes_of(arguments), method, terms)
 
 
 @lru_cache(maxsize=4)
-def _compiled(tree, leaves: tuple[jax.ShapeDtypeStruct, ...], method: Method, terms: tuple[str, ...]):
-    return solve_chains.lower(*jax.tree.unflatten(tree, leaves), method, terms).compile()
+def _compiled(tree, shapes: tuple[jax.ShapeDtypeStruct, ...], method: Method, terms: tuple[str, ...]):
+    return solve_chains.lower(*jax.tree.unflatten(tree, shapes), method, terms).compile()
 
 
 def _block_of(frames: ChainFrames, start: int, used: bool) -> ChainFrames:

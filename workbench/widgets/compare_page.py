@@ -25,7 +25,7 @@ class ComparePage(widgets.VBox):
     """Heads of the shown frame under up to three configurations, and their metrics over the clip.
 
     The first is what the others are coloured by: their distance from it, without the pose. Nothing is fitted or drawn
-    until the page is in front (`follow`). `later` is called with slow jobs, `failed` with errors.
+    until the page is in front (`turned`). `later` is called with slow jobs, `failed` with errors.
     """
 
     def __init__(
@@ -67,15 +67,11 @@ class ComparePage(widgets.VBox):
         self.add_class("fw-compare")
         self.refresh()
 
-    def follow(self, tabs: widgets.Tab) -> None:
-        """Work only while this page of `tabs` is in front."""
-        place = tabs.children.index(self)
-        tabs.observe(lambda change: self._front(change["new"] == place), "selected_index")
-
-    def _front(self, is_open: bool) -> None:
-        if is_open and not self.views:
+    def turned(self, is_front: bool) -> None:
+        """Work only while the page is in front."""
+        if is_front and not self.views:
             self._make_views()
-        self._open = is_open  # only now, because another thread may ask at any time
+        self._open = is_front  # only now, because another thread may ask at any time
         self._ask()
 
     def show_frame(self, frame: int) -> None:
@@ -127,7 +123,7 @@ class ComparePage(widgets.VBox):
     def _work(self, frame: int) -> None:
         chosen = self._chosen()
         with self._waiting.during("fitting the frame for comparison", cancel=self._leave) as job:
-            fits = [chosen and compared(self._session, frame, chosen[1], job.cancelled) for chosen in chosen]
+            fits = [one and compared(self._session, frame, one[1], job.cancelled) for one in chosen]
         if self._worker.newer() or not all(fit.found for fit in fits if fit):
             return
         first = fits[0]

@@ -148,6 +148,14 @@ def one_row() -> widgets.Layout:
     return widgets.Layout(align_items="center", flex="0 0 auto", width="auto")
 
 
+def beside(rows: Sequence[widgets.Widget], width_px: int, view: widgets.Widget) -> list[widgets.Widget]:
+    """Rows of controls of a fixed width, and a view that takes what is left."""
+    return [
+        widgets.VBox(rows, layout=widgets.Layout(flex=f"0 0 {width_px}px", overflow="hidden auto")),
+        widgets.VBox([view], layout=widgets.Layout(flex="1 1 0", min_width="0")),
+    ]
+
+
 def group(*parts: widgets.Widget, name: str = "") -> widgets.Widget:
     """Controls that belong together, with space after them; `name` is a class besides."""
     made = in_line(*parts)
@@ -176,12 +184,13 @@ def tabs(pages: Mapping[str, widgets.Widget | None]) -> widgets.Tab:
     return classed(widgets.Tab(children=list(there.values()), titles=list(there)), "fw-pages")
 
 
-def on_front(pages: widgets.Tab, callbacks: Mapping[str, Callable[[], None]]) -> None:
-    """Call the callback of a page, by its title, each time it is brought to the front."""
+def on_turn(pages: widgets.Tab, callbacks: Mapping[str, Callable[[bool], None]]) -> None:
+    """Each time another page comes to the front, tell pages by their titles whether they are the one."""
 
     def turned(change) -> None:
-        if change["new"] is not None:
-            callbacks.get(pages.titles[change["new"]], lambda: None)()
+        front = None if change["new"] is None else pages.titles[change["new"]]
+        for title, callback in callbacks.items():
+            callback(title == front)
 
     pages.observe(turned, "selected_index")
 

@@ -14,8 +14,8 @@ from workbench.session.sweep_settings import SweepSetting, place_among, sweep_se
 from workbench.sweeps import Point, SweepResult, config_at
 from workbench.sweeps.space import shown
 from workbench.widgets.controls import small_button
-from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import classed, one_row
+from workbench.widgets.page_work import PageWork
+from workbench.widgets.panel_layout import beside, classed, one_row
 from workbench.widgets.setting_range import SettingRange
 from workbench.widgets.status_line import StatusLine
 from workbench.widgets.sweep_view import SweepView
@@ -24,10 +24,8 @@ CHEAP = ("error", "jitter", "iterations")
 """Objectives that cost nothing besides the fits: they are measured each time, so that one can look at the others."""
 FRAMES, VALUES, VALUES_OF_SECOND = 60, 15, 7
 CONTROLS_PX = 520
-GIVE_WAY_S = 2.0
-"""Longest wait for what the rest of the panel computes, between two groups of points."""
 CHANGED = "<span style='opacity:.7'>Other settings have changed since then; run it again.</span>"
-WARM, STOP = "warm", "stop"
+WARM = "warm"
 
 
 @dataclass(frozen=True)
@@ -47,13 +45,16 @@ class SweepPage(widgets.HBox):
     """
 
     def __init__(self, session: TuningSession, give_way: Callable[[float], object], height_px: int) -> None:
-        self._session, self._give_way = session, give_way
+        self._session = session
         self._settings: tuple[SweepSetting, ...] = ()
         self.result: SweepResult | None = None
         self._asked: Asked | None = None
         self._began, self._chosen = 0.0, False
         self.said, self.note = StatusLine(), widgets.HTML()
-        self._worker: LatestWins[Asked | str] = LatestWins(self._work, self._failed, "panel-sweep")
+        self._jobs: PageWork[Asked | str] = PageWork(
+            self._work, self.said, give_way, "panel-sweep", "stop; what is known stays", "Stopped; what is known stays."
+        )
+        self.stop, self.progress = self._jobs.stop, self._jobs.progress
         self.view = SweepView(height_px - 12)
         self.view.on_pick(self.take)
         self._build_controls()
@@ -62,9 +63,7 @@ class SweepPage(widgets.HBox):
             widgets.HBox([self.objective, self.frames, widgets.Label("frames"), self.go, self.stop], layout=one_row()),
             self.progress, self.said, self.note,
         ]  # fmt: skip
-        left = widgets.VBox(rows, layout=widgets.Layout(flex=f"0 0 {CONTROLS_PX}px", overflow="hidden auto"))
-        right = widgets.VBox([self.view], layout=widgets.Layout(flex="1 1 0", min_width="0"))
-        super().__init__([left, right], layout=widgets.Layout(height=f"{height_px}px"))
+        super().__init__(beside(rows, CONTROLS_PX, self.view), layout=widgets.Layout(height=f"{height_px}px"))
         classed(self, "fw-sweeps")
         self.show_config()
         self._explain()
@@ -81,19 +80,19 @@ class SweepPage(widgets.HBox):
 
     def wait_idle(self, timeout_s: float | int) -> bool:
         """Wait for the sweep; False if it takes longer."""
-        return self._worker.wait_idle(timeout_s)
+        return self._jobs.wait_idle(timeout_s)
 
     def close(self) -> None:
         """Stop the sweep and its thread."""
-        self._worker.close()
+        self._jobs.close()
         super().close()
 
     # --- what the panel tells ---
 
-    def warm_up(self) -> None:
-        """Compile what a sweep needs, because the page is looked at."""
-        if self.result is None:
-            self._worker.submit(WARM)
+    def turned(self, is_front: bool) -> None:
+        """Once the page is looked at, compile what a sweep needs."""
+        if is_front and self.result is None:
+            self._jobs.submit(WARM)
 
     def moved(self, path: str) -> None:
         """A slider was moved: until a setting is chosen here, it is the one to sweep."""
@@ -139,10 +138,6 @@ class SweepPage(widgets.HBox):
         )  # fmt: skip
         self.go = small_button("run", "fit the frames at every value", "primary")
         self.go.on_click(lambda _button: self.run())
-        self.stop = small_button("stop", "stop; what is known stays")
-        self.stop.on_click(lambda _button: self._worker.submit(STOP))
-        self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="100%", height="6px", margin="2px 0"))
-        self.progress.layout.visibility = "hidden"
 
     def _measurable(self) -> list[str]:
         """The objectives that need no truth, nor another camera."""
@@ -173,7 +168,7 @@ class SweepPage(widgets.HBox):
         if not chosen:
             raise ConfigError("Choose a setting first: type words such as steady, lens or jaw.")
         names = tuple(choice.setting.words for choice, _ in chosen)
-        self._worker.submit(Asked(tuple(axis for _, axis in chosen), names, self.objective.value, self.frames.value))
+        self._jobs.submit(Asked(tuple(axis for _, axis in chosen), names, self.objective.value, self.frames.value))
 
     def _take(self, number: int) -> None:
         point = self.result.points[number]
@@ -184,32 +179,22 @@ class SweepPage(widgets.HBox):
     # --- work, in the thread of the page ---
 
     def _work(self, asked: Asked | str) -> None:
-        if asked == STOP:
-            self.said.say("Stopped; what is known stays.")
-            return
         if asked == WARM:
             tolerance = self._session.config.solver.tolerance
             self._session.sweep(f"solver.tolerance={tolerance!r}", objectives=("error",), frames=1)
             return
         self._asked, self._began = asked, time.monotonic()
-        self.note.value, self.progress.value, self.progress.layout.visibility = "", 0, "visible"
+        self.note.value = ""
         self.said.say("sweeping …")
         objectives = tuple(dict.fromkeys((asked.objective, *CHEAP)))
-        try:
+        with self._jobs.shown():
             found = self._session.sweep(
                 asked.settings, objectives=objectives, frames=asked.frames,
-                progress=self._told, cancelled=self._stopped, grown=self._grown,
+                progress=self._told, cancelled=self._jobs.stopping, grown=self._grown,
             )  # fmt: skip
-        finally:
-            self.progress.layout.visibility = "hidden"
         if len(found.values) == len(found.points):
             seconds = time.monotonic() - self._began
             self.said.say(f"{conclusion(found, asked.objective, self._settings)} ({seconds:.1f} s)")
-
-    def _stopped(self) -> bool:
-        """Asked before each group of points: first the panel gets its turn."""
-        self._give_way(GIVE_WAY_S)
-        return self._worker.newer()
 
     def _told(self, _step: str, done: int, total: int | None) -> None:
         self.progress.max, self.progress.value = total or done, done
@@ -229,10 +214,6 @@ class SweepPage(widgets.HBox):
             return None
         (axis,) = self.result.axes
         return place_among(axis.values, value_at(self._session.config, axis.path), axis.scale == "log")
-
-    def _failed(self, error: Exception) -> None:
-        self.progress.layout.visibility = "hidden"
-        self.said.failed(error)
 
 
 def progress_text(done: int, total: int, seconds: float) -> str:

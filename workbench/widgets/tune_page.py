@@ -20,8 +20,8 @@ from workbench.session.parts import read_parts
 from workbench.session.sweep_settings import value_at
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.controls import small_button, toggle
-from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import classed, one_row, wrapped
+from workbench.widgets.page_work import PageWork
+from workbench.widgets.panel_layout import beside, classed, one_row, wrapped
 from workbench.widgets.status_line import StatusLine
 
 OBJECTIVES = ("left-out-parts", "left-out-points", "left-out-frames", "jitter + error", "error", "jitter")
@@ -30,9 +30,7 @@ POINT_WORDS = "68 point weights"
 USUAL = ("weights.tau", "weights.sigma_smooth")
 STEPS, MOST_STEPS = 12, 200
 CONTROLS_PX = 620
-GIVE_WAY_S = 2.0
 LEARNED_ON, HELD_OUT = "frames it learns on", "held-out frames"
-STOP = "stop"
 
 
 @dataclass(frozen=True)
@@ -50,11 +48,14 @@ class TunePage(widgets.HBox):
     """The page of tuning. `give_way` waits up to some seconds until the panel's own work is done."""
 
     def __init__(self, session: TuningSession, give_way: Callable[[float], object], height_px: int) -> None:
-        self._session, self._give_way = session, give_way
+        self._session = session
         self.result: Tuned | None = None
         self._values: list[tuple[float, float]] = []
         self.said, self.words = StatusLine(), classed(StatusLine(), "fw-one-line")
-        self._worker: LatestWins[Asked | str] = LatestWins(self._work, self._failed, "panel-tune")
+        self._jobs: PageWork[Asked] = PageWork(
+            self._work, self.said, give_way, "panel-tune", "stop; the best so far is judged"
+        )
+        self.stop, self.progress = self._jobs.stop, self._jobs.progress
         self.chart = ChartView(height_px=height_px - 38, title="")
         self._build_controls()
         rows = [
@@ -67,9 +68,7 @@ class TunePage(widgets.HBox):
             ),
             self.progress, self.said,
         ]  # fmt: skip
-        left = widgets.VBox(rows, layout=widgets.Layout(flex=f"0 0 {CONTROLS_PX}px", overflow="hidden auto"))
-        right = widgets.VBox([self.chart], layout=widgets.Layout(flex="1 1 0", min_width="0"))
-        super().__init__([left, right], layout=widgets.Layout(height=f"{height_px}px"))
+        super().__init__(beside(rows, CONTROLS_PX, self.chart), layout=widgets.Layout(height=f"{height_px}px"))
         self.add_class("fw-tune")
         self._explain()
         self.show_config()
@@ -83,11 +82,11 @@ class TunePage(widgets.HBox):
 
     def wait_idle(self, timeout_s: float | int) -> bool:
         """Wait for the tuning; False if it takes longer."""
-        return self._worker.wait_idle(timeout_s)
+        return self._jobs.wait_idle(timeout_s)
 
     def close(self) -> None:
         """Stop the tuning and its thread."""
-        self._worker.close()
+        self._jobs.close()
         super().close()
 
     def show_config(self) -> None:
@@ -117,14 +116,10 @@ class TunePage(widgets.HBox):
         )
         self.go = small_button("tune", "follow the gradient through the solver", "primary")
         self.go.on_click(lambda _button: self.run())
-        self.stop = small_button("stop", "stop; the best so far is judged")
-        self.stop.on_click(lambda _button: self._worker.submit(STOP))
         self.take = small_button("take", "use what was learned; undo brings back what was there", "success")
         self.take.on_click(lambda _button: self.said.guarded(self._take))
         self.leave = small_button("leave", "forget it; nothing changes")
         self.leave.on_click(lambda _button: self._leave())
-        self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="100%", height="6px", margin="2px 0"))
-        self.progress.layout.visibility = "hidden"
 
     def _explain(self) -> None:
         rows = [TABLE[name] for name in read_sum(self.objective.value).names]
@@ -141,7 +136,7 @@ class TunePage(widgets.HBox):
         if not learn:
             raise ConfigError("Choose what to learn first, such as steady head.")
         parts = parts_texts(self.train.value, self.held_out.value)
-        self._worker.submit(Asked(self.objective.value, learn, parts, self.steps.value))
+        self._jobs.submit(Asked(self.objective.value, learn, parts, self.steps.value))
 
     def _take(self) -> None:
         changes = learned_changes(self.result)
@@ -159,28 +154,18 @@ class TunePage(widgets.HBox):
 
     # --- work, in the thread of the page ---
 
-    def _work(self, asked: Asked | str) -> None:
-        if asked == STOP:
-            return
+    def _work(self, asked: Asked) -> None:
         self._show_result(None)
         self._values = []
         self.chart.set_series(np.zeros(0), {})
-        self.progress.max, self.progress.value, self.progress.layout.visibility = asked.steps, 0, "visible"
         self.said.say("getting ready …")
-        try:
+        with self._jobs.shown(asked.steps):
             found = self._session.tune(
                 asked.objective, asked.learn, **asked.parts, steps=asked.steps,
-                progress=self._told, cancelled=self._stopped,
+                progress=self._told, cancelled=self._jobs.stopping,
             )  # fmt: skip
-        finally:
-            self.progress.layout.visibility = "hidden"
         self._show_result(found)
         self.said.say(conclusion(found))
-
-    def _stopped(self) -> bool:
-        """Asked before each step: first the panel gets its turn."""
-        self._give_way(GIVE_WAY_S)
-        return self._worker.newer()
 
     def _told(self, _what: str, done: int, total: int, value: float, watched: float | None) -> None:
         self._values.append((value, np.nan if watched is None else watched))
@@ -192,10 +177,6 @@ class TunePage(widgets.HBox):
         self.progress.value = done
         last = "judging it on all frames …" if done == total else ""
         self.said.say(f"step {done} of {total} {last}".strip())
-
-    def _failed(self, error: Exception) -> None:
-        self.progress.layout.visibility = "hidden"
-        self.said.failed(error)
 
 
 def learnable(config: Config) -> tuple[str, ...]:

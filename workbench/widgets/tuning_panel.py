@@ -24,7 +24,7 @@ from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.iterations import Iterations
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import arranged, classed, on_front, style_sheet, tabs, unloaded_note
+from workbench.widgets.panel_layout import arranged, classed, on_turn, style_sheet, tabs, unloaded_note
 from workbench.widgets.panel_page import PanelPage
 from workbench.widgets.shared_scale import SharedScale
 from workbench.widgets.slow_jobs import SlowJobs
@@ -167,8 +167,7 @@ class TuningPanel(widgets.VBox):
 
         self.strip = FilmStrip(self.session)
         self.tabs = tabs(pages_of(self))
-        self.compare.follow(self.tabs)
-        on_front(self.tabs, {"Sweep": self.sweep.warm_up})
+        on_turn(self.tabs, {"Compare": self.compare.turned, "Sweep": self.sweep.turned})
 
     # --- what the user does ---
 

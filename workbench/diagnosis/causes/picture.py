@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from workbench.diagnosis.appearance import FACE, PARTS, FaceLook, UsualLook
-from workbench.diagnosis.causes.groups import HARDLY_SEEN, TITLES, muted, points_of
+from workbench.diagnosis.causes.groups import HARDLY_SEEN, mask_of, muted, title_of
 from workbench.diagnosis.causes.motion import interpolated
 from workbench.diagnosis.flags import JUMP_DEG, JUMP_MM
 from workbench.diagnosis.reference import robust_similarity
@@ -47,10 +47,11 @@ def covered(trial: Trial) -> Iterator[Finding]:
     look, usual = trial.look, trial.usual_look
     if look is None or usual is None:
         return
-    surprising = (usual.surprise(look) > SURPRISING) & FACE
+    surprise = usual.surprise(look)
+    surprising = (surprise > SURPRISING) & FACE
     share = surprising.sum() / FACE.sum()
     name, overlap = max(((name, _overlap(surprising, part)) for name, part in PARTS.items()), key=lambda pair: pair[1])
-    mask, title = np.isin(np.arange(68), points_of(name)), TITLES.get(name, name.replace("_", " "))
+    mask, title = mask_of(name), title_of(name)
     confidence = trial.case.observation.landmarks.confidence
     sure, others = float(confidence[mask].mean()), float(confidence[~mask].mean())
     doubts = float(trial.relative_confidence[mask].mean()) < DOUBTFUL
@@ -60,7 +61,7 @@ def covered(trial: Trial) -> Iterator[Finding]:
     # Where all points are in doubt they may have slid, and with them the part that is named.
     slid = float(trial.relative_confidence[~mask].mean()) < DOUBTFUL
     part = PARTS[name] & surprising
-    here, elsewhere = (float(np.median(usual.surprise(look)[cells])) for cells in (part, FACE & ~surprising))
+    here, elsewhere = (float(np.median(surprise[cells])) for cells in (part, FACE & ~surprising))
     mask |= trial.relative_confidence < DOUBTFUL
     change, fit = _uncovered(trial, usual, name, mask, slid)
     muted_points = mask if change.config else None
@@ -70,6 +71,9 @@ def covered(trial: Trial) -> Iterator[Finding]:
     )
     if doubts:
         evidence += f"; the detector's confidence there is {sure:.2f}, elsewhere {others:.2f}"
+    direct = float(np.interp(overlap, [LEAST_OVERLAP, 0.7], [0.5, 0.85]))
+    if confidence.mean() < HARDLY_SEEN:
+        direct = 0.985
     yield Finding(
         code="occluded",
         title="Something covers a part of the face" if slid else f"Something covers the {title}",
@@ -79,9 +83,7 @@ def covered(trial: Trial) -> Iterator[Finding]:
         before_percent=trial.error_percent(trial.fit, muted_points),
         after_percent=trial.error_percent(fit, muted_points),
         doubted=muted_points,
-        direct=0.985
-        if confidence.mean() < HARDLY_SEEN
-        else float(np.interp(overlap, [LEAST_OVERLAP, 0.7], [0.5, 0.85])),
+        direct=direct,
         numbers={
             "covered_share": float(share),
             "overlap": overlap,

@@ -1,5 +1,5 @@
+import { paintGrid } from "../chart/lines.js";
 import { LEFT, TOP, rangeOf, scaleOf } from "../chart/scale.js";
-import { linearTicks, words } from "../chart/ticks.js";
 import { middleOf } from "./places.js";
 
 export const BLUE = "#0072B2", RED = "#D55E00";
@@ -10,7 +10,7 @@ export function paintCurve(context, sweep, plot, theme) {
   const scale = scaleOf(rangeOf([0, 1], [mean, low, high], false), plot.width, plot.height, false);
   const there = [...mean.keys()].filter((k) => Number.isFinite(mean[k]));
   const x = (k) => LEFT + middleOf(k, across, plot.width);
-  paintLevels(context, scale, plot, theme);
+  paintGrid(context, scale, theme);
   if (sweep.now !== null) paintNow(context, x(sweep.now), plot, theme);
   context.fillStyle = BLUE;
   context.globalAlpha = 0.22;
@@ -32,17 +32,6 @@ function paintDot(context, x, y, radius) {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
   context.fill();
-}
-
-function paintLevels(context, scale, plot, theme) {
-  context.textAlign = "right";
-  context.textBaseline = "middle";
-  for (const tick of linearTicks(scale.range.low, scale.range.high, Math.max(2, Math.floor(plot.height / 28)))) {
-    context.fillStyle = theme.grid;
-    context.fillRect(LEFT, Math.round(scale.toLevel(tick)), plot.width, 1);
-    context.fillStyle = theme.muted;
-    context.fillText(words(+tick.toPrecision(10)), LEFT - 5, scale.toLevel(tick));
-  }
 }
 
 function paintNow(context, x, plot, theme) {

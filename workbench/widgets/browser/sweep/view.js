@@ -1,7 +1,7 @@
 // What a sweep knows so far: a curve or a map on one canvas; the point under mouse or keys, which moves, on another.
 import { BOTTOM, LEFT, TOP } from "../chart/scale.js";
 import { bytesOf } from "../shared/bytes.js";
-import { cleared, element } from "../shared/canvas.js";
+import { cleared, element, makeStage } from "../shared/canvas.js";
 import { follow, followSize, followTheme, listen } from "../shared/following.js";
 import { onDemand } from "../shared/painting.js";
 import { themeOf } from "../shared/theme.js";
@@ -13,13 +13,7 @@ import { factsOf } from "./words.js";
 const EMPTY = "Choose a setting and run; two make a map.";
 
 function makePage(el) {
-  const root = element(el, "div", "fw-sweep"), stage = element(root, "div", "fw-stage");
-  const plot = element(stage, "canvas", "fw-plot"), over = element(stage, "canvas", "fw-cursor");
-  const hoverBox = element(stage, "div", "fw-hover");
-  hoverBox.hidden = true;
-  stage.tabIndex = 0;
-  stage.setAttribute("role", "application");
-  root.dataset.lmSuppressShortcuts = "true";
+  const root = element(el, "div", "fw-sweep"), { stage, drawn: plot, over, hoverBox } = makeStage(root, "fw-plot");
   return { root, stage, plot, over, hoverBox };
 }
 
