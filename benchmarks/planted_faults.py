@@ -126,9 +126,10 @@ def case_at(
     _, context = follow(observations, config, identity, until=index)[index]
     pictures = clip().pictures if pictures is None else pictures
     previous = pictures[index - 1] if len(pictures) else None
-    return FrameCase(
-        observations[index], context, config, observations, pictures[index] if len(pictures) else None, previous
-    )
+    case = FrameCase(observations[index], context, config, observations)
+    if not len(pictures):
+        return case
+    return replace(case, picture=pictures[index], previous_picture=previous, pictures=pictures.__getitem__)
 
 
 def swapped(rng, frame, config) -> FrameCase:
@@ -252,6 +253,56 @@ def blurred(rng, frame, config) -> FrameCase:
     return case_at(index, points, config, pictures=pictures)
 
 
+def out_of_focus(rng, frame, config) -> FrameCase:
+    """The focus is lost for two frames, in all directions, and the landmarks scatter with it."""
+    index, points = frame(), clip().noisy(rng)
+    pictures = list(clip().pictures)
+    for k in (index - 1, index):
+        pictures[k] = cv2.GaussianBlur(pictures[k], (0, 0), rng.uniform(5.0, 9.0))
+        points[k] += rng.normal(0.0, 2.0, points[k].shape)
+    return case_at(index, points, config, pictures=pictures)
+
+
+def lights_out(rng, frame, config) -> FrameCase:
+    """The light fails for two frames, and a detector hardly finds the points."""
+    index, points = frame(), clip().noisy(rng)
+    pictures = list(clip().pictures)
+    for k in (index - 1, index):
+        pictures[k] = np.uint8(pictures[k] * rng.uniform(0.08, 0.18))
+        points[k] += rng.normal(0.0, 2.5, points[k].shape)
+    return case_at(index, points, config, pictures=pictures)
+
+
+def hand_before_the_mouth(rng, frame, config) -> FrameCase:
+    """A hand of the face's own colour is before mouth and chin; the detector draws a mouth there, and doubts it."""
+    index, points = frame(), clip().noisy(rng)
+    lower = [*GROUPS["mouth"], *range(5, 12)]
+    pictures, confidence = list(clip().pictures), np.ones((len(points), 68))
+    for k in range(index - int(rng.integers(0, 3)), index + 3):
+        hull = points[k][lower]
+        centre, half = hull.mean(0), 0.62 * np.ptp(hull, axis=0)
+        skin = np.median(pictures[k][tuple(points[k][[29, 31, 35]].astype(int).T[::-1])], axis=0)
+        covered = np.zeros(pictures[k].shape[:2], np.uint8)
+        cv2.ellipse(covered, tuple(map(int, centre)), tuple(map(int, half)), 0, 0, 360, 1, -1)
+        fingers = 18.0 * np.sin(np.arange(len(covered)) / max(half[1] / 5.0, 1.0))[:, None, None]
+        pictures[k] = np.where(covered[..., None], np.clip(0.9 * skin + fingers, 0, 255), pictures[k]).astype(np.uint8)
+        points[k, lower] += rng.normal(0.0, 4.0, (len(lower), 2))
+        confidence[k, lower] = rng.uniform(0.2, 0.45, len(lower))
+    case = case_at(index, points, config, pictures=pictures)
+    shot = [
+        replace(item, landmarks=replace(item.landmarks, confidence=sure))
+        for item, sure in zip(case.shot, confidence, strict=True)
+    ]
+    return replace(case, observation=shot[index], shot=shot)
+
+
+def jump_aside(rng, frame, config) -> FrameCase:
+    """All points lie somewhere else for one frame, on another face or a poster, while the picture stays calm."""
+    index, points = frame(), clip().noisy(rng)
+    points[index] += rng.uniform(40.0, 70.0) * _direction(rng)
+    return case_at(index, points, config, pictures=clip().pictures)
+
+
 FAULTS: dict[str, tuple[str, Callable]] = {
     "swapped points": ("points_swapped", swapped),
     "shifted jaw": ("jaw_disagrees", shifted_jaw),
@@ -265,6 +316,10 @@ FAULTS: dict[str, tuple[str, Callable]] = {
     "face out of frame": ("face_outside", leaving_the_picture),
     "wrong identity": ("wrong_identity", other_person),
     "motion blur": ("motion_blur", blurred),
+    "out of focus": ("blurred_face", out_of_focus),
+    "lights out": ("dark_face", lights_out),
+    "hand before the mouth": ("occluded", hand_before_the_mouth),
+    "jump aside": ("jump", jump_aside),
 }
 """Fault → the code of the right reason, and what plants it."""
 
@@ -317,4 +372,4 @@ def _direction(rng) -> Float[np.ndarray, "2"]:
 
 def without_pictures(case: FrameCase) -> FrameCase:
     """The same case as seen through a landmark file."""
-    return replace(case, picture=None, previous_picture=None)
+    return replace(case, picture=None, previous_picture=None, pictures=None)

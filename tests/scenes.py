@@ -9,6 +9,8 @@ from workbench.energies import project_landmarks
 from workbench.face import FaceModel, FaceParameters, contour_blend, landmark_model, model_landmarks
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov, head_yaw
 from workbench.landmarks.observations import Landmarks2D
+from workbench.session import Material
+from workbench.session.material import PictureStore
 from workbench.tracking import FrameObservation
 
 IMAGE_SIZE = (640, 480)
@@ -54,6 +56,13 @@ def make_scene(
     blend = contour_blend(model.contour_yaw, head_yaw(parameters.rotation), float(sliding))
     points = project_landmarks(camera, model_landmarks(model, blend, parameters.identity), parameters)
     return Scene(camera, parameters, np.asarray(angles_deg, float), np.asarray(points))
+
+
+def turning_clip(head: FaceModel, frames: int, first_yaw_deg: float) -> Material:
+    """A clip without pictures: the head turns by 2° a frame, and the mouth opens."""
+    scenes = [make_scene(head, (first_yaw_deg + 2.0 * k, 0, 0), {"jawOpen": 0.05 * k}) for k in range(frames)]
+    observations = tuple(scene.observation(k, noise_px=0.4) for k, scene in enumerate(scenes))
+    return Material("clip", observations, PictureStore(None, [IMAGE_SIZE] * frames), stills=False)
 
 
 def random_expression(head: FaceModel, rng: np.random.Generator, active: int = 5) -> dict[str, float]:

@@ -59,6 +59,7 @@ BROWSER = (
     "test_live_browser.py",
     "test_panel_browser.py",
     "test_panel_design_browser.py",
+    "test_plain_panel_browser.py",
     "test_time_page_browser.py",
     "test_views_2d_browser.py",
 )

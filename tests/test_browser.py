@@ -84,7 +84,7 @@ def test_a_moved_slider_changes_the_picture(lab, screenshots, label, keys):
 def test_a_preset_of_the_menu_is_fitted(lab):
     status = lab.page.locator(".jp-OutputArea .widget-html code").last
     before = status.inner_text()
-    lab.page.locator(".widget-dropdown select").first.select_option("joint")
+    lab.page.locator(".widget-dropdown select").first.select_option("calibrated")
     lab.page.wait_for_function(
         "([s, old]) => [...document.querySelectorAll(s)].pop().innerText !== old",
         arg=[".jp-OutputArea .widget-html code", before],

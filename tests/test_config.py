@@ -200,6 +200,17 @@ def test_differences_name_every_changed_value_by_its_path():
     assert differences(before, before) == []
 
 
+def test_moved_points_are_counted_not_printed():
+    points = {str(k): (100.123456789 + k, 50.25) for k in range(68)}
+    before, after = (
+        preset("joint"),
+        preset("joint").changed(landmarks={"moved": {"69": points, "7": {"3": (1.0, 2.0)}}}),
+    )
+    told = [str(item) for item in differences(before, after)]
+    assert told == ["frame 69: 68 points moved", "frame 7: 1 point moved"]
+    assert "frame 69: 68 points back at their detections" in [str(item) for item in differences(after, before)]
+
+
 @pytest.fixture(scope="module")
 def problems():
     """What the JSON Schema has against a configuration file."""

@@ -65,7 +65,8 @@ def reference(head, config, clean, fitter):
 def clean_case(clean, config, index: int) -> FrameCase:
     observations, fits = clean
     pictures = faults.clip().pictures
-    return FrameCase(observations[index], fits[index][1], config, observations, pictures[index], pictures[index - 1])
+    shown = (pictures[index], pictures[index - 1], pictures.__getitem__)
+    return FrameCase(observations[index], fits[index][1], config, observations, *shown)
 
 
 def track_of(fits, head) -> Track:
@@ -102,7 +103,7 @@ def test_a_clean_frame_has_no_reason(head, config, clean, fitter, reference, ind
 
 
 def test_a_clean_frame_has_no_reason_without_pictures_and_without_a_shot(head, config, clean, fitter):
-    case = replace(clean_case(clean, config, 104), picture=None, previous_picture=None)
+    case = faults.without_pictures(clean_case(clean, config, 104))
     assert diagnose_frame(head, case, fitter).reasons == ()
     assert diagnose_frame(head, replace(case, shot=()), fitter).reasons == ()
 

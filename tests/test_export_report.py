@@ -116,6 +116,16 @@ def listed(text, frame):
     return next(row for row in rows if f'<td class="number">{frame}</td>' in row)
 
 
+def test_moved_points_are_counted_in_the_report(track, head, tmp_path):
+    points = {str(k): (100.123456789 + k, 50.25) for k in range(68)}
+    config = preset("joint").changed(landmarks={"moved": {"9": points}})
+    meta = {**track.meta, "config": config.model_dump(mode="json")}
+    write_report(replace(track, meta=meta), head, tmp_path / "report.html", None)
+    shown = (tmp_path / "report.html").read_text(encoding="utf-8").split("<summary>As a file for --config")[0]
+    assert "frame 9: 68 points moved" in shown
+    assert "100.123" not in shown
+
+
 def test_the_mark_of_a_flagged_frame_says_why(page, track):
     why = html.escape(flag_frames(track).text[9])
     assert why

@@ -308,7 +308,7 @@ def test_marks_come_and_go(webgl, head):
     assert np.array_equal(balls, np.stack([points, points], axis=1)[:5].astype(np.float32))
     assert np.array_equal(rods, segments[:5].astype(np.float32))
     assert [mark["mm"] for mark in (canvas._points, canvas._segments)] == [3.0, SEGMENT_MM]
-    assert canvas._ghost == {"vertices": head.neutral.astype("<f4").tobytes(), "opacity": 0.4}
+    assert canvas._ghost == {"vertices": head.neutral.astype("<f4").tobytes(), "opacity": 0.4, "outline": False}
     webgl.set_points(points[:0], WHITE[:0])
     webgl.set_segments(None, None)
     webgl.set_ghost(None)
@@ -502,6 +502,18 @@ def test_a_ghost_tints_the_head_and_shows_beside_it(painted, head):
     right_ear = head.landmarks.of(head.neutral)[16] + [25.0, 0.0, 0.0]
     x, y = np.round(picture_pixels(painted, right_ear[None])[0]).astype(int)
     assert difference[y - 5 : y + 5, x - 3 : x].mean() > 0.5
+    painted.set_ghost(None)
+    assert np.abs(painted.snapshot() - before).max() < 8
+
+
+def test_an_outline_is_drawn_over_the_head_and_leaves_its_surface(painted, head):
+    before = painted.snapshot().astype(int)
+    painted.set_ghost(head.neutral + np.array([25.0, 0.0, 0.0]), 1.0, outline=True)
+    after = painted.snapshot().astype(int)
+    changed = np.abs(after - before).max(2) > 30
+    assert 0.002 < changed.mean() < 0.08  # lines; the surface of this ghost changes a third
+    # Magenta lines: green gives way to red and blue.
+    assert (after - before)[changed][:, 1].mean() < (after - before)[changed][:, [0, 2]].mean()
     painted.set_ghost(None)
     assert np.abs(painted.snapshot() - before).max() < 8
 

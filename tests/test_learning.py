@@ -17,6 +17,7 @@ from workbench.learning.learnable import learned, start_of, weighing_of
 from workbench.learning.parts import parts_of_clip, read_frames
 from workbench.learning.report import change_of
 from workbench.planning import plan_of
+from workbench.runtime import SMALL_ARRAYS
 from workbench.samples import sample
 from workbench.sweeps import ClipSolver
 from workbench.sweeps.stored_clips import ClipSource, observe
@@ -39,18 +40,19 @@ def test_the_gradient_is_that_of_differences_with_bounds_active_and_through_time
     logs = start_of(CONFIG, ["weights.tau", "weights.sigma_smooth", "landmarks.weights"])
     towards = np.random.default_rng(0).normal(size=51)
 
-    @jax.jit
     def last_frame(logs):
         fits = fitted_stretch(plan.stages, plan.terms, weighing_of(CONFIG, logs, camera), stretch)
         return fits.projected[-1].mean() + fits.parameters.expression[-1] @ towards[:44], fits.parameters.expression
 
-    slope, weights = jax.jit(jax.grad(last_frame, has_aux=True))({path: jnp.array(log) for path, log in logs.items()})
+    # One program for the gradient and, by its value, for the differences.
+    both = jax.jit(jax.value_and_grad(last_frame, has_aux=True), compiler_options=SMALL_ARRAYS)
+    (_, weights), slope = both({path: jnp.array(log) for path, log in logs.items()})
     assert (np.asarray(weights[-1]) == 0.0).sum() > 5
     for path, point in (("weights.tau", 0), ("weights.sigma_smooth", 0), ("landmarks.weights", 60)):
         moved = [{name: log.copy() for name, log in logs.items()} for _ in range(2)]
         moved[0][path][point] += STEP
         moved[1][path][point] -= STEP
-        difference = (last_frame(moved[0])[0] - last_frame(moved[1])[0]) / (2.0 * STEP)
+        difference = (both(moved[0])[0][0] - both(moved[1])[0][0]) / (2.0 * STEP)
         np.testing.assert_allclose(slope[path][point], difference, rtol=1e-4, atol=1e-9)
 
 

@@ -1,6 +1,7 @@
 """The chooser of material: samples, paths, errors in one sentence, one panel at a time."""
 
 import threading
+from datetime import UTC, datetime
 
 import cv2
 import ipywidgets as widgets
@@ -8,13 +9,16 @@ import numpy as np
 import pytest
 
 from workbench.config import preset
+from workbench.errors import InputError
 from workbench.landmarks.files import LandmarkRecord, read_landmark_file, write_landmark_file
 from workbench.samples import sample
 from workbench.session import TuningSession, open_session
 from workbench.tracking import FrameObservation
 from workbench.widgets import detection_preview as preview_module
 from workbench.widgets import opener as opener_module
+from workbench.widgets import upload as upload_module
 from workbench.widgets.opener import SessionOpener
+from workbench.widgets.upload import Upload, stored
 
 
 class Panel(widgets.VBox):
@@ -209,3 +213,41 @@ def test_landmarks_alone_have_no_picture_to_show(landmark_file):
 
 def decoded(preview):
     return cv2.imdecode(np.frombuffer(preview.value, np.uint8), cv2.IMREAD_COLOR)
+
+
+# --- a file that the browser sends ---
+
+
+def sent(name, content):
+    """A file as the browser sends it."""
+    told = {"name": name, "type": "", "size": len(content), "last_modified": datetime(2026, 1, 1, tzinfo=UTC)}
+    return told | {"content": memoryview(content)}
+
+
+def test_a_sent_file_opens_and_is_removed_with_the_chooser(opener, landmark_file):
+    opener.upload.value = (sent("C:\\faces\\three.csv", landmark_file.read_bytes()),)
+    assert opener.wait_idle()
+    assert opener.session.material.name == "three"
+    assert len(opener.session) == 3
+    path = opener.session.material.inputs[0]
+    assert path.read_bytes() == landmark_file.read_bytes()
+    opener.upload.close()
+    assert not path.exists()
+
+
+def test_what_cannot_be_opened_or_is_too_large_is_refused(opener, tmp_path, monkeypatch):
+    opener.upload.value = (sent("notes.docx", b"abc"),)
+    assert "notes.docx is not a picture, a video or a landmark file" in opener.message.value
+    monkeypatch.setattr(upload_module, "LARGEST_MB", 1e-6)
+    with pytest.raises(InputError, match=r"face.png has .* send at most"):
+        stored(tmp_path, "face.png", b"abcdef")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("server", "shown"), [("voila/0.5.8", None), ("", "none")])
+def test_files_are_sent_in_the_app_alone(server, shown, monkeypatch):
+    monkeypatch.setenv("SERVER_SOFTWARE", server)
+    made = Upload(lambda path: None, lambda error: None)
+    assert made.layout.display == shown
+    assert f"up to {upload_module.LARGEST_MB} MB" in made.tooltip
+    made.close()

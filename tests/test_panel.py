@@ -11,13 +11,13 @@ import ipywidgets as widgets
 import numpy as np
 import pytest
 
-from tests.scenes import IMAGE_SIZE, make_scene
+from tests.scenes import turning_clip
 from workbench.config import FACE_IT_PRESETS, PRESETS, differences, preset, read_config
 from workbench.diagnosis import Change
 from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.samples import sample
-from workbench.session import FittedHead, Material, TuningSession, gesture, material_of_photo, open_session
+from workbench.session import FittedHead, TuningSession, gesture, material_of_photo, open_session
 from workbench.session.knobs import (
     CONSTANTS,
     DEEP,
@@ -30,7 +30,6 @@ from workbench.session.knobs import (
     is_inert,
     value_of,
 )
-from workbench.session.material import PictureStore
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
 from workbench.widgets import FitPlayground, LivePanel, SessionOpener, TuningPanel
@@ -55,9 +54,7 @@ def photo():
 
 @pytest.fixture(scope="module")
 def clip(head):
-    scenes = [make_scene(head, (2.0 * k - 8.0, 0, 0), {"jawOpen": 0.05 * k}) for k in range(9)]
-    observations = tuple(scene.observation(k, noise_px=0.4) for k, scene in enumerate(scenes))
-    return Material("clip", observations, PictureStore(None, [IMAGE_SIZE] * 9), stills=False)
+    return turning_clip(head, 9, -8.0)
 
 
 @pytest.fixture(scope="module")
@@ -493,13 +490,16 @@ def test_the_head_and_the_fits_do_not_wait_for_a_slow_layer_of_the_picture(panel
     panel.overlay.layers["layer"].value = False
     panel.overlay.layers["layer"].value = True
     assert begun.wait(60)
-    assert "face" in panel.overlay.working.value
+    patience = time.monotonic() + 10.0
+    while "drawing the face" not in panel.waiting.said.value and time.monotonic() < patience:
+        time.sleep(0.02)
+    assert "drawing the face" in panel.waiting.said.value
     panel.head.color.value = "residual"
     assert panel._worker.wait_idle()
     assert shown_colors(panel)[0] == "values"
     go_on.set()
     assert panel.wait_idle()
-    assert panel.overlay.working.value == ""
+    assert "drawing the face" not in panel.waiting.said.value
     panel.overlay.layers["layer"].value = False
     panel.head.color.value = "skin"
 

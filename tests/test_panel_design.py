@@ -1,25 +1,31 @@
 """The panel's design without a browser: plain words, marked starts, search, transport, one colour scale, export."""
 
+import io
 import shlex
 import threading
+import time
+import zipfile
 
+import ipywidgets as widgets
 import numpy as np
 import pytest
 
-from tests.scenes import IMAGE_SIZE, make_scene
+from tests.scenes import turning_clip
 from workbench.config import Config, preset
+from workbench.errors import InputError
 from workbench.export import export_track
-from workbench.session import Material, TuningSession
+from workbench.session import TuningSession
+from workbench.session.comparing import surface
 from workbench.session.knob_words import WORDS, plain_words
 from workbench.session.knobs import KNOBS
-from workbench.session.material import PictureStore
 from workbench.session.performance import performance_commands, performance_track
-from workbench.widgets import TuningPanel
+from workbench.widgets import TuningPanel, panel_page
 from workbench.widgets.controls import Controls
 from workbench.widgets.knob_control import CHANGED, KnobControl
+from workbench.widgets.panel_page import packed
 from workbench.widgets.performance_export import PerformanceExport
 from workbench.widgets.status_line import degrees, status_of
-from workbench.widgets.waiting import OLD, Waiting, text_of
+from workbench.widgets.waiting import OLD, PATIENCE_S, Job, Waiting, text_of
 
 BY_PATH = {knob.path: knob for knob in KNOBS}
 FRAMES = 9
@@ -27,9 +33,7 @@ FRAMES = 9
 
 @pytest.fixture(scope="module")
 def clip(head):
-    scenes = [make_scene(head, (2.0 * k - 8.0, 0, 0), {"jawOpen": 0.05 * k}) for k in range(FRAMES)]
-    observations = tuple(scene.observation(k, noise_px=0.4) for k, scene in enumerate(scenes))
-    return Material("clip", observations, PictureStore(None, [IMAGE_SIZE] * FRAMES), stills=False)
+    return turning_clip(head, FRAMES, -8.0)
 
 
 @pytest.fixture(scope="module")
@@ -281,36 +285,228 @@ def test_a_frame_without_a_face_has_no_numbers(panel):
     assert status_of(replace(panel.fit, found=False), FRAMES) == "frame 0/8 · no face"
 
 
+def test_a_flagged_frame_says_why_in_the_status_line(panel):
+    assert " · <b>flagged</b>: the pose jumps (10°, 10 mm) · " in status_of(
+        panel.fit, FRAMES, flag="the pose jumps (10°, 10 mm)"
+    )
+    assert "flagged" not in status_of(panel.fit, FRAMES)
+    assert "flagged" not in status_of(panel.fit, FRAMES, after=True, flag="the pose jumps")
+    assert panel.clip.why(0) == panel.session.run.flags.text[0] == ""
+
+
+# --- comparison ---
+
+
+@pytest.fixture
+def comparison(panel):
+    """The page of comparison in front, the present with less sparsity against the start and a snapshot of it."""
+    panel.session.take_snapshot("without smoothness")
+    panel.turn("weights.sigma_smooth", 0.5)
+    assert panel.wait_idle(120)
+    panel.tabs.selected_index = list(panel.tabs.titles).index("Compare")
+    panel.compare.choices[2].value = "without smoothness"
+    assert panel.wait_idle(120)
+    yield panel.compare
+    panel.compare.choices[2].value = "–"
+    panel.tabs.selected_index = 0
+
+
+def test_configurations_stand_side_by_side_with_their_distance_from_the_first_in_mm(comparison, panel):
+    views, session = comparison.views, panel.session
+    here = session.runs.known(session.config).fits[panel.frame]
+    start = session.runs.known(session.base).fits[panel.frame]
+    difference = np.linalg.norm(surface(session, here) - surface(session, start), axis=1)
+    assert difference.max() > 0.05
+    assert f"up to {difference.max():.1f} mm" in comparison.captions[1].value
+    assert "mm" not in comparison.captions[0].value
+    assert not views[0].canvas._colors
+    assert len(views[1].canvas._colors) == 3 * len(difference)
+    np.testing.assert_allclose(
+        np.frombuffer(views[1].canvas._vertices, "<f4"), surface(session, start).ravel(), atol=1e-3
+    )
+    assert views[1].canvas._viewpoint == views[0].canvas._viewpoint == views[2].canvas._viewpoint
+    assert f"{max(difference.max(), 0.5):.3g}</span>" in comparison.scale.value
+    comparison.color.value = False
+    assert panel.wait_idle(60)
+    assert not views[1].canvas._colors
+    assert comparison.scale.value == ""
+    comparison.color.value = True
+
+
+def test_another_frame_is_compared_as_soon_as_it_is_shown(comparison, panel):
+    before = comparison.captions[1].value
+    panel.go(6)
+    assert panel.wait_idle(60)
+    assert comparison.captions[1].value != before
+
+
+def test_the_metrics_of_the_compared_clips_are_a_table_with_the_best_marked(comparison, panel):
+    run = panel.session.run
+    comparison.choices[1].value = "–"
+    panel.session.set(weights={"sigma_smooth": 0.7})
+    panel.follow.value = False
+    try:
+        panel.session.take_snapshot("never fitted")
+        panel.turn("weights.sigma_smooth", 0.5)
+        assert panel.wait_idle(60)
+        comparison.choices[2].value = "never fitted"
+        assert panel.wait_idle(60)
+        assert "<td>–</td>" in comparison.table.value
+        assert not comparison.fit_all.disabled
+        comparison.fit_all.click()
+        assert panel.wait_idle(120)
+    finally:
+        panel.follow.value = True
+    assert "<td>–</td>" not in comparison.table.value
+    assert comparison.table.value.count("fw-best") >= 3
+    assert comparison.fit_all.disabled
+    assert panel.session.run is run or panel.session.run.config == panel.session.config
+
+
+def test_a_single_configuration_is_compared_with_nothing(comparison, panel):
+    comparison.choices[1].value = comparison.choices[2].value = "–"
+    assert panel.wait_idle(60)
+    assert comparison.captions[1].value == comparison.captions[2].value == ""
+
+
 # --- what takes its time ---
+
+
+def becomes(state, seconds=5.0):
+    """Whether a state is reached in time."""
+    end = time.monotonic() + seconds
+    while not state() and time.monotonic() < end:
+        time.sleep(0.01)
+    return bool(state())
 
 
 def test_what_is_quick_is_not_mentioned_and_what_is_slow_is_with_its_last_duration():
     waiting = Waiting(patience_s=0.02)
-    shown = Waiting()
+    shown = widgets.HTML()
     with waiting.during("fitting"):
         pass
-    assert waiting.value == ""
-    said, release = [], threading.Event()
+    assert waiting.said.value == ""
     with waiting.during("fitting", old=(shown,)):
-        for _ in range(200):
-            if waiting.value:
-                break
-            release.wait(0.01)
-        said.append((waiting.value, OLD in shown._dom_classes))
-    assert "fitting …" in said[0][0]
-    assert said[0][1]
-    assert waiting.value == ""
+        assert becomes(lambda: "fitting …" in waiting.said.value)
+        assert becomes(lambda: OLD in shown._dom_classes)
+        assert waiting.cancel.layout.display == "none"
+    assert waiting.said.value == ""
     assert OLD not in shown._dom_classes
     assert text_of("fitting", None) == "fitting …"
     assert text_of("fitting", 12.4) == "fitting … about 12 s"
+
+
+def test_what_has_never_run_takes_as_long_as_is_usual_and_then_as_long_as_it_took():
+    waiting = Waiting(patience_s=0.0)
+    with waiting.during("fitting", expected_s=40.0):
+        assert becomes(lambda: "fitting … about 40 s" in waiting.said.value)
+    with waiting.during("fitting", expected_s=40.0):
+        assert becomes(lambda: "fitting …" in waiting.said.value)
+        assert "40 s" not in waiting.said.value
+
+
+def test_progress_says_how_far_a_job_is_and_how_long_it_still_takes():
+    job = Job("fitting the clip")
+    assert job.text == "fitting the clip …"
+    job._began -= 20.0
+    job.progress("fit", 40, 120)
+    assert job.text == "fitting the clip: 40 of 120, 40 s left"
+
+
+def test_cancelling_tells_the_job_that_the_line_is_about_and_is_not_remembered_as_its_duration():
+    waiting, pressed = Waiting(patience_s=0.0), []
+    with waiting.during("first", expected_s=9.0, cancel=lambda: pressed.append("first")) as first:
+        assert becomes(lambda: "first" in waiting.said.value)
+        with waiting.during("second", cancel=lambda: pressed.append("second")) as second:
+            assert becomes(lambda: "second" in waiting.said.value)
+            assert waiting.cancel.layout.display is None
+            waiting.cancel.click()
+            assert "stopping: second" in waiting.said.value
+            assert waiting.cancel.layout.display == "none"
+        assert (first.cancelled(), second.cancelled(), pressed) == (False, True, ["second"])
+        assert "first" in waiting.said.value
+        waiting.cancel.click()
+    assert pressed == ["second", "first"]
+    with waiting.during("first", expected_s=9.0):
+        assert becomes(lambda: "first … about 9 s" in waiting.said.value)
 
 
 def test_a_failure_ends_the_waiting_too():
     waiting = Waiting(patience_s=0.0)
     with pytest.raises(ValueError, match="broken"), waiting.during("fitting"):
         raise ValueError("broken")
-    assert waiting.value == ""
+    assert waiting.said.value == ""
     assert waiting._running == {}
+
+
+@pytest.fixture
+def impatient(panel):
+    """The panel, which tells about everything at once."""
+    panel.waiting._patience_s = 0.0
+    yield panel
+    panel.waiting._patience_s = PATIENCE_S
+
+
+def test_a_cancelled_diagnosis_says_so_and_the_next_one_is_complete(impatient):
+    impatient.diagnosis.ask.click()
+    assert becomes(lambda: impatient.waiting.cancel.layout.display is None)
+    impatient.waiting.cancel.click()
+    assert impatient.wait_idle(120)
+    assert impatient.diagnosis.status.value == "The diagnosis of frame 0 was cancelled."
+    impatient.diagnosis.ask.click()
+    assert impatient.wait_idle(300)
+    assert "Frame 0" in impatient.diagnosis.status.value
+
+
+def test_a_cancelled_fit_leaves_what_was_shown_and_the_panel_usable(impatient, monkeypatch):
+    before, entered = impatient.fit, threading.Event()
+    plain = impatient.session.fit_frame
+
+    def slow(frame, coarse=False, config=None, cancelled=lambda: False):
+        entered.set()
+        assert becomes(cancelled, 20.0)
+        return plain(frame, coarse, config, cancelled)
+
+    monkeypatch.setattr(impatient.session, "fit_frame", slow)
+    impatient.go(3)
+    assert entered.wait(10)
+    assert becomes(lambda: impatient.waiting.cancel.layout.display is None)
+    assert OLD in impatient.overlay.view._dom_classes
+    impatient.waiting.cancel.click()
+    assert impatient.wait_idle(60)
+    assert impatient.fit is before
+    assert "frame 3 was cancelled; what is shown is from before" in impatient.status.value
+    assert "color:var(--jp-error" not in impatient.status.value
+    assert OLD not in impatient.overlay.view._dom_classes
+    monkeypatch.undo()
+    impatient.go(4)
+    assert impatient.wait_idle(60)
+    assert impatient.fit.index == 4
+
+
+def test_cancelling_the_uncertainty_goes_back_to_the_skin(impatient, monkeypatch):
+    release = threading.Event()
+    monkeypatch.setattr(impatient.head, "_uncertainty", lambda fit: release.wait(10) and np.zeros(1))
+    impatient.head.color.value = "uncertainty"
+    assert becomes(lambda: "computing the uncertainty" in impatient.waiting.said.value)
+    impatient.waiting.cancel.click()
+    release.set()
+    assert impatient.wait_idle(60)
+    assert impatient.head.color.value == "skin"
+
+
+def test_a_clip_that_is_fitted_says_how_long_it_takes_and_marks_the_old_result(panel):
+    said = []
+    panel._clip_bar.said.observe(
+        lambda change: said.append((change["new"], OLD in panel.clip.curves._dom_classes)), "value"
+    )
+    panel.run_clip.click()
+    assert panel.wait_idle(60)
+    texts, old = zip(*said, strict=True)
+    assert any(f"of {FRAMES}" in text for text in texts)
+    assert old[0]
+    assert panel._clip_bar.said.value == ""
+    assert OLD not in panel.clip.curves._dom_classes
 
 
 # --- export ---
@@ -318,7 +514,7 @@ def test_a_failure_ends_the_waiting_too():
 
 @pytest.fixture
 def export(panel, tmp_path):
-    made = PerformanceExport(panel.session, lambda job: job(), lambda: "tuned.toml")
+    made = PerformanceExport(panel.session, lambda job: job(), lambda: "tuned.toml", panel.page.download)
     made.file.value = str(tmp_path / "talk.glb")
     return made
 
@@ -385,6 +581,32 @@ def test_the_commands_name_the_same_run(clip):
     assert words[words.index("--out") + 1] == "out/clip"
     assert words[words.index("--config") + 1] == "my tuned.toml"
     assert shlex.split(export) == ["workbench", "export", "out/clip", "--to", "a b.glb", "--shot", "1"]
+
+
+def test_what_was_written_can_be_downloaded(export, panel, tmp_path, monkeypatch):
+    sent = []
+    monkeypatch.setattr(panel.page, "send", lambda content, buffers: sent.append((content, buffers)))
+    assert export.download.layout.display == "none"
+    export.go.click()
+    assert export.download.layout.display is None
+    export.download.button.click()
+    assert sent == [({"kind": "download", "name": "talk.glb"}, [(tmp_path / "talk.glb").read_bytes()])]
+    (tmp_path / "talk.glb").unlink()
+    export.download.button.click()
+    assert "no longer there; write it again" in export.download.said.value
+    assert len(sent) == 1
+
+
+def test_a_folder_is_downloaded_as_an_archive_and_what_is_too_large_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "0001.obj").write_text("v 0 0 0")
+    name, content = packed(tmp_path / "meshes")
+    assert name == "meshes.zip"
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert archive.read("0001.obj") == b"v 0 0 0"
+    monkeypatch.setattr(panel_page, "LARGEST_MB", 1e-6)
+    with pytest.raises(InputError, match="a download at most"):
+        packed(tmp_path / "meshes")
 
 
 def test_the_performance_carries_what_exports_need(panel):

@@ -7,14 +7,17 @@ import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 
 from workbench import plots
 from workbench.config import PRESETS
 from workbench.energies import EnergyConstants
+from workbench.energies.terms import TABLE
 from workbench.errors import InputError
 from workbench.frames import read_picture
 from workbench.geometry import project, rotation_matrix
 from workbench.landmarks.files import read_landmark_file
+from workbench.plots.style import THEMES
 from workbench.samples import sample
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
@@ -404,3 +407,61 @@ def test_a_film_strip_darkens_frames_without_a_face_and_needs_one_in_a_column(he
     assert dark.mean() < 0.4 * photo.mean()
     with pytest.raises(InputError, match="Frame 12 of the film strip has no face in any row"):
         plots.film_strip(head, [picture], {"before": [lost]})
+
+
+def lettered(figure) -> np.ndarray:
+    """The colour of the ticks' names, 0 to 1."""
+    figure.draw_without_rendering()
+    return np.array(to_rgb(figure.axes[0].get_xticklabels()[0].get_color()))
+
+
+@pytest.fixture
+def lab_theme(monkeypatch, tmp_path):
+    """Lets a theme be the one that a JupyterLab keeps for its user."""
+    monkeypatch.setenv("JPY_SESSION_NAME", "lesson.ipynb")
+    monkeypatch.setenv("JUPYTERLAB_SETTINGS_DIR", str(tmp_path))
+
+    def choose(name):
+        file = tmp_path / THEMES
+        file.parent.mkdir(parents=True, exist_ok=True)
+        lines = ("{", "    // Theme", "    // Selected Theme", f'    "theme": "{name}",', "}")
+        file.write_text("\n".join(lines), encoding="utf-8")
+
+    return choose
+
+
+def test_figures_are_dark_where_jupyterlab_is(lab_theme):
+    draw = lambda: plots.curves(np.arange(3.0), {"one": np.arange(3.0)}, "x", "y")  # noqa: E731 - thrice the same
+    assert drawn(draw()).mean() > 200
+    lab_theme("JupyterLab Dark High Contrast")
+    dark = draw()
+    assert drawn(dark).mean() < 60
+    assert lettered(dark).min() > 0.7
+    lab_theme("JupyterLab Light")
+    assert lettered(draw()).max() < 0.3
+
+
+def test_files_are_light_whatever_the_theme_is(lab_theme):
+    lab_theme("JupyterLab Dark")
+    with plots.on_page(plots.LIGHT):
+        assert drawn(plots.matrix_figure(["a", "b"], np.eye(2), "cosine")).mean() > 150
+    assert drawn(plots.matrix_figure(["a", "b"], np.eye(2), "cosine")).mean() < 150
+
+
+def test_the_theme_is_asked_for_only_in_a_notebook_and_can_be_told(monkeypatch, lab_theme):
+    lab_theme("JupyterLab Dark")
+    monkeypatch.delenv("JPY_SESSION_NAME")
+    figure = plots.profiles({"head": np.zeros((4, 3))}, np.array([0, 1]))
+    assert figure.get_facecolor()[:3] == (1.0, 1.0, 1.0)
+    monkeypatch.setenv("WORKBENCH_FIGURES", "dark")
+    assert max(plots.profiles({"head": np.zeros((4, 3))}, np.array([0, 1])).get_facecolor()[:3]) < 0.2
+
+
+def test_every_term_has_its_own_line_in_all_figures():
+    lines = [plots.term_line(name) for name in TABLE]
+    assert len(set(lines)) == len(lines)
+    stages = {"one": np.array([[3.0, 2.0], [1.0, 1.0]])}
+    axis = plots.energies_over_stages(stages, ("tau", "edges")).axes[0]
+    drawn_lines = {line.get_label(): (line.get_color(), line.get_linestyle()) for line in axis.lines}
+    assert drawn_lines["tau"] == plots.term_line("tau")
+    assert drawn_lines["edges"] == plots.term_line("edges")

@@ -47,7 +47,7 @@ def fitted(head, material):
 @pytest.fixture
 def session(head, material, fitted):
     made = TuningSession(head, material, QUICK)
-    made._runs.last = fitted.run
+    made.runs.last = fitted.run
     return made
 
 

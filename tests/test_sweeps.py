@@ -13,7 +13,7 @@ from tests.test_nothing_lost import small_disk
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, OutputError
 from workbench.objectives import folds_of
-from workbench.session import Material, TuningSession
+from workbench.session import Material, TuningSession, sweeping
 from workbench.session.material import PictureStore
 from workbench.sweeps import (
     ClipSolver,
@@ -374,6 +374,22 @@ class TestTheCommand:
         assert "no face in any frame" in err
         assert "table.csv" in out
 
+    def test_a_full_disk_is_one_sentence_and_exit_code_2_and_resume_goes_on(self, run, clips, tmp_path):
+        given = ["--preset", "face-it", "--set", TAU, "--objective", "error", "--out", str(tmp_path / "s")]
+        assert run("sweep", str(clips[0]), *given)[0] == 0
+        before = {path: path.read_bytes() for path in (tmp_path / "s" / "results").rglob("*.npz")}
+        # Room for the definition, but not for the landmarks of the second clip.
+        with small_disk((tmp_path / "s" / "sweep.json").stat().st_size + 200):
+            code, _, err = run("sweep", *map(str, clips), *given, "--resume")
+        assert code == 2
+        assert "cannot be written" in err
+        assert "Finished work is kept; --resume goes on from there." in err
+        assert len(err.strip().splitlines()) == 1
+        assert {path: path.read_bytes() for path in before} == before
+        code, out, err = run("sweep", *map(str, clips), *given, "--resume")
+        assert (code, err) == (0, "")
+        assert "table.csv" in out
+
     def test_the_objectives_are_listed_with_what_they_cannot_see(self, run):
         code, out, _ = run("sweep", "--objective", "list")
         assert code == 0
@@ -405,7 +421,7 @@ def session_of(head, frames):
 class TestInASession:
     def test_it_finds_what_the_command_finds_and_grows(self, head, done, monkeypatch):
         session = session_of(head, observations(range(12)))
-        monkeypatch.setattr(sweep_module, "FITS", 12)
+        monkeypatch.setattr(sweeping, "FITS", 12)
         grown = []
         result = session.sweep(TAU, objectives=("error", "jitter"), grown=grown.append)
         assert [len(part.values) for part in grown] == [1, 2, 3, 4]
@@ -424,7 +440,7 @@ class TestInASession:
 
     def test_it_stops_and_keeps_what_was_done(self, head, monkeypatch):
         session = session_of(head, observations(range(12)))
-        monkeypatch.setattr(sweep_module, "FITS", 12)
+        monkeypatch.setattr(sweeping, "FITS", 12)
         asked = iter([False, False, True])
         result = session.sweep(TAU, objectives=("error",), cancelled=lambda: next(asked))
         assert len(result.values) == 2

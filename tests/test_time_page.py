@@ -18,7 +18,7 @@ from workbench.widgets.methods_page import chosen, colors_of, gaps, numbers_html
 @pytest.fixture(scope="module")
 def shared_panel(head, material, fitted):  # noqa: F811 - fixtures
     session = TuningSession(head, material, QUICK)
-    session._runs.last = fitted.run
+    session.runs.last = fitted.run
     made = TuningPanel(session, backend="webgl")
     assert made.wait_idle(300)
     yield made
@@ -30,7 +30,7 @@ def panel(shared_panel, fitted):  # noqa: F811 - fixture
     """One panel for all tests, brought back to the start and without results."""
     yield shared_panel
     session, page = shared_panel.session, shared_panel.time
-    session._runs.last = fitted.run
+    session.runs.last = fitted.run
     session.temporal._kept.clear()
     session.use(session.base)
     page.part.value, page.sides.value, page.methods.shown.value = "", "before", "all"

@@ -1,4 +1,4 @@
-"""Infill and refinement in the tuning panel, in a real browser: mark, run, cancel, before and after, export."""
+"""Infill, refinement, sweeps and tuning in the panel, in a real browser: mark, run, stop, before and after, take."""
 
 import os
 
@@ -120,6 +120,68 @@ def test_all_methods_are_compared(page, screenshots):
     to_top(page)
 
 
+def pressed(page, name, where):
+    page.page.locator(where).get_by_role("button", name=name, exact=True).click()
+
+
+def test_a_sweep_grows_into_a_curve_whose_points_are_told_and_taken(page, screenshots):
+    tab(page, "Sweep")
+    setting = page.page.get_by_placeholder("search a setting to sweep")
+    setting.fill("steady head")
+    setting.press("Enter")
+    pressed(page, "run", ".fw-sweeps")
+    says(page, "Least error:")
+    state = page.page.locator(".fw-sweep").evaluate("(e) => JSON.parse(e.dataset.state)")
+    assert (state["kind"], state["count"], state["known"]) == ("curve", 15, 15)
+    stage, (left, top, width, height, _) = page.page.locator(".fw-sweep .fw-stage"), state["box"]
+    stage.hover(position={"x": left + 0.9 * width, "y": top + height / 2})
+    page.page.get_by_text("half of the frames:").wait_for()
+    page.page.screenshot(path=screenshots / "sweep-curve.png")
+    # From the least mean to its left neighbour, by keys.
+    stage.focus()
+    stage.press("ArrowLeft")
+    stage.press("ArrowLeft")
+    stage.press("Enter")
+    says(page, "Took steady head")
+    browser.wait_until(lambda: page.kernel_value("session.undo_label").startswith("'sweep: steady head"), "it is taken")
+    page.ask_kernel("session.undo()")
+
+
+LEARNING = """
+from workbench.learning import Tuned
+
+
+def learned(objective, learn, progress, cancelled, **options):
+    for step in range(3):
+        progress("learn", step + 1, 3, 2.0 / (step + 1), 3.0 / (step + 1))
+    base = session.config
+    told = {"objective": objective, "learned": list(learn), "parts": {"held_out": options["held_out"]}}
+    found = base.changed(weights={"tau": 0.2}, provenance=told)
+    return Tuned(found, base, {"held_out": np.ones(48)}, {"held_out": np.full(48, 0.9)})
+
+
+import numpy as np
+session.tune = learned
+"""
+"""Stands for `session.tune`: compiling the gradient takes half a minute, and is tried in `test_tuning.py`."""
+
+
+def test_what_a_clip_has_chosen_is_shown_and_taken_as_one_step(page, screenshots):
+    page.ask_kernel(LEARNING)
+    tab(page, "Tune")
+    page.page.locator(".fw-tune input").first.fill("jitter + error")
+    page.page.locator(".fw-tune input").first.press("Enter")
+    says(page, "second difference of the model")
+    pressed(page, "few shapes", ".fw-tune")
+    pressed(page, "tune", ".fw-tune")
+    says(page, "On frames 192-239, held out: −10.0 %")
+    page.page.screenshot(path=screenshots / "tune-result.png")
+    pressed(page, "take", ".fw-tune")
+    says(page, "Taken; undo brings back what was there.")
+    assert page.kernel_value("(session.undo_label, session.config.weights.tau)") == "('tuned: jitter + error', 0.2)"
+    page.ask_kernel("session.undo()")
+
+
 def test_the_choice_is_exported(page, screenshots):
     press(page, "Save · Export")
     press(page, "save settings")
@@ -141,6 +203,10 @@ def test_in_the_dark_theme_all_of_it_can_be_read(page, screenshots):
     page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
     page.wait_at_rest(".fw-panel")
     page.page.screenshot(path=screenshots / "time-methods-dark.png")
+    for title in ("Sweep", "Tune"):
+        tab(page, title)
+        page.wait_drawn()
+        page.page.screenshot(path=screenshots / f"{title.lower()}-dark.png")
     assert page.foreign_requests == []
     assert page.page_errors == []
     assert wrong_outputs(page) == []

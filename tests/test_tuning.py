@@ -61,6 +61,13 @@ def test_an_interrupted_descent_keeps_its_best_and_goes_on_to_the_same_end(tmp_p
     assert learned(24, begun=taken_up) == whole
 
 
+def test_a_stopped_descent_keeps_its_best():
+    begun, seen = begin("key", {"weights.tau": np.zeros(1)}, None), []
+    found = descended(valley, begun, [1.0], [1.0], 24, lambda *told: seen.append(told), None, lambda: len(seen) == 4)
+    assert len(found.values) == 4
+    assert found.kept == {"weights.tau": pytest.approx(learned(24, stop_at=4).kept["weights.tau"], abs=0.3)}
+
+
 def test_a_stretch_without_a_finite_slope_does_not_count():
     def broken(logs, example):
         value, slope = valley(logs, example)

@@ -21,5 +21,9 @@ class OutputError(WorkbenchError, OSError):
     """A file or folder that cannot be written, or that must not be: it is an input, or holds another run."""
 
 
+class StoppedError(WorkbenchError):
+    """Work that was cancelled before it had a result; nothing has changed."""
+
+
 class MissingDependencyError(WorkbenchError, ImportError):
     """An optional package that is needed for what was asked."""

@@ -5,6 +5,8 @@ from typing import Any
 
 from workbench.config.configuration import Config
 
+MOVED = "landmarks.moved"
+
 
 @dataclass(frozen=True)
 class Difference:
@@ -18,7 +20,18 @@ class Difference:
     """None if the value was removed."""
 
     def __str__(self) -> str:
-        return f"{self.path}: {_short(self.before)} → {_short(self.after)}"
+        return self.moved_points or f"{self.path}: {_short(self.before)} → {_short(self.after)}"
+
+    @property
+    def moved_points(self) -> str:
+        """Points that were moved, counted in words, because nobody reads 136 numbers; empty for other settings."""
+        if not self.path.startswith(MOVED):
+            return ""
+        frame, points = self.path.removeprefix(MOVED).strip("."), self.after or self.before or {}
+        if not frame:
+            return f"{sum(map(len, points.values()))} points moved in {len(points)} frames"
+        count = f"{len(points)} point{'s' if len(points) > 1 else ''}"
+        return f"frame {frame}: {count} " + ("moved" if self.after else "back at their detections")
 
 
 def differences(before: Config, after: Config) -> list[Difference]:

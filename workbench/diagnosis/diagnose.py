@@ -1,5 +1,6 @@
 """Why one frame fails: every cause is tried on it, and the reasons are ranked by how much their changes improve."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from workbench.config import Config
@@ -15,6 +16,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter
+from workbench.tracking.fitting import never, silent
 
 
 def diagnose_frame(
@@ -22,21 +24,27 @@ def diagnose_frame(
     case: FrameCase,
     fitter: FaceItFitter | None = None,
     reference: ShotReference | None = None,
+    progress: Callable[[str, int, int], object] = silent,
+    cancelled: Callable[[], bool] = never,
 ) -> Diagnosis:
     """Ranked reasons why a frame's fit is bad, each with a change that was tried; none for an unremarkable frame.
 
     Pass a `fitter` of the same model to save setting one up; it is not modified. `reference` (`reference_of`) holds the
     usual values of the shot; share one between several frames, else it is made from the case's shot without this frame.
-    Raises `InputError` for a frame without landmarks.
+    `progress(step, done, total)` is called after each cause, and `cancelled` is asked before each fit. Raises
+    `InputError` for a frame without landmarks, and `StoppedError` if cancelled.
     """
-    trial = start_trial(model, case, fitter, reference)
-    scored = [(score(trial, finding), finding) for cause in SCHEDULE_CAUSES for finding in cause(trial)]
+    trial = start_trial(model, case, fitter, reference, cancelled)
     # A stuck schedule, or a pose held by bad previous frames, would hide what is wrong with the input.
     patient = trial.with_config(patient_config(case.config))
-    for cause in INPUT_CAUSES:
-        for finding in cause(patient):
-            value = score(patient, finding)
-            scored.append((value, retried(trial, finding) if value >= LEAST_SCORE else finding))
+    causes = [(cause, trial) for cause in SCHEDULE_CAUSES] + [(cause, patient) for cause in INPUT_CAUSES]
+    scored = []
+    for done, (cause, at) in enumerate(causes, start=1):
+        for finding in cause(at):
+            value = score(at, finding)
+            again = at is patient and value >= LEAST_SCORE
+            scored.append((value, retried(trial, finding) if again else finding))
+        progress("diagnose", done, len(causes))
     return Diagnosis(
         reasons=ranked(scored),
         leave_group_out=pulls_of(trial),
@@ -54,7 +62,11 @@ def leave_one_group_out(model: FaceModel, case: FrameCase, fitter: FaceItFitter 
 
 
 def start_trial(
-    model: FaceModel, case: FrameCase, fitter: FaceItFitter | None = None, reference: ShotReference | None = None
+    model: FaceModel,
+    case: FrameCase,
+    fitter: FaceItFitter | None = None,
+    reference: ShotReference | None = None,
+    cancelled: Callable[[], bool] = never,
 ) -> Trial:
     """The frame with its fit, ready for testing hypotheses. Raises `InputError` for a frame without landmarks."""
     observation = case.observation
@@ -66,7 +78,7 @@ def start_trial(
     if reference is None:
         others = [other for other in case.shot if other.index != observation.index]
         reference = ShotReference(model, case.config, others, fitter)
-    return Trial(case, fitter, reference)
+    return Trial(case, fitter, reference, cancelled=cancelled)
 
 
 def patient_config(config: Config) -> Config:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from workbench.config import Config, Stage
+from workbench.diagnosis.appearance import Pictures
 from workbench.landmarks.observations import Landmarks2D
 from workbench.tracking import FrameContext, FrameFit, FrameObservation
 
@@ -26,6 +27,8 @@ class FrameCase:
     """RGB; without it some causes cannot be tested."""
     previous_picture: UInt8[np.ndarray, "h w 3"] | None = None
     """RGB picture of the previous frame."""
+    pictures: Pictures | None = None
+    """The pictures of the shot, with which this one's sharpness, light and colours are compared."""
 
     @property
     def before(self) -> FrameObservation | None:

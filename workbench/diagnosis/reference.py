@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench.config import POSE, ROBUST_START, Config, Stage
+from workbench.diagnosis.appearance import FaceLook, Pictures, look_of
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, landmark_model
 from workbench.geometry import Camera
@@ -59,6 +60,7 @@ class ShotReference:
         self._fitter.configure(plan_of(self._config))
         self._model = model
         self._offsets: dict[str, np.ndarray] = {}
+        self._looks: dict[int, FaceLook] = {}
 
     @property
     def knows_person(self) -> bool:
@@ -101,7 +103,11 @@ class ShotReference:
 
     def fits(self, identity: Float[np.ndarray, "i"]) -> list[FrameFit]:
         """Independent fits of the frames with this identity."""
-        return [self._fitter.fit(frame, FrameContext(0, identity, None, None))[0] for frame in self._sound_frames]
+        return [self.fit(frame, identity) for frame in self._sound_frames]
+
+    def fit(self, frame: FrameObservation, identity: Float[np.ndarray, "i"]) -> FrameFit:
+        """The fit of a frame on its own, by a joint solve."""
+        return self._fitter.fit(frame, FrameContext(0, identity, None, None))[0]
 
     @cached_property
     def usual_fits(self) -> list[FrameFit]:
@@ -131,6 +137,18 @@ class ShotReference:
             self._offsets[group] = np.array(offsets).reshape(-1, 2)
         return self._offsets[group]
 
+    @cached_property
+    def usual_confidence(self) -> Float[np.ndarray, "68"]:
+        """Median of the detector's confidence in each point; 0 with too few frames."""
+        each = [frame.landmarks.confidence for frame in self._shot]
+        return np.median(each, axis=0) if len(each) >= ENOUGH_FRAMES else np.zeros(68)
+
+    def look(self, frame: FrameObservation, pictures: Pictures) -> FaceLook:
+        """How the face of a frame looks in its picture."""
+        if frame.index not in self._looks:
+            self._looks[frame.index] = look_of(pictures(frame.index), frame.landmarks.points)
+        return self._looks[frame.index]
+
     def steps_of(self, group: str) -> Float[np.ndarray, "n"]:
         """Motion of a group relative to the rest of the face between frames, % of the face's size."""
         return self._steps[:, list(GROUPS[group])].mean(axis=1)
@@ -142,6 +160,17 @@ class ShotReference:
         ends = ends[:: max(1, len(ends) // MOST_STEPS)]
         steps = [_steps_between(points[k - 1], points[k]) for k in ends]
         return np.array(steps).reshape(-1, 68)
+
+    @cached_property
+    def jump_percent(self) -> float:
+        """Usual distance of the points from the middle of the adjacent frames', % of the face's size."""
+        points = {observation.index: observation.landmarks.points for observation in self._shot}
+        away = [
+            100.0 * np.linalg.norm(now - 0.5 * (points[k - 1] + points[k + 1]), axis=1).mean() / face_size(now)
+            for k, now in points.items()
+            if k - 1 in points and k + 1 in points
+        ]
+        return float(np.median(away)) if away else 0.0
 
     @cached_property
     def motion_percent(self) -> Float[np.ndarray, "68"]:

@@ -7,6 +7,7 @@ at most a fixed price. All hypotheses are thus comparable: by what they explain 
 """
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,13 +15,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from workbench.config import Config
+from workbench.diagnosis.appearance import FaceLook, UsualLook, look_of, near
 from workbench.diagnosis.innovation import UsualOffset, jump_of, usual_offsets
 from workbench.diagnosis.picture_evidence import Blur, carried_by_flow, directional_blur, gradient_energy
 from workbench.diagnosis.records import Change, FrameCase
 from workbench.diagnosis.reference import ShotReference, between
+from workbench.errors import StoppedError
 from workbench.landmarks.scheme import face_size
 from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
+from workbench.tracking.fitting import never
 
 DOUBTED = 3.0
 """Price of a landmark that a hypothesis assumes to be wrong, nats: an offset of about four typical distances."""
@@ -28,6 +32,8 @@ PARAMETER = 2.0
 """Price of a free parameter of a hypothesis, nats."""
 MOTION_SHARE = 0.5
 """Weight of the evidence from motion, which is not independent because the detector uses motion too."""
+SURE = 0.4
+"""Usual confidence from which a lower one says something."""
 FLOW_USUAL = 1.2
 """Factor on the usual motion deviation for points predicted by optical flow."""
 
@@ -58,9 +64,19 @@ class Finding:
 class Trial:
     """One frame, its fit, and the changes tried on it."""
 
-    def __init__(self, case: FrameCase, fitter: FaceItFitter, reference: ShotReference, afresh: bool = False):
-        """`afresh`: also try every fit without the previous frame, which may be wrong itself; the better one counts."""
-        self.case = case
+    def __init__(
+        self,
+        case: FrameCase,
+        fitter: FaceItFitter,
+        reference: ShotReference,
+        afresh: bool = False,
+        cancelled: Callable[[], bool] = never,
+    ):
+        """`afresh`: also try every fit without the previous frame, which may be wrong itself; the better one counts.
+
+        Every fit raises `StoppedError` once `cancelled` returns true.
+        """
+        self.case, self._cancelled = case, cancelled
         self._afresh = afresh and case.context.last is not None
         self.reference = reference
         self.names = fitter.model.expression_names
@@ -73,7 +89,8 @@ class Trial:
 
     def with_config(self, config: Config) -> "Trial":
         """The same frame under another configuration."""
-        return Trial(replace(self.case, config=config), self._fitter, self.reference, afresh=True)
+        case = replace(self.case, config=config)
+        return Trial(case, self._fitter, self.reference, afresh=True, cancelled=self._cancelled)
 
     # --- fits ---
 
@@ -84,6 +101,8 @@ class Trial:
         return self._best_fit(self.fitter(change.apply_to(self.case.config), context), observation, context)
 
     def _best_fit(self, fitter: FaceItFitter, observation: FrameObservation, context: FrameContext) -> FrameFit:
+        if self._cancelled():
+            raise StoppedError(f"The diagnosis of frame {observation.index} was cancelled.")
         fit, _ = fitter.fit(observation, context)
         if not self._afresh or context.last is None:
             return fit
@@ -224,6 +243,29 @@ class Trial:
         if case.previous_picture is not None and case.before is not None:
             previous = gradient_energy(case.previous_picture, case.before.landmarks.points, self.face_px)
         return directional_blur(energy, previous)
+
+    @cached_property
+    def relative_confidence(self) -> Float[np.ndarray, "68"]:
+        """The detector's confidence in each point relative to its usual one in the shot; 1 where that is low, too."""
+        usual = self.reference.usual_confidence
+        now = self.case.observation.landmarks.confidence
+        return np.where(usual > SURE, now / np.maximum(usual, SURE), 1.0)
+
+    @cached_property
+    def look(self) -> FaceLook | None:
+        """How the face looks in the picture; None without a picture."""
+        return None if self.case.picture is None else look_of(self.case.picture, self.points)
+
+    @cached_property
+    def usual_look(self) -> UsualLook | None:
+        """How it looks in the frames around; None without their pictures, or with too few."""
+        pictures, frames = self.case.pictures, self.case.shot
+        if pictures is None:
+            return None
+        there = {frame.index: frame for frame in frames if frame.landmarks is not None}
+        around = near(self.case.observation.index, list(there))
+        usual = UsualLook({index: self.reference.look(there[index], pictures) for index in around})
+        return usual if usual.known else None
 
     def observation_at(self, index: int) -> FrameObservation | None:
         """An observation of the shot by frame index, if it has landmarks."""

@@ -18,6 +18,7 @@ from workbench.files import check_not_inputs
 from workbench.frames import Frames
 from workbench.pictures.overlay_files import write_overlay_video
 from workbench.tracking import Track
+from workbench.tracking.fitting import silent
 
 Progress = Callable[[str, int, int | None], None]
 """Called with the name of a step, what is done, and how much there is in all."""
@@ -53,7 +54,7 @@ def export_track(
     exported, `OutputError` for a file that cannot be written or is an input, and `MissingDependencyError` where a
     format needs a package that is not installed.
     """
-    path, kind, progress = Path(path), format_of(path), progress or _silent
+    path, kind, progress = Path(path), format_of(path), progress or silent
     given = [] if pictures is None else [Path(pictures)]
     check_not_inputs([path], [*given, *input_files(track.meta)])
     check_model(track, model)
@@ -125,7 +126,3 @@ def _report(track, model, path: Path, pictures, dressed: DressedHead | None, pro
 
     write_report(track, model, path, frames, progress=drawn, dressed=dressed)
     return Exported(path, notes)
-
-
-def _silent(step: str, done: int, total: int | None) -> None:
-    """No progress is shown."""

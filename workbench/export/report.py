@@ -264,11 +264,18 @@ def _settings(config: Config | None) -> str:
         return "<p>The track does not say how it was made.</p>"
     changed = differences(preset(config.preset), config)
     if changed:
-        rows = [(item.path, _text(item.before), _text(item.after)) for item in changed]
+        rows = [
+            ("landmarks", "", item.moved_points)
+            if item.moved_points
+            else (item.path, _text(item.before), _text(item.after))
+            for item in changed
+        ]
         told = _table(("setting", f"preset {config.preset}", "this run"), rows, numbers=False)
     else:
         told = f"<p>The preset <b>{html.escape(config.preset)}</b> without a change.</p>"
-    flat = _flat(config.model_dump(mode="json"))
+    told_of = config.model_dump(mode="json")
+    moved = {frame: f"{len(points)} points" for frame, points in config.landmarks.moved.items()}
+    flat = _flat(told_of | {"landmarks": told_of["landmarks"] | {"moved": moved}})
     return (
         told
         + f"<details><summary>All settings</summary>{_table(('setting', 'value'), flat, numbers=False)}</details>"

@@ -21,6 +21,7 @@ from workbench.learning.examples import Example
 from workbench.learning.learnable import POINTS, Logs
 from workbench.reading import checked_content, checked_json
 from workbench.runtime import COMPUTING
+from workbench.tracking.fitting import never
 
 STEP = 0.35
 """Length of the first steps, in logarithms: a factor of 1.4."""
@@ -86,14 +87,15 @@ def descended(
     steps: int,
     tell: Tell,
     stored: Path | None = None,
+    stopped: Callable[[], bool] = never,
 ) -> Learning:
-    """The learning after `steps` steps in all, or after an interrupt (Ctrl-C) as far as it had come.
+    """The learning after `steps` steps in all, or as far as it had come when it was `stopped` or interrupted (Ctrl-C).
 
     `watch`: the values kept are the best on these; without any, the last. `stored` is written after each step.
     """
     found, chain = begun, optimiser(steps)
     try:
-        while len(found.values) < steps:
+        while len(found.values) < steps and not stopped():
             found = _stepped(slope, chain, found, _turn(train, len(found.values)), watch, steps)
             if stored is not None:
                 store(found, stored)

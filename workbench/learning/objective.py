@@ -1,13 +1,15 @@
 """An objective of a stretch's fits as a number with a gradient by what is learned."""
 
+import json
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from workbench.arrays import AnyArray
-from workbench.config import Config
+from workbench.arrays import AnyArray, shapes_of
+from workbench.config import Config, parse_config
 from workbench.errors import ConfigError
 from workbench.geometry import Camera
 from workbench.learning.chain import FittedStretch, fitted_stretch
@@ -51,6 +53,24 @@ def value_and_slope(
 ) -> Callable[[Logs, Example], tuple[Float[AnyArray, ""], Logs]]:
     """The compiled value of an example and its derivative by what is learned."""
     return jax.jit(jax.value_and_grad(example_value(config, objectives, camera)), compiler_options=SMALL_ARRAYS)
+
+
+def compiled_slope(
+    config: Config, objectives: WeightedSum, image_size: tuple[int, int], logs: Logs, example: Example
+) -> Callable[[Logs, Example], tuple[Float[AnyArray, ""], Logs]]:
+    """`value_and_slope` for arguments of these shapes, compiled; the latest are kept.
+
+    It is compiled while other programs may run, so that a panel beside it goes on.
+    """
+    text = config.model_dump_json(exclude={"provenance"})
+    return _compiled(text, tuple(objectives.factors.items()), image_size, *shapes_of((logs, example)))
+
+
+@lru_cache(maxsize=2)
+def _compiled(text: str, factors: tuple[tuple[str, float], ...], image_size: tuple[int, int], tree, shapes):
+    config = parse_config(json.loads(text), "what is learned from")
+    slope = value_and_slope(config, WeightedSum(dict(factors)), plan_of(config).camera.of(image_size))
+    return slope.lower(*jax.tree.unflatten(tree, shapes)).compile()
 
 
 def _as_clip(found: FittedStretch, kinds: Sequence[str], frames: int) -> FittedClip:

@@ -16,18 +16,18 @@ from workbench.face import FaceModel
 from workbench.learning.descent import WATCHED, Learning, begin, descended, stored, watched_value
 from workbench.learning.examples import example_of, spread, stretches_in
 from workbench.learning.learnable import learned, start_of
-from workbench.learning.objective import check_gradient, value_and_slope
+from workbench.learning.objective import check_gradient, compiled_slope
 from workbench.learning.parts import Parts
 from workbench.learning.report import Change, change_of
 from workbench.learning.search import searched
 from workbench.objectives import WeightedSum
 from workbench.pipeline import content_hash, software_versions
-from workbench.planning import plan_of
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import folds_needed, objectives_of
 from workbench.sweeps.solving import ClipSolver
 from workbench.sweeps.space import Axis
 from workbench.sweeps.stored_clips import ClipSource, digest_of, observe
+from workbench.tracking.fitting import never
 
 STEPS, TRIALS = 24, 40
 TRAINED = 12
@@ -86,12 +86,14 @@ def tuned(
     place: Path | None = None,
     resume: bool = False,
     inputs: Sequence[str] = (),
+    stopped: Callable[[], bool] = never,
 ) -> Tuned:
     """The configuration with the settings that its objective likes best on the part to learn on.
 
     `place`: files of what was learned (`.learning.json`) and searched (`.study.log`) begin so, and `resume` goes on
-    with them. An interrupt (Ctrl-C) keeps what was found. Raises `ConfigError` for settings that cannot be learned or
-    searched, and `InputError` for a clip without frames to learn on.
+    with them. An interrupt (Ctrl-C) keeps what was found, and so does `stopped`, which is asked before each step of a
+    gradient. Raises `ConfigError` for settings that cannot be learned or searched, and `InputError` for a clip without
+    frames to learn on.
     """
     if not (wanted.learn or wanted.search):
         raise ConfigError("There is nothing to tune; name settings to learn (--learn) or to search (--search).")
@@ -104,7 +106,7 @@ def tuned(
             lambda done, total, value: tell("search", done, total, value, None),
         )  # fmt: skip
     if wanted.learn:
-        learning = learn_on(solver, found, clip, wanted, tell, place, resume)
+        learning = learn_on(solver, found, clip, wanted, tell, place, resume, stopped)
         found = learned(found, learning.kept)
     before, after = measured(solver, (config, found), clip, wanted)
     result = Tuned(found, config, before, after, learning)
@@ -123,7 +125,14 @@ def inputs_of(source: ClipSource) -> list[str]:
 
 
 def learn_on(
-    solver: ClipSolver, config: Config, clip: SweptClip, wanted: Wanted, tell: Tell, place: Path | None, resume: bool
+    solver: ClipSolver,
+    config: Config,
+    clip: SweptClip,
+    wanted: Wanted,
+    tell: Tell,
+    place: Path | None,
+    resume: bool,
+    stopped: Callable[[], bool] = never,
 ) -> Learning:
     """The learning of a configuration's settings by gradient."""
     start = start_of(config, wanted.learn)
@@ -135,8 +144,7 @@ def learn_on(
         return [example_of(solver, config, clip, window, kinds) for window in windows]
 
     train, watch = examples(wanted.parts.train, TRAINED), examples(wanted.parts.watch, WATCHED)
-    camera = plan_of(config).camera.of(clip.observations[0].image_size)
-    slope = value_and_slope(config, wanted.objectives, camera)
+    slope = compiled_slope(config, wanted.objectives, clip.observations[0].image_size, start, train[0])
     key = _key_of(config, clip, wanted)
     file = None if place is None else place.with_suffix(".learning.json")
     if resume and file is not None and file.exists():
@@ -145,10 +153,11 @@ def learn_on(
         begun = begin(key, start, watched_value(slope, start, watch))
 
     def told(learning: Learning, steps: int) -> None:
-        seen = [value for value in learning.watched if value is not None]
+        seen = [begun.best_value] if watch else []
+        seen += [value for value in learning.watched if value is not None]
         tell("learn", len(learning.values), steps, learning.values[-1], seen[-1] if seen else None)
 
-    return descended(slope, begun, train, watch, wanted.steps, told, file)
+    return descended(slope, begun, train, watch, wanted.steps, told, file, stopped)
 
 
 def measured(

@@ -10,6 +10,8 @@ from jaxtyping import Bool, Float, Int, Integer, UInt8
 from workbench.face.model import FaceModel
 
 GHOST_COLOR = (150, 196, 255)
+OUTLINE_COLOR = (214, 60, 180)
+"""Magenta: it stands out from skin, from the page, and from the colours of numbers."""
 SEGMENT_MM = 0.9
 """Thickness of a segment."""
 INNER_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue", "mouth_cavity", "eye_cavity")
@@ -48,6 +50,8 @@ class Extras:
     ghost: Float[np.ndarray, "v 3"] | None = None
     """Vertices of a second head."""
     ghost_opacity: float = 0.35
+    ghost_outline: bool = False
+    """Whether only the ghost's outline is drawn, over the head, not its surface."""
     rest: Float[np.ndarray, "v 3"] | None = None
     """The person without an expression, whom a character's hair follows; None: the neutral that the painter was made
     with."""

@@ -21,6 +21,7 @@ from workbench.pictures.gl_probe import gl_available
 from workbench.pictures.lighting import STUDIO, Lighting
 from workbench.pictures.mesh import check_scene, to_camera, to_pixels
 from workbench.pictures.neck import bent, neck_of
+from workbench.pictures.outline import paint_outline
 from workbench.pictures.render_thread import RenderThread
 from workbench.pictures.wireframe import draw_wireframe
 from workbench.samples import sample
@@ -237,11 +238,12 @@ class PlainPainter:
     def _draw(self, vertices, camera, rotation, translation, background, lighting, extras: Extras):
         model = self.model if extras.colors is None else replace(self.model, colors=extras.colors)
         picture, mask = draw_wireframe(model, self.size, vertices, camera, rotation, translation, background, lighting)
-        if extras.ghost is not None:
-            view = (camera, rotation, translation)
+        view = (camera, rotation, translation)
+        if extras.ghost is not None and not extras.ghost_outline:
             ghost = draw_wireframe(_ghost_model(self.model), self.size, extras.ghost, *view, picture, lighting)[0]
             picture = cv2.addWeighted(ghost, extras.ghost_opacity, picture, 1.0 - extras.ghost_opacity, 0.0)
         _paint_marks(picture, extras, camera, rotation, translation)
+        _paint_outline(picture, extras, outer_triangles(self.model), *view)
         return picture, mask
 
     def __enter__(self) -> "PlainPainter":
@@ -316,7 +318,9 @@ def _make_scene(
 
 def _draw(scene, points_camera, camera: Camera, lighting: Lighting, behind: np.ndarray, extras: Extras, pose, worn):
     rgba = scene.render(points_camera, camera, lighting, extras, pose, worn)
-    return composite(rgba, behind), rgba[..., 3].copy()
+    picture = composite(rgba, behind)
+    _paint_outline(picture, extras, scene.outer_triangles, camera, *pose)
+    return picture, rgba[..., 3].copy()
 
 
 def _resize(scene, size: tuple[int, int], supersampling: float) -> None:
@@ -349,6 +353,13 @@ def _paint_marks(picture: UInt8[np.ndarray, "h w 3"], extras: Extras, camera: Ca
             width = max(1, round(thickness_mm * float(camera.focal_px[0]) / ends[0, 2]))
             (x0, y0), (x1, y1) = pixels.astype(int).tolist()
             cv2.line(picture, (x0, y0), (x1, y1), color.tolist(), width, cv2.LINE_AA)
+
+
+def _paint_outline(
+    picture: np.ndarray, extras: Extras, triangles: np.ndarray, camera: Camera, *pose: np.ndarray
+) -> None:
+    if extras.ghost is not None and extras.ghost_outline:
+        paint_outline(picture, to_camera(extras.ghost, *pose), triangles, camera)
 
 
 def _albedo(model: FaceModel, texture: bool | np.ndarray) -> np.ndarray | None:

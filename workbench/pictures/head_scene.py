@@ -212,7 +212,8 @@ class HeadScene:
         if self.marks.show(len(vertices) > 0 and pose is not None):
             self.marks.set(_distorted(camera, points := to_camera(vertices, *pose)), triangles, colors)
             parts.append(points[:, 2])
-        if self.ghost.show(extras.ghost is not None and pose is not None and extras.ghost_opacity > 0.0):
+        surface = extras.ghost is not None and not extras.ghost_outline and extras.ghost_opacity > 0.0
+        if self.ghost.show(surface and pose is not None):
             points = to_camera(extras.ghost, *pose)
             opacity = np.rint(extras.ghost_opacity * self.opacity.astype(float))
             rgba = np.column_stack([np.tile(GHOST_COLOR, (len(points), 1)), opacity]).astype(np.uint8)

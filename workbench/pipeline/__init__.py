@@ -41,6 +41,7 @@ from workbench.pipeline.temporal_run import work_over as work_over
 from workbench.planning import plan_of
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, Track
+from workbench.tracking.fitting import silent
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.track_layout import model_record
 from workbench.tracking.track_reader import TrackReader
@@ -99,7 +100,7 @@ def track(
     if not config.traits.renders and (views or workers > 1):
         raise InputError("Several views and several processes belong to Deep Energies; add --preset deep.")
     files = [*paths, *views.values(), *_given(landmarks), *_given(config.camera.rig)]
-    job = _Job(Path(folder), model, config, pictures, resume, overwrite, workers, progress or _silent)
+    job = _Job(Path(folder), model, config, pictures, resume, overwrite, workers, progress or silent)
     with run_folder(job.folder, files, resume, overwrite):
         if config.traits.renders:
             source = open_deep_source(paths, config, landmarks, frames, views)
@@ -232,7 +233,7 @@ def retrack(
     they were moved. `overwrite` replaces what an earlier run left. Raises `InputError` for a track, model or pictures
     that cannot be used, and `OutputError` as `track` does.
     """
-    folder, progress = Path(folder), progress or _silent
+    folder, progress = Path(folder), progress or silent
     reader = TrackReader(stored)
     check_model(reader.meta, model)
     if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
@@ -282,10 +283,6 @@ def _over_time(
 def _fits(writer: TrackWriter) -> Iterator[FrameFit]:
     for part in writer.tracks():
         yield from (part[position] for position in range(len(part)))
-
-
-def _silent(step: str, done: int, total: int | None) -> None:
-    """No progress is shown."""
 
 
 def _track_frames(

@@ -27,6 +27,7 @@ from workbench.rendering import render
 from workbench.rendering.skin_texture import SkinView, completed_skin, painted_skin
 from workbench.rendering.topology import mesh_topology
 from workbench.tracking import FrameFit, Track
+from workbench.tracking.fitting import silent
 
 YAWS_DEG = (-22.0, -8.0, 8.0, 22.0)
 """Views are taken from each of the ranges between these."""
@@ -85,7 +86,7 @@ def character_of_clip(
     than the default head, without usable frames, or whose faces are too small, and `ModelError` for styles that are
     not there.
     """
-    folder, progress = Path(folder), progress or _silent
+    folder, progress = Path(folder), progress or silent
     model = _model(track)
     fits = usable_fits(track)
     _check_styles(wardrobe, fits[0].identity)
@@ -237,7 +238,3 @@ def _toml(wardrobe: Wardrobe, hair_color: tuple[float, float, float] | None, ide
         lines.append(f"hair_color = {[round(float(value), 1) for value in hair_color]}")
     lines.append(f"identity = {[round(float(value), 4) for value in np.clip(identity, -MOST_SIGMA, MOST_SIGMA)]}")
     return "\n".join(lines) + "\n"
-
-
-def _silent(step: str, done: int, total: int | None) -> None:
-    """No progress is shown."""

@@ -1,10 +1,4 @@
-from .figures import AMBER as AMBER
-from .figures import BLUE as BLUE
-from .figures import GREEN as GREEN
-from .figures import GREY as GREY
-from .figures import LINES as LINES
 from .figures import PAGE_WIDTH as PAGE_WIDTH
-from .figures import RED as RED
 from .figures import STRIP_ROWS as STRIP_ROWS
 from .figures import Picture as Picture
 from .lines import beta_figure as beta_figure
@@ -29,6 +23,16 @@ from .pictures import signed_picture as signed_picture
 from .pictures import with_arrows as with_arrows
 from .pictures import with_points as with_points
 from .points import point_factors as point_factors
+from .style import AMBER as AMBER
+from .style import BLUE as BLUE
+from .style import GREEN as GREEN
+from .style import GREY as GREY
+from .style import LIGHT as LIGHT
+from .style import LINES as LINES
+from .style import RED as RED
+from .style import on_page as on_page
+from .style import styled as styled
+from .style import term_line as term_line
 from .tables import heat_map as heat_map
 from .tables import markdown_table as markdown_table
 from .tables import matrix_figure as matrix_figure

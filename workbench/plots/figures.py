@@ -1,4 +1,4 @@
-"""Shared parts of the figures: colours, sizes, empty figures and axes, the logarithmic scale."""
+"""Shared parts of the figures: sizes, empty figures and axes, the logarithmic scale."""
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -7,10 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from workbench.plots.style import TICK_PT
+
 Picture = UInt8[np.ndarray, "_ _ 3"]
-BLUE, RED, GREY, GREEN, AMBER = "#2a6f97", "#c0392b", "#8d99a6", "#2d936c", "#e09f3e"
-LINES = ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (AMBER, "-"), ("#5e548e", ":"))
-"""Colour and dash pattern of the lines of a figure, in order; dashes distinguish them without colour."""
 STRIP_ROWS = ("jaw", "brows", "nose", "eyes", "mouth")
 """Parts of the face, the rows of a residual strip."""
 DPI = 100
@@ -39,7 +38,10 @@ def one_axis(width: float, height: float) -> tuple[Figure, Axes]:
 
 def subplots(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, np.ndarray]:
     figure = empty_figure(*size)
-    return figure, figure.subplots(rows, columns, squeeze=False).ravel()
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis in axes:
+        axis.tick_params(labelsize=TICK_PT)
+    return figure, axes
 
 
 def empty_figure(width: float, height: float) -> Figure:

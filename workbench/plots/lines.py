@@ -12,23 +12,14 @@ from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from workbench.energies import EnergyConstants, beta_curve, beta_slope
 from workbench.errors import InputError
-from workbench.plots.figures import (
-    BLUE,
-    GREEN,
-    GREY,
-    LINES,
-    PAGE_WIDTH,
-    RED,
-    log_where_wide,
-    one_axis,
-    subplots,
-    without_frame,
-)
+from workbench.plots.figures import PAGE_WIDTH, log_where_wide, one_axis, subplots, without_frame
+from workbench.plots.style import BLUE, GREEN, GREY, LINES, RED, page, styled, term_line
 from workbench.tracking import Track
 
 ANGLES, PLACES = ("yaw", "pitch", "roll"), ("x", "y", "z")
 
 
+@styled
 def track_curves(
     tracks: dict[str, Track],
     quantities: Sequence[str] = (*ANGLES, *PLACES),
@@ -63,22 +54,23 @@ def track_curves(
                 alpha=0.6 if behind else 1.0, label=label, zorder=1 if behind else 2,
             )  # fmt: skip
         for first, last in shaded:
-            axis.axvspan(first - 0.5, last + 0.5, color="0.93", zorder=0)
+            axis.axvspan(first - 0.5, last + 0.5, color=page().band, zorder=0)
         unit = ", °" if quantity in ANGLES else ", mm" if quantity in PLACES else ""
-        axis.set_title(quantity + unit, fontsize=9)
+        axis.set_title(quantity + unit)
         axis.tick_params(labelsize=8)
         axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         without_frame(axis)
     for axis in axes[len(quantities) :]:
         axis.axis("off")
     for axis in axes[max(0, len(quantities) - columns) : len(quantities)]:
-        axis.set_xlabel("frame", fontsize=9)
+        axis.set_xlabel("frame")
     lines, labels = axes[0].get_legend_handles_labels()
-    figure.legend(lines, labels, frameon=False, fontsize=9, loc="upper center", ncols=len(labels))
+    figure.legend(lines, labels, loc="upper center", ncols=len(labels))
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 1.0 - 0.3 / figure.get_figheight()))
     return figure
 
 
+@styled
 def energy_over_iterations(curves: dict[str, np.ndarray], y_label: str = "energy") -> Figure:
     """A number after each iteration, one curve per label; logarithmic if it falls by more than a factor of ten."""
     figure, axis = one_axis(6.4, 3.0)
@@ -87,10 +79,11 @@ def energy_over_iterations(curves: dict[str, np.ndarray], y_label: str = "energy
     log_where_wide(axis, np.concatenate([np.asarray(energies, float) for energies in curves.values()]))
     axis.set_xlabel("iteration")
     axis.set_ylabel(y_label)
-    axis.legend(frameon=False, fontsize=9)
+    axis.legend()
     return figure
 
 
+@styled
 def curves(
     x: Float[np.ndarray, "n"] | Int[np.ndarray, "n"],
     series: dict[str, Float[np.ndarray, "n"]],
@@ -118,12 +111,13 @@ def curves(
     axis.set_xlabel(x_label)
     axis.set_ylabel(y_label)
     if len(series) > 3:  # too many to fit into a corner
-        axis.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+        axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     else:
-        axis.legend(frameon=False, fontsize=9)
+        axis.legend()
     return figure
 
 
+@styled
 def energies_over_stages(
     stages: dict[str, Float[np.ndarray, "_ terms"]], terms: Sequence[str], y_label: str = "energy"
 ) -> Figure:
@@ -141,7 +135,8 @@ def energies_over_stages(
         place = start + np.arange(len(values))
         sums = values[:, shown].sum(axis=1)
         axis.plot(place, sums, color=GREY, linewidth=4.0, alpha=0.6, label=None if number else "sum")
-        for (color, dash), k in zip(LINES, shown, strict=False):
+        for k in shown:
+            color, dash = term_line(terms[k])
             if values[:, k].any():
                 label = None if k in known else terms[k]
                 known.add(k)
@@ -150,17 +145,18 @@ def energies_over_stages(
         ticks.append(place.mean())
         start = place[-1] + 2.0
         if number < len(stages) - 1:
-            axis.axvline(start - 1.0, color="0.75", linewidth=0.8)
+            axis.axvline(start - 1.0, color=page().faint, linewidth=0.8)
     axis.set_yscale("symlog", linthresh=max(1e-3 * largest, 1e-12))
     axis.set_ylim(bottom=0.0, top=1.6 * largest)
     axis.set_xlim(-1.0, start - 1.0)
     axis.set_xticks(ticks, [_wrapped(name) for name in stages], fontsize=8)
     axis.tick_params(axis="x", length=0)
     axis.set_ylabel(y_label)
-    axis.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(shown) + 1)
+    axis.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(shown) + 1)
     return figure
 
 
+@styled
 def errors_per_stage(
     stages: Sequence[str], errors: dict[str, dict[str, Float[np.ndarray, "stages"]]], log: bool = True
 ) -> Figure:
@@ -171,18 +167,19 @@ def errors_per_stage(
         for (label, values), (color, dash) in zip(lines.items(), LINES, strict=False):
             axis.plot(place, values, dash, marker="o", markersize=4, color=color, linewidth=1.4, label=label)
         axis.set_xticks(place, stages, rotation=55, ha="right", rotation_mode="anchor", fontsize=8)
-        axis.set_title(title, fontsize=9)
+        axis.set_title(title)
         left = np.concatenate([np.asarray(values, float) for values in lines.values()])
         if not (log and log_where_wide(axis, left)):
             axis.set_ylim(bottom=0.0)
-        axis.grid(axis="y", color="0.92", linewidth=0.8)
+        axis.grid(axis="y", color=page().faint, linewidth=0.8)
         without_frame(axis)
     if len(next(iter(errors.values()))) > 1:
-        axes[0].legend(frameon=False, fontsize=8, loc="upper right")
+        axes[0].legend(fontsize=8, loc="upper right")
     figure.tight_layout()
     return figure
 
 
+@styled
 def error_boxes(errors: dict[str, dict[str, Float[np.ndarray, "_"]]]) -> Figure:
     """Errors over frames as boxes with every frame as a dot: one small plot per quantity, one box per label.
 
@@ -204,7 +201,7 @@ def error_boxes(errors: dict[str, dict[str, Float[np.ndarray, "_"]]]) -> Figure:
             axis.plot(apart, values, ".", color=color, markersize=4, alpha=0.7)
         axis.set_ylim(bottom=0.0)
         axis.tick_params(axis="x", length=0, labelsize=8)
-        axis.set_title(title, fontsize=9)
+        axis.set_title(title)
         without_frame(axis)
     figure.tight_layout()
     figure.draw_without_rendering()
@@ -221,6 +218,7 @@ def _names_overlap(axis: Axes) -> bool:
     return any(one.x1 >= other.x0 for one, other in pairwise(places))
 
 
+@styled
 def sweep_figure(
     x: Float[np.ndarray, "n"],
     series: dict[str, dict[str, Float[np.ndarray, "n"]]],
@@ -243,7 +241,7 @@ def sweep_figure(
             axis.plot(places, values, dash, marker="o", color=color, markersize=3.5, linewidth=1.2, label=label)
             axis.plot(places[least], values[least], "o", color=color, markersize=9, fillstyle="none")
         if levels and title in levels:
-            axis.axhline(levels[title], color="0.4", linestyle=":", linewidth=1.4)
+            axis.axhline(levels[title], color=page().soft, linestyle=":", linewidth=1.4)
         axis.set_xscale("log")
         axis.xaxis.set_minor_formatter(NullFormatter())
         decades = [10.0**power for power in range(-12, 13, 2) if places[1] <= 10.0**power <= places[-1]]
@@ -252,14 +250,15 @@ def sweep_figure(
         if not log_where_wide(axis, np.array([*lines.values()])):
             axis.set_ylim(bottom=min(0.0, 1.1 * np.nanmin([*lines.values()])))
         axis.set_xlabel(x_label)
-        axis.set_title(title, fontsize=9)
+        axis.set_title(title)
         without_frame(axis)
     if len(next(iter(series.values()))) > 1:
-        axes[0].legend(frameon=False, fontsize=8, loc="upper right")
+        axes[0].legend(fontsize=8, loc="upper right")
     figure.tight_layout()
     return figure
 
 
+@styled
 def beta_figure(constants: EnergyConstants) -> Figure:
     """E_β over a weight, and the magnitude of its slope on a logarithmic scale (FACE IT! Eq. 12)."""
     weights = np.sort(np.concatenate([np.linspace(-0.3, 1.3, 2001), 1 - constants.a + np.linspace(-1, 1, 201) * 1e-3,
@@ -268,14 +267,15 @@ def beta_figure(constants: EnergyConstants) -> Figure:
     left.plot(weights, np.asarray(beta_curve(weights, constants)), color=BLUE)
     right.semilogy(weights, np.abs(np.asarray(beta_slope(weights, constants))), color=RED)
     for axis, label in ((left, "E_β"), (right, "|dE_β/dw|")):
-        axis.axvspan(0, 1, color="0.95", zorder=0)
+        axis.axvspan(0, 1, color=page().band, zorder=0)
         axis.set_xlabel("weight w")
-        axis.set_title(label, fontsize=10)
+        axis.set_title(label)
         without_frame(axis)
     figure.tight_layout()
     return figure
 
 
+@styled
 def beta_step_figure(constants: EnergyConstants, stiffness: float, weight: float = 1.0) -> Figure:
     """How a weight that has left [0, 1] is driven back: slope of E_β and Gauss–Newton steps over its distance.
 
@@ -288,13 +288,13 @@ def beta_step_figure(constants: EnergyConstants, stiffness: float, weight: float
     slope = np.abs(np.asarray(beta_slope(-distance, constants)))
     figure, (left, right) = subplots(1, 2, (8.4, 3.0))
     left.loglog(distance, slope, color=RED)
-    left.set_title("|dE_β/dw|", fontsize=10)
+    left.set_title("|dE_β/dw|")
     by_beta = weight * value * slope / (weight * slope**2 + stiffness)
     right.loglog(distance, distance, color=GREY, linewidth=3.0, label="all the way back")
     right.loglog(distance, weight * distance / (weight + stiffness), "-.", color=GREEN, label="range term")
     right.loglog(distance, by_beta, color=RED, label="E_β")
-    right.set_title("first Gauss–Newton step towards 0", fontsize=10)
-    right.legend(frameon=False, fontsize=8)
+    right.set_title("first Gauss–Newton step towards 0")
+    right.legend(fontsize=8)
     for axis in (left, right):
         axis.set_xlabel("distance of w below 0")
         without_frame(axis)
@@ -302,13 +302,14 @@ def beta_step_figure(constants: EnergyConstants, stiffness: float, weight: float
     return figure
 
 
+@styled
 def profiles(shapes: dict[str, Float[np.ndarray, "v 3"]], marked: Int[np.ndarray, "m"]) -> Figure:
     """Side views of heads as point clouds, with some vertices marked in red; the face looks to the left."""
     figure, axes = subplots(1, len(shapes), (2.6 * len(shapes), 2.8))
     for axis, (title, shape) in zip(axes, shapes.items(), strict=True):
         axis.plot(shape[:, 2], shape[:, 1], ".", markersize=0.8, color=BLUE)
         axis.plot(shape[marked, 2], shape[marked, 1], ".", markersize=5, color=RED)
-        axis.set_title(title, fontsize=9)
+        axis.set_title(title)
         axis.set_aspect("equal")
         axis.invert_yaxis()
         axis.axis("off")

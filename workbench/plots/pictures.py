@@ -14,11 +14,12 @@ from matplotlib.patheffects import Normal, Stroke
 
 from workbench.arrays import AnyArray
 from workbench.errors import InputError
-from workbench.face import FaceModel
+from workbench.face import DressedHead, FaceModel
 from workbench.face.jaw import posed_vertices
 from workbench.geometry import Camera
 from workbench.pictures import HeadPanel, OverlayParts, draw_overlay, head_painter
-from workbench.plots.figures import AMBER, DPI, GAP, PAGE_WIDTH, TITLE_HEIGHT, Picture, empty_figure
+from workbench.plots.figures import DPI, GAP, PAGE_WIDTH, TITLE_HEIGHT, Picture, empty_figure
+from workbench.plots.style import AMBER, LABEL_PT, styled
 from workbench.tracking import FrameFit
 
 CLOSE_UP_MARGIN = 1.5
@@ -70,6 +71,7 @@ def close_up(
     )
 
 
+@styled
 def pictures_in_a_row(pictures: Sequence[Picture], titles: Sequence[str] = (), columns: int | None = None) -> Figure:
     """Pictures side by side, or in rows of `columns`, each with its title above; wide rows are scaled to the page.
 
@@ -93,10 +95,11 @@ def pictures_in_a_row(pictures: Sequence[Picture], titles: Sequence[str] = (), c
         axis.imshow(picture)
         axis.axis("off")
         if titled[row]:
-            axis.set_title(titles[k], fontsize=9, pad=4)
+            axis.set_title(titles[k], pad=4)
     return figure
 
 
+@styled
 def film_strip(
     model: FaceModel,
     pictures: Sequence[Picture],
@@ -135,6 +138,7 @@ def film_strip(
     )
 
 
+@styled
 def picture_rows(rows: dict[str, Sequence[Picture]], titles: Sequence[str]) -> Figure:
     """Square pictures as a table: a row for each label, a title above each column."""
     across = PAGE_WIDTH - STRIP_LABEL - GAP * len(titles)
@@ -143,6 +147,7 @@ def picture_rows(rows: dict[str, Sequence[Picture]], titles: Sequence[str]) -> F
     return _labelled_rows(panels, titles, list(rows), [[""] * len(titles)] * len(rows))
 
 
+@styled
 def compared_fits(
     model: FaceModel,
     picture: Picture | None,
@@ -151,15 +156,16 @@ def compared_fits(
     view: str = "pose",
     columns: int | None = None,
     about: Float[np.ndarray, "n 2"] | None = None,
+    dressed: DressedHead | None = None,
 ) -> Figure:
-    """Fits of one frame side by side with labels: drawn over the picture, with 3D heads below.
+    """Fits of one frame side by side with labels: drawn over the picture, with heads below, `dressed` as a character.
 
     A single fit has its head next to it; without a picture only heads are shown, in rows of `columns`. With `view`
     "pose" the heads turn with the face, with "front" they stay frontal. All close-ups show the same square: around
     the points `about`, by default the observed landmarks.
     """
     wide = round(HEAD_CUT * side)
-    with HeadPanel(model, (wide, wide), view) as panel:
+    with HeadPanel(model, (wide, wide), view, dressed=dressed) as panel:
         whole = [panel.submit(fit).result()[0] for fit in fits.values()]
     edge = round(len(whole[0]) * (1.0 - 1.0 / HEAD_CUT) / 2)
     heads = [_resized(head[edge : len(head) - edge, edge : len(head) - edge], side) for head in whole]
@@ -251,7 +257,7 @@ def _labelled_rows(
         bottom = height - TITLE_HEIGHT - row * (side + GAP) - side
         figure.text(
             0.45 * margin / width, (bottom + side / 2) / height, "\n".join(name), rotation=90, ha="center",
-            va="center", fontsize=9,
+            va="center", fontsize=LABEL_PT,
         )  # fmt: skip
         for column, (picture, note) in enumerate(zip(pictures, said, strict=True)):
             left = margin + column * (side + GAP)
@@ -261,7 +267,7 @@ def _labelled_rows(
             axis.text(0.97, 0.03, note, transform=axis.transAxes, ha="right", va="bottom", fontsize=8, color="white",
                       path_effects=[Stroke(linewidth=2, foreground="0.1"), Normal()])  # fmt: skip
             if row == 0:
-                axis.set_title(tops[column], fontsize=9, pad=4)
+                axis.set_title(tops[column], pad=4)
     return figure
 
 

@@ -11,11 +11,13 @@ from matplotlib.figure import Figure
 
 from workbench.landmarks.alignment import MEAN_SHAPE
 from workbench.plots.figures import PAGE_WIDTH, subplots
+from workbench.plots.style import page, styled
 
 NAMED, APART = 8, 0.09
 """How many of the landmarks with the smallest factors have their numbers, and how far from each other, face widths."""
 
 
+@styled
 def point_factors(
     factors: dict[str, Float[np.ndarray, "68"]], marked: Mapping[str, Sequence[int]] = MappingProxyType({})
 ) -> Figure:
@@ -29,24 +31,30 @@ def point_factors(
     scale = LogNorm(1.0 / farthest, farthest)
     for axis, (title, values) in zip(axes, factors.items(), strict=True):
         shown = _drawn(axis, np.asarray(values), scale, marked.get(title, ()))
-        axis.set_title(title, fontsize=10)
+        axis.set_title(title)
     figure.tight_layout(rect=(0.0, 0.0, 1.0 - 0.95 / width, 1.0))
     place = figure.add_axes((1.0 - 0.85 / width, 0.15, 0.16 / width, 0.7))
     bar = figure.colorbar(shown, cax=place)
     bar.formatter = bar.minorformatter = "{x:g}"
     bar.set_ticks([1.0 / farthest, 1.0, farthest], labels=[f"{1.0 / farthest:.2g}", "1", f"{farthest:.2g}"])
     bar.ax.minorticks_off()
-    bar.set_label("factor", fontsize=9)
+    bar.set_label("factor")
     return figure
 
 
 def _drawn(axis: Axes, values: Float[np.ndarray, "68"], scale: LogNorm, marked: Sequence[int]):
-    shown = axis.scatter(*MEAN_SHAPE.T, s=44, c=values, cmap="RdBu", norm=scale, edgecolors="0.35", linewidths=0.6)
+    ink, soft = page().ink, page().soft
+    shown = axis.scatter(*MEAN_SHAPE.T, s=44, c=values, cmap="RdBu", norm=scale, edgecolors=soft, linewidths=0.6)
     axis.scatter(
-        *MEAN_SHAPE[np.array(marked, int)].T, s=120, marker="s", facecolors="none", edgecolors="0.1", linewidths=1.2
+        *MEAN_SHAPE[np.array(marked, int)].T,
+        s=120,
+        marker="s",
+        facecolors="none",
+        edgecolors=ink,
+        linewidths=1.2,
     )
     for point in _named(values):
-        axis.annotate(str(point), MEAN_SHAPE[point], (6, 5), textcoords="offset points", fontsize=8, color="0.2")
+        axis.annotate(str(point), MEAN_SHAPE[point], (6, 5), textcoords="offset points", fontsize=8, color=ink)
     axis.set_aspect("equal")
     axis.invert_yaxis()
     axis.margins(0.09)

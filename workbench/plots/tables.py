@@ -9,10 +9,12 @@ from matplotlib.figure import Figure
 
 from workbench.landmarks.scheme import GROUPS
 from workbench.pictures.overlay import WORST_PERCENT
-from workbench.plots.figures import BLUE, GREEN, GREY, PAGE_WIDTH, RED, STRIP_ROWS, one_axis
+from workbench.plots.figures import PAGE_WIDTH, STRIP_ROWS, one_axis
+from workbench.plots.style import BLUE, GREEN, GREY, RED, page, styled
 from workbench.tracking import FrameFit
 
 
+@styled
 def strongest_weights(
     names: Sequence[str],
     weights: Float[np.ndarray, "k"] | dict[str, np.ndarray],
@@ -35,13 +37,14 @@ def strongest_weights(
     axis.set_yticks(np.arange(len(order)), [names[k] for k in order], fontsize=9)
     axis.set_xlabel(x_label)
     if in_range is not None:
-        axis.axvspan(*in_range, color="0.95", zorder=0)
-    axis.axvline(0, color="0.3", linewidth=0.8)
+        axis.axvspan(*in_range, color=page().band, zorder=0)
+    axis.axvline(0, color=page().soft, linewidth=0.8)
     if len(series) > 1:
-        axis.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+        axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return figure
 
 
+@styled
 def heat_map(
     values: Float[np.ndarray, "r c"],
     rows: Sequence[object],
@@ -70,10 +73,11 @@ def heat_map(
     bar = figure.colorbar(shown, pad=0.02)
     bar.formatter = bar.minorformatter = "{x:g}"
     bar.ax.tick_params(which="both", labelsize=8)
-    bar.set_label(value_label, fontsize=9)
+    bar.set_label(value_label)
     return figure
 
 
+@styled
 def residual_strip(fits: Sequence[FrameFit], flagged: Sequence[bool] | None = None, frame: int | None = None) -> Figure:
     """Error of every landmark in every frame of a clip, in % of the outer-eye distance, like the panel's timeline.
 
@@ -85,7 +89,7 @@ def residual_strip(fits: Sequence[FrameFit], flagged: Sequence[bool] | None = No
         if fit.found:
             values[:, column] = fit.residuals_percent[order]
     figure, axis = one_axis(8.4, 2.5)
-    axis.set_facecolor("0.8")
+    axis.set_facecolor(page().faint)
     shown = axis.imshow(
         values, cmap="viridis", vmin=0.0, vmax=WORST_PERCENT, aspect="auto", interpolation="nearest",
         extent=(-0.5, len(fits) - 0.5, 67.5, -0.5),
@@ -105,10 +109,11 @@ def residual_strip(fits: Sequence[FrameFit], flagged: Sequence[bool] | None = No
     axis.set_ylim(67.5, -0.5)
     axis.set_xlabel("frame")
     bar = figure.colorbar(shown, pad=0.015, extend="max")
-    bar.set_label("error, % of eye distance", fontsize=8)
+    bar.set_label("error, % of eye distance")
     return figure
 
 
+@styled
 def matrix_figure(names: Sequence[str], matrix: Float[np.ndarray, "k k"], title: str) -> Figure:
     """A square matrix of values between −1 and 1 in colour, rows and columns by name."""
     side = 1.6 + 0.17 * len(names)
@@ -116,7 +121,7 @@ def matrix_figure(names: Sequence[str], matrix: Float[np.ndarray, "k k"], title:
     shown = axis.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1, interpolation="nearest")
     axis.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
     axis.set_yticks(range(len(names)), names, fontsize=7)
-    axis.set_title(title, fontsize=10)
+    axis.set_title(title)
     figure.colorbar(shown, shrink=0.6, pad=0.02)
     return figure
 

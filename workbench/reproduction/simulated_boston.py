@@ -21,7 +21,8 @@ from workbench.geometry import axis_angle_from_yaw_pitch_roll
 from workbench.pictures.lighting import Light, Lighting
 from workbench.reproduction.boston import NAMES, SIZE, boston_camera, write_truth
 from workbench.reproduction.people import FilmStudio, Motion, SimulatedPerson
-from workbench.reproduction.study import Progress, silent
+from workbench.reproduction.study import Progress
+from workbench.tracking.fitting import silent
 
 FRAMES = 200
 RATE = 30

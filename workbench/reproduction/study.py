@@ -19,16 +19,13 @@ from workbench.errors import InputError
 from workbench.files import atomic_path, make_folder
 from workbench.frames import write_picture
 from workbench.pipeline import Progress
-from workbench.plots import Picture
+from workbench.plots import LIGHT, Picture, on_page
 from workbench.reading import checked_content, checked_json, reading
 from workbench.reproduction.items import ITEMS, Item
+from workbench.tracking.fitting import silent
 
 RESULT = "result.json"
 FIGURE_DPI = 160
-
-
-def silent(step: str, done: int, total: int | None) -> None:
-    """Progress that nobody watches."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +92,7 @@ def check_data(
             raise InputError(f"None of these items reads {name}; choose {readers} as well.")
 
 
+@on_page(LIGHT)
 def run(
     items: Iterable[Item],
     folder: str | Path,

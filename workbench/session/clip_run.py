@@ -1,6 +1,7 @@
 """A run over a whole clip: its fits, the state each frame was continued from, and the fits that are out of date."""
 
 import threading
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +16,7 @@ from workbench.diagnosis import FrameFlags, flag_frames
 from workbench.face import FaceModel
 from workbench.planning import plan_of
 from workbench.session.calibrations import Calibrations
-from workbench.session.dependence import stale_frames
+from workbench.session.dependence import fits_key, stale_frames
 from workbench.session.material import Cancelled, Material, Progress
 from workbench.session.metrics import metrics_of_track
 from workbench.session.observed_frames import ObservedFrames
@@ -54,8 +55,13 @@ class Run:
         return metrics_of_track(self.track)
 
 
+KEPT_RUNS = 8
+"""Runs that are kept by their configuration, for comparison."""
+
+
 class ClipRuns:
-    """Runs over all frames of a material, with the same numbers as `workbench track`; keeps the last complete run."""
+    """Runs over all frames of a material, with the same numbers as `workbench track`; keeps the last complete run, and
+    some by their configuration."""
 
     def __init__(
         self, model: FaceModel, material: Material, base: Config, frames: ObservedFrames, calibrations: Calibrations
@@ -64,7 +70,7 @@ class ClipRuns:
         """The last complete run."""
         self._model, self._material, self._base = model, material, base
         self._frames, self._calibrations = frames, calibrations
-        self._base_metrics: dict[str, float] | None = None
+        self._kept: OrderedDict[str, Run] = OrderedDict()
         self._lock = threading.Lock()
 
     def fit(self, config: Config, progress: Progress | None = None, cancelled: Cancelled = never) -> Run | None:
@@ -73,15 +79,24 @@ class ClipRuns:
         if run is not None:
             with self._lock:
                 self.last = run
-                if config == self._base:
-                    self._base_metrics = run.metrics
+                self._keep(run)
+        return run
+
+    def known(self, config: Config) -> Run | None:
+        """The run under a configuration, if it is kept."""
+        return self._kept.get(fits_key(config))
+
+    def aside(self, config: Config, progress: Progress | None = None, cancelled: Cancelled = never) -> Run | None:
+        """The run under a configuration, which does not become the last one; None if cancelled."""
+        run = self.known(config) or self._fitted(config, progress, cancelled)
+        if run is not None:
+            with self._lock:
+                self._keep(run)
         return run
 
     def base_metrics(self, progress: Progress | None = None) -> dict[str, float]:
         """Errors and jitter under the configuration that the session started from; fits all frames the first time."""
-        if self._base_metrics is None:
-            self._base_metrics = self._fitted(self._base, progress, never).metrics
-        return self._base_metrics
+        return self.aside(self._base, progress).metrics
 
     def continued_from(self, frame: int) -> Continuation | None:
         """The state that a frame was continued from in the last run, in the form that needs no recompilation."""
@@ -96,6 +111,13 @@ class ClipRuns:
         if self.last is None:
             return np.ones(len(self._material.observations), bool)
         return stale_frames(self.last.config, config, self._material.shots)
+
+    def _keep(self, run: Run) -> None:
+        key, base = fits_key(run.config), fits_key(self._base)
+        self._kept[key] = run
+        self._kept.move_to_end(key)
+        while len(self._kept) > KEPT_RUNS:
+            self._kept.pop(next(kept for kept in self._kept if kept != base))
 
     def _fitted(self, config: Config, progress: Progress | None, cancelled: Cancelled) -> Run | None:
         walk = Walk(make_fitter(self._model, plan_of(config)))

@@ -7,16 +7,17 @@ import numpy as np
 from jaxtyping import UInt8
 
 from workbench.config import Config
+from workbench.errors import StoppedError
 from workbench.face import FaceModel
 from workbench.pictures.deep_strip import stage_strip
 from workbench.planning import plan_of
 from workbench.session.calibrations import Calibrations
 from workbench.session.dependence import frame_key
-from workbench.session.material import Material
+from workbench.session.material import Cancelled, Material
 from workbench.session.observed_frames import ObservedFrames
-from workbench.tracking import FaceItFitter, FrameFit, StageTrace
+from workbench.tracking import FrameFit, StageTrace
 from workbench.tracking.deep_solution import DeepSolution
-from workbench.tracking.fitting import Continuation, FrameProblem, FrameSolution, with_face
+from workbench.tracking.fitting import Continuation, FrameProblem, FrameSolution, never, with_face
 from workbench.tracking.systems import configured, make_fitter
 from workbench.tracking.walk import context_of
 
@@ -42,10 +43,13 @@ class FrameFits:
         self._solution: tuple[tuple, FrameSolution] | None = None
         self._lock = threading.RLock()
 
-    def fit(self, frame: int, config: Config, coarse: bool = False) -> FrameFit:
-        """The fit of one frame; `coarse` accepts an identity that an earlier configuration calibrated on the shot."""
+    def fit(self, frame: int, config: Config, coarse: bool = False, cancelled: Cancelled = never) -> FrameFit:
+        """The fit of one frame; `coarse` accepts an identity that an earlier configuration calibrated on the shot.
+
+        Raises `StoppedError` if cancelled.
+        """
         with self._lock:
-            return self._fitter.record(self._solved(self.problem(frame, config, coarse)))
+            return self._fitter.record(self._solved(self.problem(frame, config, coarse), cancelled=cancelled))
 
     def explain(self, frame: int, config: Config) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """The fit with every iteration kept. Raises `InputError` for a frame without landmarks."""
@@ -90,22 +94,21 @@ class FrameFits:
         with_face(problem.observation)
         return self._solved(problem, traced=True)
 
-    def _solved(self, problem: FrameProblem, traced: bool = False) -> FrameSolution:
+    def _solved(self, problem: FrameProblem, traced: bool = False, cancelled: Cancelled = never) -> FrameSolution:
         observation, context = problem.observation, problem.context
         if not self._fitter.renders or observation.landmarks is None:
-            return self._fitter.solve(problem, traced)
+            return self._unless(cancelled, self._fitter.solve(problem, traced, cancelled))
         points, identity = observation.landmarks.points.tobytes(), context.identity.tobytes()
         last = () if context.last is None else [np.asarray(part).tobytes() for part in context.last.parameters]
         key = (observation.index, frame_key(self._fitter_config), identity, points, *last)
         if self._solution is None or self._solution[0] != key:
-            self._solution = (key, self._fitter.solve(problem))
+            self._solution = (key, self._unless(cancelled, self._fitter.solve(problem, cancelled=cancelled)))
         return self._solution[1]
 
-
-def compile_solvers(model: FaceModel, config: Config, image_size: tuple[int, int]) -> None:
-    """Compile every solver that a panel offers for FACE IT!, with and without its trace, and the calibrations."""
-    for method in ("lm", "optimistix-lm"):  # "optimistix-dogleg" is the same program as "optimistix-lm"
-        fitter = FaceItFitter(model, plan_of(config.changed(solver={"method": method, "bounded": False})))
-        fitter.warm_up(image_size, trace=True)
-    for frames in {1, config.identity.frames}:
-        fitter.calibrate([fitter.neutral_observation(image_size)], frames)
+    @staticmethod
+    def _unless(cancelled: Cancelled, solution: FrameSolution) -> FrameSolution:
+        """A solution, unless it was cancelled and so may have stopped halfway."""
+        if cancelled():
+            index = solution.problem.observation.index
+            raise StoppedError(f"The fit of frame {index} was cancelled; what is shown is from before.")
+        return solution

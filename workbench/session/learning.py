@@ -10,8 +10,10 @@ from workbench.face import FaceModel
 from workbench.learning import Tuned, Wanted, parts_of_clip, read_frames, tuned
 from workbench.learning.tuning import STEPS, TRIALS, Tell, silent
 from workbench.objectives import read_sum
+from workbench.session.material import Cancelled
 from workbench.session.sweeping import SessionSweeps
 from workbench.sweeps import SweptClip, read_axis
+from workbench.tracking.fitting import never
 
 
 def tune_material(
@@ -30,10 +32,12 @@ def tune_material(
     place: str | Path | None = None,
     resume: bool = False,
     progress: Tell = silent,
+    cancelled: Cancelled = never,
 ) -> Tuned:
     """The configuration that an objective likes best, learned by gradient or searched.
 
-    Parts are frames as "0:300"; `place` keeps what `resume` goes on with. Raises `ConfigError` and `InputError` for
+    Parts are frames as "0:300"; `place` keeps what `resume` goes on with; `cancelled` stops learning
+    after a step, and keeps what it had found. Raises `ConfigError` and `InputError` for
     what cannot be tuned.
     """
     objectives = read_sum(objective)
@@ -42,7 +46,8 @@ def tune_material(
     given = [None if text is None else read_frames(text) for text in (train, watch, held_out)]
     parts = parts_of_clip(len(clip.observations), *given)
     wanted = Wanted(objectives, parts, tuple(learn), tuple(map(read_axis, search)), steps, trials)
-    return tuned(model, config, clip, wanted, progress, None if place is None else Path(place), resume)
+    stored = None if place is None else Path(place)
+    return tuned(model, config, clip, wanted, progress, stored, resume, stopped=cancelled)
 
 
 def _digest(clip: SweptClip) -> str:

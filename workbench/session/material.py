@@ -21,6 +21,8 @@ from workbench.tracking.records import SOURCES
 
 KEPT_BYTES = 256 << 20
 """Number of decoded pictures that a session caches."""
+FORWARD_FRAMES = 24
+"""A frame that lies this little ahead is read by going on: seeking decodes from the key frame before it."""
 CANVAS = 235
 """Grey level where a frame has no picture."""
 
@@ -41,7 +43,7 @@ class PictureStore:
         """
         self._frames, self._sizes, self._kept_bytes, self._given = frames, sizes, kept_bytes, given
         self._kept: OrderedDict[int, np.ndarray] = OrderedDict()
-        self._next, self._stream = -1, iter(())
+        self._next, self._stream = 0, None
         self._lock = threading.Lock()
 
     @property
@@ -64,9 +66,11 @@ class PictureStore:
     def _read(self, index: int) -> np.ndarray:
         if self._frames is None:
             return self._given[index] if index < len(self._given) else self._blank(index)
-        if index != self._next:
-            self._stream = self._frames.iterate(index)
-        frame: Frame | None = next(self._stream, None)
+        if self._stream is None or not 0 <= index - self._next < FORWARD_FRAMES:
+            self._stream, self._next = self._frames.iterate(index), index
+        frame: Frame | None = None
+        for _ in range(index - self._next + 1):
+            frame = next(self._stream, None)
         self._next = index + 1
         return self._blank(index) if frame is None else frame.picture
 

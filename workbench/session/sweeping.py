@@ -8,7 +8,7 @@ import numpy as np
 from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel
-from workbench.objectives import TABLE, Truth, flow_of_pictures, observed_clip, read_truth
+from workbench.objectives import TABLE, Truth, flow_of_pictures, folds_of, observed_clip, read_truth
 from workbench.session.material import Cancelled, Material, Progress
 from workbench.sweeps import (
     USUAL_OBJECTIVES,
@@ -21,8 +21,9 @@ from workbench.sweeps import (
     read_axis,
     read_sampling,
 )
-from workbench.sweeps.results import objectives_of
-from workbench.sweeps.sweep import chunked
+from workbench.sweeps.results import folds_needed, objectives_of
+from workbench.sweeps.sweep import FITS
+from workbench.tracking.chain_solver import CHAINS
 from workbench.tracking.fitting import never
 
 Grown = Callable[[SweepResult], None]
@@ -62,7 +63,7 @@ class SessionSweeps:
         total, done, values = len(points) * sum(map(len, windows)), 0, {}
         if self._solver is None:
             self._solver = ClipSolver(self._model)
-        for chunk in chunked(range(len(points)), sum(map(len, windows)), sweep.objectives):
+        for chunk in in_groups(len(points), windows, sweep.objectives):
             if cancelled():
                 break
             found = objectives_of(self._solver, [configs[k] for k in chunk], clip, windows, sweep.objectives)
@@ -89,3 +90,14 @@ class SessionSweeps:
                 self._flow = flow_of_pictures(material.pictures, observed_clip(observations))
             flow = self._flow
         return SweptClip(material.name, "session", observations, material.stills, known, flow)
+
+
+def in_groups(points: int, windows: Sequence[range], objectives: Sequence[str]) -> list[range]:
+    """The numbers of the points in groups of about a block of chains each: as much as is computed at once.
+
+    Each group is spread over all points, so that a curve shows its course early.
+    """
+    folds = len(folds_of(folds_needed(objectives), 1))
+    size = max(1, min(CHAINS // (folds * len(windows)), FITS // (folds * sum(map(len, windows)))))
+    count = -(-points // size)
+    return [range(first, points, count) for first in range(count)]

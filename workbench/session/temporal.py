@@ -17,7 +17,7 @@ from workbench.session.part_fits import PartFits
 from workbench.session.parts import Part, parts_of
 from workbench.session.worked import Worked, name_of
 from workbench.tracking import FrameFit
-from workbench.tracking.fitting import never
+from workbench.tracking.fitting import never, silent
 from workbench.tracking.infill import usable
 from workbench.tracking.refinement import passes
 
@@ -25,10 +25,6 @@ INFILLS, REFINEMENTS = ("flow", "linear", "spline"), ("averaging", "self", "plat
 KEPT = 48
 """Number of results that are cached."""
 NO_REFINEMENT = {"method": "none", "reestimate": 0}
-
-
-def silent(step: str, done: int, total: int | None) -> None:
-    """A progress callback that does nothing."""
 
 
 class _CancelledError(Exception):

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from workbench.config import DEFAULT_PRESET, Config, Difference, parse_config, preset
-from workbench.diagnosis import Change, Diagnosis
+from workbench.diagnosis import Change, Diagnosis, Uncertainty, estimate_uncertainty
 from workbench.errors import InputError
 from workbench.face import FaceModel, load_default_head
 from workbench.learning import Tuned
@@ -16,13 +16,14 @@ from workbench.session.calibrations import Calibrations
 from workbench.session.clip_run import ClipRuns, Run, described_track
 from workbench.session.diagnosing import Diagnosing, check_diagnosed
 from workbench.session.exports import Exports, track_command
-from workbench.session.frame_fits import FrameFits, compile_solvers
+from workbench.session.frame_fits import FrameFits
 from workbench.session.gesture import Gesture
 from workbench.session.landmark_edits import moved, put_back, weighed, with_subset
 from workbench.session.learning import tune_material
 from workbench.session.material import Cancelled, Material, Progress, load_material, material_of_track
 from workbench.session.metrics import metrics_of
 from workbench.session.observed_frames import ObservedFrames
+from workbench.session.readiness import get_ready
 from workbench.session.sweeping import SessionSweeps
 from workbench.session.temporal import TemporalWork
 from workbench.session.tuned_config import TunedConfig
@@ -46,8 +47,9 @@ class TuningSession:
         self._tuned = TunedConfig(self.base, self.tell)
         self._frames = ObservedFrames(material)
         calibrations = Calibrations(material, self._frames)
-        self._runs = ClipRuns(model, material, self.base, self._frames, calibrations)
-        self._fits = FrameFits(model, material, self.base, self._frames, calibrations, self._runs.continued_from)
+        self.runs = ClipRuns(model, material, self.base, self._frames, calibrations)
+        """Runs over all frames by their configuration, to compare with the last one."""
+        self._fits = FrameFits(model, material, self.base, self._frames, calibrations, self.runs.continued_from)
         self._diagnosing = Diagnosing(model, material, self._frames)
         self._exports = Exports(model, material)
         self._sweeps = SessionSweeps(model, material)
@@ -149,12 +151,14 @@ class TuningSession:
         self._frames.check(frame)
         return self.material.pictures[frame]
 
-    def fit_frame(self, frame: int, coarse: bool = False, config: Config | None = None) -> FrameFit:
+    def fit_frame(
+        self, frame: int, coarse: bool = False, config: Config | None = None, cancelled: Cancelled = never
+    ) -> FrameFit:
         """The fit of one frame under the current configuration, or under `config` for comparison.
 
-        `coarse` accepts an identity that an earlier configuration calibrated on the shot, for fast dragging in a clip.
+        `coarse`: any identity calibrated on the shot will do, for fast dragging. Raises `StoppedError` if cancelled.
         """
-        return self._fits.fit(frame, self.config if config is None else config, coarse)
+        return self._fits.fit(frame, self.config if config is None else config, coarse, cancelled)
 
     def explain_frame(self, frame: int) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """`fit_frame` with every iteration kept. Raises `InputError` for a frame without landmarks."""
@@ -179,14 +183,18 @@ class TuningSession:
         """The state that the fit of a frame starts from under the current configuration."""
         return self._fits.problem(frame, self.config).context
 
-    def diagnose(self, frame: int) -> Diagnosis:
+    def diagnose(self, frame: int, progress: Progress | None = None, cancelled: Cancelled = never) -> Diagnosis:
         """Reasons why the fit of a frame may be bad, and why the last complete run flags it, if it does.
 
-        Raises `InputError` for a frame without landmarks.
+        Raises `InputError` for a frame without landmarks, and `StoppedError` if cancelled.
         """
-        config = self.config
-        check_diagnosed(config)
-        return self._diagnosing.diagnose(self._fits.problem(frame, config), config, self.run)
+        config = check_diagnosed(self.config)
+        return self._diagnosing.diagnose(self._fits.problem(frame, config), config, self.run, progress, cancelled)
+
+    def uncertainty(self, frame: int) -> Uncertainty:
+        """How well landmarks and priors determine the fit of a frame. Raises `InputError` as `diagnose` does."""
+        config = check_diagnosed(self.config)
+        return estimate_uncertainty(self.model, config, self.context(frame), self.fit_frame(frame))
 
     def apply(self, change: Change, frame: int) -> Config:
         """Apply a change proposed by the diagnosis of a frame; one undo step."""
@@ -203,7 +211,7 @@ class TuningSession:
         These are the frame-by-frame fits of `workbench track`; `temporal` infills and refines them. After a cancelled
         run, the fits of the last complete run stay.
         """
-        if self._runs.fit(self.config if config is None else config, progress, cancelled) is None:
+        if self.runs.fit(self.config if config is None else config, progress, cancelled) is None:
             return None
         self.tell("run")
         return self.track
@@ -211,7 +219,7 @@ class TuningSession:
     @property
     def run(self) -> Run | None:
         """The last complete run."""
-        return self._runs.last
+        return self.runs.last
 
     @property
     def track(self) -> Track:
@@ -221,7 +229,7 @@ class TuningSession:
     @property
     def stale(self) -> Bool[np.ndarray, "n"]:
         """Frames whose fit in the last run belongs to another configuration."""
-        return self._runs.stale(self.config)
+        return self.runs.stale(self.config)
 
     def metrics(self) -> dict[str, float]:
         """Errors and jitter of the last complete run; fits all frames if there is none."""
@@ -247,16 +255,9 @@ class TuningSession:
             self.fit_clip()
         return self.run
 
-    def warm_up(self) -> None:
-        """Compile everything a panel can request: every solver, with and without its trace, and a diagnosis."""
-        if not self.base.traits.real_time:
-            self.fit_frame(0)
-            return
-        observations = self.material.observations
-        compile_solvers(self.model, self.base, observations[0].image_size)
-        seen = next((k for k, observation in enumerate(observations) if observation.landmarks is not None), None)
-        if seen is not None:
-            self.diagnose(seen)
+    def warm_up(self, cancelled: Cancelled = never) -> None:
+        """Compile everything a panel can request. Raises `StoppedError` if cancelled."""
+        get_ready(self, cancelled)
 
     # --- export ---
 
@@ -274,7 +275,7 @@ class TuningSession:
         fits = self.temporal.fits_by(config, progress, cancelled)
         if fits is None:
             raise InputError(f"The export was cancelled; {path} was not written.")
-        self._exports.write(path, config, self.base, self._runs.base_metrics(progress), metrics_of(fits))
+        self._exports.write(path, config, self.base, self.runs.base_metrics(progress), metrics_of(fits))
         self._tuned.exported = config
         self.tell("export")
         return path

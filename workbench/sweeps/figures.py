@@ -15,8 +15,9 @@ from matplotlib.ticker import NullFormatter
 
 from workbench.errors import InputError
 from workbench.objectives import TABLE, pareto_set
-from workbench.plots import BLUE, GREY, RED
+from workbench.plots import BLUE, GREY, LIGHT, RED, on_page, styled
 from workbench.plots.figures import subplots, without_frame
+from workbench.plots.style import page
 from workbench.sweeps.outcome import SweepResult
 from workbench.sweeps.space import Axis, shown
 
@@ -27,6 +28,7 @@ COLOURS = "viridis_r"
 """Light is good: less is better."""
 
 
+@styled
 def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Sequence[str] = ()) -> Figure:
     """Each objective over one setting: the mean over frames, and the quartiles as a band; a ring at the least mean.
 
@@ -60,11 +62,12 @@ def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Seq
         without_frame(area)
     for area in axes[len(names) :]:
         area.axis("off")
-    axes[0].legend(frameon=False, fontsize=8)
+    axes[0].legend(fontsize=8)
     figure.tight_layout()
     return figure
 
 
+@styled
 def maps_figure(result: SweepResult, axes: tuple[Axis, Axis] | None = None, objectives: Sequence[str] = ()) -> Figure:
     """Each objective over two settings of a grid, as a map; a ring at the least mean.
 
@@ -109,6 +112,7 @@ def maps_figure(result: SweepResult, axes: tuple[Axis, Axis] | None = None, obje
     return figure
 
 
+@styled
 def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
     """Every point as a line through its settings and its objectives; the darkest tenth has least of `wanted`.
 
@@ -129,7 +133,7 @@ def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
         colour, width, opacity = (RED, 1.6, 0.9) if good else (GREY, 0.9, 0.6)
         area.plot(places, lines[number], color=colour, linewidth=width, alpha=opacity)
     for place, (_, _, low, high) in enumerate(scales):
-        area.axvline(place, color="0.3", linewidth=0.8)
+        area.axvline(place, color=page().soft, linewidth=0.8)
         for text, height, align in ((low, -0.03, "top"), (high, 1.03, "bottom")):
             area.text(place, height, text, ha="center", va=align, fontsize=8)
     names = [_folded(path) for path, *_ in scales]
@@ -144,6 +148,7 @@ def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
     return figure
 
 
+@styled
 def pareto_figure(
     result: SweepResult, across: str = "error", up: str = "jitter", colour: str | None = "iterations"
 ) -> Figure:
@@ -177,6 +182,7 @@ def pareto_figure(
     return figure
 
 
+@on_page(LIGHT)
 def write_figures(result: SweepResult, folder: str | Path) -> tuple[str, ...]:
     """Draw what a sweep can show into a folder as PNG; returns the names of the files."""
     made = {}

@@ -3,12 +3,14 @@
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from workbench.arrays import shapes_of
 from workbench.config import Config
 from workbench.errors import ConfigError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
@@ -237,11 +239,23 @@ def _solve_block(jobs: Sequence[ChainJob], method: Method, terms: tuple[str, ...
     pieces: list[SolvedFrames] = []
     for start in range(0, max(counts), FRAMES):
         frames = _stacked([_block_of(job.frames, start, k < len(jobs)) for k, job in enumerate(padded)])
+        program = _program_for((chains, states, frames), method, terms)
         with COMPUTING:
-            states, solved = solve_chains(chains, states, frames, method, terms)
+            states, solved = program(chains, states, frames)
         pieces.append(jax.tree.map(np.asarray, solved))
     whole = SolvedFrames(*(np.concatenate(part, axis=1) for part in zip(*pieces, strict=True)))
     return [SolvedFrames(*(part[k, :count] for part in whole)) for k, count in enumerate(counts)]
+
+
+def _program_for(arguments: tuple[Chain, ChainState, ChainFrames], method: Method, terms: tuple[str, ...]):
+    """The compiled program for arguments of these shapes. It is compiled while other programs may run, so that a panel
+    beside it goes on."""
+    return _compiled(*shapes_of(arguments), method, terms)
+
+
+@lru_cache(maxsize=4)
+def _compiled(tree, shapes: tuple[jax.ShapeDtypeStruct, ...], method: Method, terms: tuple[str, ...]):
+    return solve_chains.lower(*jax.tree.unflatten(tree, shapes), method, terms).compile()
 
 
 def _block_of(frames: ChainFrames, start: int, used: bool) -> ChainFrames:

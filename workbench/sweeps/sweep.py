@@ -20,6 +20,7 @@ from workbench.sweeps.storage import Storage, is_url
 from workbench.sweeps.stored_clips import ClipSource
 from workbench.sweeps.tasks import Failed, FitTask, ObserveTask, fingerprint_of
 from workbench.sweeps.workers import Workers
+from workbench.tracking.fitting import silent
 
 USUAL_OBJECTIVES = ("error", "left-out-points", "jitter", "iterations")
 FITS = 1000
@@ -95,7 +96,7 @@ def run_sweep(
     """
     points, configs = sweep.checked()
     place = str(place) if is_url(str(place)) else str(Path(place).absolute())
-    storage, progress = Storage(place), progress or _silent
+    storage, progress = Storage(place), progress or silent
     _claim(storage, sweep, resume)
     observed, failures = _observed(sweep, storage, workers, progress)
     if not observed:
@@ -181,7 +182,3 @@ def _gathered(sweep: Sweep, storage: Storage, configs, observed, parts):
             if all(each is not None for each in found):
                 values[number, name] = np.concatenate(found, axis=1)
     return values
-
-
-def _silent(step: str, done: int, total: int | None) -> None:
-    """The default for `progress`: say nothing."""

@@ -126,6 +126,10 @@ def never() -> bool:
     return False
 
 
+def silent(step: str, done: int, total: int | None) -> None:
+    """The default for `progress`: nobody watches."""
+
+
 class Fitter(ABC):
     """Fits frames in their context. Holds the arrays of one model and one plan, but no state between frames."""
 

@@ -20,24 +20,31 @@ BY_PATH = {knob.path: knob for knob in KNOBS}
 
 
 class ChangesPage(widgets.HTML):
-    """A list of changes, and a table of the start, the snapshots and the present. Runs are remembered as they end."""
+    """A list of changes, and a table of the start, the snapshots and the present."""
 
     def __init__(self, session: TuningSession, height_px: int) -> None:
         self._session = session
-        self._ran: dict[str, dict[str, float]] = {}
         super().__init__(layout=widgets.Layout(height=f"{height_px}px", overflow="auto"))
 
     def show(self) -> None:
         """Update from the session."""
         session = self._session
-        if session.run is not None:
-            self._ran[_key(session.run.config)] = session.run.metrics
-        configs = {START: session.base, **session.snapshots, NOW: session.config}
-        rows = {name: self._ran.get(_key(config), {}) for name, config in configs.items()}
+        rows = {name: metrics_under(session, config) for name, config in configurations(session).items()}
         self.value = (
             f"<div style='display:flex;gap:32px;align-items:flex-start'><div>{changes_html(session)}</div>"
             f"<div>{comparison_html(rows)}</div></div>"
         )
+
+
+def configurations(session: TuningSession) -> dict[str, Config]:
+    """What can be compared, by name: the start, the snapshots and the present."""
+    return {START: session.base, **session.snapshots, NOW: session.config}
+
+
+def metrics_under(session: TuningSession, config: Config) -> dict[str, float]:
+    """Metrics of the run under a configuration; empty if it has not run."""
+    run = session.runs.known(config)
+    return {} if run is None else run.metrics
 
 
 def changes_html(session: TuningSession) -> str:
@@ -51,13 +58,8 @@ def changes_html(session: TuningSession) -> str:
 
 def change_words(item: Difference) -> str:
     """A change in words: moved points are counted, settings have their symbol and plain name."""
-    if item.path.startswith("landmarks.moved"):
-        frame, points = item.path.removeprefix("landmarks.moved").strip("."), item.after or item.before or {}
-        if not frame:
-            return f"{sum(len(of_frame) for of_frame in points.values())} points moved in {len(points)} frames"
-        return f"frame {frame}: {len(points)} points " + ("moved" if item.after else "back at their detections")
     knob = BY_PATH.get(item.path)
-    if knob is None:
+    if knob is None or item.moved_points:
         return str(item)
     return f"{knob.label} ({knob.words.name}): {str(item).partition(': ')[2]}"
 
@@ -81,7 +83,3 @@ def comparison_html(rows: dict[str, dict[str, float]]) -> str:
         for row, numbers in rows.items()
     ]
     return f"<table><tr><th>configuration</th>{head}</tr>{''.join(lines)}</table>"
-
-
-def _key(config: Config) -> str:
-    return config.changed(provenance=None).model_dump_json()

@@ -8,6 +8,7 @@ from workbench.session import TuningSession
 from workbench.widgets.clip_views import ClipViews
 from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.latest import LatestWins
+from workbench.widgets.waiting import OLD, Job
 
 SETTLED_S = 0.3
 """Pause after the last change before the whole clip, or an exact identity, is fitted."""
@@ -38,6 +39,7 @@ class ClipBar:
         self.cancel = small_button("cancel", "stop fitting; the last complete run stays")
         self.cancel.on_click(lambda _button: self._worker.submit("cancel"))
         self.progress = widgets.IntProgress(0, max=len(session), layout=widgets.Layout(width="120px"))
+        self.said = widgets.HTML()
         self.hide_progress()
         self.widgets = self.run_clip, self.follow, self.cancel, self.progress
 
@@ -70,6 +72,8 @@ class ClipBar:
     def hide_progress(self) -> None:
         """Hide the progress bar, and what cancels, when nothing is running."""
         self.progress.layout.visibility = self.cancel.layout.visibility = "hidden"
+        self.said.value = ""
+        self._views.curves.remove_class(OLD)
 
     def _work(self, wanted: str) -> None:
         if wanted == "run" or (wanted == "settle" and not self._worker.wait_newer(SETTLED_S) and self._is_due()):
@@ -92,11 +96,14 @@ class ClipBar:
     def _run(self) -> None:
         self.progress.value, self.progress.layout.visibility = 0, "visible"
         self.cancel.layout.visibility = "visible"
-        shown = max(len(self._session) // 20, 1)
+        self._views.show_stale()
+        self._views.curves.add_class(OLD)
+        shown, job = max(len(self._session) // 20, 1), Job("fitting the clip")
 
-        def progress(_step: str, done: int, _total: int | None) -> None:
+        def progress(step: str, done: int, total: int | None) -> None:
             if done % shown == 0:
-                self.progress.value = done
+                job.progress(step, done, total)
+                self.progress.value, self.said.value = done, job.text
 
         self._session.fit_clip(progress, cancelled=self._worker.newer)
         self.hide_progress()

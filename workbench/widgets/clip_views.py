@@ -4,9 +4,11 @@ from collections.abc import Callable
 
 import ipywidgets as widgets
 import numpy as np
+from jaxtyping import Bool
 
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.session import TuningSession
+from workbench.session.parts import parts_of
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.controls import menu
 from workbench.widgets.timeline_view import TimelineView
@@ -55,6 +57,11 @@ class ClipViews:
         flagged = self.timeline.flagged[::way]
         return next((other for other in flagged if way * other > way * frame), flagged[0] if flagged else frame)
 
+    def why(self, frame: int) -> str:
+        """Why the last run flags a frame; empty if it does not."""
+        run = self._session.run
+        return "" if run is None else run.flags.text[frame]
+
     def show_stale(self) -> None:
         """Mark the frames whose fits belong to another configuration."""
         run = self._session.run
@@ -72,8 +79,9 @@ class ClipViews:
         frames = np.arange(len(track), dtype=float)
         angles = yaw_pitch_roll_deg(track.rotation)
         self.pose.set_series(
-            frames, dict(zip(("yaw", "pitch", "roll"), angles.T, strict=True)), y_label="degrees", x_label="frame"
-        )
+            frames, dict(zip(("yaw", "pitch", "roll"), angles.T, strict=True)), y_label="degrees", x_label="frame",
+            shaded=gaps(track.found),
+        )  # fmt: skip
         self._show_weights()
 
     def _show_weights(self) -> None:
@@ -84,5 +92,14 @@ class ClipViews:
         motion = np.nan_to_num(np.nanstd(track.expression, axis=0)) if track.found.any() else np.zeros(len(names))
         most = [k for k in np.argsort(-motion, kind="stable") if names[k].startswith(family)][:CURVES]
         self.weights.set_series(
-            frames, {names[k]: track.expression[:, k] for k in most}, y_label="weight", x_label="frame"
+            frames,
+            {names[k]: track.expression[:, k] for k in most},
+            y_label="weight",
+            x_label="frame",
+            shaded=gaps(track.found),
         )
+
+
+def gaps(found: Bool[np.ndarray, "n"]) -> list[tuple[float, float]]:
+    """Ends of each part of a clip without a face, half a frame beyond its first and last frame."""
+    return [(first - 0.5, last + 0.5) for first, last in parts_of(np.flatnonzero(~found).tolist())]

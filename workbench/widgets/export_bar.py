@@ -11,12 +11,15 @@ from workbench.errors import WorkbenchError
 from workbench.session import TuningSession
 from workbench.session.exports import exported_for, free_file
 from workbench.widgets.controls import small_button
+from workbench.widgets.download import Download
 
 
 class ExportBar:
-    """The file name, buttons and a line of text; `later` is called with slow jobs."""
+    """The file name, buttons and a line of text; `later` is called with slow jobs, `download` with a written file."""
 
-    def __init__(self, session: TuningSession, later: Callable[[Callable[[], None]], None]) -> None:
+    def __init__(
+        self, session: TuningSession, later: Callable[[Callable[[], None]], None], download: Callable[[Path], None]
+    ) -> None:
         self._session = session
         self._stop = threading.Event()
         self._taken = Path()
@@ -29,8 +32,9 @@ class ExportBar:
         self.overwrite = small_button("overwrite", "replace the existing file")
         self.overwrite.layout.display = "none"
         self.overwrite.on_click(lambda _button: later(self._on_overwrite))
+        self.download = Download(download)
         self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
-        self.widgets = (self.file, self.export, self.overwrite, self.exported)
+        self.widgets = (self.file, self.export, self.overwrite, self.download, self.exported)
 
     def stop(self) -> None:
         """Stop a running export."""
@@ -62,6 +66,7 @@ class ExportBar:
 
     def _write(self, path: Path) -> None:
         self._stop.clear()
+        self.download.offer(None)
         self.overwrite.layout.display = "none"
 
         def progress(step: str, done: int, total: int | None) -> None:
@@ -73,5 +78,6 @@ class ExportBar:
         except WorkbenchError:
             self.exported.value = ""
             raise
+        self.download.offer(path)
         command = html.escape(self._session.command(path))
         self.exported.value = f"wrote {html.escape(str(path))}; to reproduce the numbers: <code>{command}</code>"

@@ -1,6 +1,7 @@
 """What is written to files: the settings, and the performance. Folded away until it is asked for."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import ipywidgets as widgets
 
@@ -14,11 +15,17 @@ TITLE = "<b style='display:inline-block;width:84px'>{}</b>"
 
 
 class ExportDialog:
-    """Buttons for the top of a panel (`buttons`) and what they unfold (`widget`); `later` is called with slow jobs."""
+    """Buttons for the top of a panel (`buttons`) and what they unfold (`widget`); `later` is called with slow
+    jobs, `download` with files for the browser to save.
+    """
 
-    def __init__(self, session: TuningSession, later: Callable[[Callable[[], None]], None]) -> None:
-        self.settings = ExportBar(session, later)
-        self.performance = PerformanceExport(session, later, lambda: self.settings.file.value.strip() or "tuned.toml")
+    def __init__(
+        self, session: TuningSession, later: Callable[[Callable[[], None]], None], download: Callable[[Path], None]
+    ) -> None:
+        self.settings = ExportBar(session, later, download)
+        self.performance = PerformanceExport(
+            session, later, lambda: self.settings.file.value.strip() or "tuned.toml", download
+        )
         self.settings.file.observe(lambda _change: self.performance.show_command(), "value")
         self.open = small_button("Save · Export", "save the settings, export the animation, a film or a report (E)",
                                  "primary")  # fmt: skip
@@ -36,7 +43,7 @@ class ExportDialog:
         rows = [
             in_line(widgets.HTML(TITLE.format("settings")), *self.settings.widgets, close),
             in_line(widgets.HTML(TITLE.format("performance")), options),
-            made.said,
+            in_line(made.said, made.download),
             in_line(widgets.HTML(TITLE.format("commands")), made.command, copy),
         ]
         self.widget = classed(widgets.VBox(rows, layout=widgets.Layout(display="none")), "fw-export")

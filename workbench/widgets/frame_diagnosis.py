@@ -10,6 +10,7 @@ from workbench.session import TuningSession
 from workbench.tracking import FrameFit
 from workbench.widgets.diagnosis_view import DiagnosisView
 from workbench.widgets.status_line import StatusLine
+from workbench.widgets.waiting import Job
 
 
 class FrameDiagnosis:
@@ -22,7 +23,7 @@ class FrameDiagnosis:
         self,
         session: TuningSession,
         status: StatusLine,
-        later: Callable[[Callable[[], None]], None],
+        later: Callable[[Callable[[Job], None]], None],
         frame: Callable[[], int],
         height_px: int,
     ) -> None:
@@ -40,16 +41,16 @@ class FrameDiagnosis:
     def uncertainty(self, fit: FrameFit) -> np.ndarray:
         """Standard deviation of every vertex of a fit, mm."""
         frame = fit.index if len(self._session) > 1 else 0
-        return vertex_uncertainty(self._session.model, self._session.diagnose(frame).uncertainty, fit)
+        return vertex_uncertainty(self._session.model, self._session.uncertainty(frame), fit)
 
     def _on_ask(self) -> None:
         self.view.clear(f"Diagnosing frame {self._frame()} …")
         self._later(self._diagnose)
 
-    def _diagnose(self) -> None:
+    def _diagnose(self, job: Job) -> None:
         frame = self._frame()
         try:
-            found = self._session.diagnose(frame)
+            found = self._session.diagnose(frame, job.progress, job.cancelled)
         except WorkbenchError as error:
             self.view.clear(str(error))
             return

@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Callable
+from functools import partial
 
 import ipywidgets as widgets
 import numpy as np
@@ -17,12 +18,13 @@ from workbench.widgets.head_backends import make_head_view
 from workbench.widgets.head_view import HeadView
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.panel_layout import classed, wrapped
+from workbench.widgets.waiting import Waiting
 
 COLORINGS = ("skin", "residual", "difference", "blendshape", "uncertainty")
 LOOKS = ("camera", "front", "free")
 START = "the start"
-BEHIND_MM = np.array([0.0, 0.0, 1.5])
-"""Offset of a ghost, slightly behind the head, so that differences show and equal surfaces do not flicker."""
+FIRST_S = 5.0
+"""What the first uncertainty takes, its program included."""
 WORKING = "computing the uncertainty of frame {frame} …"
 BESIDE_MM = np.array([170.0, 0.0, 0.0])
 
@@ -32,15 +34,16 @@ class HeadColumn:
 
     `limit()` is the end of the residuals' colour scale, which picture and strip share. The uncertainty takes seconds,
     so it is computed in a separate thread. Until then the head shows its skin without a legend, and a note says what
-    is being computed.
+    is being computed; cancelling it goes back to the skin.
     """
 
     def __init__(
         self, session: TuningSession, head: FittedHead, size: tuple[int, int], backend: str,
-        uncertainty: Callable[[FrameFit], np.ndarray], redraw: Callable[[], None], limit: Callable[[], float],
+        uncertainty: Callable[[FrameFit], np.ndarray], waiting: Waiting, redraw: Callable[[], None],
+        limit: Callable[[], float],
     ) -> None:  # fmt: skip
         self._session, self._head, self._size, self._limit = session, head, size, limit
-        self._uncertainty, self._redraw = uncertainty, redraw
+        self._uncertainty, self._waiting, self._redraw = uncertainty, waiting, redraw
         self._compared: tuple | None = None
         self._other: np.ndarray | None = None
         """Vertices of the compared fit."""
@@ -66,21 +69,20 @@ class HeadColumn:
         )  # fmt: skip
         self.points = toggle("points", "landmarks and residuals in 3D")
         self.compare = widgets.Dropdown(
-            options=self._comparisons(), value="", tooltip="show another configuration's fit as a ghost",
+            options=self._comparisons(), value="", tooltip="show the outline of another configuration's fit",
             layout=widgets.Layout(width="92px"),
         )  # fmt: skip
-        self.beside = toggle("beside", "show the compared head next to this one, not as a ghost")
+        self.beside = toggle("beside", "show the compared head next to this one, not as an outline")
         self.beside.layout.display = "none"
         for control in (self.color, self.shape, self.points, self.compare, self.beside):
             control.observe(self._on_choice, "value")
-        self.note = widgets.Label(self.view.note or "")
+        hidden = widgets.Layout(display=None if self.view.note else "none")
+        self.note = widgets.Label(self.view.note or "", layout=hidden)
         self.working = widgets.HTML(layout=widgets.Layout(display="none"))
         above = widgets.HBox([self.look, self.color, self.shape], layout=wrapped())
         below = widgets.HBox([self.character.widget, self.points, self.compare, self.beside], layout=wrapped())
         self._holder = classed(widgets.VBox([classed(self.view.widget, "fw-grow")]), "fw-grow")
         self.widget = widgets.VBox([above, self._holder, self.working, below, self.note])
-        if not self.view.note:
-            self.note.layout.display = "none"
 
     def show(self, fit: FrameFit) -> None:
         """Show the head of a fit; it is unchanged for a frame without a face."""
@@ -135,9 +137,8 @@ class HeadColumn:
         return self._worker.wait_idle(timeout_s)
 
     def _color(self, fit: FrameFit) -> None:
-        kind, spread = self.color.value, None
-        if kind == "uncertainty":
-            spread = self._spread_of(fit)
+        kind = self.color.value
+        spread = self._spread_of(fit) if kind == "uncertainty" else None
         self._say(spread if isinstance(spread, str) else "")
         if kind == "difference" and self._other is None:
             self._say("Choose under compare… what to compare with.")
@@ -170,10 +171,12 @@ class HeadColumn:
     def _work_out(self, fit: FrameFit) -> None:
         key = self._key(fit)
         if self._spread is None or self._spread[0] != key:
-            try:
-                found = self._uncertainty(fit)
-            except WorkbenchError as error:
-                found = str(error)
+            stop = partial(self.color.set_trait, "value", COLORINGS[0])
+            with self._waiting.during("computing the uncertainty", cancel=stop, expected_s=FIRST_S):
+                try:
+                    found = self._uncertainty(fit)
+                except WorkbenchError as error:
+                    found = str(error)
             self._spread = key, found
         if not self._worker.newer():
             self._redraw()
@@ -199,8 +202,7 @@ class HeadColumn:
         self._marked = self.points.value
 
     def _ghost(self, fit: FrameFit) -> None:
-        name = self.compare.value
-        beside = self.beside.value
+        name, beside = self.compare.value, self.beside.value
         kept = id(self._session.snapshots.get(name))
         key = (name, fit.index, kept, beside, fit.identity.tobytes()) if name else None
         if key == self._compared:
@@ -213,9 +215,8 @@ class HeadColumn:
             other = self._session.fit_frame(fit.index if len(self._session) > 1 else 0, config=config)
             # A separate model, because the other configuration may have another identity.
             model = self._head.model.personal(other.identity)
-            place = BESIDE_MM if beside else BEHIND_MM
             self._other = posed_vertices(model, other.expression, other.jaw, other.scale)
-            self.view.set_ghost(self._other + place, 1.0 if beside else 0.4)
+            self.view.set_ghost(self._other + BESIDE_MM * beside, 1.0, outline=not beside)
         self._compared = key
 
     def _comparisons(self) -> list[tuple[str, str]]:

@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 from workbench.face.dressed_head import DressedHead
 from workbench.face.model import FaceModel
 from workbench.pictures.background import SLATE
-from workbench.pictures.extras import GHOST_COLOR, WET_REGIONS, is_outer, of_regions
+from workbench.pictures.extras import GHOST_COLOR, OUTLINE_COLOR, WET_REGIONS, is_outer, of_regions
 from workbench.pictures.head_picture import bundled_texture
 from workbench.pictures.lighting import SKIN_SHINE, STUDIO, WET_SHINE
 from workbench.pictures.mesh import neck_opacity, split_seams
@@ -57,6 +57,7 @@ def surface_message(model: FaceModel, dressed: DressedHead | None = None) -> dic
         },
         "shine": [*SKIN_SHINE, *WET_SHINE],
         "ghost": list(GHOST_COLOR),
+        "outline": list(OUTLINE_COLOR),
         "ground": list(SLATE),
         "worn": [] if dressed is None else [worn_message(worn) for worn in dressed.worn],
         "width": [] if dressed is None else dressed.scale_vertices[0].tolist(),

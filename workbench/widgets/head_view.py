@@ -62,8 +62,13 @@ class HeadView(Protocol):
     ) -> None:
         """Show segments, such as residual vectors in 3D: head frame, millimetres; None removes them."""
 
-    def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: Number = 0.35) -> None:
-        """Show a second, translucent head, such as the fit before a change; None removes it."""
+    def set_ghost(
+        self, vertices: Float[np.ndarray, "v 3"] | None, opacity: Number = 0.35, outline: bool = False
+    ) -> None:
+        """Show a second, translucent head, such as the fit before a change; None removes it.
+
+        `outline`: only its outline, over the head; from within, a surface looks like a bruise.
+        """
 
     def snapshot(self) -> UInt8[np.ndarray, "h w 3"]:
         """An RGB picture of the current view, rendered off screen."""

@@ -6,9 +6,10 @@ import numpy as np
 
 from workbench.energies.terms import TABLE
 from workbench.errors import WorkbenchError
+from workbench.plots import term_line
 from workbench.session import TuningSession
 from workbench.tracking import FrameFit, StageTrace
-from workbench.widgets.chart_view import ChartView
+from workbench.widgets.chart_view import INK, ChartView
 from workbench.widgets.stage_editor import StageEditor
 from workbench.widgets.status_line import StatusLine
 
@@ -55,7 +56,8 @@ class Iterations:
         names = {term: f"{TABLE[term].symbol} {term.replace('_', ' ')}" for term in terms}
         seen = {"total": sum(joined.values())} | {names[term]: row for term, row in joined.items() if row.any()}
         x = np.arange(sum(lengths), dtype=float)
-        self.energy.set_series(x, seen, marks=marks, x_label="iteration", y_label="energy")
+        colors = {"total": INK} | {name: term_line(term)[0] for term, name in names.items()}
+        self.energy.set_series(x, seen, colors=colors, marks=marks, x_label="iteration", y_label="energy")
 
     def _on_stages(self, stages: list[dict], label: str) -> None:
         try:

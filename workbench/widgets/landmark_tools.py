@@ -14,6 +14,7 @@ from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.overlay_view import OverlayEvent, OverlayView
 from workbench.widgets.panel_layout import classed, group, wrapped
 from workbench.widgets.picture_layers import PictureLayers
+from workbench.widgets.waiting import Waiting
 
 UNITS = {"%": "% of eye distance", "px": "px"}
 WEIGHT_STEP = 2.0
@@ -39,15 +40,15 @@ class LandmarkTools:
     """The overlay of the current frame and its toolbars; edits go to the session."""
 
     def __init__(
-        self, session: TuningSession, head: FittedHead, said: Callable[[str], None], redraw: Callable[[], None]
-    ) -> None:
+        self, session: TuningSession, head: FittedHead, said: Callable[[str], None], waiting: Waiting,
+        redraw: Callable[[], None],
+    ) -> None:  # fmt: skip
         self._session, self._head, self._said, self._redraw = session, head, said, redraw
         self.frame = 0
         self._drags, self._dragging = 0, False
         self.view = OverlayView(height_px=0, unit=UNITS["%"], at_face=True)
         self.view.on_event(self._on_event)
-        self._pictures = PictureLayers(session, head, self.view, said)
-        self.working = self._pictures.working
+        self._pictures = PictureLayers(session, head, self.view, said, waiting, self._switch_off)
         tools, shown = self._tools(), self._shown()
         self._on_layers()
         self.widget = widgets.VBox([tools, classed(self.view, "fw-grow"), shown])
@@ -149,7 +150,7 @@ class LandmarkTools:
             layout=widgets.Layout(width="70px", display="none"),
         )  # fmt: skip
         widgets.link((self.opacity, "value"), (self.view, "layer_opacity"))
-        return widgets.HBox([*self.layers.values(), self.opacity, self.working], layout=wrapped())
+        return widgets.HBox([*self.layers.values(), self.opacity], layout=wrapped())
 
     # --- what the user does ---
 
@@ -208,6 +209,9 @@ class LandmarkTools:
     def _groups(self) -> list[tuple[str, str]]:
         names = [*GROUPS, *self._session.config.subsets]
         return [("select…", ""), *((name.replace("_", " "), name) for name in names)]
+
+    def _switch_off(self, name: str) -> None:
+        self.layers[name].value = False
 
     def _on_layers(self) -> None:
         chosen = {name: button.value for name, button in self.layers.items()}

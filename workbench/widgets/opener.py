@@ -18,6 +18,7 @@ from workbench.widgets.controls import small_button
 from workbench.widgets.detection_preview import DetectionPreview
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.tuning_panel import TuningPanel
+from workbench.widgets.upload import Upload
 
 PATH_HINT = f"photo, clip, folder, track.npz or landmark file ({' '.join(SUFFIXES)})"
 
@@ -68,12 +69,13 @@ class SessionOpener(widgets.VBox):
         self.landmarks = _text(
             "landmark file (optional)", "landmarks of the pictures, used instead of a detector", "170px"
         )
+        self.upload = Upload(self.open_path, self._failed)
         self.open_button = small_button("Open", "open this path", "primary")
         self.open_button.on_click(lambda _button: self._on_open())
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="140px", display="none"))
         self.message = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
         self.preview, self.place = DetectionPreview(), widgets.VBox()
-        choices = [*self.samples.values(), self.path, self.landmarks, self.open_button]
+        choices = [*self.samples.values(), self.upload, self.path, self.landmarks, self.open_button]
         super().__init__([_row(choices), _row([self.progress, self.message]), self.preview, self.place])
 
     def __repr__(self) -> str:
@@ -95,6 +97,7 @@ class SessionOpener(widgets.VBox):
         """Close the panel and stop the threads."""
         self._worker.close()
         self._closer.shutdown(wait=True)
+        self.upload.close()
         if self.panel is not None:
             self.panel.close()
         super().close()

@@ -1,6 +1,6 @@
 """The layout of a panel: its style sheet, rows of controls, columns, and borders that can be moved."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import ipywidgets as widgets
 
@@ -43,12 +43,13 @@ FW_AT
 .fw-panel.fw-whole { min-height: calc(max(100vh - FW_OTHERSpx, FW_LOWESTpx)); }
 .fw-panel.fw-whole > .fw-body { flex: 1 1 0; min-height: 0; }
 .fw-whole .fw-controls { flex: 0 0 FW_CONTROLSpx; min-width: 0; min-height: 0; }
-.fw-whole .fw-controls > .jupyter-widget-Tab, .fw-whole .fw-controls > .widget-tab { flex: 1 1 0; min-height: 0; }
+.fw-whole .fw-controls > .jupyter-widget-Tab, .fw-whole .fw-controls > .widget-tab
+  { flex: 1 1 0; min-height: 0; margin: 0; }
 .fw-whole .fw-controls .widget-tab-contents, .fw-whole .fw-controls .jupyter-widget-TabPanel-tabContents
   { flex: 1 1 0; min-height: 0; overflow: hidden auto; padding: 4px 0; }
 .fw-whole .fw-controls > .widget-vbox { flex: 1 1 0; min-height: 0; }
 .fw-whole .fw-main { flex: 1 1 0; min-width: 0; min-height: 0; }
-.fw-whole .fw-views { flex: 1 1 0; min-height: 250px; }
+.fw-whole .fw-views { flex: 1 1 0; min-height: 190px; }
 .fw-whole .fw-photo { position: relative; }
 .fw-whole .fw-chosen { position: absolute; z-index: 5; top: 34px; right: 6px; margin: 0; padding: 1px 3px;
   border-radius: 6px; background: var(--jp-layout-color1, #fff); }
@@ -61,10 +62,31 @@ FW_AT
 .fw-whole .fw-split.fw-split-y { cursor: row-resize; background-size: 100% 1px; }
 .fw-whole .fw-split:hover, .fw-whole .fw-split:focus-visible { background-color: var(--fw-soft); outline: none; }
 .fw-whole .fw-pages { flex: 0 0 auto; width: auto; }
+.fw-whole .fw-pages > .widget-tab-contents,
+.fw-whole .fw-pages > .jupyter-widget-TabPanel-tabContents { padding: 4px 8px; }
 .fw-whole .fw-pages.fw-folded > .widget-tab-contents,
 .fw-whole .fw-pages.fw-folded > .jupyter-widget-TabPanel-tabContents { display: none; }
 .fw-whole .fw-pages.fw-folded .lm-TabBar-tab.lm-mod-current::before { display: none; }
 .fw-whole .fw-old { opacity: 0.45; transition: opacity 0.2s; }
+
+/* narrow, as where the browser zooms to 125 %: rows go on below; at 200 %: first the views, then the settings */
+.fw-panel.fw-whole { container: fw-panel / inline-size; }
+@container fw-panel (max-width: 800px) {
+  .fw-photo .widget-hbox, .fw-head .widget-hbox, .fw-transport { flex-wrap: wrap; height: auto; }
+  .fw-photo .fw-group { flex: 0 1 auto !important; min-width: 0; }
+  .fw-transport { padding-left: 0 !important; }
+  .fw-top-bar { flex-wrap: wrap; }
+  .fw-top-bar .fw-status { flex: 1 0 100% !important; order: 9; }
+}
+@container fw-panel (max-width: 600px) {
+  .fw-body { flex: none !important; flex-direction: column; }
+  .fw-body > .fw-split, .fw-views > .fw-split { display: none; }
+  .fw-body > .fw-main { order: -1; flex: none !important; width: 100%; }
+  .fw-main > .fw-views { flex: none !important; flex-direction: column; }
+  .fw-views > .fw-photo, .fw-views > .fw-head { flex: none !important; width: 100% !important; height: 330px; }
+  .fw-body > .fw-controls { flex: none !important; width: 100% !important; height: 330px; }
+  .fw-pages .lm-TabBar-content { flex-wrap: wrap; }
+}
 
 /* groups of controls with space between them */
 .fw-panel .fw-group { margin-right: 12px; }
@@ -73,6 +95,8 @@ FW_AT
 .fw-panel .fw-status .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis;
   font-variant-numeric: tabular-nums; }
 .fw-panel .fw-status b { font-weight: 600; }
+.fw-panel .fw-one-line { flex: 1 1 0; min-width: 0; overflow: hidden; }
+.fw-panel .fw-one-line .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
 .fw-panel .fw-transport { flex: 0 0 auto; align-items: center; padding-left: 48px; }
 .fw-panel .fw-play { margin: 2px; width: auto; }
 .fw-panel .fw-play button:nth-of-type(2) { display: none; }
@@ -84,7 +108,15 @@ FW_AT
 .fw-panel .fw-spin { display: inline-block; width: 10px; height: 10px; border-radius: 50%; margin-right: 4px;
   border: 2px solid var(--fw-accent); border-right-color: transparent; animation: fw-turn 0.9s linear infinite; }
 @keyframes fw-turn { to { transform: rotate(360deg); } }
+
+/* told after a while, unless the panel's own programs have come, whose style hides it (panel/view.css) */
+.fw-panel .fw-unloaded { max-height: 0; margin: 0; overflow: hidden; animation: fw-late 0s linear 20s forwards; }
+@keyframes fw-late { to { max-height: 140px; } }
 </style>"""
+UNLOADED = """<b>The picture and the head have not come.</b> This front end has not loaded the programs of the package
+anywidget. In VS Code, let <code>jupyter.widgetScriptSources</code> name a source; in Colab, run
+<code>from google.colab import output; output.enable_custom_widget_manager()</code>; then run this cell again. Or see
+the same session without them: <code>from workbench.widgets import PlainPanel; PlainPanel(session)</code>."""
 
 
 def style_sheet() -> widgets.Widget:
@@ -96,6 +128,11 @@ def style_sheet() -> widgets.Widget:
     return widgets.HTML(style, layout=widgets.Layout(display="none"))
 
 
+def unloaded_note() -> widgets.Widget:
+    """What a front end shows that cannot load the views of a panel."""
+    return classed(widgets.HTML(UNLOADED), "fw-unloaded")
+
+
 def in_line(*parts: widgets.Widget) -> widgets.Widget:
     """Controls side by side."""
     return widgets.HBox(parts, layout=widgets.Layout(align_items="center"))
@@ -104,6 +141,19 @@ def in_line(*parts: widgets.Widget) -> widgets.Widget:
 def wrapped() -> widgets.Layout:
     """Layout of a line of controls that goes on below where the place is narrow."""
     return widgets.Layout(flex_flow="row wrap", align_items="center", flex="0 0 auto")
+
+
+def one_row() -> widgets.Layout:
+    """Layout of a line of controls that stays one, and as high as it is."""
+    return widgets.Layout(align_items="center", flex="0 0 auto", width="auto")
+
+
+def beside(rows: Sequence[widgets.Widget], width_px: int, view: widgets.Widget) -> list[widgets.Widget]:
+    """Rows of controls of a fixed width, and a view that takes what is left."""
+    return [
+        widgets.VBox(rows, layout=widgets.Layout(flex=f"0 0 {width_px}px", overflow="hidden auto")),
+        widgets.VBox([view], layout=widgets.Layout(flex="1 1 0", min_width="0")),
+    ]
 
 
 def group(*parts: widgets.Widget, name: str = "") -> widgets.Widget:
@@ -132,6 +182,17 @@ def tabs(pages: Mapping[str, widgets.Widget | None]) -> widgets.Tab:
     """Pages by title, without those that are None, for the foot of a panel: tables need its whole width."""
     there = {title: page for title, page in pages.items() if page is not None}
     return classed(widgets.Tab(children=list(there.values()), titles=list(there)), "fw-pages")
+
+
+def on_turn(pages: widgets.Tab, callbacks: Mapping[str, Callable[[bool], None]]) -> None:
+    """Each time another page comes to the front, tell pages by their titles whether they are the one."""
+
+    def turned(change) -> None:
+        front = None if change["new"] is None else pages.titles[change["new"]]
+        for title, callback in callbacks.items():
+            callback(title == front)
+
+    pages.observe(turned, "selected_index")
 
 
 def arranged(

@@ -1,16 +1,23 @@
 """What a panel does in the browser's page itself: drags, resets, movable borders, folded pages, keys and labels."""
 
+import shutil
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 
 import anywidget
 import traitlets
 
+from workbench.errors import InputError
 from workbench.widgets.browser_program import BROWSER, browser_program
 
 ACTIONS = (
     *("play", "back", "forth", "next", "previous", "in", "out", "view", "why", "keep", "export", "undo", "redo"),
 )  # fmt: skip
 """Actions that keys request of a panel; the browser does others itself. See `panel/help.js`."""
+
+LARGEST_MB = 200
+"""Largest file that goes from the browser to Python, or back, in one message."""
 
 
 class PanelPage(anywidget.AnyWidget):
@@ -41,6 +48,11 @@ class PanelPage(anywidget.AnyWidget):
         """Call `callback(action)`, one of `ACTIONS`, when the user presses its key."""
         self._act = callback
 
+    def download(self, path: Path) -> None:
+        """Hand a file, or a folder as a ZIP archive, to the browser to save. Raises `InputError` if it is too large."""
+        name, content = packed(path)
+        self.send({"kind": "download", "name": name}, [content])
+
     def _on_message(self, _widget: object, content: object, _buffers: object) -> None:
         if not isinstance(content, dict) or not isinstance(content.get("what"), str):
             return
@@ -48,3 +60,20 @@ class PanelPage(anywidget.AnyWidget):
             self._reset(content["what"])
         elif content.get("kind") == "key" and content["what"] in ACTIONS:
             self._act(content["what"])
+
+
+def packed(path: Path) -> tuple[str, bytes]:
+    """Name and content of what is downloaded. Raises `InputError` for what is missing or too large."""
+    if not path.exists():
+        raise InputError(f"{path} is no longer there; write it again.")
+    if path.is_file():
+        return path.name, _content(path)
+    with tempfile.TemporaryDirectory() as folder:
+        return f"{path.name}.zip", _content(Path(shutil.make_archive(str(Path(folder, "packed")), "zip", path)))
+
+
+def _content(path: Path) -> bytes:
+    megabytes = path.stat().st_size / 1e6
+    if megabytes > LARGEST_MB:
+        raise InputError(f"{path} has {megabytes:.0f} MB, and a download at most {LARGEST_MB}; copy the file itself.")
+    return path.read_bytes()

@@ -15,6 +15,7 @@ from workbench.face.characters import PLAIN
 from workbench.session import TuningSession
 from workbench.session.performance import performance_commands, performance_track
 from workbench.widgets.controls import menu, small_button
+from workbench.widgets.download import Download
 from workbench.widgets.panel_layout import classed
 from workbench.widgets.status_line import StatusLine
 
@@ -28,7 +29,7 @@ class _CancelledError(Exception):
 
 class PerformanceExport:
     """The options, a button, progress and the commands; `later` is called with slow jobs, `settings` returns the file
-    of the settings that the commands name.
+    of the settings that the commands name, `download` is called with a written file.
     """
 
     def __init__(
@@ -36,6 +37,7 @@ class PerformanceExport:
         session: TuningSession,
         later: Callable[[Callable[[], None]], None],
         settings: Callable[[], str],
+        download: Callable[[Path], None],
     ) -> None:
         self._session, self._settings, self._cancelled = session, settings, threading.Event()
         self.format = menu(KINDS, "300px", "format of the file")
@@ -57,7 +59,7 @@ class PerformanceExport:
         self.cancel.on_click(lambda _button: self.stop())
         self.progress = widgets.IntProgress(0, max=1, layout=widgets.Layout(width="120px"))
         self.cancel.layout.display = self.progress.layout.display = "none"
-        self.said = StatusLine()
+        self.said, self.download = StatusLine(), Download(download)
         self.command = classed(widgets.HTML(), "fw-command")
         self.format.observe(self._on_format, "value")
         for control in (self.file, self.character, self.shot, self.fps):
@@ -102,6 +104,7 @@ class PerformanceExport:
     def _export(self) -> None:
         """Work, in the thread for slow jobs."""
         self._cancelled.clear()
+        self.download.offer(None)
         self.cancel.layout.display = self.progress.layout.display = None
         try:
             self.said.say(self._write())
@@ -128,6 +131,7 @@ class PerformanceExport:
         done = export_track(
             track, session.model, path, shot=shot, rate=rate, dressed=dressed, progress=self._told
         )  # fmt: skip
+        self.download.offer(done.path)
         return " ".join([f"Wrote {done.path.absolute()}.", *done.notes])
 
     def _told(self, step: str, done: int, total: int | None) -> None:

@@ -140,13 +140,15 @@ class PictureHeadView:
         with self._changed:
             self._show(self._scene.shown.with_extras(segments=segments, segment_colors=colors))
 
-    def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: Number = 0.35) -> None:
+    def set_ghost(
+        self, vertices: Float[np.ndarray, "v 3"] | None, opacity: Number = 0.35, outline: bool = False
+    ) -> None:
         """See `HeadView.set_ghost`."""
         check_opacity(opacity)
         if vertices is not None:
             check_vertices(vertices, len(self._model.neutral))
         with self._changed:
-            self._show(self._scene.shown.with_extras(ghost=vertices, ghost_opacity=opacity))
+            self._show(self._scene.shown.with_extras(ghost=vertices, ghost_opacity=opacity, ghost_outline=outline))
 
     def snapshot(self) -> UInt8[np.ndarray, "h w 3"]:
         """See `HeadView.snapshot`."""

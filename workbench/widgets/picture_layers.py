@@ -1,8 +1,8 @@
 """Layers over the picture that are slow to draw: the fitted head, and the view of the landmark network."""
 
 from collections.abc import Callable
+from functools import partial
 
-import ipywidgets as widgets
 import numpy as np
 
 from workbench.landmarks.network_detector import NetworkDetector, NetworkLook
@@ -13,25 +13,31 @@ from workbench.tracking import FrameFit
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.overlay_view import OverlayView
 from workbench.widgets.status_line import error_text
+from workbench.widgets.waiting import Waiting
+
+FIRST_S = 10.0
+"""What the first picture of a layer takes, programs and networks included."""
 
 
 class PictureLayers:
-    """Draws the selected layers of a fit into a view, in its own thread; `working` shows what is being drawn.
+    """Draws the selected layers of a fit into a view, in its own thread; `waiting` says what is being drawn.
 
-    The first picture of the face, and of the network's view, takes many seconds; fits do not wait for it.
+    The first picture of the face, and of the network's view, takes many seconds; fits do not wait for it. Cancelling
+    it calls `switch_off` with the layer's name, and what it would have shown is dropped.
     """
 
     def __init__(
-        self, session: TuningSession, head: FittedHead, view: OverlayView, said: Callable[[str], None]
-    ) -> None:
+        self, session: TuningSession, head: FittedHead, view: OverlayView, said: Callable[[str], None],
+        waiting: Waiting, switch_off: Callable[[str], None],
+    ) -> None:  # fmt: skip
         self._session, self._head, self._view, self._said = session, head, view, said
+        self._waiting, self._switch_off = waiting, switch_off
         self._renderer: HeadRenderer | None = None
         self._network: NetworkDetector | None = None
         self._seen: tuple[bytes, NetworkLook] | None = None
         self._worker: LatestWins[FrameFit] = LatestWins(
             self._draw, lambda error: said(error_text(error)), "panel-layers"
         )
-        self.working = widgets.Label()
 
     def show(self, fit: FrameFit) -> None:
         """Draw the layers that are switched on in the view."""
@@ -48,19 +54,17 @@ class PictureLayers:
         self._close_renderer()
 
     def _draw(self, fit: FrameFit) -> None:
-        try:
-            for name, what, make, set_layer in (
-                ("layer", "drawing the face …", self._face, self._view.set_layer),
-                ("heat", "computing the network's view …", self._heat, self._view.set_heat),
-            ):
-                if self._view.layers[name]:
-                    self.working.value = what
+        for name, what, make, set_layer in (
+            ("layer", "drawing the face", self._face, self._view.set_layer),
+            ("heat", "computing the network's view", self._heat, self._view.set_heat),
+        ):
+            if self._view.layers[name]:
+                with self._waiting.during(what, cancel=partial(self._switch_off, name), expected_s=FIRST_S) as job:
                     picture = make(fit)
-                    if self._worker.newer():
-                        return
+                if self._worker.newer():
+                    return
+                if not job.cancelled():
                     set_layer(picture)
-        finally:
-            self.working.value = ""
 
     def _close_renderer(self) -> None:
         if self._renderer is not None:

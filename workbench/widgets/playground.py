@@ -21,6 +21,8 @@ from workbench.tracking import FrameFit, FrameObservation
 PARTS = OverlayParts(text=False)
 JPEG_QUALITY = 90
 SIDE_PX = 440
+SEEN_WHOLE = {"max_width": "100%", "max_height": "calc(100vh - 340px)", "min_height": "240px", "object_fit": "contain"}
+"""Layout of the pictures: the sliders above them stay in view, in a notebook of a low window too."""
 Number = float | int
 
 
@@ -96,7 +98,7 @@ class FitPlayground(widgets.VBox):
         )
         self.sliders = _sliders(start_values(config))
         self.status = widgets.HTML()
-        self.image = widgets.Image(format="jpeg", layout=widgets.Layout(max_width="100%", object_fit="contain"))
+        self.image = widgets.Image(format="jpeg", layout=widgets.Layout(**SEEN_WHOLE))
         self.preset.observe(self._on_preset, "value")
         for slider in self.sliders.values():
             slider.observe(self._on_slider, "value")

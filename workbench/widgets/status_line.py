@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import ipywidgets as widgets
 
-from workbench.errors import WorkbenchError
+from workbench.errors import StoppedError, WorkbenchError
 from workbench.tracking import FrameFit
 from workbench.tracking.failures import why_failed
 
@@ -36,8 +36,8 @@ class StatusLine(widgets.HTML):
         self.value = f"<span title='{html.escape(re.sub('<[^>]*>', '', said), quote=True)}'>{said}</span>"
 
     def failed(self, error: Exception) -> None:
-        """Show an error, for example from a thread that cannot raise it to a caller."""
-        self.say(error_text(error), wrong=True)
+        """Show an error, for example from a thread that cannot raise it to a caller; what was cancelled is none."""
+        self.say(error_text(error), wrong=not isinstance(error, StoppedError))
 
     def guarded(self, act: Callable[..., object], *arguments: object) -> None:
         """Run an action requested by the user; if it is refused, show why."""
@@ -47,8 +47,10 @@ class StatusLine(widgets.HTML):
             self.failed(error)
 
 
-def status_of(fit: FrameFit, frames: int, after: bool = False) -> str:
-    """Error, pose and time of a fit in words, as HTML; `after`: it was infilled or refined."""
+def status_of(fit: FrameFit, frames: int, after: bool = False, flag: str = "") -> str:
+    """Error, pose and time of a fit in words, as HTML; `after`: it was infilled or refined; `flag`: why its frame was
+    flagged, if it was.
+    """
     where = [f"frame {fit.index}/{frames - 1}"] if frames > 1 else []
     if not fit.found:
         return " · ".join([*where, "no face"])
@@ -63,7 +65,8 @@ def status_of(fit: FrameFit, frames: int, after: bool = False) -> str:
     time = [f"{took:.0f} ms" if took < SLOW_MS else f"{took / 1000:.1f} s"]
     why = why_failed(fit)
     failed = [f"<span style='{WRONG}'>failed: {html.escape(why)}</span>"] if why else []
-    return " · ".join([*where, *(["after"] if after else []), *failed, error, angles, *time, more])
+    flagged = [f"<b>flagged</b>: {html.escape(flag)}"] if flag and not after else []
+    return " · ".join([*where, *(["after"] if after else []), *failed, *flagged, error, angles, *time, more])
 
 
 def degrees(angle: float) -> str:

@@ -14,6 +14,7 @@ from workbench.tracking import FrameFit
 from workbench.widgets.changes_page import ChangesPage
 from workbench.widgets.clip_bar import ClipBar
 from workbench.widgets.clip_views import ClipViews
+from workbench.widgets.compare_page import ComparePage
 from workbench.widgets.controls import Controls
 from workbench.widgets.export_dialog import ExportDialog
 from workbench.widgets.film_strip import FilmStrip
@@ -23,19 +24,23 @@ from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.iterations import Iterations
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.panel_layout import arranged, classed, style_sheet, tabs
+from workbench.widgets.panel_layout import arranged, classed, on_turn, style_sheet, tabs, unloaded_note
 from workbench.widgets.panel_page import PanelPage
 from workbench.widgets.shared_scale import SharedScale
 from workbench.widgets.slow_jobs import SlowJobs
 from workbench.widgets.status_line import StatusLine, status_of
+from workbench.widgets.sweep_page import SweepPage
 from workbench.widgets.time_page import TimePage
 from workbench.widgets.time_part import AFTER
 from workbench.widgets.transport import Transport
-from workbench.widgets.waiting import Waiting
+from workbench.widgets.tune_page import TunePage
+from workbench.widgets.waiting import Waiting, Work, nothing
 
 HEAD_SIZE, TABS_PX = (304, 308), 170
 """The part of a head that is always in view, pixels; height of the pages below the strip."""
 GETTING_READY = "getting ready: the first moves may be slower"
+READY_S, DEEP_S = 20.0, 40.0
+"""What the first diagnosis, and the first fit by Deep Energies, take with their programs."""
 PAUSE_S = 0.1
 """Numbers and curves wait for a pause of this length, because painting them would delay the pictures of a drag."""
 
@@ -59,7 +64,7 @@ class TuningPanel(widgets.VBox):
     """
 
     def __init__(self, session: TuningSession, backend: str = "auto") -> None:
-        self.session, self.frame, self._is_clip = session, 0, len(session) > 1
+        self.session, self.frame, self.is_clip = session, 0, len(session) > 1
         self.fit: FrameFit | None = None
         self._held, self._closed = "", False
         self.status = classed(StatusLine(), "fw-status")
@@ -68,14 +73,16 @@ class TuningPanel(widgets.VBox):
         self._slow = SlowJobs(self._failed, "panel-slow")
         self._build_views(backend)
         self._build_controls()
+        shown = (self._clip_bar, self._worker, self.overlay, self.head, self.compare)
+        self._workers = (self._slow, self.time, self.sweep, self.tune, *shown)
         self._leave = session.listen(self._on_session)
-        super().__init__([style_sheet(), self.page, *self._rows()])
+        super().__init__([style_sheet(), unloaded_note(), self.page, *rows_of(self)])
         classed(self, "fw-panel", "fw-whole")
         self._show_session()
         self.overlay.show_picture(0)
         self._worker.submit(Show(0))
         self._clip_bar.begin()
-        self._slow.submit(self.waiting.running(session.warm_up, GETTING_READY))
+        self._later(lambda job: session.warm_up(job.cancelled), GETTING_READY)
 
     def __repr__(self) -> str:
         return f"TuningPanel({self.session!r})"
@@ -87,7 +94,7 @@ class TuningPanel(widgets.VBox):
         frame = int(np.clip(frame, 0, len(self.session) - 1))
         if frame != self.frame:
             self.frame, self._iterations.steps = frame, None
-            if self._is_clip:
+            if self.is_clip:
                 self.clip.show_frame(frame)
             self.time.show_frame(frame)
             self.diagnosis.clear()
@@ -104,8 +111,7 @@ class TuningPanel(widgets.VBox):
     def wait_idle(self, timeout_s: float | int = 60.0) -> bool:
         """Wait until everything requested is shown; False if that takes longer."""
         # A fit requests layers and colours, and finished colours request that the fit is shown again.
-        workers = (self._slow, self.time, self._clip_bar, self._worker, self.overlay, self.head, self._worker)
-        return all(worker.wait_idle(timeout_s) for worker in workers)
+        return all(worker.wait_idle(timeout_s) for worker in (*self._workers, self._worker))
 
     def close(self) -> None:
         """Stop following the session, stop the threads and free the views."""
@@ -114,8 +120,8 @@ class TuningPanel(widgets.VBox):
         self._closed = True
         self._leave()
         self.export_dialog.stop()
-        for part in (self.time, self._worker, self._clip_bar, self._slow, self.overlay, self.head):
-            part.close()
+        for worker in self._workers:
+            worker.close()
         super().close()
 
     # --- parts ---
@@ -127,15 +133,18 @@ class TuningPanel(widgets.VBox):
         self.page, self.clip = PanelPage(keys=True), ClipViews(session, self.go)
         self._iterations = Iterations(session, self.status, self._redraw, TABS_PX)
         self.energy, self.stages = self._iterations.energy, self._iterations.stages
-        self._diagnosing = FrameDiagnosis(session, self.status, self._look_for, lambda: self.frame, TABS_PX)
+        self._diagnosing = FrameDiagnosis(session, self.status, self._later, lambda: self.frame, TABS_PX)
         self.diagnosis = self._diagnosing.view
         self.time = TimePage(session, self._on_knob, self.go, self._redraw, self.clip)
-        self.overlay = LandmarkTools(session, head, self.say, self._redraw)
+        self.overlay = LandmarkTools(session, head, self.say, self.waiting, self._redraw)
         self.scale = SharedScale(self.overlay.view, self.clip.timeline, self.overlay.in_percent, self._redraw)
         self.head = HeadColumn(
-            session, head, HEAD_SIZE, backend, self._diagnosing.uncertainty, self._redraw, lambda: self.scale.end
-        )
+            session, head, HEAD_SIZE, backend, self._diagnosing.uncertainty, self.waiting, self._redraw,
+            lambda: self.scale.end,
+        )  # fmt: skip
         self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
+        self.compare = ComparePage(session, backend, self.waiting, self._later, self._failed)
+        self.sweep, self.tune = (page(session, self._worker.wait_idle, TABS_PX) for page in (SweepPage, TunePage))
 
     def _build_controls(self) -> None:
         session = self.session
@@ -143,7 +152,7 @@ class TuningPanel(widgets.VBox):
         self.controls.add("time", self.time.widget, self.time.knobs, session.config)
         self.changes = ChangesPage(session, TABS_PX)
         self.history = HistoryBar(session, self.status)
-        self.export_dialog = ExportDialog(session, self._slow.submit)
+        self.export_dialog = ExportDialog(session, self._slow.submit, self.page.download)
         self._clip_bar = ClipBar(
             session, self.clip, lambda: self._worker.submit(Show(self.frame)), self.changes.show, self._failed
         )
@@ -153,29 +162,18 @@ class TuningPanel(widgets.VBox):
         # For scripts to press and read.
         self.undo, self.redo = self.history.undo, self.history.redo
         self.reset, self.name, self.keep = self.history.reset, self.history.name, self.history.keep
-        self.file, self.export, self.overwrite, self.exported = self.export_dialog.settings.widgets
+        self.file, self.export, self.overwrite, _, self.exported = self.export_dialog.settings.widgets
         self.run_clip, self.follow, self.cancel, self.progress = self._clip_bar.widgets
 
         self.strip = FilmStrip(self.session)
-        pages = {
-            "Energy": self.energy, "Stages": self.stages.widget, "Diagnosis": self.diagnosis.widget,
-            "Curves": self.clip.curves if self._is_clip else None,
-            "Methods": self.time.methods if self.time.is_clip else None,
-            "Film strip": self.strip, "Changes": self.changes,
-        }  # fmt: skip
-        self.tabs = tabs(pages)
-
-    def _rows(self) -> list[widgets.Widget]:
-        told = (self.status, self.waiting, *self.export_dialog.buttons)
-        top = classed(widgets.HBox([self.history.widget, *told]), "fw-top-bar")
-        clip = [self.clip.timeline, self.transport.widget] if self._is_clip else []
-        body = arranged(self.controls.widget, self.overlay.widget, self.head.widget, clip)
-        return [top, self.export_dialog.widget, body, self.tabs]
+        self.tabs = tabs(pages_of(self))
+        on_turn(self.tabs, {"Compare": self.compare.turned, "Sweep": self.sweep.turned})
 
     # --- what the user does ---
 
     def _on_knob(self, path: str, value: Any) -> None:
         self._held = path
+        self.sweep.moved(path)
         try:
             changes = changed_by(self.session.config, path, value)
             self.status.guarded(lambda: self.session.set(label_of(path), Gesture(path, self.page.drag), **changes))
@@ -190,7 +188,7 @@ class TuningPanel(widgets.VBox):
         if what == "config":
             self._iterations.steps = None
             self._show_session()
-            self._worker.submit(Show(self.frame, coarse=self._is_clip))
+            self._worker.submit(Show(self.frame, coarse=self.is_clip))
             self._clip_bar.settle()
         elif what == "run":
             self.status.guarded(self._show_run)
@@ -200,6 +198,7 @@ class TuningPanel(widgets.VBox):
         elif what == "snapshots":
             self.history.show_snapshots()
             self.head.refresh_comparisons()
+            self.compare.refresh()
 
     def _show_session(self) -> None:
         config = self.session.config
@@ -208,11 +207,13 @@ class TuningPanel(widgets.VBox):
         self.strip.show_config()
         self.overlay.refresh_groups()
         self.time.show_config()
+        self.sweep.show_config()
+        self.tune.show_config()
         self.clip.timeline.marked = [list(part) for part in config.infill.frames]
         self.history.show()
 
     def _show_run(self) -> None:
-        if self._is_clip:
+        if self.is_clip:
             self.clip.show_run()
             self.scale.show_run()
             self.time.show_config()
@@ -223,21 +224,23 @@ class TuningPanel(widgets.VBox):
     # --- work, in the worker's thread ---
 
     def _refit(self, request: Show) -> None:
-        session = self.session
-        old = (self.overlay.view, self.head.view.widget)
-        with self.waiting.during(f"fitting frame {request.frame}", f"fit {session.config.system}", old):
+        session, frame = self.session, request.frame
+        old, system = (self.overlay.view, self.head.view.widget), session.config.traits
+        told = (f"fitting frame {frame}", system.title, old, nothing, None if system.real_time else DEEP_S)
+        with self.waiting.during(*told) as job:
             if request.steps is None:
                 # A temporal result also contains the frame as it was fitted.
-                fit = self.time.fit(request.frame) or session.fit_frame(request.frame, request.coarse)
+                fit = self.time.fit(frame) or session.fit_frame(frame, request.coarse, cancelled=job.cancelled)
             else:
-                fit = session.fit_steps(request.frame, request.steps)
+                fit = session.fit_steps(frame, request.steps)
         self._show(fit)
         if self._worker.wait_newer(PAUSE_S):
             return
-        self.status.tell(status_of(fit, len(session), after=self.time.side == AFTER))
+        self.status.tell(status_of(fit, len(session), self.time.side == AFTER, self.clip.why(frame)))
         if fit.found:
-            self._iterations.show(fit, session.explain_frame(request.frame)[1], request.steps)
-            self.strip.show_frame(request.frame)
+            self._iterations.show(fit, session.explain_frame(frame)[1], request.steps)
+            self.strip.show_frame(frame)
+            self.compare.show_frame(frame)
 
     def _show(self, fit: FrameFit) -> None:
         self.fit, self._iterations.found = fit, fit.found
@@ -250,12 +253,33 @@ class TuningPanel(widgets.VBox):
         if self.fit is not None:
             self._worker.submit(Show(self.frame, steps=self._iterations.steps))
 
-    def _look_for(self, reasons: Callable[[], None]) -> None:
-        self._slow.submit(self.waiting.running(reasons, "looking for reasons"))
+    def _later(self, work: Work, what: str = "looking for reasons", usual_s: float = READY_S) -> None:
+        """Do what is slow after what is already waiting, where it can be cancelled."""
+        self._slow.submit(self.waiting.running(work, what, usual_s))
 
     def _failed(self, error: Exception) -> None:
         self._clip_bar.hide_progress()
         self.status.failed(error)
+
+
+def pages_of(panel: TuningPanel) -> dict[str, widgets.Widget | None]:
+    """The pages at the foot of a panel by title; None where there is no clip."""
+    return {
+        "Energy": panel.energy, "Stages": panel.stages.widget, "Diagnosis": panel.diagnosis.widget,
+        "Curves": panel.clip.curves if panel.is_clip else None,
+        "Methods": panel.time.methods if panel.time.is_clip else None,
+        "Sweep": panel.sweep, "Tune": panel.tune if panel.time.is_clip else None,
+        "Compare": panel.compare, "Film strip": panel.strip, "Changes": panel.changes,
+    }  # fmt: skip
+
+
+def rows_of(panel: TuningPanel) -> list[widgets.Widget]:
+    """What stands in a panel, from top to bottom."""
+    told = (panel.status, panel.waiting, *panel.export_dialog.buttons)
+    top = classed(widgets.HBox([panel.history.widget, *told]), "fw-top-bar")
+    clip = [panel.clip.timeline, panel.transport.widget] if panel.is_clip else []
+    body = arranged(panel.controls.widget, panel.overlay.widget, panel.head.widget, clip)
+    return [top, panel.export_dialog.widget, body, panel.tabs]
 
 
 def actions_of(panel: TuningPanel) -> dict[str, Callable[[], object]]:

@@ -49,7 +49,7 @@ class WebGLCanvas(anywidget.AnyWidget):
     _colors = traitlets.Bytes(help="RGB of each vertex; empty: the skin").tag(sync=True)
     _points = traitlets.Dict(help="`rods_message`, or empty").tag(sync=True)
     _segments = traitlets.Dict(help="`rods_message`, or empty").tag(sync=True)
-    _ghost = traitlets.Dict(help="vertices as above and their opacity, or empty").tag(sync=True)
+    _ghost = traitlets.Dict(help="vertices as above, opacity and outline, or empty").tag(sync=True)
     _viewpoint = traitlets.List(traitlets.Float(), help="`viewpoint_numbers`; the mouse changes it").tag(sync=True)
     _front = traitlets.List(traitlets.Float(), help="the viewpoint after a reset").tag(sync=True)
     _lens = traitlets.List(
@@ -156,15 +156,17 @@ class WebGLHeadView:
             some = segments is not None and len(segments)
             self.canvas._segments = rods_message(segments, colors, SEGMENT_MM) if some else NOTHING
 
-    def set_ghost(self, vertices: Float[np.ndarray, "v 3"] | None, opacity: Number = 0.35) -> None:
+    def set_ghost(
+        self, vertices: Float[np.ndarray, "v 3"] | None, opacity: Number = 0.35, outline: bool = False
+    ) -> None:
         """See `HeadView.set_ghost`."""
         check_opacity(opacity)
         if vertices is not None:
             check_vertices(vertices, len(self._model.neutral))
         with self._lock:
-            self._shown = self._shown.with_extras(ghost=vertices, ghost_opacity=opacity)
-            ghost = NOTHING if vertices is None else {"vertices": _packed(vertices), "opacity": float(opacity)}
-            self.canvas._ghost = ghost
+            self._shown = self._shown.with_extras(ghost=vertices, ghost_opacity=opacity, ghost_outline=outline)
+            given = vertices is not None
+            self.canvas._ghost = {"vertices": _packed(vertices), **_shown_as(opacity, outline)} if given else NOTHING
 
     def snapshot(self) -> UInt8[np.ndarray, "h w 3"]:
         """See `HeadView.snapshot`."""
@@ -206,6 +208,10 @@ def viewpoint_numbers(viewpoint: Viewpoint) -> list[float]:
     """Position, target, up (head frame, millimetres) and focal lengths (pixels): eleven numbers."""
     parts = (viewpoint.position, viewpoint.target, viewpoint.up, viewpoint.camera.focal_px)
     return np.concatenate(parts).astype(float).tolist()
+
+
+def _shown_as(opacity: Number, outline: bool) -> dict[str, object]:
+    return {"opacity": float(opacity), "outline": outline}
 
 
 def _packed(vertices: Float[np.ndarray, "v 3"]) -> bytes:

@@ -1,5 +1,6 @@
 """The causes of bad frames, each a small function that tests its hypothesis on a `Trial`."""
 
+from workbench.diagnosis.causes.confidence import doubted_part
 from workbench.diagnosis.causes.configuration import (
     not_converged,
     pose_expression_tradeoff,
@@ -10,6 +11,15 @@ from workbench.diagnosis.causes.groups import face_outside, group_biased, jaw_di
 from workbench.diagnosis.causes.motion import frozen_detector, low_flow_consistency, motion_blur
 from workbench.diagnosis.causes.order import mirrored_order, points_swapped
 from workbench.diagnosis.causes.person import wrong_focal, wrong_identity
+from workbench.diagnosis.causes.picture import (
+    blurred_face,
+    covered,
+    dark_face,
+    jump,
+    pose_jump,
+    turned_away,
+    unseen_cut,
+)
 
 INPUT_CAUSES = (
     mirrored_order,
@@ -18,6 +28,14 @@ INPUT_CAUSES = (
     frozen_detector,
     low_flow_consistency,
     motion_blur,
+    covered,
+    doubted_part,
+    blurred_face,
+    dark_face,
+    turned_away,
+    unseen_cut,
+    jump,
+    pose_jump,
     occluded,
     group_biased,
     jaw_disagrees,

@@ -28,6 +28,7 @@ SIDES = {
     "right_side": (*range(0, 8), *GROUPS["right_brow"], *GROUPS["right_eye"], 31, 32, 48, 49, 50, 58, 59, 60, 67),
     "left_side": (*range(9, 17), *GROUPS["left_brow"], *GROUPS["left_eye"], 34, 35, 52, 53, 54, 55, 56, 64, 65),
     "upper_face": (*GROUPS["brows"], *GROUPS["eyes"]),
+    "chin": range(5, 12),
     "lower_face": (*range(4, 13), *GROUPS["mouth"]),
 }
 """Larger parts of the face that an object may occlude."""
@@ -161,9 +162,8 @@ def occluded(trial: Trial) -> Iterator[Finding]:
         return
     if trial.excess < LEAST_EXCESS and confidence.min() > 0.5 * confidence.max():
         return
-    for name, indices in {**{group: GROUPS[group] for group in TITLES}, **SIDES}.items():
-        mask = np.isin(np.arange(68), indices)
-        change = muted(name)
+    for name in (*TITLES, *SIDES):
+        mask, change = mask_of(name), muted(name)
         fit = trial.refit(change)
         gain = trial.gain(fit, doubted=mask)
         offset, scatter = _offset(trial, fit, mask)
@@ -171,7 +171,7 @@ def occluded(trial: Trial) -> Iterator[Finding]:
         unsure = sure < 0.5 * others
         if (gain <= 0.0 and not unsure) or trial.percent(scatter) < LEAST_OFFSET_PERCENT:
             continue
-        title = TITLES.get(name, name.replace("_", " "))
+        title = title_of(name)
         picture = _picture_changed(trial, mask)
         before, after = trial.error_percent(trial.fit, mask), trial.error_percent(fit, mask)
         evidence = f"The {mask.sum()} points of the {title} scatter by {trial.percent(scatter):.1f} % of the eye "
@@ -266,9 +266,18 @@ def face_outside(trial: Trial) -> Iterator[Finding]:
 
 def muted(name: str) -> Change:
     """The change that mutes a group, or one of `SIDES` point by point."""
-    title = TITLES.get(name, name.replace("_", " "))
     weights = {name: 0.0} if name in GROUPS else {str(index): 0.0 for index in SIDES[name]}
-    return Change(f"Mute the points of the {title}", config={"landmarks": {"weights": weights}})
+    return Change(f"Mute the points of the {title_of(name)}", config={"landmarks": {"weights": weights}})
+
+
+def title_of(name: str) -> str:
+    """A group, or one of `SIDES`, in words."""
+    return TITLES.get(name, name.replace("_", " "))
+
+
+def mask_of(name: str) -> Bool[np.ndarray, "68"]:
+    """True for the points of a group, or of one of `SIDES`."""
+    return np.isin(np.arange(68), GROUPS[name] if name in GROUPS else SIDES[name])
 
 
 def _all_points(trial: Trial) -> list[dict]:

@@ -109,7 +109,7 @@ def motion_blur(trial: Trial) -> Iterator[Finding]:
     across = float(np.sqrt(np.mean((error @ np.array([-blur.direction[1], blur.direction[0]])) ** 2)))
     if along < ALONG * across:
         return
-    change = _interpolated(trial, places)
+    change = interpolated(trial, places)
     fit = trial.refit(change)
     gain = trial.gain(fit, 4.0)
     limit = SHARP_ALONE if alone else BLURRED
@@ -139,7 +139,8 @@ def motion_blur(trial: Trial) -> Iterator[Finding]:
     )
 
 
-def _interpolated(trial: Trial, places: Float[np.ndarray, "68 2"] | None) -> Change:
+def interpolated(trial: Trial, places: Float[np.ndarray, "68 2"] | None) -> Change:
+    """The change that takes the points from the adjacent frames; without any, it trusts this frame's less."""
     if places is None:
         return Change("Trust the landmarks of this frame less", config={"landmarks": {"weights": {"all": 0.2}}})
     both = trial.case.before is not None and trial.case.after is not None

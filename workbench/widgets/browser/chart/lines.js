@@ -33,20 +33,25 @@ export function paintLines(canvas, chart) {
 }
 
 function paintLevels(context, scale, theme) {
-  const { range, width, height, log, bottom } = scale;
+  const { range, width, bottom } = scale;
+  paintGrid(context, scale, theme);
+  context.fillRect(LEFT, Math.round(bottom), width, 1);
+  if (range.zeros) context.fillText("≤ 0", LEFT - 5, bottom);
+}
+
+// A line and a number for each level of the values.
+export function paintGrid(context, { range, width, height, log, toLevel }, theme) {
   const ticks = (log ? logTicks : linearTicks)(range.low, range.high, Math.max(2, Math.floor(height / 28)));
   context.fillStyle = theme.muted;
   context.textBaseline = "middle";
   context.textAlign = "right";
   for (const tick of ticks) {
-    const y = scale.toLevel(tick);
+    const y = toLevel(tick);
     context.fillStyle = theme.grid;
     context.fillRect(LEFT, Math.round(y), width, 1);
     context.fillStyle = theme.muted;
     context.fillText(words(log ? +(10 ** tick).toPrecision(3) : +tick.toPrecision(10)), LEFT - 5, y);
   }
-  context.fillRect(LEFT, Math.round(bottom), width, 1);
-  if (range.zeros) context.fillText("≤ 0", LEFT - 5, bottom);
 }
 
 function paintPlaces(context, { range, width, bottom, toX }, sent) {

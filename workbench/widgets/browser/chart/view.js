@@ -1,6 +1,6 @@
 // Lines over a common x. Lines are drawn on one canvas; cursor and readout, which move often, on another.
 import { bytesOf } from "../shared/bytes.js";
-import { element } from "../shared/canvas.js";
+import { element, makeStage } from "../shared/canvas.js";
 import { follow, followSize, followTheme, listen } from "../shared/following.js";
 import { clamp } from "../shared/numbers.js";
 import { onDemand } from "../shared/painting.js";
@@ -14,13 +14,7 @@ import { BOTTOM, LEFT, RIGHT, TOP, nearest, rangeOf, scaleOf } from "./scale.js"
 function makePage(el) {
   const root = element(el, "div", "fw-chart"), top = element(root, "div", "fw-top");
   const title = element(top, "div", "fw-title"), keys = element(top, "div", "fw-keys");
-  const stage = element(root, "div", "fw-stage");
-  const lines = element(stage, "canvas", "fw-lines"), over = element(stage, "canvas", "fw-cursor");
-  const hoverBox = element(stage, "div", "fw-hover");
-  hoverBox.hidden = true;
-  stage.tabIndex = 0;
-  stage.setAttribute("role", "application");
-  root.dataset.lmSuppressShortcuts = "true";
+  const { stage, drawn: lines, over, hoverBox } = makeStage(root, "fw-lines");
   return { root, top, title, keys, stage, lines, over, hoverBox };
 }
 

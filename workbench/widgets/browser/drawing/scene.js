@@ -6,6 +6,8 @@ import { loadTexture, makeSurface } from "./surface.js";
 import { dot } from "./vectors.js";
 import { makeWorn } from "./worn.js";
 
+const RIM = 0.3; // the cosine to the line of sight up to which a surface belongs to the outline
+
 // A head, a second translucent one, balls and rods in one WebGL context. `redraw` is called when the texture is loaded.
 export function makeScene(gl, mesh, redraw) {
   const surfaces = makeProgram(gl, surfaceShaders()), rods = makeProgram(gl, rodShaders());
@@ -61,32 +63,32 @@ export function makeScene(gl, mesh, redraw) {
 
 // The translucent head; its buffers are created when it is first used.
 function makeGhost(gl, program, mesh) {
-  let surface = null, opacity = 0;
+  let surface = null, opacity = 0, outlined = false;
 
-  function made() {
-    const ghost = makeSurface(gl, program, mesh);
-    ghost.setColors(Uint8Array.from({ length: mesh.colors.length }, (_, k) => mesh.ghost[k % 3]));
-    return ghost;
-  }
-
-  function set(shape, much) {
+  function set(shape, much, outline) {
     opacity = shape ? much : 0;
+    outlined = Boolean(outline);
     if (!shape) return;
-    surface ??= made();
+    surface ??= makeSurface(gl, program, mesh);
+    const color = outlined ? mesh.outline : mesh.ghost;
+    surface.setColors(Uint8Array.from({ length: mesh.colors.length }, (_, k) => color[k % 3]));
     surface.setShape(shape);
   }
 
-  // Depth is drawn first, so that only the front surface is blended.
+  // Depth is drawn first, so that only the front surface is blended. An outline lies over the head.
   function draw() {
     if (!opacity) return;
+    if (outlined) gl.clear(gl.DEPTH_BUFFER_BIT);
     gl.uniform1i(program.uniform("textured"), 0);
     gl.uniform1f(program.uniform("opacity"), opacity);
+    gl.uniform1f(program.uniform("rim"), outlined ? RIM : 0);
     gl.colorMask(false, false, false, false);
     surface.draw(mesh.outer);
     gl.colorMask(true, true, true, true);
     gl.enable(gl.BLEND);
     surface.draw(mesh.outer);
     gl.disable(gl.BLEND);
+    gl.uniform1f(program.uniform("rim"), 0);
   }
   return { set, draw };
 }

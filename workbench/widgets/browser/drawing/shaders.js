@@ -33,11 +33,13 @@ void main() {
   show(place, normal, color);
 }`, `${LIGHTING}
 in vec2 at, kind;
-uniform sampler2D skin; uniform bool textured; uniform vec2 shine[2];
+uniform sampler2D skin; uniform bool textured; uniform vec2 shine[2]; uniform float rim;
 void main() {
   vec3 albedo = textured ? texture(skin, at).rgb : tint;
   if (kind.x < 0.5) discard;
   light(albedo, mix(shine[0], shine[1], kind.y));
+  // Of a head with a rim, only what turns away from the camera is seen, unlit.
+  if (rim > 0.0) result = vec4(tint, opacity * (1.0 - smoothstep(0.5 * rim, rim, abs(dot(normalize(n), normalize(p))))));
 }`];
 }
 

@@ -29,8 +29,8 @@ function makeFeeding(model, mesh) {
       scene.setColors(colors.byteLength ? new Uint8Array(bytesOf(colors)) : null);
     },
     _ghost(scene) {
-      const { vertices, opacity } = model.get("_ghost");
-      scene.setGhost(vertices ? ghost.take(floatsOf(vertices)) : null, opacity);
+      const { vertices, opacity, outline } = model.get("_ghost");
+      scene.setGhost(vertices ? ghost.take(floatsOf(vertices)) : null, opacity, outline);
     },
     _points: (scene) => scene.setMarks("points", model.get("_points")),
     _segments: (scene) => scene.setMarks("segments", model.get("_segments")),

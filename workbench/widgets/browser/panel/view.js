@@ -1,6 +1,7 @@
 // What a panel does in the page itself: drags of sliders, resets, movable borders, folded pages, keys and labels.
 import { listen } from "../shared/following.js";
 import { listenToCopies } from "./copying.js";
+import { takeDownloads } from "./downloads.js";
 import { watchDrags } from "./drags.js";
 import { foldPages } from "./folding.js";
 import { makeHelp } from "./help.js";
@@ -18,6 +19,7 @@ function render({ model, el }) {
   const labels = labelSoon(page);
   const stops = [
     watchDrags(model), listenToResets(page), moveBorders(page), foldPages(page), listenToCopies(page),
+    takeDownloads(model),
     model.get("has_keys") ? listenToKeys(page) : () => {}, labels.stop,
     listen(document, { click: (event) => page.holds(event.target) && labels.soon() }, true),
   ];

@@ -1,0 +1,14 @@
+import { words } from "../chart/ticks.js";
+import { columnOf, rowOf } from "./places.js";
+
+// The facts about a point, one a line.
+export function factsOf(sweep, number) {
+  const settings = sweep.axes.map((axis, k) => `${axis.name} ${axis.values[(k ? rowOf : columnOf)(sweep, number)]}`);
+  if (!Number.isFinite(sweep.mean[number])) return [...settings, "not known yet"];
+  const unit = sweep.unit ? ` ${sweep.unit}` : "";
+  return [
+    ...settings, `${sweep.label} ${words(sweep.mean[number])}${unit}`,
+    `half of the frames: ${words(sweep.low[number])} to ${words(sweep.high[number])}`,
+    ...(number === sweep.least ? ["the least"] : []), "click: take it",
+  ];
+}

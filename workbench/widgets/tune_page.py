@@ -1,0 +1,251 @@
+"""Tuning in the panel: the clip chooses settings by an objective; its result is taken as one undo step, or left."""
+
+import html
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import ipywidgets as widgets
+import numpy as np
+
+from workbench.config import Config
+from workbench.errors import ConfigError, InputError
+from workbench.learning import LEARNABLE, Tuned
+from workbench.learning.learnable import FOV, POINTS
+from workbench.learning.parts import SHARES, read_frames
+from workbench.objectives import TABLE, read_sum
+from workbench.session import TuningSession
+from workbench.session.knob_words import plain_words
+from workbench.session.knobs import is_inert
+from workbench.session.parts import read_parts
+from workbench.session.sweep_settings import value_at
+from workbench.widgets.chart_view import ChartView
+from workbench.widgets.controls import small_button, toggle
+from workbench.widgets.page_work import PageWork
+from workbench.widgets.panel_layout import beside, classed, one_row, wrapped
+from workbench.widgets.status_line import StatusLine
+
+OBJECTIVES = ("left-out-parts", "left-out-points", "left-out-frames", "jitter + error", "error", "jitter")
+"""Offered by name; any sum may be typed. None needs a truth or pictures."""
+POINT_WORDS = "68 point weights"
+USUAL = ("weights.tau", "weights.sigma_smooth")
+STEPS, MOST_STEPS = 12, 200
+CONTROLS_PX = 620
+LEARNED_ON, HELD_OUT = "frames it learns on", "held-out frames"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A tuning that was asked for."""
+
+    objective: str
+    learn: tuple[str, ...]
+    parts: Mapping[str, str]
+    """FIRST:END by name, as `session.tune` takes them."""
+    steps: int
+
+
+class TunePage(widgets.HBox):
+    """The page of tuning. `give_way` waits up to some seconds until the panel's own work is done."""
+
+    def __init__(self, session: TuningSession, give_way: Callable[[float], object], height_px: int) -> None:
+        self._session = session
+        self.result: Tuned | None = None
+        self._values: list[tuple[float, float]] = []
+        self.said, self.words = StatusLine(), classed(StatusLine(), "fw-one-line")
+        self._jobs: PageWork[Asked] = PageWork(
+            self._work, self.said, give_way, "panel-tune", "stop; the best so far is judged"
+        )
+        self.stop, self.progress = self._jobs.stop, self._jobs.progress
+        self.chart = ChartView(height_px=height_px - 38, title="")
+        self._build_controls()
+        rows = [
+            widgets.HBox([widgets.Label("make least"), self.objective, self.words], layout=one_row()),
+            widgets.HBox([widgets.Label("learn"), *self.learn.values()], layout=wrapped()),
+            widgets.HBox(
+                [widgets.Label("learn on"), self.train, widgets.Label("hold out"), self.held_out,
+                 widgets.Label("steps"), self.steps, self.go, self.stop, self.take, self.leave],
+                layout=wrapped(),
+            ),
+            self.progress, self.said,
+        ]  # fmt: skip
+        super().__init__(beside(rows, CONTROLS_PX, self.chart), layout=widgets.Layout(height=f"{height_px}px"))
+        self.add_class("fw-tune")
+        self._explain()
+        self.show_config()
+        self._show_result(None)
+
+    # --- for scripts and tests ---
+
+    def run(self) -> None:
+        """Tune what is chosen."""
+        self.said.guarded(self._submit)
+
+    def wait_idle(self, timeout_s: float | int) -> bool:
+        """Wait for the tuning; False if it takes longer."""
+        return self._jobs.wait_idle(timeout_s)
+
+    def close(self) -> None:
+        """Stop the tuning and its thread."""
+        self._jobs.close()
+        super().close()
+
+    def show_config(self) -> None:
+        """Offer what can be learned from the session's configuration."""
+        can = learnable(self._session.config)
+        for path, button in self.learn.items():
+            button.layout.display = None if path in can else "none"
+
+    # --- parts ---
+
+    def _build_controls(self) -> None:
+        self.objective = widgets.Combobox(
+            value=OBJECTIVES[0], options=OBJECTIVES, continuous_update=False, layout=widgets.Layout(width="150px"),
+            tooltip="what the clip makes least; sums too, as jitter + 0.5*error",
+        )  # fmt: skip
+        self.objective.observe(lambda _change: self.said.guarded(self._explain), "value")
+        self.learn = {
+            path: toggle(POINT_WORDS if path == POINTS else plain_words(path, path).name, path, path in USUAL)
+            for path in LEARNABLE
+        }
+        first, last = usual_parts(len(self._session))
+        self.train = _field(first, "first and last frame that it learns on")
+        self.held_out = _field(last, "first and last frame that it does not learn on: the first half chooses the "
+                               "step that is kept, the second half reports")  # fmt: skip
+        self.steps = widgets.BoundedIntText(
+            STEPS, min=1, max=MOST_STEPS, tooltip="steps along the gradient", layout=widgets.Layout(width="56px")
+        )
+        self.go = small_button("tune", "follow the gradient through the solver", "primary")
+        self.go.on_click(lambda _button: self.run())
+        self.take = small_button("take", "use what was learned; undo brings back what was there", "success")
+        self.take.on_click(lambda _button: self.said.guarded(self._take))
+        self.leave = small_button("leave", "forget it; nothing changes")
+        self.leave.on_click(lambda _button: self._leave())
+
+    def _explain(self) -> None:
+        rows = [TABLE[name] for name in read_sum(self.objective.value).names]
+        blind = "; ".join(row.blind for row in rows)
+        self.words.tell(html.escape("; ".join(row.says for row in rows)))
+        self.objective.tooltip = f"cannot see: {blind}"
+
+    # --- what the user does ---
+
+    def _submit(self) -> None:
+        self._explain()
+        can = learnable(self._session.config)
+        learn = tuple(path for path, button in self.learn.items() if button.value and path in can)
+        if not learn:
+            raise ConfigError("Choose what to learn first, such as steady head.")
+        parts = parts_texts(self.train.value, self.held_out.value)
+        self._jobs.submit(Asked(self.objective.value, learn, parts, self.steps.value))
+
+    def _take(self) -> None:
+        changes = learned_changes(self.result)
+        self._session.set(f"tuned: {self.result.config.provenance.objective}", **changes)
+        self.said.say("Taken; undo brings back what was there.")
+        self._show_result(None)
+
+    def _leave(self) -> None:
+        self.said.say("Left; nothing has changed.")
+        self._show_result(None)
+
+    def _show_result(self, result: Tuned | None) -> None:
+        self.result = result
+        self.take.disabled = self.leave.disabled = result is None
+
+    # --- work, in the thread of the page ---
+
+    def _work(self, asked: Asked) -> None:
+        self._show_result(None)
+        self._values = []
+        self.chart.set_series(np.zeros(0), {})
+        self.said.say("getting ready …")
+        with self._jobs.shown(asked.steps):
+            found = self._session.tune(
+                asked.objective, asked.learn, **asked.parts, steps=asked.steps,
+                progress=self._told, cancelled=self._jobs.stopping,
+            )  # fmt: skip
+        self._show_result(found)
+        self.said.say(conclusion(found))
+
+    def _told(self, _what: str, done: int, total: int, value: float, watched: float | None) -> None:
+        self._values.append((value, np.nan if watched is None else watched))
+        learned_on, held_out = np.array(self._values).T
+        steps = np.arange(1, len(learned_on) + 1, dtype=float)
+        self.chart.set_series(
+            steps, {LEARNED_ON: learned_on, HELD_OUT: held_out}, x_label="step", y_label=self.objective.value
+        )
+        self.progress.value = done
+        last = "judging it on all frames …" if done == total else ""
+        self.said.say(f"step {done} of {total} {last}".strip())
+
+
+def learnable(config: Config) -> tuple[str, ...]:
+    """The settings with a gradient that act on the fits of a configuration and are above 0."""
+    if config.traits.renders:
+        return ()
+    fixed_lens = (FOV,) if config.camera.matrix is not None else ()
+    return tuple(
+        path
+        for path in LEARNABLE
+        if path not in fixed_lens
+        and (path == POINTS or (value_at(config, path) > 0.0 and not is_inert(config, path)))
+    )  # fmt: skip
+
+
+def usual_parts(frames: int) -> tuple[str, str]:
+    """The frames to learn on and to hold out that are offered for a clip of so many."""
+    first = round(SHARES[0] * frames)
+    return f"0-{max(first - 1, 0)}", f"{first}-{frames - 1}"
+
+
+def parts_texts(train: str, held_out: str) -> dict[str, str]:
+    """FIRST:END of the parts by name, from first and last frames as 0-99.
+
+    Of the frames held out, the first half chooses the step that is kept and the second half reports. Raises
+    `InputError` for anything else.
+    """
+    (first, last), (start, end) = _part(train), _part(held_out)
+    middle = (start + end + 1) // 2
+    if middle == start:
+        raise InputError(f"Hold out at least two frames, got {held_out!r}.")
+    return {"train": f"{first}:{last + 1}", "watch": f"{start}:{middle}", "held_out": f"{middle}:{end + 1}"}
+
+
+def _part(text: str) -> tuple[int, int]:
+    parts = read_parts(text)
+    if len(parts) != 1:
+        raise InputError(f"Write the frames of a part as 0-99, got {text!r}.")
+    return parts[0]
+
+
+def learned_changes(tuned: Tuned) -> dict[str, dict]:
+    """The learned settings alone, as arguments for `session.set`."""
+    changes: dict[str, dict] = {}
+    for path in tuned.config.provenance.learned:
+        section, key = path.split(".")
+        changes.setdefault(section, {})[key] = getattr(getattr(tuned.config, section), key)
+    return changes
+
+
+def conclusion(tuned: Tuned) -> str:
+    """What was learned and whether it holds on frames that nothing was chosen by, in a sentence."""
+    change = tuned.change
+    verdict = "better" if change.high < 0.0 else "worse" if change.low > 0.0 else "not surely better or worse"
+    frames = read_frames(tuned.config.provenance.parts["held_out"])
+    told = str(change).replace("-", "−")
+    where = f"On frames {frames.start}-{frames.stop - 1}, held out"
+    return f"{where}: {told}, {verdict}. {'; '.join(_found(tuned))}. Take it or leave it."
+
+
+def _found(tuned: Tuned) -> Iterator[str]:
+    for path in tuned.config.provenance.learned:
+        if path == POINTS:
+            weights = tuned.config.point_weights()
+            yield f"point weights {min(weights):.2g} to {max(weights):.2g}"
+        else:
+            before, after = value_at(tuned.base, path), value_at(tuned.config, path)
+            yield f"{plain_words(path, path).name} {before:.3g} → {after:.3g}"
+
+
+def _field(value: str, tip: str) -> widgets.Text:
+    return widgets.Text(value=value, tooltip=tip, continuous_update=False, layout=widgets.Layout(width="84px"))
