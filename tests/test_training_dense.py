@@ -7,11 +7,12 @@ import pytest
 import torch
 from scipy.spatial.distance import pdist, squareform
 
+from workbench.landmarks.schemes import DENSE_POINTS, DENSE_TABLE, DensePoints
 from workbench.networks.dense_network import dense_places, read_dense_network
 from workbench.networks.frozen import FrozenDenseNetwork
 from workbench.training.augment import TRAINING, augmented
 from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, measured_dense, radius
-from workbench.training.dense_points import IRIS_POINTS, SPACING_MM, DensePoints, dense_points
+from workbench.training.dense_points import IRIS_POINTS, SPACING_MM, dense_points, write_table
 from workbench.training.dense_task import SIDE, DenseTask, TorchDenseNetwork, loss_of
 from workbench.training.loop import Phase, TrainingPlan, train
 from workbench.training.pool import SHARD, halves, open_pool, shard_paths
@@ -59,7 +60,7 @@ def pool_path(gazing_head, tmp_path_factory):
 class TestPoints:
     def test_there_are_some_320_of_every_part_and_as_many_left_as_right(self, points, gazing_head):
         assert 300 <= len(points) <= 360
-        counts = Counter(points.groups)
+        counts = Counter(points.parts)
         assert set(counts) == {*SPACING_MM, "irises"}
         assert counts["irises"] == 2 * IRIS_POINTS
         assert counts["eyes"] > 40
@@ -69,16 +70,20 @@ class TestPoints:
         np.testing.assert_allclose(places[points.mirror], places * [-1, 1, 1], atol=0.1)
 
     def test_neighbours_keep_the_distance_of_their_part_and_nothing_is_left_bare(self, points, gazing_head):
-        skin = [k for k, group in enumerate(points.groups) if group != "irises"]
+        skin = [k for k, group in enumerate(points.parts) if group != "irises"]
         apart = squareform(pdist(gazing_head.neutral[points.vertices[skin]]))
         np.fill_diagonal(apart, np.inf)
-        spacing = np.array([SPACING_MM[points.groups[k]] for k in skin])
+        spacing = np.array([SPACING_MM[points.parts[k]] for k in skin])
         # A point that was taken for its partner's sake may lie closer.
         assert (apart.min(axis=1) >= spacing.min()).all()
         assert (apart.min(axis=1) <= 2.5 * spacing).mean() > 0.95
 
     def test_the_rule_gives_the_same_points_again(self, points, gazing_head):
         assert np.array_equal(dense_points(gazing_head).vertices, points.vertices)
+
+    def test_the_scheme_holds_what_the_rule_chooses(self, points, tmp_path):
+        write_table(points, tmp_path / "table.json")
+        assert (tmp_path / "table.json").read_text() == DENSE_TABLE.read_text()
 
 
 class TestPictures:
@@ -144,7 +149,7 @@ class TestCalibration:
             assert (honest.deviations < radius(share)).mean() == pytest.approx(share, abs=0.01)
 
     def test_the_tables_tell_errors_and_shares_by_part(self, answers):
-        dense = DensePoints(np.arange(20), np.arange(20), (*["nose"] * 12, *["irises"] * 8))
+        dense = DensePoints(np.arange(20), np.arange(20), (*["nose"] * 12, *["irises"] * 8), ("middle",) * 20)
         rows = measured_dense(answers, answers, dense)
         assert list(rows) == ["68 landmarks, without the jaw", "pupils", "dense, nose", "dense, irises"]
         assert rows["dense, nose"]["clean"] == pytest.approx(2.0 * np.sqrt(np.pi / 2), rel=0.02)
@@ -155,7 +160,7 @@ class TestTraining:
     def test_what_is_kept_says_what_was_trained(self, pool_path, tmp_path):
         task = DenseTask()
         kept = train(task, pool_path, tmp_path / "dense", SMALL, workers=0, report=lambda _: None)
-        network = TorchDenseNetwork(SMALL.widths, SMALL.blocks, 70 + len(task.dense)).eval()
+        network = TorchDenseNetwork(SMALL.widths, SMALL.blocks, 70 + len(DENSE_POINTS)).eval()
         state = torch.load(tmp_path / "dense" / "checkpoint.pt", map_location="cpu", weights_only=True)
         network.load_state_dict(state["average"])
         picture = np.random.default_rng(5).integers(0, 256, (SIDE, SIDE, 3), dtype=np.uint8)

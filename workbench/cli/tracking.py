@@ -58,7 +58,10 @@ PRESET_HELP = f"One of: {', '.join(PRESETS)}."
 IDENTITY_HELP = "Calibrate the subject's face shape first."
 PICTURES_HELP = "Write the overlay video or pictures."
 RESUME_HELP = "Continue an interrupted run."
-DETECTOR_HELP = "auto (dlib+network where dlib is installed, else network), network, dlib, dlib-hog or dlib-cnn."
+DETECTOR_HELP = (
+    "auto (dlib+network where dlib is installed, else network), network, dense, dlib, dlib-hog or dlib-cnn; dense finds "
+    "377 points, the others 68."
+)
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 ENERGY_HELP = "deep (network on the render), points (on the mesh) or mixed."
 FRAMES_HELP = "Only frames A-B (or one frame); the results are numbered from the part's start."

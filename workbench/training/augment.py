@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from workbench.landmarks.alignment import FaceFrame, frame_from_points
 from workbench.landmarks.network_detector import CROP_SIDE, crop_frame
 from workbench.landmarks.scheme import MIRROR
-from workbench.training.dense_points import DensePoints
+from workbench.landmarks.schemes import DensePoints
 from workbench.training.pool import Pool
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.schemes import DensePoints
 from workbench.networks.dense_network import SIDE, DensePlaces
 from workbench.training.augment import MIRRORED, Hardness, augmented
-from workbench.training.dense_points import DensePoints
 from workbench.training.pool import Pool
 
 ELLIPSES = (0.5, 0.8, 0.95)
@@ -67,8 +67,8 @@ def radius(share: float) -> float:
 def measured_dense(clean: DenseAnswers, damaged: DenseAnswers, dense: DensePoints) -> dict[str, Mapping[str, float]]:
     """The tables of the model card: errors in percent by part of the face, and the shares inside the ellipses."""
     groups = {"68 landmarks, without the jaw": range(17, 68), "pupils": range(68, len(MIRRORED))}
-    for name in dict.fromkeys(dense.groups):
-        groups[f"dense, {name}"] = [len(MIRRORED) + k for k, group in enumerate(dense.groups) if group == name]
+    for name in dict.fromkeys(dense.parts):
+        groups[f"dense, {name}"] = [len(MIRRORED) + k for k, group in enumerate(dense.parts) if group == name]
     tables: dict[str, Mapping[str, float]] = {}
     for name, which in groups.items():
         row = {}

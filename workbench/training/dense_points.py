@@ -1,4 +1,6 @@
-"""Some 320 points over the whole face of the default head: the vertices that a dense landmark scheme names.
+"""Some 300 points over the whole face of the default head: the vertices that the landmark scheme `dense` names.
+
+`python -m workbench.training.dense_points` writes the scheme's table.
 
 Chosen by one rule on the mesh at rest, so that nobody has to place them: points of the skin are taken one by one,
 always the one that lies farthest from those already taken, where distances count in units of the spacing that its part
@@ -6,16 +8,20 @@ of the face should have (lids and lips densely, cheeks and forehead sparsely). B
 lies on the plane of symmetry alone.
 """
 
-from dataclasses import dataclass
+import json
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from workbench.face.default_head import load_default_head
 from workbench.face.model import FaceModel
+from workbench.files import atomic_path
 from workbench.geometry import camera_from_fov, rotation_matrix
 from workbench.geometry.rotations import axis_angle_from_yaw_pitch_roll
 from workbench.landmarks.scheme import GROUPS
+from workbench.landmarks.schemes import DENSE_TABLE, DensePoints
 from workbench.rendering.lighting import ambient_light
 from workbench.rendering.renderer import render
 from workbench.rendering.topology import mesh_topology
@@ -37,20 +43,6 @@ EARS_STAND_OUT_MM = 7.0
 """How far out of that point what lies behind is an ear."""
 
 
-@dataclass(frozen=True, eq=False)
-class DensePoints:
-    """Vertices of a head that are landmarks, the surface's first and the irises' last."""
-
-    vertices: Int[np.ndarray, "n"]
-    mirror: Int[np.ndarray, "n"]
-    """Which point each becomes when left and right are swapped; its own inverse."""
-    groups: tuple[str, ...]
-    """The part of the face of each: a key of `SPACING_MM`, or "irises"."""
-
-    def __len__(self) -> int:
-        return len(self.vertices)
-
-
 def dense_points(model: FaceModel) -> DensePoints:
     """The dense points of the default head or of a person on it (the choice is the mean head's); needs the eyeballs."""
     group, open_to_view = _parts(model), _shown(model)
@@ -60,7 +52,18 @@ def dense_points(model: FaceModel) -> DensePoints:
     vertices = np.concatenate([chosen, *irises])
     place = {vertex: order for order, vertex in enumerate(vertices.tolist())}
     mirror = np.array([place[vertex] for vertex in model.mirror[vertices].tolist()])
-    return DensePoints(vertices, mirror, (*group[chosen].tolist(), *["irises"] * 2 * IRIS_POINTS))
+    parts = (*group[chosen].tolist(), *["irises"] * 2 * IRIS_POINTS)
+    # The subject's right is where x is negative.
+    sides = np.where(model.neutral[vertices, 0] < 0.0, "right", "left")
+    sides = np.where(mirror == np.arange(len(mirror)), "middle", sides)
+    return DensePoints(vertices, mirror, parts, tuple(sides.tolist()))
+
+
+def write_table(points: DensePoints, path: Path) -> None:
+    """The scheme's table as `landmarks.schemes` reads it."""
+    numbers = {"vertices": points.vertices.tolist(), "mirror": points.mirror.tolist()}
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps({**numbers, "parts": points.parts, "sides": points.sides}) + "\n")
 
 
 def iris_vertices(model: FaceModel, eye: str) -> Int[np.ndarray, "8"]:
@@ -145,3 +148,7 @@ def _farthest_first(
                 farness = np.minimum(farness, np.linalg.norm(points - points[vertex], axis=1) / spacing_mm)
         following = int(np.argmax(farness))
     return np.array(chosen)
+
+
+if __name__ == "__main__":
+    write_table(dense_points(load_default_head(gaze=True)), DENSE_TABLE)

@@ -1,7 +1,6 @@
 """The dense network's task: each point a Gaussian in the picture, with a covariance of its own (Wood et al. 2022)."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from workbench.face import load_default_head
+from workbench.landmarks.schemes import DENSE_POINTS
 from workbench.networks.weights import read_weights
 from workbench.training.augment import augmented
-from workbench.training.dense_points import DensePoints, dense_points
 from workbench.training.landmark_task import OPENINGS, POINTS
 from workbench.training.loop import Batch, Phase, TrainingPlan, kept
 from workbench.training.pool import Pool, open_pool
@@ -51,16 +49,11 @@ class DenseTask:
 
     architecture: str = NAME
 
-    @cached_property
-    def dense(self) -> DensePoints:
-        """The points of the default head."""
-        return dense_points(load_default_head(gaze=True))
-
     def open(self, folder) -> Pool:
         return open_pool(folder)
 
     def network(self, plan: TrainingPlan) -> nn.Module:
-        return TorchDenseNetwork(plan.widths, plan.blocks, POINTS + len(self.dense))
+        return TorchDenseNetwork(plan.widths, plan.blocks, POINTS + len(DENSE_POINTS))
 
     def begin(self, network: TorchDenseNetwork, start: Path, pictures: Tensor) -> None:
         """Give the network the encoder of a landmark network's file; `pictures` are some of those to come."""
@@ -79,10 +72,10 @@ class DenseTask:
     def batch(self, pool: Pool, phase: Phase, rngs: list[np.random.Generator]) -> Batch:
         """Pictures, points and whether there is a face."""
         pictures = np.empty((len(rngs), SIDE, SIDE, 3), np.uint8)
-        points = np.empty((len(rngs), POINTS + len(self.dense), 2), np.float32)
+        points = np.empty((len(rngs), POINTS + len(DENSE_POINTS), 2), np.float32)
         is_face = np.empty(len(rngs), np.float32)
         for place, rng in enumerate(rngs):
-            made = augmented(pool, int(rng.integers(len(pool))), rng, SIDE, dense=self.dense)
+            made = augmented(pool, int(rng.integers(len(pool))), rng, SIDE, dense=DENSE_POINTS)
             pictures[place], points[place], is_face[place] = made.picture, (*made.points, *made.dense), made.is_face
         return pictures, (points, is_face)
 

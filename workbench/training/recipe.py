@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from workbench.files import atomic_path
+from workbench.landmarks.schemes import DENSE_POINTS
 from workbench.networks import read_landmark_network, read_weights, write_weights
 from workbench.networks.dense_network import read_dense_network
 from workbench.networks.frozen import FrozenDenseNetwork
@@ -130,7 +131,7 @@ def train_dense_network(
     raw = train(task, pool, folder / "dense", recipe.plan, workers, device, report=report, start=recipe.start)
     look, (known, unseen) = FrozenDenseNetwork(read_dense_network(raw)), halves(open_pool(test))
     report("calibrating the deviations")
-    factor = deviation_factor(dense_answers(look, known, task.dense, recipe.calibrated, TRAINING, seed=1))
+    factor = deviation_factor(dense_answers(look, known, DENSE_POINTS, recipe.calibrated, TRAINING, seed=1))
     weights = read_weights(raw)
     path = folder / "dense.safetensors"
     arrays = {name: array.astype(np.float16) for name, array in weights.arrays.items()}
@@ -139,9 +140,9 @@ def train_dense_network(
     report("measuring on renders that it has not seen")
     look = FrozenDenseNetwork(read_dense_network(path))
     clean, damaged = (
-        dense_answers(look, unseen, task.dense, recipe.evaluated, hardness) for hardness in (CLEAN, TRAINING)
+        dense_answers(look, unseen, DENSE_POINTS, recipe.evaluated, hardness) for hardness in (CLEAN, TRAINING)
     )
-    write_dense_report(folder, measured_dense(clean, damaged, task.dense), folder / "dense" / "curves.csv")
+    write_dense_report(folder, measured_dense(clean, damaged, DENSE_POINTS), folder / "dense" / "curves.csv")
     return path
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from workbench.face.characters import Character
+from workbench.face.dense_landmarks import PUPIL_RING
 from workbench.face.dressed_head import DressedHead, WornPart
 from workbench.face.landmark_model import contour_blend
 from workbench.face.model import FaceModel
@@ -35,8 +36,6 @@ MOST_YAW_DEG = 90.0
 PEELS = 3
 LIGHTS = 3
 """Lights of every picture, some of them off: VTK compiles its shaders for a number of lights."""
-PUPIL_RING = 8
-"""Vertices around the pole of an eyeball."""
 PAIRS = 0.75
 """Probability that both sides of a paired blendshape act alike."""
 
