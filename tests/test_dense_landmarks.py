@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from workbench.config import preset
+from workbench.diagnosis import indistinguishable_groups
 from workbench.energies.reprojection import Observation, landmark_errors, reprojection_with_jacobian
 from workbench.errors import ConfigError, InputError, ModelError
 from workbench.face import FaceParameters, contour_blend, in_scheme, landmark_model, load_default_head, model_landmarks
@@ -30,6 +31,7 @@ from workbench.session.material import material_of_track
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
 from workbench.tracking.plan import whitening_of
+from workbench.tracking.records import stack_fits
 from workbench.widgets.overlay_view import OverlayView, point_groups
 from workbench.widgets.timeline_view import ROWS, TimelineView, strip_rows
 
@@ -104,7 +106,7 @@ class TestModel:
         points = dense_head.landmarks.of(dense_head.neutral)
         assert (points[list(DENSE.groups["right_eye"]), 0] < 0).all()
         np.testing.assert_allclose(points[list(DENSE.mirror)][68:], points[68:] * [-1, 1, 1], atol=0.3)
-        for pupil, iris in zip((68, 69), np.split(np.array(DENSE.groups["irises"]), 2), strict=True):
+        for pupil, iris in zip((68, 69), np.split(np.array(DENSE.groups["irises"])[2:], 2), strict=True):
             away = np.linalg.norm(points[iris] - points[pupil], axis=1)
             assert away.max() < 1.2 * away.min()
             assert 4.0 < away.mean() < 8.0
@@ -176,6 +178,11 @@ class TestWhitening:
         counts, whitening = plan_of(preset("face-it"), DENSE).measured(perfect.landmarks)
         assert whitening is None
         assert (counts == 1.0).all()
+
+    def test_landmarks_of_another_scheme_than_the_models_are_refused(self, head, perfect):
+        config = preset("dense").changed(identity={"calibrate": False})
+        with pytest.raises(InputError, match="frame 0 are the 377 of 'dense', those of the face model the 68"):
+            FaceTracker(head, config).push(perfect)
 
     def test_deep_energies_says_that_it_has_68(self):
         with pytest.raises(ConfigError, match="at the 68 points of its network, and these landmarks are the 377"):
@@ -272,14 +279,15 @@ class TestRun:
         row = next(read_landmark_file(run.folder / "landmarks.csv"))
         assert row.landmarks.scheme is DENSE
 
-    def test_a_track_of_the_68_names_none(self, head, tmp_path):
-        files = track(
-            sample("performance"), tmp_path, head, preset("joint"), pictures=False, frames=(0, 2),
-            landmarks=sample("performance-landmarks"),
-        )  # fmt: skip
-        assert "scheme" not in files.track.meta
-        assert files.track.meta["format_version"] == 3
-        assert files.track.covariance.shape == (3, 0, 2, 2)
+    def test_a_track_of_the_68_names_none(self, head, perfect, tmp_path):
+        observation = replace(perfect, landmarks=of_ibug68(perfect.landmarks))
+        config = preset("dense").changed(identity={"calibrate": False})
+        (fit,) = FaceTracker(head, config).push(observation)
+        Track(meta={"expression_names": [*head.expression_names]}, **stack_fits([fit])).save(tmp_path / "track.npz")
+        stored = Track.load(tmp_path / "track.npz")
+        assert "scheme" not in stored.meta
+        assert stored.meta["format_version"] == 3
+        assert stored.covariance.shape == (1, 0, 2, 2)
 
     def test_another_scheme_than_the_numbers_is_damage(self, run, tmp_path):
         with np.load(run.folder / "track.npz") as stored:
@@ -288,6 +296,15 @@ class TestRun:
         np.savez(tmp_path / "wrong.npz", **arrays | {"meta": np.array(json.dumps(meta))})
         with pytest.raises(InputError, match="damaged"):
             Track.load(tmp_path / "wrong.npz")
+
+    def test_dense_points_tell_more_blendshapes_apart(self, head, dense_head):
+        def groups(model):
+            landmarks, names = landmark_model(model), model.expression_names
+            points = model_landmarks(landmarks, np.eye(len(landmarks.contour_yaw))[0], np.zeros(50))
+            frontal = FaceParameters(np.zeros(3), np.array([0.0, 0.0, 600.0]), np.zeros(len(names)), np.zeros(50))
+            return indistinguishable_groups(points, camera_from_fov(SIZE, 40.0), [frontal], names).groups
+
+        assert len(groups(dense_head)) < len(groups(head))
 
     def test_a_session_fits_and_diagnoses_it(self, run, head):
         config = preset("dense").changed(identity={"window": 2, "frames": 2})
@@ -317,7 +334,7 @@ class TestViews:
     def test_the_strip_shows_the_worst_of_neighbours(self):
         rows = [points for part in strip_rows(DENSE).values() for points in part]
         assert len(rows) == ROWS
-        assert sorted(np.concatenate(rows).tolist() + list(DENSE.groups["pupils"])) == list(range(377))
+        assert sorted(np.concatenate(rows).tolist()) == list(range(377))
         values = np.zeros((2, 377), np.float32)
         values[1, 300] = 5.0
         view = TimelineView(scheme=DENSE)

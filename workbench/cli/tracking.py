@@ -59,8 +59,8 @@ IDENTITY_HELP = "Calibrate the subject's face shape first."
 PICTURES_HELP = "Write the overlay video or pictures."
 RESUME_HELP = "Continue an interrupted run."
 DETECTOR_HELP = (
-    "auto (dlib+network where dlib is installed, else network), network, dense, dlib, dlib-hog or dlib-cnn; dense finds "
-    "377 points, the others 68."
+    "auto (dlib+network where dlib is installed, else network), network, dense, dlib, dlib-hog or dlib-cnn; dense "
+    "finds 377 points, the others 68."
 )
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 ENERGY_HELP = "deep (network on the render), points (on the mesh) or mixed."

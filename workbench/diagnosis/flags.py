@@ -97,9 +97,8 @@ def _frozen(track: Track) -> _Screen:
 
 def _limit(track: Track) -> _Screen:
     at_limit = (track.status == Status.ITERATION_LIMIT.value).any(axis=1)
-    residual = np.linalg.norm(track.projected - track.observed, axis=2)[:, :POINT_COUNT].mean(1) / face_size(
-        track.observed
-    )
+    distance = np.linalg.norm(track.projected - track.observed, axis=2)[:, :POINT_COUNT]
+    residual = distance.mean(1) / face_size(track.observed)
     severity = np.zeros(len(track))
     for shot in _shots(track):
         converged = shot & ~at_limit

@@ -49,6 +49,4 @@ def _lids(scheme: LandmarkScheme) -> Bool[np.ndarray, "points"]:
     """The lids between the corners, and all that a blink covers."""
     mask = np.isin(np.arange(len(scheme)), LIDS)
     mask[POINT_COUNT:] = scheme.group_mask("eyes")[POINT_COUNT:]
-    for name in {"pupils", "irises"} & scheme.groups.keys():
-        mask |= scheme.group_mask(name)
-    return mask
+    return mask | scheme.group_mask("irises") if "irises" in scheme.groups else mask

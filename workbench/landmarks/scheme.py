@@ -136,7 +136,7 @@ RIGHT_EYE_OUTER_CORNER = 36
 LEFT_EYE_OUTER_CORNER = 45
 UPPER_LIP_INNER_MIDDLE = 62
 LOWER_LIP_INNER_MIDDLE = 66
-PARTS = ("jaw", "brows", "nose", "eyes", "pupils", "irises", "mouth", "ears", "face")
+PARTS = ("jaw", "brows", "nose", "eyes", "irises", "mouth", "ears", "face")
 """Groups whose points are no other's, as far as a scheme has them: the rows of strips and tables."""
 EYE_PER_SPREAD = 1.48
 """Outer-eye distance of a frontal face in units of the root mean square distance of its 68 points from their centre."""

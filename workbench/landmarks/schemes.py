@@ -68,8 +68,8 @@ def _dense_groups(points: DensePoints) -> Mapping[str, tuple[int, ...]]:
     for side in ("right", "left"):
         grown |= {f"{side}_{part}": GROUPS[f"{side}_{part}"] + of(f"{part}s", side) for part in ("brow", "eye")}
     whole = {"all": tuple(range(count)), "non_jaw": tuple(range(len(GROUPS["jaw"]), count))}
-    added = {"pupils": PUPILS, "dense": tuple(range(FIRST_DENSE, count))}
-    added |= {part: of(part) for part in ("irises", "ears", "face")}
+    added = {"dense": tuple(range(FIRST_DENSE, count)), "pupils": PUPILS, "irises": PUPILS + of("irises")}
+    added |= {part: of(part) for part in ("ears", "face")}
     return MappingProxyType({**GROUPS, **grown, **whole, **added})
 
 
@@ -81,8 +81,8 @@ def _dense_names(points: DensePoints) -> tuple[str, ...]:
 
 def _dense_scheme(points: DensePoints) -> LandmarkScheme:
     groups = _dense_groups(points)
-    half = len(groups["irises"]) // 2
-    rings = groups["irises"][:half], groups["irises"][half:]
+    borders = groups["irises"][len(PUPILS) :]
+    rings = borders[: len(borders) // 2], borders[len(borders) // 2 :]
     return LandmarkScheme(
         name="dense",
         point_names=_dense_names(points),

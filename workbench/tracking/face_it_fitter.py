@@ -33,6 +33,7 @@ from workbench.tracking.fitting import (
     FrameContext,
     FrameObservation,
     StageTrace,
+    check_scheme,
     continued,
     never,
 )
@@ -91,6 +92,8 @@ class FaceItFitter(Fitter):
         usable = [observation for observation in observations if observation.landmarks is not None]
         if not usable:
             raise InputError("Calibrating an identity needs frames with a face; none of these frames has landmarks.")
+        for observation in usable:
+            check_scheme(observation, self.model)
         neutral = self._landmarks.frontal_neutral()
         poses = [
             initial_pose(self.camera(observation.image_size), neutral, observation.landmarks.points, self._used)
@@ -112,6 +115,7 @@ class FaceItFitter(Fitter):
         problem = FaceItProblem(
             observation, context, began, camera, self._settings, self._programs[context.last is None]
         )
+        check_scheme(observation, self.model)
         if observation.landmarks is None:
             return problem
         person = self._personal_of(context.identity)

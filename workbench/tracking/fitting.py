@@ -232,6 +232,17 @@ def landmarks_of_others(observation: FrameObservation) -> Float[np.ndarray, "o 6
     return found
 
 
+def check_scheme(observation: FrameObservation, model: FaceModel) -> None:
+    """Raise `InputError` if a frame's landmarks are of another scheme than the model's."""
+    if observation.landmarks is None or observation.landmarks.scheme is model.scheme:
+        return
+    found = observation.landmarks.scheme
+    raise InputError(
+        f"The landmarks of frame {observation.index} are the {len(found)} of {found.name!r}, those of the face model "
+        f"the {len(model.scheme)} of {model.scheme.name!r}; pass face.in_scheme(model, landmarks.scheme)."
+    )
+
+
 def with_face(observation: FrameObservation) -> FrameObservation:
     """The observation. Raises `InputError` if it has no landmarks."""
     if observation.landmarks is None:

@@ -14,7 +14,7 @@ from jaxtyping import Float, Num, Shaped, UInt8
 
 from workbench.errors import InputError, WorkbenchError
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
-from workbench.landmarks.schemes import MOST_POINTS, scheme_of_count
+from workbench.landmarks.schemes import scheme_of_count
 from workbench.widgets.browser_program import BROWSER, browser_program
 from workbench.widgets.head_view import scale_colors
 
@@ -44,7 +44,7 @@ FINE_GROUPS = (
     *("jaw", "right_brow", "left_brow", "nose_bridge", "nose_base"),
     *("right_eye", "left_eye", "outer_lips", "inner_lips"),
 )
-COARSE_GROUPS = ("brows", "nose", "eyes", "mouth", "pupils", "irises", "ears", "face")
+COARSE_GROUPS = ("brows", "nose", "eyes", "mouth", "irises", "pupils", "ears", "face")
 """Those of points that no finer group has; of the fine ones none overlap."""
 
 
@@ -113,12 +113,12 @@ def fit_table(
     return np.column_stack([observed, projected, *columns])
 
 
-def read_event(content: object) -> OverlayEvent | None:
-    """The event in a message from a browser; None if it is not one."""
+def read_event(content: object, count: int = len(IBUG68)) -> OverlayEvent | None:
+    """The event in a message from a browser about so many landmarks; None if it is not one."""
     if not isinstance(content, dict) or content.get("kind") not in KINDS:
         return None
     points, place = content.get("points"), (content.get("x"), content.get("y"))
-    if not isinstance(points, list) or not all(type(i) is int and 0 <= i < MOST_POINTS for i in points):
+    if not isinstance(points, list) or not all(type(i) is int and 0 <= i < count for i in points):
         return None
     if not all(value is None or (isinstance(value, int | float) and math.isfinite(value)) for value in place):
         return None
@@ -162,8 +162,8 @@ class OverlayView(anywidget.AnyWidget):
     layer_opacity = traitlets.Float(0.6, min=0.0, max=1.0).tag(sync=True)
     scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0: automatic").tag(sync=True)
     unit = traitlets.Unicode("px", help="unit of the residuals").tag(sync=True)
-    selection = traitlets.List(traitlets.Int(min=0, max=MOST_POINTS - 1)).tag(sync=True)
-    subset = traitlets.List(traitlets.Int(min=0, max=MOST_POINTS - 1)).tag(sync=True)
+    selection = traitlets.List(traitlets.Int(min=0)).tag(sync=True)
+    subset = traitlets.List(traitlets.Int(min=0)).tag(sync=True)
     tool = traitlets.Enum(TOOLS, "select").tag(sync=True)
     message = traitlets.Unicode("", help="message over the picture").tag(sync=True)
     webgl = traitlets.Bool(None, allow_none=True, help="WebGL2 in the browser; None until shown").tag(sync=True)
@@ -273,6 +273,13 @@ class OverlayView(anywidget.AnyWidget):
         else:
             self._callbacks.append(callback)
 
+    @traitlets.validate("selection", "subset")
+    def _of_the_scheme(self, proposal) -> list[int]:
+        count = len(self._scheme["names"])
+        if max(proposal["value"], default=0) >= count:
+            raise traitlets.TraitError(f"landmarks are numbered from 0 to {count - 1}; got {max(proposal['value'])}")
+        return proposal["value"]
+
     def _chosen_scale(self) -> float:
         if self.scale_max > 0:
             return self.scale_max
@@ -291,7 +298,7 @@ class OverlayView(anywidget.AnyWidget):
             self._scale = self._chosen_scale()
 
     def _on_message(self, _widget: object, content: object, _buffers: object) -> None:
-        event = read_event(content)
+        event = read_event(content, len(self._scheme["names"]))
         if event is None:
             return
         if self._failed:
