@@ -87,18 +87,15 @@ def sweep(
     least = workbench.objectives.read_sum(best) if best else None
     wanted.checked()
     place = out or str(Path("out") / f"sweep-{wanted.names[0]}")
-    staff = sweeps.workers_for(workers, scheduler, backend)
-    try:
-        if staff.said:
-            screen.console.print(staff.said, soft_wrap=True)
-        with screen.progress_bar("frames/s") as progress:
-            result = sweeps.run_sweep(wanted, place, staff, resume, progress)
-        written = sweeps.write_outcome(result, place, least)
-    except KeyboardInterrupt:
-        screen.errors.print("[yellow]interrupted[/yellow]: finished results are kept; --resume continues from there")
-        raise typer.Exit(130) from None
-    finally:
-        staff.close()
+    with screen.at_work(workers, scheduler, backend) as staff:
+        try:
+            with screen.progress_bar("frames/s") as progress:
+                result = sweeps.run_sweep(wanted, place, staff, resume, progress)
+            written = sweeps.write_outcome(result, place, least)
+        except KeyboardInterrupt:
+            message = "[yellow]interrupted[/yellow]: finished results are kept; --resume continues from there"
+            screen.errors.print(message)
+            raise typer.Exit(130) from None
     _print(result, least)
     screen.console.print(f"\n{', '.join(written)} in {place}", soft_wrap=True)
     for clip, reason in result.failures.items():

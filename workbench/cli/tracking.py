@@ -11,7 +11,7 @@ from rich.table import Table
 import workbench
 from workbench.cli import screen
 from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset, read_config
-from workbench.errors import ConfigError, OutputError
+from workbench.errors import ConfigError, LostSchedulerError, OutputError
 from workbench.samples import sample
 
 DEMO = {"astronaut": {}, "laugh": {"camera": {"fov_deg": 33.0}}}
@@ -34,6 +34,8 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
   workbench track talk.mp4 --preset face-it         as published
 
   workbench track talk.mp4 --preset deep --frames 100-200 --workers 2
+
+  workbench track talk.mp4 --preset deep --scheduler tcp://host:8786
 
   workbench track left.mp4 --preset deep --rig rig.toml --view right=right.mp4
 
@@ -62,7 +64,8 @@ DETECTOR_HELP = "auto (dlib+network where dlib is installed, else network), netw
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 ENERGY_HELP = "deep (network on the render), points (on the mesh) or mixed."
 FRAMES_HELP = "Only frames A-B (or one frame); the results are numbered from the part's start."
-WORKERS_HELP = "Processes that fit frames."
+WORKERS_HELP = "Processes on this machine that fit frames: a Dask cluster where it is installed, else a pool."
+SCHEDULER_HELP = "Address of a Dask scheduler whose workers fit frames, as tcp://host:8786."
 RIG_HELP = "Calibration of several cameras; INPUT is its first view."
 VIEW_HELP = "Clip of another view of the rig as NAME=CLIP; may be given more than once."
 INFILL_HELP = "Fill failed frames: flow, linear or spline (none: leave them)."
@@ -96,6 +99,7 @@ def track(
     rig: Annotated[Path | None, typer.Option(help=RIG_HELP, rich_help_panel=DEEP)] = None,
     view: Annotated[list[str] | None, typer.Option(help=VIEW_HELP, rich_help_panel=DEEP)] = None,
     workers: Annotated[int, typer.Option(min=1, max=64, help=WORKERS_HELP, rich_help_panel=DEEP)] = 1,
+    scheduler: Annotated[str | None, typer.Option(help=SCHEDULER_HELP, rich_help_panel=DEEP)] = None,
     out: Annotated[Path | None, typer.Option(help=OUT_HELP, rich_help_panel=RESULTS)] = None,
     pictures: Annotated[bool, typer.Option(help=PICTURES_HELP, rich_help_panel=RESULTS)] = True,
     character: Annotated[str | None, typer.Option(help=CHARACTER_HELP, rich_help_panel=RESULTS)] = None,
@@ -108,20 +112,21 @@ def track(
         settings = settings.changed(head={"character": character})
     folder = out or Path("out") / (inputs[0].stem or "run")
     workbench.pipeline.check_inputs_kept(folder, [path for path in (config, model) if path is not None])
-    _run(
-        inputs,
-        folder,
-        settings,
-        model,
-        stills=stills,
-        pictures=pictures,
-        resume=resume,
-        overwrite=overwrite,
-        landmarks=landmarks,
-        frames=frame_range(frames),
-        views=named_views(view or []),
-        workers=workers,
-    )
+    with screen.at_work(workers, scheduler) as staff:
+        _run(
+            inputs,
+            folder,
+            settings,
+            model,
+            stills=stills,
+            pictures=pictures,
+            resume=resume,
+            overwrite=overwrite,
+            landmarks=landmarks,
+            frames=frame_range(frames),
+            views=named_views(view or []),
+            workers=staff,
+        )
 
 
 def demo(
@@ -220,6 +225,8 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
         except KeyboardInterrupt:
             screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept; --resume continues from there")
             raise typer.Exit(130) from None
+        except LostSchedulerError:
+            raise
         except OutputError as error:
             if not workbench.pipeline.holds_parts(folder):
                 raise

@@ -19,5 +19,4 @@ from .stored_clips import sources_of as sources_of
 from .sweep import USUAL_OBJECTIVES as USUAL_OBJECTIVES
 from .sweep import Sweep as Sweep
 from .sweep import run_sweep as run_sweep
-from .workers import workers_for as workers_for
 from .written import write_outcome as write_outcome

@@ -18,9 +18,9 @@ from workbench.sweeps.solving import check_swept
 from workbench.sweeps.space import Axis, Point, Sampling, config_at, points_of
 from workbench.sweeps.storage import Storage, is_url
 from workbench.sweeps.stored_clips import ClipSource
-from workbench.sweeps.tasks import Failed, FitTask, ObserveTask, fingerprint_of
-from workbench.sweeps.workers import Workers
+from workbench.sweeps.tasks import FitTask, ObserveTask, fingerprint_of
 from workbench.tracking.fitting import silent
+from workbench.workers import Failed, Workers
 
 USUAL_OBJECTIVES = ("error", "left-out-points", "jitter", "iterations")
 FITS = 1000
