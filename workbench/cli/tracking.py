@@ -187,13 +187,15 @@ def frame_range(text: str | None) -> tuple[int, int] | None:
 
 def named_views(texts: list[str]) -> dict[str, Path]:
     """Clips by the names of their views; raises `ConfigError` for anything but NAME=CLIP."""
-    views = {}
-    for text in texts:
-        name, sign, path = text.partition("=")
-        if not (name and sign and path):
-            raise ConfigError(f"A view is given as NAME=CLIP, got {text!r}; for example right=right.mp4.")
-        views[name] = Path(path)
-    return views
+    return {name: Path(path) for name, path in map(named_view, texts)}
+
+
+def named_view(text: str) -> tuple[str, str]:
+    """The name of a view, and path or URL of its clip; raises `ConfigError` for anything but NAME=CLIP."""
+    name, sign, place = text.partition("=")
+    if not (name and sign and place):
+        raise ConfigError(f"A view is given as NAME=CLIP, got {text!r}; for example right=right.mp4.")
+    return name, place
 
 
 def wanted_face(text: str | None) -> tuple[float, float] | None:
