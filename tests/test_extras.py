@@ -68,7 +68,7 @@ def test_the_command_line_runs_without_extras(line):
         ("formats", "from pathlib import Path; from workbench.face.formats.hdf5 import hdf5_arrays; "
          "hdf5_arrays(Path('model.h5'), ['shape'])"),
         ("dlib", "from workbench.landmarks import make_detector; make_detector('dlib')"),
-        ("cluster", "from workbench.sweeps import workers_for; workers_for(2, kind='dask')"),
+        ("cluster", "from workbench.workers import workers_for; workers_for(2, kind='dask')"),
         ("cluster", "from workbench.sweeps.storage import Storage; Storage('s3://films').read('a')"),
     ],
 )  # fmt: skip
