@@ -18,6 +18,7 @@ BENCHMARKS = (
         "compile_time",
         "import_time",
         "head_pose",
+        "panel_opening",
         "panel_latency",
         "live",
         "diagnosis",

@@ -50,6 +50,7 @@ SLOW = (
     "test_cli_export.py",
     "test_sweep_workers.py",
     "test_sweeps.py",
+    "test_workers.py",
 )
 """Files that `make test-fast` leaves out besides those in a browser, the longest first."""
 BROWSER = (

@@ -159,8 +159,8 @@ def _tracker(task: _Task) -> FaceTracker:
 
 
 @cache
-def _detector(name: str) -> LandmarkDetector:
-    return make_detector(name)
+def _detector(name: str, face_landmarker: str) -> LandmarkDetector:
+    return make_detector(name, face_landmarker)
 
 
 def _model(model: FaceModel | str | Path | None) -> FaceModel:
@@ -207,7 +207,7 @@ def _observation(picture, landmarks, config: Config, detector) -> FrameObservati
 
 def _found(picture: np.ndarray, config: Config, detector: LandmarkDetector | str | None) -> FrameObservation:
     if detector is None or isinstance(detector, str):
-        detector = _detector(detector or config.landmarks.detector)
+        detector = _detector(detector or config.landmarks.detector, config.landmarks.face_landmarker)
     source = PictureSource(_OnePicture(picture), detector, config, keep_pictures=True)
     observation = next(source.observations(0, {}, stills=True))
     if observation.landmarks is None:

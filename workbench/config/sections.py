@@ -133,11 +133,12 @@ class HeadConfig(Section):
 class LandmarksConfig(Section):
     """Detection and tracking of the points."""
 
-    detector: Literal["auto", "dlib+network", "network", "dense", "dlib", "dlib-hog", "dlib-cnn"] = Field(
+    detector: Literal["auto", "dlib+network", "network", "dense", "dlib", "dlib-hog", "dlib-cnn", "mediapipe"] = Field(
         "auto",
         description="Face detector and predictor; auto: dlib+network where dlib is installed, else network. dense: "
         "points of the whole face with a covariance each, the others: 68.",
     )
+    face_landmarker: str = Field("", description="MediaPipe's model face_landmarker.task, for the detector mediapipe.")
     face: tuple[float, float] | None = Field(
         None, description="A pixel inside the face to track; default: the largest face."
     )

@@ -46,6 +46,7 @@ from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.track_layout import model_record, scheme_of, scheme_record
 from workbench.tracking.track_reader import TrackReader
 from workbench.tracking.track_writer import TrackWriter, has_parts
+from workbench.workers import ThisProcess, Workers, working
 
 PACKAGES = ("jax", "optimistix", "numpy", "scipy", "opencv-contrib-python-headless", "pyvista")
 
@@ -82,22 +83,24 @@ def track(
     landmarks: Path | None = None,
     frames: tuple[int, int] | None = None,
     views: Mapping[str, Path] = MappingProxyType({}),
-    workers: int = 1,
+    workers: int | Workers = 1,
     progress: Progress | None = None,
 ) -> RunResult:
     """Track a video, a folder, photos or a landmark file into `folder`; see `OUTPUTS` for what it holds afterwards.
 
     `stills` treats every picture on its own. `landmarks` is a file with the landmarks of the pictures: no detector
     runs. `frames` are the first and last one of a part. `views` are the clips of a rig's other cameras by the views'
-    names, `workers` the processes that fit (both Deep Energies). `resume` goes on with an interrupted run of the same
-    input and configuration, `overwrite` replaces what an earlier run left. A run that was interrupted, however, keeps
-    its finished parts for that. Raises `InputError` for an input that cannot be used, and `OutputError` for a folder
-    that cannot be written, holds another run, or whose files are inputs.
+    names, `workers` how many processes fit, or who does (`workbench.workers`); both are for Deep Energies. `resume`
+    goes on with an interrupted run of the same input and configuration, `overwrite` replaces what an earlier run left.
+    A run that was interrupted, however, keeps its finished parts for that. Raises `InputError` for an input that cannot
+    be used, `OutputError` for a folder that cannot be written, holds another run, or whose files are inputs, and
+    `LostSchedulerError`.
     """
     paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     if not paths:
         raise InputError("There is nothing to track; name a photo, a folder, a video or a landmark file.")
-    if not config.traits.renders and (views or workers > 1):
+    alone = workers == 1 or isinstance(workers, ThisProcess)
+    if not config.traits.renders and (views or not alone):
         raise InputError("Several views and several processes belong to Deep Energies; add --preset deep.")
     files = [*paths, *views.values(), *_given(landmarks), *_given(config.camera.rig)]
     job = _Job(Path(folder), model, config, pictures, resume, overwrite, workers, progress or silent)
@@ -124,7 +127,7 @@ class _Job:
     pictures: bool
     resume: bool
     overwrite: bool
-    workers: int
+    workers: int | Workers
     progress: Progress
 
     @property
@@ -189,7 +192,8 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
             drawn.add_missing(writer)
         try:
             if deep:
-                strips = track_deep_frames(source, tracker, writer, stills, job.workers, progress, drawn)
+                workers = stack.enter_context(working(job.workers))
+                strips = track_deep_frames(source, tracker, writer, stills, workers, progress, drawn)
             else:
                 _track_frames(source, tracker, writer, stills, progress, drawn)
             if not len(writer):

@@ -283,7 +283,8 @@ def open_source(
     opened = opened if frames is None else FrameRange(opened, *frames)
     if landmarks is not None:
         return FileSource([landmarks], opened, rows, keep_pictures, config.compares_pictures)
-    return PictureSource(opened, make_detector(config.landmarks.detector), config, keep_pictures)
+    detector = make_detector(config.landmarks.detector, config.landmarks.face_landmarker)
+    return PictureSource(opened, detector, config, keep_pictures)
 
 
 def open_deep_source(

@@ -225,8 +225,9 @@ class LiveSession:
 
     def _tracker(self) -> LandmarkTracker:
         if self._landmarks is None:
-            landmarks = self.config.landmarks
-            detector = make_detector(landmarks.detector) if self._detector is None else self._detector
+            landmarks, detector = self.config.landmarks, self._detector
+            if detector is None:
+                detector = make_detector(landmarks.detector, landmarks.face_landmarker)
             self._landmarks = LandmarkTracker(detector, TrackerOptions(face=landmarks.face))
         return self._landmarks
 
