@@ -70,6 +70,7 @@ TRAIN = (
     "test_networks_fan.py",
     "test_networks_flow.py",
     "test_training.py",
+    "test_training_dense.py",
     "test_training_flow.py",
 )
 """Files that need PyTorch as a whole; single tests elsewhere have the mark themselves."""

@@ -107,7 +107,7 @@ def _drawn_there(drawn: Path) -> list[Path]:
 def _find(source: "workbench.pipeline.PictureSource", out: Path, drawn: Path | None, progress: Progress) -> list[Found]:
     files, draw, found = workbench.landmarks.files, workbench.pictures.draw_landmarks, []
     with ExitStack() as opened:
-        table = opened.enter_context(files.LandmarkCsvWriter(out))
+        table = opened.enter_context(files.LandmarkCsvWriter(out, scheme=source.scheme))
         film = None
         if drawn is not None and source.frames.kind == "video":
             rate = source.frames.rate or RATE_WITHOUT_CLOCK

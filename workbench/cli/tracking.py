@@ -60,7 +60,10 @@ PRESET_HELP = f"One of: {', '.join(PRESETS)}."
 IDENTITY_HELP = "Calibrate the subject's face shape first."
 PICTURES_HELP = "Write the overlay video or pictures."
 RESUME_HELP = "Continue an interrupted run."
-DETECTOR_HELP = "auto (dlib+network where dlib is there, else network), network, dlib, dlib-hog, dlib-cnn or mediapipe."
+DETECTOR_HELP = (
+    "auto (dlib+network where dlib is there, else network), network, dense (377 points, not 68), dlib, dlib-hog, "
+    "dlib-cnn or mediapipe."
+)
 LANDMARKER_HELP = "MediaPipe's model face_landmarker.task, for --detector mediapipe."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 ENERGY_HELP = "deep (network on the render), points (on the mesh) or mixed."

@@ -6,11 +6,14 @@ from pathlib import Path
 from types import MappingProxyType
 
 from workbench.errors import ConfigError, MissingDependencyError
+from workbench.landmarks.dense_detector import DenseDetector
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.dlib_detector import DlibDetector, check_installed
 from workbench.landmarks.mediapipe_detector import MediapipeDetector
 from workbench.landmarks.mixed_detector import MixedDetector
 from workbench.landmarks.network_detector import NetworkDetector
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.schemes import DENSE
 
 AUTO = "auto"
 """Not a detector but a choice: see `chosen_detector`."""
@@ -29,6 +32,7 @@ DETECTORS: Mapping[str, Callable[[], LandmarkDetector]] = MappingProxyType(
         AUTO: _auto,
         "dlib+network": _mixed,
         "network": NetworkDetector,
+        "dense": DenseDetector,
         "dlib": partial(DlibDetector, "hog-then-cnn"),
         "dlib-hog": partial(DlibDetector, "hog"),
         "dlib-cnn": partial(DlibDetector, "cnn"),
@@ -48,6 +52,11 @@ def make_detector(name: str, face_landmarker: str | Path | None = None) -> Landm
     if name == MediapipeDetector.name:
         return MediapipeDetector(face_landmarker)
     return DETECTORS[name]()
+
+
+def detector_scheme(name: str) -> LandmarkScheme:
+    """What the points of a detector are called."""
+    return DENSE if name == DenseDetector.name else IBUG68
 
 
 def chosen_detector(name: str = AUTO) -> str:
