@@ -44,9 +44,6 @@ class Landmarker:
         meshes = (mesh_of(face, size) for face in faces)
         return SimpleNamespace(face_landmarks=[[SimpleNamespace(x=x, y=y) for x, y, _ in mesh] for mesh in meshes])
 
-    def close(self) -> None:
-        """Nothing to let go of."""
-
 
 @pytest.fixture
 def mediapipe(monkeypatch):

@@ -8,7 +8,6 @@ the headless OpenCV, and `face_landmarker.task` from MediaPipe's pages. The 68 p
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Lock
-from weakref import finalize
 
 import cv2
 import numpy as np
@@ -58,8 +57,6 @@ class MediapipeDetector:
         except (RuntimeError, ValueError) as error:
             reason = str(error).strip().split("\n")[0]
             raise ConfigError(f"MediaPipe cannot use {path} as a face landmarker: {reason}") from error
-        # Closed before Python takes the package apart: its own clean-up at exit comes too late and complains.
-        finalize(self, self._landmarker.close)
         self._image, self._format = mediapipe.Image, mediapipe.ImageFormat.SRGB
         self._lock = Lock()
 
