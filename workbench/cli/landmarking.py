@@ -147,9 +147,8 @@ def _tell(
         table.add_row("[bold]confidence[/bold]", f"median {middle:.2f}{lowest}")
     time = np.median([item.milliseconds for item in found])
     table.add_row("[bold]detector[/bold]", f"{source.detector}, median {time:.0f} ms per picture")
-    table.add_row(
-        "[bold]files[/bold]", f"{escape(str(out))}  [dim]one row per picture: {len(source.scheme)} points, then confidences[/dim]"
-    )
+    layout = f"one row per picture: {len(source.scheme)} points, then confidences"
+    table.add_row("[bold]files[/bold]", f"{escape(str(out))}  [dim]{layout}[/dim]")
     if drawn is not None:
         table.add_row("", f"{escape(str(drawn))}  [dim]the points, yellow where sure, violet where guessed[/dim]")
     screen.console.print(table)
