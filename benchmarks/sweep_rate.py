@@ -16,7 +16,8 @@ from workbench.config import preset
 from workbench.face import load_default_head
 from workbench.samples import sample
 from workbench.session import open_session
-from workbench.sweeps import ClipSolver, Sweep, SweptClip, read_axis, run_sweep, sources_of, workers_for
+from workbench.sweeps import ClipSolver, Sweep, SweptClip, read_axis, run_sweep, sources_of
+from workbench.workers import workers_for
 
 SETTINGS = 64
 BASE = preset("joint").changed(camera={"fov_deg": 33.0})

@@ -16,7 +16,8 @@ from result import print_result
 from workbench.config import preset
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.samples import sample
-from workbench.sweeps import Sweep, read_axis, run_sweep, sources_of, workers_for
+from workbench.sweeps import Sweep, read_axis, run_sweep, sources_of
+from workbench.workers import Pool, workers_for
 
 CLIPS, FRAMES, SETTINGS = 40, 48, 12
 
@@ -61,7 +62,7 @@ def short_clips(folder: Path) -> list[str]:
 def measured(clips: list[str], count: int, backend: str, folder: Path) -> tuple[float, list[float]]:
     """Seconds of a sweep by the clock, and processor seconds of each worker in it."""
     axes, base = (read_axis(f"weights.tau=log(1e-3,10,{SETTINGS})"),), preset("joint")
-    workers = workers_for(count, kind=backend) if backend == "dask" else pool_of(count)
+    workers = workers_for(count, kind=backend) if backend == "dask" else Pool(count)  # a pool even of one
     try:
         warm = Sweep(sources_of(clips[: 4 * count]), axes, base, objectives=("error",))
         run_sweep(warm, folder / f"warm{count}", workers)
@@ -73,13 +74,6 @@ def measured(clips: list[str], count: int, backend: str, folder: Path) -> tuple[
     finally:
         workers.close()
     return seconds, sorted(after[pid] - before.get(pid, 0.0) for pid in after)[-count:]
-
-
-def pool_of(count: int):
-    """A pool even of one, so that both runs have their workers in processes of their own."""
-    from workbench.sweeps.workers import Pool
-
-    return Pool(count)
 
 
 def processor_seconds() -> dict[int, float]:

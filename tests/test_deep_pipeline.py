@@ -1,6 +1,8 @@
 """Deep Energies over whole inputs: files, parts, several processes, interruptions, several cameras."""
 
 import json
+import os
+import signal
 
 import numpy as np
 import pytest
@@ -9,12 +11,13 @@ from typer.testing import CliRunner
 from tests.stereo_scenes import make_rig, make_stereo_scene
 from workbench.cli import app
 from workbench.config import preset
-from workbench.errors import InputError
+from workbench.errors import InputError, LostSchedulerError
 from workbench.geometry import write_rig
 from workbench.landmarks.files import LandmarkCsvWriter
 from workbench.pipeline import DEEP_OUTPUTS, OUTPUTS, track
 from workbench.samples import sample
 from workbench.tracking import Track
+from workbench.workers import Failed, workers_for
 
 FRAMES = (4, 7)
 QUICK = {"identity": {"window": 2, "frames": 2}, "camera": {"fov_deg": 33.0}}
@@ -70,28 +73,79 @@ def test_the_pose_is_close_to_the_clip_s_truth(run):
     assert error.mean() < 3.5
 
 
-def test_two_processes_and_an_interrupted_run_give_the_same_numbers(head, config, tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def quick(config):
+    """Options of a run of the same frames with two steps a stage, and its configuration."""
     options = {"landmarks": sample("performance-landmarks"), "frames": FRAMES, "pictures": False}
-    config = config.changed(stages=[stage.model_dump() | {"limit": 2} for stage in config.stages])
-    whole = track(sample("performance"), tmp_path / "one", head, config, **options)
-    spread = track(sample("performance"), tmp_path / "two", head, config, workers=2, **options)
-    assert same_numbers(spread.track, whole.track)
+    return config.changed(stages=[stage.model_dump() | {"limit": 2} for stage in config.stages]), options
 
-    monkeypatch.setattr("workbench.pipeline.deep_run.BATCH", 2)
 
-    def stop(step, done, total):
-        if done == 3:
-            raise KeyboardInterrupt
+@pytest.fixture(scope="module")
+def whole(head, quick, tmp_path_factory):
+    """What one process finds."""
+    config, options = quick
+    return track(sample("performance"), tmp_path_factory.mktemp("whole"), head, config, **options).track
 
+
+def test_two_workers_find_the_same_numbers_though_one_is_killed(head, quick, whole, tmp_path):
+    config, options = quick
+    workers, killed = workers_for(2, kind="dask"), []
+
+    def kill(step, done, total):
+        if not killed:
+            killed.append(next(iter(workers._cluster.workers.values())).pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    try:
+        found = track(sample("performance"), tmp_path, head, config, workers=workers, progress=kill, **options)
+    finally:
+        workers.close()
+    assert killed
+    assert same_numbers(found.track, whole)
+
+
+class Disturbed:
+    """Workers that do one task here, and then fail."""
+
+    said, count = "", 2
+
+    def __init__(self, fail):
+        self._fail = fail
+
+    def results(self, tasks, do):
+        yield 0, do(tasks[0])
+        yield 1, self._fail()
+
+    def close(self):
+        pass
+
+
+def raising(error):
+    def fail():
+        raise error
+
+    return fail
+
+
+def test_whatever_ends_a_run_it_goes_on_after_its_last_frame(head, quick, whole, tmp_path):
+    config, options = quick
+    done = []
+
+    def go_on(workers):
+        return track(
+            sample("performance"), tmp_path, head, config, resume=True, workers=workers,
+            progress=lambda step, count, total: done.append(count), **options,
+        )  # fmt: skip
+
+    with pytest.raises(InputError, match=r"Frame 1 ended the process\. Finished frames are kept; --resume"):
+        go_on(Disturbed(lambda: Failed("Frame 1 ended the process.")))
+    with pytest.raises(LostSchedulerError):
+        go_on(Disturbed(raising(LostSchedulerError("The scheduler is gone."))))
     with pytest.raises(KeyboardInterrupt):
-        track(sample("performance"), tmp_path / "cut", head, config, progress=stop, **options)
-    seen = []
-    resumed = track(
-        sample("performance"), tmp_path / "cut", head, config, resume=True,
-        progress=lambda step, done, total: seen.append(done), **options,
-    )  # fmt: skip
-    assert seen == [3, 4]
-    assert same_numbers(resumed.track, whole.track)
+        go_on(Disturbed(raising(KeyboardInterrupt)))
+    resumed = go_on(1)
+    assert done == [1, 2, 3, 4]
+    assert same_numbers(resumed.track, whole)
 
 
 def test_two_cameras_find_the_place_of_the_head_and_one_may_miss_it(head, stereo, tmp_path):
@@ -128,9 +182,11 @@ def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):
         (["--frames", "500-600"], "frames 0 to 239"),
         (["--preset", "deep", "--view", "right"], "NAME=CLIP"),
         (["--preset", "deep", "--rig", "nowhere.toml"], "nowhere.toml"),
+        (["--preset", "deep", "--scheduler", "tcp://127.0.0.1:9"], "127.0.0.1:9 cannot be reached"),
     ],
 )
-def test_the_command_line_says_what_is_wrong(options, sentence, tmp_path):
+def test_the_command_line_says_what_is_wrong(options, sentence, tmp_path, monkeypatch):
+    monkeypatch.setattr("workbench.workers.dask_workers.REACH_S", 1.0)
     result = CliRunner().invoke(app, ["track", str(sample("performance")), "--out", str(tmp_path), *options])
     message = " ".join((result.output + str(result.exception or "")).split())
     assert result.exit_code != 0

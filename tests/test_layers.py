@@ -21,6 +21,7 @@ ORDER = [
     "files",
     "inert_pickle",
     "runtime",
+    "workers",
     "samples",
     "geometry",
     "solvers",

@@ -23,14 +23,13 @@ from workbench.sweeps import (
     read_axis,
     run_sweep,
     sources_of,
-    workers_for,
     write_outcome,
 )
 from workbench.sweeps import sweep as sweep_module
 from workbench.sweeps.solving import FRAMES
 from workbench.sweeps.storage import Storage
 from workbench.sweeps.tasks import FitTask
-from workbench.sweeps.workers import ThisProcess
+from workbench.workers import ThisProcess
 
 FOV = {"camera": {"fov_deg": 33.0}}
 FACE_IT = preset("face-it").changed(**FOV)
@@ -120,8 +119,8 @@ class Counting(ThisProcess):
     def __init__(self):
         self.fits = 0
 
-    def results(self, tasks):
-        for number, result in super().results(tasks):
+    def results(self, tasks, **how):
+        for number, result in super().results(tasks, **how):
             if isinstance(tasks[number], FitTask) and isinstance(result, int):
                 self.fits += result
             yield number, result
@@ -405,12 +404,6 @@ def test_windows_of_a_budget_are_what_is_measured(clips, tmp_path):
     # Two runs of twenty: neither of their first two frames has two frames before it.
     assert np.flatnonzero(np.isnan(result.values[0, "long"][1])).tolist() == [0, 1, 20, 21]
     assert len(chosen_windows([range(120)], 40)) == 2
-
-
-def test_workers_without_a_scheduler_are_this_process_or_a_pool():
-    assert isinstance(workers_for(1), ThisProcess)
-    with pytest.raises(ConfigError, match="a pool has none"):
-        workers_for(2, "tcp://nowhere:1", "pool")
 
 
 def session_of(head, frames):

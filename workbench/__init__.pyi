@@ -22,6 +22,7 @@ from . import solvers as solvers
 from . import sweeps as sweeps
 from . import tracking as tracking
 from . import widgets as widgets
+from . import workers as workers
 from .config import Config as Config
 from .config import Stage as Stage
 from .config import preset as preset

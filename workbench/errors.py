@@ -21,6 +21,10 @@ class OutputError(WorkbenchError, OSError):
     """A file or folder that cannot be written, or that must not be: it is an input, or holds another run."""
 
 
+class LostSchedulerError(OutputError):
+    """The scheduler of a cluster that cannot be reached any more; what was done is kept."""
+
+
 class StoppedError(WorkbenchError):
     """Work that was cancelled before it had a result; nothing has changed."""
 

@@ -10,6 +10,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 from typer.core import TyperCommand, TyperGroup
 
+import workbench
+
 
 class _PlainFlags:
     """Help without "<bool>" at every flag."""
@@ -89,3 +91,15 @@ def progress_bar(unit: str = "frames/s") -> Iterator[Callable[[str, int, int | N
             bar.update(tasks[step], completed=done, total=total, rate=f"{speed:.0f} {unit}" if speed else "")
 
         yield progress
+
+
+@contextmanager
+def at_work(count: int, scheduler: str | None, kind: str = "auto") -> Iterator["workbench.workers.Workers"]:
+    """The workers of a command (`workbench.workers.workers_for`), which end with it; their dashboard is named."""
+    workers = workbench.workers.workers_for(count, scheduler, kind)
+    try:
+        if workers.said:
+            console.print(workers.said, soft_wrap=True)
+        yield workers
+    finally:
+        workers.close()

@@ -7,6 +7,7 @@ import typer
 
 import workbench
 from workbench.cli import screen
+from workbench.cli.tracking import named_view
 from workbench.config import DEFAULT_PRESET, preset, read_config
 from workbench.errors import ConfigError
 
@@ -24,6 +25,8 @@ SWEEP_HELP = """Try many settings on many clips at once, and see which are best.
 
   workbench sweep a.csv --set "stages.pose and expression.limit=1..30" --objective error --objective jitter
 
+  workbench sweep left.mp4 --rig rig.toml --view right=right.mp4 --objective second-view --set "weights.tau=0.1,1"
+
   workbench sweep s3://films/a.mp4 --set "weights.tau=log(1e-3,10,13)" --out s3://films/sweep --scheduler tcp://host:8786
 
   workbench sweep talk.mp4 --set "weights.tau=log(1e-3,10,13)" --resume
@@ -35,6 +38,8 @@ OBJECTIVE_HELP = "What is measured; may be given more than once (`--objective li
 FRAMES_HELP = "Budget of frames in each clip, in short runs spread over it (default: all)."
 TRUTH_HELP = "What is known of a clip (.npz, a track, a landmark file); one for each clip, in order."
 LANDMARKS_HELP = "Landmark file instead of a detector; one for each clip, in order."
+RIG_HELP = "Calibration of several cameras, for the objective second-view; the clip is its first view."
+VIEW_HELP = "Clip of another view of the rig as NAME=CLIP, which only judges; one for each clip, in order."
 WORKERS_HELP = "Processes on this machine: a Dask cluster where it is installed, else a pool."
 SCHEDULER_HELP = "Address of a Dask scheduler, as tcp://host:8786; paths must be the same on its workers."
 BACKEND_HELP = "Who runs the processes: auto, pool or dask."
@@ -47,6 +52,8 @@ def sweep(
     clips: Annotated[list[str] | None, typer.Argument(help="Videos, photos or landmark files, by path or URL.")] = None,
     landmarks: Annotated[list[str] | None, typer.Option(help=LANDMARKS_HELP, rich_help_panel=INPUT)] = None,
     truth: Annotated[list[str] | None, typer.Option(help=TRUTH_HELP, rich_help_panel=INPUT)] = None,
+    rig: Annotated[str, typer.Option(help=RIG_HELP, rich_help_panel=INPUT)] = "",
+    view: Annotated[list[str] | None, typer.Option(help=VIEW_HELP, rich_help_panel=INPUT)] = None,
     frames: Annotated[int | None, typer.Option(min=1, help=FRAMES_HELP, rich_help_panel=INPUT)] = None,
     stills: Annotated[bool, typer.Option("--stills", help="Unrelated photos.", rich_help_panel=INPUT)] = False,
     settings: Annotated[list[str] | None, typer.Option("--set", help=SET_HELP, rich_help_panel=SPACE)] = None,
@@ -75,10 +82,12 @@ def sweep(
     if backend not in ("auto", "pool", "dask"):
         raise ConfigError(f"--backend is auto, pool or dask, got {backend!r}.")
     sweeps = workbench.sweeps
+    base = read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
+    views = [named_view(text) for text in view or []]
     wanted = sweeps.Sweep(
-        sources=sweeps.sources_of(clips or [], landmarks or [], truth or [], stills),
+        sources=sweeps.sources_of(clips or [], landmarks or [], truth or [], stills, views=views, rig=rig),
         axes=tuple(sweeps.read_axis(text) for text in settings or []),
-        base=read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET),
+        base=sweeps.in_first_view(base, rig) if rig else base,
         sampling=sweeps.read_sampling(sample, seed),
         objectives=objectives or sweeps.USUAL_OBJECTIVES,
         frames=frames,
@@ -87,18 +96,15 @@ def sweep(
     least = workbench.objectives.read_sum(best) if best else None
     wanted.checked()
     place = out or str(Path("out") / f"sweep-{wanted.names[0]}")
-    staff = sweeps.workers_for(workers, scheduler, backend)
-    try:
-        if staff.said:
-            screen.console.print(staff.said, soft_wrap=True)
-        with screen.progress_bar("frames/s") as progress:
-            result = sweeps.run_sweep(wanted, place, staff, resume, progress)
-        written = sweeps.write_outcome(result, place, least)
-    except KeyboardInterrupt:
-        screen.errors.print("[yellow]interrupted[/yellow]: finished results are kept; --resume continues from there")
-        raise typer.Exit(130) from None
-    finally:
-        staff.close()
+    with screen.at_work(workers, scheduler, backend) as staff:
+        try:
+            with screen.progress_bar("frames/s") as progress:
+                result = sweeps.run_sweep(wanted, place, staff, resume, progress)
+            written = sweeps.write_outcome(result, place, least)
+        except KeyboardInterrupt:
+            message = "[yellow]interrupted[/yellow]: finished results are kept; --resume continues from there"
+            screen.errors.print(message)
+            raise typer.Exit(130) from None
     _print(result, least)
     screen.console.print(f"\n{', '.join(written)} in {place}", soft_wrap=True)
     for clip, reason in result.failures.items():

@@ -11,7 +11,7 @@ from rich.table import Table
 import workbench
 from workbench.cli import screen
 from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset, read_config
-from workbench.errors import ConfigError, OutputError
+from workbench.errors import ConfigError, LostSchedulerError, OutputError
 from workbench.samples import sample
 
 DEMO = {"astronaut": {}, "laugh": {"camera": {"fov_deg": 33.0}}}
@@ -34,6 +34,8 @@ TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weig
   workbench track talk.mp4 --preset face-it         as published
 
   workbench track talk.mp4 --preset deep --frames 100-200 --workers 2
+
+  workbench track talk.mp4 --preset deep --scheduler tcp://host:8786
 
   workbench track left.mp4 --preset deep --rig rig.toml --view right=right.mp4
 
@@ -58,11 +60,16 @@ PRESET_HELP = f"One of: {', '.join(PRESETS)}."
 IDENTITY_HELP = "Calibrate the subject's face shape first."
 PICTURES_HELP = "Write the overlay video or pictures."
 RESUME_HELP = "Continue an interrupted run."
-DETECTOR_HELP = "auto (dlib+network where dlib is installed, else network), network, dlib, dlib-hog or dlib-cnn."
+DETECTOR_HELP = (
+    "auto (dlib+network where dlib is there, else network), network, dense (377 points, not 68), dlib, dlib-hog, "
+    "dlib-cnn or mediapipe."
+)
+LANDMARKER_HELP = "MediaPipe's model face_landmarker.task, for --detector mediapipe."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 ENERGY_HELP = "deep (network on the render), points (on the mesh) or mixed."
 FRAMES_HELP = "Only frames A-B (or one frame); the results are numbered from the part's start."
-WORKERS_HELP = "Processes that fit frames."
+WORKERS_HELP = "Processes on this machine that fit frames: a Dask cluster where it is installed, else a pool."
+SCHEDULER_HELP = "Address of a Dask scheduler whose workers fit frames, as tcp://host:8786."
 RIG_HELP = "Calibration of several cameras; INPUT is its first view."
 VIEW_HELP = "Clip of another view of the rig as NAME=CLIP; may be given more than once."
 INFILL_HELP = "Fill failed frames: flow, linear or spline (none: leave them)."
@@ -81,6 +88,7 @@ def track(
     frames: Annotated[str | None, typer.Option(help=FRAMES_HELP, rich_help_panel=INPUT)] = None,
     stills: Annotated[bool, typer.Option("--stills", help=STILLS_HELP, rich_help_panel=INPUT)] = False,
     detector: Annotated[str | None, typer.Option(help=DETECTOR_HELP, rich_help_panel=INPUT)] = None,
+    face_landmarker: Annotated[Path | None, typer.Option(help=LANDMARKER_HELP, rich_help_panel=INPUT)] = None,
     face: Annotated[str | None, typer.Option(help=FACE_HELP, rich_help_panel=INPUT)] = None,
     landmarks: Annotated[Path | None, typer.Option(help=GIVEN_HELP, rich_help_panel=INPUT)] = None,
     fov: Annotated[float | None, typer.Option(help=FOV_HELP, rich_help_panel=INPUT)] = None,
@@ -96,6 +104,7 @@ def track(
     rig: Annotated[Path | None, typer.Option(help=RIG_HELP, rich_help_panel=DEEP)] = None,
     view: Annotated[list[str] | None, typer.Option(help=VIEW_HELP, rich_help_panel=DEEP)] = None,
     workers: Annotated[int, typer.Option(min=1, max=64, help=WORKERS_HELP, rich_help_panel=DEEP)] = 1,
+    scheduler: Annotated[str | None, typer.Option(help=SCHEDULER_HELP, rich_help_panel=DEEP)] = None,
     out: Annotated[Path | None, typer.Option(help=OUT_HELP, rich_help_panel=RESULTS)] = None,
     pictures: Annotated[bool, typer.Option(help=PICTURES_HELP, rich_help_panel=RESULTS)] = True,
     character: Annotated[str | None, typer.Option(help=CHARACTER_HELP, rich_help_panel=RESULTS)] = None,
@@ -106,22 +115,25 @@ def track(
     settings = _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine)
     if character is not None:
         settings = settings.changed(head={"character": character})
+    if face_landmarker is not None:
+        settings = settings.changed(landmarks={"face_landmarker": str(face_landmarker)})
     folder = out or Path("out") / (inputs[0].stem or "run")
     workbench.pipeline.check_inputs_kept(folder, [path for path in (config, model) if path is not None])
-    _run(
-        inputs,
-        folder,
-        settings,
-        model,
-        stills=stills,
-        pictures=pictures,
-        resume=resume,
-        overwrite=overwrite,
-        landmarks=landmarks,
-        frames=frame_range(frames),
-        views=named_views(view or []),
-        workers=workers,
-    )
+    with screen.at_work(workers, scheduler) as staff:
+        _run(
+            inputs,
+            folder,
+            settings,
+            model,
+            stills=stills,
+            pictures=pictures,
+            resume=resume,
+            overwrite=overwrite,
+            landmarks=landmarks,
+            frames=frame_range(frames),
+            views=named_views(view or []),
+            workers=staff,
+        )
 
 
 def demo(
@@ -182,13 +194,15 @@ def frame_range(text: str | None) -> tuple[int, int] | None:
 
 def named_views(texts: list[str]) -> dict[str, Path]:
     """Clips by the names of their views; raises `ConfigError` for anything but NAME=CLIP."""
-    views = {}
-    for text in texts:
-        name, sign, path = text.partition("=")
-        if not (name and sign and path):
-            raise ConfigError(f"A view is given as NAME=CLIP, got {text!r}; for example right=right.mp4.")
-        views[name] = Path(path)
-    return views
+    return {name: Path(path) for name, path in map(named_view, texts)}
+
+
+def named_view(text: str) -> tuple[str, str]:
+    """The name of a view, and path or URL of its clip; raises `ConfigError` for anything but NAME=CLIP."""
+    name, sign, place = text.partition("=")
+    if not (name and sign and place):
+        raise ConfigError(f"A view is given as NAME=CLIP, got {text!r}; for example right=right.mp4.")
+    return name, place
 
 
 def wanted_face(text: str | None) -> tuple[float, float] | None:
@@ -220,6 +234,8 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
         except KeyboardInterrupt:
             screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept; --resume continues from there")
             raise typer.Exit(130) from None
+        except LostSchedulerError:
+            raise
         except OutputError as error:
             if not workbench.pipeline.holds_parts(folder):
                 raise

@@ -7,6 +7,7 @@ import typer
 
 import workbench
 from workbench.cli import screen
+from workbench.cli.tracking import named_view
 from workbench.config import DEFAULT_PRESET, differences, preset, read_config, write_config
 from workbench.errors import ConfigError, OutputError
 from workbench.files import check_not_inputs
@@ -21,12 +22,16 @@ A part of the clip is learned on, one chooses the step to stop at, and one that 
 
   workbench tune talk.mp4 --objective jitter+error --learn weights.tau --train 0:300 --held-out 300:400
 
+  workbench tune left.mp4 --rig rig.toml --view right=right.mp4 --objective second-view --learn weights.sigma_smooth
+
   workbench tune talk.csv --objective left-out-points --search "stages.pose and expression.limit=1..30" --trials 30
 
   workbench tune talk.mp4 --objective left-out-points --learn weights.tau --resume
 
 Ctrl-C keeps the best so far. The result is a configuration: workbench track --config talk-learned.toml
 """
+RIG_HELP = "Calibration of several cameras, for the objective second-view; the clip is its first view."
+VIEW_HELP = "Clip of another view of the rig as NAME=CLIP, which only judges."
 INPUT, TUNING, RESULTS = "Input", "Tuning", "Results"
 
 
@@ -41,6 +46,8 @@ def tune(
     ] = None,
     landmarks: Annotated[str, typer.Option(help="Landmark file instead of a detector.", rich_help_panel=INPUT)] = "",
     truth: Annotated[str, typer.Option(help="What is known of the clip.", rich_help_panel=INPUT)] = "",
+    rig: Annotated[str, typer.Option(help=RIG_HELP, rich_help_panel=INPUT)] = "",
+    view: Annotated[str | None, typer.Option(help=VIEW_HELP, rich_help_panel=INPUT)] = None,
     train: Annotated[str | None, typer.Option(help="Frames to learn on, FIRST:END.", rich_help_panel=INPUT)] = None,
     watch: Annotated[str | None, typer.Option(help="Frames that choose the step.", rich_help_panel=INPUT)] = None,
     held_out: Annotated[str | None, typer.Option(help="Frames that only report.", rich_help_panel=INPUT)] = None,
@@ -58,16 +65,25 @@ def tune(
         raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
     learning, sweeps = workbench.learning, workbench.sweeps
     base = read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
+    base = sweeps.in_first_view(base, rig) if rig else base
+    views = [named_view(view)] if view else []
     sums = workbench.objectives.read_sum(objective)
     path = out or Path(f"{Path(clip).stem}-learned.toml")
-    check_not_inputs([path], [Path(name) for name in (clip, landmarks, truth, config) if name])
+    inputs = (clip, landmarks, truth, config, rig, *(place for _, place in views))
+    check_not_inputs([path], [Path(name) for name in inputs if name])
     if path.exists() and not (overwrite or resume):
         raise OutputError(f"{path} exists already; name another (--out), or add --overwrite.")
     head = workbench.load_default_head() if model is None else workbench.load_face_model(model)
     parts = [None if text is None else learning.read_frames(text) for text in (train, watch, held_out)]
     (source,) = sweeps.sources_of(
-        [clip], [landmarks] if landmarks else [], [truth] if truth else [], flow="flow" in sums.names
+        [clip],
+        [landmarks] if landmarks else [],
+        [truth] if truth else [],
+        flow="flow" in sums.names,
+        views=views,
+        rig=rig,
     )
+    sweeps.check_second([source], sums.names)
     seen = learning.observed(source, base, head)
     wanted = learning.Wanted(
         objectives=sums,

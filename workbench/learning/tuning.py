@@ -120,7 +120,7 @@ def observed(source: ClipSource, config: Config, model: FaceModel) -> SweptClip:
 
 def inputs_of(source: ClipSource) -> list[str]:
     """Path and SHA-256 of a clip's files, for the provenance."""
-    places = [Path(place) for place in (source.clip, source.landmarks, source.truth) if place]
+    places = [Path(place) for place in source.places]
     return [f"{place} sha256:{content_hash(place)}" for place in places if place.exists()]
 
 

@@ -24,7 +24,7 @@ NEEDED = {
     "surface": "the true pose, weights and identity (--truth)",
     "labels": "labelled landmarks (--truth)",
     "flow": "the clip's pictures",
-    "second": "a second camera's landmarks and the rig",
+    "second": "the clip of a second camera and the rig of both (--view, --rig)",
 }
 """What each need is, for whoever lacks it."""
 
@@ -187,9 +187,14 @@ def measured_by(names: Iterable[str], clip: ObservedClip, fits: FittedClip) -> d
     found = {}
     for name in names:
         if not usable(objective(name), clip):
-            raise InputError(f"The objective {name!r} needs {NEEDED[TABLE[name].needs]}; this clip comes without it.")
+            raise lacking(name)
         found[name] = measure(name)(clip, fits)
     return found
+
+
+def lacking(name: str) -> InputError:
+    """What is raised where a clip lacks what an objective needs."""
+    return InputError(f"The objective {name!r} needs {NEEDED[TABLE[name].needs]}; this clip comes without it.")
 
 
 def usable(row: Objective, clip: ObservedClip) -> bool:

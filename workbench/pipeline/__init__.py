@@ -7,7 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -19,7 +19,7 @@ from workbench.config import Config, write_config
 from workbench.errors import InputError, OutputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.export.sources import input_files
-from workbench.face import FaceModel, dressed_as
+from workbench.face import FaceModel, dressed_as, in_scheme
 from workbench.frames import Frames, ImageFrames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.pictures.overlay_files import write_overlay_video
@@ -43,9 +43,10 @@ from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.fitting import silent
 from workbench.tracking.flow_fitter import FlowFitter
-from workbench.tracking.track_layout import model_record
+from workbench.tracking.track_layout import model_record, scheme_of, scheme_record
 from workbench.tracking.track_reader import TrackReader
 from workbench.tracking.track_writer import TrackWriter, has_parts
+from workbench.workers import ThisProcess, Workers, working
 
 PACKAGES = ("jax", "optimistix", "numpy", "scipy", "opencv-contrib-python-headless", "pyvista")
 
@@ -82,22 +83,24 @@ def track(
     landmarks: Path | None = None,
     frames: tuple[int, int] | None = None,
     views: Mapping[str, Path] = MappingProxyType({}),
-    workers: int = 1,
+    workers: int | Workers = 1,
     progress: Progress | None = None,
 ) -> RunResult:
     """Track a video, a folder, photos or a landmark file into `folder`; see `OUTPUTS` for what it holds afterwards.
 
     `stills` treats every picture on its own. `landmarks` is a file with the landmarks of the pictures: no detector
     runs. `frames` are the first and last one of a part. `views` are the clips of a rig's other cameras by the views'
-    names, `workers` the processes that fit (both Deep Energies). `resume` goes on with an interrupted run of the same
-    input and configuration, `overwrite` replaces what an earlier run left. A run that was interrupted, however, keeps
-    its finished parts for that. Raises `InputError` for an input that cannot be used, and `OutputError` for a folder
-    that cannot be written, holds another run, or whose files are inputs.
+    names, `workers` how many processes fit, or who does (`workbench.workers`); both are for Deep Energies. `resume`
+    goes on with an interrupted run of the same input and configuration, `overwrite` replaces what an earlier run left.
+    A run that was interrupted, however, keeps its finished parts for that. Raises `InputError` for an input that cannot
+    be used, `OutputError` for a folder that cannot be written, holds another run, or whose files are inputs, and
+    `LostSchedulerError`.
     """
     paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     if not paths:
         raise InputError("There is nothing to track; name a photo, a folder, a video or a landmark file.")
-    if not config.traits.renders and (views or workers > 1):
+    alone = workers == 1 or isinstance(workers, ThisProcess)
+    if not config.traits.renders and (views or not alone):
         raise InputError("Several views and several processes belong to Deep Energies; add --preset deep.")
     files = [*paths, *views.values(), *_given(landmarks), *_given(config.camera.rig)]
     job = _Job(Path(folder), model, config, pictures, resume, overwrite, workers, progress or silent)
@@ -107,7 +110,8 @@ def track(
         else:
             source = open_source(paths, config, landmarks, frames, keep_pictures=stills and pictures)
         stills = stills or source.single_picture
-        meta = _meta([*paths, *views.values()], landmarks, model, config, stills, source)
+        job = replace(job, model=in_scheme(model, source.scheme))
+        meta = _meta([*paths, *views.values()], landmarks, job.model, config, stills, source)
         meta["frames"] = None if frames is None else list(frames)
         meta["views"] = {name: str(path) for name, path in views.items()}
         return _finished(job, meta) or _run(job, source, meta, stills)
@@ -123,7 +127,7 @@ class _Job:
     pictures: bool
     resume: bool
     overwrite: bool
-    workers: int
+    workers: int | Workers
     progress: Progress
 
     @property
@@ -170,7 +174,9 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     if steps and stills:
         raise InputError("Unrelated photos have no neighbours in time; leave infill and refinement out, or --stills.")
     if steps:
-        FlowFitter(model, plan_of(config))  # refuses settings of the flow before a clip is fitted for nothing
+        FlowFitter(
+            model, plan_of(config, model.scheme)
+        )  # refuses settings of the flow before a clip is fitted for nothing
     # A character that cannot be drawn is refused before a clip is fitted for nothing.
     dressed = dressed_as(config.head.character, model) if job.pictures else None
     tracker = FaceTracker(model, config, stills=stills)
@@ -186,7 +192,8 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
             drawn.add_missing(writer)
         try:
             if deep:
-                strips = track_deep_frames(source, tracker, writer, stills, job.workers, progress, drawn)
+                workers = stack.enter_context(working(job.workers))
+                strips = track_deep_frames(source, tracker, writer, stills, workers, progress, drawn)
             else:
                 _track_frames(source, tracker, writer, stills, progress, drawn)
             if not len(writer):
@@ -236,6 +243,7 @@ def retrack(
     folder, progress = Path(folder), progress or silent
     reader = TrackReader(stored)
     check_model(reader.meta, model)
+    model = in_scheme(model, scheme_of(reader.meta))
     if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
         raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
     dressed = dressed_as(config.head.character, model) if pictures else None
@@ -333,7 +341,7 @@ def _prefixed(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray
 def _write_tables(writer, summary, model, config, folder: Path) -> tuple[Path, ...]:
     write_summary(summary, folder / "summary.json")
     write_parameter_table(writer.tracks(), model.expression_names, folder / "parameters.csv")
-    with LandmarkCsvWriter(folder / "landmarks.csv", confidence=False) as table:
+    with LandmarkCsvWriter(folder / "landmarks.csv", confidence=False, scheme=model.scheme) as table:
         for position in range(len(writer)):
             table.write(landmark_record(writer[position]))
     write_config(config, folder / "config.toml")
@@ -369,6 +377,7 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
         "rate": source.frames.rate,
         "camera_guessed": config.camera.guessed,
         "model": model_record(model),
+        **scheme_record(model.scheme),
         "versions": software_versions(),
     }
 

@@ -1,15 +1,13 @@
-"""Frames of a Deep Energies run: where they are independent, over several processes, with the same numbers."""
+"""Frames of a Deep Energies run: where they are independent, over processes or a cluster, with the same numbers."""
 
-import multiprocessing
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
 from workbench.energies.terms import TABLE
-from workbench.errors import InputError
+from workbench.errors import InputError, LostSchedulerError
 from workbench.face import FaceModel
 from workbench.pictures.deep_strip import write_stage_strip
 from workbench.pipeline.sources import DeepSource, RigSource
@@ -19,9 +17,12 @@ from workbench.tracking import FrameContext, FrameFit, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.plan import Plan
 from workbench.tracking.track_writer import TrackWriter
+from workbench.workers import Failed, ThisProcess, Workers, in_order
 
 BATCH = 16
-"""Frames between two parts on disk: an interrupted run loses less than these."""
+"""Frames between two parts on disk."""
+BATCH_OF_A_WORKER = 4
+"""Many workers get more frames at once, so that few of them wait for the last one of a batch."""
 STRIPS = 12
 """Frames whose stages are drawn, evenly over the run, and at most as many that failed."""
 
@@ -33,7 +34,7 @@ def track_deep_frames(
     tracker: FaceTracker,
     writer: TrackWriter,
     stills: bool,
-    workers: int,
+    workers: Workers,
     progress,
     drawn: StillPictures | None = None,
 ) -> list[Pair]:
@@ -41,29 +42,38 @@ def track_deep_frames(
 
     On resume the landmarks of all frames are found again (a few milliseconds each): then nothing but the number of
     finished frames, and the last fit where a term links frames, has to be stored, and the numbers cannot depend on
-    where a run was cut. Raises `InputError` for several processes with a term that links frames.
+    where a run was cut. An interrupted run, and one without its scheduler, keeps all frames up to the first that is
+    missing. Raises `InputError` for other processes with a term that links frames, and for a frame that ends the
+    process that works on it; `LostSchedulerError`.
     """
     linked = tracker.fitter.links_frames
-    if linked and workers > 1:
+    if linked and not isinstance(workers, ThisProcess):
         names = [name for name in TABLE if TABLE[name].links_frames and name in tracker.config.summed_terms]
         listed = " and ".join(map(repr, names))
         raise InputError(
             f"Several processes fit frames in any order, and the terms {listed} link each to the one before; use "
-            f"--workers 1, or take {listed} out of the stages' terms."
+            f"--workers 1 without --scheduler, or take {listed} out of the stages' terms."
         )
     every = max(1, (source.count or STRIPS) // STRIPS)
     chosen: list[Pair] = []
     failed: list[Pair] = []
     done = len(writer)
-    with ExitStack() as stack:
-        fit = _mapper(tracker, workers, stack)
-        pairs = _pairs(source, tracker, stills)
-        for _ in islice(pairs, done):
-            pass
-        if linked and done:
-            tracker.continue_from(writer.state())
-        while batch := list(islice(pairs, 1 if linked else BATCH)):
-            for (observation, context), result in zip(batch, fit(batch), strict=True):
+    work = FrameWork(tracker.model, tracker.fitter.plan)
+    pairs = _pairs(source, tracker, stills)
+    for _ in islice(pairs, done):
+        pass
+    if linked and done:
+        tracker.continue_from(writer.state())
+
+    def store() -> None:
+        if drawn is not None:
+            drawn.flush()  # the frames of a part have their pictures
+        writer.write_part(tracker.state() or {} if linked else {})
+
+    size = 1 if linked else max(BATCH, BATCH_OF_A_WORKER * workers.count)
+    try:
+        while batch := list(islice(pairs, size)):
+            for (observation, context), result in zip(batch, _fits(batch, tracker, workers, work), strict=True):
                 if drawn is not None:
                     drawn.add(observation, result)
                 writer.add(result)
@@ -73,11 +83,13 @@ def track_deep_frames(
                     chosen.append((observation, context))
                 elif result.failure and len(failed) < STRIPS:
                     failed.append((observation, context))
-            if drawn is not None:
-                drawn.flush()  # the frames of a part have their pictures
             if not linked or done % BATCH == 0:
-                writer.write_part(tracker.state() or {} if linked else {})
-        writer.write_part(tracker.state() or {} if linked else {})
+                store()
+    except (KeyboardInterrupt, InputError, LostSchedulerError):
+        if not linked:  # what links the next frame may be newer than the last one written
+            store()
+        raise
+    store()
     return [*chosen, *failed]
 
 
@@ -100,31 +112,42 @@ def _pairs(source: DeepSource | RigSource, tracker: FaceTracker, stills: bool) -
     yield from tracker.prepare_rest()
 
 
-def _mapper(tracker: FaceTracker, workers: int, stack: ExitStack):
-    """What fits a batch: here, or in processes that each hold model and plan."""
-    if workers <= 1:
-        return lambda batch: (tracker.fit_prepared(*pair) for pair in batch)
-    # Spawned: a forked child of a process that runs JAX's threads hangs.
-    pool = stack.enter_context(
-        ProcessPoolExecutor(
-            workers,
-            multiprocessing.get_context("spawn"),
-            initializer=_start,
-            initargs=(tracker.model, tracker.fitter.plan),
-        )
-    )
-    return lambda batch: pool.map(
-        _fit, [(replace(observation, picture=None), context) for observation, context in batch]
-    )
+@dataclass(frozen=True)
+class FrameTask:
+    """A frame in its context, without its picture."""
+
+    clip: str
+    """The frame's name in sentences."""
+    observation: FrameObservation
+    context: FrameContext
 
 
-_FITTER: list[DeepFitter] = []
-"""The worker's own fitter, made once when the process starts."""
+@dataclass(frozen=True, eq=False)
+class FrameWork:
+    """Fits frames for one model and plan, with a fitter that each process makes for itself."""
+
+    model: FaceModel
+    plan: Plan
+
+    @cached_property
+    def _fitter(self) -> DeepFitter:
+        return DeepFitter(self.model, self.plan)
+
+    def __call__(self, task: FrameTask) -> FrameFit:
+        """The fit of a frame."""
+        return self._fitter.fit(task.observation, task.context)[0]
 
 
-def _start(model: FaceModel, plan: Plan) -> None:
-    _FITTER.append(DeepFitter(model, plan))
-
-
-def _fit(pair: Pair) -> FrameFit:
-    return _FITTER[0].fit(*pair)[0]
+def _fits(batch: Sequence[Pair], tracker: FaceTracker, workers: Workers, work: FrameWork) -> Iterator[FrameFit]:
+    """The fits of some frames in order, each as soon as those before it are there."""
+    if isinstance(workers, ThisProcess):
+        yield from (tracker.fit_prepared(*pair) for pair in batch)
+        return
+    tasks = [
+        FrameTask(f"Frame {observation.index}", replace(observation, picture=None), context)
+        for observation, context in batch
+    ]
+    for result in in_order(workers.results(tasks, work)):
+        if isinstance(result, Failed):
+            raise InputError(f"{result.reason} Finished frames are kept; --resume goes on after them.")
+        yield result

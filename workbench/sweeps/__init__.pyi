@@ -6,6 +6,7 @@ from .figures import parallel_figure as parallel_figure
 from .figures import pareto_figure as pareto_figure
 from .figures import write_figures as write_figures
 from .outcome import SweepResult as SweepResult
+from .second_camera import in_first_view as in_first_view
 from .solving import ClipSolver as ClipSolver
 from .space import Axis as Axis
 from .space import Point as Point
@@ -15,9 +16,9 @@ from .space import points_of as points_of
 from .space import read_axis as read_axis
 from .space import read_sampling as read_sampling
 from .stored_clips import ClipSource as ClipSource
+from .stored_clips import check_second as check_second
 from .stored_clips import sources_of as sources_of
 from .sweep import USUAL_OBJECTIVES as USUAL_OBJECTIVES
 from .sweep import Sweep as Sweep
 from .sweep import run_sweep as run_sweep
-from .workers import workers_for as workers_for
 from .written import write_outcome as write_outcome

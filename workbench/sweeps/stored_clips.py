@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -13,11 +13,13 @@ from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.landmarks.observations import Landmarks2D
-from workbench.objectives import Truth, flow_of_pictures, observed_clip, read_truth
+from workbench.objectives import Truth, flow_of_pictures, lacking, objective, observed_clip, read_truth
 from workbench.pipeline import content_hash, open_source
 from workbench.sweeps.clips import SweptClip
+from workbench.sweeps.second_camera import SecondCamera, arrays_of, second_of_arrays, seen_by_second
 from workbench.sweeps.storage import Storage, local_file, packed, unpacked
 from workbench.tracking import FrameObservation
+from workbench.tracking.fitting import with_ibug68
 
 NO_FACES = "has no face in any frame; look at its pictures, or try another detector (landmarks.detector)."
 _TRUTHS = ("rotation", "translation", "expression", "surface", "labels")
@@ -36,6 +38,14 @@ class ClipSource:
     stills: bool = False
     flow: bool = False
     """Whether an objective needs the motion of the pictures."""
+    second: SecondCamera | None = None
+    """Another camera, which only judges."""
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """All that it is read from."""
+        second = () if self.second is None else (self.second.clip, self.second.rig)
+        return tuple(place for place in (self.clip, self.landmarks, self.truth, *second) if place)
 
     @property
     def name(self) -> str:
@@ -45,7 +55,7 @@ class ClipSource:
 
 def digest_of(source: ClipSource, config: Config, model: FaceModel) -> str:
     """SHA-256 of all that a clip's observations are made from. Raises `InputError` for files that are not there."""
-    files = [local_file(place) for place in (source.clip, source.landmarks, source.truth) if place]
+    files = [local_file(place) for place in source.places]
     for file in files:
         if not file.exists():
             raise InputError(f"{file} does not exist; check the name and the folder.")
@@ -54,6 +64,7 @@ def digest_of(source: ClipSource, config: Config, model: FaceModel) -> str:
         "clip": "",
         "landmarks": bool(source.landmarks),
         "truth": bool(source.truth),
+        "second": source.second and source.second.view,
         "files": [content_hash(file) for file in files],
         "detector": config.model_dump(mode="json", include={"landmarks": {"detector", "face"}}),
         "model": model.fingerprint() if source.truth else "",
@@ -73,7 +84,7 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     found, pictures = [], []
     for observation in opened.observations(0, {}, stills):
         pictures.append(observation.picture)
-        found.append(_without_picture(observation))
+        found.append(_without_picture(with_ibug68(observation)))
     if not any(observation.landmarks is not None for observation in found):
         raise InputError(f"{source.clip} {NO_FACES}")
     flow = None
@@ -83,7 +94,10 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     if source.truth:
         indices = [observation.index for observation in found]
         truth = read_truth(local_file(source.truth), model, indices, found[0].image_size)
-    return SweptClip(source.name, digest, tuple(found), stills, truth, flow)
+    second = None
+    if source.second is not None:
+        second = seen_by_second(source.second, config, len(found), found[0].image_size, stills)
+    return SweptClip(source.name, digest, tuple(found), stills, truth, flow, second)
 
 
 def _without_picture(observation: FrameObservation) -> FrameObservation:
@@ -108,6 +122,8 @@ def store_clip(storage: Storage, clip: SweptClip) -> None:
     arrays |= {f"truth_{name}": part for name, part in zip(_TRUTHS, clip.truth, strict=True) if part is not None}
     if clip.flow is not None:
         arrays["flow"] = clip.flow
+    if clip.second is not None:
+        arrays |= arrays_of(clip.second)
     storage.write(_name(clip.digest), packed(arrays))
 
 
@@ -127,7 +143,8 @@ def stored_clip(storage: Storage, digest: str, name: str) -> SweptClip | None:
         for k, size in enumerate((int(width), int(height)) for width, height in arrays["image_size"])
     )
     truth = Truth(*(arrays.get(f"truth_{part}") for part in _TRUTHS))
-    return SweptClip(name, digest, observations, bool(arrays["stills"]), truth, arrays.get("flow"))
+    second = second_of_arrays(arrays)
+    return SweptClip(name, digest, observations, bool(arrays["stills"]), truth, arrays.get("flow"), second)
 
 
 def sources_of(
@@ -136,20 +153,39 @@ def sources_of(
     truths: Sequence[str] = (),
     stills: bool = False,
     flow: bool = False,
+    views: Sequence[tuple[str, str]] = (),
+    rig: str = "",
 ) -> tuple[ClipSource, ...]:
-    """The sources of some clips; landmarks and truths are given for all of them in their order, or for none.
+    """The sources of some clips; landmarks, truths and views are given for all of them in their order, or for none.
 
-    Raises `InputError` for another number of them, and for no clip.
+    `views` are names and clips of a second camera in the rig. Raises `InputError` for another number of them, for
+    views without a rig or a rig without views, and for no clip.
     """
     if not clips:
         raise InputError("There is nothing to sweep over; name a video, a photo or a landmark file.")
-    for what, given in (("landmark files", landmarks), ("truths", truths)):
+    for what, given in (("landmark files", landmarks), ("truths", truths), ("clips of a second camera", views)):
         if given and len(given) != len(clips):
             raise InputError(f"There are {len(clips)} clips and {len(given)} {what}; give one for each clip, in order.")
+    if bool(views) != bool(rig):
+        raise InputError("A second camera is its clip and the rig that both belong to; give --view and --rig.")
     return tuple(
-        ClipSource(clip, landmarks[k] if landmarks else "", truths[k] if truths else "", stills, flow)
+        ClipSource(
+            clip,
+            landmarks[k] if landmarks else "",
+            truths[k] if truths else "",
+            stills,
+            flow,
+            SecondCamera(clip=views[k][1], view=views[k][0], rig=rig) if views else None,
+        )
         for k, clip in enumerate(clips)
     )
+
+
+def check_second(sources: Sequence[ClipSource], objectives: Iterable[str]) -> None:
+    """Raise `InputError` where an objective looks at a second camera and a clip has none."""
+    for name in objectives:
+        if objective(name).needs == "second" and any(source.second is None for source in sources):
+            raise lacking(name)
 
 
 def _name(digest: str) -> str:

@@ -10,17 +10,17 @@ import numpy as np
 
 from workbench.config import DEFAULT_PRESET, Config, preset
 from workbench.errors import ConfigError, InputError, OutputError
-from workbench.objectives import TABLE, folds_of, objective
+from workbench.objectives import TABLE, folds_of
 from workbench.sweeps.clips import chosen_windows, parts_of
 from workbench.sweeps.outcome import SweepResult
 from workbench.sweeps.results import folds_needed, result_key, stored_result
 from workbench.sweeps.solving import check_swept
 from workbench.sweeps.space import Axis, Point, Sampling, config_at, points_of
 from workbench.sweeps.storage import Storage, is_url
-from workbench.sweeps.stored_clips import ClipSource
-from workbench.sweeps.tasks import Failed, FitTask, ObserveTask, fingerprint_of
-from workbench.sweeps.workers import Workers
+from workbench.sweeps.stored_clips import ClipSource, check_second
+from workbench.sweeps.tasks import FitTask, ObserveTask, fingerprint_of
 from workbench.tracking.fitting import silent
+from workbench.workers import Failed, Workers
 
 USUAL_OBJECTIVES = ("error", "left-out-points", "jitter", "iterations")
 FITS = 1000
@@ -59,13 +59,15 @@ class Sweep:
         """The points with their configurations.
 
         Raises `ConfigError` for an unknown setting or objective, an empty range, a value out of range, and for
-        settings that do not act on a fit from landmarks.
+        settings that do not act on a fit from landmarks; `InputError` for an objective that needs a second camera where
+        a clip has none.
         """
-        for name in self.objectives:
-            objective(name)
+        check_second(self.sources, self.objectives)
         for axis in self.axes:
             if any(axis.path == path or axis.path.startswith(f"{path}.") for path in BEFORE_LANDMARKS):
                 raise ConfigError(f"{axis.path!r} cannot be swept: landmarks are found once, before all fits.")
+            if axis.path == "camera.fov_deg" and self.base.camera.matrix is not None:
+                raise ConfigError("'camera.fov_deg' has no effect beside a camera's matrix (camera.matrix, --rig).")
         points = points_of(self.axes, self.sampling)
         configs = tuple(config_at(self.base, point) for point in points)
         for config in configs:

@@ -1,7 +1,4 @@
-"""The tasks of a sweep: small, made of plain values, and without effect but what they store.
-
-A task may run anywhere and twice. What goes wrong with its clip is its result: the rest of the sweep goes on.
-"""
+"""The tasks of a sweep: small, made of plain values, and without effect but what they store."""
 
 import json
 from collections import OrderedDict
@@ -10,9 +7,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from workbench.config import Config, parse_config
-from workbench.errors import MissingDependencyError, OutputError, WorkbenchError
+from workbench.errors import OutputError
 from workbench.face import FaceModel, load_default_head, load_face_model
-from workbench.reading import reason_of
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import objectives_of, result_key, store_result, stored_result
 from workbench.sweeps.solving import ClipSolver
@@ -20,16 +16,6 @@ from workbench.sweeps.storage import Storage, local_file
 from workbench.sweeps.stored_clips import ClipSource, digest_of, observe, store_clip, stored_clip
 
 KEPT_CLIPS = 4
-
-
-@dataclass(frozen=True)
-class Failed:
-    """What became of a task that could not be done."""
-
-    reason: str
-    """One sentence."""
-    fatal: bool = False
-    """Whether no other task can be done either: the results have no place."""
 
 
 @dataclass(frozen=True)
@@ -102,21 +88,6 @@ class FitTask:
         for key, values in zip(missing, found, strict=True):
             store_result(storage, key, values)
         return len(missing) * sum(map(len, windows))
-
-
-Task = ObserveTask | FitTask
-
-
-def guarded(task: Task) -> Observed | int | Failed:
-    """The result of a task, or in one sentence why there is none."""
-    try:
-        return task.run()
-    except (OutputError, MissingDependencyError) as error:
-        return Failed(str(error), fatal=True)
-    except WorkbenchError as error:
-        return Failed(str(error))
-    except Exception as error:
-        return Failed(f"{task.clip} cannot be fitted ({type(error).__name__}: {reason_of(error)}).")
 
 
 def config_of(text: str) -> Config:

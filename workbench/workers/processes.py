@@ -1,43 +1,30 @@
-"""Who does the tasks of a sweep: this process, a pool of processes, a Dask cluster. The bits are the same."""
+"""Workers on this machine without anything to install: this process, or several that are replaced when they die."""
 
 import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
+import os
+import signal
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from importlib.util import find_spec
-from typing import Any, Literal, Protocol
+from threading import Thread
+from typing import Any
 
-from workbench.errors import ConfigError
 from workbench.runtime import keep_to_one_core
-from workbench.sweeps.tasks import Failed, Task, guarded
+from workbench.workers.tasks import Do, Failed, Task, guarded, run
 
 MOST_DEATHS = 3
 """Processes that a task may end before it counts as failed."""
-Kind = Literal["auto", "pool", "dask"]
-
-
-class Workers(Protocol):
-    """Does tasks in any order."""
-
-    said: str
-    """What a user should know, as the address of a dashboard; empty: nothing."""
-
-    def results(self, tasks: Sequence[Task]) -> Iterator[tuple[int, Any]]:
-        """The number of each task with its result, as they are done. Raises `WorkbenchError` for lost workers."""
-
-    def close(self) -> None:
-        """Stop; what is not done stays undone."""
 
 
 class ThisProcess:
     """One task after the other, here."""
 
-    said = ""
+    said, count = "", 1
 
-    def results(self, tasks: Sequence[Task]) -> Iterator[tuple[int, Any]]:
+    def results(self, tasks: Sequence[Task], do: Do = run) -> Iterator[tuple[int, Any]]:
         """In their order."""
         for number, task in enumerate(tasks):
-            yield number, guarded(task)
+            yield number, guarded(do, task)
 
     def close(self) -> None:
         """Nothing to stop."""
@@ -48,12 +35,16 @@ class Pool:
 
     said = ""
 
-    def __init__(self, count: int, do: Callable[[Task], Any] = guarded):
-        self._count, self._do = count, do
+    def __init__(self, count: int):
+        self.count = count
+        self._do: Do = run
         self._pool: ProcessPoolExecutor | None = None
 
-    def results(self, tasks: Sequence[Task]) -> Iterator[tuple[int, Any]]:
+    def results(self, tasks: Sequence[Task], do: Do = run) -> Iterator[tuple[int, Any]]:
         """As they are done."""
+        if do is not self._do:
+            self.close()
+            self._do = do
         left, deaths = dict(enumerate(tasks)), [0] * len(tasks)
         while left:
             try:
@@ -72,16 +63,16 @@ class Pool:
         A dead process counts against all tasks that were being done then.
         """
         unsuspected = [number for number in left if not deaths[number]]
-        at_once = self._count if unsuspected else 1
+        at_once = self.count if unsuspected else 1
         if self._pool is None:
             # Spawned: a forked child of a process that runs JAX's threads hangs.
             context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(self._count, context, initializer=keep_to_one_core)
+            self._pool = ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(self._do,))
         waiting, rest = {}, iter([(number, left[number]) for number in unsuspected or left])
         while True:
             # No more are handed out than there are processes, so that those that are out are those being done.
             for number, task in rest:
-                waiting[self._pool.submit(self._do, task)] = number
+                waiting[self._pool.submit(_done, task)] = number
                 if len(waiting) >= at_once:
                     break
             if not waiting:
@@ -103,19 +94,23 @@ class Pool:
             self._pool = None
 
 
-def workers_for(count: int = 1, scheduler: str | None = None, kind: Kind = "auto") -> Workers:
-    """So many workers on this machine, or those of a Dask scheduler.
+_DO: list[Do] = []
+"""How this process, one of a pool, does its tasks."""
 
-    On this machine they are a Dask cluster where `distributed` is installed, else a pool; `kind` chooses. Raises
-    `ConfigError` for a scheduler with a pool, `MissingDependencyError` without the extra, `InputError` for a scheduler
-    that cannot be reached.
-    """
-    if scheduler is not None and kind == "pool":
-        raise ConfigError("A scheduler belongs to Dask, and a pool has none; leave one of them out.")
-    if scheduler is None and kind == "auto":
-        kind = "dask" if count > 1 and find_spec("distributed") else "pool"
-    if scheduler is None and kind == "pool":
-        return ThisProcess() if count <= 1 else Pool(count)
-    from workbench.sweeps.dask_workers import DaskWorkers
 
-    return DaskWorkers(count, scheduler)
+def _begin(do: Do) -> None:
+    """Start a process of a pool. Ctrl-C reaches all processes of a command; the command itself ends the others."""
+    keep_to_one_core()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_the_command, daemon=True).start()
+    _DO[:] = [do]
+
+
+def _end_with_the_command() -> None:
+    """A process of a pool holds both ends of its queue, and would wait for ever where the command was killed."""
+    multiprocessing.parent_process().join()
+    os._exit(1)
+
+
+def _done(task: Task) -> Any:
+    return guarded(_DO[0], task)

@@ -1,20 +1,22 @@
-"""The tasks of a sweep on a Dask cluster: of this machine, or of a scheduler anywhere."""
+"""Tasks on a Dask cluster: of this machine, or of a scheduler anywhere."""
 
 import logging
 import queue
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from workbench.errors import InputError, OutputError
+from workbench.errors import InputError, LostSchedulerError
 from workbench.extras import needs
 from workbench.reading import reason_of
 from workbench.runtime import ONE_CORE
-from workbench.sweeps.tasks import Failed, Task, guarded
+from workbench.workers.tasks import Do, Failed, Task, guarded, run
 
 REACH_S = 10.0
 """Longest that a scheduler is waited for."""
 LOOK_S = 1.0
 """Time between two looks at whether the scheduler is there."""
+LARGEST = "1 GB"
+"""Of what is sent to a scheduler without a warning from Dask."""
 AHEAD = 4
 """Tasks a worker that are handed to the scheduler at once: enough that none waits, and few enough to stop soon."""
 
@@ -47,14 +49,21 @@ class DaskWorkers:
                 f"The scheduler {scheduler} cannot be reached ({reason_of(error)}); start one by `dask scheduler` and "
                 "workers by `dask worker`, or leave --scheduler out."
             ) from error
+        self._do: tuple[Do | None, Any] = (None, None)
         self.said = f"Dask dashboard: {self._client.dashboard_link}"
 
-    def results(self, tasks: Sequence[Task]) -> Iterator[tuple[int, Any]]:
-        """As they are done. Raises `OutputError` where the scheduler is lost."""
+    @property
+    def count(self) -> int:
+        """Workers of the scheduler now; at least one, which may be yet to come."""
+        return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+
+    def results(self, tasks: Sequence[Task], do: Do = run) -> Iterator[tuple[int, Any]]:
+        """As they are done. Raises `LostSchedulerError`."""
         done: queue.SimpleQueue = queue.SimpleQueue()
         rest, out = iter(enumerate(tasks)), {}
+        there = self._there(do)
         while True:
-            self._hand_out(rest, out, done)
+            self._hand_out(there, rest, out, done)
             if not out:
                 return
             try:
@@ -70,17 +79,31 @@ class DaskWorkers:
             elif future.status == "error":
                 # The task itself raises nothing: its worker died again and again.
                 yield number, Failed(f"{tasks[number].clip} cannot be fitted ({reason_of(future.exception())}).")
-            else:
+            elif future.status == "cancelled":
                 raise self._lost()
+            else:
+                # Its worker died with the result before it was fetched: the scheduler has it done again.
+                out[future] = number
+                future.add_done_callback(done.put)
 
-    def _hand_out(self, rest: Iterator[tuple[int, Task]], out: dict, done: queue.SimpleQueue) -> None:
-        workers = max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+    def _there(self, do: Do) -> Any:
+        """`do` on the cluster: workers fetch it once, and the scheduler gives it out again where its holder died."""
+        if do is not self._do[0]:
+            from dask import config
+
+            # It may hold a face model, of some ten MB, and goes to the scheduler once.
+            with config.set({"distributed.admin.large-graph-warning-threshold": LARGEST}):
+                self._do = do, self._client.submit(_handed_on, do, pure=False)
+        return self._do[1]
+
+    def _hand_out(self, do: Any, rest: Iterator[tuple[int, Task]], out: dict, done: queue.SimpleQueue) -> None:
+        workers = self.count
         while len(out) < AHEAD * workers:
             number, task = next(rest, (None, None))
             if task is None:
                 return
             # Impure: the same task may be asked for again after its result was torn.
-            future = self._client.submit(guarded, task, pure=False, retries=1)
+            future = self._client.submit(guarded, do, task, pure=False, retries=1)
             out[future] = number
             future.add_done_callback(done.put)
 
@@ -88,8 +111,8 @@ class DaskWorkers:
         if self._client.status not in ("running", "newly-created"):
             raise self._lost()
 
-    def _lost(self) -> OutputError:
-        return OutputError(
+    def _lost(self) -> LostSchedulerError:
+        return LostSchedulerError(
             f"The scheduler {self.address} is gone. Finished work is kept; start it again and go on with --resume."
         )
 
@@ -98,3 +121,7 @@ class DaskWorkers:
         self._client.close(timeout=2)
         if self._cluster is not None:
             self._cluster.close(timeout=10)
+
+
+def _handed_on(do: Do) -> Do:
+    return do

@@ -1,0 +1,10 @@
+from .hiring import Kind as Kind
+from .hiring import Workers as Workers
+from .hiring import in_order as in_order
+from .hiring import workers_for as workers_for
+from .hiring import working as working
+from .processes import Pool as Pool
+from .processes import ThisProcess as ThisProcess
+from .tasks import Failed as Failed
+from .tasks import Task as Task
+from .tasks import guarded as guarded
