@@ -48,9 +48,7 @@ SLOW = (
     "test_front_door.py",
     "test_rendered_flow.py",
     "test_cli_export.py",
-    "test_sweep_workers.py",
     "test_sweeps.py",
-    "test_workers.py",
 )
 """Files that `make test-fast` leaves out besides those in a browser, the longest first."""
 BROWSER = (
@@ -65,18 +63,25 @@ BROWSER = (
     "test_views_2d_browser.py",
 )
 """Files that need Chromium as a whole."""
+WORKERS = (
+    "test_sweep_workers.py",
+    "test_workers.py",
+)
+"""Files that start, kill and restart the processes of pools and clusters."""
 TRAIN = (
     "test_networks_checkpoints.py",
     "test_networks_fan.py",
     "test_networks_flow.py",
     "test_training.py",
+    "test_training_dense.py",
     "test_training_flow.py",
 )
 """Files that need PyTorch as a whole; single tests elsewhere have the mark themselves."""
-MARKS = {"slow": SLOW, "browser": BROWSER, "train": TRAIN}
+MARKS = {"slow": SLOW, "browser": BROWSER, "workers": WORKERS, "train": TRAIN}
 LEFT_OUT = {
     "slow": "long tests (make test)",
     "browser": "tests in a browser (make test)",
+    "workers": "worker processes that are killed and restarted (make test-workers)",
     "notebook": "notebooks from top to bottom (make notebooks)",
     "train": "tests of training and of PyTorch's models (make test-train)",
 }

@@ -54,7 +54,7 @@ def detector(monkeypatch):
     """The bright squares stand in for every detector, under the name that "auto" would give."""
     asked = []
 
-    def make(name):
+    def make(name, face_landmarker):
         asked.append(name)
         return BrightSquares("network" if name == "auto" else name)
 

@@ -167,14 +167,28 @@ def test_a_blurred_face_is_less_sharp(tracked):
     assert sharpness(cv2.GaussianBlur(picture, (0, 0), 3.0), tracked[0]) < 0.2 * sharpness(picture, tracked[0])
 
 
-def test_the_person_in_a_clip_becomes_a_character(tracked, tmp_path):
-    made = character_of_clip(tracked, open_frames(sample("laugh")), tmp_path / "me", Wardrobe(hair="short01"))
+def test_the_person_in_a_clip_becomes_a_character(tracked, run, monkeypatch, tmp_path):
+    """By the command, whose work is that of `character_of_clip`."""
+    tracked.save(tmp_path / "run" / "track.npz")
+    returned = []
+
+    def noted(*arguments):
+        returned.append(character_of_clip(*arguments))
+        return returned[0]
+
+    monkeypatch.setattr("workbench.pipeline.clip_character.character_of_clip", noted)
+    options = ["--pictures", str(sample("laugh")), "--hair", "short01", "--eyes", "grey"]
+    code, out, _ = run("character", "run", "--out", "me", *options)
+    assert code == 0
+    assert "name it with --character" in out
+    (made,) = returned
     assert made.seen_share > 0.1
     assert len(made.frames) >= 5
     for name in (str(tmp_path / "me"), str(tmp_path / "me" / "character.toml")):
         assert preset("joint").changed(head={"character": name}).head.character == name
         head = load_character(name)
     np.testing.assert_allclose(head.character.identity, tracked.identity[0], atol=1e-3)
+    assert head.character.eyes == "grey"
     assert {worn.part.kind for worn in head.worn} >= {"hair", "clothes", "eyes"}
     assert "brows" not in {worn.part.kind for worn in head.worn}
     # As brown as the man himself, and his hair as dark.
@@ -199,12 +213,8 @@ def test_what_is_not_there_is_said_before_the_work(tracked, tmp_path):
     assert not (tmp_path / "me").exists()
 
 
-def test_the_command_makes_one(tracked, run, tmp_path):
+def test_a_colour_is_three_numbers(tracked, run, tmp_path):
     tracked.save(tmp_path / "run" / "track.npz")
-    code, out, _ = run("character", "run", "--out", "me", "--pictures", str(sample("laugh")), "--eyes", "grey")
-    assert code == 0
-    assert "name it with --character" in out
-    assert find_character("me").eyes == "grey"
     code, _, err = run("character", "run", "--out", "me", "--hair-color", "red")
     assert code == 2
     assert "three numbers from 0 to 255" in err

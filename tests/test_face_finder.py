@@ -16,6 +16,7 @@ from workbench.landmarks.alignment import frame_from_points
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.network_detector import NetworkDetector
 from workbench.networks import face_finder
+from workbench.networks.encoder import BLOCKS, WIDTHS
 from workbench.networks.face_finder import (
     OVERLAP,
     SMALLEST_PART,
@@ -26,7 +27,7 @@ from workbench.networks.face_finder import (
     read_face_finder,
     starts,
 )
-from workbench.networks.landmark_network import BLOCKS, WIDTHS, empty_landmark_network, save_landmark_network
+from workbench.networks.landmark_network import empty_landmark_network, save_landmark_network
 from workbench.networks.weights import ARCHITECTURE, save_module
 from workbench.samples import sample
 

@@ -1,10 +1,13 @@
 """A widget in a real kernel with a subshell, as JupyterLab uses it: what it hears while a cell runs."""
 
+import asyncio
 import queue
 import time
 
 import pytest
 from jupyter_client.manager import start_new_kernel
+
+from workbench.widgets.kernel_comms import after_cell
 
 WIDGET = """
 import threading
@@ -109,3 +112,20 @@ def test_nothing_is_lost_while_the_server_does_not_listen(kernel, widget):
         if message["msg_type"] == "stream" and "all sent" in message["content"]["text"]:
             break
     assert numbers == list(range(MANY))
+
+
+def test_what_comes_after_a_cell_waits_for_its_end_and_outside_of_one_for_nothing():
+    done = []
+
+    async def cell():
+        after_cell(lambda: done.append("after"))
+        done.append("cell")
+
+    async def two_cells():
+        await cell()
+        await asyncio.sleep(0)
+        done.append("next cell")
+
+    asyncio.run(two_cells())
+    after_cell(lambda: done.append("at once"))
+    assert done == ["cell", "after", "next cell", "at once"]

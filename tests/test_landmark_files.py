@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from workbench.errors import InputError
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file, write_landmark_file
-from workbench.landmarks.formats.own_csv import CSV_COLUMNS
+from workbench.landmarks.formats.own_csv import csv_columns
 from workbench.landmarks.observations import Landmarks2D
 
 
@@ -93,7 +93,7 @@ def test_csv_writer_leaves_nothing_after_an_error_and_wants_ascending_frames(tmp
     assert list(tmp_path.iterdir()) == []
 
 
-HEADER = ",".join(CSV_COLUMNS)
+HEADER = ",".join(csv_columns())
 CELLS = ["1.0"] * 136
 
 

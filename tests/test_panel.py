@@ -1,5 +1,6 @@
 """The tuning panel without a browser: every control reaches the session, every change reaches the views."""
 
+import asyncio
 import re
 import threading
 import time
@@ -109,6 +110,46 @@ def test_the_views_are_made_before_the_controls_so_that_a_browser_has_time_to_lo
     assert len(views) >= 11
     assert max(views) < 0.5 * len(opened)
     assert any(issubclass(opened[k], WebGLCanvas) for k in views)
+
+
+def test_a_notebook_shows_the_first_frame_before_the_parts_are_made(head, clip):
+    async def cell():
+        made = TuningPanel(TuningSession(head, clip), backend="webgl")
+        first = cv2.imdecode(np.frombuffer(made.children[-1].value, np.uint8), cv2.IMREAD_COLOR)
+        before = len(made.children)
+        await asyncio.sleep(0)
+        return made, first, before
+
+    made, first, before = asyncio.run(cell())
+    assert np.abs(first[..., ::-1].astype(float) - clip.pictures[0]).mean() < 4
+    assert len(made.children) > before
+    assert made.children[-1] is made.tabs
+    made.close()
+
+
+def test_a_part_that_a_cell_asks_for_is_made_at_once(head, clip):
+    async def cell():
+        made = TuningPanel(TuningSession(head, clip), backend="webgl")
+        made.turn("weights.tau", 3.0)
+        with pytest.raises(AttributeError, match="no attribute 'slidrs'"):
+            _ = made.slidrs
+        return made
+
+    made = asyncio.run(cell())
+    assert made.session.config.weights.tau == 3.0
+    assert made.children.count(made.tabs) == 1
+    made.close()
+
+
+def test_a_panel_that_is_closed_before_its_parts_are_made_gets_none(head, clip):
+    async def cell():
+        made = TuningPanel(TuningSession(head, clip), backend="webgl")
+        made.close()
+        await asyncio.sleep(0)
+        return made
+
+    with pytest.raises(AttributeError, match="tabs"):
+        _ = asyncio.run(cell()).tabs
 
 
 def test_a_chart_can_be_drawn_from_what_the_browser_hears_first(monkeypatch):

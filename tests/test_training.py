@@ -60,7 +60,10 @@ def pool_folder(tmp_path_factory):
             pictures[k, y, x, :3] = 255
     pictures_path, numbers_path = shard_paths(folder, 0)
     np.save(pictures_path, pictures)
-    np.savez(numbers_path, points=points, angles=np.zeros((SHARD, 3)), expressions=np.zeros((SHARD, 52)))
+    vertices = np.broadcast_to(points[:, :1], (SHARD, 4, 2))
+    np.savez(
+        numbers_path, points=points, vertices=vertices, angles=np.zeros((SHARD, 3)), expressions=np.zeros((SHARD, 52))
+    )
     return folder
 
 

@@ -327,7 +327,7 @@ class TestTimeline:
         timeline.set_track(self.VALUES, first_index=10)
         track = timeline.get_state("_track")["_track"]
         assert (track["first"], track["count"]) == (10, 50)
-        assert [len(track[name]) for name in ("codes", "largest", "worst", "marks")] == [50 * 68, 200, 50, 50]
+        assert [len(track[name]) for name in ("codes", "largest", "worst", "marks")] == [50 * 68, 200, 100, 50]
         assert "_track" in sent.updates[0]
         assert timeline.frame == 10
 

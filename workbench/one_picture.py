@@ -13,13 +13,13 @@ from matplotlib.figure import Figure
 
 from workbench.config import DEFAULT_PRESET, Config, preset, read_config
 from workbench.errors import InputError
-from workbench.face import FaceModel, load_default_head, load_face_model, posed_vertices
+from workbench.face import FaceModel, in_scheme, load_default_head, load_face_model, posed_vertices
 from workbench.frames import Frame, read_picture
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import POINT_COUNT
+from workbench.landmarks.scheme import LandmarkScheme
 from workbench.pictures.mesh import to_camera
 from workbench.pictures.overlay import ALL_BUT_MESH, draw_overlay
 from workbench.pipeline import wanted_steps
@@ -69,7 +69,7 @@ class PictureFit:
 
     @property
     def landmarks(self) -> Landmarks2D:
-        """The 68 points that were fitted, pixels."""
+        """The points that were fitted, pixels."""
         return Landmarks2D(self.frame.observed, self.frame.confidence, self.frame.image_size)
 
     @property
@@ -90,7 +90,7 @@ class PictureFit:
 
     @property
     def error_px(self) -> float:
-        """Mean distance of the model's 68 landmarks from the observed ones."""
+        """Mean distance of the model's landmarks from the observed ones."""
         return self.frame.errors[0]
 
     @property
@@ -123,16 +123,16 @@ def fit(
 ) -> PictureFit:
     """Fit the head in one picture: RGB as 8-bit integers (h, w, 3), or an image file.
 
-    `landmarks` (68 points in pixels, or a landmark file) replace the detector. `model` is a face model or its file, the
-    default head if left out; `config` a configuration, the name of a preset, or a TOML file. Of several faces the
-    largest counts, or the one around `landmarks.face` of the configuration. Detector and solver are kept for the next
-    call with the same model, so load a model's file once. The numbers are those of `workbench track`. Raises
+    `landmarks` (a scheme's points in pixels, or a landmark file) replace the detector. `model` is a face model or its
+    file, the default head if left out; `config` a configuration, the name of a preset, or a TOML file. Of several faces
+    the largest counts, or the one around `landmarks.face` of the configuration. Detector and solver are kept for the
+    next call with the same model, so load a model's file once. The numbers are those of `workbench track`. Raises
     `InputError` for a picture without a face, and for anything that cannot be used.
     """
     picture, config, model = _picture(picture), _config(config), _model(model)
     with _ONE_AT_A_TIME:
         observation = _observation(picture, landmarks, config, detector)
-        frame = _tracker(_Task(model, config)).push(observation)[-1]
+        frame = _tracker(_Task(model, config, observation.landmarks.scheme)).push(observation)[-1]
     return PictureFit(picture, model, replace(frame, shot=0))
 
 
@@ -142,9 +142,12 @@ class _Task:
 
     model: FaceModel
     config: Config
+    scheme: LandmarkScheme
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Task) and self.model is other.model and self.config == other.config
+        if not isinstance(other, _Task):
+            return False
+        return self.model is other.model and self.config == other.config and self.scheme is other.scheme
 
     def __hash__(self) -> int:
         return id(self.model)
@@ -152,12 +155,12 @@ class _Task:
 
 @lru_cache(maxsize=2)
 def _tracker(task: _Task) -> FaceTracker:
-    return FaceTracker(task.model, task.config, stills=True)
+    return FaceTracker(in_scheme(task.model, task.scheme), task.config, stills=True)
 
 
 @cache
-def _detector(name: str) -> LandmarkDetector:
-    return make_detector(name)
+def _detector(name: str, face_landmarker: str) -> LandmarkDetector:
+    return make_detector(name, face_landmarker)
 
 
 def _model(model: FaceModel | str | Path | None) -> FaceModel:
@@ -204,7 +207,7 @@ def _observation(picture, landmarks, config: Config, detector) -> FrameObservati
 
 def _found(picture: np.ndarray, config: Config, detector: LandmarkDetector | str | None) -> FrameObservation:
     if detector is None or isinstance(detector, str):
-        detector = _detector(detector or config.landmarks.detector)
+        detector = _detector(detector or config.landmarks.detector, config.landmarks.face_landmarker)
     source = PictureSource(_OnePicture(picture), detector, config, keep_pictures=True)
     observation = next(source.observations(0, {}, stills=True))
     if observation.landmarks is None:
@@ -219,7 +222,7 @@ def _given(landmarks: Landmarks2D | np.ndarray | str | Path, size: tuple[int, in
     if isinstance(landmarks, str | Path):
         landmarks = _read_landmarks(landmarks, size)
     if not isinstance(landmarks, Landmarks2D):
-        return Landmarks2D(np.asarray(landmarks), np.ones(POINT_COUNT), size)
+        return Landmarks2D(np.asarray(landmarks), np.ones(len(landmarks)), size)
     if landmarks.image_size != size:
         of, this = ("{} × {}".format(*pixels) for pixels in (landmarks.image_size, size))
         raise InputError(f"The landmarks are of a picture of {of} pixels, this one has {this}; give this one's.")

@@ -10,6 +10,7 @@ from workbench.config import Config, Stage, preset
 from workbench.energies import TABLE, EnergyConstants
 from workbench.errors import ConfigError
 from workbench.geometry import read_rig
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.tracking.plan import (
     CameraPlan,
     DeepPlan,
@@ -25,18 +26,23 @@ from workbench.tracking.plan import (
 Section = TypeVar("Section", IdentityPlan, DeepPlan, FlowPlan, InfillPlan, RefinementPlan)
 
 
-def plan_of(config: Config) -> Plan:
-    """The plan of a configuration.
+def plan_of(config: Config, scheme: LandmarkScheme = IBUG68) -> Plan:
+    """The plan of a configuration for landmarks of a scheme.
 
-    Raises `InputError` and `ConfigError` for a rig that cannot be used.
+    Raises `InputError` and `ConfigError` for a rig that cannot be used, and for landmarks that the system cannot.
     """
-    points = np.array(config.point_weights())
+    if config.traits.renders and scheme is not IBUG68:
+        raise ConfigError(
+            f"Deep Energies compares photo and render at the 68 points of its network, and these landmarks are the "
+            f"{len(scheme)} of {scheme.name!r}; choose a FACE IT! preset, or another landmarks.detector."
+        )
+    points = np.array(config.point_weights(scheme))
     return Plan(
         system=config.system,
         terms=config.terms,
         linked=any(TABLE[name].links_frames for name in config.summed_terms),
         compares_pictures=config.compares_pictures,
-        stages=tuple(_stage(config, stage, points) for stage in config.stages),
+        stages=tuple(_stage(config, stage, points, scheme) for stage in config.stages),
         camera=camera_plan(config),
         solver=SolverPlan(
             config.solver.method, config.solver.bounded, config.solver.tolerance, config.solver.unit == "percent"
@@ -81,7 +87,7 @@ def camera_plan(config: Config) -> CameraPlan:
     )
 
 
-def _stage(config: Config, stage: Stage, points: np.ndarray) -> StagePlan:
+def _stage(config: Config, stage: Stage, points: np.ndarray, scheme: LandmarkScheme) -> StagePlan:
     return StagePlan(
         name=stage.name,
         enabled=stage.enabled,
@@ -89,7 +95,7 @@ def _stage(config: Config, stage: Stage, points: np.ndarray) -> StagePlan:
         free=stage.free,
         shapes=stage.shapes,
         limit=stage.limit,
-        landmark_weights=np.multiply(stage.landmark_weights(config.subsets), points),
+        landmark_weights=np.multiply(stage.landmark_weights(config.subsets, scheme), points),
         omega=np.array(config.factors(stage)),
     )
 

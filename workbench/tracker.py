@@ -34,7 +34,7 @@ class FaceTracker:
         self.model = model
         self.stills = stills
         self._config = config
-        self._walk = Walk(make_fitter(model, plan_of(config)))
+        self._walk = Walk(make_fitter(model, plan_of(config, model.scheme)))
         self._pending: list[FrameObservation] = []
         self._start_shot()
 
@@ -51,7 +51,7 @@ class FaceTracker:
 
     def configure(self, config: Config) -> None:
         """Use another configuration from the next frame on."""
-        self._config, self._walk.fitter = config, configured(self.fitter, plan_of(config))
+        self._config, self._walk.fitter = config, configured(self.fitter, plan_of(config, self.model.scheme))
 
     def push(self, observation: FrameObservation) -> list[FrameFit]:
         """Take the next frame; return the fits that are ready, in order."""

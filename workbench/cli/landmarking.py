@@ -14,7 +14,7 @@ from rich.table import Table
 
 import workbench
 from workbench.cli import screen
-from workbench.cli.tracking import DETECTOR_HELP, FACE_HELP, NO_FACE, print_licence_notice, wanted_face
+from workbench.cli.tracking import DETECTOR_HELP, FACE_HELP, LANDMARKER_HELP, NO_FACE, print_licence_notice, wanted_face
 from workbench.config import DEFAULT_PRESET, preset
 from workbench.errors import InputError
 from workbench.files import check_not_inputs
@@ -68,6 +68,7 @@ def landmarks(
     inputs: Annotated[list[Path], typer.Argument(help="Photos, a folder or a video.")],
     out: Annotated[Path, typer.Option(help="CSV file for the landmarks.")] = Path("landmarks.csv"),
     detector: Annotated[str, typer.Option(help=DETECTOR_HELP)] = "auto",
+    face_landmarker: Annotated[Path | None, typer.Option(help=LANDMARKER_HELP)] = None,
     face: Annotated[str | None, typer.Option(help=FACE_HELP)] = None,
     pictures: Annotated[bool, typer.Option(help="Draw the points, coloured by confidence.")] = True,
 ) -> None:
@@ -77,7 +78,8 @@ def landmarks(
     for path in inputs:
         if workbench.pipeline.is_landmark_file(path):
             raise InputError(f"{path} holds landmarks, not a picture to find them in; `workbench track` reads it.")
-    settings = preset(DEFAULT_PRESET).changed(landmarks={"detector": detector, "face": wanted_face(face)})
+    chosen = {"detector": detector, "face_landmarker": str(face_landmarker or ""), "face": wanted_face(face)}
+    settings = preset(DEFAULT_PRESET).changed(landmarks=chosen)
     source = workbench.pipeline.open_source(inputs, settings, None)
     drawn = _drawings(source.frames, out) if pictures else None
     check_not_inputs([out] if drawn is None else [out, drawn, *_drawn_there(drawn)], inputs)
@@ -105,7 +107,7 @@ def _drawn_there(drawn: Path) -> list[Path]:
 def _find(source: "workbench.pipeline.PictureSource", out: Path, drawn: Path | None, progress: Progress) -> list[Found]:
     files, draw, found = workbench.landmarks.files, workbench.pictures.draw_landmarks, []
     with ExitStack() as opened:
-        table = opened.enter_context(files.LandmarkCsvWriter(out))
+        table = opened.enter_context(files.LandmarkCsvWriter(out, scheme=source.scheme))
         film = None
         if drawn is not None and source.frames.kind == "video":
             rate = source.frames.rate or RATE_WITHOUT_CLOCK

@@ -60,7 +60,11 @@ PRESET_HELP = f"One of: {', '.join(PRESETS)}."
 IDENTITY_HELP = "Calibrate the subject's face shape first."
 PICTURES_HELP = "Write the overlay video or pictures."
 RESUME_HELP = "Continue an interrupted run."
-DETECTOR_HELP = "auto (dlib+network where dlib is installed, else network), network, dlib, dlib-hog or dlib-cnn."
+DETECTOR_HELP = (
+    "auto (dlib+network where dlib is there, else network), network, dense (377 points, not 68), dlib, dlib-hog, "
+    "dlib-cnn or mediapipe."
+)
+LANDMARKER_HELP = "MediaPipe's model face_landmarker.task, for --detector mediapipe."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 ENERGY_HELP = "deep (network on the render), points (on the mesh) or mixed."
 FRAMES_HELP = "Only frames A-B (or one frame); the results are numbered from the part's start."
@@ -84,6 +88,7 @@ def track(
     frames: Annotated[str | None, typer.Option(help=FRAMES_HELP, rich_help_panel=INPUT)] = None,
     stills: Annotated[bool, typer.Option("--stills", help=STILLS_HELP, rich_help_panel=INPUT)] = False,
     detector: Annotated[str | None, typer.Option(help=DETECTOR_HELP, rich_help_panel=INPUT)] = None,
+    face_landmarker: Annotated[Path | None, typer.Option(help=LANDMARKER_HELP, rich_help_panel=INPUT)] = None,
     face: Annotated[str | None, typer.Option(help=FACE_HELP, rich_help_panel=INPUT)] = None,
     landmarks: Annotated[Path | None, typer.Option(help=GIVEN_HELP, rich_help_panel=INPUT)] = None,
     fov: Annotated[float | None, typer.Option(help=FOV_HELP, rich_help_panel=INPUT)] = None,
@@ -110,6 +115,8 @@ def track(
     settings = _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine)
     if character is not None:
         settings = settings.changed(head={"character": character})
+    if face_landmarker is not None:
+        settings = settings.changed(landmarks={"face_landmarker": str(face_landmarker)})
     folder = out or Path("out") / (inputs[0].stem or "run")
     workbench.pipeline.check_inputs_kept(folder, [path for path in (config, model) if path is not None])
     with screen.at_work(workers, scheduler) as staff:

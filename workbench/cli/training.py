@@ -28,6 +28,10 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
 
   workbench train finder training                 the face finder, from the same pool
 
+  workbench train dense training --start training/landmarks.safetensors
+                                                  some 300 points with their uncertainty, on the landmark
+                                                  network's encoder
+
   workbench train flow training                   the flow network, from pairs of its own
 """
 
@@ -45,6 +49,7 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Train again, from 
 RESULTS = {
     "landmarks": ("landmarks.safetensors", "tables.md"),
     "finder": ("finder.safetensors",),
+    "dense": ("dense.safetensors", "dense_tables.md"),
     "flow": ("flow.safetensors", "flow_tables.md"),
 }
 """What each training leaves at its end. Its checkpoints are in a folder of its name."""
@@ -87,6 +92,25 @@ def finder(
     recipe = QUICK if quick else further
     with training_folder(folder, "finder", overwrite):
         screen.console.print(train_face_finder(folder, recipe, workers, device, screen.console.print))
+
+
+@train_app.command(help="Train the dense network.")
+def dense(
+    folder: Folder,
+    quick: Quick = False,
+    workers: Workers = 1,
+    device: Device = "cpu",
+    start: Start = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Train the dense network."""
+    check_installed("train", "torch")
+    from workbench.training.recipe import DENSE_PLAN, QUICK_DENSE, Recipe, train_dense_network
+
+    recipe = QUICK_DENSE if quick else Recipe(plan=DENSE_PLAN, start=start)
+    with training_folder(folder, "dense", overwrite):
+        screen.console.print(train_dense_network(folder, recipe, workers, device, screen.console.print))
+    screen.console.print((folder / "dense_tables.md").read_text(encoding="utf-8"), markup=False)
 
 
 @train_app.command(help="Train the flow network.")

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from workbench.config.schedules import PRESET_STAGES, Stage, unknown_group, weights_in_turn
+from workbench.config.schedules import ALL_GROUPS, PRESET_STAGES, Stage, unknown_group, weights_in_turn
 from workbench.config.sections import (
     CameraConfig,
     ConstantsConfig,
@@ -27,7 +27,8 @@ from workbench.energies.systems import SYSTEMS
 from workbench.energies.systems import System as SystemTraits
 from workbench.energies.terms import NODES, TABLE, stage_factors, terms_of
 from workbench.errors import ConfigError
-from workbench.landmarks.scheme import GROUPS
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.schemes import MOST_POINTS
 from workbench.reading import shortened
 
 VERSION = 3
@@ -55,15 +56,15 @@ class Config(Section):
     flow: FlowConfig = FlowConfig()
     infill: InfillConfig = InfillConfig()
     refinement: RefinementConfig = RefinementConfig()
-    subsets: dict[str, tuple[Annotated[int, Field(ge=0, lt=68)], ...]] = Field(
+    subsets: dict[str, tuple[Annotated[int, Field(ge=0, lt=MOST_POINTS)], ...]] = Field(
         {}, description="Named sets of landmark numbers, used like the built-in groups."
     )
     stages: tuple[Stage, ...] = Field(min_length=1, default=(), description="Solved in this order.")
     provenance: Provenance | None = Field(None, description="Where an exported configuration comes from.")
 
-    def point_weights(self) -> list[float]:
-        """Factor of each of the 68 landmarks in every stage: 1 unless entries of `landmarks.weights` overwrite it."""
-        return weights_in_turn(self.landmarks.weights, self.subsets, 1.0)
+    def point_weights(self, scheme: LandmarkScheme = IBUG68) -> list[float]:
+        """Factor of each landmark in every stage: 1 unless entries of `landmarks.weights` overwrite it."""
+        return weights_in_turn(self.landmarks.weights, self.subsets, 1.0, scheme)
 
     def moved_points(self, frame: int) -> dict[int, tuple[float, float]]:
         """The detections of a frame that were corrected by hand, by point number."""
@@ -125,7 +126,7 @@ class Config(Section):
     @model_validator(mode="after")
     def _names_are_known(self):
         for name in self.subsets:
-            if name in GROUPS or name.isdigit() or not name:
+            if name in ALL_GROUPS or name.isdigit() or not name:
                 raise ValueError(f"a subset cannot be called {name!r}: that is a built-in group or a point number")
         tables = {"landmarks.weights": self.landmarks.weights}
         tables |= {f"stage {stage.name!r}": stage.landmarks for stage in self.stages}

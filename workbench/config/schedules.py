@@ -10,7 +10,8 @@ from pydantic import Field, field_validator
 from workbench.config.sections import Iterations, NonNegative, Section
 from workbench.energies.systems import PARAMETER_BLOCKS
 from workbench.energies.terms import TABLE
-from workbench.landmarks.scheme import GROUPS
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.schemes import MOST_POINTS, SCHEMES
 
 NAMED_TERMS = tuple(name for name in TABLE if name not in ("landmarks", "identity"))
 """The terms a stage may add. Landmarks are in every stage; the identity prior is wherever the identity is free."""
@@ -41,26 +42,40 @@ class Stage(Section):
             raise ValueError("lists a parameter twice")
         return tuple(name for name in PARAMETER_BLOCKS if name in value)
 
-    def landmark_weights(self, subsets: Mapping[str, Sequence[int]] = MappingProxyType({})) -> list[float]:
-        """Weight of each of the 68 landmarks: 0, then overwritten by each group or subset in turn."""
-        return weights_in_turn(self.landmarks, subsets, 0.0)
+    def landmark_weights(
+        self, subsets: Mapping[str, Sequence[int]] = MappingProxyType({}), scheme: LandmarkScheme = IBUG68
+    ) -> list[float]:
+        """Weight of each landmark: 0, then overwritten by each group or subset in turn."""
+        return weights_in_turn(self.landmarks, subsets, 0.0, scheme)
 
 
-def weights_in_turn(table: Mapping[str, float], subsets: Mapping[str, Sequence[int]], start: float) -> list[float]:
-    """Weight of each of the 68 landmarks: `start`, then overwritten by each group, subset or point number in turn."""
-    weights = [start] * 68
+def weights_in_turn(
+    table: Mapping[str, float], subsets: Mapping[str, Sequence[int]], start: float, scheme: LandmarkScheme = IBUG68
+) -> list[float]:
+    """Weight of each landmark: `start`, then overwritten by each group, subset or point number in turn.
+
+    What the scheme has no points for weighs nothing.
+    """
+    weights = dict.fromkeys(range(len(scheme)), start)
+    groups = {**ALL_GROUPS, **scheme.groups, **subsets}
     for name, weight in table.items():
-        for index in (int(name),) if name.isdigit() else (GROUPS | dict(subsets))[name]:
-            weights[index] = weight
-    return weights
+        chosen = (int(name),) if name.isdigit() else groups[name]
+        weights |= {index: weight for index in chosen if index in weights}
+    return list(weights.values())
+
+
+ALL_GROUPS: Mapping[str, tuple[int, ...]] = MappingProxyType(
+    {name: points for scheme in SCHEMES.values() for name, points in scheme.groups.items()}
+)
+"""Every group's name, with the points that the largest scheme gives it."""
 
 
 def unknown_group(name: str, subsets: Mapping[str, Sequence[int]]) -> str | None:
     """What is wrong with the name of a landmark group; None if it is valid."""
-    if name in GROUPS or name in subsets or (name.isdigit() and int(name) < 68):
+    if name in ALL_GROUPS or name in subsets or (name.isdigit() and int(name) < MOST_POINTS):
         return None
-    near = difflib.get_close_matches(name, [*GROUPS, *subsets], 1)
-    hint = f"did you mean {near[0]!r}?" if near else f"the groups are {', '.join([*GROUPS, *subsets])}"
+    near = difflib.get_close_matches(name, [*ALL_GROUPS, *subsets], 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"the groups are {', '.join([*ALL_GROUPS, *subsets])}"
     return f"knows no landmark group {name!r}; {hint}"
 
 

@@ -9,8 +9,8 @@ from workbench.face.characters import PLAIN, character_names, is_character
 
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
-PointKey = Annotated[str, Field(pattern=r"^([0-9]|[1-5][0-9]|6[0-7])$")]
-"""A point number from 0 to 67, as text because TOML keys are text."""
+PointKey = Annotated[str, Field(pattern=r"^([0-9]|[1-9][0-9]|[12][0-9]{2}|3[0-6][0-9]|37[0-6])$")]
+"""A point number from 0 to 376, the last of the largest landmark scheme, as text because TOML keys are text."""
 Iterations = Annotated[int, Field(ge=0, le=500)]
 
 
@@ -131,11 +131,14 @@ class HeadConfig(Section):
 
 
 class LandmarksConfig(Section):
-    """Detection and tracking of the 68 points."""
+    """Detection and tracking of the points."""
 
-    detector: Literal["auto", "dlib+network", "network", "dlib", "dlib-hog", "dlib-cnn"] = Field(
-        "auto", description="Face detector and predictor; auto: dlib+network where dlib is installed, else network."
+    detector: Literal["auto", "dlib+network", "network", "dense", "dlib", "dlib-hog", "dlib-cnn", "mediapipe"] = Field(
+        "auto",
+        description="Face detector and predictor; auto: dlib+network where dlib is installed, else network. dense: "
+        "points of the whole face with a covariance each, the others: 68.",
     )
+    face_landmarker: str = Field("", description="MediaPipe's model face_landmarker.task, for the detector mediapipe.")
     face: tuple[float, float] | None = Field(
         None, description="A pixel inside the face to track; default: the largest face."
     )

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from workbench.config import Config
 from workbench.diagnosis.records import FrameFlags
-from workbench.landmarks.scheme import face_size
+from workbench.landmarks.scheme import POINT_COUNT, face_size
 from workbench.solvers import Status
 from workbench.tracking import Track
 from workbench.tracking.failures import failures_of
@@ -60,7 +60,7 @@ def _failed(track: Track) -> _Screen:
 
 
 def _residual(track: Track) -> _Screen:
-    residual = np.linalg.norm(track.projected - track.observed, axis=2)
+    residual = np.linalg.norm(track.projected - track.observed, axis=2)[:, :POINT_COUNT]
     percent = 100.0 * residual[:, 17:].mean(1) / face_size(track.observed)
     shown = frame_errors(track)[:, 2]  # the error shown in tables and charts
     above = np.zeros(len(track))
@@ -97,7 +97,8 @@ def _frozen(track: Track) -> _Screen:
 
 def _limit(track: Track) -> _Screen:
     at_limit = (track.status == Status.ITERATION_LIMIT.value).any(axis=1)
-    residual = np.linalg.norm(track.projected - track.observed, axis=2).mean(1) / face_size(track.observed)
+    distance = np.linalg.norm(track.projected - track.observed, axis=2)[:, :POINT_COUNT]
+    residual = distance.mean(1) / face_size(track.observed)
     severity = np.zeros(len(track))
     for shot in _shots(track):
         converged = shot & ~at_limit
@@ -116,7 +117,7 @@ def _bounds(track: Track, config: Config | None) -> _Screen:
 
 
 def _outside(track: Track) -> _Screen:
-    count = outside_picture(track.observed, track.image_size[:, None]).sum(axis=1)
+    count = outside_picture(track.observed[:, :POINT_COUNT], track.image_size[:, None]).sum(axis=1)
     return _Screen(_ramp(count / FEWEST_OUTSIDE), lambda frame: f"{count[frame]} landmarks outside the picture")
 
 

@@ -1,4 +1,4 @@
-"""Which blendshapes the 68 landmarks cannot tell apart, from the derivative of the landmarks by the weights.
+"""Which blendshapes the landmarks cannot tell apart, from the derivative of the landmarks by the weights.
 
 A weight moves the landmarks along its column of the Jacobian. It is hidden in two cases: if it moves no landmark at all
 (the tongue), or if a combination of other weights moves the landmarks in the same way. The data then determine only the
@@ -37,15 +37,15 @@ class Indistinguishable:
     """Blendshapes that can replace or cancel each other, in the order of `names`."""
 
 
-def landmark_motion(points: PointModel, camera: Camera, parameters: FaceParameters) -> Float[np.ndarray, "136 k"]:
-    """How each weight moves the 68 projected landmarks, beyond the motion that the pose can compensate.
+def landmark_motion(points: PointModel, camera: Camera, parameters: FaceParameters) -> Float[np.ndarray, "m k"]:
+    """How each weight moves the projected landmarks, beyond the motion that the pose can compensate.
 
     In percent of the outer-eye distance at weight 1; rows alternate x and y of each landmark.
     """
     eye_distance_mm = float(np.linalg.norm(np.asarray(points.neutral[45] - points.neutral[36])))
     unit = 0.01 * float(np.mean(np.asarray(camera.focal_px))) * eye_distance_mm / float(parameters.translation[2])
     at = project_landmarks(camera, points, parameters)
-    observation = Observation(at, jnp.ones(68), jnp.asarray(unit))
+    observation = Observation(at, jnp.ones(len(at)), jnp.asarray(unit))
     _, jacobian = reprojection_with_jacobian(camera, points, parameters, observation, (*POSE, "expression"))
     jacobian = np.asarray(jacobian)
     pose, weights = np.linalg.qr(jacobian[:, :6])[0], jacobian[:, 6:]

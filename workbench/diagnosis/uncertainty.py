@@ -37,9 +37,9 @@ RANK = 1e-12
 class Linearised(NamedTuple):
     """The least-squares problem around a fit, with all unknowns of a frame free."""
 
-    residual: Float[np.ndarray, "136"]
+    residual: Float[np.ndarray, "m"]
     """Data residual, percent of the outer-eye distance, with landmark weights applied."""
-    jacobian: Float[np.ndarray, "136 n"]
+    jacobian: Float[np.ndarray, "m n"]
     """Its derivative by rotation (axis-angle), translation and weights."""
     matrix: Float[np.ndarray, "n n"]
     """JᵀJ of all terms, in the energy's unit."""
@@ -48,7 +48,7 @@ class Linearised(NamedTuple):
     """ω_sparse · ω_fit."""
     unit: float
     """Size of one unit of the residual, % of the outer-eye distance."""
-    row_weights: Float[np.ndarray, "136"]
+    row_weights: Float[np.ndarray, "m"]
     """Weight of each coordinate: landmark weight times what the detection counts."""
 
 
@@ -60,15 +60,16 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
     if not fit.found:
         raise InputError(f"Frame {fit.index} has no landmarks; choose a frame with a face to estimate uncertainty.")
     stage = config.running(start=context.last is None)[-1]
-    weights = np.multiply(stage.landmark_weights(config.subsets), config.point_weights())
+    scheme = model.scheme
+    weights = np.multiply(stage.landmark_weights(config.subsets, scheme), config.point_weights(scheme))
     # A fit does not hold the pictures that the flow term would need.
     terms = tuple(name for name in config.terms if not TABLE[name].compares_pictures)
     factors = stage_factors(config.omega(), config.system, FREE, stage.terms, terms)
     personal = landmark_model(model).personal(np.asarray(fit.identity))
     last = context.last
     zero = np.zeros(6)
-    plan = plan_of(config)
-    counts = plan.counts(fit.confidence)
+    plan = plan_of(config, scheme)
+    counts, whitening = (plan.counts(fit.confidence), None) if fit.landmarks is None else plan.measured(fit.landmarks)
     parameters = FaceParameters(fit.rotation, fit.translation, fit.expression, np.zeros(0))
     frame = FrameInput(
         np.column_stack([fit.observed, counts]),
@@ -76,6 +77,7 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
         zero if last is None else np.asarray(last.last_pose),
         np.asarray(float(last is not None and last.frames >= 2)),
         parameters,
+        whitening=whitening,
     )
     settings = solve_settings(plan)
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (fit.camera, personal, settings))
@@ -84,6 +86,8 @@ def linearise(model: FaceModel, config: Config, context: FrameContext, fit: Fram
             *arrays, jnp.asarray(weights), jnp.asarray(factors), frame, parameters, terms
         )
     percent = 1.0 if config.solver.unit == "percent" else float(unit)
+    if whitening is not None:
+        percent = float(unit) * float(np.median(np.linalg.det(whitening) ** -0.5))
     return Linearised(
         *(np.asarray(part) for part in (residual, jacobian, matrix, gradient)),
         data_factor=factors[terms.index("landmarks")],
@@ -97,7 +101,7 @@ def _linearised(
     camera: Camera,
     model: LandmarkModel,
     settings: SolveSettings,
-    weights: Float[jax.Array, "68"],
+    weights: Float[jax.Array, "points"],
     omega: Float[jax.Array, "t"],
     frame: FrameInput,
     parameters: FaceParameters,

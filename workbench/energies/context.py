@@ -15,8 +15,8 @@ from workbench.face.parameters import FaceParameters
 class LandmarkErrors(NamedTuple):
     """Model landmarks minus observed ones, in every view of a frame."""
 
-    error: Float[AnyArray, "*views 68 2"]
-    root: Float[AnyArray, "*views 68"]
+    error: Float[AnyArray, "*views points 2"]
+    root: Float[AnyArray, "*views points"]
     """√ of what each landmark's squared error counts."""
     unit: Scalar = 1.0
     """What counts as 1, in the unit of the errors."""

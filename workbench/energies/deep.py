@@ -30,12 +30,12 @@ and the rigid prior of Sec. 5."""
 
 
 class DeepModel(NamedTuple):
-    """A face to be rendered, and where its 68 preselected points lie."""
+    """A face to be rendered, and where its preselected points lie."""
 
     render: RenderModel
-    landmarks: Int[AnyArray, "68 3"]
+    landmarks: Int[AnyArray, "points 3"]
     """Vertices around each point."""
-    barycentric: Float[AnyArray, "68 3"]
+    barycentric: Float[AnyArray, "points 3"]
     contour: Int[AnyArray, "b 17 3"]
     """The jaw contour, frontal first and then for each tabulated yaw."""
     contour_barycentric: Float[AnyArray, "b 17 3"]
@@ -99,8 +99,8 @@ def view_vertices(model: DeepModel, view: DeepView, parameters: FaceParameters) 
 
 def preselected_points(
     model: DeepModel, view: DeepView, parameters: FaceParameters, sliding: Scalar = 1.0
-) -> Float[Array, "68 2"]:
-    """The 68 points on the mesh, projected, pixels (Appendix C.1). `sliding` 1: the jaw contour follows the yaw."""
+) -> Float[Array, "points 2"]:
+    """The points on the mesh, projected, pixels (Appendix C.1). `sliding` 1: the jaw contour follows the yaw."""
     # Only the vertices around the points: the derivative by all unknowns is not taken of the whole mesh.
     around = jnp.concatenate([model.contour.ravel(), model.landmarks[17:].ravel()])
     vertices = view_vertices(model._replace(render=model_at(model.render, around)), view, parameters)

@@ -25,6 +25,7 @@ from workbench.face import FaceModel, FaceParameters
 from workbench.face.jaw_unit import JawUnit
 from workbench.flow import SurfacePoints, points_in_camera
 from workbench.geometry import Camera, project
+from workbench.landmarks.scheme import POINT_COUNT
 
 LANDMARKS = 68.0
 """All points of a view count as so many landmarks, however many they are."""
@@ -164,6 +165,6 @@ def _on_face(model: FaceModel, to_landmarks: Float[np.ndarray, "t 68"]) -> Bool[
 
 
 def _to_landmarks(model: FaceModel) -> Float[np.ndarray, "t 68"]:
-    """Distance of each triangle's centre from each landmark, millimetres."""
+    """Distance of each triangle's centre from each of the 68 landmarks, millimetres."""
     centres = model.neutral[model.triangles].mean(axis=1)
-    return np.linalg.norm(centres[:, None] - model.landmarks.of(model.neutral)[None], axis=2)
+    return np.linalg.norm(centres[:, None] - model.landmarks.of(model.neutral)[None, :POINT_COUNT], axis=2)

@@ -22,9 +22,8 @@ from workbench.export.summary import summary_of
 from workbench.face import DressedHead, FaceModel
 from workbench.files import atomic_path
 from workbench.frames import Frames
-from workbench.landmarks.scheme import GROUPS
 from workbench.pictures import HeadPanel, OverlayParts, draw_overlay, side_by_side
-from workbench.plots import STRIP_ROWS, close_up
+from workbench.plots import close_up
 from workbench.tracking import Track
 from workbench.tracking.records import SOURCES, frame_errors
 
@@ -183,7 +182,7 @@ def _gallery(track, positions, pictures) -> str:
 def _errors(track: Track, flags: FrameFlags) -> str:
     errors = frame_errors(track)
     curves = {"inner 51": errors[:, 2], "all 68": errors[:, 3]}
-    rows = "".join(f'<li style="flex:{count}">{html.escape(group)}</li>' for group, count in strip_rows())
+    rows = "".join(f'<li style="flex:{count}">{html.escape(group)}</li>' for group, count in strip_rows(track))
     strip = data_address(residual_picture(track), ".png")
     grey = "no face, or filled from its neighbours" if _filled(track).any() else "no face"
     scale = f'0 <span class="scale" style="background:{scale_gradient()}"></span> 10 % and more'
@@ -222,7 +221,8 @@ def _worst(track: Track, positions: list[int], flags: FrameFlags, pictures) -> s
 def _largest_parts(track: Track, position: int) -> str:
     """The two parts of the face with the largest mean errors."""
     fit = track[position]
-    means = {group: float(fit.residuals_percent[list(GROUPS[group])].mean()) for group in STRIP_ROWS}
+    parts = fit.scheme.parts.items()
+    means = {part: float(fit.residuals_percent[list(points)].mean()) for part, points in parts}
     worst = sorted(means, key=means.get, reverse=True)[:2]
     return " and ".join(f"{group} ({means[group]:.1f} %)" for group in worst)
 

@@ -9,9 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from workbench.landmarks.scheme import GROUPS
 from workbench.pictures.overlay import WORST_PERCENT, residual_colors
-from workbench.plots import STRIP_ROWS
 from workbench.tracking import Track
 
 WIDTH, HEIGHT = 860.0, 190.0
@@ -68,7 +66,7 @@ def line_chart(
 
 def residual_picture(track: Track) -> UInt8[np.ndarray, "h n 3"]:
     """One row per landmark, by parts of the face, one column per frame: errors in colour, grey without landmarks."""
-    order = [point for group in STRIP_ROWS for point in GROUPS[group]]
+    order = [point for points in track.scheme.parts.values() for point in points]
     percent = np.where(track.seen[:, None], track.residuals_percent, np.nan)
     percent = percent[:: -(-len(track) // MOST_POINTS)]
     picture = np.array(residual_colors(percent.ravel()), np.uint8).reshape(*percent.shape, 3)
@@ -76,9 +74,9 @@ def residual_picture(track: Track) -> UInt8[np.ndarray, "h n 3"]:
     return picture[:, order].transpose(1, 0, 2)
 
 
-def strip_rows() -> list[tuple[str, int]]:
+def strip_rows(track: Track) -> list[tuple[str, int]]:
     """The parts of the face in the rows of `residual_picture`, with the number of their landmarks."""
-    return [(group, len(GROUPS[group])) for group in STRIP_ROWS]
+    return [(part, len(points)) for part, points in track.scheme.parts.items()]
 
 
 def scale_gradient() -> str:

@@ -1,4 +1,4 @@
-"""The part of a face model that a landmark fit needs: 68 points and how they move, as arrays for the solver."""
+"""The part of a face model that a landmark fit needs: its landmarks and how they move, as arrays for the solver."""
 
 from typing import NamedTuple
 
@@ -15,11 +15,14 @@ default head's, `tongueOut` moves none at all, the next ones (`eyeSquint…`) 3.
 
 
 class LandmarkModel(NamedTuple):
-    """Head-frame landmarks, millimetres, with the jaw contour at its frontal place (entry 0) and for tabulated yaws."""
+    """Head-frame landmarks, millimetres, with the jaw contour at its frontal place (entry 0) and for tabulated yaws.
 
-    inner_neutral: Float[AnyArray, "51 3"]
-    inner_expression: Float[AnyArray, "k 51 3"]
-    inner_identity: Float[AnyArray, "i 51 3"]
+    The 17 of the contour come first, the others (`inner`) after them.
+    """
+
+    inner_neutral: Float[AnyArray, "inner 3"]
+    inner_expression: Float[AnyArray, "k inner 3"]
+    inner_identity: Float[AnyArray, "i inner 3"]
     contour_neutral: Float[AnyArray, "b 17 3"]
     contour_expression: Float[AnyArray, "b k 17 3"]
     contour_identity: Float[AnyArray, "b i 17 3"]
@@ -40,7 +43,7 @@ class LandmarkModel(NamedTuple):
         return LandmarkModel(
             inner_neutral=self.inner_neutral + np.tensordot(identity, self.inner_identity, axes=1),
             inner_expression=self.inner_expression * scale[:, None, None],
-            inner_identity=np.zeros((0, 51, 3)),
+            inner_identity=np.zeros((0, *self.inner_neutral.shape)),
             contour_neutral=self.contour_neutral + np.einsum("i,bind->bnd", identity, self.contour_identity),
             contour_expression=self.contour_expression * scale[:, None, None],
             contour_identity=np.zeros((len(self.contour_yaw), 0, 17, 3)),
@@ -51,21 +54,21 @@ class LandmarkModel(NamedTuple):
             expression_upper=self.expression_upper,
         )
 
-    def frontal_neutral(self) -> Float[np.ndarray, "68 3"]:
-        """The 68 points of the neutral face, jaw contour at its frontal place."""
+    def frontal_neutral(self) -> Float[np.ndarray, "points 3"]:
+        """The points of the neutral face, jaw contour at its frontal place."""
         return np.concatenate([self.contour_neutral[0], self.inner_neutral])
 
 
 class PointModel(NamedTuple):
-    """The 68 landmarks as a linear function of weights and identity, for one place of the jaw contour."""
+    """The landmarks as a linear function of weights and identity, for one place of the jaw contour."""
 
-    neutral: Float[AnyArray, "68 3"]
-    expression: Float[AnyArray, "k 68 3"]
-    identity: Float[AnyArray, "i 68 3"]
+    neutral: Float[AnyArray, "points 3"]
+    expression: Float[AnyArray, "k points 3"]
+    identity: Float[AnyArray, "i points 3"]
 
 
 def seen_shapes(model: FaceModel) -> Bool[np.ndarray, "k"]:
-    """Which blendshapes move one of the 68 landmarks, wherever the jaw contour is, by `LEAST_SEEN_MM` or more.
+    """Which blendshapes move one of the landmarks, wherever the jaw contour is, by `LEAST_SEEN_MM` or more.
 
     Nothing in the landmarks says what the others do: fits leave them at 0.
     """
@@ -75,7 +78,7 @@ def seen_shapes(model: FaceModel) -> Bool[np.ndarray, "k"]:
 
 
 def landmark_model(model: FaceModel) -> LandmarkModel:
-    """The 68 landmarks of a face model with their expression and identity offsets."""
+    """The landmarks of a face model with their expression and identity offsets."""
     jaw = Embedding(model.landmarks.vertices[:17], model.landmarks.barycentric[:17])
     inner = Embedding(model.landmarks.vertices[17:], model.landmarks.barycentric[17:])
     contours = [jaw] + [
@@ -123,7 +126,7 @@ def contour_blend(contour_yaw: Float[AnyArray, "b"], yaw: Scalar, sliding: Scala
 
 
 def model_landmarks(model: LandmarkModel, blend: Float[AnyArray, "b"], identity: Float[AnyArray, "i"]) -> PointModel:
-    """The 68 points for one blend of contours, blink travel scaled for this identity."""
+    """The points for one blend of contours, blink travel scaled for this identity."""
     scale = model.expression_scale + identity @ model.expression_scale_identity
     scale = jnp.clip(scale, *BLINK_SCALE_RANGE)
     expression = jnp.concatenate(

@@ -1,4 +1,4 @@
-"""The face model as data: neutral, blendshapes, identity basis, jaw, and where the 68 landmarks lie on it."""
+"""The face model as data: neutral, blendshapes, identity basis, jaw, and where its landmarks lie on it."""
 
 import hashlib
 from dataclasses import dataclass, replace
@@ -9,6 +9,8 @@ from jaxtyping import Float, Int, Integer, UInt8
 
 from workbench.errors import ModelError
 from workbench.face.jaw_unit import JAW_RANGE, JAW_SHAPES, USUAL_JAW, JawUnit, fitted_jaw_unit
+from workbench.landmarks.scheme import POINT_COUNT, LandmarkScheme
+from workbench.landmarks.schemes import SCHEMES, scheme_of_count
 
 BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
 BLINK_SCALE_RANGE = (0.3, 2.0)
@@ -46,7 +48,7 @@ class FaceModel:
     identity_deltas: Float[np.ndarray, "i v 3"]
     """Identity components scaled to unit variance."""
     landmarks: Embedding
-    """The 68 points, jaw contour at its frontal place."""
+    """The points of a landmark scheme, jaw contour at its frontal place."""
     contour_yaw_deg: Float[np.ndarray, "b"]
     """Head yaws, ascending, for which the sliding jaw contour is tabulated; empty if there is none."""
     contour: Embedding
@@ -86,17 +88,25 @@ class FaceModel:
             raise ModelError(
                 f"{len(self.expression_names)} blendshapes need one range each, got {len(self.expression_range)}."
             )
-        if self.landmarks.vertices.shape != (68, 3):
+        if len(self.landmarks.vertices) not in map(len, SCHEMES.values()) or self.landmarks.vertices.shape[1:] != (3,):
             raise ModelError(f"The landmark embedding has 68 points, got {len(self.landmarks.vertices)}.")
         if max(self.triangles.max(initial=0), self.landmarks.vertices.max()) >= vertex_count:
             raise ModelError(f"A triangle or landmark names a vertex beyond the model's {vertex_count}.")
 
+    @property
+    def scheme(self) -> LandmarkScheme:
+        """What the landmarks are called."""
+        return scheme_of_count(len(self.landmarks.vertices))
+
     def fingerprint(self) -> str:
-        """SHA-256 of the shape, blendshapes and landmarks: two models with one fingerprint fit alike."""
+        """SHA-256 of the shape, blendshapes and landmarks: two models with one fingerprint fit alike.
+
+        Of the landmarks the 68 that every scheme begins with count: a model is the same in any scheme.
+        """
         digest = hashlib.sha256("\n".join(self.expression_names).encode())
         embeddings = (
-            self.landmarks.vertices,
-            self.landmarks.barycentric,
+            self.landmarks.vertices[:POINT_COUNT],
+            self.landmarks.barycentric[:POINT_COUNT],
             self.contour.vertices,
             self.contour.barycentric,
         )

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.errors import InputError
-from workbench.landmarks.scheme import GROUPS, check_68
+from workbench.landmarks.scheme import GROUPS, first_68
 
 # Measured: the mean of dlib's predictor over HOG boxes of 34 pictures and their mirror images.
 MEAN_SHAPE: Float[np.ndarray, "68 2"] = np.array(
@@ -77,9 +77,9 @@ def frame_from_box(box: tuple[float, float, float, float]) -> FaceFrame:
     return FaceFrame(np.eye(2) * side, np.array([(left + right) / 2, (top + bottom) / 2]))
 
 
-def frame_from_points(points: Float[np.ndarray, "68 2"]) -> FaceFrame:
+def frame_from_points(points: Float[np.ndarray, "points 2"]) -> FaceFrame:
     """The face frame whose mean shape fits the inner 51 points best (least squares); the jaw's contour slides."""
-    return fit_similarity(MEAN_SHAPE[_INNER], check_68(points)[_INNER])
+    return fit_similarity(MEAN_SHAPE[_INNER], first_68(points)[_INNER])
 
 
 def fit_similarity(source: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "n 2"]) -> FaceFrame:
@@ -98,7 +98,7 @@ def fit_similarity(source: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "
     return FaceFrame(matrix, target_middle - matrix @ source_middle)
 
 
-def shape_deviation(points: Float[np.ndarray, "68 2"]) -> float:
+def shape_deviation(points: Float[np.ndarray, "points 2"]) -> float:
     """Mean distance of the inner 51 points from the fitted mean shape, in box sides; faces stay below about 0.08."""
     frame = frame_from_points(points)
     return float(np.linalg.norm(frame.to_face(points)[_INNER] - MEAN_SHAPE[_INNER], axis=1).mean())

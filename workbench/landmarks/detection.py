@@ -1,4 +1,4 @@
-"""What a landmark detector offers: faces in a picture, and the 68 landmarks of each."""
+"""What a landmark detector offers: faces in a picture, and the landmarks of each."""
 
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
@@ -44,6 +44,6 @@ class LandmarkDetector(Protocol):
         """The landmarks of the face in `box`, as well as this detector can on one picture."""
         ...
 
-    def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> Landmarks2D:
+    def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]) -> Landmarks2D:
         """The landmarks of the face near `points` (a frame ago, or carried by optical flow), quickly."""
         ...

@@ -2,13 +2,18 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 
 from workbench.errors import ConfigError, MissingDependencyError
+from workbench.landmarks.dense_detector import DenseDetector
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.dlib_detector import DlibDetector, check_installed
+from workbench.landmarks.mediapipe_detector import MediapipeDetector
 from workbench.landmarks.mixed_detector import MixedDetector
 from workbench.landmarks.network_detector import NetworkDetector
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.schemes import DENSE
 
 AUTO = "auto"
 """Not a detector but a choice: see `chosen_detector`."""
@@ -27,21 +32,31 @@ DETECTORS: Mapping[str, Callable[[], LandmarkDetector]] = MappingProxyType(
         AUTO: _auto,
         "dlib+network": _mixed,
         "network": NetworkDetector,
+        "dense": DenseDetector,
         "dlib": partial(DlibDetector, "hog-then-cnn"),
         "dlib-hog": partial(DlibDetector, "hog"),
         "dlib-cnn": partial(DlibDetector, "cnn"),
+        MediapipeDetector.name: partial(MediapipeDetector, None),
     }
 )
 """Detector name -> factory."""
 
 
-def make_detector(name: str) -> LandmarkDetector:
+def make_detector(name: str, face_landmarker: str | Path | None = None) -> LandmarkDetector:
     """Build a detector by name; its own `name` says which one "auto" became.
 
-    Raises `ConfigError` for an unknown name and `MissingDependencyError` without the package that it needs.
+    `face_landmarker` is the path of the model file that the detector mediapipe needs. Raises `ConfigError` for an
+    unknown name or model file, and `MissingDependencyError` without the package that it needs.
     """
     _check(name)
+    if name == MediapipeDetector.name:
+        return MediapipeDetector(face_landmarker)
     return DETECTORS[name]()
+
+
+def detector_scheme(name: str) -> LandmarkScheme:
+    """What the points of a detector are called."""
+    return DENSE if name == DenseDetector.name else IBUG68
 
 
 def chosen_detector(name: str = AUTO) -> str:

@@ -21,7 +21,7 @@ from workbench.files import atomic_path
 from workbench.landmarks.formats import columns, dlib_xml, nested, own_csv, own_json, pts
 from workbench.landmarks.formats.own_csv import LandmarkCsvWriter as LandmarkCsvWriter
 from workbench.landmarks.formats.records import LandmarkRecord as LandmarkRecord
-from workbench.landmarks.formats.records import door, needed_size
+from workbench.landmarks.formats.records import door, needed_size, scheme_of_records
 from workbench.reading import checked_file
 
 SUFFIXES = (".csv", ".json", ".npy", ".pts", ".xml")
@@ -44,7 +44,7 @@ def read_landmark_file(path: str | Path, image_size: tuple[int, int] | None = No
     with door(path):
         if suffix == ".csv":
             header = own_csv.csv_header(path)
-            if columns.is_of_another_program(header):
+            if not own_csv.is_own(header) and columns.is_of_another_program(header):
                 return columns.read_columns(path, header, needed_size(path, image_size))
             return own_csv.read_csv(path, header)
         if suffix == ".json":
@@ -67,7 +67,8 @@ def states_size(path: str | Path) -> bool:
     suffix = path.suffix.lower()
     with door(path):
         if suffix == ".csv":
-            return not columns.is_of_another_program(own_csv.csv_header(path))
+            header = own_csv.csv_header(path)
+            return own_csv.is_own(header) or not columns.is_of_another_program(header)
         if suffix == ".json":
             return not nested.is_of_another_program(own_json.json_content(path))
         return suffix == ".xml" and dlib_xml.states_size(path)
@@ -86,7 +87,8 @@ def write_landmark_file(path: str | Path, records: Iterable[LandmarkRecord]) -> 
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        with LandmarkCsvWriter(path) as writer:
+        records = list(records)
+        with LandmarkCsvWriter(path, scheme=scheme_of_records(records)) as writer:
             for record in records:
                 writer.write(record)
     elif suffix == ".json":

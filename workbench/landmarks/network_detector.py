@@ -86,38 +86,42 @@ class NetworkDetector:
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
         """The landmarks of the face in `box`: a look that finds its frame, then the mean of six in that frame."""
-        face = frame_from_points(self._first_look(picture, box).points)
-        looks = [
-            self._look(picture, face.moved(x, y, scale), mirrored)
-            for x, y, scale in STILL_MOVES
-            for mirrored in (False, True)
-        ]
+        looks = self._looks(picture, box)
         points = np.mean([look.points for look in looks], axis=0)
         return replace(looks[0], points=points, confidence=np.mean([look.confidence for look in looks], axis=0))
 
-    def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> Landmarks2D:
+    def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]) -> Landmarks2D:
         """The landmarks of the face near `points`, by one look: about 10 ms."""
         return self._look(picture, frame_from_points(points))
 
-    def look(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> NetworkLook:
+    def look(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]) -> NetworkLook:
         """What the network sees in the crop around `points`, before `refine` lowers the lids of narrow eyes."""
         to_image = crop_frame(frame_from_points(points))
-        landmarks, heat_maps = self._answer(picture, to_image, mirrored=False)
+        landmarks, heat_maps = self._answer(sampled_crop(picture, to_image), picture, to_image, mirrored=False)
         return NetworkLook(landmarks, _probability(heat_maps[:LANDMARKS]), to_image)
 
     def pupils(
-        self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]
+        self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]
     ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "2"]]:
         """The person's right and left pupil near these landmarks, pixels, and their confidences, by one look.
 
         Behind a shut lid, where it would be. NaN with confidence 0 from weights that know no pupils.
         """
         to_image = crop_frame(frame_from_points(points))
-        heat_maps = self._maps(sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT))[LANDMARKS:]
+        heat_maps = self._maps(sampled_crop(picture, to_image))[LANDMARKS:]
         if len(heat_maps) == 0:
             return np.full((2, 2), np.nan), np.zeros(2)
         places, confidence = _read(heat_maps, self._calibration)
         return to_image.to_image(places), np.clip(confidence, 0.0, 1.0)
+
+    def _looks(self, picture: np.ndarray, box: Box) -> list[Landmarks2D]:
+        """Six looks at a still, in the frame that a first one finds."""
+        face = frame_from_points(self._first_look(picture, box).points)
+        return [
+            self._look(picture, face.moved(x, y, scale), mirrored)
+            for x, y, scale in STILL_MOVES
+            for mirrored in (False, True)
+        ]
 
     def _faces(self, picture: np.ndarray, found: list[FoundFace], effort: Effort) -> list[FaceDetection]:
         """What of the finder's proposals the landmark network takes for a face, with the boxes of its landmarks."""
@@ -140,19 +144,29 @@ class NetworkDetector:
         return best
 
     def _look(self, picture: np.ndarray, face: FaceFrame, mirrored: bool = False) -> Landmarks2D:
-        landmarks, _ = self._answer(picture, crop_frame(face), mirrored)
+        to_image = crop_frame(face)
+        landmarks, _ = self._answer(sampled_crop(picture, to_image, mirrored), picture, to_image, mirrored)
         return replace(landmarks, points=true_lids(landmarks.points))
 
-    def _answer(self, picture: np.ndarray, to_image: FaceFrame, mirrored: bool) -> tuple[Landmarks2D, np.ndarray]:
+    def _answer(
+        self, crop: np.ndarray, picture: np.ndarray, to_image: FaceFrame, mirrored: bool
+    ) -> tuple[Landmarks2D, np.ndarray]:
         """Landmarks in the picture, and the network's heat maps (of the mirrored crop if it was)."""
-        crop = sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT)
-        heat_maps = self._maps(np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop)
+        heat_maps = self._maps(crop)
         points, confidence = _read(heat_maps[:LANDMARKS], self._calibration)
         if mirrored:
             points, confidence = points[list(MIRROR)], confidence[list(MIRROR)]
             points[:, 0] = CROP_SIDE - 1 - points[:, 0]
         size = (picture.shape[1], picture.shape[0])
         return Landmarks2D(to_image.to_image(points), np.clip(confidence, 0, 1), size), heat_maps
+
+
+def sampled_crop(
+    picture: UInt8[np.ndarray, "h w 3"], to_image: FaceFrame, mirrored: bool = False
+) -> UInt8[np.ndarray, "s s 3"]:
+    """The networks' input, or its mirror image; `to_image` takes the pixels of the unmirrored one to the picture's."""
+    crop = sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT)
+    return np.ascontiguousarray(crop[:, ::-1]) if mirrored else crop
 
 
 def crop_frame(face: FaceFrame, side: int = CROP_SIDE) -> FaceFrame:
@@ -215,4 +229,4 @@ def _rolled(face: FaceFrame, roll: float) -> FaceFrame:
 
 def _sureness(landmarks: Landmarks2D) -> float:
     """Median confidence of the inner points: the contour is a guess on many good faces."""
-    return float(np.median(landmarks.confidence[17:]))
+    return float(np.median(landmarks.confidence[_INNER]))

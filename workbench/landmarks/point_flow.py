@@ -16,7 +16,7 @@ FLOW_BOX, FLOW_MARGIN = 128, 64
 class FaceCrop:
     """Where a face is in a picture, and the grey crop about it."""
 
-    points: Float[np.ndarray, "68 2"]
+    points: Float[np.ndarray, "points 2"]
     frame: FaceFrame
     grey: UInt8[np.ndarray, "s s"]
 
@@ -25,14 +25,14 @@ class FaceCrop:
 class CarriedPoints:
     """Points of one picture found again in the next."""
 
-    points: Float[np.ndarray, "68 2"]
+    points: Float[np.ndarray, "points 2"]
     """Where the flow puts the points; points that it lost move with the others."""
-    valid: Bool[np.ndarray, "68"]
-    round_trip: Float[np.ndarray, "68"]
+    valid: Bool[np.ndarray, "points"]
+    round_trip: Float[np.ndarray, "points"]
     """Distance between each point and itself carried forward and back, in box sides."""
 
 
-def crop_about(picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> FaceCrop:
+def crop_about(picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]) -> FaceCrop:
     """The crop of a face that flow starts from."""
     frame = frame_from_points(points)
     return FaceCrop(points, frame, grey_face_crop(picture, frame, FLOW_BOX, FLOW_MARGIN)[0])

@@ -1,10 +1,14 @@
-"""The iBUG 68-point scheme: groups, names, polylines, mirror, in this one place.
+"""What a landmark scheme is, and iBUG's 68 points: groups, names, polylines, mirror, in this one place.
+
+Every scheme begins with the 68 points of iBUG: the numbers of eye corners, lips and jaw contour hold in each, and so do
+the measures below, which read the 68 alone.
 
 Indices are 0-based (iBUG's own figures and .pts files count from 1). Side names are the SUBJECT's: the right eye
 is the one at image left on a frontal face. Some libraries name the same points by the sides of the image.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -132,33 +136,83 @@ RIGHT_EYE_OUTER_CORNER = 36
 LEFT_EYE_OUTER_CORNER = 45
 UPPER_LIP_INNER_MIDDLE = 62
 LOWER_LIP_INNER_MIDDLE = 66
+PARTS = ("jaw", "brows", "nose", "eyes", "irises", "mouth", "ears", "face")
+"""Groups whose points are no other's, as far as a scheme has them: the rows of strips and tables."""
 EYE_PER_SPREAD = 1.48
 """Outer-eye distance of a frontal face in units of the root mean square distance of its 68 points from their centre."""
 
 
+@dataclass(frozen=True, eq=False)
+class LandmarkScheme:
+    """The points of a face that a detector names, the 68 of iBUG first. Where they lie on a face model, it says."""
+
+    name: str
+    """As files call it."""
+    point_names: tuple[str, ...]
+    groups: Mapping[str, tuple[int, ...]]
+    """Group name -> ascending point indices."""
+    polylines: tuple[tuple[int, ...], ...]
+    """Lines to draw a face with; a closed line repeats its first point."""
+    mirror: tuple[int, ...]
+    """The point that each becomes when left and right are swapped; its own inverse."""
+    has_covariances: bool = False
+    """Whether detections of it say how sure each place is in each direction."""
+
+    def __len__(self) -> int:
+        return len(self.point_names)
+
+    @property
+    def parts(self) -> dict[str, tuple[int, ...]]:
+        """The parts of the face by name: groups that share no point and together have all of them."""
+        return {name: self.groups[name] for name in PARTS if name in self.groups}
+
+    def group_mask(self, *names: str) -> Bool[np.ndarray, "points"]:
+        """True for every point of any of the groups. Raises `InputError` that lists the groups."""
+        mask = np.zeros(len(self), bool)
+        for name in names:
+            mask[list(_indices(self.groups, name))] = True
+        return mask
+
+
+IBUG68 = LandmarkScheme("ibug68", POINT_NAMES, GROUPS, POLYLINES, MIRROR)
+"""The scheme of dlib, of the network detector, and of files that name none."""
+
+
 def check_68(points: Num[np.ndarray, "..."]) -> Float[np.ndarray, "68 2"]:
     """Return `points` as float64 (68, 2); raise `InputError` that says how many there are instead."""
+    if np.ndim(points) == 2 and len(points) > POINT_COUNT:
+        raise _not_68(len(points))
+    return first_68(points)
+
+
+def first_68(points: Num[np.ndarray, "..."]) -> Float[np.ndarray, "68 2"]:
+    """The 68 points of iBUG among those of any scheme, as float64; raises `InputError` where there are fewer."""
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 2:
         raise InputError(f"landmarks are an array of shape (68, 2), x and y in pixels; got shape {points.shape}")
-    if points.shape[0] != POINT_COUNT:
-        raise InputError(f"the iBUG scheme has 68 points, got {points.shape[0]}: convert other schemes first")
-    return points.astype(np.float64)
+    if len(points) < POINT_COUNT:
+        raise _not_68(len(points))
+    return points[:POINT_COUNT].astype(np.float64)
+
+
+def _not_68(count: int) -> InputError:
+    return InputError(f"the iBUG scheme has 68 points, got {count}: convert other schemes first")
 
 
 def group_indices(name: str) -> tuple[int, ...]:
     """The point indices of a group; raises `InputError` that lists the groups."""
-    if name not in GROUPS:
-        raise InputError(f"there is no landmark group {name!r}: choose one of {', '.join(GROUPS)}")
-    return GROUPS[name]
+    return _indices(GROUPS, name)
+
+
+def _indices(groups: Mapping[str, tuple[int, ...]], name: str) -> tuple[int, ...]:
+    if name not in groups:
+        raise InputError(f"there is no landmark group {name!r}: choose one of {', '.join(groups)}")
+    return groups[name]
 
 
 def group_mask(*names: str) -> Bool[np.ndarray, "68"]:
-    """True for every point of any of the groups."""
-    mask = np.zeros(POINT_COUNT, bool)
-    for name in names:
-        mask[list(group_indices(name))] = True
-    return mask
+    """True for every point of any of the groups of the 68."""
+    return IBUG68.group_mask(*names)
 
 
 def mirror_points(points: Float[np.ndarray, "68 2"], width: int) -> Float[np.ndarray, "68 2"]:
@@ -168,7 +222,7 @@ def mirror_points(points: Float[np.ndarray, "68 2"], width: int) -> Float[np.nda
     return mirrored
 
 
-def outer_eye_distance(points: Float[np.ndarray, "*n 68 d"]) -> Float[np.ndarray, "*n"] | float:
+def outer_eye_distance(points: Float[np.ndarray, "*n points d"]) -> Float[np.ndarray, "*n"] | float:
     """Distance between the outer corners of the eyes (36 to 45), the unit of landmark errors in the literature.
 
     In the points' unit. Every error in percent is one of this distance between the observed landmarks, in the
@@ -178,17 +232,18 @@ def outer_eye_distance(points: Float[np.ndarray, "*n 68 d"]) -> Float[np.ndarray
     return np.linalg.norm(corners[0] - corners[1], axis=-1)
 
 
-def lip_distance(points: Float[np.ndarray, "*n 68 d"]) -> Float[np.ndarray, "*n"] | float:
+def lip_distance(points: Float[np.ndarray, "*n points d"]) -> Float[np.ndarray, "*n"] | float:
     """How far the mouth is open: the distance between the middles of the inner lips (62 to 66), in the points' unit."""
     return np.linalg.norm(points[..., UPPER_LIP_INNER_MIDDLE, :] - points[..., LOWER_LIP_INNER_MIDDLE, :], axis=-1)
 
 
-def face_size(points: Float[np.ndarray, "*n 68 2"]) -> Float[np.ndarray, "*n"]:
-    """What the outer-eye distance of the face would be from the front, pixels: from the spread of all points.
+def face_size(points: Float[np.ndarray, "*n points 2"]) -> Float[np.ndarray, "*n"]:
+    """What the outer-eye distance of the face would be from the front, pixels: from the spread of the 68 points.
 
     Turning the head, exchanging points or losing one eye hardly changes it, unlike the distance itself. Diagnosis
     compares frames in this unit.
     """
+    points = points[..., :POINT_COUNT, :]
     centred = points - points.mean(axis=-2, keepdims=True)
     return np.asarray(EYE_PER_SPREAD * np.sqrt((centred**2).sum(-1).mean(-1)))
 

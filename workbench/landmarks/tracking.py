@@ -22,7 +22,8 @@ from workbench.landmarks.detection import Box, Effort, FaceDetection, LandmarkDe
 from workbench.landmarks.fusion import fused
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.point_flow import CarriedPoints, FaceCrop, carried, crop_about
-from workbench.landmarks.scheme import GROUPS
+from workbench.landmarks.scheme import GROUPS, POINT_COUNT
+from workbench.landmarks.schemes import SCHEMES
 from workbench.landmarks.shot_cuts import correlation, thumbnail_of
 from workbench.landmarks.tracker_options import TrackerOptions
 
@@ -66,7 +67,7 @@ class LandmarkTracker:
     def reset(self) -> None:
         """Forget everything: the next picture is the first."""
         self._face: FaceCrop | None = None
-        self._variance = np.zeros(68)
+        self._variance = np.zeros(POINT_COUNT)
         self._place: np.ndarray | None = None  # where the face was, within this shot
         self._side = 0.0
         self._trust = 1.0
@@ -111,18 +112,18 @@ class LandmarkTracker:
         if not self._plausible(picture, refined):
             return self._realign(picture, flow.points) or self._bridge(picture, flow, refined)
         self._bridged = 0
-        doubtful = np.median(refined.confidence) * self._trust < self.options.accept_confidence
+        doubtful = _sureness(refined) * self._trust < self.options.accept_confidence
         due = self.options.patience if doubtful else self.options.check_interval
         if self._since_check >= due and self._realign(picture, refined.points) is None:
             return None
         landmarks, self._variance = fused(flow, refined, self._variance, side, self.options)
         return replace(landmarks, confidence=landmarks.confidence * self._trust)
 
-    def _realign(self, picture: np.ndarray, points: Float[np.ndarray, "68 2"]) -> Landmarks2D | None:
+    def _realign(self, picture: np.ndarray, points: Float[np.ndarray, "points 2"]) -> Landmarks2D | None:
         """Align the face near `points` as if it had just been detected; None where there is none."""
         self._since_check = 0
         landmarks = self.detector.align(picture, frame_from_points(points).box())
-        accepted = np.median(landmarks.confidence) >= self.options.accept_confidence
+        accepted = _sureness(landmarks) >= self.options.accept_confidence
         if not accepted or not self._plausible(picture, landmarks):
             return None
         self._trust_from(picture, landmarks)
@@ -130,13 +131,13 @@ class LandmarkTracker:
 
     def _trust_from(self, picture: np.ndarray, aligned: Landmarks2D) -> None:
         """`refine` judges less well than `align`: until the next alignment its confidence is scaled to agree here."""
-        quick = float(np.median(self.detector.refine(picture, aligned.points).confidence))
-        self._trust = min(1.0, float(np.median(aligned.confidence)) / max(quick, 1e-6))
+        quick = _sureness(self.detector.refine(picture, aligned.points))
+        self._trust = min(1.0, _sureness(aligned) / max(quick, 1e-6))
 
     def _bridge(self, picture: np.ndarray, flow: CarriedPoints, refined: Landmarks2D) -> Landmarks2D | None:
         """Flow alone, for a few frames, if most points are followed surely; with the predictor's low confidence."""
         self._bridged += 1
-        carried = Landmarks2D(flow.points, refined.confidence.clip(max=0.1), refined.image_size)
+        carried = replace(refined, points=flow.points, confidence=refined.confidence.clip(max=0.1))
         steady = flow.valid.mean() >= 0.7 and self._bridged <= self.options.patience
         return carried if steady and self._is_face(picture, carried) else None
 
@@ -145,9 +146,7 @@ class LandmarkTracker:
         ratio = frame_from_points(landmarks.points).side / self._side
         # What was lost for a moment must convince again.
         needed = self.options.accept_confidence if self._bridged else self.options.keep_confidence
-        return bool(
-            np.median(landmarks.confidence) >= needed and 0.7 < ratio < 1.4 and self._is_face(picture, landmarks)
-        )
+        return bool(_sureness(landmarks) >= needed and 0.7 < ratio < 1.4 and self._is_face(picture, landmarks))
 
     def _is_face(self, picture: np.ndarray, landmarks: Landmarks2D) -> bool:
         inner = landmarks.points[list(GROUPS["inner"])]
@@ -160,10 +159,9 @@ class LandmarkTracker:
 
     def _find(self, picture: np.ndarray) -> Landmarks2D | None:
         """Look for the face where it was, then with the detector; slower searches at intervals only."""
-        self._variance = np.full(68, self.options.predictor_noise_sides**2)
         self._since_check = self._bridged = 0
         landmarks = self._choose(picture, self._detect(picture, "quick"))
-        doubtful = landmarks is None or np.median(landmarks.confidence) < self.options.sure_confidence
+        doubtful = landmarks is None or _sureness(landmarks) < self.options.sure_confidence
         if doubtful and self._since_search >= self._retry_after:
             self._since_search = 0
             effort: Effort = "full" if self._retry_after == 0 else "thorough"
@@ -172,6 +170,8 @@ class LandmarkTracker:
             in_vain = min(max(interval, 2 * self._retry_after), LONGEST_RETRY * interval)
             self._retry_after = interval if found else in_vain
             landmarks = found if found is not None else landmarks
+        count = POINT_COUNT if landmarks is None else len(landmarks.points)
+        self._variance = np.full(count, self.options.predictor_noise_sides**2)
         if landmarks is not None:
             self._trust_from(picture, landmarks)
         return landmarks
@@ -197,7 +197,7 @@ class LandmarkTracker:
         best: tuple[float, Landmarks2D] | None = None
         for face in faces[:CANDIDATES]:
             landmarks = self.detector.align(picture, face.box)
-            sureness = float(np.median(landmarks.confidence))
+            sureness = _sureness(landmarks)
             if sureness < self.options.accept_confidence or not self._is_face(picture, landmarks):
                 continue
             if wanted is not None:
@@ -245,9 +245,10 @@ class LandmarkTracker:
 
         Raises `InputError` for a state with missing or misshapen arrays.
         """
+        counts = [len(scheme) for scheme in SCHEMES.values()]
         expected = {
-            "points": ((68, 2), (0, 2)),
-            "variance": ((68,),),
+            "points": (*((count, 2) for count in counts), (0, 2)),
+            "variance": tuple((count,) for count in counts),
             "place": ((2,), (0,)),
             "side": ((),),
             "trust": ((),),
@@ -264,12 +265,17 @@ class LandmarkTracker:
             height, width = previous_picture.shape[:2]
             if len(state["points"]):
                 points = np.array(state["points"], np.float64)
-                self._keep(previous_picture, Landmarks2D(points, np.ones(68), (width, height)))
+                self._keep(previous_picture, Landmarks2D(points, np.ones(len(points)), (width, height)))
         self._variance = np.array(state["variance"], np.float64)
         self._place = np.array(state["place"], np.float64) if len(state["place"]) else None
         self._side, self._trust = float(state["side"]), float(state["trust"])
         self._since_check, self._bridged, self._since_search, self._retry_after = check, bridged, search, retry
         self.detections = detections
+
+
+def _sureness(landmarks: Landmarks2D) -> float:
+    """Median confidence of the 68 points: further ones may be hidden on a face that is well seen."""
+    return float(np.median(landmarks.confidence[:POINT_COUNT]))
 
 
 def _distance(box: Box, point: np.ndarray | tuple[float, float]) -> float:

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.errors import ModelError
+from workbench.networks.encoder import network_size
 from workbench.networks.frozen import FrozenNetwork
-from workbench.networks.landmark_network import LandmarkNetwork, empty_landmark_network, network_size
+from workbench.networks.landmark_network import LandmarkNetwork, empty_landmark_network
 from workbench.networks.weights import Weights, fill, read_weights
 from workbench.reading import shortened
 

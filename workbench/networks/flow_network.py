@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray
 from workbench.errors import InputError, ModelError
-from workbench.networks.landmark_network import BLOCKS, WIDTHS, network_size
+from workbench.networks.encoder import BLOCKS, WIDTHS, network_size
 from workbench.networks.layers import Conv, empty_conv, enlarge
 from workbench.networks.weights import ARCHITECTURE, Weights, fill, read_weights, save_module
 

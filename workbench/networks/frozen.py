@@ -4,6 +4,7 @@ The same layers as in `LandmarkNetwork.__call__`, written as an ONNX graph that 
 needed, as in Deep Energies, the network itself runs.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -12,24 +13,23 @@ import onnxruntime
 from jaxtyping import Float, UInt8
 from onnx import TensorProto, helper, numpy_helper
 
-from workbench.networks.landmark_network import MIDDLE, SPREAD, LandmarkNetwork
+from workbench.networks.dense_network import DenseNetwork, DensePlaces, Linear, dense_places
+from workbench.networks.encoder import MIDDLE, SPREAD, Encoder
+from workbench.networks.landmark_network import LandmarkNetwork
 from workbench.networks.layers import Conv
 
 OPSET, IR_VERSION = 17, 8
 """Of the graph: old enough for every ONNX Runtime that is allowed."""
 THREADS = 1
 """The look at one frame overlaps with decoding and solving others; more threads would wait for one another."""
-PICTURE, HEAT_MAPS = "picture", "heat_maps"
+PICTURE, ANSWER = "picture", "answer"
 
 
 class FrozenNetwork:
     """A landmark network, or another of its kind, as ONNX Runtime runs it; may be called from several threads."""
 
     def __init__(self, network: LandmarkNetwork) -> None:
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = THREADS
-        graph = _graph_of(network).SerializeToString()
-        self._session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+        self._run = _runner(_heat_map_graph(network))
 
     def __call__(self, picture: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "n h4 w4"]:
         """Heat maps of a quarter of the picture's size, which are `network(picture / 255)` up to rounding.
@@ -37,7 +37,28 @@ class FrozenNetwork:
         Where the network knows pupils, the maps of the person's right and left one follow the others.
         Height and width are multiples of 32 pixels.
         """
-        return self._session.run([HEAT_MAPS], {PICTURE: picture[None]})[0][0]
+        return self._run(picture)
+
+
+class FrozenDenseNetwork:
+    """A dense network as ONNX Runtime runs it; may be called from several threads."""
+
+    def __init__(self, network: DenseNetwork) -> None:
+        self._run = _runner(_dense_graph(network))
+        factor = network.deviation_factor
+        self._deviation_factor = None if factor is None else np.asarray(factor, np.float64)
+
+    def __call__(self, picture: UInt8[np.ndarray, "256 256 3"]) -> DensePlaces:
+        """Points in the picture's pixels and their whitening: `network(picture / 255)` up to rounding."""
+        return dense_places(self._run(picture).astype(np.float64), self._deviation_factor)
+
+
+def _runner(model) -> Callable[[UInt8[np.ndarray, "h w 3"]], np.ndarray]:
+    """A model of one picture as a function."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = THREADS
+    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    return lambda picture: session.run([ANSWER], {PICTURE: picture[None]})[0][0]
 
 
 class _Graph:
@@ -76,29 +97,49 @@ class _Graph:
         way = {"mode": "nearest", "coordinate_transformation_mode": "asymmetric", "nearest_mode": "floor"}
         return self.add("Resize", x, "", self.constant([1, 1, 2, 2]), **way)
 
+    def linear(self, x: str, layer: Linear, result: str | None = None) -> str:
+        return self.add("Gemm", x, self.constant(layer.weight), self.constant(layer.bias), result=result, transB=1)
+
+    def features(self, encoder: Encoder) -> tuple[str, str, str, str]:
+        """The levels of an encoder, the largest first, of the picture."""
+        channels = self.add("Transpose", self.add("Cast", PICTURE, to=TensorProto.FLOAT), perm=[0, 3, 1, 2])
+        x = self.add("Div", self.add("Sub", channels, self.constant(255 * MIDDLE)), self.constant(255 * SPREAD))
+        x0 = self.residual(self.step(x, encoder.stem), encoder.e0)
+        x1 = self.residual(self.step(x0, encoder.d1), *encoder.e1)
+        x2 = self.residual(self.step(x1, encoder.d2), *encoder.e2)
+        return x0, x1, x2, self.residual(self.step(x2, encoder.d3), *encoder.e3)
+
+    def model(self, answer_shape: list[int | str]):
+        """The whole, from a picture of bytes to the answer."""
+        picture = helper.make_tensor_value_info(PICTURE, TensorProto.UINT8, [1, "height", "width", 3])
+        answer = helper.make_tensor_value_info(ANSWER, TensorProto.FLOAT, answer_shape)
+        made = helper.make_graph(self.nodes, "network", [picture], [answer], self.weights)
+        return helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+
     def decoded(self, x: str, passed: str, up: Conv, conv: Conv) -> str:
         """A decoder's level: what came from below, enlarged, and what the encoder passed."""
         return self.residual(self.add("Add", passed, self.enlarged(self.step(x, up))), conv)
 
 
-def _graph_of(network: LandmarkNetwork):
+def _heat_map_graph(network: LandmarkNetwork):
     """The network as an ONNX model, from a picture of bytes to heat maps."""
     graph = _Graph()
-    channels = graph.add("Transpose", graph.add("Cast", PICTURE, to=TensorProto.FLOAT), perm=[0, 3, 1, 2])
-    x = graph.add("Div", graph.add("Sub", channels, graph.constant(255 * MIDDLE)), graph.constant(255 * SPREAD))
-    x0 = graph.residual(graph.step(x, network.stem), network.e0)
-    x1 = graph.residual(graph.step(x0, network.d1), *network.e1)
-    x2 = graph.residual(graph.step(x1, network.d2), *network.e2)
-    x3 = graph.residual(graph.step(x2, network.d3), *network.e3)
+    x0, x1, x2, x3 = graph.features(network)
     x2 = graph.decoded(x3, x2, network.u2, network.f2)
     x1 = graph.decoded(x2, x1, network.u1, network.f1)
     x0 = graph.decoded(x1, x0, network.u0, network.f0)
     head = _all_maps(network)
-    graph.conv(x0, head, result=HEAT_MAPS)
-    picture = helper.make_tensor_value_info(PICTURE, TensorProto.UINT8, [1, "height", "width", 3])
-    maps = helper.make_tensor_value_info(HEAT_MAPS, TensorProto.FLOAT, [1, head.weight.shape[0], "h4", "w4"])
-    made = helper.make_graph(graph.nodes, "heat_maps", [picture], [maps], graph.weights)
-    return helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+    graph.conv(x0, head, result=ANSWER)
+    return graph.model([1, head.weight.shape[0], "h4", "w4"])
+
+
+def _dense_graph(network: DenseNetwork):
+    """The network as an ONNX model, from a picture of bytes to the numbers of the points."""
+    graph = _Graph()
+    x = graph.add("Flatten", graph.step(graph.features(network)[-1], network.squeeze))
+    x = graph.add("Relu", graph.linear(x, network.hidden))
+    graph.linear(x, network.head, result=ANSWER)
+    return graph.model([1, network.head.bias.shape[0]])
 
 
 def _all_maps(network: LandmarkNetwork) -> Conv:

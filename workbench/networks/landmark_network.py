@@ -8,28 +8,21 @@ import json
 from pathlib import Path
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray, library_of
 from workbench.errors import ModelError
+from workbench.networks.encoder import BLOCKS, WIDTHS, Encoder, encoder_convolutions, network_size, residual, step
 from workbench.networks.layers import Conv, empty_conv, enlarge
 from workbench.networks.soft_argmax import patch_mass
 from workbench.networks.weights import ARCHITECTURE, Weights, fill, read_weights, save_module
-from workbench.reading import checked_json, shortened
+from workbench.reading import shortened
 
 NAME = "face-energy-landmarks-1"
 """Value of the metadata key `architecture`."""
-WIDTHS, BLOCKS = "widths", "blocks"
-"""Metadata keys: the channels at 64, 32, 16 and 8 pixels as a JSON list, the residual blocks at 8 pixels."""
-
-MIDDLE, SPREAD = 0.5, 0.25
-"""The network sees (picture − 0.5) / 0.25."""
 LANDMARKS, PUPILS = 68, 2
-MOST_CHANNELS, MOST_BLOCKS = 8192, 256
-"""A file that names more is damaged; the network is built before its arrays are compared."""
 
 
 class Calibration(eqx.Module):
@@ -47,21 +40,13 @@ class Calibration(eqx.Module):
         return library.interp(mass, *knots)
 
 
-class LandmarkNetwork(eqx.Module):
-    """Stem, three encoder levels (d, e), three decoder levels (u, f), head; see `__call__`.
+class LandmarkNetwork(Encoder):
+    """The encoder, three decoder levels (u, f) and the head; see `__call__`.
 
     softmax(50·H) over a heat map H is the probability of the landmark's place, which the soft-argmax with β = 50
     (Deep Energies Eq. 3) reads between pixels.
     """
 
-    stem: Conv
-    e0: Conv
-    d1: Conv
-    e1: tuple[Conv, ...]
-    d2: Conv
-    e2: tuple[Conv, ...]
-    d3: Conv
-    e3: tuple[Conv, ...]
     u2: Conv
     f2: Conv
     u1: Conv
@@ -78,24 +63,15 @@ class LandmarkNetwork(eqx.Module):
 
         Those of the pupils, where the network has them, are `FrozenNetwork`'s alone.
         """
-        x = (jnp.moveaxis(picture, 0, -1) - MIDDLE) / SPREAD
-        x0 = _residual(_step(x, self.stem), self.e0)
-        x1 = _residual(_step(x0, self.d1), *self.e1)
-        x2 = _residual(_step(x1, self.d2), *self.e2)
-        x3 = _residual(_step(x2, self.d3), *self.e3)
-        x2 = _residual(x2 + enlarge(_step(x3, self.u2)), self.f2)
-        x1 = _residual(x1 + enlarge(_step(x2, self.u1)), self.f1)
-        x0 = _residual(x0 + enlarge(_step(x1, self.u0)), self.f0)
+        x0, x1, x2, x3 = self.features(picture)
+        x2 = residual(x2 + enlarge(step(x3, self.u2)), self.f2)
+        x1 = residual(x1 + enlarge(step(x2, self.u1)), self.f1)
+        x0 = residual(x0 + enlarge(step(x1, self.u0)), self.f0)
         return jnp.moveaxis(self.head(x0), -1, 0)
 
     def confidence_of(self, heat_maps: Float[AnyArray, "n h w"]) -> Float[AnyArray, "n"]:
         """How likely each landmark is found, 0..1: the calibrated mass of its map (the mass itself if uncalibrated)."""
         return confidence_by_mass(patch_mass(heat_maps), self.calibration)
-
-    @property
-    def widths(self) -> tuple[int, int, int, int]:
-        """Channels at a quarter of the input's size, an eighth, a sixteenth and a 32nd."""
-        return tuple(conv.weight.shape[0] for conv in (self.stem, self.d1, self.d2, self.d3))
 
 
 def confidence_by_mass(mass: Float[AnyArray, "n"], calibration: Calibration | None) -> Float[AnyArray, "n"]:
@@ -109,14 +85,7 @@ def empty_landmark_network(
     """The network with zero weights: channels per level, residual blocks on the lowest, knots of the calibration."""
     c0, c1, c2, c3 = widths
     return LandmarkNetwork(
-        stem=empty_conv(3, c0, 7, stride=4),
-        e0=empty_conv(c0, c0, 3),
-        d1=empty_conv(c0, c1, 3, stride=2),
-        e1=tuple(empty_conv(c1, c1, 3) for _ in range(2)),
-        d2=empty_conv(c1, c2, 3, stride=2),
-        e2=tuple(empty_conv(c2, c2, 3) for _ in range(2)),
-        d3=empty_conv(c2, c3, 3, stride=2),
-        e3=tuple(empty_conv(c3, c3, 3) for _ in range(blocks)),
+        **encoder_convolutions(widths, blocks),
         u2=empty_conv(c3, c2, 1),
         f2=empty_conv(c2, c2, 3),
         u1=empty_conv(c2, c1, 1),
@@ -158,35 +127,6 @@ def save_landmark_network(path: str | Path, network: LandmarkNetwork, metadata: 
     """Write the network with what `read_landmark_network` needs; `metadata` is added (licence, training data, ...)."""
     size = {WIDTHS: json.dumps(network.widths), BLOCKS: json.dumps(len(network.e3))}
     save_module(path, network, {**(metadata or {}), ARCHITECTURE: NAME, **size})
-
-
-def _step(x: Float[Array, "h w c"], conv: Conv) -> Float[Array, "h2 w2 d"]:
-    return jax.nn.relu(conv(x))
-
-
-def _residual(x: Float[Array, "h w c"], *convs: Conv) -> Float[Array, "h w c"]:
-    for conv in convs:
-        x = x + jax.nn.relu(conv(x))
-    return x
-
-
-def network_size(weights: Weights) -> tuple[tuple[int, int, int, int], int]:
-    try:
-        widths, blocks = checked_json(weights.metadata[WIDTHS]), checked_json(weights.metadata[BLOCKS])
-        c0, c1, c2, c3 = (_counted(width, MOST_CHANNELS) for width in widths)
-        return (c0, c1, c2, c3), _counted(blocks, MOST_BLOCKS)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ModelError(
-            f"the metadata of {weights.origin} should hold {WIDTHS} (four numbers, as [32, 64, 128, 192]) and {BLOCKS} "
-            f"(one number), got {shortened(weights.metadata.get(WIDTHS))} and "
-            f"{shortened(weights.metadata.get(BLOCKS))}"
-        ) from error
-
-
-def _counted(number: object, most: int) -> int:
-    if not isinstance(number, int) or isinstance(number, bool) or not 1 <= number <= most:
-        raise ValueError(f"{number!r} is not a count of at most {most}")
-    return number
 
 
 def _check_calibration(calibration: Calibration, origin: str) -> None:

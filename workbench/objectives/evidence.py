@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from workbench.diagnosis.picture_evidence import carried_by_flow
 from workbench.face import Embedding, FaceModel
 from workbench.face.model import BLINKS
-from workbench.landmarks.scheme import face_size
+from workbench.landmarks.scheme import POINT_COUNT, face_size
 from workbench.objectives.records import FittedClip, ObservedClip, Truth
 from workbench.tracking import FrameObservation, Track
 
@@ -69,7 +69,7 @@ def inner_landmarks(
     identity: Float[np.ndarray, "n i"],
 ) -> Float[np.ndarray, "n 51 3"]:
     """The landmarks without the jaw contour in the camera frame, millimetres; NaN for frames without a fit."""
-    inner = Embedding(model.landmarks.vertices[17:], model.landmarks.barycentric[17:])
+    inner = Embedding(model.landmarks.vertices[17:POINT_COUNT], model.landmarks.barycentric[17:POINT_COUNT])
     return _placed(model, inner, rotation, translation, expression, identity)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.landmarks.files import read_landmark_file
+from workbench.landmarks.scheme import first_68
 from workbench.objectives.evidence import surface_points
 from workbench.objectives.records import Truth
 from workbench.reading import checked_arrays, checked_file, reading
@@ -27,7 +28,7 @@ def read_truth(
     if path.suffix.lower() != ".npz":
         records = {record.frame: record.landmarks for record in read_landmark_file(path, image_size)}
         found = [records.get(frame) for frame in frames]
-        return Truth(labels=np.stack([_NO_LABELS if each is None else each.points for each in found]))
+        return Truth(labels=np.stack([_NO_LABELS if each is None else first_68(each.points) for each in found]))
     with (
         reading(path, "a truth", "a track or an archive of rotation, translation, expression, identity, landmarks"),
         path.open("rb") as stream,

@@ -7,7 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -19,7 +19,7 @@ from workbench.config import Config, write_config
 from workbench.errors import InputError, OutputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.export.sources import input_files
-from workbench.face import FaceModel, dressed_as
+from workbench.face import FaceModel, dressed_as, in_scheme
 from workbench.frames import Frames, ImageFrames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.pictures.overlay_files import write_overlay_video
@@ -43,7 +43,7 @@ from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.fitting import silent
 from workbench.tracking.flow_fitter import FlowFitter
-from workbench.tracking.track_layout import model_record
+from workbench.tracking.track_layout import model_record, scheme_of, scheme_record
 from workbench.tracking.track_reader import TrackReader
 from workbench.tracking.track_writer import TrackWriter, has_parts
 from workbench.workers import ThisProcess, Workers, working
@@ -110,7 +110,8 @@ def track(
         else:
             source = open_source(paths, config, landmarks, frames, keep_pictures=stills and pictures)
         stills = stills or source.single_picture
-        meta = _meta([*paths, *views.values()], landmarks, model, config, stills, source)
+        job = replace(job, model=in_scheme(model, source.scheme))
+        meta = _meta([*paths, *views.values()], landmarks, job.model, config, stills, source)
         meta["frames"] = None if frames is None else list(frames)
         meta["views"] = {name: str(path) for name, path in views.items()}
         return _finished(job, meta) or _run(job, source, meta, stills)
@@ -173,7 +174,9 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     if steps and stills:
         raise InputError("Unrelated photos have no neighbours in time; leave infill and refinement out, or --stills.")
     if steps:
-        FlowFitter(model, plan_of(config))  # refuses settings of the flow before a clip is fitted for nothing
+        FlowFitter(
+            model, plan_of(config, model.scheme)
+        )  # refuses settings of the flow before a clip is fitted for nothing
     # A character that cannot be drawn is refused before a clip is fitted for nothing.
     dressed = dressed_as(config.head.character, model) if job.pictures else None
     tracker = FaceTracker(model, config, stills=stills)
@@ -240,6 +243,7 @@ def retrack(
     folder, progress = Path(folder), progress or silent
     reader = TrackReader(stored)
     check_model(reader.meta, model)
+    model = in_scheme(model, scheme_of(reader.meta))
     if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
         raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
     dressed = dressed_as(config.head.character, model) if pictures else None
@@ -337,7 +341,7 @@ def _prefixed(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray
 def _write_tables(writer, summary, model, config, folder: Path) -> tuple[Path, ...]:
     write_summary(summary, folder / "summary.json")
     write_parameter_table(writer.tracks(), model.expression_names, folder / "parameters.csv")
-    with LandmarkCsvWriter(folder / "landmarks.csv", confidence=False) as table:
+    with LandmarkCsvWriter(folder / "landmarks.csv", confidence=False, scheme=model.scheme) as table:
         for position in range(len(writer)):
             table.write(landmark_record(writer[position]))
     write_config(config, folder / "config.toml")
@@ -373,6 +377,7 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
         "rate": source.frames.rate,
         "camera_guessed": config.camera.guessed,
         "model": model_record(model),
+        **scheme_record(model.scheme),
         "versions": software_versions(),
     }
 

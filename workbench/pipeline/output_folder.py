@@ -22,7 +22,7 @@ OUTPUTS = {
     "track.npz": "everything, for the notebooks (`workbench.Track.load`)",
     "summary.json": "errors, times, camera",
     "parameters.csv": "one row per frame: pose, every weight, errors",
-    "landmarks.csv": "one row per frame: the 68 detected points",
+    "landmarks.csv": "one row per frame: the detected points",
     "config.toml": "the configuration used",
     "overlay.mp4": "the landmarks on the picture, the 3D face beside it (overlay/ with pictures for stills)",
 }

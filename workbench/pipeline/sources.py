@@ -14,9 +14,11 @@ from workbench.errors import InputError
 from workbench.frames import Frame, FrameRange, Frames, open_frames, range_notes, read_ahead
 from workbench.geometry import read_rig
 from workbench.landmarks.detection import LandmarkDetector
-from workbench.landmarks.detectors import fallback_note, make_detector
+from workbench.landmarks.detectors import detector_scheme, fallback_note, make_detector
 from workbench.landmarks.files import SUFFIXES, LandmarkRecord, read_landmark_file, states_size
-from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.formats.records import scheme_of_records
+from workbench.landmarks.observations import Landmarks2D, of_ibug68
+from workbench.landmarks.scheme import IBUG68
 from workbench.landmarks.tracker_options import TrackerOptions
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.tracking import FrameObservation
@@ -43,7 +45,7 @@ class PictureSource:
         self.single_picture = frames.kind == "images" and frames.announced_count == 1
         self.image_size = frames.image_size
         self.count = frames.announced_count
-        self.detector = detector.name
+        self.detector, self.scheme = detector.name, detector_scheme(detector.name)
         self._fallback = fallback_note(config.landmarks.detector, detector.name)
         face = config.landmarks.face
         self._tracker = LandmarkTracker(detector, TrackerOptions(face=face))
@@ -122,6 +124,7 @@ class FileSource:
         if first is None:
             raise InputError(f"{paths[0]} holds no frame; a landmark file has one row or entry per frame.")
         self.image_size = _size(first)
+        self.scheme = scheme_of_records(self._records())
         self.frames = frames or _Canvas(self)
         self.count = self.frames.announced_count
         self.single_picture = frames is not None and frames.kind == "images" and self.count == 1
@@ -207,7 +210,7 @@ class RigSource:
         counts = [source.count for source in sources if source.count is not None]
         self.count = min(counts) if counts else None
         self.single_picture = all(source.single_picture for source in sources)
-        self.views = [source.frames for source in sources]
+        self.views, self.scheme = [source.frames for source in sources], IBUG68
 
     def notes(self) -> list[str]:
         counts = {name: source.count for name, source in zip(self._names, self._sources, strict=True)}
@@ -235,7 +238,7 @@ class DeepSource:
         self._network = energy_network(config.deep.network)
         self.frames, self.image_size, self.detector = source.frames, source.image_size, source.detector
         self.count, self.single_picture = source.count, source.single_picture
-        self.views = source.views
+        self.views, self.scheme = source.views, IBUG68
         self._without_pictures = False
 
     def notes(self) -> list[str]:
@@ -255,7 +258,7 @@ class DeepSource:
             return None
         if picture is None:
             self._without_pictures = True
-            return landmarks
+            return of_ibug68(landmarks)
         return photo_landmarks(self._network, picture, landmarks)
 
 
@@ -280,7 +283,8 @@ def open_source(
     opened = opened if frames is None else FrameRange(opened, *frames)
     if landmarks is not None:
         return FileSource([landmarks], opened, rows, keep_pictures, config.compares_pictures)
-    return PictureSource(opened, make_detector(config.landmarks.detector), config, keep_pictures)
+    detector = make_detector(config.landmarks.detector, config.landmarks.face_landmarker)
+    return PictureSource(opened, detector, config, keep_pictures)
 
 
 def open_deep_source(

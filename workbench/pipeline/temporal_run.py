@@ -46,7 +46,7 @@ def over_time(
     """
     if not views and (need := needs_pictures(config, steps)):
         raise InputError(f"The method {need!r} needs the pictures, and there are none; name them, or choose another.")
-    plan = plan_of(config)
+    plan = plan_of(config, model.scheme)
     fitter = FlowFitter(model, plan)
     done = dict.fromkeys(STEPS, 0)
 

@@ -1,5 +1,4 @@
 from .figures import PAGE_WIDTH as PAGE_WIDTH
-from .figures import STRIP_ROWS as STRIP_ROWS
 from .figures import Picture as Picture
 from .lines import beta_figure as beta_figure
 from .lines import beta_step_figure as beta_step_figure

@@ -10,8 +10,6 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from workbench.plots.style import TICK_PT
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
-STRIP_ROWS = ("jaw", "brows", "nose", "eyes", "mouth")
-"""Parts of the face, the rows of a residual strip."""
 DPI = 100
 PAGE_WIDTH, GAP, TITLE_HEIGHT = 8.4, 0.04, 0.26
 """Width of a notebook's outputs, space between pictures, and height of a title, inches."""

@@ -7,9 +7,9 @@ from jaxtyping import Float
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from workbench.landmarks.scheme import GROUPS
+from workbench.landmarks.scheme import IBUG68
 from workbench.pictures.overlay import WORST_PERCENT
-from workbench.plots.figures import PAGE_WIDTH, STRIP_ROWS, one_axis
+from workbench.plots.figures import PAGE_WIDTH, one_axis
 from workbench.plots.style import BLUE, GREEN, GREY, RED, page, styled
 from workbench.tracking import FrameFit
 
@@ -83,8 +83,10 @@ def residual_strip(fits: Sequence[FrameFit], flagged: Sequence[bool] | None = No
 
     Rows are sorted by face part; grey frames have no face. Triangles mark `flagged` frames; a line marks `frame`.
     """
-    order = [point for group in STRIP_ROWS for point in GROUPS[group]]
-    values = np.full((68, len(fits)), np.nan)
+    parts = fits[0].scheme.parts if len(fits) else IBUG68.parts
+    order = [point for points in parts.values() for point in points]
+    rows = len(order)
+    values = np.full((rows, len(fits)), np.nan)
     for column, fit in enumerate(fits):
         if fit.found:
             values[:, column] = fit.residuals_percent[order]
@@ -92,21 +94,21 @@ def residual_strip(fits: Sequence[FrameFit], flagged: Sequence[bool] | None = No
     axis.set_facecolor(page().faint)
     shown = axis.imshow(
         values, cmap="viridis", vmin=0.0, vmax=WORST_PERCENT, aspect="auto", interpolation="nearest",
-        extent=(-0.5, len(fits) - 0.5, 67.5, -0.5),
+        extent=(-0.5, len(fits) - 0.5, rows - 0.5, -0.5),
     )  # fmt: skip
-    ends = np.cumsum([0, *(len(GROUPS[group]) for group in STRIP_ROWS)])
-    axis.set_yticks((ends[:-1] + ends[1:] - 1) / 2, STRIP_ROWS)
+    ends = np.cumsum([0, *map(len, parts.values())])
+    axis.set_yticks((ends[:-1] + ends[1:] - 1) / 2, parts)
     axis.tick_params(axis="y", length=0)
     for end in ends[1:-1]:
         axis.axhline(end - 0.5, color="white", linewidth=0.8)
     if flagged is not None and any(flagged):
         places = np.flatnonzero(np.asarray(flagged))
-        axis.plot(places, np.full(len(places), -3.5), "v", color=RED, markersize=5, clip_on=False)
+        axis.plot(places, np.full(len(places), -3.5 / 68 * rows), "v", color=RED, markersize=5, clip_on=False)
     if frame is not None:
         axis.axvline(frame, color="white", linewidth=1.6)
         axis.axvline(frame, color="0.1", linewidth=0.8, linestyle="--")
     axis.set_xlim(-0.5, len(fits) - 0.5)
-    axis.set_ylim(67.5, -0.5)
+    axis.set_ylim(rows - 0.5, -0.5)
     axis.set_xlabel("frame")
     bar = figure.colorbar(shown, pad=0.015, extend="max")
     bar.set_label("error, % of eye distance")

@@ -24,7 +24,7 @@ from workbench.tracking import FrameFit, Track
 from workbench.tracking.fitting import Continuation, never
 from workbench.tracking.records import Fits, stack_fits
 from workbench.tracking.systems import make_fitter
-from workbench.tracking.track_layout import model_record
+from workbench.tracking.track_layout import model_record, scheme_record
 from workbench.tracking.walk import Walk
 
 
@@ -120,7 +120,7 @@ class ClipRuns:
             self._kept.pop(next(kept for kept in self._kept if kept != base))
 
     def _fitted(self, config: Config, progress: Progress | None, cancelled: Cancelled) -> Run | None:
-        walk = Walk(make_fitter(self._model, plan_of(config)))
+        walk = Walk(make_fitter(self._model, plan_of(config, self._model.scheme)))
         fits, before = [], []
         for shot, frames in enumerate(self._material.shots):
             walk.begin_shot(self._calibrations.of_shot(shot, config, walk.fitter))
@@ -145,6 +145,7 @@ def described_track(run: Run, model: FaceModel, stills: bool) -> Track:
         "camera_guessed": config.camera.guessed,
         "config": config.model_dump(mode="json"),
         "model": model_record(model),
+        **scheme_record(model.scheme),
     }
     return replace(run.track, meta=meta)
 

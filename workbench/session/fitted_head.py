@@ -43,21 +43,21 @@ class FittedHead:
             return posed_vertices(personal, fit.expression, fit.jaw, fit.scale)
         return vertices
 
-    def landmarks(self, fit: FrameFit) -> Float[np.ndarray, "68 3"]:
+    def landmarks(self, fit: FrameFit) -> Float[np.ndarray, "points 3"]:
         """The model's landmarks on the surface, head frame; the jaw contour at its frontal position."""
         return self.model.landmarks.of(self.vertices(fit))
 
-    def observed(self, fit: FrameFit, landmarks: Float[np.ndarray, "68 3"]) -> Float[np.ndarray, "68 3"]:
+    def observed(self, fit: FrameFit, landmarks: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
         """The observed landmarks in 3D: each image residual is lifted to the depth of its landmark.
 
         Contour landmarks slide on the surface, so residuals are added to the stored landmarks, not the projected ones.
         """
         points_camera = to_camera(landmarks, fit.rotation, fit.translation)
         millimetres = points_camera[:, 2:] / np.asarray(fit.camera.focal_px, float)
-        moved = np.column_stack([(fit.observed - fit.projected) * millimetres, np.zeros(68)])
+        moved = np.column_stack([(fit.observed - fit.projected) * millimetres, np.zeros(len(landmarks))])
         return landmarks + moved @ np.asarray(rotation_matrix(np.asarray(fit.rotation, float)))
 
-    def surface_values(self, values: Float[np.ndarray, "68"]) -> Float[np.ndarray, "v"]:
+    def surface_values(self, values: Float[np.ndarray, "points"]) -> Float[np.ndarray, "v"]:
         """One value per landmark, spread over the face; NaN far from all landmarks."""
         weights = self._spread
         total = weights.sum(axis=1)
@@ -85,7 +85,7 @@ def _basis(model: FaceModel) -> Float[np.ndarray, "k c"]:
     return np.ascontiguousarray(model.expression_deltas.reshape(len(model.expression_names), -1), np.float32)
 
 
-def _spread(model: FaceModel) -> Float[np.ndarray, "v 68"]:
+def _spread(model: FaceModel) -> Float[np.ndarray, "v points"]:
     landmarks = model.landmarks.of(model.neutral)
     distance = np.linalg.norm(model.neutral[:, None] - landmarks[None], axis=2)
     return np.exp(-0.5 * (distance / SPREAD_MM) ** 2)

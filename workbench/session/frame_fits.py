@@ -39,7 +39,7 @@ class FrameFits:
         last: Callable[[int], Continuation | None],
     ) -> None:
         self._material, self._frames, self._calibrations, self._last = material, frames, calibrations, last
-        self._fitter, self._fitter_config = make_fitter(model, plan_of(config)), config
+        self._fitter, self._fitter_config = make_fitter(model, plan_of(config, model.scheme)), config
         self._solution: tuple[tuple, FrameSolution] | None = None
         self._lock = threading.RLock()
 
@@ -84,7 +84,8 @@ class FrameFits:
             observation = self._frames.linked_observation(frame, config)
             shot = next(number for number, frames in enumerate(self._material.shots) if frame in frames)
             if self._fitter_config is not config:
-                self._fitter, self._fitter_config = configured(self._fitter, plan_of(config)), config
+                plan = plan_of(config, self._fitter.model.scheme)
+                self._fitter, self._fitter_config = configured(self._fitter, plan), config
             calibrated = self._calibrations.of_shot(shot, config, self._fitter, coarse)
             return self._fitter.problem(observation, context_of(observation, shot, calibrated, self._last(frame)))
 

@@ -9,10 +9,10 @@ from jaxtyping import Float, UInt8
 
 from workbench.config import DEFAULT_PRESET, FACE_IT_PRESETS, Config, preset
 from workbench.errors import InputError
-from workbench.face import FaceModel
+from workbench.face import FaceModel, in_scheme
 from workbench.landmarks.detection import LandmarkDetector
-from workbench.landmarks.detectors import make_detector
-from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.detectors import detector_scheme, make_detector
+from workbench.landmarks.scheme import IBUG68, outer_eye_distance
 from workbench.landmarks.tracker_options import TrackerOptions
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.planning import plan_of
@@ -80,12 +80,13 @@ class LiveSession:
     ) -> None:
         config = preset(DEFAULT_PRESET) if config is None else config
         _check_live(config)
+        model = in_scheme(model, IBUG68 if detector is not None else detector_scheme(config.landmarks.detector))
         self.model, self.base = model, config
         self._history = History(LiveState(config, None), HISTORY)
         self._lock = threading.RLock()
         self._detector = detector
         self._landmarks: LandmarkTracker | None = None
-        self._fitter, self._fitter_config = FaceItFitter(model, plan_of(config)), config
+        self._fitter, self._fitter_config = FaceItFitter(model, plan_of(config, model.scheme)), config
         self._identity = self._fitter.mean_identity()
         self._identity_of: tuple[str, Calibration | None] = (_identity_key(config), None)
         self._recorder: Recorder | None = None
@@ -224,8 +225,9 @@ class LiveSession:
 
     def _tracker(self) -> LandmarkTracker:
         if self._landmarks is None:
-            landmarks = self.config.landmarks
-            detector = make_detector(landmarks.detector) if self._detector is None else self._detector
+            landmarks, detector = self.config.landmarks, self._detector
+            if detector is None:
+                detector = make_detector(landmarks.detector, landmarks.face_landmarker)
             self._landmarks = LandmarkTracker(detector, TrackerOptions(face=landmarks.face))
         return self._landmarks
 
@@ -252,7 +254,7 @@ class LiveSession:
         """Bring fitter and identity in line with the current state."""
         state = self._history.present
         if state.config is not self._fitter_config:
-            self._fitter.configure(plan_of(state.config))
+            self._fitter.configure(plan_of(state.config, self.model.scheme))
             self._fitter_config = state.config
         elif state.calibration is self._identity_of[1]:
             return
@@ -269,11 +271,12 @@ class LiveSession:
         observations = list(calibration.observations)
         if not calibration.neutral:
             return self._fitter.calibrate(observations, state.config.identity.frames).identity
-        self._fitter.configure(plan_of(state.config.changed(identity={"expression": NEUTRAL_EXPRESSION})))
+        shy = state.config.changed(identity={"expression": NEUTRAL_EXPRESSION})
+        self._fitter.configure(plan_of(shy, self.model.scheme))
         try:
             return self._fitter.calibrate(observations, state.config.identity.frames).identity
         finally:
-            self._fitter.configure(plan_of(state.config))
+            self._fitter.configure(plan_of(state.config, self.model.scheme))
 
     def _record(self, fit: FrameFit, frame: LiveFrame) -> None:
         with self._lock:

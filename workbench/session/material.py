@@ -15,6 +15,7 @@ from workbench.errors import InputError
 from workbench.export.sources import tracked_part
 from workbench.frames import Frame, Frames, open_frames
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.pipeline import content_hash, is_landmark_file, open_source
 from workbench.tracking import FrameObservation, Track
 from workbench.tracking.records import SOURCES
@@ -102,6 +103,12 @@ class Material:
         """The frames of each shot, as the tracker divides them."""
         starts = [k for k, item in enumerate(self.observations) if k == 0 or item.cut or self.stills]
         return tuple(range(*pair) for pair in zip(starts, [*starts[1:], len(self.observations)], strict=True))
+
+    @cached_property
+    def scheme(self) -> LandmarkScheme:
+        """What the landmarks are called; iBUG's 68 where no frame has a face."""
+        faces = (item.landmarks for item in self.observations if item.landmarks is not None)
+        return next((landmarks.scheme for landmarks in faces), IBUG68)
 
     def sources(self) -> list[str]:
         """Path and SHA-256 of each input that is a file."""

@@ -31,7 +31,7 @@ def compile_solvers(model: FaceModel, config: Config, image_size: tuple[int, int
     for method in ("lm", "optimistix-lm"):  # "optimistix-dogleg" is the same program as "optimistix-lm"
         if cancelled():
             raise StoppedError("Getting ready was cancelled: the first moves may be slower.")
-        fitter = FaceItFitter(model, plan_of(config.changed(solver={"method": method, "bounded": False})))
+        fitter = FaceItFitter(model, plan_of(config.changed(solver={"method": method, "bounded": False}), model.scheme))
         fitter.warm_up(image_size, trace=True)
     for frames in {1, config.identity.frames}:
         fitter.calibrate([fitter.neutral_observation(image_size)], frames)

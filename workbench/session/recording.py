@@ -20,7 +20,7 @@ from workbench.pipeline.output_folder import check_no_results
 from workbench.session.live_frame import LiveFrame
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import stack_fits
-from workbench.tracking.track_layout import model_record
+from workbench.tracking.track_layout import model_record, scheme_record
 
 SLOWEST_RATE = 5.0
 """Lowest frame rate of a recording, in frames per second, however slowly the frames came."""
@@ -150,6 +150,7 @@ def live_meta(model: FaceModel, config: Config, source: str, detector: str, rate
         "rate": rate,
         "camera_guessed": config.camera.guessed,
         "model": model_record(model),
+        **scheme_record(model.scheme),
         "versions": software_versions(),
         "live": {"camera": source},
     }

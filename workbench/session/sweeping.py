@@ -24,7 +24,7 @@ from workbench.sweeps import (
 from workbench.sweeps.results import folds_needed, objectives_of
 from workbench.sweeps.sweep import FITS
 from workbench.tracking.chain_solver import CHAINS
-from workbench.tracking.fitting import never
+from workbench.tracking.fitting import never, with_ibug68
 
 Grown = Callable[[SweepResult], None]
 
@@ -78,7 +78,7 @@ class SessionSweeps:
     def clip(self, objectives: Sequence[str], truth: str | Path | None) -> SweptClip:
         """The material with what the objectives need. Raises `InputError` if it has no face."""
         material = self._material
-        observations = material.observations
+        observations = tuple(map(with_ibug68, material.observations))
         if not any(observation.landmarks is not None for observation in observations):
             raise InputError(f"{material.name} has no face in any frame; there is nothing to sweep over.")
         known, flow = Truth(), None

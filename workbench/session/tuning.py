@@ -10,7 +10,7 @@ from jaxtyping import Bool, UInt8
 from workbench.config import DEFAULT_PRESET, Config, Difference, parse_config, preset
 from workbench.diagnosis import Change, Diagnosis, Uncertainty, estimate_uncertainty
 from workbench.errors import InputError
-from workbench.face import FaceModel, load_default_head
+from workbench.face import FaceModel, in_scheme, load_default_head
 from workbench.learning import Tuned
 from workbench.session.calibrations import Calibrations
 from workbench.session.clip_run import ClipRuns, Run, described_track
@@ -41,7 +41,7 @@ class TuningSession:
     """
 
     def __init__(self, model: FaceModel, material: Material, config: Config | None = None):
-        self.model, self.material = model, material
+        self.model, self.material = (model := in_scheme(model, material.scheme)), material
         self.base = preset(DEFAULT_PRESET) if config is None else config
         self._listeners: list[Callable[[str], None]] = []
         self._tuned = TunedConfig(self.base, self.tell)

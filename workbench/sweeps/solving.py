@@ -13,8 +13,9 @@ from jaxtyping import Bool, Float
 from workbench.arrays import shapes_of
 from workbench.config import Config
 from workbench.errors import ConfigError
-from workbench.face import FaceModel, FaceParameters, LandmarkModel, landmark_model
+from workbench.face import FaceModel, FaceParameters, LandmarkModel, in_scheme, landmark_model
 from workbench.geometry import Camera
+from workbench.landmarks.scheme import IBUG68
 from workbench.objectives import FOLDS, FittedClip, folds_of, inner_landmarks, surface_points, without_hidden
 from workbench.planning import plan_of
 from workbench.runtime import COMPUTING
@@ -81,10 +82,10 @@ class ChainJob:
 
 
 class ClipSolver:
-    """Solves parts of clips for one face model, in this process; the latest identities are kept."""
+    """Solves parts of clips for one face model by its 68 points, in this process; the latest identities are kept."""
 
     def __init__(self, model: FaceModel):
-        self.model = model
+        self.model = model = in_scheme(model, IBUG68)
         self._landmarks = landmark_model(model)
         self._fitter: FaceItFitter | None = None
         self._identities: OrderedDict[tuple, Calibrated] = OrderedDict()

@@ -21,7 +21,6 @@ from itertools import product
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import qmc
 
 from workbench.config import Config, preset
 from workbench.errors import ConfigError
@@ -183,6 +182,8 @@ def points_of(axes: Sequence[Axis], sampling: Sampling = Sampling()) -> tuple[Po
 def _shares(axes: Sequence[Axis], sampling: Sampling) -> np.ndarray:
     if sampling.kind == "random" or not axes:
         return np.random.default_rng(sampling.seed).random((sampling.count, len(axes)))
+    from scipy.stats import qmc  # here: all of SciPy's statistics come with it, and every panel imports this module
+
     whole = int(np.ceil(np.log2(sampling.count)))
     return qmc.Sobol(len(axes), rng=sampling.seed).random_base2(whole)[: sampling.count]
 

@@ -19,6 +19,7 @@ from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.second_camera import SecondCamera, arrays_of, second_of_arrays, seen_by_second
 from workbench.sweeps.storage import Storage, local_file, packed, unpacked
 from workbench.tracking import FrameObservation
+from workbench.tracking.fitting import with_ibug68
 
 NO_FACES = "has no face in any frame; look at its pictures, or try another detector (landmarks.detector)."
 _TRUTHS = ("rotation", "translation", "expression", "surface", "labels")
@@ -83,7 +84,7 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     found, pictures = [], []
     for observation in opened.observations(0, {}, stills):
         pictures.append(observation.picture)
-        found.append(_without_picture(observation))
+        found.append(_without_picture(with_ibug68(observation)))
     if not any(observation.landmarks is not None for observation in found):
         raise InputError(f"{source.clip} {NO_FACES}")
     flow = None

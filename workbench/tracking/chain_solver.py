@@ -31,7 +31,7 @@ FRAMES = 32
 class ChainFrames(NamedTuple):
     """Consecutive frames of a chain as its solves need them."""
 
-    measured: Float[AnyArray, "*c f 68 3"]
+    measured: Float[AnyArray, "*c f points 3"]
     """x and y in pixels, and what the point counts."""
     present: Bool[AnyArray, "*c f"]
     """False: no face, or beyond the end of the chain; nothing is solved."""
@@ -69,7 +69,7 @@ class SolvedFrames(NamedTuple):
     rotation: Float[AnyArray, "*c f 3"]
     translation: Float[AnyArray, "*c f 3"]
     expression: Float[AnyArray, "*c f k"]
-    projected: Float[AnyArray, "*c f 68 2"]
+    projected: Float[AnyArray, "*c f points 2"]
     iterations: Float[AnyArray, "*c f"]
     """Steps over all stages."""
 

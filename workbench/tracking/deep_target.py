@@ -9,7 +9,7 @@ from jaxtyping import UInt8
 
 from workbench.energies.deep import crop_of
 from workbench.landmarks.network_detector import bundled_landmark_network
-from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.observations import Landmarks2D, of_ibug68
 from workbench.networks import Fan, LandmarkNetwork, landmarks_of, read_weights, reduction_for
 from workbench.networks.fan import NAME as FAN
 from workbench.networks.fan import fan_from
@@ -35,8 +35,8 @@ def energy_network(path: str) -> Fan | LandmarkNetwork:
 def photo_landmarks(
     network: Fan | LandmarkNetwork, picture: UInt8[np.ndarray, "h w 3"], detected: Landmarks2D
 ) -> Landmarks2D:
-    """N(F*) for a detected face, in full-resolution pixels (Deep Energies Sec. 4)."""
-    points = detected.points
+    """N(F*) for a detected face, in full-resolution pixels (Deep Energies Sec. 4): its 68 points, whoever found it."""
+    points = of_ibug68(detected).points
     for _ in range(LOOKS):
         with COMPUTING:
             box = crop_of(network, jnp.asarray(points))

@@ -1,4 +1,4 @@
-"""One frame under FACE IT!: head pose and blendshape weights from 68 landmarks."""
+"""One frame under FACE IT!: head pose and blendshape weights from landmarks."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -33,6 +33,7 @@ from workbench.tracking.fitting import (
     FrameContext,
     FrameObservation,
     StageTrace,
+    check_scheme,
     continued,
     never,
 )
@@ -91,6 +92,8 @@ class FaceItFitter(Fitter):
         usable = [observation for observation in observations if observation.landmarks is not None]
         if not usable:
             raise InputError("Calibrating an identity needs frames with a face; none of these frames has landmarks.")
+        for observation in usable:
+            check_scheme(observation, self.model)
         neutral = self._landmarks.frontal_neutral()
         poses = [
             initial_pose(self.camera(observation.image_size), neutral, observation.landmarks.points, self._used)
@@ -112,6 +115,7 @@ class FaceItFitter(Fitter):
         problem = FaceItProblem(
             observation, context, began, camera, self._settings, self._programs[context.last is None]
         )
+        check_scheme(observation, self.model)
         if observation.landmarks is None:
             return problem
         person = self._personal_of(context.identity)
@@ -171,7 +175,12 @@ class FaceItFitter(Fitter):
         neutral = self._landmarks.frontal_neutral()
         points = np.asarray(project(self.camera(image_size), neutral + np.array([0.0, 0.0, 600.0])))
         motion = blank_motion(image_size) if self.plan.compares_pictures else None
-        return FrameObservation(0, Landmarks2D(points, np.ones(68), image_size), image_size, motion=motion)
+        return FrameObservation(0, self._perfect(points, image_size), image_size, motion=motion)
+
+    def _perfect(self, points: Float[np.ndarray, "points 2"], image_size: tuple[int, int]) -> Landmarks2D:
+        scheme = self.model.scheme
+        covariance = np.tile(np.eye(2), (len(scheme), 1, 1)) if scheme.has_covariances else None
+        return Landmarks2D(points, np.ones(len(scheme)), image_size, covariance)
 
     def _camera_pair(self, image_size):
         if image_size not in self._cameras:
@@ -190,10 +199,11 @@ class FaceItFitter(Fitter):
 
     def _frame_input(self, observation: FrameObservation, context: FrameContext) -> FrameInput:
         points, last = observation.landmarks.points, context.last
-        measured = np.column_stack([points, self.plan.counts(observation.landmarks.confidence)])
+        counts, whitening = self.plan.measured(observation.landmarks)
+        measured = np.column_stack([points, counts])
         if last is not None:
             history = _ONE if last.frames >= 2 else _ZERO
-            return FrameInput(measured, last.pose, last.last_pose, history, last.parameters)
+            return FrameInput(measured, last.pose, last.last_pose, history, last.parameters, whitening=whitening)
         start = context.start
         if start is None:
             camera = self.camera(observation.image_size)
@@ -202,7 +212,7 @@ class FaceItFitter(Fitter):
             start = FaceParameters(rotation, translation, expression, np.zeros(0))
         # The identity is already part of the personal landmarks, and there is neither a jaw joint nor a scale.
         start = FaceParameters(start.rotation, start.translation, start.expression, np.zeros(0))
-        return FrameInput(measured, _NO_POSE, _NO_POSE, _ZERO, start)
+        return FrameInput(measured, _NO_POSE, _NO_POSE, _ZERO, start, whitening=whitening)
 
     def _flow_link(self, observation: FrameObservation, context: FrameContext, camera: Camera) -> FlowLink | None:
         if self._flow is None:
@@ -218,7 +228,8 @@ class FaceItFitter(Fitter):
         observations = observations + observations[-1:] * padding
         poses = poses + poses[-1:] * padding
         identity = self.plan.identity
-        weights = np.stack([self.plan.counts(observation.landmarks.confidence) for observation in observations])
+        seen = [self.plan.measured(observation.landmarks) for observation in observations]
+        weights, whitening = np.stack([counts for counts, _ in seen]), [each for _, each in seen]
         weights[count - padding :] = 0.0
         cameras = [self.camera(observation.image_size) for observation in observations]
         first_pass = self.plan.point_weights.copy()
@@ -248,6 +259,7 @@ class FaceItFitter(Fitter):
                 starts,
                 np.stack([observation.landmarks.points for observation in observations]),
                 weights,
+                None if whitening[0] is None else np.stack(whitening),
             )
 
     def record(self, solution: FaceItSolution) -> FrameFit:

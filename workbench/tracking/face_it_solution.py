@@ -19,7 +19,7 @@ from workbench.tracking.frame_solver import (
     StageProgram,
 )
 from workbench.tracking.plan import Plan
-from workbench.tracking.records import FrameFit
+from workbench.tracking.records import FrameFit, recorded_covariance
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def stage_program(plan: Plan, start: bool) -> StageProgram:
     chosen = plan.running(start)
     slots = STAGE_SLOTS * -(-len(plan.stages) // STAGE_SLOTS)
     moves, limit = np.zeros((slots, len(BLOCKS)), bool), np.zeros(slots, int)
-    weights, omega = np.zeros((slots, 68)), np.zeros((slots, len(plan.terms)))
+    weights, omega = np.zeros((slots, len(plan.point_weights))), np.zeros((slots, len(plan.terms)))
     for k, stage in enumerate(chosen):
         moves[k], limit[k] = [name in stage.free for name in BLOCKS], stage.limit
         weights[k], omega[k] = stage.landmark_weights, stage.omega
@@ -140,6 +140,7 @@ def record_of(solution: FaceItSolution, plan: Plan) -> FrameFit:
         iterations=iterations,
         milliseconds=np.array([*observation.milliseconds, solution.milliseconds]),
         others=landmarks_of_others(observation),
+        covariance=recorded_covariance(observation.landmarks.covariance, observation.landmarks.scheme),
     )
 
 
@@ -147,7 +148,7 @@ def record_without_face(
     observation: FrameObservation, shot: int, camera: Camera, model: FaceModel, plan: Plan
 ) -> FrameFit:
     """The record of a frame without landmarks."""
-    rows = len(plan.running(start=True))
+    rows, points = len(plan.running(start=True)), len(model.scheme)
     return FrameFit(
         index=observation.index,
         found=False,
@@ -159,14 +160,15 @@ def record_without_face(
         translation=_missing(3),
         expression=_missing(len(model.expression_names)),
         identity=_missing(len(model.identity_deltas)),
-        observed=_missing(68, 2),
-        confidence=_missing(68),
-        projected=_missing(68, 2),
+        observed=_missing(points, 2),
+        confidence=_missing(points),
+        projected=_missing(points, 2),
         energies=_missing(rows, len(plan.terms)),
         status=np.full(rows, -1),
         iterations=np.zeros(rows, int),
         milliseconds=np.array([*observation.milliseconds, 0.0]),
         others=landmarks_of_others(observation),
+        covariance=recorded_covariance(None, model.scheme),
     )
 
 

@@ -15,11 +15,13 @@ from workbench.arrays import AnyArray
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera
-from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.observations import Landmarks2D, of_ibug68
 from workbench.rendering import Appearance
 from workbench.tracking.plan import Plan
 from workbench.tracking.records import FrameFit
 
+BY_HAND_PX = 1.0
+"""Standard deviation of a point that somebody put in its place."""
 Pictures = tuple[UInt8[np.ndarray, "_ _ 3"], ...]
 """The pictures of one frame, one for each view of a rig; a single one without a rig."""
 
@@ -71,7 +73,7 @@ class Continuation(NamedTuple):
     last_pose: Float[AnyArray, "6"]
     frames: int
     """Frames since the restart, including this one."""
-    points: Float[np.ndarray, "68 2"]
+    points: Float[np.ndarray, "points 2"]
 
 
 class FrameContext(NamedTuple):
@@ -102,7 +104,7 @@ class StageTrace(NamedTuple):
     stage: str
     energies: Float[np.ndarray, "steps t"]
     """Weighted energy of each term of the plan (`Plan.terms`)."""
-    residuals_px: Float[np.ndarray, "steps 68"]
+    residuals_px: Float[np.ndarray, "steps points"]
     """Distance of each model landmark from the observed one."""
 
 
@@ -230,6 +232,17 @@ def landmarks_of_others(observation: FrameObservation) -> Float[np.ndarray, "o 6
     return found
 
 
+def check_scheme(observation: FrameObservation, model: FaceModel) -> None:
+    """Raise `InputError` if a frame's landmarks are of another scheme than the model's."""
+    if observation.landmarks is None or observation.landmarks.scheme is model.scheme:
+        return
+    found = observation.landmarks.scheme
+    raise InputError(
+        f"The landmarks of frame {observation.index} are the {len(found)} of {found.name!r}, those of the face model "
+        f"the {len(model.scheme)} of {model.scheme.name!r}; pass face.in_scheme(model, landmarks.scheme)."
+    )
+
+
 def with_face(observation: FrameObservation) -> FrameObservation:
     """The observation. Raises `InputError` if it has no landmarks."""
     if observation.landmarks is None:
@@ -237,21 +250,34 @@ def with_face(observation: FrameObservation) -> FrameObservation:
     return observation
 
 
+def with_ibug68(observation: FrameObservation) -> FrameObservation:
+    """The observation by its 68 points alone, for what knows no others."""
+    if observation.landmarks is None:
+        return observation
+    return replace(observation, landmarks=of_ibug68(observation.landmarks))
+
+
 def corrected(observation: FrameObservation, moved: Mapping[int, tuple[float, float]]) -> FrameObservation:
-    """The observation with manually corrected detections, by point; these get full confidence."""
+    """The observation with manually corrected detections, by point; these get full confidence (`BY_HAND_PX`)."""
     if not moved or observation.landmarks is None:
         return observation
     points, confidence = observation.landmarks.points.copy(), observation.landmarks.confidence.copy()
+    moved = {point: place for point, place in moved.items() if point < len(points)}
     for point, place in moved.items():
         points[point], confidence[point] = place, 1.0
-    return replace(observation, landmarks=replace(observation.landmarks, points=points, confidence=confidence))
+    covariance = observation.landmarks.covariance
+    if covariance is not None:
+        covariance = covariance.copy()
+        covariance[list(moved)] = BY_HAND_PX**2 * np.eye(2)
+    moved_there = replace(observation.landmarks, points=points, confidence=confidence, covariance=covariance)
+    return replace(observation, landmarks=moved_there)
 
 
 def continued(
     parameters: FaceParameters,
     pose: Float[AnyArray, "6"],
     last: Continuation | None,
-    points: Float[np.ndarray, "68 2"],
+    points: Float[np.ndarray, "points 2"],
 ) -> Continuation:
     """The state that a fitted frame hands to the next one; `last` is the state it received."""
     before = pose if last is None else last.pose

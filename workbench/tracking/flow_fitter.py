@@ -194,11 +194,12 @@ class FlowFitter:
             failure="",
             source="filled",
             observed=made.projected,
-            confidence=np.zeros(68),
+            confidence=np.zeros(len(like.confidence)),
             others=np.zeros_like(like.others),
+            covariance=np.full_like(like.covariance, np.nan),
         )
 
-    def landmarks(self, fit: FrameFit, parameters: FaceParameters) -> Float[np.ndarray, "68 2"]:
+    def landmarks(self, fit: FrameFit, parameters: FaceParameters) -> Float[np.ndarray, "points 2"]:
         """The model's landmarks in the reference picture, pixels."""
         nothing = np.zeros((68, 2)), np.zeros(68), np.zeros(68), np.ones(()), np.zeros((9, 3)), np.zeros(3)
         view = DeepView(fit.camera, np.eye(3), np.zeros(3), *nothing)
@@ -262,5 +263,5 @@ def parameters_of(fit: FrameFit) -> FaceParameters:
 
 
 @jax.jit
-def _landmarks(model, view: DeepView, parameters: FaceParameters, sliding) -> Float[Array, "68 2"]:
+def _landmarks(model, view: DeepView, parameters: FaceParameters, sliding) -> Float[Array, "points 2"]:
     return preselected_points(model, view, parameters, sliding)

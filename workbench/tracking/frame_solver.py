@@ -58,7 +58,7 @@ class StageProgram(NamedTuple):
     """Which of `BLOCKS` each stage frees."""
     limit: Int[AnyArray, "s"]
     """ρ or ε."""
-    landmark_weights: Float[AnyArray, "s 68"]
+    landmark_weights: Float[AnyArray, "s points"]
     omega: Float[AnyArray, "s t"]
     """Factor in front of each term; 0 if a stage leaves it out."""
     count: Int[AnyArray, ""]
@@ -85,7 +85,7 @@ class SolveSettings(NamedTuple):
 class FrameInput(NamedTuple):
     """The input for one frame."""
 
-    measured: Float[AnyArray, "68 3"]
+    measured: Float[AnyArray, "points 3"]
     """x and y in pixels, and what the point counts. One array: each one passed in costs as much as an iteration."""
     last_pose: Float[AnyArray, "6"]
     before_last_pose: Float[AnyArray, "6"]
@@ -93,6 +93,8 @@ class FrameInput(NamedTuple):
     start: FaceParameters
     flow: FlowLink | None = None
     """None where no stage names the flow term."""
+    whitening: Float[AnyArray, "points 2 2"] | None = None
+    """`Observation.whitening`."""
 
 
 class SolvedFrame(NamedTuple):
@@ -101,7 +103,7 @@ class SolvedFrame(NamedTuple):
     parameters: FaceParameters
     pose: Float[AnyArray, "6"]
     """[r | t], for the next frame's E_τ."""
-    projected: Float[AnyArray, "68 2"]
+    projected: Float[AnyArray, "points 2"]
     """Model landmarks in the picture, pixels."""
     energies: Float[AnyArray, "s t"]
     """Weighted energy of each term after each stage."""
@@ -110,7 +112,7 @@ class SolvedFrame(NamedTuple):
     report: Float[AnyArray, "n"]
     """All of the above in one vector (`read_report`): one transfer instead of nine."""
     traces: Any
-    """None unless requested: per stage, energies (s, steps, t) and landmark residuals in pixels (s, steps, 68)."""
+    """None unless requested: per stage, energies (s, steps, t) and landmark residuals in pixels (s, steps, points)."""
 
 
 def run_stages(
@@ -152,14 +154,14 @@ def run_stages(
         new = (energies, status, iterations, trace)
         return k + 1, parameters, projected, jax.tree.map(lambda old, row: old.at[k].set(row), rows, new)
 
-    slots = len(program.moves)
+    slots, count = len(program.moves), len(frame.measured)
     trace = None
     if trace_length:
-        trace = (jnp.zeros((slots, trace_length + 1, len(terms))), jnp.zeros((slots, trace_length + 1, 68)))
+        trace = (jnp.zeros((slots, trace_length + 1, len(terms))), jnp.zeros((slots, trace_length + 1, count)))
     rows = (jnp.full((slots, len(terms)), jnp.nan), jnp.full(slots, -1), jnp.zeros(slots, int), trace)
     parameters = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), frame.start)
     parameters = parameters._replace(expression=jnp.where(_held(settings), settings.lower, parameters.expression))
-    start = (jnp.asarray(0), parameters, jnp.zeros((68, 2)), rows)
+    start = (jnp.asarray(0), parameters, jnp.zeros((count, 2)), rows)
     _, parameters, projected, rows = jax.lax.while_loop(lambda carry: carry[0] < program.count, body, start)
     pose = jnp.concatenate([parameters.rotation, parameters.translation])
     parts = (parameters, pose, projected, *rows[:3])
@@ -204,7 +206,7 @@ def stage_problem(
     camera: Camera,
     model: LandmarkModel,
     settings: SolveSettings,
-    landmark_weights: Float[AnyArray, "68"],
+    landmark_weights: Float[AnyArray, "points"],
     omega: Float[AnyArray, "t"],
     frame: FrameInput,
     parameters: FaceParameters,
@@ -215,8 +217,10 @@ def stage_problem(
     eye_distance_mm = jnp.linalg.norm(points.neutral[45] - points.neutral[36])
     eye_distance_px = jnp.mean(jnp.asarray(camera.focal_px)) * eye_distance_mm / parameters.translation[2]
     unit = jnp.where(settings.percent > 0.5, 0.01 * eye_distance_px, 1.0)
+    if frame.whitening is not None:
+        unit = jnp.ones(())  # a whitened error is a number of standard deviations
     weights = landmark_weights * frame.measured[:, 2]
-    observation = Observation(frame.measured[:, :2], weights, unit)
+    observation = Observation(frame.measured[:, :2], weights, unit, frame.whitening)
     before = (frame.before_last_pose, frame.last_pose, frame.history)
     context = TermContext(settings.constants, *before, parameters, frame.flow)
     return EnergyProblem(camera, points, observation, omega, context)

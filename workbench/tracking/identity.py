@@ -35,7 +35,7 @@ class CalibrationSettings(NamedTuple):
     """ω of the smoothed L1 norm of each frame's weights: high, because identity should explain what is constant."""
     limits: tuple[Count, ...]
     """Maximum iterations of each pass (`MOVES`)."""
-    landmark_weights: Float[AnyArray, "passes 68"]
+    landmark_weights: Float[AnyArray, "passes points"]
     """Landmark weights of each pass (`MOVES`)."""
     sliding: Scalar
 
@@ -56,25 +56,26 @@ def calibrate_identity(
     model: LandmarkModel,
     settings: CalibrationSettings,
     starts: FaceParameters,
-    points: Float[AnyArray, "f 68 2"],
-    weights: Float[AnyArray, "f 68"],
+    points: Float[AnyArray, "f points 2"],
+    weights: Float[AnyArray, "f points"],
+    whitening: Float[AnyArray, "f points 2 2"] | None = None,
 ) -> Calibration:
     """Solve for one identity and `f` poses and expressions; cameras and starts are stacked over the frames.
 
-    A frame with all weights zero is ignored. Blendshape weights stay in the model's range. Each pass fixes contour and
-    blink travel at its start.
+    `whitening` as in `Observation`. A frame with all weights zero is ignored. Blendshape weights stay in the model's
+    range. Each pass fixes contour and blink travel at its start.
     """
     steps = (jnp.asarray(MOVES), jnp.asarray(settings.limits), jnp.asarray(settings.landmark_weights))
 
     def run(frames, a_pass):
-        frames, solution = _solve_pass(cameras, model, settings, a_pass, frames, points, weights)
+        frames, solution = _solve_pass(cameras, model, settings, a_pass, frames, (points, weights, whitening))
         return frames, (solution.cost, solution.iterations)
 
     frames, (costs, iterations) = jax.lax.scan(run, jax.tree.map(jnp.asarray, starts), steps)
     return Calibration(frames.identity[0], frames, costs[-1], iterations)
 
 
-def _solve_pass(cameras, model, settings, a_pass, frames, points, weights):
+def _solve_pass(cameras, model, settings, a_pass, frames, observed):
     moves, limit, landmark_weights = a_pass
     free = (*BLOCKS, "identity")
     # The prior of the shared identity counts once, not once per frame, so it is added to the whole system below.
@@ -82,12 +83,13 @@ def _solve_pass(cameras, model, settings, a_pass, frames, points, weights):
     omega = jnp.stack([jnp.asarray(factors.get(name, 0.0), float) for name in FACE_IT_TERMS])
     solve_settings = SolveSettings(EnergyConstants(), 0.0, 1.0, 1e-6, 1.0, settings.sliding)
 
-    def problem_of(camera, parameters, observed, weight):
-        measured = jnp.concatenate([observed, weight[:, None]], axis=1)
-        frame = FrameInput(measured, jnp.zeros(6), jnp.zeros(6), jnp.zeros(()), parameters)
+    def problem_of(camera, parameters, seen):
+        points, weight, whitening = seen
+        measured = jnp.concatenate([points, weight[:, None]], axis=1)
+        frame = FrameInput(measured, jnp.zeros(6), jnp.zeros(6), jnp.zeros(()), parameters, whitening=whitening)
         return stage_problem(camera, model, solve_settings, landmark_weights, omega, frame, parameters)
 
-    problems = jax.vmap(problem_of)(cameras, frames, points, weights)
+    problems = jax.vmap(problem_of)(cameras, frames, observed)
     packed = jax.vmap(lambda frame: pack(frame, BLOCKS))(frames)
     count, common = len(packed), slice(packed.shape[1], None)
     first = jax.tree.map(lambda stacked: stacked[0], frames)

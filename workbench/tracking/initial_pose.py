@@ -13,9 +13,9 @@ FEWEST_POINTS = 6
 
 def initial_pose(
     camera: Camera,
-    neutral_head: Float[np.ndarray, "68 3"],
-    points: Float[np.ndarray, "68 2"],
-    used: Bool[np.ndarray, "68"] | None = None,
+    neutral_head: Float[np.ndarray, "points 3"],
+    points: Float[np.ndarray, "points 2"],
+    used: Bool[np.ndarray, "points"] | None = None,
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Axis-angle and translation (mm) that best explain eye corners and nose with the neutral face, by SQPnP.
 
@@ -50,7 +50,7 @@ def initial_pose(
 
 
 def frontal_pose(
-    camera: Camera, neutral_head: Float[np.ndarray, "68 3"], points: Float[np.ndarray, "68 2"]
+    camera: Camera, neutral_head: Float[np.ndarray, "points 3"], points: Float[np.ndarray, "points 2"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Zero rotation, at the position and distance at which the model's points match the spread of the observed ones."""
     spread_mm = np.sqrt(((neutral_head[:, :2] - neutral_head[:, :2].mean(0)) ** 2).sum(1).mean())

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from workbench.energies import EnergyConstants
 from workbench.geometry import Camera, Rig, camera_from_fov, camera_from_matrix
+from workbench.landmarks.observations import Landmarks2D
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class StagePlan:
     """Free blendshapes by name or prefix, or first:N; empty: all."""
     limit: int
     """Maximum number of iterations."""
-    landmark_weights: Float[np.ndarray, "68"]
+    landmark_weights: Float[np.ndarray, "points"]
     """Weight of each landmark: the product of group and point factors."""
     omega: Float[np.ndarray, "t"]
     """Factor in front of each of the plan's terms; 0 if the stage leaves it out."""
@@ -148,7 +149,7 @@ class Plan:
     constants: EnergyConstants
     sliding: bool
     """Whether the jaw contour slides along the face with the yaw."""
-    point_weights: Float[np.ndarray, "68"]
+    point_weights: Float[np.ndarray, "points"]
     """Factor of each landmark in every stage and in the identity."""
     confident: bool
     """Whether each point counts by its detection's confidence, else all that were detected alike."""
@@ -160,10 +161,27 @@ class Plan:
     by_points: "Plan | None" = None
     """The FACE IT! plan that gives Deep Energies its identity, appearance and first pose."""
 
-    def counts(self, confidence: Float[np.ndarray, "68"]) -> Float[np.ndarray, "68"]:
+    def counts(self, confidence: Float[np.ndarray, "points"]) -> Float[np.ndarray, "points"]:
         """What each squared error counts, from the detections' confidence."""
         return confidence if self.confident else (confidence > 0.0).astype(float)
+
+    def measured(
+        self, landmarks: Landmarks2D
+    ) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points 2 2"] | None]:
+        """What each squared error counts, and what whitens it: where a covariance does, the confidence does not too."""
+        if landmarks.covariance is None or not self.confident:
+            return self.counts(landmarks.confidence), None
+        return (landmarks.confidence > 0.0).astype(float), whitening_of(landmarks.covariance)
 
     def running(self, start: bool) -> tuple[StagePlan, ...]:
         """The stages that run on the first frame of a shot (`start`) or on a later one."""
         return tuple(stage for stage in self.stages if stage.enabled and (start or not stage.first_only))
+
+
+def whitening_of(covariance: Float[np.ndarray, "points 2 2"]) -> Float[np.ndarray, "points 2 2"]:
+    """W, upper triangular, with (WᵀW)⁻¹ the covariance: what takes errors of it to unit variance."""
+    yy, xy = covariance[:, 1, 1], covariance[:, 0, 1]
+    across = 1.0 / np.sqrt(covariance[:, 0, 0] - xy**2 / yy)
+    whitening = np.zeros_like(covariance)
+    whitening[:, 0, 0], whitening[:, 0, 1], whitening[:, 1, 1] = across, -across * xy / yy, 1.0 / np.sqrt(yy)
+    return whitening

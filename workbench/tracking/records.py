@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float, Int
 from workbench.files import atomic_path
 from workbench.geometry import Camera, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.scheme import POINT_COUNT, LandmarkScheme, outer_eye_distance
+from workbench.landmarks.schemes import scheme_of_count
 from workbench.reading import checked_arrays, checked_file, reading
 from workbench.tracking.track_layout import (
     FAILURES,
@@ -44,10 +45,10 @@ class FrameFit:
     """Millimetres."""
     expression: Float[np.ndarray, "k"]
     identity: Float[np.ndarray, "i"]
-    observed: Float[np.ndarray, "68 2"]
+    observed: Float[np.ndarray, "points 2"]
     """Landmarks given to the fit, pixels; the model's own if only other views of a rig saw the face."""
-    confidence: Float[np.ndarray, "68"]
-    projected: Float[np.ndarray, "68 2"]
+    confidence: Float[np.ndarray, "points"]
+    projected: Float[np.ndarray, "points 2"]
     """The model's landmarks in the picture, pixels."""
     energies: Float[np.ndarray, "s e"]
     """Weighted energy of each term (`Config.terms`) after each stage."""
@@ -64,6 +65,8 @@ class FrameFit:
     """Landmarks in the other views of a rig: x and y in pixels, and confidence; 0 where a view saw no face."""
     failure: str = ""
     """One of `FAILURES`: why the fit should not be used; empty for a usable fit."""
+    covariance: Float[np.ndarray, "c 2 2"] = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    """Of each observed place, squared pixels; empty in schemes without, NaN where the detector told none."""
 
     @property
     def errors(self) -> tuple[float, float, float]:
@@ -75,15 +78,21 @@ class FrameFit:
         """The detector's landmarks; None if it found no face, and in frames made by infill."""
         if not self.found or self.source == "filled":
             return None
-        return Landmarks2D(self.observed, self.confidence, self.image_size)
+        told = len(self.covariance) > 0 and bool(np.isfinite(self.covariance).all())
+        return Landmarks2D(self.observed, self.confidence, self.image_size, self.covariance if told else None)
 
     @property
-    def residuals_px(self) -> Float[np.ndarray, "68"]:
+    def scheme(self) -> LandmarkScheme:
+        """What the landmarks are called."""
+        return scheme_of_count(len(self.observed))
+
+    @property
+    def residuals_px(self) -> Float[np.ndarray, "points"]:
         """Distance of each model landmark from the observed one, pixels."""
         return np.linalg.norm(self.projected - self.observed, axis=1)
 
     @property
-    def residuals_percent(self) -> Float[np.ndarray, "68"]:
+    def residuals_percent(self) -> Float[np.ndarray, "points"]:
         """`residuals_px` in % of the observed outer-eye distance, like every error in percent."""
         return 100.0 * self.residuals_px / outer_eye_distance(self.observed)
 
@@ -109,9 +118,9 @@ class Track:
     translation: Float[np.ndarray, "n 3"]
     expression: Float[np.ndarray, "n k"]
     identity: Float[np.ndarray, "n i"]
-    observed: Float[np.ndarray, "n 68 2"]
-    confidence: Float[np.ndarray, "n 68"]
-    projected: Float[np.ndarray, "n 68 2"]
+    observed: Float[np.ndarray, "n points 2"]
+    confidence: Float[np.ndarray, "n points"]
+    projected: Float[np.ndarray, "n points 2"]
     energies: Float[np.ndarray, "n s e"]
     status: Int[np.ndarray, "n s"]
     iterations: Int[np.ndarray, "n s"]
@@ -120,6 +129,7 @@ class Track:
     scale: Float[np.ndarray, "n"]
     failure: np.ndarray
     others: Float[np.ndarray, "n o 68 3"]
+    covariance: Float[np.ndarray, "n c 2 2"]
     meta: dict[str, Any]
     """Expression names, configuration, inputs, names of the frames, software versions: plain JSON."""
 
@@ -136,6 +146,11 @@ class Track:
         return FrameFit(camera=camera, **row)
 
     @property
+    def scheme(self) -> LandmarkScheme:
+        """What the landmarks are called."""
+        return scheme_of_count(self.observed.shape[1])
+
+    @property
     def expression_names(self) -> tuple[str, ...]:
         """Blendshape names, in the order of the columns of `expression`."""
         return tuple(self.meta["expression_names"])
@@ -146,7 +161,7 @@ class Track:
         return np.nan_to_num(self.confidence).max(axis=1, initial=0.0) > 0.0
 
     @property
-    def residuals_percent(self) -> Float[np.ndarray, "n 68"]:
+    def residuals_percent(self) -> Float[np.ndarray, "n points"]:
         """`FrameFit.residuals_percent` of each frame; NaN without a face."""
         residuals = np.linalg.norm(self.projected - self.observed, axis=2)
         return 100.0 * residuals / outer_eye_distance(self.observed)[:, None]
@@ -170,7 +185,7 @@ class Track:
         with reading(path, *DAMAGED), path.open("rb") as stream, checked_arrays(stream) as stored:
             meta = checked_meta(stored, path)
             columns = in_todays_layout(stored, len(stored["index"]))
-            return cls(meta=meta, **checked_columns(columns, meta["expression_names"]))
+            return cls(meta=meta, **checked_columns(columns, meta))
 
 
 ARRAYS = tuple(LAYOUT)
@@ -180,6 +195,15 @@ def checked_track_file(path: str | Path) -> Path:
     """The path of a possible track. Raises `InputError` if it is not a file."""
     absent = f"The track {path} does not exist; `workbench track INPUT` writes track.npz."
     return checked_file(path, "a track", absent=absent)
+
+
+def recorded_covariance(
+    covariance: Float[np.ndarray, "points 2 2"] | None, scheme: LandmarkScheme
+) -> Float[np.ndarray, "c 2 2"]:
+    """A detection's covariance, or None, as the fits of a scheme hold it."""
+    if covariance is not None and scheme.has_covariances:
+        return covariance
+    return np.full((len(scheme) if scheme.has_covariances else 0, 2, 2), np.nan)
 
 
 def stack_fits(fits: list[FrameFit]) -> dict[str, np.ndarray]:
@@ -224,7 +248,9 @@ def frame_errors(track: Track) -> Float[np.ndarray, "n 4"]:
     return np.where(track.seen[:, None], _errors(track.projected, track.observed), np.nan)
 
 
-def _errors(projected: Float[np.ndarray, "n 68 2"], observed: Float[np.ndarray, "n 68 2"]) -> Float[np.ndarray, "n 4"]:
-    residuals = np.linalg.norm(projected - observed, axis=2)
+def _errors(
+    projected: Float[np.ndarray, "n points 2"], observed: Float[np.ndarray, "n points 2"]
+) -> Float[np.ndarray, "n 4"]:
+    residuals = np.linalg.norm(projected - observed, axis=2)[:, :POINT_COUNT]
     pixels = np.stack([residuals[:, 17:].mean(1), residuals.mean(1)], axis=1)
     return np.concatenate([pixels, 100.0 * pixels / outer_eye_distance(observed)[:, None]], axis=1)

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,10 +12,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from workbench.errors import InputError
 from workbench.face import USUAL_JAW, FaceModel, JawUnit
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.schemes import SCHEMES, scheme_named
 from workbench.reading import checked_json, shortened
 
 FORMAT = "face-energy-workbench-track"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
+OF_IBUG68 = 3
+"""The version of tracks with the 68 points, which older workbenches read too."""
 FAILURES = ("", "jaw and face disagree", "large error", "not finite")
 """Why a fit is unusable although there was a face (Deep Energies Sec. 8.2); stored as an index."""
 SOURCES = ("none", "detected", "tracked", "given", "filled")
@@ -34,9 +38,9 @@ LAYOUT: Mapping[str, tuple[str, tuple[int | str, ...]]] = {
     "translation": ("f", (3,)),
     "expression": ("f", ("blendshapes",)),
     "identity": ("f", ("identity components",)),
-    "observed": ("f", (68, 2)),
-    "confidence": ("f", (68,)),
-    "projected": ("f", (68, 2)),
+    "observed": ("f", ("landmarks", 2)),
+    "confidence": ("f", ("landmarks",)),
+    "projected": ("f", ("landmarks", 2)),
     "energies": ("f", ("stages", "energies")),
     "status": ("iu", ("stages",)),
     "iterations": ("iu", ("stages",)),
@@ -45,9 +49,10 @@ LAYOUT: Mapping[str, tuple[str, tuple[int | str, ...]]] = {
     "scale": ("f", ()),
     "failure": ("iu", ()),
     "others": ("f", ("other views", 68, 3)),
+    "covariance": ("f", ("covariances", 2, 2)),
 }
 """Kind of number (NumPy's letter) and sizes per frame; sizes with the same name must be equal."""
-LATER = ("jaw", "scale", "failure", "others")
+LATER = ("jaw", "scale", "failure", "others", "covariance")
 """Arrays that older workbenches did not write."""
 MOST_NAMED = 10_000
 """Maximum number of blendshapes, identity components, stages, energies or views."""
@@ -88,6 +93,7 @@ class _Metadata(_Section):
     """The metadata that is used; there may be more."""
 
     expression_names: list[str]
+    scheme: Literal[tuple(SCHEMES)] = IBUG68.name
     stages: list[str] = []
     steps: list[str] = []
     config: dict[str, Any] | None = None
@@ -130,7 +136,18 @@ def checked_meta(stored: Mapping[str, np.ndarray], path: Path) -> dict[str, Any]
 
 def meta_array(meta: dict[str, Any]) -> np.ndarray:
     """The metadata as the scalar text array that is stored in the file."""
-    return np.array(json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION, **meta}))
+    version = FORMAT_VERSION if "scheme" in meta else OF_IBUG68
+    return np.array(json.dumps({"format": FORMAT, "format_version": version, **meta}))
+
+
+def scheme_record(scheme: LandmarkScheme) -> dict[str, str]:
+    """What the metadata says of the landmarks; of the 68 nothing, as before there were others."""
+    return {} if scheme is IBUG68 else {"scheme": scheme.name}
+
+
+def scheme_of(meta: Mapping[str, Any]) -> LandmarkScheme:
+    """The landmark scheme that the metadata of a track name."""
+    return scheme_named(meta.get("scheme", IBUG68.name))
 
 
 def model_record(model: FaceModel) -> dict[str, Any]:
@@ -153,27 +170,30 @@ def in_todays_layout(stored: Mapping[str, np.ndarray], count: int) -> dict[str, 
         "scale": np.ones(count),
         "failure": np.zeros(count, np.int8),
         "others": np.zeros((count, 0, 68, 3)),
+        "covariance": np.zeros((count, 0, 2, 2)),
     }
     return {name: stored[name] if name in stored or name not in LATER else old[name] for name in LAYOUT}
 
 
-def checked_columns(columns: Mapping[str, np.ndarray], names: list[str]) -> dict[str, np.ndarray]:
-    """The unchanged arrays of a track (or of consecutive frames of one) with these blendshapes, after checks.
+def checked_columns(columns: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The unchanged arrays of a track (or of consecutive frames of one) with these metadata, after checks.
 
     Raises ValueError if types, sizes or numbers are invalid for a track: different lengths, frames out of order,
     unknown sources, non-finite numbers in a fitted face.
     """
     count = len(columns["index"])
-    check_layout({name: (columns[name].shape, columns[name].dtype) for name in LAYOUT}, count, names)
+    check_layout({name: (columns[name].shape, columns[name].dtype) for name in LAYOUT}, count, meta)
     _check_numbers(columns)
     return {name: columns[name] for name in LAYOUT}
 
 
-def check_layout(layouts: Mapping[str, tuple[tuple[int, ...], np.dtype]], count: int, names: list[str]) -> None:
+def check_layout(layouts: Mapping[str, tuple[tuple[int, ...], np.dtype]], count: int, meta: Mapping[str, Any]) -> None:
     """Raise ValueError unless these shapes and types are valid for a track of `count` frames."""
     if not count:
         raise ValueError("it contains no frames")
-    named = {"blendshapes": len(names)}
+    scheme = scheme_of(meta)
+    named = {"blendshapes": len(meta["expression_names"]), "landmarks": len(scheme)}
+    named["covariances"] = len(scheme) if scheme.has_covariances else 0
     for name, (kinds, expected) in LAYOUT.items():
         if name not in layouts and name in LATER:
             continue

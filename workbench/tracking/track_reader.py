@@ -30,7 +30,7 @@ class TrackReader:
             with ExitStack() as stack:
                 layouts = {name: (shape, dtype) for name, (_, shape, dtype) in self._members(stack).items()}
                 (self._count,) = layouts["index"][0]
-                check_layout(layouts, self._count, self.meta["expression_names"])
+                check_layout(layouts, self._count, self.meta)
 
     def __len__(self) -> int:
         return self._count
@@ -50,7 +50,7 @@ class TrackReader:
                 with reading(self.path, *DAMAGED):
                     rows = min(BLOCK_FRAMES, self._count - first)
                     arrays = {name: _rows(rows, *member) for name, member in members.items()}
-                    columns = checked_columns(in_todays_layout(arrays, rows), self.meta["expression_names"])
+                    columns = checked_columns(in_todays_layout(arrays, rows), self.meta)
                     if columns["index"][0] <= last:
                         raise ValueError("its frames are not in ascending order")
                     last = columns["index"][-1]

@@ -55,6 +55,6 @@ def context_of(
     return FrameContext(shot, calibrated.identity, start, None if lost else last, calibrated.appearance)
 
 
-def jumped(before: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]) -> bool:
+def jumped(before: Float[np.ndarray, "points 2"], now: Float[np.ndarray, "points 2"]) -> bool:
     """Whether the landmarks moved so far between two frames that the pose must be restarted."""
     return bool(np.linalg.norm(now - before, axis=1).mean() > JUMP * outer_eye_distance(before))

@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 from workbench.landmarks.alignment import FaceFrame, frame_from_points
 from workbench.landmarks.network_detector import CROP_SIDE, crop_frame
 from workbench.landmarks.scheme import MIRROR
+from workbench.landmarks.schemes import DensePoints
 from workbench.training.pool import Pool
 
 
@@ -23,6 +24,8 @@ class TrainingPicture:
     points: Float[np.ndarray, "70 2"]
     """The 68 landmarks and the two pupils in pixels of the picture; points outside of it are possible."""
     is_face: bool
+    dense: Float[np.ndarray, "n 2"]
+    """The dense points, where they were asked for; none otherwise."""
 
     @property
     def landmarks(self) -> Float[np.ndarray, "68 2"]:
@@ -51,15 +54,24 @@ EXPOSED = (60.0, 190.0)
 
 
 def augmented(
-    pool: Pool, index: int, rng: np.random.Generator, side: int = CROP_SIDE, hardness: Hardness = TRAINING
+    pool: Pool,
+    index: int,
+    rng: np.random.Generator,
+    side: int = CROP_SIDE,
+    hardness: Hardness = TRAINING,
+    dense: DensePoints | None = None,
 ) -> TrainingPicture:
     """A random training picture of one render, `side` pixels wide (4 % show no face at all)."""
     rgba, points = cut_out(pool, index)
+    mirror = MIRRORED
+    if dense is not None:
+        points = np.concatenate([points, pool.surface(index, dense.vertices)])
+        mirror = (*MIRRORED, *(len(MIRRORED) + dense.mirror))
     background = random_background(rng, side)
     background = _with_bystander(background, pool, rng)
     is_face = rng.random() > 0.04 * hardness.damage
     if is_face:
-        head, points = _framed(rgba, points.astype(np.float64), rng, side, hardness)
+        head, points = _framed(rgba, points.astype(np.float64), mirror, rng, side, hardness)
         head = exposed(head, rng)
         picture = _clothed(background, points[:68], rng)
         cover = head[..., 3:].astype(np.float32) / 255
@@ -73,7 +85,9 @@ def augmented(
         picture = _shadowed(picture, rng)
     if hardness.damage > 0:
         picture = photographed(picture, rng, hardness.damage)
-    return TrainingPicture(np.clip(picture, 0, 255).astype(np.uint8), points.astype(np.float32), is_face)
+    points = points.astype(np.float32)
+    known = len(MIRRORED)
+    return TrainingPicture(np.clip(picture, 0, 255).astype(np.uint8), points[:known], is_face, points[known:])
 
 
 def cut_out(pool: Pool, index: int) -> tuple[UInt8[np.ndarray, "s s 4"], Float[np.ndarray, "70 2"]]:
@@ -169,11 +183,11 @@ def photographed(
     return picture
 
 
-def _framed(rgba, points, rng, side, hardness):
+def _framed(rgba, points, mirror, rng, side, hardness):
     """The crop a detector would ask for, more or less; half of the pictures are mirrored."""
     if rng.random() < 0.5:
         rgba = rgba[:, ::-1]
-        points = points[list(MIRRORED)]
+        points = points[list(mirror)]
         points[:, 0] = rgba.shape[1] - 1 - points[:, 0]
     view = crop_frame(frame_from_points(points[:68]), side)
     roll = np.clip(rng.normal(0, 14), -40, 40) if rng.random() < 0.85 else rng.uniform(-60, 60)

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from workbench.errors import InputError
 from workbench.files import atomic_path, make_folder
-from workbench.networks.landmark_network import BLOCKS, WIDTHS
+from workbench.networks.encoder import BLOCKS, WIDTHS
 from workbench.networks.weights import ARCHITECTURE, read_weights
 from workbench.reading import checked_file
 from workbench.training.pool import Pool, open_pool

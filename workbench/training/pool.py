@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from workbench.errors import InputError
 from workbench.face import load_default_head
@@ -26,6 +26,7 @@ class Pool:
 
     pictures: list[UInt8[np.ndarray, "n s s 4"]]
     points: list[Float[np.ndarray, "n 70 2"]]
+    vertices: list[Float[np.ndarray, "n v 2"]]
     angles_deg: list[Float[np.ndarray, "n 3"]]
     expressions: list[Float[np.ndarray, "n k"]]
 
@@ -36,6 +37,11 @@ class Pool:
         """RGBA (colours multiplied by coverage), and the 68 landmarks with the two pupils."""
         shard, place = divmod(index, SHARD)
         return self.pictures[shard][place], self.points[shard][place]
+
+    def surface(self, index: int, vertices: Int[np.ndarray, "m"]) -> Float[np.ndarray, "m 2"]:
+        """Where these vertices of the head are, pixels."""
+        shard, place = divmod(index, SHARD)
+        return self.vertices[shard][place][vertices]
 
     def angles(self, index: int) -> Float[np.ndarray, "3"]:
         """Yaw, pitch, roll in degrees."""
@@ -67,6 +73,7 @@ def make_shard(folder: Path, seed: int, shard: int) -> None:
         np.savez(
             path,
             points=np.stack([face.points for face in faces]).astype(np.float32),
+            vertices=np.stack([face.vertices for face in faces]).astype(np.float32),
             angles=np.stack([face.yaw_pitch_roll_deg for face in faces]).astype(np.float32),
             expressions=np.stack([face.expression for face in faces]).astype(np.float32),
         )
@@ -111,9 +118,17 @@ def open_pool(folder: Path) -> Pool:
     return Pool(
         pictures=[np.load(path, mmap_mode="r", allow_pickle=False) for _, path in shards],
         points=[shard["points"] for shard in numbers],
+        vertices=[shard["vertices"] for shard in numbers],
         angles_deg=[shard["angles"] for shard in numbers],
         expressions=[shard["expressions"] for shard in numbers],
     )
+
+
+def halves(pool: Pool) -> tuple[Pool, Pool]:
+    """Two pools of other people; one of a single shard is both."""
+    middle = len(pool.pictures) // 2
+    parts = (slice(None, middle), slice(middle, None)) if middle else (slice(None), slice(None))
+    return tuple(Pool(**{name: shards[part] for name, shards in vars(pool).items()}) for part in parts)
 
 
 def shard_paths(folder: Path, shard: int) -> tuple[Path, Path]:

@@ -2,21 +2,26 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from workbench.files import atomic_path
+from workbench.landmarks.schemes import DENSE_POINTS
 from workbench.networks import read_landmark_network, read_weights, write_weights
+from workbench.networks.dense_network import read_dense_network
+from workbench.networks.frozen import FrozenDenseNetwork
 from workbench.training.augment import TRAINING
-from workbench.training.evaluation import answers_of, calibration_of
+from workbench.training.dense_measuring import dense_answers, deviation_factor, measured_dense
+from workbench.training.dense_task import DenseTask
+from workbench.training.evaluation import CLEAN, answers_of, calibration_of
 from workbench.training.finder_task import FinderTask
 from workbench.training.landmark_task import LandmarkTask
 from workbench.training.loop import Phase, TrainingPlan, train
 from workbench.training.measuring import looker, measured
-from workbench.training.pool import make_pool, open_pool
-from workbench.training.report import write_report
+from workbench.training.pool import halves, make_pool, open_pool
+from workbench.training.report import write_dense_report, write_report
 
 LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
 FURTHER_LANDMARK_PLAN = TrainingPlan(
@@ -27,6 +32,7 @@ FINDER_PLAN = TrainingPlan(
 )
 FURTHER_FINDER_PLAN = TrainingPlan(phases=(Phase(256, 1400, 16, 1.5e-3),), widths=(16, 32, 64, 96), blocks=2)
 """For weights that are there already."""
+DENSE_PLAN = TrainingPlan(phases=(Phase(256, 4500, 32, 1.5e-3),))
 POOL_SEED, TEST_SEED = 1, 1002
 TEST_PICTURES, EVALUATED, CALIBRATED = 960, 800, 1500
 LICENCE = "Apache-2.0"
@@ -55,6 +61,9 @@ QUICK = Recipe(
     calibrated=40,
 )
 """Everything once, in a minute or two: to see that it works."""
+QUICK_DENSE = replace(
+    QUICK, plan=TrainingPlan(phases=(Phase(256, 20, 4, 1e-3),), widths=QUICK.plan.widths, blocks=QUICK.plan.blocks)
+)
 
 
 def train_landmark_network(
@@ -103,6 +112,37 @@ def train_face_finder(
     path = folder / "finder.safetensors"
     arrays = {name: array.astype(np.float16) for name, array in raw.arrays.items()}
     write_weights(path, arrays, {**raw.metadata, "licence": LICENCE, "data": "renders of the default head only"})
+    return path
+
+
+def train_dense_network(
+    folder: Path,
+    recipe: Recipe = Recipe(plan=DENSE_PLAN),
+    workers: int = 1,
+    device: str = "cpu",
+    report: Report = print,
+) -> Path:
+    """Make the dense network from the same pool: `folder/dense.safetensors`; resumes like the landmark network.
+
+    Its deviations are calibrated on half of the held-out renders; the tables are of the other half.
+    """
+    task = DenseTask()
+    pool, test = _pools(folder, recipe, workers, report)
+    raw = train(task, pool, folder / "dense", recipe.plan, workers, device, report=report, start=recipe.start)
+    look, (known, unseen) = FrozenDenseNetwork(read_dense_network(raw)), halves(open_pool(test))
+    report("calibrating the deviations")
+    factor = deviation_factor(dense_answers(look, known, DENSE_POINTS, recipe.calibrated, TRAINING, seed=1))
+    weights = read_weights(raw)
+    path = folder / "dense.safetensors"
+    arrays = {name: array.astype(np.float16) for name, array in weights.arrays.items()}
+    arrays["deviation_factor"] = factor.astype(np.float32)
+    write_weights(path, arrays, {**weights.metadata, "licence": LICENCE, "data": "renders of the default head only"})
+    report("measuring on renders that it has not seen")
+    look = FrozenDenseNetwork(read_dense_network(path))
+    clean, damaged = (
+        dense_answers(look, unseen, DENSE_POINTS, recipe.evaluated, hardness) for hardness in (CLEAN, TRAINING)
+    )
+    write_dense_report(folder, measured_dense(clean, damaged, DENSE_POINTS), folder / "dense" / "curves.csv")
     return path
 
 

@@ -1,6 +1,7 @@
 """What a training leaves to look at: its curves, the confidence against the truth, and the tables of the model card."""
 
 import csv
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 from workbench.files import atomic_path
 
 CURVES = {"loss": "loss", "inner_percent": "inner 51, % of the outer-eye distance"}
+DENSE_CURVES = {**CURVES, "dense_percent": "dense points, % of the outer-eye distance"}
 """Columns of the curves that are drawn, and what they are."""
 
 
@@ -20,6 +22,21 @@ def write_report(folder: Path, numbers: dict, curves: Path) -> None:
             figure.savefig(temporary, dpi=100)
     with atomic_path(folder / "tables.md") as temporary:
         temporary.write_text(tables(numbers), encoding="utf-8")
+
+
+def write_dense_report(folder: Path, tables: Mapping[str, Mapping[str, float]], curves: Path) -> None:
+    """Write `dense_curves.png`, `dense_numbers.json` and `dense_tables.md` into the folder."""
+    with atomic_path(folder / "dense_curves.png") as temporary:
+        curves_figure(curves, DENSE_CURVES).savefig(temporary, dpi=100)
+    with atomic_path(folder / "dense_numbers.json") as temporary:
+        temporary.write_text(json.dumps(tables, indent=1), encoding="utf-8")
+    columns = list(next(iter(tables.values())))
+    lines = ["| | " + " | ".join(columns) + " |", "|" + "---|" * (len(columns) + 1)]
+    for name, row in tables.items():
+        cells = [f"{value:.0%}" if "inside" in column else f"{value:.2f}" for column, value in row.items()]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    with atomic_path(folder / "dense_tables.md") as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def curves_figure(path: Path, curves: Mapping[str, str] = CURVES) -> Figure:

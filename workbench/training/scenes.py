@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from workbench.face.characters import Character
+from workbench.face.dense_landmarks import PUPIL_RING
 from workbench.face.dressed_head import DressedHead, WornPart
 from workbench.face.landmark_model import contour_blend
 from workbench.face.model import FaceModel
@@ -35,8 +36,6 @@ MOST_YAW_DEG = 90.0
 PEELS = 3
 LIGHTS = 3
 """Lights of every picture, some of them off: VTK compiles its shaders for a number of lights."""
-PUPIL_RING = 8
-"""Vertices around the pole of an eyeball."""
 PAIRS = 0.75
 """Probability that both sides of a paired blendshape act alike."""
 
@@ -51,6 +50,8 @@ class RenderedFace:
     """Colours multiplied by the coverage, and the coverage."""
     points: Float[np.ndarray, "70 2"]
     """The 68 landmarks, then the pupils: the person's right one and the left one."""
+    vertices: Float[np.ndarray, "v 2"]
+    """The head's vertices: whoever wants other points of the surface has them here."""
     yaw_pitch_roll_deg: Float[np.ndarray, "3"]
     expression: Float[np.ndarray, "k"]
 
@@ -158,7 +159,7 @@ class FaceStudio:
         if lenses:
             rgba = _tinted(rgba, [to_pixels(camera, to_camera(lens, rotation, translation)) for lens in lenses], rng)
         points = to_pixels(camera, to_camera(points_head, rotation, translation))
-        return RenderedFace(np.ascontiguousarray(rgba), points, angles, expression)
+        return RenderedFace(np.ascontiguousarray(rgba), points, to_pixels(camera, points_camera), angles, expression)
 
     def _worn(self, worn, rest, vertices) -> tuple[Float[np.ndarray, "_ 3"], ...]:
         return replace(self.nobody, worn=worn).parts_on(rest, vertices)

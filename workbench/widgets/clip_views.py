@@ -26,8 +26,8 @@ class ClipViews:
 
     def __init__(self, session: TuningSession, go: Callable[[int], None]) -> None:
         self._session, self._go = session, go
-        self._values = np.zeros((0, 68))
-        self.timeline = TimelineView(height_px=100, unit="% of eye distance")
+        self._values = np.zeros((0, len(session.material.scheme)))
+        self.timeline = TimelineView(height_px=100, scheme=session.material.scheme, unit="% of eye distance")
         self.timeline.observe(lambda change: self._go(change["new"]), "frame")
         self.pose = ChartView(height_px=140, title="head pose")
         self.weights = ChartView(height_px=122, title="")

@@ -1,6 +1,8 @@
 """How messages get from the browser to a widget while a cell runs, and from widgets to the browser without loss."""
 
+import asyncio
 import sys
+from collections.abc import Callable
 
 import comm
 import zmq
@@ -38,3 +40,13 @@ def lose_no_messages() -> None:
         unlimited = 0
         # In the thread that the socket belongs to.
         publishing.schedule(lambda: publishing.socket.setsockopt(zmq.SNDHWM, unlimited))
+
+
+def after_cell(work: Callable[[], object]) -> None:
+    """Do some work once the cell that runs has ended, before the next one; at once in a thread that runs no cell."""
+    try:
+        loop = asyncio.get_running_loop()
+    except RuntimeError:
+        work()
+        return
+    loop.call_soon(work)

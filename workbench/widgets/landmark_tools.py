@@ -6,7 +6,6 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.errors import WorkbenchError
-from workbench.landmarks.scheme import GROUPS
 from workbench.session import FittedHead, TuningSession
 from workbench.session.gesture import Gesture
 from workbench.tracking import FrameFit
@@ -46,7 +45,7 @@ class LandmarkTools:
         self._session, self._head, self._said, self._redraw = session, head, said, redraw
         self.frame = 0
         self._drags, self._dragging = 0, False
-        self.view = OverlayView(height_px=0, unit=UNITS["%"], at_face=True)
+        self.view = OverlayView(height_px=0, scheme=session.material.scheme, unit=UNITS["%"], at_face=True)
         self.view.on_event(self._on_event)
         self._pictures = PictureLayers(session, head, self.view, said, waiting, self._switch_off)
         tools, shown = self._tools(), self._shown()
@@ -104,7 +103,8 @@ class LandmarkTools:
         """Weight of each landmark in the last stage."""
         config = self._session.config
         last = config.running(start=False)[-1]
-        return np.multiply(last.landmark_weights(config.subsets), config.point_weights())
+        scheme = self._session.material.scheme
+        return np.multiply(last.landmark_weights(config.subsets, scheme), config.point_weights(scheme))
 
     # --- parts ---
 
@@ -170,7 +170,7 @@ class LandmarkTools:
             return
         if event.kind in ("select", "lasso") and self.layers["heat"].value:
             self._redraw()
-        factors = session.config.point_weights()
+        factors = session.config.point_weights(session.material.scheme)
         if event.kind == "mute":
             muted = all(factors[point] == 0.0 for point in points)
             session.weigh(points, 1.0 if muted else 0.0, "unmute" if muted else "mute")
@@ -194,7 +194,7 @@ class LandmarkTools:
     def _on_group(self, change) -> None:
         name = change["new"]
         if name:
-            points = self._session.config.subsets.get(name, GROUPS.get(name, ()))
+            points = self._session.config.subsets.get(name, self._session.material.scheme.groups.get(name, ()))
             self.view.selection = list(points)
             self.group.value = ""
 
@@ -207,7 +207,7 @@ class LandmarkTools:
         self._said(f"Saved the subset {self.name.value.strip()!r} of {len(self.view.selection)} points.")
 
     def _groups(self) -> list[tuple[str, str]]:
-        names = [*GROUPS, *self._session.config.subsets]
+        names = [*self._session.material.scheme.groups, *self._session.config.subsets]
         return [("select…", ""), *((name.replace("_", " "), name) for name in names)]
 
     def _switch_off(self, name: str) -> None:

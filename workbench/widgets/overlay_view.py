@@ -13,7 +13,8 @@ import traitlets
 from jaxtyping import Float, Num, Shaped, UInt8
 
 from workbench.errors import InputError, WorkbenchError
-from workbench.landmarks.scheme import GROUPS, POINT_COUNT, POINT_NAMES, POLYLINES, check_68
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.schemes import scheme_of_count
 from workbench.widgets.browser_program import BROWSER, browser_program
 from workbench.widgets.head_view import scale_colors
 
@@ -43,7 +44,8 @@ FINE_GROUPS = (
     *("jaw", "right_brow", "left_brow", "nose_bridge", "nose_base"),
     *("right_eye", "left_eye", "outer_lips", "inner_lips"),
 )
-"""Groups that do not overlap and together contain every point."""
+COARSE_GROUPS = ("brows", "nose", "eyes", "mouth", "irises", "pupils", "ears", "face")
+"""Those of points that no finer group has; of the fine ones none overlap."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +76,11 @@ def color_table() -> UInt8[np.ndarray, "256 3"]:
     return scale_colors()
 
 
-def point_groups() -> list[str]:
+def point_groups(scheme: LandmarkScheme = IBUG68) -> list[str]:
     """The name of each landmark's smallest group, with spaces."""
-    names = {index: group.replace("_", " ") for group in FINE_GROUPS for index in GROUPS[group]}
-    return [names[index] for index in range(POINT_COUNT)]
+    known = [group for group in (*COARSE_GROUPS, *FINE_GROUPS) if group in scheme.groups]
+    names = {index: group.replace("_", " ") for group in known for index in scheme.groups[group]}
+    return [names[index] for index in range(len(scheme))]
 
 
 def float_bytes(values: Num[np.ndarray, "..."]) -> bytes:
@@ -91,30 +94,31 @@ def fit_table(
     values: Num[np.ndarray, "..."] | None,
     confidence: Num[np.ndarray, "..."] | None,
     weights: Num[np.ndarray, "..."] | None,
-) -> Float[np.ndarray, "68 8"]:
+) -> Float[np.ndarray, "points 8"]:
     """One row per landmark: observed x, y; model x, y; value shown; distance, px; confidence; weight.
 
-    Points are (68, 2), px, the others (68,). Without a model its columns are NaN; values default to the distances,
-    confidence and weights to 1. Raises `InputError` for another number of landmarks.
+    Points are (points, 2), px, the others (points,). Without a model its columns are NaN; values default to the
+    distances, confidence and weights to 1. Raises `InputError` for another number of landmarks.
     """
-    observed = check_68(observed)
-    projected = np.full((POINT_COUNT, 2), np.nan) if projected is None else check_68(projected)
+    observed = _checked_points(observed)
+    count = len(observed)
+    projected = np.full((count, 2), np.nan) if projected is None else _checked_points(projected)
     distance = np.linalg.norm(projected - observed, axis=1)
     columns = [
         _per_point("residuals", values, distance),
         distance,
-        _per_point("confidences", confidence, np.ones(POINT_COUNT)),
-        _per_point("weights", weights, np.ones(POINT_COUNT)),
+        _per_point("confidences", confidence, np.ones(count)),
+        _per_point("weights", weights, np.ones(count)),
     ]
     return np.column_stack([observed, projected, *columns])
 
 
-def read_event(content: object) -> OverlayEvent | None:
-    """The event in a message from a browser; None if it is not one."""
+def read_event(content: object, count: int = len(IBUG68)) -> OverlayEvent | None:
+    """The event in a message from a browser about so many landmarks; None if it is not one."""
     if not isinstance(content, dict) or content.get("kind") not in KINDS:
         return None
     points, place = content.get("points"), (content.get("x"), content.get("y"))
-    if not isinstance(points, list) or not all(type(i) is int and 0 <= i < POINT_COUNT for i in points):
+    if not isinstance(points, list) or not all(type(i) is int and 0 <= i < count for i in points):
         return None
     if not all(value is None or (isinstance(value, int | float) and math.isfinite(value)) for value in place):
         return None
@@ -158,8 +162,8 @@ class OverlayView(anywidget.AnyWidget):
     layer_opacity = traitlets.Float(0.6, min=0.0, max=1.0).tag(sync=True)
     scale_max = traitlets.Float(0.0, min=0.0, help="end of the colour scale; 0: automatic").tag(sync=True)
     unit = traitlets.Unicode("px", help="unit of the residuals").tag(sync=True)
-    selection = traitlets.List(traitlets.Int(min=0, max=POINT_COUNT - 1)).tag(sync=True)
-    subset = traitlets.List(traitlets.Int(min=0, max=POINT_COUNT - 1)).tag(sync=True)
+    selection = traitlets.List(traitlets.Int(min=0)).tag(sync=True)
+    subset = traitlets.List(traitlets.Int(min=0)).tag(sync=True)
     tool = traitlets.Enum(TOOLS, "select").tag(sync=True)
     message = traitlets.Unicode("", help="message over the picture").tag(sync=True)
     webgl = traitlets.Bool(None, allow_none=True, help="WebGL2 in the browser; None until shown").tag(sync=True)
@@ -177,17 +181,17 @@ class OverlayView(anywidget.AnyWidget):
     _scale = traitlets.Float(SMALLEST_SCALE).tag(sync=True)
     _scheme = traitlets.Dict().tag(sync=True)
 
-    def __init__(self, height_px: int = 420, **traits: object) -> None:
+    def __init__(self, height_px: int = 420, scheme: LandmarkScheme = IBUG68, **traits: object) -> None:
         self._lock = threading.RLock()
         self._callbacks: list[Callable[[OverlayEvent], object]] = []
         self._failed = False
         self._shown: np.ndarray | None = None
         self._automatic: float | None = None
-        self._rows: Float[np.ndarray, "68 8"] | None = None
-        scheme = {"names": list(POINT_NAMES), "groups": point_groups(), "lines": [list(line) for line in POLYLINES]}
-        scheme["colors"] = color_table().tobytes()
+        self._rows: Float[np.ndarray, "points 8"] | None = None
+        told = {"names": list(scheme.point_names), "groups": point_groups(scheme)}
+        told |= {"lines": [list(line) for line in scheme.polylines], "colors": color_table().tobytes()}
         traits["layers"] = {**LAYERS, **traits.get("layers", {})}
-        super().__init__(height_px=height_px, _scheme=scheme, **traits)
+        super().__init__(height_px=height_px, _scheme=told, **traits)
         self.on_msg(self._on_message)
         self.observe(self._on_scale, "scale_max")
 
@@ -226,7 +230,7 @@ class OverlayView(anywidget.AnyWidget):
         confidence: Num[np.ndarray, "..."] | None = None,
         weights: Num[np.ndarray, "..."] | None = None,
     ) -> None:
-        """Show detections and model landmarks, (68, 2) px, and residuals (68,) in `unit`, with confidence and weights.
+        """Show detections and model landmarks, (points, 2) px, residuals (points,) in `unit`, confidence and weights.
 
         `observed` None means no face, and a message over the picture says so. The other defaults are those of
         `fit_table`. Raises `InputError` for another number of landmarks.
@@ -269,6 +273,13 @@ class OverlayView(anywidget.AnyWidget):
         else:
             self._callbacks.append(callback)
 
+    @traitlets.validate("selection", "subset")
+    def _of_the_scheme(self, proposal) -> list[int]:
+        count = len(self._scheme["names"])
+        if max(proposal["value"], default=0) >= count:
+            raise traitlets.TraitError(f"landmarks are numbered from 0 to {count - 1}; got {max(proposal['value'])}")
+        return proposal["value"]
+
     def _chosen_scale(self) -> float:
         if self.scale_max > 0:
             return self.scale_max
@@ -287,7 +298,7 @@ class OverlayView(anywidget.AnyWidget):
             self._scale = self._chosen_scale()
 
     def _on_message(self, _widget: object, content: object, _buffers: object) -> None:
-        event = read_event(content)
+        event = read_event(content, len(self._scheme["names"]))
         if event is None:
             return
         if self._failed:
@@ -304,9 +315,18 @@ class OverlayView(anywidget.AnyWidget):
                 logging.getLogger(__name__).debug("callback of OverlayView failed", exc_info=True)
 
 
-def _per_point(what: str, given: Num[np.ndarray, "..."] | None, otherwise: Float[np.ndarray, "68"]) -> np.ndarray:
+def _checked_points(points: Num[np.ndarray, "..."]) -> Float[np.ndarray, "points 2"]:
+    points = np.asarray(points, float)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError(f"landmarks are an array of shape (68, 2), x and y in pixels; got shape {points.shape}")
+    scheme_of_count(len(points))
+    return points
+
+
+def _per_point(what: str, given: Num[np.ndarray, "..."] | None, otherwise: Float[np.ndarray, "points"]) -> np.ndarray:
     if given is None:
         return otherwise
-    if np.shape(given) != (POINT_COUNT,):
-        raise InputError(f"{what} must be one number for each of the 68 landmarks; got shape {np.shape(given)}")
+    if np.shape(given) != np.shape(otherwise):
+        count = len(otherwise)
+        raise InputError(f"{what} must be one number for each of the {count} landmarks; got shape {np.shape(given)}")
     return np.asarray(given, float)

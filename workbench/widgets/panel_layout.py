@@ -67,6 +67,10 @@ FW_AT
 .fw-whole .fw-pages.fw-folded > .widget-tab-contents,
 .fw-whole .fw-pages.fw-folded > .jupyter-widget-TabPanel-tabContents { display: none; }
 .fw-whole .fw-pages.fw-folded .lm-TabBar-tab.lm-mod-current::before { display: none; }
+/* the first frame, until the picture with its landmarks is drawn */
+.fw-whole > .fw-first { position: absolute; top: 64px; bottom: 150px; left: calc(FW_CONTROLSpx + 14px); margin: 0;
+  width: calc(0.61 * (100% - FW_CONTROLSpx - 14px)); object-fit: contain; pointer-events: none; }
+.fw-whole:has(.fw-overlay[data-state*='"decoded":true']) > .fw-first { display: none; }
 .fw-whole .fw-old { opacity: 0.45; transition: opacity 0.2s; }
 
 /* narrow, as where the browser zooms to 125 %: rows go on below; at 200 %: first the views, then the settings */

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 
 from workbench.landmarks.network_detector import NetworkDetector, NetworkLook
+from workbench.landmarks.scheme import POINT_COUNT
 from workbench.pictures import HeadRenderer, gl_available
 from workbench.pictures.heat import heat_layer
 from workbench.session import FittedHead, TuningSession
@@ -91,4 +92,4 @@ class PictureLayers:
         if self._seen is None or self._seen[0] != key:
             self._network = self._network or NetworkDetector()
             self._seen = key, self._network.look(picture, fit.observed)
-        return heat_layer(self._seen[1], tuple(self._view.selection))
+        return heat_layer(self._seen[1], [point for point in self._view.selection if point < POINT_COUNT])

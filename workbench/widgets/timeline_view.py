@@ -9,7 +9,7 @@ import traitlets
 from jaxtyping import Bool, Float, Int, Num, UInt8
 
 from workbench.errors import InputError
-from workbench.landmarks.scheme import GROUPS, POINT_COUNT, POINT_NAMES
+from workbench.landmarks.scheme import IBUG68, POINT_COUNT, LandmarkScheme
 from workbench.widgets.browser_program import BROWSER, browser_program
 from workbench.widgets.overlay_view import SMALLEST_SCALE, automatic_scale, color_table, float_bytes
 
@@ -17,16 +17,26 @@ NOTHING = 255
 """Colour index of a frame without a face; 0 to 254 are colours."""
 FLAGGED, STALE, FOUND, NEW_SHOT = 1, 2, 4, 8
 """Bits of a frame's mark."""
-ROW_GROUPS = ("jaw", "brows", "nose", "eyes", "mouth")
+ROWS = 68
+"""Of the strip: a point each, or the worst of a few neighbours of one part of the face."""
 
 
-def color_indices(values: Num[np.ndarray, "n 68"], scale: float) -> UInt8[np.ndarray, "n 68"]:
+def strip_rows(scheme: LandmarkScheme) -> dict[str, list[Int[np.ndarray, "_"]]]:
+    """The points of each of the strip's rows, by part of the face: as many rows as are its share of the points."""
+    ends = np.rint(np.cumsum([0, *map(len, scheme.parts.values())]) * ROWS / len(scheme)).astype(int)
+    return {
+        name: np.array_split(np.array(points), end - start) if end > start else []
+        for (name, points), start, end in zip(scheme.parts.items(), ends[:-1], ends[1:], strict=True)
+    }
+
+
+def color_indices(values: Num[np.ndarray, "n rows"], scale: float) -> UInt8[np.ndarray, "n rows"]:
     """Colour index of every residual: 0 at zero, 254 at `scale` and above, `NOTHING` if it is not finite."""
     places = np.clip(np.where(np.isfinite(values), values, 0.0) / scale, 0.0, 1.0)
     return np.where(np.isfinite(values), np.rint(places * (NOTHING - 1)), NOTHING).astype(np.uint8)
 
 
-def worst_landmarks(values: Num[np.ndarray, "n 68"]) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+def worst_landmarks(values: Num[np.ndarray, "n points"]) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
     """Largest residual of every frame and its landmark; NaN and 0 for a frame without residuals."""
     filled = np.where(np.isfinite(values), values, -np.inf)
     worst = filled.argmax(axis=1) if len(filled) else np.zeros(0, int)
@@ -70,16 +80,20 @@ class TimelineView(anywidget.AnyWidget):
     # a browser that connects later still gets everything.
     _track = traitlets.Int(0).tag(sync=True, to_json=lambda _counter, view: view._packed())
 
-    def __init__(self, height_px: int = 150, **traits: object) -> None:
+    def __init__(self, height_px: int = 150, scheme: LandmarkScheme = IBUG68, **traits: object) -> None:
         self._lock = threading.RLock()
         self._first = 0
-        self._values = np.zeros((0, POINT_COUNT), np.float32)
+        self._values = np.zeros((0, len(scheme)), np.float32)
+        chosen = strip_rows(scheme)
+        self._rows = [points for rows in chosen.values() for points in rows]
         self._flagged, self._stale, self._found = (np.zeros(0, bool) for _ in range(3))
         self._shots = np.zeros(0, int)
         self._patched = False
-        rows = [{"name": name, "first": GROUPS[name][0], "count": len(GROUPS[name])} for name in ROW_GROUPS]
-        scheme = {"names": list(POINT_NAMES), "rows": rows, "colors": color_table().tobytes()}
-        super().__init__(height_px=height_px, _scheme=scheme, **traits)
+        firsts = np.cumsum([0, *map(len, chosen.values())])
+        named = zip(chosen.items(), firsts[:-1].tolist(), strict=True)
+        rows = [{"name": name, "first": first, "count": len(rows)} for (name, rows), first in named if rows]
+        told = {"names": list(scheme.point_names), "rows": rows, "colors": color_table().tobytes()}
+        super().__init__(height_px=height_px, _scheme=told, **traits)
         self.on_msg(self._on_message)
         self.observe(self._on_scale, "scale_max")
 
@@ -106,13 +120,13 @@ class TimelineView(anywidget.AnyWidget):
         first_index: int = 0,
         why: Sequence[str] = (),
     ) -> None:
-        """Show residuals (frames, 68) in `unit`, NaN without a face; the first frame is number `first_index`.
+        """Show residuals (frames, points) in `unit`, NaN without a face; the first frame is number `first_index`.
 
         The other arrays are (frames,); `why` is the reason for each flagged frame. `found` defaults to frames with any
         residual; without `shots` the clip is one shot. `frame` is kept if the track contains it. Raises `InputError`
         for arrays of different lengths.
         """
-        values = _checked_values(values)
+        values = self._checked_values(values)
         count = len(values)
         if len(why) not in (0, count):
             raise InputError(f"why must have one text for each of the {count} frames; got {len(why)}")
@@ -146,7 +160,7 @@ class TimelineView(anywidget.AnyWidget):
         `flagged`, `stale` and `shots` are unchanged if not given; `found` follows the values. Raises `InputError` for
         frames outside the track.
         """
-        values = _checked_values(values)
+        values = self._checked_values(values)
         count = len(values)
         with self._lock:
             begin = start - self._first
@@ -174,14 +188,26 @@ class TimelineView(anywidget.AnyWidget):
             arrays = self._arrays(part)
             self.send({"kind": "part", "start": begin, "names": list(arrays)}, buffers=list(arrays.values()))
 
+    def _checked_values(self, values: Num[np.ndarray, "..."]) -> Float[np.ndarray, "n points"]:
+        points = self._values.shape[1]
+        if np.ndim(values) != 2 or np.shape(values)[1] != points:
+            raise InputError(f"residuals of a track must have shape (frames, {points}); got {np.shape(values)}")
+        return np.array(values, np.float32)
+
+    def _by_rows(self, values: Float[np.ndarray, "n points"]) -> Float[np.ndarray, "n rows"]:
+        """The largest residual of each row's points."""
+        if values.shape[1] == POINT_COUNT:
+            return values
+        return np.stack([values[:, points].max(axis=1) for points in self._rows], axis=1)
+
     def _arrays(self, part: slice) -> dict[str, bytes]:
         values = self._values[part]
         largest, worst = worst_landmarks(values)
         marks = frame_marks(self._flagged, self._stale, self._found, self._shots)[part]
         return {
-            "codes": color_indices(values, self._scale).tobytes(),
+            "codes": color_indices(self._by_rows(values), self._scale).tobytes(),
             "largest": float_bytes(largest),
-            "worst": worst.astype(np.uint8).tobytes(),
+            "worst": worst.astype("<u2").tobytes(),
             "marks": marks.tobytes(),
         }
 
@@ -206,12 +232,6 @@ class TimelineView(anywidget.AnyWidget):
         with self._lock:
             if isinstance(content, dict) and content.get("kind") == "shown" and self._patched:
                 self._send_all()
-
-
-def _checked_values(values: Num[np.ndarray, "..."]) -> Float[np.ndarray, "n 68"]:
-    if np.ndim(values) != 2 or np.shape(values)[1] != POINT_COUNT:
-        raise InputError(f"residuals of a track must have shape (frames, 68); got {np.shape(values)}")
-    return np.array(values, np.float32)
 
 
 def _per_frame(name: str, given: np.ndarray, count: int, kind: type) -> np.ndarray:

@@ -23,7 +23,9 @@ from workbench.widgets.head_column import HeadColumn
 from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.iterations import Iterations
 from workbench.widgets.landmark_tools import LandmarkTools
+from workbench.widgets.late_parts import LateParts
 from workbench.widgets.latest import LatestWins
+from workbench.widgets.overlay_view import picture_bytes
 from workbench.widgets.panel_layout import arranged, classed, on_turn, style_sheet, tabs, unloaded_note
 from workbench.widgets.panel_page import PanelPage
 from workbench.widgets.shared_scale import SharedScale
@@ -56,33 +58,20 @@ class Show:
     """Stop after this many iterations; None runs all stages."""
 
 
-class TuningPanel(widgets.VBox):
+class TuningPanel(LateParts):
     """A view of a `TuningSession` that follows every change of the session.
 
     Callbacks submit requests to a worker, and only the latest counts; results are shown from its thread. Scripts and
     tests wait for it with `wait_idle`. It is as high as the window, at least `LOWEST_PX`.
+    In a notebook it begins as the first frame alone.
     """
 
     def __init__(self, session: TuningSession, backend: str = "auto") -> None:
         self.session, self.frame, self.is_clip = session, 0, len(session) > 1
         self.fit: FrameFit | None = None
-        self._held, self._closed = "", False
-        self.status = classed(StatusLine(), "fw-status")
-        self.say, self.waiting = self.status.say, Waiting()
-        self._worker: LatestWins[Show] = LatestWins(self._refit, self._failed, "panel-fit")
-        self._slow = SlowJobs(self._failed, "panel-slow")
-        self._build_views(backend)
-        self._build_controls()
-        shown = (self._clip_bar, self._worker, self.overlay, self.head, self.compare)
-        self._workers = (self._slow, self.time, self.sweep, self.tune, *shown)
-        self._leave = session.listen(self._on_session)
-        super().__init__([style_sheet(), unloaded_note(), self.page, *rows_of(self)])
+        self._held, self._backend = "", backend
+        super().__init__([style_sheet(), classed(widgets.Image(value=picture_bytes(session.picture(0))), "fw-first")])
         classed(self, "fw-panel", "fw-whole")
-        self._show_session()
-        self.overlay.show_picture(0)
-        self._worker.submit(Show(0))
-        self._clip_bar.begin()
-        self._later(lambda job: session.warm_up(job.cancelled), GETTING_READY)
 
     def __repr__(self) -> str:
         return f"TuningPanel({self.session!r})"
@@ -91,6 +80,7 @@ class TuningPanel(widgets.VBox):
 
     def go(self, frame: int) -> None:
         """Show another frame."""
+        self._make()
         frame = int(np.clip(frame, 0, len(self.session) - 1))
         if frame != self.frame:
             self.frame, self._iterations.steps = frame, None
@@ -110,21 +100,34 @@ class TuningPanel(widgets.VBox):
 
     def wait_idle(self, timeout_s: float | int = 60.0) -> bool:
         """Wait until everything requested is shown; False if that takes longer."""
+        self._make()
         # A fit requests layers and colours, and finished colours request that the fit is shown again.
         return all(worker.wait_idle(timeout_s) for worker in (*self._workers, self._worker))
 
-    def close(self) -> None:
-        """Stop following the session, stop the threads and free the views."""
-        if self._closed:
-            return
-        self._closed = True
+    # --- parts ---
+
+    def _make_parts(self) -> None:
+        self.status = classed(StatusLine(), "fw-status")
+        self.say, self.waiting = self.status.say, Waiting()
+        self._worker: LatestWins[Show] = LatestWins(self._refit, self._failed, "panel-fit")
+        self._slow = SlowJobs(self._failed, "panel-slow")
+        self._build_views(self._backend)
+        self._build_controls()
+        shown = (self._clip_bar, self._worker, self.overlay, self.head, self.compare)
+        self._workers = (self._slow, self.time, self.sweep, self.tune, *shown)
+        self._leave = self.session.listen(self._on_session)
+        self.children = (*self.children, unloaded_note(), self.page, *rows_of(self))
+        self._show_session()
+        self.overlay.show_picture(0)
+        self._worker.submit(Show(0))
+        self._clip_bar.begin()
+        self._later(lambda job: self.session.warm_up(job.cancelled), GETTING_READY)
+
+    def _close_parts(self) -> None:
         self._leave()
         self.export_dialog.stop()
         for worker in self._workers:
             worker.close()
-        super().close()
-
-    # --- parts ---
 
     def _build_views(self, backend: str) -> None:
         # Shown first, because a browser gives their programs two seconds to load, too little next to hundreds of

@@ -1,7 +1,8 @@
 """The workbench's CSV: one row per frame, streamed in both directions.
 
-Header `frame,width,height,x0,y0,...,x67,y67`, optionally followed by `c0,...,c67` (confidence, else 1). A row with
-empty x and y cells is a frame without a face. Frame indices ascend; frames may be left out.
+Header `frame,width,height,x0,y0,...,x67,y67`, optionally followed by `c0,...,c67` (confidence, else 1). A file of the
+scheme `dense` goes on to its last point, and its number of columns says so. A row with empty x and y cells is a frame
+without a face. Frame indices ascend; frames may be left out. Covariances are not kept: a track has them.
 """
 
 import csv
@@ -16,20 +17,29 @@ from workbench.errors import InputError
 from workbench.files import atomic_path
 from workbench.landmarks.formats.records import LandmarkRecord, cell_numbers, checked_landmarks, door, whole_numbers
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import POINT_COUNT
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.schemes import SCHEMES
 from workbench.reading import shortened
 
-CSV_POINT_COLUMNS = [f"{axis}{i}" for i in range(POINT_COUNT) for axis in "xy"]
-CSV_COLUMNS = ["frame", "width", "height", *CSV_POINT_COLUMNS]
-CSV_CONFIDENCE_COLUMNS = [f"c{i}" for i in range(POINT_COUNT)]
+PLACE_COLUMNS = ["frame", "width", "height"]
+
+
+def csv_columns(scheme: LandmarkScheme = IBUG68) -> list[str]:
+    """The columns that a file of these points has."""
+    return [*PLACE_COLUMNS, *(f"{axis}{i}" for i in range(len(scheme)) for axis in "xy")]
+
+
+def confidence_columns(scheme: LandmarkScheme = IBUG68) -> list[str]:
+    """Those that may follow."""
+    return [f"c{i}" for i in range(len(scheme))]
 
 
 class LandmarkCsvWriter:
     """Write a CSV one frame at a time, with constant memory; used in a `with` block, whole or not at all."""
 
-    def __init__(self, path: str | Path, confidence: bool = True) -> None:
+    def __init__(self, path: str | Path, confidence: bool = True, scheme: LandmarkScheme = IBUG68) -> None:
         self.path = Path(path)
-        self._confidence = confidence
+        self._confidence, self._scheme = confidence, scheme
         self._stack = ExitStack()
         self._last = -1
 
@@ -37,7 +47,7 @@ class LandmarkCsvWriter:
         temporary = self._stack.enter_context(atomic_path(self.path))
         file = self._stack.enter_context(open(temporary, "w", newline="", encoding="utf-8"))
         self._rows = csv.writer(file, lineterminator="\n")
-        self._rows.writerow(CSV_COLUMNS + (CSV_CONFIDENCE_COLUMNS if self._confidence else []))
+        self._rows.writerow(csv_columns(self._scheme) + (confidence_columns(self._scheme) if self._confidence else []))
         return self
 
     def __exit__(self, kind: type | None, error: BaseException | None, traceback: TracebackType | None) -> None:
@@ -51,8 +61,14 @@ class LandmarkCsvWriter:
         if record.frame <= self._last:
             raise InputError(f"frames are written in ascending order, got {record.frame} after {self._last}")
         self._last = record.frame
+        count = len(self._scheme)
         if record.landmarks is None:
-            cells = [""] * (len(CSV_POINT_COLUMNS) + (POINT_COUNT if self._confidence else 0))
+            cells = [""] * ((3 if self._confidence else 2) * count)
+        elif len(record.landmarks.points) != count:
+            raise InputError(
+                f"frame {record.frame} has {len(record.landmarks.points)} points, the others {count}: a CSV holds one "
+                "scheme"
+            )
         else:
             cells = [f"{value:.3f}" for value in record.landmarks.points.ravel()]
             if self._confidence:
@@ -66,11 +82,27 @@ def csv_header(path: Path) -> list[str]:
         return [cell.strip() for cell in next(csv.reader(file), [])]
 
 
-def _has_confidence(path: Path, header: list[str]) -> bool:
-    if header in (CSV_COLUMNS, CSV_COLUMNS + CSV_CONFIDENCE_COLUMNS):
-        return len(header) > len(CSV_COLUMNS)
+def is_own(header: list[str]) -> bool:
+    """Whether a header is that of some landmark scheme."""
+    return _known(header) is not None
+
+
+def _known(header: list[str]) -> tuple[LandmarkScheme, bool] | None:
+    """Whose points a file holds, and whether their confidences follow."""
+    for scheme in SCHEMES.values():
+        columns = csv_columns(scheme)
+        if header in (columns, columns + confidence_columns(scheme)):
+            return scheme, len(header) > len(columns)
+    return None
+
+
+def _columns_of(path: Path, header: list[str]) -> tuple[LandmarkScheme, bool]:
+    """As `_known`. Raises `InputError` for another header."""
+    known = _known(header)
+    if known is not None:
+        return known
     expected = "frame,width,height,x0,y0,...,x67,y67 and optionally c0,...,c67"
-    missing = [name for name in CSV_COLUMNS if name not in header]
+    missing = [name for name in csv_columns() if name not in header]
     if not header:
         problem = "the file is empty"
     elif not missing:
@@ -84,11 +116,11 @@ def _has_confidence(path: Path, header: list[str]) -> bool:
 
 def read_csv(path: Path, header: list[str]) -> Iterator[LandmarkRecord]:
     """Records row by row. Raises `InputError` for the header at once, for a row when it is reached."""
-    return _rows(path, _has_confidence(path, header))
+    return _rows(path, *_columns_of(path, header))
 
 
-def _rows(path: Path, has_confidence: bool) -> Iterator[LandmarkRecord]:
-    width = len(CSV_COLUMNS) + (POINT_COUNT if has_confidence else 0)
+def _rows(path: Path, scheme: LandmarkScheme, has_confidence: bool) -> Iterator[LandmarkRecord]:
+    width = len(PLACE_COLUMNS) + (3 if has_confidence else 2) * len(scheme)
     last = -1
     # Here as well as where the file is opened: the rows are read later.
     with door(path), open(path, newline="", encoding="utf-8-sig", errors="replace") as file:
@@ -99,22 +131,29 @@ def _rows(path: Path, has_confidence: bool) -> Iterator[LandmarkRecord]:
             if not row:
                 continue
             if len(row) != width:
-                raise InputError(f"{where}: expected {width} cells as in the header (68 points), got {len(row)}")
+                raise InputError(
+                    f"{where}: expected {width} cells as in the header ({len(scheme)} points), got {len(row)}"
+                )
             frame, *size = whole_numbers(where, row[:3])
             if frame <= last:
                 raise InputError(f"{where}: frame indices must ascend, got {frame} after {last}: sort the rows")
             last = frame
-            yield LandmarkRecord(frame, f"{path.stem}#{frame}", _landmarks(where, row, tuple(size)), tuple(size))
+            yield LandmarkRecord(
+                frame, f"{path.stem}#{frame}", _landmarks(where, row, scheme, tuple(size)), tuple(size)
+            )
 
 
-def _landmarks(where: str, row: list[str], size: tuple[int, int]) -> Landmarks2D | None:
-    points, confidence = row[3 : len(CSV_COLUMNS)], row[len(CSV_COLUMNS) :]
+def _landmarks(where: str, row: list[str], scheme: LandmarkScheme, size: tuple[int, int]) -> Landmarks2D | None:
+    columns = csv_columns(scheme)
+    points, confidence = row[len(PLACE_COLUMNS) : len(columns)], row[len(columns) :]
+    names = columns[len(PLACE_COLUMNS) :]
     empty = [not cell.strip() for cell in points]
     if all(empty):
         return None
     if any(empty):
-        name = CSV_POINT_COLUMNS[empty.index(True)]
+        name = names[empty.index(True)]
         raise InputError(f"{where}: {name} is empty: fill it, or empty all x and y cells where there is no face")
-    xy = cell_numbers(where, points, CSV_POINT_COLUMNS)
-    certainty = cell_numbers(where, confidence, CSV_CONFIDENCE_COLUMNS) if any(c.strip() for c in confidence) else None
-    return checked_landmarks(where, np.reshape(xy, (POINT_COUNT, 2)), certainty, size)
+    xy, certainty = cell_numbers(where, points, names), None
+    if any(cell.strip() for cell in confidence):
+        certainty = cell_numbers(where, confidence, confidence_columns(scheme))
+    return checked_landmarks(where, np.reshape(xy, (len(scheme), 2)), certainty, size)

@@ -1,7 +1,8 @@
 """The workbench's JSON.
 
 `{"format": "ibug68", "frames": [{"frame": 0, "name": "...", "width": 640, "height": 360,
-"points": [[x, y], ...] or null, "confidence": [...]}, ...]}`; `name` and `confidence` may be left out.
+"points": [[x, y], ...] or null, "confidence": [...]}, ...]}`; `name` and `confidence` may be left out. `format` names
+the landmark scheme.
 """
 
 import json
@@ -10,13 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from workbench.errors import InputError
-from workbench.landmarks.formats.records import LandmarkRecord, checked_landmarks, whole_numbers
+from workbench.landmarks.formats.records import LandmarkRecord, checked_landmarks, scheme_of_records, whole_numbers
 from workbench.reading import checked_json, shortened
 
 
 def json_text(records: Iterable[LandmarkRecord]) -> str:
     """The text of a file. Coordinates keep 3 decimals, confidence 4. Raises `InputError` for a frame without a size."""
-    return json.dumps({"format": "ibug68", "frames": [_json_frame(record) for record in records]}, indent=1)
+    records = list(records)
+    return json.dumps(
+        {"format": scheme_of_records(records).name, "frames": [_json_frame(record) for record in records]}, indent=1
+    )
 
 
 def json_content(path: Path) -> Any:

@@ -11,14 +11,14 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.landmarks.formats.records import LandmarkRecord, checked_landmarks, door
-from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.observations import Landmarks2D, of_ibug68
 from workbench.landmarks.scheme import POINT_COUNT
 from workbench.reading import checked_file, natural_key, shortened
 
 
 def pts_text(landmarks: Landmarks2D) -> str:
-    """The text of a file."""
-    rows = "\n".join(f"{x + 1:.3f} {y + 1:.3f}" for x, y in landmarks.points)
+    """The text of a file: the 68 points, of whatever scheme."""
+    rows = "\n".join(f"{x + 1:.3f} {y + 1:.3f}" for x, y in of_ibug68(landmarks).points)
     return f"version: 1\nn_points: {POINT_COUNT}\n{{\n{rows}\n}}\n"
 
 
@@ -43,6 +43,8 @@ def read_pts(path: Path, image_size: tuple[int, int] | None) -> LandmarkRecord:
             raise InputError(f"{path}, line {number}: expected x and y, got {told}") from None
         rows.append((x - 1, y - 1))
     points = np.array(rows, np.float64).reshape(-1, 2)
+    if len(points) != POINT_COUNT:
+        raise InputError(f"{path}: the iBUG scheme has 68 points, got {len(points)}: convert other schemes first")
     size = image_size or tuple(int(v) + 1 for v in np.nan_to_num(points).max(axis=0, initial=0))
     return LandmarkRecord(0, path.stem, checked_landmarks(str(path), points, None, size), image_size)
 

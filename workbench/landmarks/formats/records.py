@@ -1,6 +1,6 @@
 """What every landmark file is read into, and the checks that all layouts share."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import POINT_COUNT, face_size
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme, face_size
 from workbench.reading import reading, shortened
 
 LARGEST_FRAME = 2**53
@@ -37,13 +37,13 @@ def door(path: Path) -> AbstractContextManager[None]:
 
 
 def checked_landmarks(where: str, points: object, confidence: object, size: tuple[int, int]) -> Landmarks2D:
-    """Landmarks of points (68, 2) in pixels. Raises `InputError` that begins with the place in the file.
+    """Landmarks of a scheme's points, (points, 2) in pixels. Raises `InputError` that begins with the place in a file.
 
     `confidence` is None where the file has none: every point is certain then.
     """
     try:
         array = np.asarray(points, np.float64)
-        certainty = np.ones(POINT_COUNT) if confidence is None else np.asarray(confidence, np.float64)
+        certainty = np.ones(len(array)) if confidence is None else np.asarray(confidence, np.float64)
         landmarks = Landmarks2D(array, certainty, size)
         far = np.flatnonzero((np.abs(landmarks.points) > LARGEST_SIDE).any(axis=1))
         if far.size:
@@ -53,7 +53,7 @@ def checked_landmarks(where: str, points: object, confidence: object, size: tupl
         raise InputError(f"{where}: {error}") from error
     except (ValueError, TypeError, OverflowError) as error:
         told = shortened(error)
-        raise InputError(f"{where}: the points are not 68 pairs of numbers ({told}): write them as [x, y]") from error
+        raise InputError(f"{where}: the points are not pairs of numbers ({told}): write them as [x, y]") from error
 
 
 def needed_size(path: Path, image_size: tuple[int, int] | None) -> tuple[int, int]:
@@ -64,6 +64,12 @@ def needed_size(path: Path, image_size: tuple[int, int] | None) -> tuple[int, in
             f"`workbench track CLIP --landmarks {path.name}`"
         )
     return image_size
+
+
+def scheme_of_records(records: Iterable[LandmarkRecord]) -> LandmarkScheme:
+    """What the points of a file's first face are called; iBUG's 68 without a face."""
+    faces = (record.landmarks for record in records if record.landmarks is not None)
+    return next((landmarks.scheme for landmarks in faces), IBUG68)
 
 
 def largest_face(faces: Sequence[Landmarks2D]) -> Landmarks2D | None:

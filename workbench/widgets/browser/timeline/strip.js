@@ -1,7 +1,7 @@
 import { cleared } from "../shared/canvas.js";
 import { clamp } from "../shared/numbers.js";
 import { FLAG_ROW, GUTTER, roundStep } from "./span.js";
-import { FLAGGED, FOUND, NEW_SHOT, NOTHING, POINTS, STALE, columnFrames } from "./track.js";
+import { FLAGGED, FOUND, NEW_SHOT, NOTHING, ROWS, STALE, columnFrames } from "./track.js";
 
 const FLAG_COLOR = "#d55e00", MARK_COLOR = "#56b4e9", MARK_TINT = "rgba(86, 180, 233, 0.45)";
 
@@ -17,18 +17,18 @@ export function pixelTable(rgb) {
 
 // The strip as pixels: the worst frame of each column for each landmark.
 function stripPixels(track, columns, { from, to }, table) {
-  const image = new ImageData(columns, POINTS), pixels = new Uint32Array(image.data.buffer);
-  const worst = new Int16Array(POINTS);
+  const image = new ImageData(columns, ROWS), pixels = new Uint32Array(image.data.buffer);
+  const worst = new Int16Array(ROWS);
   for (let column = 0; column < columns; column++) {
     const [start, end] = columnFrames(column, columns, from, to, track.count);
     worst.fill(-1);
-    for (let k = start * POINTS; k < end * POINTS; k += POINTS) {
-      for (let i = 0; i < POINTS; i++) {
+    for (let k = start * ROWS; k < end * ROWS; k += ROWS) {
+      for (let i = 0; i < ROWS; i++) {
         const code = track.codes[k + i];
         if (code !== NOTHING && code > worst[i]) worst[i] = code;
       }
     }
-    for (let i = 0; i < POINTS; i++) if (worst[i] >= 0) pixels[i * columns + column] = table[worst[i]];
+    for (let i = 0; i < ROWS; i++) if (worst[i] >= 0) pixels[i * columns + column] = table[worst[i]];
   }
   return image;
 }
@@ -38,12 +38,12 @@ export function paintStrip(canvas, { track, rows, table, marked, loop, span, the
   const context = cleared(canvas), width = span.width(), height = span.bottom() - FLAG_ROW;
   context.fillStyle = theme.ground;
   context.fillRect(GUTTER, FLAG_ROW, width, height);
-  const lines = rows.map((row) => FLAG_ROW + (row.first / POINTS) * height);
+  const lines = rows.map((row) => FLAG_ROW + (row.first / ROWS) * height);
   paintNames(context, rows, lines, height, theme);
   if (!track?.count) return;
 
   const columns = Math.max(1, Math.round(width * (window.devicePixelRatio || 1)));
-  const small = new OffscreenCanvas(columns, POINTS);
+  const small = new OffscreenCanvas(columns, ROWS);
   small.getContext("2d").putImageData(stripPixels(track, columns, span, table), 0, 0);
   context.imageSmoothingEnabled = false;
   context.drawImage(small, GUTTER, FLAG_ROW, width, height);
@@ -61,7 +61,7 @@ function paintNames(context, rows, lines, height, { font, muted }) {
   context.textAlign = "right";
   context.fillStyle = muted;
   context.fillText("flags", GUTTER - 6, FLAG_ROW / 2);
-  rows.forEach((row, k) => context.fillText(row.name, GUTTER - 6, lines[k] + (row.count / POINTS / 2) * height));
+  rows.forEach((row, k) => context.fillText(row.name, GUTTER - 6, lines[k] + (row.count / ROWS / 2) * height));
 }
 
 function paintMarked(context, marked, firstOfTrack, span, height) {

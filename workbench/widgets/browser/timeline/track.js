@@ -1,13 +1,13 @@
 import { bytesOf } from "../shared/bytes.js";
 import { clamp } from "../shared/numbers.js";
 
-export const POINTS = 68, NOTHING = 255;
+export const ROWS = 68, NOTHING = 255;
 export const FLAGGED = 1, STALE = 2, FOUND = 4, NEW_SHOT = 8; // bits of a frame's mark
 
 export function readTrack(sent) {
   return {
     first: sent.first, count: sent.count, codes: new Uint8Array(bytesOf(sent.codes)),
-    largest: new Float32Array(bytesOf(sent.largest)), worst: new Uint8Array(bytesOf(sent.worst)),
+    largest: new Float32Array(bytesOf(sent.largest)), worst: new Uint16Array(bytesOf(sent.worst)),
     marks: new Uint8Array(bytesOf(sent.marks)),
   };
 }
@@ -16,7 +16,7 @@ export function readTrack(sent) {
 export function putPart(track, content, buffers) {
   content.names.forEach((name, k) => {
     const part = new track[name].constructor(bytesOf(buffers[k]));
-    track[name].set(part, content.start * (name === "codes" ? POINTS : 1));
+    track[name].set(part, content.start * (name === "codes" ? ROWS : 1));
   });
 }
 

@@ -1,0 +1,171 @@
+"""The dense points and the training of their network: the rule, the likelihood, the calibration."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.distance import pdist, squareform
+
+from workbench.landmarks.schemes import DENSE_POINTS, DENSE_TABLE, DensePoints
+from workbench.networks.dense_network import dense_places, read_dense_network
+from workbench.networks.frozen import FrozenDenseNetwork
+from workbench.training.augment import TRAINING, augmented
+from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, measured_dense, radius
+from workbench.training.dense_points import IRIS_POINTS, SPACING_MM, dense_points, write_table
+from workbench.training.dense_task import SIDE, DenseTask, TorchDenseNetwork, loss_of
+from workbench.training.loop import Phase, TrainingPlan, train
+from workbench.training.pool import SHARD, halves, open_pool, shard_paths
+
+SMALL = TrainingPlan(phases=(Phase(SIDE, 3, 2, 1e-3),), widths=(4, 4, 6, 6), blocks=1)
+
+
+@pytest.fixture(scope="module")
+def points(gazing_head):
+    return dense_points(gazing_head)
+
+
+@pytest.fixture(scope="module")
+def gazing_head():
+    from workbench.face import load_default_head
+
+    return load_default_head(gaze=True)
+
+
+@pytest.fixture(scope="module")
+def pool(pool_path):
+    return open_pool(pool_path)
+
+
+@pytest.fixture(scope="module")
+def pool_path(gazing_head, tmp_path_factory):
+    """The head's vertices from the front, on nothing."""
+    folder = tmp_path_factory.mktemp("pool")
+    side = 320
+    vertices = gazing_head.neutral[:, :2] * 0.9 + side / 2
+    landmarks = np.einsum("lkc,lk->lc", vertices[gazing_head.landmarks.vertices], gazing_head.landmarks.barycentric)
+    every = np.concatenate([landmarks, [landmarks[36:42].mean(axis=0), landmarks[42:48].mean(axis=0)]])
+    pictures_path, numbers_path = shard_paths(folder, 0)
+    np.save(pictures_path, np.full((SHARD, side, side, 4), 200, np.uint8))
+    np.savez(
+        numbers_path,
+        points=np.broadcast_to(every, (SHARD, 70, 2)).astype(np.float32),
+        vertices=np.broadcast_to(vertices, (SHARD, *vertices.shape)).astype(np.float32),
+        angles=np.zeros((SHARD, 3)),
+        expressions=np.zeros((SHARD, 52)),
+    )
+    return folder
+
+
+class TestPoints:
+    def test_there_are_some_320_of_every_part_and_as_many_left_as_right(self, points, gazing_head):
+        assert 300 <= len(points) <= 360
+        counts = Counter(points.parts)
+        assert set(counts) == {*SPACING_MM, "irises"}
+        assert counts["irises"] == 2 * IRIS_POINTS
+        assert counts["eyes"] > 40
+        assert counts["mouth"] > 40
+        assert np.array_equal(points.mirror[points.mirror], np.arange(len(points)))
+        places = gazing_head.neutral[points.vertices]
+        np.testing.assert_allclose(places[points.mirror], places * [-1, 1, 1], atol=0.1)
+
+    def test_neighbours_keep_the_distance_of_their_part_and_nothing_is_left_bare(self, points, gazing_head):
+        skin = [k for k, group in enumerate(points.parts) if group != "irises"]
+        apart = squareform(pdist(gazing_head.neutral[points.vertices[skin]]))
+        np.fill_diagonal(apart, np.inf)
+        spacing = np.array([SPACING_MM[points.parts[k]] for k in skin])
+        # A point that was taken for its partner's sake may lie closer.
+        assert (apart.min(axis=1) >= spacing.min()).all()
+        assert (apart.min(axis=1) <= 2.5 * spacing).mean() > 0.95
+
+    def test_the_rule_gives_the_same_points_again(self, points, gazing_head):
+        assert np.array_equal(dense_points(gazing_head).vertices, points.vertices)
+
+    def test_the_scheme_holds_what_the_rule_chooses(self, points, tmp_path):
+        write_table(points, tmp_path / "table.json")
+        assert (tmp_path / "table.json").read_text() == DENSE_TABLE.read_text()
+
+
+class TestPictures:
+    def test_the_points_stay_on_the_face_whatever_the_crop(self, pool, points):
+        """Mirrored or not, turned, larger: the similarity that takes the landmarks there takes the dense points."""
+        index = 0
+        _, landmarks = pool.picture(index)
+        before = np.concatenate([landmarks, pool.surface(index, points.vertices)]).astype(float)
+        for seed in range(6):
+            made = augmented(pool, index, np.random.default_rng(seed), SIDE, TRAINING, points)
+            after = np.concatenate([made.points, made.dense]).astype(float)
+            ratio = pdist(after) / np.maximum(pdist(before), 1e-6)
+            assert np.ptp(ratio[pdist(before) > 20]) / ratio[pdist(before) > 20].mean() < 0.05
+
+    def test_without_being_asked_there_are_none(self, pool):
+        assert augmented(pool, 0, np.random.default_rng(0)).dense.shape == (0, 2)
+
+    def test_halves_share_nobody_unless_there_is_one_shard(self, pool):
+        first, second = halves(pool)
+        assert len(first) == len(second) == SHARD
+
+
+class TestLikelihood:
+    def test_the_true_place_and_the_true_deviation_cost_least(self):
+        rng = np.random.default_rng(0)
+        deviation = 3.0
+        truth = torch.tensor(rng.uniform(60, 190, (400, 70, 2)), dtype=torch.float32)
+        read = truth + torch.tensor(rng.normal(0, deviation, truth.shape), dtype=torch.float32)
+        share = (read + 0.5) / SIDE - 0.5
+
+        def cost(places, sigma):
+            logs = torch.full_like(places, -np.log(sigma))
+            numbers = torch.cat([places, logs, torch.zeros_like(places[..., :1])], dim=-1)
+            return float(loss_of(numbers, truth, torch.ones(400))[0])
+
+        assert cost(share, deviation) < min(cost(share, 0.6 * deviation), cost(share, 1.8 * deviation))
+        assert cost(share, deviation) < cost(share + 4 / SIDE, deviation)
+
+    def test_pictures_without_a_face_teach_no_places(self):
+        numbers = torch.zeros(2, 70, 5, requires_grad=True)
+        loss_of(numbers, torch.full((2, 70, 2), 99.0), torch.tensor([1.0, 0.0]))[0].backward()
+        assert numbers.grad[0].abs().max() > 0
+        assert numbers.grad[1].abs().max() == 0
+
+
+@pytest.fixture(scope="module")
+def answers():
+    """Gaussian errors of 2 px, of which the network claims 1."""
+    rng = np.random.default_rng(1)
+    truth = np.tile(rng.uniform(0, 200, (1, 90, 2)), (4000, 1, 1))
+    truth[:, 36], truth[:, 45] = (50, 100), (150, 100)
+    points = truth + rng.normal(0, 2.0, truth.shape)
+    return DenseAnswers(points, np.broadcast_to(np.eye(2), (*truth.shape[:2], 2, 2)), truth, np.zeros((4000, 3)))
+
+
+class TestCalibration:
+    def test_the_factor_is_what_the_claims_lack(self, answers):
+        np.testing.assert_allclose(deviation_factor(answers), 2.0, rtol=0.06)
+
+    def test_honest_ellipses_hold_their_share(self, answers):
+        honest = DenseAnswers(answers.points, answers.whitening / 2.0, answers.truth, answers.angles_deg)
+        for share in ELLIPSES:
+            assert (honest.deviations < radius(share)).mean() == pytest.approx(share, abs=0.01)
+
+    def test_the_tables_tell_errors_and_shares_by_part(self, answers):
+        dense = DensePoints(np.arange(20), np.arange(20), (*["nose"] * 12, *["irises"] * 8), ("middle",) * 20)
+        rows = measured_dense(answers, answers, dense)
+        assert list(rows) == ["68 landmarks, without the jaw", "pupils", "dense, nose", "dense, irises"]
+        assert rows["dense, nose"]["clean"] == pytest.approx(2.0 * np.sqrt(np.pi / 2), rel=0.02)
+        assert rows["pupils"]["damaged, inside 50%"] == pytest.approx(1 - np.exp(-1.386 / 8), abs=0.02)
+
+
+class TestTraining:
+    def test_what_is_kept_says_what_was_trained(self, pool_path, tmp_path):
+        task = DenseTask()
+        kept = train(task, pool_path, tmp_path / "dense", SMALL, workers=0, report=lambda _: None)
+        network = TorchDenseNetwork(SMALL.widths, SMALL.blocks, 70 + len(DENSE_POINTS)).eval()
+        state = torch.load(tmp_path / "dense" / "checkpoint.pt", map_location="cpu", weights_only=True)
+        network.load_state_dict(state["average"])
+        picture = np.random.default_rng(5).integers(0, 256, (SIDE, SIDE, 3), dtype=np.uint8)
+        with torch.no_grad():
+            numbers = network(torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255)[0].numpy().ravel()
+        expected, found = dense_places(numbers), FrozenDenseNetwork(read_dense_network(kept))(picture)
+        np.testing.assert_allclose(found.points, expected.points, atol=1e-2)
+        np.testing.assert_allclose(found.whitening, expected.whitening, rtol=1e-3, atol=1e-4)

@@ -1,0 +1,82 @@
+"""How good a dense network is: errors by part of the face, and how much of the truth its ellipses hold."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.schemes import DensePoints
+from workbench.networks.dense_network import SIDE, DensePlaces
+from workbench.training.augment import MIRRORED, Hardness, augmented
+from workbench.training.pool import Pool
+
+ELLIPSES = (0.5, 0.8, 0.95)
+"""Shares of the truth that an ellipse should hold."""
+
+Look = Callable[[UInt8[np.ndarray, "256 256 3"]], DensePlaces]
+
+
+@dataclass(frozen=True, eq=False)
+class DenseAnswers:
+    """What a network said of many pictures, and the truth."""
+
+    points: Float[np.ndarray, "n k 2"]
+    whitening: Float[np.ndarray, "n k 2 2"]
+    truth: Float[np.ndarray, "n k 2"]
+    angles_deg: Float[np.ndarray, "n 3"]
+
+    @property
+    def errors_percent(self) -> Float[np.ndarray, "n k"]:
+        """Distances in percent of the outer-eye distance in the picture (which shrinks as the head turns)."""
+        unit = outer_eye_distance(self.truth[:, :68])
+        return 100 * np.linalg.norm(self.points - self.truth, axis=-1) / unit[:, None]
+
+    @property
+    def deviations(self) -> Float[np.ndarray, "n k"]:
+        """Distances in units of the network's own uncertainty."""
+        return np.linalg.norm(np.einsum("nkij,nkj->nki", self.whitening, self.truth - self.points), axis=-1)
+
+
+def dense_answers(
+    look: Look, pool: Pool, dense: DensePoints, count: int, hardness: Hardness, seed: int = 0
+) -> DenseAnswers:
+    """The network's answers on `count` augmented pictures of the pool, the same for the same seed."""
+    rows = []
+    for place in range(count):
+        rng = np.random.default_rng([seed, place])
+        index = int(rng.integers(len(pool)))
+        made = augmented(pool, index, rng, SIDE, hardness, dense)
+        if made.is_face:
+            places = look(made.picture)
+            rows.append((places.points, places.whitening, (*made.points, *made.dense), pool.angles(index)))
+    return DenseAnswers(*(np.asarray(part, np.float64) for part in zip(*rows, strict=True)))
+
+
+def deviation_factor(answers: DenseAnswers, share: float = 0.8) -> Float[np.ndarray, "k"]:
+    """By how much each point's deviations are to be multiplied for its ellipses to hold this share of the truth."""
+    return np.quantile(answers.deviations, share, axis=0) / radius(share)
+
+
+def radius(share: float) -> float:
+    """Of the ellipse that holds this share of a Gaussian in the plane, in deviations."""
+    return float(np.sqrt(-2.0 * np.log(1.0 - share)))
+
+
+def measured_dense(clean: DenseAnswers, damaged: DenseAnswers, dense: DensePoints) -> dict[str, Mapping[str, float]]:
+    """The tables of the model card: errors in percent by part of the face, and the shares inside the ellipses."""
+    groups = {"68 landmarks, without the jaw": range(17, 68), "pupils": range(68, len(MIRRORED))}
+    for name in dict.fromkeys(dense.parts):
+        groups[f"dense, {name}"] = [len(MIRRORED) + k for k, group in enumerate(dense.parts) if group == name]
+    tables: dict[str, Mapping[str, float]] = {}
+    for name, which in groups.items():
+        row = {}
+        for kind, answers in (("clean", clean), ("damaged", damaged)):
+            front = np.abs(answers.angles_deg[:, 0]) < 45
+            for side, chosen in (("", front), (", turned", ~front)):
+                row[f"{kind}{side}"] = float(answers.errors_percent[chosen][:, list(which)].mean())
+            for share in ELLIPSES:
+                row[f"{kind}, inside {share:.0%}"] = float((answers.deviations[:, list(which)] < radius(share)).mean())
+        tables[name] = row
+    return tables
