@@ -31,6 +31,9 @@ STILL = 1e-11
 SOLVER_STEPS, SOLVER_TOLERANCE = 30, 1e-4
 """What the solver does before Newton's steps."""
 NEWTON_STEPS = 40
+FIRST_DAMPING, FALL = 10.0, 0.01
+"""Of Newton's steps. Where the solver stops, the smoothed L1 norm still bends so fast that a whole step goes too far; a
+few steps later nothing has to be held back."""
 RIDGE = 1e-13
 """Share of the largest curvature added to all: unknowns that nothing holds, as in a hidden frame, stay."""
 
@@ -176,7 +179,8 @@ def _by_newton(energy, slope_at, curvature_at, x, lower, upper):
             energy(candidate) <= energy(state.x) + rounding,
             energy(candidate) < energy(state.x) - rounding,
         )
-        damping = jnp.where(better, 0.1 * state.damping * (state.damping > 1e-6), jnp.maximum(10 * state.damping, 1e-4))
+        less = FALL * state.damping * (state.damping > 1e-6)
+        damping = jnp.where(better, less, jnp.maximum(10 * state.damping, 1e-4))
         return _Newton(
             state.count + 1,
             jnp.where(better, candidate, state.x),
@@ -185,5 +189,5 @@ def _by_newton(energy, slope_at, curvature_at, x, lower, upper):
         )
 
     scale = 1.0 + jnp.abs(energy(x))
-    first = _Newton(jnp.asarray(0), x, free_force(x), jnp.asarray(0.0))
+    first = _Newton(jnp.asarray(0), x, free_force(x), jnp.asarray(FIRST_DAMPING))
     return jax.lax.while_loop(wanted, step, first).x

@@ -2,6 +2,7 @@
 
 import logging
 import queue
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -15,8 +16,6 @@ REACH_S = 10.0
 """Longest that a scheduler is waited for."""
 LOOK_S = 1.0
 """Time between two looks at whether the scheduler is there."""
-LARGEST = "1 GB"
-"""Of what is sent to a scheduler without a warning from Dask."""
 AHEAD = 4
 """Tasks a worker that are handed to the scheduler at once: enough that none waits, and few enough to stop soon."""
 
@@ -89,10 +88,9 @@ class DaskWorkers:
     def _there(self, do: Do) -> Any:
         """`do` on the cluster: workers fetch it once, and the scheduler gives it out again where its holder died."""
         if do is not self._do[0]:
-            from dask import config
-
-            # It may hold a face model, of some ten MB, and goes to the scheduler once.
-            with config.set({"distributed.admin.large-graph-warning-threshold": LARGEST}):
+            with warnings.catch_warnings():
+                # It may hold a face model, of some ten MB, and goes to the scheduler once.
+                warnings.filterwarnings("ignore", "Sending large graph")
                 self._do = do, self._client.submit(_handed_on, do, pure=False)
         return self._do[1]
 
