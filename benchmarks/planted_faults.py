@@ -13,13 +13,15 @@ from functools import cache
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
+from scipy.spatial.transform import Rotation
 
 from workbench.config import Config, preset
 from workbench.diagnosis import FrameCase
 from workbench.energies import project_landmarks
 from workbench.face import FaceModel, FaceParameters, contour_blend, landmark_model, load_default_head, model_landmarks
-from workbench.frames import open_frames
+from workbench.frames import open_frames, read_picture
 from workbench.geometry import Camera
+from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS, MIRROR, outer_eye_distance
 from workbench.planning import plan_of
@@ -303,6 +305,30 @@ def jump_aside(rng, frame, config) -> FrameCase:
     return case_at(index, points, config, pictures=clip().pictures)
 
 
+def turned_to_profile(rng, frame, config) -> FrameCase:
+    """The head turns to the side within a second; the points that it hides are guesses."""
+    index, truth = frame(), clip()
+    points, yaw_deg = truth.noisy(rng), float(rng.choice([-1.0, 1.0]) * rng.uniform(55.0, 65.0))
+    for k in range(index - 18, index + 6):
+        part = min(1.0, (k - index + 19) / 16.0)
+        turn = Rotation.from_rotvec([0.0, np.radians(part * yaw_deg), 0.0])
+        rotation = (turn * Rotation.from_rotvec(np.asarray(truth.parameters[k].rotation))).as_rotvec()
+        points[k] = projected(truth.parameters[k]._replace(rotation=rotation)) + rng.normal(0.0, NOISE_PX, (68, 2))
+    return case_at(index, points, config, pictures=())
+
+
+def unseen_cut(rng, frame, config) -> FrameCase:
+    """Another person in another place comes before this scene, and no cut is marked between them."""
+    index, points, pictures = frame(), clip().noisy(rng), list(clip().pictures)
+    portrait = next(iter(read_landmark_file(sample("astronaut-landmarks")))).landmarks
+    scale = np.array(clip().size) / portrait.image_size
+    shown = cv2.resize(read_picture(sample("astronaut")), clip().size)
+    for k in range(index):
+        pictures[k] = shown
+        points[k] = scale * portrait.points + rng.normal(0.0, NOISE_PX, (68, 2))
+    return case_at(index, points, config, pictures=pictures)
+
+
 FAULTS: dict[str, tuple[str, Callable]] = {
     "swapped points": ("points_swapped", swapped),
     "shifted jaw": ("jaw_disagrees", shifted_jaw),
@@ -322,12 +348,18 @@ FAULTS: dict[str, tuple[str, Callable]] = {
     "jump aside": ("jump", jump_aside),
 }
 """Fault → the code of the right reason, and what plants it."""
+UNMENDED: dict[str, tuple[str, Callable]] = {
+    "head turned to profile": ("turned_away", turned_to_profile),
+    "unseen cut": ("unseen_cut", unseen_cut),
+}
+"""The same of faults for which there is a reason, but no change that mends them; the benchmark does not count them."""
 
 
 def planted(fault: str, variant: int, stream: str = "test", config: Config | None = None) -> Planted:
     """One variant of a fault, in a run with this configuration (`good_config` if not given)."""
-    code, plant = FAULTS[fault]
-    rng = np.random.default_rng([list(FAULTS).index(fault), variant, STREAMS[stream]])
+    known = FAULTS | UNMENDED
+    code, plant = known[fault]
+    rng = np.random.default_rng([list(known).index(fault), variant, STREAMS[stream]])
 
     def frame(suits: Callable[[int], bool] = lambda index: True) -> int:
         allowed = range(20 + STREAMS[stream], len(clip().landmarks) - 10, 2)

@@ -32,6 +32,7 @@ SLOW = (
     "test_live_panel.py",
     "test_learning.py",
     "test_session.py",
+    "test_dense_landmarks.py",
     "test_session_temporal.py",
     "test_tracker.py",
     "test_documentation.py",

@@ -94,6 +94,15 @@ def test_the_right_reason_comes_first_and_its_change_mends(head, fitter, fault):
         assert min(abs(fit.errors[2] - reason.after_percent) for fit in fits) < 0.05
 
 
+@pytest.mark.parametrize("fault", faults.UNMENDED)
+def test_the_right_reason_comes_first_where_no_change_mends(head, fitter, fault):
+    planted = faults.planted(fault, 0)
+    reason = diagnose_frame(head, planted.case, fitter).reasons[0]
+    assert reason.code == planted.code
+    assert 0.3 <= reason.score <= 1.0
+    assert any(character.isdigit() for character in reason.evidence)
+
+
 @pytest.mark.parametrize("index", [40, 104, 170, 214])
 def test_a_clean_frame_has_no_reason(head, config, clean, fitter, reference, index):
     found = diagnose_frame(head, clean_case(clean, config, index), fitter, reference)

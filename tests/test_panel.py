@@ -33,7 +33,7 @@ from workbench.session.knobs import (
 )
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
-from workbench.widgets import FitPlayground, LivePanel, SessionOpener, TuningPanel
+from workbench.widgets import FitPlayground, LivePanel, SessionOpener, TuningPanel, tuning_panel
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.diagnosis_view import found_text
 from workbench.widgets.film_strip import FilmStrip
@@ -160,6 +160,19 @@ def test_a_chart_can_be_drawn_from_what_the_browser_hears_first(monkeypatch):
     (sent,) = [state for state in first if "_series" in state]
     assert sent["_series"]["data"] == b""
     assert sent["_series"]["names"] == []
+
+
+def test_a_slider_changes_the_pictures_before_the_rest_of_the_panel(panel, monkeypatch):
+    order = []
+    for part, call in ((panel, "_show"), (panel.controls, "show")):
+        usual = getattr(part, call)
+        monkeypatch.setattr(
+            part, call, lambda *given, usual=usual, call=call, **named: (order.append(call), usual(*given, **named))
+        )
+    monkeypatch.setattr(tuning_panel, "FIRST_S", 30.0)
+    slider = panel.controls.by_path["weights.sigma_smooth"].input
+    slider.value += 4 * slider.step
+    assert order == ["_show", "show"]
 
 
 # --- knobs ---

@@ -5,6 +5,7 @@ import shlex
 import threading
 import time
 import zipfile
+from dataclasses import replace
 
 import ipywidgets as widgets
 import numpy as np
@@ -20,7 +21,9 @@ from workbench.session.knob_words import WORDS, plain_words
 from workbench.session.knobs import KNOBS
 from workbench.session.performance import performance_commands, performance_track
 from workbench.widgets import TuningPanel, panel_page
+from workbench.widgets.changes_page import comparison_html
 from workbench.widgets.controls import Controls
+from workbench.widgets.head_column import FACELESS
 from workbench.widgets.knob_control import CHANGED, KnobControl
 from workbench.widgets.panel_page import packed
 from workbench.widgets.performance_export import PerformanceExport
@@ -279,9 +282,21 @@ def test_angles_have_a_true_minus_and_no_sign_at_zero():
     assert [degrees(angle) for angle in (-4.2, 3.0, -0.3)] == ["−4°", "3°", "0°"]
 
 
-def test_a_frame_without_a_face_has_no_numbers(panel):
-    from dataclasses import replace
+def test_on_a_frame_without_a_face_no_head_is_left(panel):
+    fit = panel.fit
+    panel.head.show(replace(fit, found=False))
+    assert FACELESS in panel.head._holder._dom_classes
+    panel.head.show(fit)
+    assert FACELESS not in panel.head._holder._dom_classes
 
+
+def test_where_all_are_equal_none_is_the_best():
+    same, better = {"all_68_percent_mean": 2.0}, {"all_68_percent_mean": 1.0}
+    assert "fw-best" not in comparison_html({"the start": same, "now": same})
+    assert comparison_html({"the start": same, "now": better}).count("fw-best") == 1
+
+
+def test_a_frame_without_a_face_has_no_numbers(panel):
     assert status_of(replace(panel.fit, found=False), FRAMES) == "frame 0/8 · no face"
 
 

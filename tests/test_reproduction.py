@@ -16,7 +16,7 @@ from workbench.face import FaceParameters
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures.lighting import Light, Lighting
-from workbench.reproduction import Item, Result, Study, Table, boston_camera, clip_solves, pose_errors
+from workbench.reproduction import Item, Result, Study, Table, boston_camera, clip_solves, notebook, pose_errors
 from workbench.reproduction import study as studies
 from workbench.reproduction.boston import INCH_MM, NAMES, BostonSequence, read_set
 from workbench.reproduction.differences import FEW_FRAMES, deep_configs, deep_rows, face_it_configs
@@ -92,6 +92,19 @@ def test_figures_tables_and_result_are_files_and_a_page_shows_them(counted, tmp_
     assert "<td>&lt;first&gt;</td><td>1.0</td>" in page
     assert '<img src="counted/counted-1.png" alt="A black square.">' in page
     assert "two numbers &amp; more. A quick run" in page
+
+
+def test_a_notebook_shows_text_tables_and_figures_on_a_screen(counted, tmp_path, monkeypatch):
+    item, calls = counted
+    monkeypatch.setattr(notebook, "choose", lambda names: (item,))
+    told, table, caption, figure, notes = reproduction.shown("counted", tmp_path)
+    assert told.data == "**The paper:** Nothing.\n\n**Here:** two numbers & more."
+    assert "| <first> | 1.0 |" in table.data
+    assert (caption.data, notes.data) == ("*A black square.*", "So.")
+    assert (figure.width, figure.height) == (8, 8)
+    (left_out,) = reproduction.shown("counted", tmp_path, left_out=True)
+    assert "`workbench reproduce counted` makes it" in left_out.data
+    assert len(calls) == 1
 
 
 def test_what_was_made_from_the_same_inputs_is_left_as_it_is(counted, tmp_path):

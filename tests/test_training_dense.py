@@ -131,12 +131,13 @@ class TestLikelihood:
 
 @pytest.fixture(scope="module")
 def answers():
-    """Gaussian errors of 2 px, of which the network claims 1."""
+    """Gaussian errors of 2 px, of which the network claims 1; one head in four is turned away."""
     rng = np.random.default_rng(1)
     truth = np.tile(rng.uniform(0, 200, (1, 90, 2)), (4000, 1, 1))
     truth[:, 36], truth[:, 45] = (50, 100), (150, 100)
     points = truth + rng.normal(0, 2.0, truth.shape)
-    return DenseAnswers(points, np.broadcast_to(np.eye(2), (*truth.shape[:2], 2, 2)), truth, np.zeros((4000, 3)))
+    angles = np.where(np.arange(4000)[:, None] % 4 == 0, [60.0, 0.0, 0.0], 0.0)
+    return DenseAnswers(points, np.broadcast_to(np.eye(2), (*truth.shape[:2], 2, 2)), truth, angles)
 
 
 class TestCalibration:

@@ -132,7 +132,8 @@ def fit(
     picture, config, model = _picture(picture), _config(config), _model(model)
     with _ONE_AT_A_TIME:
         observation = _observation(picture, landmarks, config, detector)
-        frame = _tracker(_Task(model, config, observation.landmarks.scheme)).push(observation)[-1]
+        seen = cast("Landmarks2D", observation.landmarks)  # given, or else found: no face is an error
+        frame = _tracker(_Task(model, config, seen.scheme)).push(observation)[-1]
     return PictureFit(picture, model, replace(frame, shot=0))
 
 
@@ -200,7 +201,7 @@ def _observation(picture, landmarks, config: Config, detector) -> FrameObservati
         observation = _found(picture, config, detector)
     if config.traits.renders:
         network = energy_network(config.deep.network)
-        begin = cast("Landmarks2D", observation.landmarks)  # given, or else found: no face is an error
+        begin = cast("Landmarks2D", observation.landmarks)
         return replace(observation, landmarks=photo_landmarks(network, picture, begin))
     return observation
 

@@ -1,4 +1,4 @@
-"""`workbench landmarks`: faces and their 68 points in photos or in the frames of a video, each on its own."""
+"""`workbench landmarks`: faces and their points in photos or in the frames of a video, each on its own."""
 
 import shlex
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from workbench.errors import InputError
 from workbench.files import check_not_inputs
 from workbench.landmarks.scheme import outer_eye_distance
 
-LANDMARKS_HELP = """Find faces and their 68 landmarks, with a confidence for every point; no face model is fitted.
+LANDMARKS_HELP = """Find faces and their landmarks, with a confidence for every point; no face model is fitted.
 
 Every picture is treated independently, even in a video. The CSV file is one that [bold]workbench track[/bold] reads.
 
@@ -147,9 +147,8 @@ def _tell(
         table.add_row("[bold]confidence[/bold]", f"median {middle:.2f}{lowest}")
     time = np.median([item.milliseconds for item in found])
     table.add_row("[bold]detector[/bold]", f"{source.detector}, median {time:.0f} ms per picture")
-    table.add_row(
-        "[bold]files[/bold]", f"{escape(str(out))}  [dim]one row per picture: 68 points, then confidences[/dim]"
-    )
+    layout = f"one row per picture: {len(source.scheme)} points, then confidences"
+    table.add_row("[bold]files[/bold]", f"{escape(str(out))}  [dim]{layout}[/dim]")
     if drawn is not None:
         table.add_row("", f"{escape(str(drawn))}  [dim]the points, yellow where sure, violet where guessed[/dim]")
     screen.console.print(table)

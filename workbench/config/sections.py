@@ -11,6 +11,7 @@ NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
 PointKey = Annotated[str, Field(pattern=r"^([0-9]|[1-9][0-9]|[12][0-9]{2}|3[0-6][0-9]|37[0-6])$")]
 """A point number from 0 to 376, the last of the largest landmark scheme, as text because TOML keys are text."""
+Detector = Literal["auto", "dlib+network", "network", "dense", "dlib", "dlib-hog", "dlib-cnn", "mediapipe"]
 Iterations = Annotated[int, Field(ge=0, le=500)]
 
 
@@ -133,7 +134,7 @@ class HeadConfig(Section):
 class LandmarksConfig(Section):
     """Detection and tracking of the points."""
 
-    detector: Literal["auto", "dlib+network", "network", "dense", "dlib", "dlib-hog", "dlib-cnn", "mediapipe"] = Field(
+    detector: Detector = Field(
         "auto",
         description="Face detector and predictor; auto: dlib+network where dlib is installed, else network. dense: "
         "points of the whole face with a covariance each, the others: 68.",

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, UInt8
 
 from workbench.face import FaceModel, posed_vertices
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import POLYLINES, outer_eye_distance
+from workbench.landmarks.scheme import POINT_COUNT, POLYLINES, outer_eye_distance
 from workbench.pictures.lettering import SMALLEST_PX, fitting_size, text_width, write_text
 from workbench.pictures.mesh import scaled_camera, to_camera, to_pixels
 from workbench.tracking.failures import why_failed
@@ -17,6 +17,8 @@ from workbench.tracking.records import FrameFit
 
 SMALLEST_SIDE, LARGEST_SIDE = 320, 1920
 """Bounds of the longer side of a drawn picture; others are enlarged or reduced to them for display."""
+CROWDED = 0.6
+"""Size of the marks of more than 68 points, as a share of those of 68."""
 WORST_PERCENT = 10.0
 """Residual, % of the distance between the outer eye corners, at the bright end of the colour scale."""
 SHIFT = 4
@@ -68,7 +70,7 @@ def draw_overlay(
         return canvas
     observed, projected = _resized(fit.observed, scale), _resized(fit.projected, scale)
     colors = residual_colors(fit.residuals_percent)
-    fine = float(np.clip(outer_eye_distance(observed) / 90.0, 0.35, unit))
+    fine = _fineness(observed, unit)
     if parts.mesh and model is not None:
         _draw_mesh(canvas, fit, model, scale)
     if parts.lines:
@@ -102,7 +104,7 @@ def draw_landmarks(
         _label(canvas, f"{title}no face", unit)
         return canvas
     points = _resized(landmarks.points, scale)
-    fine = float(np.clip(outer_eye_distance(points) / 90.0, 0.35, unit))
+    fine = _fineness(points, unit)
     _draw_polylines(canvas, points, fine)
     _draw_dots(canvas, points, confidence_colors(landmarks.confidence), fine)
     if min(canvas.shape[:2]) >= 200:
@@ -172,6 +174,12 @@ def _fixed(points: np.ndarray) -> Int[np.ndarray, "..."]:
 
 def _width(unit: float, factor: float) -> int:
     return max(1, round(unit * factor))
+
+
+def _fineness(points: Float[np.ndarray, "points 2"], unit: float) -> float:
+    """Size of marks: by that of the face, and smaller where there are many."""
+    fine = float(np.clip(outer_eye_distance(points) / 90.0, 0.35, unit))
+    return fine if len(points) == POINT_COUNT else CROWDED * fine
 
 
 def _draw_polylines(canvas, points, unit) -> None:

@@ -21,7 +21,7 @@ from workbench.face import (
 from workbench.face.characters import CHARACTER_FILE, MOST_SIGMA
 from workbench.files import atomic_path, make_folder
 from workbench.frames import Frames
-from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.scheme import GROUPS, outer_eye_distance
 from workbench.pictures.mesh import scaled_camera, to_camera
 from workbench.rendering import render
 from workbench.rendering.skin_texture import SkinView, completed_skin, painted_skin
@@ -168,7 +168,7 @@ def _pictures(frames: Frames, wanted: set[int]) -> Iterator[tuple[int, UInt8[np.
 def sharpness(picture: UInt8[np.ndarray, "h w 3"], fit: FrameFit) -> float:
     """Mean square of the Laplacian of the face, brought to one size."""
     height, width = picture.shape[:2]
-    inner = fit.observed[17:]
+    inner = fit.observed[list(GROUPS["inner"])]
     low = np.clip(np.floor(inner.min(axis=0)), 0, [width - 2, height - 2]).astype(int)
     high = np.clip(np.ceil(inner.max(axis=0)) + 1, low + 2, [width, height]).astype(int)
     face = cv2.cvtColor(picture[low[1] : high[1], low[0] : high[0]], cv2.COLOR_RGB2GRAY)

@@ -15,6 +15,7 @@ from .mesh_files import FoundMesh as FoundMesh
 from .mesh_files import OtherMesh as OtherMesh
 from .mesh_files import read_mesh as read_mesh
 from .mesh_files import read_mesh_folder as read_mesh_folder
+from .notebook import shown as shown
 from .page import write_page as write_page
 from .study import Result as Result
 from .study import Study as Study

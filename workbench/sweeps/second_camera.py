@@ -7,6 +7,7 @@ import numpy as np
 from workbench.config import Config
 from workbench.errors import InputError
 from workbench.geometry import Camera, PlacedCamera, read_rig, resized_view
+from workbench.landmarks.scheme import first_68
 from workbench.objectives import SecondView
 from workbench.pipeline import open_source
 from workbench.sweeps.storage import local_file
@@ -54,7 +55,7 @@ def seen_by_second(
     points = np.full((frames, 68, 2), np.nan)
     for row, observation in zip(points, source.observations(0, {}, stills), strict=False):
         if observation.landmarks is not None:
-            row[:] = observation.landmarks.points
+            row[:] = first_68(observation.landmarks.points)
     return SecondView(PlacedCamera(lens, *rig.placed_view(place)[1:]), points)
 
 

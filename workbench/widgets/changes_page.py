@@ -69,12 +69,12 @@ def comparison_html(rows: dict[str, dict[str, float]]) -> str:
     columns = [name for name in COLUMNS if any(name in numbers for numbers in rows.values())]
     if not columns:
         return ""
-    best = {name: min(numbers[name] for numbers in rows.values() if name in numbers) for name in columns}
+    known = {name: [numbers[name] for numbers in rows.values() if name in numbers] for name in columns}
 
     def cell(numbers: dict[str, float], name: str) -> str:
         if name not in numbers:
             return "<td>–</td>"
-        mark = " class='fw-best'" if numbers[name] == best[name] else ""
+        mark = " class='fw-best'" if numbers[name] == min(known[name]) < max(known[name]) else ""
         return f"<td{mark}>{numbers[name]:.2f}</td>"
 
     head = "".join(f"<th>{COLUMNS[name]}</th>" for name in columns)

@@ -31,7 +31,7 @@ class ClipViews:
         self.timeline.observe(lambda change: self._go(change["new"]), "frame")
         self.pose = ChartView(height_px=140, title="head pose")
         self.weights = ChartView(height_px=122, title="")
-        self.choice = menu(FAMILIES, "150px", "weights to show")
+        self.choice = menu(FAMILIES, "172px", "weights to show")
         self.choice.observe(lambda _change: self._show_weights(), "value")
         for chart in (self.pose, self.weights):
             chart.on_pick(lambda x: self._go(round(x)))

@@ -20,7 +20,8 @@ class DetectionPreview(widgets.Image):
     """Hidden until `begin`, and again after `end`. Landmark files have no picture, so that nothing is shown."""
 
     def __init__(self) -> None:
-        super().__init__(format="jpeg", layout=widgets.Layout(display="none", max_height="60vh", max_width="100%"))
+        layout = widgets.Layout(display="none", max_height="60vh", max_width="100%", object_fit="contain")
+        super().__init__(format="jpeg", layout=layout)
         self._pictures: PictureStore | None = None
         self._due = 0.0
 

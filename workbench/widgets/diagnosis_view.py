@@ -61,13 +61,13 @@ class DiagnosisView:
             f"{reason.after_percent:.2f} % of the eye distance with the change</span>"
             if reason.change
             else f"<b>{number}. {html.escape(reason.title)}</b><br>{html.escape(reason.evidence)}",
-            layout=widgets.Layout(flex="1 1 auto", min_width="0"),
+            layout=widgets.Layout(flex="0 0 auto", margin="0 0 6px 0"),
         )
         if reason.change is None:
             return text
         apply = widgets.Button(
             description=reason.change.label, tooltip="apply this change; one undo step", button_style="info",
-            layout=widgets.Layout(width="auto", max_width="210px"),
+            layout=widgets.Layout(width="auto", max_width="100%"),
         )  # fmt: skip
         back = widgets.Button(
             description="undo", tooltip="undo this change", disabled=True, layout=widgets.Layout(width="auto")

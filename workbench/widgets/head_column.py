@@ -26,7 +26,8 @@ START = "the start"
 FIRST_S = 5.0
 """What the first uncertainty takes, its program included."""
 WORKING = "computing the uncertainty of frame {frame} …"
-BESIDE_MM = np.array([170.0, 0.0, 0.0])
+FACELESS = "fw-faceless"
+"""The class of a place whose head is hidden, because its frame has none."""
 
 
 class HeadColumn:
@@ -61,7 +62,7 @@ class HeadColumn:
         self.look.observe(lambda change: self.view.set_view(change["new"]), "value")
         self.color = widgets.Dropdown(
             options=COLORINGS, tooltip="colour of the surface; difference: to the compared configuration",
-            layout=widgets.Layout(width="88px"),
+            layout=widgets.Layout(width="104px"),
         )  # fmt: skip
         self.shape = widgets.Dropdown(
             options=list(head.model.expression_names), tooltip="blendshape whose displacement is shown",
@@ -69,25 +70,25 @@ class HeadColumn:
         )  # fmt: skip
         self.points = toggle("points", "landmarks and residuals in 3D")
         self.compare = widgets.Dropdown(
-            options=self._comparisons(), value="", tooltip="show the outline of another configuration's fit",
+            options=self._comparisons(), value="", tooltip="the outline of another fit; see the page Compare",
             layout=widgets.Layout(width="92px"),
         )  # fmt: skip
-        self.beside = toggle("beside", "show the compared head next to this one, not as an outline")
-        self.beside.layout.display = "none"
-        for control in (self.color, self.shape, self.points, self.compare, self.beside):
+        for control in (self.color, self.shape, self.points, self.compare):
             control.observe(self._on_choice, "value")
         hidden = widgets.Layout(display=None if self.view.note else "none")
         self.note = widgets.Label(self.view.note or "", layout=hidden)
         self.working = widgets.HTML(layout=widgets.Layout(display="none"))
         above = widgets.HBox([self.look, self.color, self.shape], layout=wrapped())
-        below = widgets.HBox([self.character.widget, self.points, self.compare, self.beside], layout=wrapped())
+        below = widgets.HBox([self.character.widget, self.points, self.compare], layout=wrapped())
         self._holder = classed(widgets.VBox([classed(self.view.widget, "fw-grow")]), "fw-grow")
         self.widget = widgets.VBox([above, self._holder, self.working, below, self.note])
 
     def show(self, fit: FrameFit) -> None:
-        """Show the head of a fit; it is unchanged for a frame without a face."""
+        """Show the head of a fit, and none for a frame without a face."""
         if not fit.found:
+            self._holder.add_class(FACELESS)
             return
+        self._holder.remove_class(FACELESS)
         if self.character.follow():
             self._make_view()
         self.view.set_vertices(self._head.vertices(fit), self._head.personal(fit.identity).neutral)
@@ -202,9 +203,9 @@ class HeadColumn:
         self._marked = self.points.value
 
     def _ghost(self, fit: FrameFit) -> None:
-        name, beside = self.compare.value, self.beside.value
+        name = self.compare.value
         kept = id(self._session.snapshots.get(name))
-        key = (name, fit.index, kept, beside, fit.identity.tobytes()) if name else None
+        key = (name, fit.index, kept, fit.identity.tobytes()) if name else None
         if key == self._compared:
             return
         if not name:
@@ -216,7 +217,7 @@ class HeadColumn:
             # A separate model, because the other configuration may have another identity.
             model = self._head.model.personal(other.identity)
             self._other = posed_vertices(model, other.expression, other.jaw, other.scale)
-            self.view.set_ghost(self._other + BESIDE_MM * beside, 1.0, outline=not beside)
+            self.view.set_ghost(self._other, 1.0, outline=True)
         self._compared = key
 
     def _comparisons(self) -> list[tuple[str, str]]:
@@ -224,5 +225,4 @@ class HeadColumn:
 
     def _on_choice(self, _change) -> None:
         self.shape.layout.display = None if self.color.value == "blendshape" else "none"
-        self.beside.layout.display = None if self.compare.value else "none"
         self._redraw()

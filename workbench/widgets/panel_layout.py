@@ -71,6 +71,9 @@ FW_AT
 .fw-whole > .fw-first { position: absolute; top: 64px; bottom: 150px; left: calc(FW_CONTROLSpx + 14px); margin: 0;
   width: calc(0.61 * (100% - FW_CONTROLSpx - 14px)); object-fit: contain; pointer-events: none; }
 .fw-whole:has(.fw-overlay[data-state*='"decoded":true']) > .fw-first { display: none; }
+.fw-whole .fw-faceless > * { visibility: hidden; }
+.fw-whole .fw-faceless::before { content: "no face in this frame"; position: absolute; inset: 0; display: flex;
+  align-items: center; justify-content: center; color: var(--jp-ui-font-color2, #666); background: var(--fw-soft); }
 .fw-whole .fw-old { opacity: 0.45; transition: opacity 0.2s; }
 
 /* narrow, as where the browser zooms to 125 %: rows go on below; at 200 %: first the views, then the settings */

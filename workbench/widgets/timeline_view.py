@@ -22,11 +22,14 @@ ROWS = 68
 
 
 def strip_rows(scheme: LandmarkScheme) -> dict[str, list[Int[np.ndarray, "_"]]]:
-    """The points of each of the strip's rows, by part of the face: as many rows as are its share of the points."""
-    ends = np.rint(np.cumsum([0, *map(len, scheme.parts.values())]) * ROWS / len(scheme)).astype(int)
+    """The points of each of the strip's rows, by part of the face: as many rows for each part, so that all are read."""
+    parts = scheme.parts
+    sizes = np.array([len(points) for points in parts.values()])
+    shares = sizes if len(scheme) == ROWS else np.full(len(parts), ROWS / len(parts))
+    counts = np.diff(np.rint(np.cumsum([0.0, *shares]))).astype(int)
     return {
-        name: np.array_split(np.array(points), end - start) if end > start else []
-        for (name, points), start, end in zip(scheme.parts.items(), ends[:-1], ends[1:], strict=True)
+        name: np.array_split(np.array(points), count)
+        for (name, points), count in zip(parts.items(), counts.tolist(), strict=True)
     }
 
 
@@ -89,9 +92,9 @@ class TimelineView(anywidget.AnyWidget):
         self._flagged, self._stale, self._found = (np.zeros(0, bool) for _ in range(3))
         self._shots = np.zeros(0, int)
         self._patched = False
-        firsts = np.cumsum([0, *map(len, chosen.values())])
-        named = zip(chosen.items(), firsts[:-1].tolist(), strict=True)
-        rows = [{"name": name, "first": first, "count": len(rows)} for (name, rows), first in named if rows]
+        firsts = np.cumsum([0, *map(len, chosen.values())]).tolist()
+        named = zip(chosen.items(), firsts[:-1], strict=True)
+        rows = [{"name": name, "first": first, "count": len(rows)} for (name, rows), first in named]
         told = {"names": list(scheme.point_names), "rows": rows, "colors": color_table().tobytes()}
         super().__init__(height_px=height_px, _scheme=told, **traits)
         self.on_msg(self._on_message)

@@ -1,5 +1,6 @@
 """The panel: knobs of a session, the picture, the head, the clip and the diagnosis, all kept in step."""
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -45,6 +46,8 @@ READY_S, DEEP_S = 20.0, 40.0
 """What the first diagnosis, and the first fit by Deep Energies, take with their programs."""
 PAUSE_S = 0.1
 """Numbers and curves wait for a pause of this length, because painting them would delay the pictures of a drag."""
+FIRST_S = 0.05
+"""What follows from a slider elsewhere in the panel waits so long for the pictures, which it would delay."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ class TuningPanel(LateParts):
     def __init__(self, session: TuningSession, backend: str = "auto") -> None:
         self.session, self.frame, self.is_clip = session, 0, len(session) > 1
         self.fit: FrameFit | None = None
-        self._held, self._backend = "", backend
+        self._held, self._backend, self._shown = "", backend, threading.Event()
         super().__init__([style_sheet(), classed(widgets.Image(value=picture_bytes(session.picture(0))), "fw-first")])
         classed(self, "fw-panel", "fw-whole")
 
@@ -190,8 +193,11 @@ class TuningPanel(LateParts):
             return
         if what == "config":
             self._iterations.steps = None
-            self._show_session()
+            self._shown.clear()
             self._worker.submit(Show(self.frame, coarse=self.is_clip))
+            if self._held:
+                self._shown.wait(FIRST_S)
+            self._show_session()
             self._clip_bar.settle()
         elif what == "run":
             self.status.guarded(self._show_run)
@@ -237,6 +243,7 @@ class TuningPanel(LateParts):
             else:
                 fit = session.fit_steps(frame, request.steps)
         self._show(fit)
+        self._shown.set()
         if self._worker.wait_newer(PAUSE_S):
             return
         self.status.tell(status_of(fit, len(session), self.time.side == AFTER, self.clip.why(frame)))

@@ -3,6 +3,7 @@ import { indices } from "./landmarks.js";
 
 export const INK = "rgba(16, 18, 22, 0.75)", WHITE = "#ffffff", GREY = "#b4b8bf", CHOSEN = "#ff6ec7";
 const SUBSET = "#7fe3ff", LINE = "rgba(150, 220, 235, 0.6)", WIRE = "rgba(210, 240, 245, 0.3)";
+const FEW = 68, CROWDED = 0.6; // more landmarks than these are drawn with marks of this size
 
 export function outline(context, color, width) {
   context.strokeStyle = INK;
@@ -38,7 +39,8 @@ export function paintLandmarks(context, landmarks, view, look) {
   const { layer } = look, { observed } = landmarks, { toScreen } = view;
   // Marks grow with the size of the face on the screen, measured between the outer eye corners.
   const eyes = view.scale * Math.hypot(observed(36)[0] - observed(45)[0], observed(36)[1] - observed(45)[1]);
-  const unit = clamp(Math.pow((eyes || 80) / 110, 0.7), 0.45, 2.6), all = indices(landmarks);
+  const all = indices(landmarks), crowd = all.length > FEW ? CROWDED : 1;
+  const unit = crowd * clamp(Math.pow((eyes || 80) / 110, 0.7), 0.45, 2.6);
   const pen = { context, landmarks, toScreen, unit, circle: circleOf(context, toScreen) };
   pen.colorOf = (i) => {
     const share = Number.isFinite(landmarks.value(i)) ? landmarks.value(i) / look.limit : 1;

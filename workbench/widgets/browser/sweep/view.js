@@ -59,13 +59,10 @@ function paintCursor(page, { sweep, place, at, theme }) {
   const { stage, hoverBox } = page, context = cleared(page.over);
   hoverBox.hidden = at === null;
   if (at === null) return;
-  const [x, y] = place(at), lines = factsOf(sweep, at);
-  paintRing(context, [x, y], theme.ink, 5);
-  hoverBox.textContent = lines.join("\n");
+  const lines = factsOf(sweep, at);
+  paintRing(context, place(at), theme.ink, 5);
+  hoverBox.textContent = lines.join("  ·  "); // one line above the plot, of which it covers nothing
   stage.setAttribute("aria-label", lines.join(", "));
-  const wide = hoverBox.offsetWidth, left = x + 14 + wide > stage.clientWidth ? x - 14 - wide : x + 14;
-  hoverBox.style.left = `${Math.max(left, 0)}px`;
-  hoverBox.style.top = `${Math.max(0, Math.min(y - 20, stage.clientHeight - hoverBox.offsetHeight))}px`;
 }
 
 function makePainting(page, state) {
