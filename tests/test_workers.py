@@ -50,6 +50,15 @@ def test_a_clip_that_ends_its_process_is_told_and_the_rest_goes_on(workers):
     assert results[1].reason.startswith("poison.mp4 ")
 
 
+def test_ctrl_c_is_left_to_the_command(workers):
+    tasks, do = [Harmless(k) for k in range(12)], Counted()
+    at_work = {pid for pid, _ in dict(workers.results(tasks, do)).values()}
+    for pid in at_work:
+        os.kill(pid, signal.SIGINT)
+    assert len(dict(workers.results(tasks, do))) == 12
+    assert at_work <= children()
+
+
 def test_a_dashboard_is_told_where_there_is_one(workers):
     assert ("dashboard" in workers.said) == (not isinstance(workers, Pool))
 

@@ -2,6 +2,7 @@
 
 import logging
 import queue
+import signal
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -39,6 +40,7 @@ class DaskWorkers:
                 dashboard_address=":0",
                 silence_logs=50,
                 env=ONE_CORE,
+                preload=[__name__],
             )
             self.address = self._cluster.scheduler_address
         try:
@@ -119,6 +121,11 @@ class DaskWorkers:
         self._client.close(timeout=2)
         if self._cluster is not None:
             self._cluster.close(timeout=10)
+
+
+def dask_setup(worker: Any) -> None:
+    """What Dask calls where a worker of this machine starts: Ctrl-C is left to the command, which ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _handed_on(do: Do) -> Do:
