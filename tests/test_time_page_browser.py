@@ -135,7 +135,7 @@ def test_a_sweep_grows_into_a_curve_whose_points_are_told_and_taken(page, screen
     assert (state["kind"], state["count"], state["known"]) == ("curve", 15, 15)
     stage, (left, top, width, height, _) = page.page.locator(".fw-sweep .fw-stage"), state["box"]
     stage.hover(position={"x": left + 0.9 * width, "y": top + height / 2})
-    page.page.get_by_text("half of the frames:").wait_for()
+    page.page.get_by_text("half the frames:").wait_for()
     page.page.screenshot(path=screenshots / "sweep-curve.png")
     # From the least mean to its left neighbour, by keys.
     stage.focus()

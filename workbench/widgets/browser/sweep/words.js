@@ -8,7 +8,7 @@ export function factsOf(sweep, number) {
   const unit = sweep.unit ? ` ${sweep.unit.split(" ")[0]}` : ""; // of what, stands at the plot
   return [
     ...settings, `${sweep.label} ${words(sweep.mean[number])}${unit}`,
-    `half of the frames: ${words(sweep.low[number])} to ${words(sweep.high[number])}`,
+    `half the frames: ${words(sweep.low[number])} to ${words(sweep.high[number])}`,
     ...(number === sweep.least ? ["the least"] : []),
   ];
 }
