@@ -174,9 +174,8 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     if steps and stills:
         raise InputError("Unrelated photos have no neighbours in time; leave infill and refinement out, or --stills.")
     if steps:
-        FlowFitter(
-            model, plan_of(config, model.scheme)
-        )  # refuses settings of the flow before a clip is fitted for nothing
+        # Settings of the flow that cannot be used are refused before a clip is fitted for nothing.
+        FlowFitter(model, plan_of(config, model.scheme))
     # A character that cannot be drawn is refused before a clip is fitted for nothing.
     dressed = dressed_as(config.head.character, model) if job.pictures else None
     tracker = FaceTracker(model, config, stills=stills)

@@ -32,7 +32,7 @@ class StageRow:
     def __init__(self, number: int, changed: Callable[[int, dict], None], act: Callable[[str, int], None]) -> None:
         self._number, self._changed, self._quiet = number, changed, False
         self.enabled = widgets.Checkbox(indent=False, tooltip="run this stage", layout=widgets.Layout(width="24px"))
-        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_growing("136px", "220px"))
+        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_fixed("124px"))
         self.free = {
             block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=_tiny())
             for block, letter in LETTERS.items()
