@@ -4,6 +4,7 @@ import logging
 import queue
 import signal
 import warnings
+from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -61,12 +62,20 @@ class DaskWorkers:
     def results(self, tasks: Sequence[Task], do: Do = run) -> Iterator[tuple[int, Any]]:
         """As they are done. Raises `LostSchedulerError`."""
         done: queue.SimpleQueue = queue.SimpleQueue()
-        rest, out = iter(enumerate(tasks)), {}
+        rest, out = deque(range(len(tasks))), {}
+        suspects, alone = deque(), set()
         there = self._there(do)
-        while True:
-            self._hand_out(there, rest, out, done)
-            if not out:
-                return
+        while rest or suspects or out:
+            if not (rest or out):
+                # A dead worker counts against all tasks that it held: one at a time tells whose deaths they are.
+                alone.add(suspects[0])
+                rest.append(suspects.popleft())
+            room = AHEAD * self.count - len(out)
+            for number in [rest.popleft() for _ in range(min(room, len(rest)))]:
+                # Impure: the same task may be asked for again after its result was torn.
+                future = self._client.submit(guarded, there, tasks[number], pure=False, retries=1)
+                out[future] = number
+                future.add_done_callback(done.put)
             try:
                 future = done.get(timeout=LOOK_S)
             except queue.Empty:
@@ -77,6 +86,8 @@ class DaskWorkers:
                 continue
             if future.status == "finished":
                 yield number, future.result()
+            elif future.status == "error" and number not in alone:
+                suspects.append(number)
             elif future.status == "error":
                 # The task itself raises nothing: its worker died again and again.
                 yield number, Failed(f"{tasks[number].clip} cannot be fitted ({reason_of(future.exception())}).")
@@ -95,17 +106,6 @@ class DaskWorkers:
                 warnings.filterwarnings("ignore", "Sending large graph")
                 self._do = do, self._client.submit(_handed_on, do, pure=False)
         return self._do[1]
-
-    def _hand_out(self, do: Any, rest: Iterator[tuple[int, Task]], out: dict, done: queue.SimpleQueue) -> None:
-        workers = self.count
-        while len(out) < AHEAD * workers:
-            number, task = next(rest, (None, None))
-            if task is None:
-                return
-            # Impure: the same task may be asked for again after its result was torn.
-            future = self._client.submit(guarded, do, task, pure=False, retries=1)
-            out[future] = number
-            future.add_done_callback(done.put)
 
     def _check(self) -> None:
         if self._client.status not in ("running", "newly-created"):
