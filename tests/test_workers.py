@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 
+import dask
 import psutil
 import pytest
 
@@ -57,6 +58,16 @@ def test_ctrl_c_is_left_to_the_command(workers):
         os.kill(pid, signal.SIGINT)
     assert len(dict(workers.results(tasks, do))) == 12
     assert at_work <= children()
+
+
+def test_a_worker_that_dask_gives_up_is_replaced():
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "1 ms"}):
+        alone = workers_for(1, kind="dask")
+        (pid, _) = dict(alone.results([Harmless(0)], Counted()))[0]
+        os.kill(pid, signal.SIGKILL)
+        until(lambda: not alone._cluster.workers)
+        assert dict(alone.results([Harmless(3)])) == {0: 3}
+        alone.close()
 
 
 def test_a_dashboard_is_told_where_there_is_one(workers):

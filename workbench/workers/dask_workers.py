@@ -32,7 +32,7 @@ class DaskWorkers:
         # What becomes of workers and scheduler is told by the errors below.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self.address = scheduler or ""
-        self._cluster = None
+        self._cluster, self._wanted = None, count
         if scheduler is None:
             self._cluster = LocalCluster(
                 n_workers=count,
@@ -108,6 +108,9 @@ class DaskWorkers:
         return self._do[1]
 
     def _check(self) -> None:
+        if self._cluster is not None and len(self._cluster.workers) < self._wanted:
+            # Dask gives up a worker that has not come back for 15 s, as on a busy machine, and would wait for ever.
+            self._cluster.scale(self._wanted)
         if self._client.status not in ("running", "newly-created"):
             raise self._lost()
 
