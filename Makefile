@@ -17,14 +17,14 @@ OUT ?= demo_out
 # and the Khronos validator with its own Node.
 VALIDATORS := .cache/validators
 
-.PHONY: help lab demo test test-fast test-workers test-train docs validators notebooks lint types format bench head clip clean
+.PHONY: help lab demo test test-fast test-long test-train docs validators notebooks lint types format bench head clip clean
 
 help:
 	@echo "make lab    open JupyterLab on the first notebook"
 	@echo "make demo   track the bundled portrait and clip into $(OUT)/, no browser needed"
-	@echo "make test   lint and run all tests but for the notebooks and those of test-workers and test-train"
+	@echo "make test   lint and run all tests but for the notebooks and those of test-long and test-train"
 	@echo "make test-fast   without the long tests and those in a browser"
-	@echo "make test-workers   tests that kill and restart the processes of pools and clusters"
+	@echo "make test-long   tests that take renders through flow networks, or kill worker processes"
 	@echo "make notebooks   run every notebook from top to bottom"
 	@echo "make test-train  the tests of training and of PyTorch's models; installs PyTorch"
 	@echo "make docs   the documentation as pages, in docs/_build/html; runs the notebooks"
@@ -65,13 +65,13 @@ demo: $(STAMP)
 	$(BIN)/workbench demo --out $(OUT)
 
 test: lint
-	$(PYTEST) -m "not train and not notebook and not workers"
+	$(PYTEST) -m "not train and not notebook and not long"
 
 test-fast: $(TEST_STAMP)
-	$(PYTEST) -m "not train and not notebook and not workers and not slow and not browser"
+	$(PYTEST) -m "not train and not notebook and not long and not slow and not browser"
 
-test-workers: $(TEST_STAMP)
-	$(PYTEST) -m workers
+test-long: $(TEST_STAMP)
+	$(PYTEST) -m long
 
 test-train: $(TRAIN_STAMP)
 	$(PYTEST) -m train

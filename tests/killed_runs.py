@@ -17,6 +17,7 @@ from workbench.config import preset
 from workbench.face import FaceModel
 from workbench.face.jaw_unit import USUAL_JAW
 from workbench.geometry import Camera
+from workbench.landmarks.scheme import IBUG68
 from workbench.pipeline import track
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, Track, track_writer
@@ -29,7 +30,7 @@ WRITES = {"os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.chmod", "shutil.
 class StubModel(FaceModel):
     """As much of a face model as a run without pictures looks at."""
 
-    name, expression_names, fixed_jaw_unit = "stub", ("smile", "frown"), USUAL_JAW
+    name, expression_names, fixed_jaw_unit, scheme = "stub", ("smile", "frown"), USUAL_JAW, IBUG68
 
     def __init__(self):
         """Nothing of a real model."""

@@ -47,7 +47,6 @@ SLOW = (
     "test_track_reader.py",
     "test_through_time.py",
     "test_front_door.py",
-    "test_rendered_flow.py",
     "test_cli_export.py",
     "test_sweeps.py",
 )
@@ -64,11 +63,12 @@ BROWSER = (
     "test_views_2d_browser.py",
 )
 """Files that need Chromium as a whole."""
-WORKERS = (
+LONG = (
+    "test_rendered_flow.py",
     "test_sweep_workers.py",
     "test_workers.py",
 )
-"""Files that start, kill and restart the processes of pools and clusters."""
+"""Files that take renders through flow networks, or kill and restart the processes of pools and clusters."""
 TRAIN = (
     "test_networks_checkpoints.py",
     "test_networks_fan.py",
@@ -78,11 +78,11 @@ TRAIN = (
     "test_training_flow.py",
 )
 """Files that need PyTorch as a whole; single tests elsewhere have the mark themselves."""
-MARKS = {"slow": SLOW, "browser": BROWSER, "workers": WORKERS, "train": TRAIN}
+MARKS = {"slow": SLOW, "browser": BROWSER, "long": LONG, "train": TRAIN}
 LEFT_OUT = {
     "slow": "long tests (make test)",
     "browser": "tests in a browser (make test)",
-    "workers": "worker processes that are killed and restarted (make test-workers)",
+    "long": "renders through flow networks, and worker processes that are killed (make test-long)",
     "notebook": "notebooks from top to bottom (make notebooks)",
     "train": "tests of training and of PyTorch's models (make test-train)",
 }

@@ -10,7 +10,7 @@ import pytest
 from tests import selection
 
 ROOT = Path(__file__).resolve().parent.parent
-FILES = [*selection.SLOW, *selection.BROWSER, *selection.WORKERS, *selection.TRAIN]
+FILES = [*selection.SLOW, *selection.BROWSER, *selection.LONG, *selection.TRAIN]
 
 
 def collected(*options: str) -> subprocess.CompletedProcess:
@@ -42,7 +42,7 @@ def test_every_file_that_cannot_be_imported_without_pytorch_has_the_mark():
         ("", False, ["train"]),
         ("not train", True, ["train"]),
         ("not train and not notebook", True, ["notebook", "train"]),
-        ("not train and not notebook and not workers", True, ["workers", "notebook", "train"]),
+        ("not train and not notebook and not long", True, ["long", "notebook", "train"]),
         ("not train and not slow and not browser", True, ["slow", "browser", "train"]),
         ("train", True, []),
     ],
