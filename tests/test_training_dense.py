@@ -137,7 +137,7 @@ def answers():
     truth[:, 36], truth[:, 45] = (50, 100), (150, 100)
     points = truth + rng.normal(0, 2.0, truth.shape)
     angles = np.where(np.arange(4000)[:, None] % 4 == 0, [60.0, 0.0, 0.0], 0.0)
-    return DenseAnswers(points, np.broadcast_to(np.eye(2), (*truth.shape[:2], 2, 2)), truth, angles)
+    return DenseAnswers(points, truth, angles, np.broadcast_to(np.eye(2), (*truth.shape[:2], 2, 2)))
 
 
 class TestCalibration:
@@ -145,7 +145,7 @@ class TestCalibration:
         np.testing.assert_allclose(deviation_factor(answers), 2.0, rtol=0.06)
 
     def test_honest_ellipses_hold_their_share(self, answers):
-        honest = DenseAnswers(answers.points, answers.whitening / 2.0, answers.truth, answers.angles_deg)
+        honest = DenseAnswers(answers.points, answers.truth, answers.angles_deg, answers.whitening / 2.0)
         for share in ELLIPSES:
             assert (honest.deviations < radius(share)).mean() == pytest.approx(share, abs=0.01)
 
