@@ -7,6 +7,7 @@ from jaxtyping import Int
 
 from workbench.errors import ModelError
 from workbench.face.default_head import load_default_head
+from workbench.face.gaze import with_eye_units
 from workbench.face.model import Embedding, FaceModel
 from workbench.landmarks.scheme import IBUG68, POINT_COUNT, LandmarkScheme
 from workbench.landmarks.schemes import DENSE, DENSE_POINTS
@@ -19,14 +20,17 @@ _PUPIL_RING = 8
 def in_scheme(model: FaceModel, scheme: LandmarkScheme) -> FaceModel:
     """The model with the landmarks of this scheme; the jaw joint keeps its unit.
 
+    A head whose eyes' units were left out, because no landmark of the 68 shows them, has them in a scheme with pupils.
     Raises `ModelError` for a scheme whose points are not known on this model: the dense ones are those of the default
     head's mesh, in any shape.
     """
     if scheme is model.scheme:
         return model
     first = Embedding(model.landmarks.vertices[:POINT_COUNT], model.landmarks.barycentric[:POINT_COUNT])
-    landmarks = first if scheme is IBUG68 else _joined(first, _dense_embedding(model))
-    return replace(model, landmarks=landmarks, fixed_jaw_unit=model.jaw_unit)
+    if scheme is IBUG68:
+        return replace(model, landmarks=first, fixed_jaw_unit=model.jaw_unit)
+    landmarks = _joined(first, _dense_embedding(model))
+    return with_eye_units(replace(model, landmarks=landmarks, fixed_jaw_unit=model.jaw_unit))
 
 
 def pupil_vertices(model: FaceModel) -> Int[np.ndarray, "2 p"]:
