@@ -26,8 +26,7 @@ from workbench.landmarks.tracking import LandmarkTracker
 from workbench.pipeline import track
 from workbench.planning import plan_of
 from workbench.samples import sample
-from workbench.session import TuningSession
-from workbench.session.material import material_of_track
+from workbench.session import TuningSession, material_of_track
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
 from workbench.tracking.plan import whitening_of
