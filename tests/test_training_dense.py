@@ -8,13 +8,14 @@ import torch
 from scipy.spatial.distance import pdist, squareform
 
 from workbench.landmarks.schemes import DENSE_TABLE, DensePoints
+from workbench.landmarks.uncertainty import ellipse_radius
 from workbench.networks.dense_network import read_dense_network
 from workbench.networks.eye_network import SIDE as EYE_SIDE
 from workbench.networks.eye_network import read_eye_network
 from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork
 from workbench.networks.regression import places_of
 from workbench.training.augment import TRAINING, augmented
-from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, measured_dense, radius
+from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, measured_dense
 from workbench.training.dense_points import IRIS_POINTS, SPACING_MM, dense_points, write_table
 from workbench.training.dense_task import SIDE, DenseTask, loss_of
 from workbench.training.eye_measuring import EyeAnswers, measured_eyes
@@ -154,7 +155,7 @@ class TestCalibration:
     def test_honest_ellipses_hold_their_share(self, answers):
         honest = DenseAnswers(answers.points, answers.truth, answers.angles_deg, answers.whitening / 2.0)
         for share in ELLIPSES:
-            assert (honest.deviations < radius(share)).mean() == pytest.approx(share, abs=0.01)
+            assert (honest.deviations < ellipse_radius(share)).mean() == pytest.approx(share, abs=0.01)
 
     def test_the_tables_tell_errors_and_shares_by_part(self, answers):
         dense = DensePoints(np.arange(20), np.arange(20), (*["nose"] * 12, *["irises"] * 8), ("middle",) * 20)

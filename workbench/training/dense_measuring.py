@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.landmarks.schemes import DensePoints
+from workbench.landmarks.uncertainty import ellipse_radius
 from workbench.networks.dense_network import SIDE
 from workbench.networks.regression import Places
 from workbench.training.augment import MIRRORED, Hardness
@@ -52,12 +53,7 @@ def deviation_factor(found: Float[np.ndarray, "n k"], share: float = 0.8) -> Flo
 
     `found`: distances from the truth in units of the claimed uncertainty.
     """
-    return np.quantile(found, share, axis=0) / radius(share)
-
-
-def radius(share: float) -> float:
-    """Of the ellipse that holds this share of a Gaussian in the plane, in deviations."""
-    return float(np.sqrt(-2.0 * np.log(1.0 - share)))
+    return np.quantile(found, share, axis=0) / ellipse_radius(share)
 
 
 def measured_dense(clean: DenseAnswers, damaged: DenseAnswers, dense: DensePoints) -> dict[str, Mapping[str, float]]:
@@ -73,6 +69,8 @@ def measured_dense(clean: DenseAnswers, damaged: DenseAnswers, dense: DensePoint
             for side, chosen in (("", front), (", turned", ~front)):
                 row[f"{kind}{side}"] = float(answers.errors_percent[chosen][:, list(which)].mean())
             for share in ELLIPSES:
-                row[f"{kind}, inside {share:.0%}"] = float((answers.deviations[:, list(which)] < radius(share)).mean())
+                row[f"{kind}, inside {share:.0%}"] = float(
+                    (answers.deviations[:, list(which)] < ellipse_radius(share)).mean()
+                )
         tables[name] = row
     return tables

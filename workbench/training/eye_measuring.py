@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from workbench.landmarks.uncertainty import ellipse_radius
 from workbench.networks.eye_network import EyePlaces
 from workbench.training.augment import Hardness
-from workbench.training.dense_measuring import ELLIPSES, deviations, radius
+from workbench.training.dense_measuring import ELLIPSES, deviations
 from workbench.training.evaluation import columns
 from workbench.training.eye_pictures import CROP_EYE_PX, eye_picture
 from workbench.training.pool import Pool
@@ -77,4 +78,4 @@ def measured_eyes(clean: EyeAnswers, damaged: EyeAnswers) -> dict[str, Mapping[s
 
 
 def _held(answers: EyeAnswers, chosen: Bool[np.ndarray, "n"], share: float) -> float:
-    return float((answers.deviations[chosen] < radius(share)).mean())
+    return float((answers.deviations[chosen] < ellipse_radius(share)).mean())
