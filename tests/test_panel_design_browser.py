@@ -211,6 +211,18 @@ def test_no_text_of_the_pages_is_cut(small):
     fold(small)
 
 
+def test_below_a_high_page_the_window_scrolls_and_strip_and_transport_are_whole(small, screenshots):
+    small.ask_kernel("for _ in range(6): panel.stages.add.click()")
+    tab(small, "Stages")
+    small.wait_at_rest(".fw-pages")
+    to_top(small)
+    small.page.screenshot(path=screenshots / "design-high-page.png")
+    transport, pages = (small.page.locator(place).bounding_box() for place in (".fw-transport", ".fw-pages"))
+    assert pages["height"] > 250
+    assert transport["y"] + transport["height"] <= pages["y"] + 1
+    fold(small)
+
+
 def test_every_control_has_a_name_for_screen_readers(small):
     for title in ("ρ ε", "camera", "points", "a b c", "deep", "time", "ω", "Stages", "Diagnosis", "Methods"):
         tab(small, title)

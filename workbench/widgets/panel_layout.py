@@ -49,6 +49,8 @@ FW_AT
 /* a panel as high as the window: the views get what is left */
 .fw-panel.fw-whole { min-height: calc(max(100vh - FW_OTHERSpx, FW_LOWESTpx)); }
 .fw-panel.fw-whole > .fw-body { flex: 1 1 0; min-height: 0; }
+/* below high pages, such as eight stages or a film strip, the window scrolls: strip and transport are not cut */
+.fw-panel.fw-whole:has(.fw-transport) > .fw-body { min-height: 340px; }
 .fw-whole .fw-controls { flex: 0 0 FW_CONTROLSpx; min-width: 0; min-height: 0; }
 .fw-whole .fw-controls > .jupyter-widget-Tab, .fw-whole .fw-controls > .widget-tab
   { flex: 1 1 0; min-height: 0; margin: 0; }
