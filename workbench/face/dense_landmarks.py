@@ -30,7 +30,8 @@ def in_scheme(model: FaceModel, scheme: LandmarkScheme) -> FaceModel:
     if scheme is IBUG68:
         return replace(model, landmarks=first, fixed_jaw_unit=model.jaw_unit)
     landmarks = _joined(first, _dense_embedding(model))
-    return with_eye_units(replace(model, landmarks=landmarks, fixed_jaw_unit=model.jaw_unit))
+    made = replace(model, landmarks=landmarks, fixed_jaw_unit=model.jaw_unit)
+    return with_eye_units(made) if np.array_equal(model.triangles, load_default_head().triangles) else made
 
 
 def pupil_vertices(model: FaceModel) -> Int[np.ndarray, "2 p"]:

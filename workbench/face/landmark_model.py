@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from workbench.arrays import AnyArray, Scalar
-from workbench.face.gaze import eye_turns
+from workbench.face.gaze import EYES, eye_turns
 from workbench.face.model import BLINK_SCALE_RANGE, BLINKS, Embedding, FaceModel
 
 LEAST_SEEN_MM = 0.1
@@ -110,7 +110,7 @@ def landmark_model(model: FaceModel) -> LandmarkModel:
         expression_scale_identity=scale_identity,
         expression_lower=bounds[:, 0],
         expression_upper=bounds[:, 1],
-        gaze=eye_turns(model) if "pupils" in model.scheme.groups else None,
+        gaze=eye_turns(model) if "pupils" in model.scheme.groups and set(EYES) <= set(model.joints) else None,
     )
 
 
