@@ -247,7 +247,7 @@ ROWS = (
         residual="gaze:gaze_residual",
         unknowns=("expression",),
         links_frames=True,
-        default=5.0,
+        default=3.0,
     ),
     Term(
         name="flow",

@@ -48,8 +48,8 @@ BLOCKS = SYSTEMS["face-it"].blocks
 BRANCHES = (("rotation", "translation"), BLOCKS)
 """The branches of one compiled program: a pose-only stage costs a small solve, any other stage a solve of the whole
 vector. Parameters that a stage does not free are masked, so that no schedule triggers recompilation."""
-PUPIL_GUESS = 0.03
-"""Deviation, as a share of the outer-eye distance, of a pupil that is half hidden: some 10 degrees of gaze."""
+PUPIL_GUESS = 0.06
+"""Deviation, as a share of the outer-eye distance, of a pupil that is half hidden: some 20 degrees of gaze."""
 STAGE_SLOTS = 8
 """Schedules are padded to a multiple of this many stages."""
 Method = Literal["levenberg-marquardt", "trust-region"]
@@ -236,17 +236,17 @@ def stage_problem(
 def hidden_eyes(
     frame: FrameInput, weights: Float[AnyArray, "points"], eye_distance_px: Float[AnyArray, ""]
 ) -> Float[AnyArray, ""]:
-    """How far the pupil that is seen best is hidden: its variance squared against that of a guess, 1 without weight.
+    """How far both pupils are hidden: each one's variance squared against that of a guess, 1 without weight.
 
     Squared, so that eyes which are seen are not held at all. Where one is, the other follows it by vergence.
     """
     pupils = np.array(PUPILS)
     if frame.whitening is None:
-        return jnp.min(jnp.where(weights[pupils] > 0.0, 0.0, 1.0))
+        return jnp.prod(jnp.where(weights[pupils] > 0.0, 0.0, 1.0))
     # The whitening is triangular: the product of its diagonal is one over the area of a deviation.
     variance = 1.0 / (frame.whitening[pupils, 0, 0] * frame.whitening[pupils, 1, 1])
     more = (variance / (PUPIL_GUESS * eye_distance_px) ** 2) ** 2
-    return jnp.min(jnp.where(weights[pupils] > 0.0, more / (more + 1.0), 1.0))
+    return jnp.prod(jnp.where(weights[pupils] > 0.0, more / (more + 1.0), 1.0))
 
 
 def moving_unknowns(
