@@ -1,7 +1,5 @@
 """Tuning from its start to its file: interrupted, gone on with, by search and by gradient, in a session and outside."""
 
-import json
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +7,7 @@ from typer.testing import CliRunner
 
 from tests.short_clips import write_clip
 from workbench.cli import app
-from workbench.config import preset, read_config, write_config
+from workbench.config import preset, read_config
 from workbench.errors import ConfigError
 from workbench.learning.descent import begin, descended, stored
 from workbench.session import open_session
@@ -136,22 +134,3 @@ def test_what_cannot_be_tuned_is_said_in_a_sentence(clip, tmp_path, options, sai
     assert told.exit_code != 0
     assert said in str(told.exception or told.output)
     assert not (tmp_path / "a.toml").exists()
-
-
-@pytest.mark.slow
-def test_a_gradient_is_followed_from_the_command_line_and_taken_up_again(clip, tmp_path):
-    joint, out, base = preset("joint"), tmp_path / "learned.toml", tmp_path / "base.toml"
-    # A stage less makes half the program: what is tried here does not depend on it.
-    write_config(joint.changed(stages=[joint.stages[-1].model_dump()]), base)
-    parts = [f"--{name.replace('_', '-')}={frames}" for name, frames in PARTS.items()]
-    asked = ["tune", str(clip), "--objective", "jitter", "--learn", "weights.tau", "--out", str(out), *parts]
-    asked += ["--config", str(base)]
-    told = CliRunner().invoke(app, [*asked, "--steps", "2"])
-    assert told.exit_code == 0, told.output
-    assert read_config(out).weights.tau > joint.weights.tau
-    first = json.loads(out.with_suffix(".learning.json").read_text())
-    told = CliRunner().invoke(app, [*asked, "--steps", "4", "--resume"])
-    assert told.exit_code == 0, told.output
-    second = json.loads(out.with_suffix(".learning.json").read_text())
-    assert second["values"][:2] == first["values"]
-    assert len(second["values"]) == 4
