@@ -120,18 +120,26 @@ def _list_objectives() -> None:
     screen.console.print(table)
 
 
-def _print(result, least) -> None:
-    """The best point of each objective, and of the sum if one was asked for."""
-    table = screen.table("least", "is", "point", "settings", right=("is", "point"))
+def _print(result, wanted) -> None:
+    """The best point of each objective, and of the sum if one was asked for, and how sure its settings are."""
+    axes = [axis for axis in result.axes if axis.numeric]
+    table = screen.table("least", "is", "point", "settings", *(["in 95 % of draws"] if axes else []),
+                         right=("is", "point"))  # fmt: skip
+
+    def add(label: str, value: str, number: int, rule) -> None:
+        sure = [result.interval(axis, rule) for axis in axes]
+        told = [", ".join(f"{low:.3g} to {high:.3g}" for low, high in filter(None, sure))] if axes else []
+        table.add_row(label, value, str(number), _settings(result, number), *told)
+
+    rules = workbench.sweeps
     for name in result.objectives:
         if (number := result.best(name)) is not None:
-            value = f"{result.means(name)[number]:.{workbench.objectives.TABLE[name].digits}f}"
-            table.add_row(name, value, str(number), _settings(result, number))
-    if least is not None and (number := result.best(least)) is not None:
-        table.add_row(str(least), "", str(number), _settings(result, number))
+            digits = workbench.objectives.TABLE[name].digits
+            add(name, f"{result.means(name)[number]:.{digits}f}", number, rules.least(name))
+    if wanted is not None and (number := result.best(wanted)) is not None:
+        add(str(wanted), "", number, rules.least(wanted))
     if (number := result.steadiest()) is not None:
-        value = f"{result.means('jitter')[number]:.3f}"
-        table.add_row("jitter at equal error", value, str(number), _settings(result, number))
+        add("jitter at equal error", f"{result.means('jitter')[number]:.3f}", number, rules.steadiest())
     screen.console.print(table)
 
 

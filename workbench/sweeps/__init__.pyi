@@ -6,6 +6,9 @@ from .figures import parallel_figure as parallel_figure
 from .figures import pareto_figure as pareto_figure
 from .figures import write_figures as write_figures
 from .outcome import SweepResult as SweepResult
+from .outcome import least as least
+from .outcome import nearest as nearest
+from .outcome import steadiest as steadiest
 from .second_camera import in_first_view as in_first_view
 from .solving import ClipSolver as ClipSolver
 from .space import Axis as Axis
