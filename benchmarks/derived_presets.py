@@ -1,4 +1,4 @@
-"""The presets derived again: what a bundled clip says for their values without its truth, judged by the truth of others.
+"""The presets derived again: what a bundled clip says for them without its truth, judged by the truth of others.
 
 One setting after the other, each from what was chosen before it: a sweep over its values, and of those within 5 % of
 the least objective the one nearest to the preset's. Values that a clip does not speak against stay as they are. ω_τ is
