@@ -3,7 +3,8 @@
 One setting after the other, each from what was chosen before it: a sweep over its values, and of those within 5 % of
 the least objective the one nearest to the preset's. Values that a clip does not speak against stay as they are. ω_τ is
 the steadiest at equal error. The table has the interval of each choice by bootstrap over frames, and the value the
-change of the true errors of the two other clips, mean over rotation, position and blendshape weights.
+change of the true errors of the two other clips, mean over rotation, position and blendshape weights. With --people
+the same follows for short films of random people, whose landmarks are the bundled network's.
 """
 
 import argparse
@@ -16,10 +17,16 @@ from learned_weights import CLIPS, judged, observed_with_truth, setting
 
 from workbench.config import preset
 from workbench.face import load_default_head
+from workbench.geometry import Rig
+from workbench.landmarks.network_detector import NetworkDetector
+from workbench.objectives import Truth
+from workbench.reproduction.stereo_film import FOV_DEG, SIZE, film_views, network_landmarks, talk_and_nod, two_cameras
 from workbench.samples import sample
-from workbench.sweeps import Sweep, nearest, read_axis, run_sweep, sources_of, steadiest
+from workbench.sweeps import Sweep, SweptClip, nearest, read_axis, run_sweep, sources_of, steadiest
+from workbench.tracking import FrameObservation
 from workbench.workers import ThisProcess
 
+FIRST_SEED, FILM_FRAMES = 101, 48
 STEADIEST = "jitter at equal error"
 PARTS = "left-out-parts"
 OURS = {
@@ -45,18 +52,31 @@ def main() -> None:
     parser.add_argument("--presets", nargs="+", choices=SETTINGS, default=list(SETTINGS))
     parser.add_argument("--on", nargs="+", choices=CLIPS, default=["performance"], help="clips to derive from")
     parser.add_argument("--frames", type=int, default=120, help="budget of frames of a sweep")
+    parser.add_argument("--people", type=int, default=0, help="films of random people to judge by besides")
     parser.add_argument("--out", type=Path, help="folder for the sweeps' results; what is there is not done again")
     asked = parser.parse_args()
     head = load_default_head()
     clips = {name: observed_with_truth(name, head) for name in CLIPS}
+    films = {f"person {seed}": film_of(head, seed) for seed in range(FIRST_SEED, FIRST_SEED + asked.people)}
     for name in asked.presets:
-        base = preset(name).changed(camera={"fov_deg": 33.0})
+        base = preset(name).changed(camera={"fov_deg": FOV_DEG})
         for clip in asked.on:
             with tempfile.TemporaryDirectory() as folder:
                 place = (asked.out or Path(folder)) / clip
                 config, table = derived(base, clip, place, asked.frames)
             others = {other: seen for other, seen in clips.items() if other != clip}
             judged(f"derived_presets: {name}, on {clip}", base, config, others, head, {"derived": table})
+            if films:
+                judged(f"derived_presets: {name}, on {clip}, by films", base, config, films, head, {})
+
+
+def film_of(head, seed):
+    """A random person who talks and nods, seen by one camera, with the truth."""
+    motion, detector = talk_and_nod(head.expression_names, FILM_FRAMES), NetworkDetector()
+    shots = film_views(head, Rig(two_cameras().views[:1]), motion, seed)
+    seen = tuple(FrameObservation(shot.frame, network_landmarks(detector, shot.picture), SIZE) for shot in shots)
+    truth = Truth(motion.rotation, motion.translation_mm, motion.expression)
+    return SweptClip(f"person {seed}", f"film {seed}", seen, False, truth)
 
 
 def derived(base, clip, place, frames):
