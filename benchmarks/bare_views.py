@@ -6,7 +6,7 @@ import numpy as np
 import traitlets
 
 from workbench.face import FaceModel
-from workbench.widgets.overlay_view import picture_bytes
+from workbench.widgets.encoded_pictures import picture_bytes
 
 CANVAS = """export default { render({ model, el }) {
   const [width, height] = model.get("size"), canvas = document.createElement("canvas");

@@ -19,7 +19,8 @@ from workbench.face import FaceParameters, load_default_head
 from workbench.frames import FrameRange, open_frames
 from workbench.landmarks.detectors import make_detector
 from workbench.pictures.deep_strip import write_stage_strip
-from workbench.pipeline.sources import DeepSource, PictureSource
+from workbench.pipeline.deep_sources import DeepSource
+from workbench.pipeline.picture_source import PictureSource
 from workbench.planning import plan_of
 from workbench.rendering import face_vertices, render
 from workbench.samples import samples_folder

@@ -1,8 +1,10 @@
 """Dense landmarks against the 68 of the same networks, on rendered clips whose truth is exact.
 
 Each clip is tracked from its pictures under `joint` with the network detector and under `dense`: mean absolute error of
-the 44 weights by family, distance of the face's vertices from the true ones after the best rigid motion by part of the
-face, and the time of a solve. Last, the blendshapes that the points cannot tell apart on a frontal face.
+the 44 weights by family, distance of the face's vertices from the true ones by part of the face, and the time of a
+solve. The vertices are compared after the best rigid motion, and once more at the true face's size, which a picture
+hardly tells: a head that is too large lies farther away. Last, the blendshapes that the points cannot tell apart on a
+frontal face.
 """
 
 import argparse
@@ -77,25 +79,34 @@ def judged(clip, config, head, regions, frames):
     wrong = np.abs(found.expression[seen] - truth["expression"][found.index[seen]])
     true, person = head.personal(truth["identity"]), head.personal(found.identity[seen[0]])
     pairs = [(found.expression[k], truth["expression"][found.index[k]]) for k in seen[::4]]
-    away = [distances(person.vertices(own), true.vertices(real), regions["face"]) for own, real in pairs]
+    heads = [(person.vertices(own), true.vertices(real)) for own, real in pairs]
+    away, shape = (
+        np.mean([distances(*pair, regions["face"], sized) for pair in heads], axis=0) for sized in (False, True)
+    )
     names = head.expression_names
     weights = {family: [k for k, name in enumerate(names) if name.startswith(family)] for family in FAMILIES}
     return {
         "found": len(seen) / len(found),
         "weights": float(wrong.mean()),
         **{f"weights, {family}": float(wrong[:, columns].mean()) for family, columns in weights.items()},
-        **{f"mm, {part}": float(np.mean(away, axis=0)[vertices].mean()) for part, vertices in regions.items()},
+        **{f"mm, {part}": float(away[vertices].mean()) for part, vertices in regions.items()},
+        **{f"mm at its size, {part}": float(shape[vertices].mean()) for part, vertices in regions.items()},
         "solve_ms": float(np.median(found.milliseconds[seen, 2])),
         "landmarks_ms": float(np.median(found.milliseconds[seen, 1])),
     }
 
 
-def distances(made, true, face):
-    """Distance of each vertex from the true one after the rigid motion that fits the face best, mm; NaN elsewhere."""
-    middle = made[face].mean(axis=0)
-    turn, _ = Rotation.align_vectors(true[face] - true[face].mean(axis=0), made[face] - middle)
+def distances(made, true, face, sized):
+    """Distance of each vertex from the true one after the rigid motion that fits the face best, mm; NaN elsewhere.
+
+    `sized`: after the best change of size, too.
+    """
+    origin = true[face].mean(axis=0)
+    turn, _ = Rotation.align_vectors(true[face] - origin, made[face] - made[face].mean(axis=0))
+    turned, wanted = turn.apply(made[face] - made[face].mean(axis=0)), true[face] - origin
+    size = (turned * wanted).sum() / (turned**2).sum() if sized else 1.0
     away = np.full(len(made), np.nan)
-    away[face] = np.linalg.norm(turn.apply(made[face] - middle) + true[face].mean(axis=0) - true[face], axis=1)
+    away[face] = np.linalg.norm(size * turned - wanted, axis=1)
     return away
 
 

@@ -18,7 +18,8 @@ from workbench.config import DEFAULT_PRESET, preset
 from workbench.face import FaceParameters, load_default_head
 from workbench.frames import open_frames
 from workbench.landmarks.detectors import make_detector
-from workbench.pipeline.sources import FileSource, PictureSource
+from workbench.pipeline.picture_source import PictureSource
+from workbench.pipeline.sources import FileSource
 from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.tracker import FaceTracker

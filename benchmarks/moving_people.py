@@ -19,8 +19,9 @@ from workbench.planning import plan_of
 from workbench.reproduction.people import FilmStudio, Motion
 from workbench.tracking import FrameFit
 from workbench.tracking.face_it_fitter import FaceItFitter
-from workbench.tracking.fitting import FrameContext, FrameObservation
+from workbench.tracking.fitting import FrameContext
 from workbench.tracking.flow_fitter import FlowFitter
+from workbench.tracking.observation import FrameObservation
 
 SIZE = (480, 360)
 FOV_DEG = 40.0

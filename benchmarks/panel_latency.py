@@ -3,7 +3,6 @@
 import os
 import statistics
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from result import print_result
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from tests import browser
-from tests.panel_page import HEAD, MARKS, opened, press, write_notebook
+from tests.panel_page import HEAD, MARKS, notebook_page, opened, press
 
 TURNS, MOVES = 5, 10
 BARE = (".bare-canvas", ".bare-head")
@@ -42,21 +41,13 @@ def main() -> None:
     lacking = browser.missing()
     if lacking:
         return print_result("panel_latency", None, "×", "<= 1.3", AGAINST, {"skipped": lacking})
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        (folder / "notebooks").mkdir()
-        write_notebook(folder / "notebooks" / "photo.ipynb", CELLS)
-        with (
-            browser.lab_server(folder / "notebooks", folder / "settings") as server,
-            browser.lab_page(server, folder / "profile") as page,
-        ):
-            page.page.set_viewport_size({"width": 1366, "height": 768})
-            page.page.add_init_script(browser.KEEP_PIXELS)
-            opened(page, "photo.ipynb")
-            sizes = [size_of(page, selector) for selector in (MARKS, HEAD)]
-            page.ask_kernel(FLOOR.format(sizes=sizes))
-            page.page.wait_for_selector(BARE[1])
-            panel, floor = in_turns(page)
+    with notebook_page("photo.ipynb", CELLS) as page:
+        page.page.add_init_script(browser.KEEP_PIXELS)
+        opened(page, "photo.ipynb")
+        sizes = [size_of(page, selector) for selector in (MARKS, HEAD)]
+        page.ask_kernel(FLOOR.format(sizes=sizes))
+        page.page.wait_for_selector(BARE[1])
+        panel, floor = in_turns(page)
     ratio = statistics.median(panel) / statistics.median(floor)
     print_result("panel_latency", ratio, "×", "<= 1.3", AGAINST, details_of(panel, floor, sizes))
 

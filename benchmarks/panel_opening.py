@@ -2,7 +2,6 @@
 
 import statistics
 import sys
-import tempfile
 from pathlib import Path
 
 from result import print_result
@@ -10,7 +9,7 @@ from result import print_result
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from tests import browser
-from tests.panel_page import PANEL, READY, write_notebook
+from tests.panel_page import PANEL, READY, notebook_page
 
 ROUNDS = 7
 AGAINST = "a cell that opens a clip with its landmarks, JupyterLab in Chromium; the kernel has shown a panel before"
@@ -41,17 +40,9 @@ def main() -> None:
     lacking = browser.missing()
     if lacking:
         return print_result("panel_opening", None, "s", "<= 1", AGAINST, {"skipped": lacking})
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        (folder / "notebooks").mkdir()
-        write_notebook(folder / "notebooks" / "clip.ipynb", CELLS)
-        with (
-            browser.lab_server(folder / "notebooks", folder / "settings") as server,
-            browser.lab_page(server, folder / "profile") as page,
-        ):
-            page.page.set_viewport_size({"width": 1366, "height": 768})
-            page.open("clip.ipynb")
-            new, *warm = [opened(page) for _ in range(1 + ROUNDS)]
+    with notebook_page("clip.ipynb", CELLS) as page:
+        page.open("clip.ipynb")
+        new, *warm = [opened(page) for _ in range(1 + ROUNDS)]
     details = {name: statistics.median(each[name] for each in warm) for name in new}
     details |= {"longest_ms": max(each["first_ms"] for each in warm), "new_kernel": new}
     print_result("panel_opening", details["first_ms"] / 1000, "s", "<= 1", AGAINST, details)

@@ -27,7 +27,7 @@ from workbench.networks.landmark_network import read_landmark_network, save_land
 from workbench.networks.weights import named_arrays
 from workbench.rendering.appearance import Appearance, load_appearance
 from workbench.reproduction import read_mesh, read_truth, write_truth
-from workbench.session.material import material_of_track
+from workbench.session import material_of_track
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import frame_errors, stack_fits
 from workbench.tracking.track_reader import TrackReader

@@ -134,8 +134,8 @@ def main(home: Path) -> None:
 
 
 if __name__ == "__main__":
-    import workbench.pipeline
+    import workbench.pipeline.runs
 
-    workbench.pipeline.FaceTracker = StubTracker
-    workbench.pipeline.software_versions = dict  # the same each time, and slow
+    workbench.pipeline.runs.FaceTracker = StubTracker
+    workbench.pipeline.runs.software_versions = dict  # the same each time, and slow
     main(Path(sys.argv[1]))

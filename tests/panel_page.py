@@ -1,10 +1,14 @@
 """A tuning panel in a notebook in a real browser: what the tests and the benchmark of its latency share."""
 
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from textwrap import dedent
 
 import nbformat
+
+from tests import browser
 
 MARKS, HEAD = ".fw-overlay .fw-marks", ".fw-head3d > canvas"
 PANEL = """
@@ -25,6 +29,21 @@ def write_notebook(path: Path, cells: Sequence[str]) -> None:
     kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
     made = [nbformat.v4.new_code_cell(dedent(cell).strip()) for cell in cells]
     nbformat.write(nbformat.v4.new_notebook(cells=made, metadata=kernel), path)
+
+
+@contextmanager
+def notebook_page(name: str, cells: Sequence[str]) -> Iterator[browser.LabPage]:
+    """A page at 1366×768 of a JupyterLab of its own, beside a notebook of these cells that is not open yet."""
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        (folder / "notebooks").mkdir()
+        write_notebook(folder / "notebooks" / name, cells)
+        with (
+            browser.lab_server(folder / "notebooks", folder / "settings") as server,
+            browser.lab_page(server, folder / "profile") as page,
+        ):
+            page.page.set_viewport_size({"width": 1366, "height": 768})
+            yield page
 
 
 def opened(page, notebook):

@@ -13,6 +13,7 @@ import urllib.error
 import urllib.parse
 import urllib.request
 from collections.abc import Callable
+from pathlib import Path
 
 import nbformat
 import psutil
@@ -20,19 +21,23 @@ import pytest
 
 from tests import browser
 from workbench.cli import servers
+from workbench.samples import sample
 
 SLIDER = """
 import ipywidgets
+from workbench.widgets import SessionOpener
+opened = lambda session: ipywidgets.Label(f"{len(session)} frames of {session.material.inputs[0]}")
 slider = ipywidgets.IntSlider(description="x")
 shown = ipywidgets.Label("0")
 slider.observe(lambda change: setattr(shown, "value", f"x is {change.new}"), "value")
-ipywidgets.VBox([slider, shown, ipywidgets.Button(icon="undo", description="back")])
+ipywidgets.VBox([slider, shown, ipywidgets.Button(icon="undo", description="back"), SessionOpener(opened)])
 """
+"""In place of the panel, what it would be of."""
 
 
 @pytest.fixture(scope="module")
 def notebook(tmp_path_factory):
-    """The app's notebook with one slider."""
+    """The app's notebook with one slider and the chooser of material."""
     path = tmp_path_factory.mktemp("app") / servers.APP_NOTEBOOK
     texts = "# Tuning $E_\\tau$", "The [tour](02_the_workbench.ipynb) explains it."
     cells = [*map(nbformat.v4.new_markdown_cell, texts), nbformat.v4.new_code_cell(SLIDER)]
@@ -108,7 +113,7 @@ def test_without_the_token_there_is_a_login_page_only(address):
 
 
 @pytest.mark.skipif(bool(browser.missing()) and os.environ.get("CI") != "true", reason=str(browser.missing()))
-def test_widgets_work_and_a_page_that_is_left_ends_its_process(server):
+def test_widgets_work_a_file_is_sent_and_a_page_that_is_left_ends_its_process(server):
     from playwright.sync_api import sync_playwright
 
     (address, process), foreign, failed = server, [], []
@@ -125,6 +130,11 @@ def test_widgets_work_and_a_page_that_is_left_ends_its_process(server):
         page.keyboard.press("ArrowRight")
         page.get_by_text("x is 1").wait_for(timeout=30_000)
         assert page.evaluate(ICON) == "Font Awesome 5 Free"
+        with page.expect_file_chooser() as asked:
+            page.get_by_role("button", name="Upload").click()
+        asked.value.set_files(sample("speech-landmarks"))
+        sent = Path(page.get_by_text(re.compile("^55 frames of ")).inner_text(timeout=60_000).split(" of ")[1])
+        assert sent.read_bytes() == sample("speech-landmarks").read_bytes()
         (kernel,) = set(process.children()) - others
         page.goto("about:blank")
         wait_until(lambda: not kernel.is_running())

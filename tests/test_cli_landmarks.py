@@ -58,7 +58,7 @@ def detector(monkeypatch):
         asked.append(name)
         return BrightSquares("network" if name == "auto" else name)
 
-    monkeypatch.setattr("workbench.pipeline.sources.make_detector", make)
+    monkeypatch.setattr("workbench.pipeline.picture_source.make_detector", make)
     return asked
 
 

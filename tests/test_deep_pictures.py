@@ -29,7 +29,8 @@ from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_target import photo_landmarks
-from workbench.tracking.fitting import FrameContext, FrameObservation
+from workbench.tracking.fitting import FrameContext
+from workbench.tracking.observation import FrameObservation
 
 FRAME = 0
 

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,11 +24,13 @@ from workbench.landmarks.observations import Landmarks2D, of_ibug68
 from workbench.landmarks.scheme import GROUPS, IBUG68, MIRROR, outer_eye_distance
 from workbench.landmarks.schemes import DENSE, SCHEMES, scheme_named, scheme_of_count
 from workbench.landmarks.tracking import LandmarkTracker
+from workbench.landmarks.uncertainty import ellipses
+from workbench.pictures import OverlayParts, draw_landmarks, draw_overlay
 from workbench.pipeline import track
 from workbench.planning import plan_of
+from workbench.plots import close_up
 from workbench.samples import sample
-from workbench.session import TuningSession
-from workbench.session.material import material_of_track
+from workbench.session import TuningSession, material_of_track
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
 from workbench.tracking.plan import whitening_of
@@ -221,6 +224,31 @@ class TestRecords:
     def test_a_pts_file_holds_the_68(self, perfect, tmp_path):
         write_landmark_file(tmp_path / "a.pts", [LandmarkRecord(0, "a", perfect.landmarks, SIZE)])
         assert next(read_landmark_file(tmp_path / "a.pts", SIZE)).landmarks.scheme is IBUG68
+
+
+class TestEllipses:
+    @pytest.mark.parametrize("share", [0.5, 0.8, 0.95])
+    def test_an_ellipse_holds_its_share_of_the_distribution(self, share):
+        covariance = np.array([[9.0, 4.0], [4.0, 3.0]])
+        places = np.random.default_rng(0).multivariate_normal([50.0, 20.0], covariance, 4000)
+        (outline,) = ellipses(np.array([[50.0, 20.0]]), covariance[None], share)
+        inside = [cv2.pointPolygonTest(outline.astype(np.float32), place, False) > 0 for place in places.tolist()]
+        assert np.mean(inside) == pytest.approx(share, abs=0.025)
+
+    def test_pictures_show_them_where_the_detector_told_covariances(self, perfect):
+        dark = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+        large = replace(perfect.landmarks, covariance=9.0 * perfect.landmarks.covariance)
+        drawn, wider = (draw_landmarks(dark, found) for found in (perfect.landmarks, large))
+        bare = draw_landmarks(dark, replace(perfect.landmarks, covariance=None))
+        assert (wider > 0).sum() > 1.2 * (drawn > 0).sum() > 1.2 * (bare > 0).sum()
+
+    def test_overlays_show_them_on_request_and_close_ups_enlarge_them(self, run, pictures):
+        fit, parts = run.track[0], OverlayParts(ellipses=True)
+        assert not np.array_equal(draw_overlay(pictures[0], fit, parts=parts), draw_overlay(pictures[0], fit))
+        small, large = (close_up(pictures[0], fit, side)[1] for side in (200, 400))
+        np.testing.assert_allclose(large.covariance, 4.0 * small.covariance, rtol=1e-9)
+        filled = replace(fit, source="filled")
+        assert np.array_equal(draw_overlay(pictures[0], filled, parts=parts), draw_overlay(pictures[0], filled))
 
 
 class TestDetector:

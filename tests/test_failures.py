@@ -17,7 +17,7 @@ from workbench.planning import infill_plan
 from workbench.tracking.failures import NO_FACE, failure_of_residuals, failures_of, why_failed
 from workbench.tracking.infill import usable_frames
 from workbench.tracking.records import frame_errors
-from workbench.widgets.tuning_panel import status_of
+from workbench.widgets.status_line import status_of
 
 RECORDED, FAR, UNSEEN, BROKEN = 2, 3, 7, 8
 

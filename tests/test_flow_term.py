@@ -13,7 +13,7 @@ from workbench.errors import InputError
 from workbench.flow import personal_points, points_in_camera
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import track
-from workbench.pipeline.sources import RigSource
+from workbench.pipeline.deep_sources import RigSource
 from workbench.planning import plan_of
 from workbench.session import Material, TuningSession
 from workbench.session.dependence import fits_key
@@ -21,9 +21,10 @@ from workbench.session.material import PictureStore
 from workbench.tracker import FaceTracker
 from workbench.tracking import FaceItFitter, FrameContext, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
-from workbench.tracking.fitting import Continuation, motion_of
+from workbench.tracking.fitting import Continuation
 from workbench.tracking.flow_fitter import parameters_of
 from workbench.tracking.frame_solver import solve_frame
+from workbench.tracking.observation import motion_of
 
 ROOT = Path(__file__).resolve().parent.parent
 CLIP = ROOT / "data_samples/performance.mp4"

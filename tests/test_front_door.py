@@ -51,6 +51,33 @@ def test_reading_a_track_needs_no_solver_and_no_drawing():
     assert not {"optimistix", "matplotlib", "trimesh", "vtkmodules", "IPython"} & set(loaded)
 
 
+FIRST_FRAME = """
+import asyncio, sys
+from workbench import sample
+from workbench.session import open_session
+from workbench.widgets import TuningPanel
+
+async def cell():
+    panel = TuningPanel(open_session(sample("laugh"), landmarks=sample("laugh-landmarks")))
+    print(*sys.modules)
+    print(len(panel.children))
+    print(panel.frame, panel.transport.speed.value, len(panel.children) > 2)
+
+asyncio.run(cell())
+"""
+"""A cell with a panel, in a loop as in a kernel: what is loaded for its first frame, then what a part that is asked for
+brings."""
+
+
+def test_the_first_frame_of_a_clip_needs_none_of_what_computes():
+    loaded, shown, asked = output_of(FIRST_FRAME).splitlines()
+    assert not {"jax", "scipy", "matplotlib", "onnxruntime", "vtkmodules", "workbench.session.session_work"} & set(
+        loaded.split()
+    )
+    assert int(shown) == 2  # the style and the picture
+    assert asked == "0 1.0 True"
+
+
 @pytest.mark.parametrize(
     "code",
     [

@@ -46,7 +46,7 @@ def points(tmp_path):
 @pytest.fixture
 def quick(monkeypatch):
     """Runs with a stub for tracker and model: all that they write is real."""
-    monkeypatch.setattr("workbench.pipeline.FaceTracker", StubTracker)
+    monkeypatch.setattr("workbench.pipeline.runs.FaceTracker", StubTracker)
 
     def run(points, folder, **options):
         return track(points, folder, StubModel(), preset("calibrated"), pictures=False, **options)

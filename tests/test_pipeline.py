@@ -220,7 +220,7 @@ class NoFaces:
 
 @pytest.fixture
 def no_faces(monkeypatch):
-    monkeypatch.setattr("workbench.pipeline.sources.make_detector", lambda *_: NoFaces())
+    monkeypatch.setattr("workbench.pipeline.picture_source.make_detector", lambda *_: NoFaces())
 
 
 @pytest.mark.usefixtures("no_faces")

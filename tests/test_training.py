@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import jax.numpy as jnp
@@ -9,8 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from workbench.cli.training import RESULTS, Network
 from workbench.errors import InputError
 from workbench.face import load_default_head
+from workbench.face.dense_landmarks import pupil_vertices
 from workbench.landmarks.alignment import MEAN_SHAPE, frame_from_points
 from workbench.landmarks.network_detector import crop_frame
 from workbench.landmarks.scheme import MIRROR
@@ -34,10 +37,12 @@ from workbench.training.finder_task import FinderTask, can_be_seen, crowd
 from workbench.training.landmark_task import LandmarkTask, local_soft_argmax, loss_of, target_distribution
 from workbench.training.loop import Phase, TrainingPlan, folded_arrays, train
 from workbench.training.pool import SHARD, Pool, open_pool, shard_paths
-from workbench.training.scenes import FaceStudio, pupil_vertices, random_expression, random_lens, random_pose_deg
+from workbench.training.recipe import FURTHER_LANDMARK_PLAN, Recipe
+from workbench.training.scenes import FaceStudio, random_expression, random_lens, random_pose_deg
 from workbench.training.shading import Shader, Sky
 from workbench.training.skin import skin_painter
 from workbench.training.torch_network import TorchLandmarkNetwork
+from workbench.training.trainings import TRAININGS
 from workbench.training.wardrobe import open_wardrobe
 
 SIDE = 96
@@ -82,7 +87,7 @@ def answers(errors_percent, mass, truth=None) -> Answers:
     unit = np.linalg.norm(truth[:, 45] - truth[:, 36], axis=-1)[:, None]
     points = truth.copy()
     points[..., 0] += np.asarray(errors_percent) / 100 * unit
-    return Answers(points, np.asarray(mass, float), truth, np.zeros((len(truth), 3)))
+    return Answers(points, truth, np.zeros((len(truth), 3)), np.asarray(mass, float))
 
 
 @pytest.fixture(scope="module")
@@ -452,3 +457,18 @@ class TestEvaluation:
         opened = shape.copy()
         opened[66, 1] += 0.2
         assert mouth_opening(opened) > mouth_opening(shape) + 0.3
+
+
+class TestTrainings:
+    def test_every_network_of_the_command_line_has_a_recipe(self):
+        assert set(TRAININGS) == set(Network) == set(RESULTS)
+
+    def test_weights_to_go_on_from_are_followed_by_the_shorter_plan(self):
+        recipe = TRAININGS["landmarks"].recipe(quick=False, start=Path("there.safetensors"))
+        assert recipe == Recipe(plan=FURTHER_LANDMARK_PLAN, start=Path("there.safetensors"))
+        assert TRAININGS["landmarks"].recipe(quick=False, start=None) == Recipe()
+
+    @pytest.mark.parametrize(("network", "quick"), [("flow", False), ("landmarks", True)])
+    def test_what_cannot_go_on_says_so(self, network, quick):
+        with pytest.raises(InputError, match="leave out --start"):
+            TRAININGS[network].recipe(quick=quick, start=Path("there.safetensors"))

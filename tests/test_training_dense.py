@@ -8,10 +8,11 @@ import torch
 from scipy.spatial.distance import pdist, squareform
 
 from workbench.landmarks.schemes import DENSE_POINTS, DENSE_TABLE, DensePoints
+from workbench.landmarks.uncertainty import ellipse_radius
 from workbench.networks.dense_network import dense_places, read_dense_network
 from workbench.networks.frozen import FrozenDenseNetwork
 from workbench.training.augment import TRAINING, augmented
-from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, measured_dense, radius
+from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, measured_dense
 from workbench.training.dense_points import IRIS_POINTS, SPACING_MM, dense_points, write_table
 from workbench.training.dense_task import SIDE, DenseTask, TorchDenseNetwork, loss_of
 from workbench.training.loop import Phase, TrainingPlan, train
@@ -137,7 +138,7 @@ def answers():
     truth[:, 36], truth[:, 45] = (50, 100), (150, 100)
     points = truth + rng.normal(0, 2.0, truth.shape)
     angles = np.where(np.arange(4000)[:, None] % 4 == 0, [60.0, 0.0, 0.0], 0.0)
-    return DenseAnswers(points, np.broadcast_to(np.eye(2), (*truth.shape[:2], 2, 2)), truth, angles)
+    return DenseAnswers(points, truth, angles, np.broadcast_to(np.eye(2), (*truth.shape[:2], 2, 2)))
 
 
 class TestCalibration:
@@ -145,9 +146,9 @@ class TestCalibration:
         np.testing.assert_allclose(deviation_factor(answers), 2.0, rtol=0.06)
 
     def test_honest_ellipses_hold_their_share(self, answers):
-        honest = DenseAnswers(answers.points, answers.whitening / 2.0, answers.truth, answers.angles_deg)
+        honest = DenseAnswers(answers.points, answers.truth, answers.angles_deg, answers.whitening / 2.0)
         for share in ELLIPSES:
-            assert (honest.deviations < radius(share)).mean() == pytest.approx(share, abs=0.01)
+            assert (honest.deviations < ellipse_radius(share)).mean() == pytest.approx(share, abs=0.01)
 
     def test_the_tables_tell_errors_and_shares_by_part(self, answers):
         dense = DensePoints(np.arange(20), np.arange(20), (*["nose"] * 12, *["irises"] * 8), ("middle",) * 20)

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from workbench.errors import InputError
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT
 from workbench.widgets.chart_view import COLORS, ChartView, pack_series, series_colors
+from workbench.widgets.encoded_pictures import LARGEST_SIDE
 from workbench.widgets.overlay_view import (
-    LARGEST_SIDE,
     SMALLEST_SCALE,
     OverlayEvent,
     OverlayView,

@@ -22,8 +22,7 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import LandmarkScheme
 from workbench.pictures.mesh import to_camera
 from workbench.pictures.overlay import ALL_BUT_MESH, draw_overlay
-from workbench.pipeline import wanted_steps
-from workbench.pipeline.sources import PictureSource
+from workbench.pipeline import PictureSource, wanted_steps
 from workbench.plots import close_up, pictures_in_a_row
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, FrameObservation

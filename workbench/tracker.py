@@ -11,16 +11,8 @@ from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera
 from workbench.planning import plan_of
 from workbench.rendering import Appearance
-from workbench.tracking.fitting import (
-    Calibrated,
-    Continuation,
-    Fitter,
-    FrameContext,
-    FrameObservation,
-    StageTrace,
-    corrected,
-    with_face,
-)
+from workbench.tracking.fitting import Calibrated, Continuation, Fitter, FrameContext, StageTrace, corrected, with_face
+from workbench.tracking.observation import FrameObservation
 from workbench.tracking.records import FrameFit
 from workbench.tracking.systems import configured, make_fitter
 from workbench.tracking.walk import Walk, context_of

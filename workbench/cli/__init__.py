@@ -20,7 +20,7 @@ from workbench.cli.servers import notebooks_folder as notebooks_folder
 from workbench.cli.servers import working_copies as working_copies
 from workbench.cli.sweeping import SWEEP_HELP, sweep
 from workbench.cli.tracking import TRACK_HELP, demo, track
-from workbench.cli.training import train_app
+from workbench.cli.training import TRAIN_HELP, train
 from workbench.cli.tuning import TUNE_HELP, tune
 from workbench.cli.weights import weights_app
 from workbench.errors import WorkbenchError
@@ -48,7 +48,7 @@ app.add_typer(config_app, name="config")
 app.add_typer(model_app, name="model")
 app.add_typer(rig_app, name="rig")
 app.add_typer(weights_app, name="weights")
-app.add_typer(train_app, name="train")
+app.command(help=TRAIN_HELP, no_args_is_help=True)(train)
 app.command()(lab)
 app.command("app", help=APP_HELP)(serve_app)
 app.command()(info)

@@ -1,8 +1,9 @@
 """`workbench train`: the recipes of the bundled networks."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -34,101 +35,41 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
 
   workbench train flow training                   the flow network, from pairs of its own
 """
-
-train_app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich", help=TRAIN_HELP)
-Folder = Annotated[Path, typer.Argument(help="Folder for the pool, the checkpoints, the weights and the report.")]
-Quick = Annotated[bool, typer.Option("--quick", help="A tiny run, to check that everything works.")]
-Workers = Annotated[int, typer.Option(min=1, help="Processes that render and augment.")]
-Device = Annotated[str, typer.Option(help="Where PyTorch computes: cpu or cuda.")]
-Start = Annotated[
-    Path | None,
-    typer.Option(help="Weights to go on from, by a shorter plan; else from nothing."),
-]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Train again, from the start; the pool is kept.")]
-
-RESULTS = {
-    "landmarks": ("landmarks.safetensors", "tables.md"),
-    "finder": ("finder.safetensors",),
-    "dense": ("dense.safetensors", "dense_tables.md"),
-    "flow": ("flow.safetensors", "flow_tables.md"),
+Network = StrEnum("Network", ["landmarks", "finder", "dense", "flow"])
+RESULTS: Mapping[str, tuple[str, ...]] = {
+    Network.landmarks: ("landmarks.safetensors", "tables.md"),
+    Network.finder: ("finder.safetensors",),
+    Network.dense: ("dense.safetensors", "dense_tables.md"),
+    Network.flow: ("flow.safetensors", "flow_tables.md"),
 }
-"""What each training leaves at its end. Its checkpoints are in a folder of its name."""
+"""What each training leaves at its end, tables last. Its checkpoints are in a folder of its name."""
 
 
-@train_app.command(help="Train the landmark network.")
-def landmarks(
-    folder: Folder,
-    quick: Quick = False,
-    workers: Workers = 1,
-    device: Device = "cpu",
-    start: Start = None,
-    overwrite: Overwrite = False,
+def train(
+    network: Annotated[Network, typer.Argument(help="What to train.")],
+    folder: Annotated[Path, typer.Argument(help="Folder for the pool, the checkpoints, the weights and the report.")],
+    quick: Annotated[bool, typer.Option("--quick", help="A tiny run, to check that everything works.")] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that render and augment.")] = 1,
+    device: Annotated[str, typer.Option(help="Where PyTorch computes: cpu or cuda.")] = "cpu",
+    start: Annotated[
+        Path | None, typer.Option(help="Weights to go on from, by a shorter plan; else from nothing.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Train again; the pool is kept.")] = False,
 ) -> None:
-    """Train the landmark network."""
+    """Train one of the bundled networks."""
     check_installed("train", "torch")
-    from workbench.training.recipe import FURTHER_LANDMARK_PLAN, QUICK, Recipe, train_landmark_network
+    from workbench.training.trainings import TRAININGS
 
-    further = Recipe(plan=FURTHER_LANDMARK_PLAN, start=start) if start else Recipe()
-    recipe = QUICK if quick else further
-    with training_folder(folder, "landmarks", overwrite):
-        screen.console.print(train_landmark_network(folder, recipe, workers, device, screen.console.print))
-    screen.console.print((folder / "tables.md").read_text(encoding="utf-8"), markup=False)
-
-
-@train_app.command(help="Train the face finder.")
-def finder(
-    folder: Folder,
-    quick: Quick = False,
-    workers: Workers = 1,
-    device: Device = "cpu",
-    start: Start = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Train the face finder."""
-    check_installed("train", "torch")
-    from workbench.training.recipe import FINDER_PLAN, FURTHER_FINDER_PLAN, QUICK, Recipe, train_face_finder
-
-    further = Recipe(plan=FURTHER_FINDER_PLAN, start=start) if start else Recipe(plan=FINDER_PLAN)
-    recipe = QUICK if quick else further
-    with training_folder(folder, "finder", overwrite):
-        screen.console.print(train_face_finder(folder, recipe, workers, device, screen.console.print))
-
-
-@train_app.command(help="Train the dense network.")
-def dense(
-    folder: Folder,
-    quick: Quick = False,
-    workers: Workers = 1,
-    device: Device = "cpu",
-    start: Start = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Train the dense network."""
-    check_installed("train", "torch")
-    from workbench.training.recipe import DENSE_PLAN, QUICK_DENSE, Recipe, train_dense_network
-
-    recipe = QUICK_DENSE if quick else Recipe(plan=DENSE_PLAN, start=start)
-    with training_folder(folder, "dense", overwrite):
-        screen.console.print(train_dense_network(folder, recipe, workers, device, screen.console.print))
-    screen.console.print((folder / "dense_tables.md").read_text(encoding="utf-8"), markup=False)
-
-
-@train_app.command(help="Train the flow network.")
-def flow(
-    folder: Folder, quick: Quick = False, workers: Workers = 1, device: Device = "cpu", overwrite: Overwrite = False
-) -> None:
-    """Train the flow network."""
-    check_installed("train", "torch")
-    from workbench.training.flow_recipe import QUICK_FLOW, FlowRecipe, train_flow_network
-
-    recipe = QUICK_FLOW if quick else FlowRecipe()
-    with training_folder(folder, "flow", overwrite):
-        screen.console.print(train_flow_network(folder, recipe, workers, device, screen.console.print))
-    screen.console.print((folder / "flow_tables.md").read_text(encoding="utf-8"), markup=False)
+    training = TRAININGS[network]
+    recipe = training.recipe(quick, start)
+    with training_folder(folder, network, overwrite):
+        screen.console.print(training.make(folder, recipe, workers, device, screen.console.print))
+    for tables in (folder / name for name in RESULTS[network] if name.endswith(".md")):
+        screen.console.print(tables.read_text(encoding="utf-8"), markup=False)
 
 
 @contextmanager
-def training_folder(folder: Path, name: str, overwrite: bool = False) -> Iterator[None]:
+def training_folder(folder: Path, network: str, overwrite: bool = False) -> Iterator[None]:
     """Keep a folder for one training, which may be an interrupted one that goes on.
 
     Raises `OutputError` where another one is at work, and for a finished training or files of somebody else, unless
@@ -137,10 +78,10 @@ def training_folder(folder: Path, name: str, overwrite: bool = False) -> Iterato
     from workbench.pipeline.output_folder import check_no_results, locked
 
     with locked(folder):
-        begun = (folder / name).is_dir()
-        there = [result for result in RESULTS[name] if (folder / result).exists()]
+        begun = (folder / network).is_dir()
+        there = [result for result in RESULTS[network] if (folder / result).exists()]
         if overwrite:
-            shutil.rmtree(folder / name, ignore_errors=True)
-        elif not begun or len(there) == len(RESULTS[name]):
+            shutil.rmtree(folder / network, ignore_errors=True)
+        elif not begun or len(there) == len(RESULTS[network]):
             check_no_results(folder, there, "a finished training" if begun else f"a file {there[0]}" if there else "")
         yield

@@ -16,7 +16,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter
-from workbench.tracking.fitting import never, silent
+from workbench.tracking.unwatched import never, silent
 
 
 def diagnose_frame(

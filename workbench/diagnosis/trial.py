@@ -24,7 +24,7 @@ from workbench.errors import StoppedError
 from workbench.landmarks.scheme import face_size
 from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
-from workbench.tracking.fitting import never
+from workbench.tracking.unwatched import never
 
 DOUBTED = 3.0
 """Price of a landmark that a hypothesis assumes to be wrong, nats: an offset of about four typical distances."""

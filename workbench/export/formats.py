@@ -18,7 +18,7 @@ from workbench.files import check_not_inputs
 from workbench.frames import Frames
 from workbench.pictures.overlay_files import write_overlay_video
 from workbench.tracking import Track
-from workbench.tracking.fitting import silent
+from workbench.tracking.unwatched import silent
 
 Progress = Callable[[str, int, int | None], None]
 """Called with the name of a step, what is done, and how much there is in all."""

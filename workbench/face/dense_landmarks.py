@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Int
 
 from workbench.errors import ModelError
 from workbench.face.default_head import load_default_head
@@ -10,8 +11,9 @@ from workbench.face.model import Embedding, FaceModel
 from workbench.landmarks.scheme import IBUG68, POINT_COUNT, LandmarkScheme
 from workbench.landmarks.schemes import DENSE, DENSE_POINTS
 
-PUPIL_RING = 8
-"""Vertices of an eyeball, those farthest in front, whose middle is the pupil's."""
+EYEBALLS = ("eyeR", "eyeL")
+"""The regions of the pupils, the person's right one first."""
+_PUPIL_RING = 8
 
 
 def in_scheme(model: FaceModel, scheme: LandmarkScheme) -> FaceModel:
@@ -27,6 +29,12 @@ def in_scheme(model: FaceModel, scheme: LandmarkScheme) -> FaceModel:
     return replace(model, landmarks=landmarks, fixed_jaw_unit=model.jaw_unit)
 
 
+def pupil_vertices(model: FaceModel) -> Int[np.ndarray, "2 p"]:
+    """The ring of each eyeball's foremost vertices, the person's right one first, whose middle is the pupil's."""
+    balls = (model.regions[name] for name in EYEBALLS)
+    return np.stack([ball[np.argsort(model.neutral[ball, 2])[:_PUPIL_RING]] for ball in balls])
+
+
 def _dense_embedding(model: FaceModel) -> Embedding:
     """The points of `dense` after the 68."""
     if not np.array_equal(model.triangles, load_default_head().triangles):
@@ -34,15 +42,13 @@ def _dense_embedding(model: FaceModel) -> Embedding:
             f"The landmarks of the scheme {DENSE.name!r} are known on the default head's mesh, not on {model.name!r}; "
             "use its 68 (another landmarks.detector), or the default head."
         )
-    pupils = _joined(*(_middle(model, eye) for eye in ("eyeR", "eyeL")))
+    pupils = _joined(*(_middle(model, ring) for ring in pupil_vertices(model)))
     alone = np.tile([1.0, 0.0, 0.0], (len(DENSE_POINTS), 1))
     return _joined(pupils, Embedding(np.repeat(DENSE_POINTS.vertices[:, None], 3, axis=1), alone))
 
 
-def _middle(model: FaceModel, eye: str) -> Embedding:
-    """The middle of an eyeball's pupil: of the two vertices of its ring that are farthest apart."""
-    ball = model.regions[eye]
-    ring = ball[np.argsort(model.neutral[ball, 2])[:PUPIL_RING]]
+def _middle(model: FaceModel, ring: Int[np.ndarray, "p"]) -> Embedding:
+    """The middle of a pupil: of the two vertices of its ring that are farthest apart."""
     apart = np.linalg.norm(model.neutral[ring[:, None]] - model.neutral[ring[None]], axis=2)
     first, second = ring[list(np.unravel_index(np.argmax(apart), apart.shape))]
     return Embedding(np.array([[first, second, second]]), np.array([[0.5, 0.5, 0.0]]))

@@ -21,7 +21,7 @@ from workbench.learning.examples import Example
 from workbench.learning.learnable import POINTS, Logs
 from workbench.reading import checked_content, checked_json
 from workbench.runtime import COMPUTING
-from workbench.tracking.fitting import never
+from workbench.tracking.unwatched import never
 
 STEP = 0.35
 """Length of the first steps, in logarithms: a factor of 1.4."""

@@ -27,7 +27,7 @@ from workbench.sweeps.results import folds_needed, objectives_of
 from workbench.sweeps.solving import ClipSolver
 from workbench.sweeps.space import Axis
 from workbench.sweeps.stored_clips import ClipSource, digest_of, observe
-from workbench.tracking.fitting import never
+from workbench.tracking.unwatched import never
 
 STEPS, TRIALS = 24, 40
 TRAINED, WATCHED = 12, 4

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int, UInt8
 from workbench.face import FaceModel, posed_vertices
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import POINT_COUNT, POLYLINES, outer_eye_distance
+from workbench.landmarks.uncertainty import ellipses
 from workbench.pictures.lettering import SMALLEST_PX, fitting_size, text_width, write_text
 from workbench.pictures.mesh import scaled_camera, to_camera, to_pixels
 from workbench.tracking.failures import why_failed
@@ -42,6 +43,7 @@ class OverlayParts:
     residuals: bool = True
     lines: bool = True
     mesh: bool = False
+    ellipses: bool = False
     axes: bool = True
     text: bool = True
     legend: bool = True
@@ -61,7 +63,7 @@ def draw_overlay(
     White rings are the observed landmarks, dots the model's, and the line between them is their residual, coloured
     (viridis, readable with colour-blindness) by its length in % of the outer-eye distance. Line widths grow with the
     face. Pictures whose longer side is under 320 or over 1920 pixels are resized to that. `parts.mesh` needs
-    the `model` of `fit`.
+    the `model` of `fit`; `parts.ellipses` hold 80 % of where each point may be, if the detector said so.
     """
     scale, canvas = _for_display(picture)
     unit = _unit(canvas)
@@ -75,6 +77,8 @@ def draw_overlay(
         _draw_mesh(canvas, fit, model, scale)
     if parts.lines:
         _draw_polylines(canvas, projected, fine)
+    if parts.ellipses and fit.landmarks and fit.landmarks.covariance is not None:
+        _draw_ellipses(canvas, observed, fit.covariance * scale**2, confidence_colors(fit.confidence), fine)
     if parts.residuals:
         _draw_segments(canvas, observed, projected, colors, fine)
     if parts.observed:
@@ -95,6 +99,7 @@ def draw_landmarks(
 ) -> UInt8[np.ndarray, "oh ow 3"]:
     """A copy of the RGB picture with landmarks coloured by confidence (viridis: violet guessed, yellow sure).
 
+    Around points with a covariance are the ellipses that hold 80 % of where they may be.
     Without landmarks it says that there is no face. Pictures are resized as by `draw_overlay`.
     """
     scale, canvas = _for_display(picture)
@@ -106,7 +111,10 @@ def draw_landmarks(
     points = _resized(landmarks.points, scale)
     fine = _fineness(points, unit)
     _draw_polylines(canvas, points, fine)
-    _draw_dots(canvas, points, confidence_colors(landmarks.confidence), fine)
+    colors = confidence_colors(landmarks.confidence)
+    if landmarks.covariance is not None:
+        _draw_ellipses(canvas, points, landmarks.covariance * scale**2, colors, fine)
+    _draw_dots(canvas, points, colors, fine)
     if min(canvas.shape[:2]) >= 200:
         _draw_legend(canvas, _legend(unit, "confidence", ("0", "0.5", "1")), unit)
     _label(canvas, f"{title}confidence {np.median(landmarks.confidence):.2f}", unit)
@@ -187,6 +195,14 @@ def _draw_polylines(canvas, points, unit) -> None:
     drawn = canvas.copy()
     cv2.polylines(drawn, lines, False, LINE_COLOR, _width(unit, 1.2), cv2.LINE_AA, SHIFT)
     cv2.addWeighted(drawn, 0.6, canvas, 0.4, 0, dst=canvas)
+
+
+def _draw_ellipses(canvas, points, covariance, colors, unit) -> None:
+    outlines = list(_fixed(ellipses(points, covariance)))
+    drawn = canvas.copy()
+    for outline, color in zip(outlines, colors, strict=True):
+        cv2.polylines(drawn, [outline], True, color, _width(unit, 0.9), cv2.LINE_AA, SHIFT)
+    cv2.addWeighted(drawn, 0.7, canvas, 0.3, 0, dst=canvas)
 
 
 def _draw_segments(canvas, observed, projected, colors, unit) -> None:

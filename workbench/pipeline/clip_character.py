@@ -27,7 +27,7 @@ from workbench.rendering import render
 from workbench.rendering.skin_texture import SkinView, completed_skin, painted_skin
 from workbench.rendering.topology import mesh_topology
 from workbench.tracking import FrameFit, Track
-from workbench.tracking.fitting import silent
+from workbench.tracking.unwatched import silent
 
 YAWS_DEG = (-22.0, -8.0, 8.0, 22.0)
 """Views are taken from each of the ranges between these."""

@@ -10,7 +10,7 @@ from workbench.energies.terms import TABLE
 from workbench.errors import InputError, LostSchedulerError
 from workbench.face import FaceModel
 from workbench.pictures.deep_strip import write_stage_strip
-from workbench.pipeline.sources import DeepSource, RigSource
+from workbench.pipeline.deep_sources import DeepSource, RigSource
 from workbench.pipeline.still_pictures import StillPictures
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameContext, FrameFit, FrameObservation

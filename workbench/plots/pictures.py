@@ -66,9 +66,8 @@ def close_up(
     camera = Camera(
         np.asarray(fit.camera.focal_px) * scale, moved(np.asarray(fit.camera.principal_point_px)), fit.camera.distortion
     )
-    return cut, replace(
-        fit, image_size=size, camera=camera, observed=moved(fit.observed), projected=moved(fit.projected)
-    )
+    points = {"observed": moved(fit.observed), "projected": moved(fit.projected)}
+    return cut, replace(fit, image_size=size, camera=camera, covariance=fit.covariance * scale**2, **points)
 
 
 @styled

@@ -26,8 +26,8 @@ from workbench.tracker import calibration_window
 from workbench.tracking import FrameContext, FrameFit, FrameObservation, Track
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.failures import failures_of
-from workbench.tracking.fitting import Pictures
 from workbench.tracking.flow_fitter import FlowFitter, parameters_of
+from workbench.tracking.observation import Pictures
 from workbench.tracking.records import stack_fits
 
 FRAMES, QUICK_FRAMES, LEAST_FRAMES = 36, 18, 16

@@ -27,8 +27,8 @@ from workbench.reproduction.study import Progress, Study
 from workbench.reproduction.talking_film import TalkingFilm
 from workbench.tracking import FrameContext, FrameFit, Track
 from workbench.tracking.deep_fitter import DeepFitter
-from workbench.tracking.fitting import Pictures
 from workbench.tracking.flow_fitter import FlowFitter
+from workbench.tracking.observation import Pictures
 from workbench.tracking.records import stack_fits
 from workbench.tracking.track_writer import TrackWriter
 

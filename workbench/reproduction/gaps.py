@@ -18,12 +18,12 @@ from workbench.frames import Frames
 from workbench.rendering import RenderModel, face_vertices, render_model
 from workbench.runtime import COMPUTING
 from workbench.tracking import FrameFit, Track
-from workbench.tracking.fitting import Pictures
 from workbench.tracking.flow_fitter import FlowFitter, parameters_of
 from workbench.tracking.flow_renders import rendered_cutout, rendered_view
 from workbench.tracking.infill import fill_by_flow, fill_by_spline, fill_linearly, usable_frames
 from workbench.tracking.interpolation import SPLINE_FRAMES
 from workbench.tracking.moments import Moment
+from workbench.tracking.observation import Pictures
 from workbench.tracking.photo_flow import Cutout, cutout_about
 from workbench.tracking.point_links import flow_views
 

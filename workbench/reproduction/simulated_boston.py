@@ -22,7 +22,7 @@ from workbench.pictures.lighting import Light, Lighting
 from workbench.reproduction.boston import NAMES, SIZE, boston_camera, write_truth
 from workbench.reproduction.people import FilmStudio, Motion, SimulatedPerson
 from workbench.reproduction.study import Progress
-from workbench.tracking.fitting import silent
+from workbench.tracking.unwatched import silent
 
 FRAMES = 200
 RATE = 30

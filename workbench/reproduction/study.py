@@ -22,7 +22,7 @@ from workbench.pipeline import Progress
 from workbench.plots import LIGHT, Picture, on_page
 from workbench.reading import checked_content, checked_json, reading
 from workbench.reproduction.items import ITEMS, Item
-from workbench.tracking.fitting import silent
+from workbench.tracking.unwatched import silent
 
 RESULT = "result.json"
 FIGURE_DPI = 160

@@ -2,7 +2,7 @@ from .fitted_head import FittedHead as FittedHead
 from .material import Material as Material
 from .material import load_material as load_material
 from .material import material_of_photo as material_of_photo
-from .material import material_of_track as material_of_track
+from .stored_material import material_of_track as material_of_track
 from .temporal import TemporalWork as TemporalWork
 from .tuning import TuningSession as TuningSession
 from .tuning import open_session as open_session

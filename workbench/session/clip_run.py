@@ -21,10 +21,11 @@ from workbench.session.material import Cancelled, Material, Progress
 from workbench.session.metrics import metrics_of_track
 from workbench.session.observed_frames import ObservedFrames
 from workbench.tracking import FrameFit, Track
-from workbench.tracking.fitting import Continuation, never
+from workbench.tracking.fitting import Continuation
 from workbench.tracking.records import Fits, stack_fits
 from workbench.tracking.systems import make_fitter
 from workbench.tracking.track_layout import model_record, scheme_record
+from workbench.tracking.unwatched import never
 from workbench.tracking.walk import Walk
 
 

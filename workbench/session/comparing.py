@@ -11,7 +11,7 @@ from workbench.face import posed_vertices
 from workbench.session.material import Cancelled
 from workbench.session.tuning import TuningSession
 from workbench.tracking import FrameFit
-from workbench.tracking.fitting import never
+from workbench.tracking.unwatched import never
 
 
 @dataclass(frozen=True, eq=False)

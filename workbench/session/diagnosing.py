@@ -13,7 +13,8 @@ from workbench.session.clip_run import Run
 from workbench.session.material import Cancelled, Material, Progress
 from workbench.session.observed_frames import ObservedFrames
 from workbench.tracking import FaceItFitter
-from workbench.tracking.fitting import FrameProblem, never, silent, with_ibug68
+from workbench.tracking.fitting import FrameProblem, with_ibug68
+from workbench.tracking.unwatched import never, silent
 
 
 class Diagnosing:

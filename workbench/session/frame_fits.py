@@ -17,8 +17,9 @@ from workbench.session.material import Cancelled, Material
 from workbench.session.observed_frames import ObservedFrames
 from workbench.tracking import FrameFit, StageTrace
 from workbench.tracking.deep_solution import DeepSolution
-from workbench.tracking.fitting import Continuation, FrameProblem, FrameSolution, never, with_face
+from workbench.tracking.fitting import Continuation, FrameProblem, FrameSolution, with_face
 from workbench.tracking.systems import configured, make_fitter
+from workbench.tracking.unwatched import never
 from workbench.tracking.walk import context_of
 
 

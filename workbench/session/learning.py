@@ -13,7 +13,7 @@ from workbench.objectives import read_sum
 from workbench.session.material import Cancelled
 from workbench.session.sweeping import SessionSweeps
 from workbench.sweeps import SweptClip, read_axis
-from workbench.tracking.fitting import never
+from workbench.tracking.unwatched import never
 
 
 def tune_material(

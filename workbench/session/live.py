@@ -22,7 +22,8 @@ from workbench.session.live_frame import LIVE_SIZE, LiveFrame
 from workbench.session.recording import Recorder, Recording
 from workbench.tracking import FrameFit, FrameObservation
 from workbench.tracking.face_it_fitter import FaceItFitter
-from workbench.tracking.fitting import Calibrated, Continuation, motion_of
+from workbench.tracking.fitting import Calibrated, Continuation
+from workbench.tracking.observation import motion_of
 from workbench.tracking.walk import Walk
 
 FIRST_FRAMES = 24

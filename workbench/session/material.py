@@ -12,13 +12,11 @@ from jaxtyping import UInt8
 
 from workbench.config import Config
 from workbench.errors import InputError
-from workbench.export.sources import tracked_part
-from workbench.frames import Frame, Frames, open_frames
+from workbench.frames import Frame, Frames
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.pipeline import content_hash, is_landmark_file, open_source
-from workbench.tracking import FrameObservation, Track
-from workbench.tracking.records import SOURCES
+from workbench.tracking import FrameObservation
 
 KEPT_BYTES = 256 << 20
 """Number of decoded pictures that a session caches."""
@@ -110,6 +108,12 @@ class Material:
         faces = (item.landmarks for item in self.observations if item.landmarks is not None)
         return next((landmarks.scheme for landmarks in faces), IBUG68)
 
+    def check(self, frame: int) -> None:
+        """Raises `InputError` for a frame outside the material."""
+        count = len(self.observations)
+        if not 0 <= frame < count:
+            raise InputError(f"There is no frame {frame}; {self.name} has frames 0 to {count - 1}.")
+
     def sources(self) -> list[str]:
         """Path and SHA-256 of each input that is a file."""
         return [f"{path} sha256:{content_hash(path)}" for path in self.inputs if path.exists()]
@@ -163,27 +167,3 @@ def material_of_photo(picture: UInt8[np.ndarray, "h w 3"], landmarks: Landmarks2
     observation = FrameObservation(0, landmarks, landmarks.image_size)
     store = PictureStore(None, [landmarks.image_size], given=[np.array(picture)])
     return Material(name, (observation,), store, stills=True)
-
-
-def material_of_track(track: Track) -> Material:
-    """The landmarks of a stored run, with its pictures if the files still exist.
-
-    Points that the run's configuration moved by hand keep those positions.
-    """
-    inputs = tuple(Path(item["path"]) for item in track.meta.get("inputs", []))
-    stored = track.meta.get("landmarks")
-    observations = []
-    for k in range(len(track)):
-        fit = track[k]
-        landmarks = fit.landmarks
-        cut = k > 0 and bool(track.shot[k] != track.shot[k - 1])
-        source, times = SOURCES[int(track.source[k])], (float(fit.milliseconds[0]), float(fit.milliseconds[1]))
-        observations.append(FrameObservation(fit.index, landmarks, fit.image_size, source, cut, times))
-    frames = None
-    if inputs and all(path.exists() and not is_landmark_file(path) for path in inputs):
-        frames = tracked_part(open_frames(inputs if len(inputs) > 1 else inputs[0]), track.meta)
-    sizes = [observation.image_size for observation in observations]
-    name = inputs[0].stem if inputs else "track"
-    file = None if stored is None else Path(stored["path"])
-    stills = bool(track.meta.get("stills", False))
-    return Material(name, tuple(observations), PictureStore(frames, sizes), stills, inputs, file)

@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 from workbench.config import Config
-from workbench.errors import InputError
 from workbench.landmarks.observations import Landmarks2D
 from workbench.session.material import Material
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import energy_network, photo_landmarks
-from workbench.tracking.fitting import corrected, motion_of
+from workbench.tracking.fitting import corrected
+from workbench.tracking.observation import motion_of
 
 
 class ObservedFrames:
@@ -18,18 +18,12 @@ class ObservedFrames:
         self._material = material
         self._targets: dict[tuple[int, str], Landmarks2D] = {}
 
-    def check(self, frame: int) -> None:
-        """Raises `InputError` for a frame outside the material."""
-        count = len(self._material.observations)
-        if not 0 <= frame < count:
-            raise InputError(f"There is no frame {frame}; {self._material.name} has frames 0 to {count - 1}.")
-
     def observation(self, frame: int, config: Config, pictured: bool = False) -> FrameObservation:
         """A frame with its moved detections. Raises `InputError` outside the material.
 
         `pictured`: include the picture if the system renders and there is one.
         """
-        self.check(frame)
+        self._material.check(frame)
         return corrected(self._detected(frame, config, pictured), config.moved_points(frame))
 
     def linked_observation(self, frame: int, config: Config) -> FrameObservation:

@@ -11,8 +11,8 @@ from workbench.session.exports import track_command
 from workbench.session.material import Cancelled, Material, Progress
 from workbench.session.tuning import TuningSession
 from workbench.tracking import Track
-from workbench.tracking.fitting import never
 from workbench.tracking.records import stack_fits
+from workbench.tracking.unwatched import never
 
 
 def performance_track(

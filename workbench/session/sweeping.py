@@ -24,7 +24,8 @@ from workbench.sweeps import (
 from workbench.sweeps.results import folds_needed, objectives_of
 from workbench.sweeps.sweep import FITS
 from workbench.tracking.chain_solver import CHAINS
-from workbench.tracking.fitting import never, with_ibug68
+from workbench.tracking.fitting import with_ibug68
+from workbench.tracking.unwatched import never
 
 Grown = Callable[[SweepResult], None]
 

@@ -17,9 +17,9 @@ from workbench.session.part_fits import PartFits
 from workbench.session.parts import Part, parts_of
 from workbench.session.worked import Worked, name_of
 from workbench.tracking import FrameFit
-from workbench.tracking.fitting import never, silent
 from workbench.tracking.infill import usable
 from workbench.tracking.refinement import passes
+from workbench.tracking.unwatched import never, silent
 
 INFILLS, REFINEMENTS = ("flow", "linear", "spline"), ("averaging", "self", "plate", "hybrid")
 KEPT = 48

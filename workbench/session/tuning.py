@@ -1,5 +1,6 @@
 """A tuning session: the configuration being tuned, its history, and its fits. No widgets."""
 
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -7,30 +8,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, UInt8
 
+import workbench
 from workbench.config import DEFAULT_PRESET, Config, Difference, parse_config, preset
-from workbench.diagnosis import Change, Diagnosis, Uncertainty, estimate_uncertainty
 from workbench.errors import InputError
-from workbench.face import FaceModel, in_scheme, load_default_head
-from workbench.learning import Tuned
-from workbench.session.calibrations import Calibrations
-from workbench.session.clip_run import ClipRuns, Run, described_track
-from workbench.session.diagnosing import Diagnosing, check_diagnosed
-from workbench.session.exports import Exports, track_command
-from workbench.session.frame_fits import FrameFits
 from workbench.session.gesture import Gesture
 from workbench.session.landmark_edits import moved, put_back, weighed, with_subset
-from workbench.session.learning import tune_material
-from workbench.session.material import Cancelled, Material, Progress, load_material, material_of_track
-from workbench.session.metrics import metrics_of
-from workbench.session.observed_frames import ObservedFrames
-from workbench.session.readiness import get_ready
-from workbench.session.sweeping import SessionSweeps
-from workbench.session.temporal import TemporalWork
+from workbench.session.material import Cancelled, Material, Progress, load_material
 from workbench.session.tuned_config import TunedConfig
-from workbench.sweeps import SweepResult
-from workbench.tracking import FrameContext, FrameFit, FrameObservation, StageTrace, Track
-from workbench.tracking.deep_solution import DeepSolution
-from workbench.tracking.fitting import never
+from workbench.tracking import FrameObservation
+from workbench.tracking.unwatched import never
 
 
 class TuningSession:
@@ -40,27 +26,53 @@ class TuningSession:
     run. `fit_clip` fits all frames, with the same numbers as `workbench track`. Methods may be called from any thread.
     """
 
-    def __init__(self, model: FaceModel, material: Material, config: Config | None = None):
-        self.model, self.material = (model := in_scheme(model, material.scheme)), material
+    def __init__(
+        self, model: "workbench.face.FaceModel | None", material: Material, config: Config | None = None
+    ) -> None:
+        """`model`: None for the default head, which is loaded when something is first computed, as its programs are.
+
+        Raises `ModelError` for a model without the material's landmarks.
+        """
+        self.material = material
         self.base = preset(DEFAULT_PRESET) if config is None else config
         self._listeners: list[Callable[[str], None]] = []
         self._tuned = TunedConfig(self.base, self.tell)
-        self._frames = ObservedFrames(material)
-        calibrations = Calibrations(material, self._frames)
-        self.runs = ClipRuns(model, material, self.base, self._frames, calibrations)
-        """Runs over all frames by their configuration, to compare with the last one."""
-        self._fits = FrameFits(model, material, self.base, self._frames, calibrations, self.runs.continued_from)
-        self._diagnosing = Diagnosing(model, material, self._frames)
-        self._exports = Exports(model, material)
-        self._sweeps = SessionSweeps(model, material)
-        self.temporal = TemporalWork(self)
-        """Infill and refinement of the clip."""
+        self._working, self._made = threading.RLock(), None
+        if model is not None:
+            self._made = self._make(model)
 
     def __repr__(self) -> str:
         return f"TuningSession({self.material.name!r}, {len(self)} frames, preset {self.config.preset!r})"
 
     def __len__(self) -> int:
         return len(self.material.observations)
+
+    def _make(self, model: "workbench.face.FaceModel | None") -> "workbench.session.session_work.SessionWork":
+        from workbench.session.session_work import SessionWork  # here: a clip's first frame is shown without it
+
+        return SessionWork(self, model, self.material, self.base)
+
+    @property
+    def _work(self) -> "workbench.session.session_work.SessionWork":
+        with self._working:
+            if self._made is None:
+                self._made = self._make(None)
+        return self._made
+
+    @property
+    def model(self) -> "workbench.face.FaceModel":
+        """The head, with the material's landmarks."""
+        return self._work.model
+
+    @property
+    def runs(self) -> "workbench.session.clip_run.ClipRuns":
+        """Runs over all frames by their configuration, to compare with the last one."""
+        return self._work.runs
+
+    @property
+    def temporal(self) -> "workbench.session.TemporalWork":
+        """Infill and refinement of the clip."""
+        return self._work.temporal
 
     # --- configuration and history ---
 
@@ -129,7 +141,7 @@ class TuningSession:
 
     def move(self, frame: int, point: int, place: tuple[float, float], gesture: Gesture | str | None = None) -> Config:
         """Move a detection of one frame to its correct position, pixels."""
-        self._frames.check(frame)
+        self.material.check(frame)
         return self.use(moved(self.config, frame, {point: place}), f"landmark {point} of frame {frame}", gesture)
 
     def put_back(self, frame: int, points: Iterable[int]) -> Config:
@@ -144,59 +156,61 @@ class TuningSession:
 
     def observation(self, frame: int, config: Config | None = None) -> FrameObservation:
         """A frame's observation with its moved detections. Raises `InputError` outside the material."""
-        return self._frames.observation(frame, self.config if config is None else config)
+        return self._work.frames.observation(frame, self.config if config is None else config)
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "h w 3"]:
         """The picture of a frame; blank if the material has none. Raises `InputError` outside the material."""
-        self._frames.check(frame)
+        self.material.check(frame)
         return self.material.pictures[frame]
 
     def fit_frame(
         self, frame: int, coarse: bool = False, config: Config | None = None, cancelled: Cancelled = never
-    ) -> FrameFit:
+    ) -> "workbench.tracking.FrameFit":
         """The fit of one frame under the current configuration, or under `config` for comparison.
 
         `coarse`: any identity calibrated on the shot will do, for fast dragging. Raises `StoppedError` if cancelled.
         """
-        return self._fits.fit(frame, self.config if config is None else config, coarse, cancelled)
+        return self._work.fits.fit(frame, self.config if config is None else config, coarse, cancelled)
 
-    def explain_frame(self, frame: int) -> tuple[FrameFit, tuple[StageTrace, ...]]:
+    def explain_frame(
+        self, frame: int
+    ) -> "tuple[workbench.tracking.FrameFit, tuple[workbench.tracking.StageTrace, ...]]":
         """`fit_frame` with every iteration kept. Raises `InputError` for a frame without landmarks."""
-        return self._fits.explain(frame, self.config)
+        return self._work.fits.explain(frame, self.config)
 
-    def solve_frame(self, frame: int) -> DeepSolution | None:
+    def solve_frame(self, frame: int) -> "workbench.tracking.deep_solution.DeepSolution | None":
         """The result of each Deep Energies stage on a frame; None under FACE IT! or without a face."""
-        return self._fits.solve(frame, self.config)
+        return self._work.fits.solve(frame, self.config)
 
     def stage_strip(self, frame: int) -> UInt8[np.ndarray, "h w 3"] | None:
         """The Deep Energies stages on a frame as a film strip; None if there is nothing to draw."""
-        return self._fits.stage_strip(frame, self.config)
+        return self._work.fits.stage_strip(frame, self.config)
 
-    def fit_steps(self, frame: int, steps: int) -> FrameFit:
+    def fit_steps(self, frame: int, steps: int) -> "workbench.tracking.FrameFit":
         """The fit of a frame stopped after `steps` iterations, counted through all stages.
 
         Raises `InputError` for a frame without landmarks.
         """
-        return self._fits.stopped(frame, self.config, steps)
+        return self._work.fits.stopped(frame, self.config, steps)
 
-    def context(self, frame: int) -> FrameContext:
+    def context(self, frame: int) -> "workbench.tracking.FrameContext":
         """The state that the fit of a frame starts from under the current configuration."""
-        return self._fits.problem(frame, self.config).context
+        return self._work.context(frame, self.config)
 
-    def diagnose(self, frame: int, progress: Progress | None = None, cancelled: Cancelled = never) -> Diagnosis:
+    def diagnose(
+        self, frame: int, progress: Progress | None = None, cancelled: Cancelled = never
+    ) -> "workbench.diagnosis.Diagnosis":
         """Reasons why the fit of a frame may be bad, and why the last complete run flags it, if it does.
 
         Raises `InputError` for a frame without landmarks, and `StoppedError` if cancelled.
         """
-        config = check_diagnosed(self.config)
-        return self._diagnosing.diagnose(self._fits.problem(frame, config), config, self.run, progress, cancelled)
+        return self._work.diagnose(frame, self.config, progress, cancelled)
 
-    def uncertainty(self, frame: int) -> Uncertainty:
+    def uncertainty(self, frame: int) -> "workbench.diagnosis.Uncertainty":
         """How well landmarks and priors determine the fit of a frame. Raises `InputError` as `diagnose` does."""
-        config = check_diagnosed(self.config)
-        return estimate_uncertainty(self.model, config, self.context(frame), self.fit_frame(frame))
+        return self._work.uncertainty(frame, self.config)
 
-    def apply(self, change: Change, frame: int) -> Config:
+    def apply(self, change: "workbench.diagnosis.Change", frame: int) -> Config:
         """Apply a change proposed by the diagnosis of a frame; one undo step."""
         config = change.apply_to(self.config)
         return self.use(moved(config, frame, change.landmarks) if change.landmarks else config, change.label)
@@ -205,7 +219,7 @@ class TuningSession:
 
     def fit_clip(
         self, progress: Progress | None = None, cancelled: Cancelled = never, config: Config | None = None
-    ) -> Track | None:
+    ) -> "workbench.tracking.Track | None":
         """Fit all frames under the current configuration, or another one; None if cancelled.
 
         These are the frame-by-frame fits of `workbench track`; `temporal` infills and refines them. After a cancelled
@@ -217,14 +231,14 @@ class TuningSession:
         return self.track
 
     @property
-    def run(self) -> Run | None:
+    def run(self) -> "workbench.session.clip_run.Run | None":
         """The last complete run."""
         return self.runs.last
 
     @property
-    def track(self) -> Track:
+    def track(self) -> "workbench.tracking.Track":
         """The last complete run as a track; fits all frames if there is none."""
-        return described_track(self._whole_run(), self.model, self.material.stills)
+        return self._work.track_of(self._whole_run())
 
     @property
     def stale(self) -> Bool[np.ndarray, "n"]:
@@ -235,28 +249,30 @@ class TuningSession:
         """Errors and jitter of the last complete run; fits all frames if there is none."""
         return self._whole_run().metrics
 
-    def track_fits(self) -> Sequence[FrameFit]:
+    def track_fits(self) -> "Sequence[workbench.tracking.FrameFit]":
         """The fits of the last complete run; fits all frames if there is none."""
         return self._whole_run().fits
 
-    def sweep(self, settings: Sequence[str] | str, **options: Any) -> SweepResult:
+    def sweep(self, settings: Sequence[str] | str, **options: Any) -> "workbench.sweeps.SweepResult":
         """Try many settings around the current configuration, as `session.sweep("weights.tau=log(1e-3,10,13)")`.
 
         `options`: objectives, frames (a budget), sample, seed, truth, progress, cancelled, grown; see `SessionSweeps`.
         """
-        return self._sweeps.run([settings] if isinstance(settings, str) else settings, self.config, **options)
+        return self._work.sweeps.run([settings] if isinstance(settings, str) else settings, self.config, **options)
 
-    def tune(self, objective: str, learn: Sequence[str] = (), **options: Any) -> Tuned:
+    def tune(self, objective: str, learn: Sequence[str] = (), **options: Any) -> "workbench.learning.Tuned":
         """What the clip chooses, as `session.tune("jitter", ["weights.tau"])`; options as in `tune_material`."""
-        return tune_material(self._sweeps, self.model, self.config, objective, learn, **options)
+        return self._work.tune(self.config, objective, learn, **options)
 
-    def _whole_run(self) -> Run:
+    def _whole_run(self) -> "workbench.session.clip_run.Run":
         if self.run is None:
             self.fit_clip()
         return self.run
 
     def warm_up(self, cancelled: Cancelled = never) -> None:
         """Compile everything a panel can request. Raises `StoppedError` if cancelled."""
+        from workbench.session.readiness import get_ready  # here: see `_make`
+
         get_ready(self, cancelled)
 
     # --- export ---
@@ -271,21 +287,23 @@ class TuningSession:
         and for a file that exists, unless this session wrote it or `overwrite` is set.
         """
         path, config = Path(path), self.config
-        self._exports.check(path, overwrite)
+        self._work.exports.check(path, overwrite)
         fits = self.temporal.fits_by(config, progress, cancelled)
         if fits is None:
             raise InputError(f"The export was cancelled; {path} was not written.")
-        self._exports.write(path, config, self.base, self.runs.base_metrics(progress), metrics_of(fits))
+        self._work.export(path, config, self.base, fits, progress)
         self._tuned.exported = config
         self.tell("export")
         return path
 
     def may_write(self, path: str | Path) -> bool:
         """Whether an export would overwrite nothing, or only a file that this session exported."""
-        return self._exports.may_write(path)
+        return self._work.exports.may_write(path)
 
     def command(self, path: str | Path) -> str:
         """The command line that runs an exported configuration on this material."""
+        from workbench.session.exports import track_command  # here: see `_make`
+
         return track_command(self.material, path)
 
     # --- listeners ---
@@ -306,9 +324,9 @@ class TuningSession:
 
 
 def open_session(
-    inputs: str | Path | Sequence[str | Path] | Track | Material,
+    inputs: "str | Path | Sequence[str | Path] | workbench.tracking.Track | Material",
     config: Config | str | None = None,
-    model: FaceModel | None = None,
+    model: "workbench.face.FaceModel | None" = None,
     landmarks: str | Path | None = None,
     stills: bool = False,
     progress: Progress | None = None,
@@ -319,14 +337,13 @@ def open_session(
     `config` is a configuration or the name of a preset; a track has its own. `progress` and `seen` are as for
     `load_material`. Raises `InputError` and `ConfigError` if one of them cannot be read.
     """
-    model = load_default_head() if model is None else model
     if isinstance(config, str):
         config = preset(config)
     if isinstance(inputs, Material):
         return TuningSession(model, inputs, config)
-    if isinstance(inputs, Track):
-        stored = inputs.meta.get("config")
-        config = config or (parse_config(stored, "the track's configuration") if stored else None)
-        return TuningSession(model, material_of_track(inputs), config)
-    config = config or preset(DEFAULT_PRESET)
-    return TuningSession(model, load_material(inputs, config, landmarks, stills, progress, seen), config)
+    if isinstance(inputs, str | Path | Sequence):
+        config = config or preset(DEFAULT_PRESET)
+        return TuningSession(model, load_material(inputs, config, landmarks, stills, progress, seen), config)
+    stored = inputs.meta.get("config")
+    config = config or (parse_config(stored, "the track's configuration") if stored else None)
+    return TuningSession(model, workbench.session.material_of_track(inputs), config)

@@ -19,7 +19,7 @@ from workbench.sweeps.space import Axis, Point, Sampling, config_at, points_of
 from workbench.sweeps.storage import Storage, is_url
 from workbench.sweeps.stored_clips import ClipSource, check_second
 from workbench.sweeps.tasks import FitTask, ObserveTask, fingerprint_of
-from workbench.tracking.fitting import silent
+from workbench.tracking.unwatched import silent
 from workbench.workers import Failed, Workers
 
 USUAL_OBJECTIVES = ("error", "left-out-points", "jitter", "iterations")

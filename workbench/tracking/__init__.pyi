@@ -1,8 +1,8 @@
 from .face_it_fitter import FaceItFitter as FaceItFitter
 from .fitting import FrameContext as FrameContext
-from .fitting import FrameObservation as FrameObservation
-from .fitting import PicturePair as PicturePair
 from .fitting import StageTrace as StageTrace
+from .observation import FrameObservation as FrameObservation
+from .observation import PicturePair as PicturePair
 from .plan import Plan as Plan
 from .records import FrameFit as FrameFit
 from .records import Track as Track

@@ -34,20 +34,13 @@ from workbench.tracking.deep_solver import StageProblem, solve_stage
 from workbench.tracking.deep_target import energy_network
 from workbench.tracking.deep_views import FAR_MM, eyes_per_box, light_of, recorded_camera, views_of, weighed
 from workbench.tracking.face_it_fitter import FaceItFitter
-from workbench.tracking.fitting import (
-    Calibrated,
-    Continuation,
-    Fitter,
-    FrameContext,
-    FrameObservation,
-    StageTrace,
-    continued,
-    never,
-)
+from workbench.tracking.fitting import Calibrated, Continuation, Fitter, FrameContext, StageTrace, continued
 from workbench.tracking.flow_term import FlowTerm, flow_term
+from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
 from workbench.tracking.point_links import flow_views
 from workbench.tracking.records import FrameFit
+from workbench.tracking.unwatched import never
 
 NEUTRAL_YAW_DEG = 25.0
 """For choosing the appearance frame, a blendshape weight of 1 counts as much as this yaw."""

@@ -16,7 +16,7 @@ from workbench.landmarks.scheme import outer_eye_distance
 from workbench.networks import Fan, LandmarkNetwork
 from workbench.rendering import Appearance, ambient_light, directional_light, orthographic_camera, turned_light
 from workbench.rendering.camera import OrthographicCamera
-from workbench.tracking.fitting import FrameObservation
+from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
 
 EYES_PER_BOX = 0.726

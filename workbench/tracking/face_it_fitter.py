@@ -31,19 +31,19 @@ from workbench.tracking.fitting import (
     Continuation,
     Fitter,
     FrameContext,
-    FrameObservation,
     StageTrace,
     check_scheme,
     continued,
-    never,
 )
 from workbench.tracking.flow_term import FlowTerm, blank_motion, flow_term
 from workbench.tracking.frame_solver import FrameInput, read_report, solve_frame
 from workbench.tracking.identity import CalibrationSettings, calibrate_identity, spread_over_yaw
 from workbench.tracking.initial_pose import initial_pose
+from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan
 from workbench.tracking.point_links import flow_views
 from workbench.tracking.records import FrameFit
+from workbench.tracking.unwatched import never
 
 TRACE_LENGTH = 500
 """Maximum length of a trace: the largest iteration limit that a stage may have."""

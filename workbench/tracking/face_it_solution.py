@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from workbench.face import FaceModel, LandmarkModel
 from workbench.geometry import Camera
-from workbench.tracking.fitting import FrameObservation, FrameProblem, FrameSolution, StageTrace, landmarks_of_others
+from workbench.tracking.fitting import FrameProblem, FrameSolution, StageTrace, landmarks_of_others
 from workbench.tracking.frame_solver import (
     BLOCKS,
     STAGE_SLOTS,
@@ -18,6 +18,7 @@ from workbench.tracking.frame_solver import (
     SolveSettings,
     StageProgram,
 )
+from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan
 from workbench.tracking.records import FrameFit, recorded_covariance
 

@@ -9,60 +9,21 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from workbench.arrays import AnyArray
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera
-from workbench.landmarks.observations import Landmarks2D, of_ibug68
+from workbench.landmarks.observations import of_ibug68
 from workbench.rendering import Appearance
+from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan
 from workbench.tracking.records import FrameFit
+from workbench.tracking.unwatched import never
 
 BY_HAND_PX = 1.0
 """Standard deviation of a point that somebody put in its place."""
-Pictures = tuple[UInt8[np.ndarray, "_ _ 3"], ...]
-"""The pictures of one frame, one for each view of a rig; a single one without a rig."""
-
-
-class PicturePair(NamedTuple):
-    """What a frame's optical flow is found in."""
-
-    before: Pictures
-    """Those of the frame before."""
-    now: Pictures
-
-
-def motion_of(before: UInt8[np.ndarray, "h w 3"] | None, now: UInt8[np.ndarray, "h w 3"] | None) -> PicturePair | None:
-    """The pair of a single view; None if one of the pictures is missing."""
-    return None if before is None or now is None else PicturePair((before,), (now,))
-
-
-@dataclass(frozen=True)
-class FrameObservation:
-    """The input of the tracker for one frame."""
-
-    index: int
-    landmarks: Landmarks2D | None
-    image_size: tuple[int, int]
-    source: str = "given"
-    cut: bool = False
-    """Whether this frame starts a new shot."""
-    milliseconds: tuple[float, float] = (0.0, 0.0)
-    """Time taken by face detection and by landmarks."""
-    picture: UInt8[np.ndarray, "h w 3"] | None = None
-    """RGB, if the fit needs it: Deep Energies estimates colours and light from it."""
-    others: tuple[Landmarks2D | None, ...] = ()
-    """Landmarks in the other views of a rig, in the rig's order; None for a view without a face."""
-
-    motion: PicturePair | None = None
-    """Given where a stage names the flow term; None on a clip's first frame, and without pictures."""
-
-    @property
-    def faces(self) -> bool:
-        """Whether any view shows a face."""
-        return any(landmarks is not None for landmarks in (self.landmarks, *self.others))
 
 
 class Continuation(NamedTuple):
@@ -121,15 +82,6 @@ class FrameSolution:
     """The solution of a problem; each system's subclass adds the results of its stages."""
 
     problem: FrameProblem
-
-
-def never() -> bool:
-    """The default for `cancelled`: never cancel."""
-    return False
-
-
-def silent(step: str, done: int, total: int | None) -> None:
-    """The default for `progress`: nobody watches."""
 
 
 class Fitter(ABC):

@@ -13,9 +13,9 @@ from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, free_parameters, parameter_range
 from workbench.rendering import Appearance, estimate_appearance, face_vertices
 from workbench.runtime import COMPUTING
-from workbench.tracking.fitting import Pictures
 from workbench.tracking.flow_renders import rendered_cutout
 from workbench.tracking.flow_solver import MOVING, FlowLimits, FlowSolution, solve_flow
+from workbench.tracking.observation import Pictures
 from workbench.tracking.photo_flow import read_at
 from workbench.tracking.plan import Plan
 from workbench.tracking.point_links import Links, Neighbour, PointLinker, flow_views, places_of

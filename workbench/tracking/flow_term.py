@@ -12,7 +12,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.flow import SurfacePoints, personal_points
 from workbench.rendering import RenderModel, render_model
-from workbench.tracking.fitting import FrameObservation, PicturePair
+from workbench.tracking.observation import FrameObservation, PicturePair
 from workbench.tracking.plan import FlowPlan, Plan
 from workbench.tracking.point_links import Neighbour, PointLinker
 

@@ -17,10 +17,10 @@ from jaxtyping import Bool
 from workbench.errors import InputError
 from workbench.face import FaceParameters
 from workbench.tracking.failures import failures_of, why_failed
-from workbench.tracking.fitting import Pictures
 from workbench.tracking.flow_fitter import FlowFitter, parameters_of
 from workbench.tracking.interpolation import SPLINE_FRAMES, between, splined
 from workbench.tracking.moments import Moment, PictureSpool
+from workbench.tracking.observation import Pictures
 from workbench.tracking.plan import InfillPlan
 from workbench.tracking.point_links import Neighbour
 from workbench.tracking.records import FrameFit, Track

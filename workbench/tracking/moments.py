@@ -8,7 +8,7 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.frames import Frames
-from workbench.tracking.fitting import Pictures
+from workbench.tracking.observation import Pictures
 from workbench.tracking.records import FrameFit
 
 MEMORY_BYTES = 64 * 2**20

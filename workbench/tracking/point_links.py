@@ -16,8 +16,8 @@ from workbench.geometry import Camera, Rig
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
 from workbench.rendering import RenderModel
 from workbench.runtime import COMPUTING
-from workbench.tracking.fitting import Pictures
 from workbench.tracking.flow_renders import points_shown
+from workbench.tracking.observation import Pictures
 from workbench.tracking.photo_flow import Cutout, cutout_about, photo_flow
 from workbench.tracking.plan import FlowPlan
 

@@ -9,9 +9,10 @@ from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel
 from workbench.landmarks.observations import Landmarks2D
 from workbench.rendering import Appearance
-from workbench.tracking.fitting import FrameContext, FrameObservation
+from workbench.tracking.fitting import FrameContext
 from workbench.tracking.flow_fitter import parameters_of
 from workbench.tracking.moments import Moment
+from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
 from workbench.tracking.records import FrameFit
 from workbench.tracking.systems import make_fitter

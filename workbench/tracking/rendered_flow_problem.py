@@ -18,9 +18,9 @@ from workbench.face import FaceModel, FaceParameters
 from workbench.flow import NetworkFlow
 from workbench.rendering import Appearance, RenderModel
 from workbench.runtime import COMPUTING
-from workbench.tracking.fitting import Pictures
 from workbench.tracking.flow_renders import RenderedView, rendered_view
 from workbench.tracking.flow_solver import FlowLimits
+from workbench.tracking.observation import Pictures
 from workbench.tracking.photo_flow import Cutout, cutout_about
 from workbench.tracking.plan import FlowPlan
 from workbench.tracking.point_links import Neighbour, PointLinker, check_pictures, places_of

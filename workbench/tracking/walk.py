@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench.landmarks.scheme import outer_eye_distance
-from workbench.tracking.fitting import Calibrated, Continuation, Fitter, FrameContext, FrameObservation
+from workbench.tracking.fitting import Calibrated, Continuation, Fitter, FrameContext
+from workbench.tracking.observation import FrameObservation
 from workbench.tracking.records import FrameFit
 
 JUMP = 0.5

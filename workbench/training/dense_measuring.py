@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from workbench.landmarks.scheme import outer_eye_distance
 from workbench.landmarks.schemes import DensePoints
+from workbench.landmarks.uncertainty import ellipse_radius
 from workbench.networks.dense_network import SIDE, DensePlaces
-from workbench.training.augment import MIRRORED, Hardness, augmented
+from workbench.training.augment import MIRRORED, Hardness
+from workbench.training.evaluation import Found, columns, unseen_pictures
 from workbench.training.pool import Pool
 
 ELLIPSES = (0.5, 0.8, 0.95)
@@ -19,19 +20,10 @@ Look = Callable[[UInt8[np.ndarray, "256 256 3"]], DensePlaces]
 
 
 @dataclass(frozen=True, eq=False)
-class DenseAnswers:
-    """What a network said of many pictures, and the truth."""
+class DenseAnswers(Found):
+    """What a dense network said of many pictures, and the truth."""
 
-    points: Float[np.ndarray, "n k 2"]
     whitening: Float[np.ndarray, "n k 2 2"]
-    truth: Float[np.ndarray, "n k 2"]
-    angles_deg: Float[np.ndarray, "n 3"]
-
-    @property
-    def errors_percent(self) -> Float[np.ndarray, "n k"]:
-        """Distances in percent of the outer-eye distance in the picture (which shrinks as the head turns)."""
-        unit = outer_eye_distance(self.truth[:, :68])
-        return 100 * np.linalg.norm(self.points - self.truth, axis=-1) / unit[:, None]
 
     @property
     def deviations(self) -> Float[np.ndarray, "n k"]:
@@ -44,24 +36,15 @@ def dense_answers(
 ) -> DenseAnswers:
     """The network's answers on `count` augmented pictures of the pool, the same for the same seed."""
     rows = []
-    for place in range(count):
-        rng = np.random.default_rng([seed, place])
-        index = int(rng.integers(len(pool)))
-        made = augmented(pool, index, rng, SIDE, hardness, dense)
-        if made.is_face:
-            places = look(made.picture)
-            rows.append((places.points, places.whitening, (*made.points, *made.dense), pool.angles(index)))
-    return DenseAnswers(*(np.asarray(part, np.float64) for part in zip(*rows, strict=True)))
+    for made, angles in unseen_pictures(pool, count, SIDE, hardness, seed, dense):
+        places = look(made.picture)
+        rows.append((places.points, (*made.points, *made.dense), angles, places.whitening))
+    return DenseAnswers(*columns(rows))
 
 
 def deviation_factor(answers: DenseAnswers, share: float = 0.8) -> Float[np.ndarray, "k"]:
     """By how much each point's deviations are to be multiplied for its ellipses to hold this share of the truth."""
-    return np.quantile(answers.deviations, share, axis=0) / radius(share)
-
-
-def radius(share: float) -> float:
-    """Of the ellipse that holds this share of a Gaussian in the plane, in deviations."""
-    return float(np.sqrt(-2.0 * np.log(1.0 - share)))
+    return np.quantile(answers.deviations, share, axis=0) / ellipse_radius(share)
 
 
 def measured_dense(clean: DenseAnswers, damaged: DenseAnswers, dense: DensePoints) -> dict[str, Mapping[str, float]]:
@@ -77,6 +60,8 @@ def measured_dense(clean: DenseAnswers, damaged: DenseAnswers, dense: DensePoint
             for side, chosen in (("", front), (", turned", ~front)):
                 row[f"{kind}{side}"] = float(answers.errors_percent[chosen][:, list(which)].mean())
             for share in ELLIPSES:
-                row[f"{kind}, inside {share:.0%}"] = float((answers.deviations[:, list(which)] < radius(share)).mean())
+                row[f"{kind}, inside {share:.0%}"] = float(
+                    (answers.deviations[:, list(which)] < ellipse_radius(share)).mean()
+                )
         tables[name] = row
     return tables

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from workbench.face.default_head import load_default_head
+from workbench.face.dense_landmarks import EYEBALLS
 from workbench.face.model import FaceModel
 from workbench.files import atomic_path
 from workbench.geometry import camera_from_fov, rotation_matrix
@@ -48,7 +49,7 @@ def dense_points(model: FaceModel) -> DensePoints:
     group, open_to_view = _parts(model), _shown(model)
     spacing = np.array([SPACING_MM[name] for name in group])
     chosen = _farthest_first(model.neutral, model.mirror, spacing, open_to_view)
-    irises = [iris_vertices(model, eye) for eye in ("eyeR", "eyeL")]
+    irises = [iris_vertices(model, eye) for eye in EYEBALLS]
     vertices = np.concatenate([chosen, *irises])
     place = {vertex: order for order, vertex in enumerate(vertices.tolist())}
     mirror = np.array([place[vertex] for vertex in model.mirror[vertices].tolist()])

@@ -1,6 +1,6 @@
 """How good a landmark network is: error, closed eyes, open mouths and confidence on renders that it has not seen."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.stats import spearmanr
 
-from workbench.landmarks.scheme import GROUPS
-from workbench.training.augment import Hardness, augmented
+from workbench.landmarks.scheme import GROUPS, outer_eye_distance
+from workbench.landmarks.schemes import DensePoints
+from workbench.training.augment import Hardness, TrainingPicture, augmented
 from workbench.training.pool import Pool
 
 CLEAN = Hardness(framing=1.0, damage=0.0, occlusion=0.0)
@@ -24,38 +25,53 @@ Network = Callable[[UInt8[np.ndarray, "s s 3"]], tuple[Float[np.ndarray, "68 2"]
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
-    """What a network said of many pictures, and the truth."""
+class Found:
+    """Where a network said that points of many pictures are, and the truth."""
 
-    points: Float[np.ndarray, "n 68 2"]
-    mass: Float[np.ndarray, "n 68"]
-    truth: Float[np.ndarray, "n 68 2"]
+    points: Float[np.ndarray, "n k 2"]
+    truth: Float[np.ndarray, "n k 2"]
     angles_deg: Float[np.ndarray, "n 3"]
 
     @property
-    def errors_percent(self) -> Float[np.ndarray, "n 68"]:
+    def errors_percent(self) -> Float[np.ndarray, "n k"]:
         """Distances in percent of the outer-eye distance in the picture (which shrinks as the head turns)."""
-        unit = np.linalg.norm(self.truth[:, 45] - self.truth[:, 36], axis=-1)
-        return 100 * np.linalg.norm(self.points - self.truth, axis=-1) / unit[:, None]
+        return 100 * np.linalg.norm(self.points - self.truth, axis=-1) / outer_eye_distance(self.truth)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Answers(Found):
+    """What a landmark network said of many pictures, and the truth."""
+
+    mass: Float[np.ndarray, "n 68"]
+    """Probability around each of the 68 points."""
 
 
 def answers_of(
     network: Network, pool: Pool, count: int, side: int, hardness: Hardness = CLEAN, seed: int = 0
 ) -> Answers:
     """The network's answers on `count` augmented pictures of the pool, the same for the same seed."""
-    points, mass, truth, angles = [], [], [], []
+    rows = []
+    for made, angles in unseen_pictures(pool, count, side, hardness, seed):
+        points, mass = network(made.picture)
+        rows.append((points, made.landmarks, angles, mass))
+    return Answers(*columns(rows))
+
+
+def unseen_pictures(
+    pool: Pool, count: int, side: int, hardness: Hardness, seed: int, dense: DensePoints | None = None
+) -> Iterator[tuple[TrainingPicture, Float[np.ndarray, "3"]]]:
+    """Those with a face of `count` augmented pictures, each with yaw, pitch and roll in degrees."""
     for place in range(count):
         rng = np.random.default_rng([seed, place])
         index = int(rng.integers(len(pool)))
-        made = augmented(pool, index, rng, side, hardness)
-        if not made.is_face:
-            continue
-        answer = network(made.picture)
-        points.append(answer[0])
-        mass.append(answer[1])
-        truth.append(made.landmarks)
-        angles.append(pool.angles(index))
-    return Answers(*(np.asarray(part, np.float64) for part in (points, mass, truth, angles)))
+        made = augmented(pool, index, rng, side, hardness, dense)
+        if made.is_face:
+            yield made, pool.angles(index)
+
+
+def columns(rows: Sequence[tuple]) -> Iterator[Float[np.ndarray, "n ..."]]:
+    """An array of each column of these rows."""
+    return (np.asarray(part, np.float64) for part in zip(*rows, strict=True))
 
 
 def error_table(answers: Answers) -> dict[str, dict[str, float]]:

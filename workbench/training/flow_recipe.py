@@ -5,16 +5,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from workbench.files import atomic_path
 from workbench.flow import DisFlow, FarnebackFlow, NetworkFlow
-from workbench.networks import read_flow_network, read_weights, write_weights
+from workbench.networks import read_flow_network, read_weights
 from workbench.training.flow_measuring import flow_tables, measured_flow
 from workbench.training.flow_pool import make_pair_pool, open_pair_pool
 from workbench.training.flow_task import FlowTask
 from workbench.training.loop import Phase, TrainingPlan, train
 from workbench.training.report import curves_figure
+from workbench.training.shipping import write_shipped
 
 FLOW_PLAN = TrainingPlan(
     phases=(
@@ -68,11 +67,9 @@ def train_flow_network(
     pool, test = folder / "pairs", folder / "pairs_test"
     for path, pairs, seed in ((pool, recipe.pairs, PAIR_SEED), (test, recipe.test_pairs, PAIR_TEST_SEED)):
         make_pair_pool(path, pairs, seed, workers, lambda done, total: report(f"rendered {done} of {total} pairs"))
-    raw = read_weights(train(FlowTask(), pool, folder / "flow", recipe.plan, workers, device, report=report))
+    raw = train(FlowTask(), pool, folder / "flow", recipe.plan, workers, device, report=report)
     path = folder / "flow.safetensors"
-    notes = {"licence": "Apache-2.0", "data": "renders of the default head only", "seed": str(recipe.plan.seed)}
-    arrays = {name: array.astype(np.float16) for name, array in raw.arrays.items()}
-    write_weights(path, arrays, {**raw.metadata, **notes})
+    write_shipped(path, read_weights(raw), recipe.plan.seed)
     report("measuring on pairs that it has not seen")
     estimators = {
         "network": NetworkFlow(read_flow_network(path), recipe.side), "DIS": DisFlow(), "Farnebäck": FarnebackFlow()

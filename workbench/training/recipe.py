@@ -5,11 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from workbench.files import atomic_path
 from workbench.landmarks.schemes import DENSE_POINTS
-from workbench.networks import read_landmark_network, read_weights, write_weights
+from workbench.networks import read_landmark_network, read_weights
 from workbench.networks.dense_network import read_dense_network
 from workbench.networks.frozen import FrozenDenseNetwork
 from workbench.training.augment import TRAINING
@@ -22,6 +20,7 @@ from workbench.training.loop import Phase, TrainingPlan, train
 from workbench.training.measuring import looker, measured
 from workbench.training.pool import halves, make_pool, open_pool
 from workbench.training.report import write_dense_report, write_report
+from workbench.training.shipping import write_shipped
 
 LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
 FURTHER_LANDMARK_PLAN = TrainingPlan(
@@ -35,7 +34,6 @@ FURTHER_FINDER_PLAN = TrainingPlan(phases=(Phase(256, 1400, 16, 1.5e-3),), width
 DENSE_PLAN = TrainingPlan(phases=(Phase(256, 4500, 32, 1.5e-3),))
 POOL_SEED, TEST_SEED = 1, 1002
 TEST_PICTURES, EVALUATED, CALIBRATED = 960, 800, 1500
-LICENCE = "Apache-2.0"
 
 Report = Callable[[str], None]
 
@@ -83,12 +81,9 @@ def train_landmark_network(
     held_out = open_pool(test)
     report("calibrating the confidence")
     mass, confidence = calibration_of(answers_of(look, held_out, recipe.calibrated, side, TRAINING, seed=1))
-    weights = read_weights(raw)
-    arrays = {name: array.astype(np.float16) for name, array in weights.arrays.items()}
-    arrays |= {"calibration.mass": mass.astype(np.float32), "calibration.confidence": confidence.astype(np.float32)}
     path = folder / "landmarks.safetensors"
-    notes = {"licence": LICENCE, "data": "renders of the default head only", "seed": str(recipe.plan.seed)}
-    write_weights(path, arrays, {**weights.metadata, **notes})
+    calibration = {"calibration.mass": mass, "calibration.confidence": confidence}
+    write_shipped(path, read_weights(raw), recipe.plan.seed, **calibration)
     report("measuring on renders that it has not seen")
     numbers = measured(path, held_out, recipe.evaluated, side)
     with atomic_path(folder / "numbers.json") as temporary:
@@ -106,12 +101,9 @@ def train_face_finder(
 ) -> Path:
     """Make the face finder from the same pool: `folder/finder.safetensors`; resumes like the landmark network."""
     pool, _ = _pools(folder, recipe, workers, report)
-    raw = read_weights(
-        train(FinderTask(), pool, folder / "finder", recipe.plan, workers, device, report=report, start=recipe.start)
-    )
+    raw = train(FinderTask(), pool, folder / "finder", recipe.plan, workers, device, report=report, start=recipe.start)
     path = folder / "finder.safetensors"
-    arrays = {name: array.astype(np.float16) for name, array in raw.arrays.items()}
-    write_weights(path, arrays, {**raw.metadata, "licence": LICENCE, "data": "renders of the default head only"})
+    write_shipped(path, read_weights(raw), recipe.plan.seed)
     return path
 
 
@@ -132,11 +124,8 @@ def train_dense_network(
     look, (known, unseen) = FrozenDenseNetwork(read_dense_network(raw)), halves(open_pool(test))
     report("calibrating the deviations")
     factor = deviation_factor(dense_answers(look, known, DENSE_POINTS, recipe.calibrated, TRAINING, seed=1))
-    weights = read_weights(raw)
     path = folder / "dense.safetensors"
-    arrays = {name: array.astype(np.float16) for name, array in weights.arrays.items()}
-    arrays["deviation_factor"] = factor.astype(np.float32)
-    write_weights(path, arrays, {**weights.metadata, "licence": LICENCE, "data": "renders of the default head only"})
+    write_shipped(path, read_weights(raw), recipe.plan.seed, deviation_factor=factor)
     report("measuring on renders that it has not seen")
     look = FrozenDenseNetwork(read_dense_network(path))
     clean, damaged = (

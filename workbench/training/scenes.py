@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 
 from workbench.face.characters import Character
-from workbench.face.dense_landmarks import PUPIL_RING
+from workbench.face.dense_landmarks import pupil_vertices
 from workbench.face.dressed_head import DressedHead, WornPart
 from workbench.face.landmark_model import contour_blend
 from workbench.face.model import FaceModel
@@ -176,12 +176,6 @@ class FaceStudio:
         """Give the GL contexts back."""
         self.plain.close()
         self.dressed.close()
-
-
-def pupil_vertices(model: FaceModel) -> Int[np.ndarray, "2 p"]:
-    """The ring of each eyeball, the person's right one first, whose middle is the pupil's."""
-    eyes = [model.regions[name] for name in ("eyeR", "eyeL")]
-    return np.stack([eye[np.argsort(model.neutral[eye, 2])[:PUPIL_RING]] for eye in eyes])
 
 
 def random_lens(rng: np.random.Generator, width: float) -> Float[np.ndarray, "5"]:

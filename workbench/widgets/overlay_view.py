@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import anywidget
-import cv2
 import numpy as np
 import traitlets
 from jaxtyping import Float, Num, Shaped, UInt8
@@ -16,11 +15,9 @@ from workbench.errors import InputError, WorkbenchError
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.landmarks.schemes import scheme_of_count
 from workbench.widgets.browser_program import BROWSER, browser_program
+from workbench.widgets.encoded_pictures import layer_bytes, picture_bytes
 from workbench.widgets.head_view import scale_colors
 
-JPEG_QUALITY = 88
-LARGEST_SIDE = 2560
-"""Larger pictures are reduced to this side before sending; landmarks stay in pixels of the original."""
 SMALLEST_SCALE = 0.5
 """Smallest end of the automatic colour scale, so that a good fit does not look like a bad one."""
 CALM_STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
@@ -126,26 +123,6 @@ def read_event(content: object, count: int = len(IBUG68)) -> OverlayEvent | None
         return None
     x, y = (None if value is None else float(value) for value in place)
     return OverlayEvent(content["kind"], tuple(points), x, y)
-
-
-def picture_bytes(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    """JPEG of an RGB picture, reduced if it is very large."""
-    longest = max(rgb.shape[:2])
-    if longest > LARGEST_SIDE:
-        scale = LARGEST_SIDE / longest
-        size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
-        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    return cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-
-
-def layer_bytes(rgba: Shaped[np.ndarray, "..."] | None) -> bytes:
-    """PNG of a picture with transparency, uint8 (h, w, 4); empty for None. Raises `InputError` for another array."""
-    if rgba is None:
-        return b""
-    if rgba.ndim != 3 or rgba.shape[2] != 4 or rgba.dtype != np.uint8:
-        raise InputError(f"a layer must be uint8 of shape (h, w, 4); got {rgba.dtype} of shape {rgba.shape}")
-    pixels = cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA)
-    return cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
 class OverlayView(anywidget.AnyWidget):

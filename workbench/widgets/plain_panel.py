@@ -13,7 +13,7 @@ from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.panel_layout import classed, style_sheet
 from workbench.widgets.playground import PARTS, SEEN_WHOLE, SIDE_PX, jpeg
-from workbench.widgets.status_line import StatusLine, status_of
+from workbench.widgets.status_line import StatusLine
 
 SETTINGS_PX = 470
 
@@ -91,7 +91,7 @@ class PlainPanel(widgets.VBox):
         head = self._heads.submit(fit)  # drawn in parallel with the overlay
         seen = draw_overlay(*close_up(picture, fit, SIDE_PX), parts=PARTS) if fit.found else _middle(picture)
         self.image.value = jpeg(side_by_side(seen, head.result()[0]))
-        self.status.tell(status_of(fit, len(self.session)))
+        self.status.show_fit(fit, len(self.session))
 
 
 def _middle(picture: np.ndarray) -> np.ndarray:

@@ -35,6 +35,10 @@ class StatusLine(widgets.HTML):
         """Show a text of HTML."""
         self.value = f"<span title='{html.escape(re.sub('<[^>]*>', '', said), quote=True)}'>{said}</span>"
 
+    def show_fit(self, fit: FrameFit, frames: int, after: bool = False, flag: str = "") -> None:
+        """Show how good a fit is; see `status_of`."""
+        self.tell(status_of(fit, frames, after, flag))
+
     def failed(self, error: Exception) -> None:
         """Show an error, for example from a thread that cannot raise it to a caller; what was cancelled is none."""
         self.say(error_text(error), wrong=not isinstance(error, StoppedError))

@@ -1,5 +1,6 @@
 """Sweeps in the panel: an objective over one setting as a curve or over two as a map; a click takes a point."""
 
+import html
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -60,8 +61,12 @@ class SweepPage(widgets.HBox):
         self._build_controls()
         rows = [
             *(widgets.HBox([*choice.widgets, widgets.Label("values")], layout=one_row()) for choice in self._choices),
-            widgets.HBox([self.objective, self.frames, widgets.Label("frames"), self.go, self.stop], layout=one_row()),
-            self.progress, self.said, self.note,
+            widgets.HBox(
+                [widgets.Label("measure"), self.objective, widgets.Label("on"), self.frames, widgets.Label("frames"),
+                 self.go, self.stop],
+                layout=one_row(),
+            ),
+            self.meaning, self.progress, self.said, self.note,
         ]  # fmt: skip
         super().__init__(beside(rows, CONTROLS_PX, self.view), layout=widgets.Layout(height=f"{height_px}px"))
         classed(self, "fw-sweeps")
@@ -128,10 +133,11 @@ class SweepPage(widgets.HBox):
         self._choices = (self.first, self.second)
         self.first.name.observe(self._on_chosen, "value")
         self.objective = widgets.Dropdown(
-            options=[(f"{name}: {TABLE[name].says}", name) for name in self._measurable()], value="error",
-            tooltip="what is measured; less is better", layout=widgets.Layout(width="252px"),
+            options=[(name.replace("-", " "), name) for name in self._measurable()], value="error",
+            layout=widgets.Layout(width="132px"),
         )  # fmt: skip
         self.objective.observe(self._on_objective, "value")
+        self.meaning = classed(widgets.HTML(), "fw-meaning")
         self.frames = widgets.BoundedIntText(
             min(FRAMES, len(self._session)), min=1, max=len(self._session), tooltip="frames, spread over the clip",
             layout=widgets.Layout(width="62px"),
@@ -158,7 +164,8 @@ class SweepPage(widgets.HBox):
 
     def _explain(self) -> None:
         row = TABLE[self.objective.value]
-        self.objective.tooltip = f"{row.says}; cannot see: {row.blind}"
+        self.meaning.value = html.escape(f"{row.says[0].upper()}{row.says[1:]}; less is better.")
+        self.meaning.tooltip = self.objective.tooltip = f"{row.says}; cannot see: {row.blind}"
 
     # --- what the user does ---
 

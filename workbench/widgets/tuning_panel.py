@@ -3,40 +3,21 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import ipywidgets as widgets
 import numpy as np
 
-from workbench.session import FittedHead, TuningSession
+import workbench
+from workbench.session import TuningSession
 from workbench.session.gesture import Gesture
 from workbench.session.knobs import changed_by, label_of
-from workbench.tracking import FrameFit
-from workbench.widgets.changes_page import ChangesPage
-from workbench.widgets.clip_bar import ClipBar
-from workbench.widgets.clip_views import ClipViews
-from workbench.widgets.compare_page import ComparePage
-from workbench.widgets.controls import Controls
-from workbench.widgets.export_dialog import ExportDialog
-from workbench.widgets.film_strip import FilmStrip
-from workbench.widgets.frame_diagnosis import FrameDiagnosis
-from workbench.widgets.head_column import HeadColumn
-from workbench.widgets.history_bar import HistoryBar
-from workbench.widgets.iterations import Iterations
-from workbench.widgets.landmark_tools import LandmarkTools
+from workbench.widgets.encoded_pictures import picture_bytes
 from workbench.widgets.late_parts import LateParts
 from workbench.widgets.latest import LatestWins
-from workbench.widgets.overlay_view import picture_bytes
 from workbench.widgets.panel_layout import arranged, classed, on_turn, style_sheet, tabs, unloaded_note
-from workbench.widgets.panel_page import PanelPage
-from workbench.widgets.shared_scale import SharedScale
-from workbench.widgets.slow_jobs import SlowJobs
-from workbench.widgets.status_line import StatusLine, status_of
-from workbench.widgets.sweep_page import SweepPage
-from workbench.widgets.time_page import TimePage
 from workbench.widgets.time_part import AFTER
-from workbench.widgets.transport import Transport
-from workbench.widgets.tune_page import TunePage
 from workbench.widgets.waiting import Waiting, Work, nothing
 
 HEAD_SIZE, TABS_PX = (304, 308), 170
@@ -71,7 +52,7 @@ class TuningPanel(LateParts):
 
     def __init__(self, session: TuningSession, backend: str = "auto") -> None:
         self.session, self.frame, self.is_clip = session, 0, len(session) > 1
-        self.fit: FrameFit | None = None
+        self.fit: workbench.tracking.FrameFit | None = None
         self._held, self._backend, self._shown = "", backend, threading.Event()
         super().__init__([style_sheet(), classed(widgets.Image(value=picture_bytes(session.picture(0))), "fw-first")])
         classed(self, "fw-panel", "fw-whole")
@@ -110,12 +91,14 @@ class TuningPanel(LateParts):
     # --- parts ---
 
     def _make_parts(self) -> None:
-        self.status = classed(StatusLine(), "fw-status")
+        from workbench.widgets import panel_parts as parts  # here: the first frame is shown without them
+
+        self.status = classed(parts.StatusLine(), "fw-status")
         self.say, self.waiting = self.status.say, Waiting()
         self._worker: LatestWins[Show] = LatestWins(self._refit, self._failed, "panel-fit")
-        self._slow = SlowJobs(self._failed, "panel-slow")
-        self._build_views(self._backend)
-        self._build_controls()
+        self._slow = parts.SlowJobs(self._failed, "panel-slow")
+        self._build_views(parts, self._backend)
+        self._build_controls(parts)
         shown = (self._clip_bar, self._worker, self.overlay, self.head, self.compare)
         self._workers = (self._slow, self.time, self.sweep, self.tune, *shown)
         self._leave = self.session.listen(self._on_session)
@@ -132,37 +115,38 @@ class TuningPanel(LateParts):
         for worker in self._workers:
             worker.close()
 
-    def _build_views(self, backend: str) -> None:
+    def _build_views(self, parts: ModuleType, backend: str) -> None:
         # Shown first, because a browser gives their programs two seconds to load, too little next to hundreds of
         # controls or during the layout of the panel. A view that loads later would never hear from the kernel.
-        session, head = self.session, FittedHead(self.session.model)
-        self.page, self.clip = PanelPage(keys=True), ClipViews(session, self.go)
-        self._iterations = Iterations(session, self.status, self._redraw, TABS_PX)
+        session, head = self.session, parts.FittedHead(self.session.model)
+        self.page, self.clip = parts.PanelPage(keys=True), parts.ClipViews(session, self.go)
+        self._iterations = parts.Iterations(session, self.status, self._redraw, TABS_PX)
         self.energy, self.stages = self._iterations.energy, self._iterations.stages
-        self._diagnosing = FrameDiagnosis(session, self.status, self._later, lambda: self.frame, TABS_PX)
+        self._diagnosing = parts.FrameDiagnosis(session, self.status, self._later, lambda: self.frame, TABS_PX)
         self.diagnosis = self._diagnosing.view
-        self.time = TimePage(session, self._on_knob, self.go, self._redraw, self.clip)
-        self.overlay = LandmarkTools(session, head, self.say, self.waiting, self._redraw)
-        self.scale = SharedScale(self.overlay.view, self.clip.timeline, self.overlay.in_percent, self._redraw)
-        self.head = HeadColumn(
+        self.time = parts.TimePage(session, self._on_knob, self.go, self._redraw, self.clip)
+        self.overlay = parts.LandmarkTools(session, head, self.say, self.waiting, self._redraw)
+        self.scale = parts.SharedScale(self.overlay.view, self.clip.timeline, self.overlay.in_percent, self._redraw)
+        self.head = parts.HeadColumn(
             session, head, HEAD_SIZE, backend, self._diagnosing.uncertainty, self.waiting, self._redraw,
             lambda: self.scale.end,
         )  # fmt: skip
         self.overlay.view.observe(lambda change: self.head.show_webgl(change["new"]), "webgl")
-        self.compare = ComparePage(session, backend, self.waiting, self._later, self._failed)
-        self.sweep, self.tune = (page(session, self._worker.wait_idle, TABS_PX) for page in (SweepPage, TunePage))
+        self.compare = parts.ComparePage(session, backend, self.waiting, self._later, self._failed)
+        self.sweep = parts.SweepPage(session, self._worker.wait_idle, TABS_PX)
+        self.tune = parts.TunePage(session, self._worker.wait_idle, TABS_PX)
 
-    def _build_controls(self) -> None:
+    def _build_controls(self, parts: ModuleType) -> None:
         session = self.session
-        self.controls = Controls(session.base, self._on_knob)
+        self.controls = parts.Controls(session.base, self._on_knob)
         self.controls.add("time", self.time.widget, self.time.knobs, session.config)
-        self.changes = ChangesPage(session, TABS_PX)
-        self.history = HistoryBar(session, self.status)
-        self.export_dialog = ExportDialog(session, self._slow.submit, self.page.download)
-        self._clip_bar = ClipBar(
+        self.changes = parts.ChangesPage(session, TABS_PX)
+        self.history = parts.HistoryBar(session, self.status)
+        self.export_dialog = parts.ExportDialog(session, self._slow.submit, self.page.download)
+        self._clip_bar = parts.ClipBar(
             session, self.clip, lambda: self._worker.submit(Show(self.frame)), self.changes.show, self._failed
         )
-        self.transport = Transport(self._clip_bar, self.step, lambda: self.frame, self.time.played)
+        self.transport = parts.Transport(self._clip_bar, self.step, lambda: self.frame, self.time.played)
         self.page.on_reset(self.controls.reset)
         self.page.on_key(lambda action: self.status.guarded(actions_of(self)[action]))
         # For scripts to press and read.
@@ -171,7 +155,7 @@ class TuningPanel(LateParts):
         self.file, self.export, self.overwrite, _, self.exported = self.export_dialog.settings.widgets
         self.run_clip, self.follow, self.cancel, self.progress = self._clip_bar.widgets
 
-        self.strip = FilmStrip(self.session)
+        self.strip = parts.FilmStrip(self.session)
         self.tabs = tabs(pages_of(self))
         on_turn(self.tabs, {"Compare": self.compare.turned, "Sweep": self.sweep.turned})
 
@@ -246,13 +230,13 @@ class TuningPanel(LateParts):
         self._shown.set()
         if self._worker.wait_newer(PAUSE_S):
             return
-        self.status.tell(status_of(fit, len(session), self.time.side == AFTER, self.clip.why(frame)))
+        self.status.show_fit(fit, len(session), self.time.side == AFTER, self.clip.why(frame))
         if fit.found:
             self._iterations.show(fit, session.explain_frame(frame)[1], request.steps)
             self.strip.show_frame(frame)
             self.compare.show_frame(frame)
 
-    def _show(self, fit: FrameFit) -> None:
+    def _show(self, fit: "workbench.tracking.FrameFit") -> None:
         self.fit, self._iterations.found = fit, fit.found
         self.overlay.show(fit)
         if note := self.time.note_of(fit):

@@ -1,0 +1,118 @@
+"""What Deep Energies is run on: N(F*) in place of a detector's landmarks, and several cameras."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from workbench.config import Config
+from workbench.errors import InputError
+from workbench.geometry import read_rig
+from workbench.landmarks.observations import Landmarks2D, of_ibug68
+from workbench.landmarks.scheme import IBUG68
+from workbench.pipeline.picture_source import PictureSource
+from workbench.pipeline.sources import FileSource, open_source
+from workbench.tracking import FrameObservation
+from workbench.tracking.deep_target import energy_network, photo_landmarks
+from workbench.tracking.observation import PicturePair
+
+
+class DeepSource:
+    """Another source's frames with N(F*) in place of the detector's landmarks."""
+
+    def __init__(self, source: PictureSource | FileSource, config: Config):
+        self._source = source
+        self._network = energy_network(config.deep.network)
+        self.frames, self.image_size, self.detector = source.frames, source.image_size, source.detector
+        self.count, self.single_picture = source.count, source.single_picture
+        self.views, self.scheme = source.views, IBUG68
+        self._without_pictures = False
+
+    def notes(self) -> list[str]:
+        given = "Without pictures the given landmarks stand for what the network would see in them."
+        return [*self._source.notes(), *([given] if self._without_pictures else [])]
+
+    def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
+        for observation in self._source.observations(start, state, stills):
+            landmarks = self._target(observation.picture, observation.landmarks)
+            yield replace(observation, landmarks=landmarks)
+
+    def state(self) -> dict[str, np.ndarray]:
+        return self._source.state()
+
+    def _target(self, picture: np.ndarray | None, landmarks: Landmarks2D | None) -> Landmarks2D | None:
+        if landmarks is None:
+            return None
+        if picture is None:
+            self._without_pictures = True
+            return of_ibug68(landmarks)
+        return photo_landmarks(self._network, picture, landmarks)
+
+
+class RigSource:
+    """Clips of one performance from several cameras, frame by frame; pictures are those of the first view."""
+
+    def __init__(self, sources: Sequence["DeepSource"], names: Sequence[str]):
+        self._sources, self._names = sources, names
+        reference = sources[0]
+        self.frames, self.image_size, self.detector = reference.frames, reference.image_size, reference.detector
+        counts = [source.count for source in sources if source.count is not None]
+        self.count = min(counts) if counts else None
+        self.single_picture = all(source.single_picture for source in sources)
+        self.views, self.scheme = [source.frames for source in sources], IBUG68
+
+    def notes(self) -> list[str]:
+        counts = {name: source.count for name, source in zip(self._names, self._sources, strict=True)}
+        unequal = len({count for count in counts.values() if count is not None}) > 1
+        listed = ", ".join(f"{name}: {count}" for name, count in counts.items())
+        uneven = [f"The views have different numbers of frames ({listed}); the shortest counts."] if unequal else []
+        return [*dict.fromkeys(note for source in self._sources for note in source.notes()), *uneven]
+
+    def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
+        streams = [source.observations(start, {}, stills) for source in self._sources]
+        # Not strict: the shortest clip ends the run.
+        for reference, *others in zip(*streams, strict=False):
+            motion = _joined([reference.motion, *(other.motion for other in others)])
+            yield replace(reference, others=tuple(other.landmarks for other in others), motion=motion)
+
+    def state(self) -> dict[str, np.ndarray]:
+        return {}
+
+
+def _joined(motions: Sequence[PicturePair | None]) -> PicturePair | None:
+    """The pairs of all views as one; None where a view has none."""
+    if any(motion is None for motion in motions):
+        return None
+    return PicturePair(*(tuple(chain(*pictures)) for pictures in zip(*motions, strict=True)))
+
+
+def open_deep_source(
+    paths: list[Path],
+    config: Config,
+    landmarks: Path | None,
+    frames: tuple[int, int] | None = None,
+    views: Mapping[str, Path] = MappingProxyType({}),
+) -> DeepSource | RigSource:
+    """The source of a Deep Energies run; `views` are the clips of a rig's other cameras by the views' names.
+
+    Raises `InputError` for views that the rig does not have or that are missing.
+    """
+    reference = open_source(paths, config, landmarks, frames, keep_pictures=True)
+    if not config.camera.rig:
+        if views:
+            raise InputError("Clips of several views need their calibration; name the rig file (camera.rig, --rig).")
+        return DeepSource(reference, config)
+    names = read_rig(config.camera.rig).names
+    unknown = [name for name in views if name not in names[1:]]
+    missing = [name for name in names[1:] if name not in views]
+    if unknown or missing:
+        what = f"has no view {unknown[0]!r}" if unknown else f"needs the clip of its view {missing[0]!r}"
+        raise InputError(
+            f"The rig {what}; the input is its first view {names[0]!r}, and the others ({', '.join(names[1:])}) are "
+            "given as --view NAME=CLIP."
+        )
+    others = [open_source([views[name]], config, None, frames, keep_pictures=True) for name in names[1:]]
+    return RigSource([DeepSource(source, config) for source in (reference, *others)], names)

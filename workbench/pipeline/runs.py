@@ -1,0 +1,385 @@
+"""The main job: pictures, a video or a landmark file in; a folder with the track, tables and pictures out."""
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from workbench.config import Config, write_config
+from workbench.errors import InputError, OutputError
+from workbench.export import summary_of, write_parameter_table, write_summary
+from workbench.export.sources import input_files
+from workbench.face import FaceModel, dressed_as, in_scheme
+from workbench.frames import Frames, ImageFrames
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
+from workbench.pictures.overlay_files import write_overlay_video
+from workbench.pipeline.deep_run import track_deep_frames, write_strips
+from workbench.pipeline.deep_sources import open_deep_source
+from workbench.pipeline.output_folder import FILES, PARTS, PICTURE_FOLDERS, UNREFINED, run_folder
+from workbench.pipeline.provenance import content_hash, software_versions
+from workbench.pipeline.sources import open_source
+from workbench.pipeline.still_pictures import StillPictures
+from workbench.pipeline.temporal_run import Step, over_time, views_of, wanted_steps, worked_meta
+from workbench.planning import plan_of
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameFit, Track
+from workbench.tracking.flow_fitter import FlowFitter
+from workbench.tracking.track_layout import model_record, scheme_of, scheme_record
+from workbench.tracking.track_reader import TrackReader
+from workbench.tracking.track_writer import TrackWriter, has_parts
+from workbench.tracking.unwatched import silent
+from workbench.workers import ThisProcess, Workers, working
+
+Progress = Callable[[str, int, int | None], None]
+"""Called with the name of a step, the frames done, and the frames in all if known."""
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run leaves behind."""
+
+    folder: Path
+    summary: dict[str, Any]
+    files: tuple[Path, ...]
+    notes: tuple[str, ...] = field(default=())
+    """What a user should know: a damaged file, pictures that could not be made as they should."""
+
+    @property
+    def track(self) -> Track:
+        """The track, read from its file."""
+        return Track.load(self.folder / "track.npz")
+
+
+def track(
+    inputs: str | Path | Sequence[str | Path],
+    folder: str | Path,
+    model: FaceModel,
+    config: Config,
+    *,
+    stills: bool = False,
+    pictures: bool = True,
+    resume: bool = False,
+    overwrite: bool = False,
+    landmarks: Path | None = None,
+    frames: tuple[int, int] | None = None,
+    views: Mapping[str, Path] = MappingProxyType({}),
+    workers: int | Workers = 1,
+    progress: Progress | None = None,
+) -> RunResult:
+    """Track a video, a folder, photos or a landmark file into `folder`; see `OUTPUTS` for what it holds afterwards.
+
+    `stills` treats every picture on its own. `landmarks` is a file with the landmarks of the pictures: no detector
+    runs. `frames` are the first and last one of a part. `views` are the clips of a rig's other cameras by the views'
+    names, `workers` how many processes fit, or who does (`workbench.workers`); both are for Deep Energies. `resume`
+    goes on with an interrupted run of the same input and configuration, `overwrite` replaces what an earlier run left.
+    A run that was interrupted, however, keeps its finished parts for that. Raises `InputError` for an input that cannot
+    be used, `OutputError` for a folder that cannot be written, holds another run, or whose files are inputs, and
+    `LostSchedulerError`.
+    """
+    paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
+    if not paths:
+        raise InputError("There is nothing to track; name a photo, a folder, a video or a landmark file.")
+    alone = workers == 1 or isinstance(workers, ThisProcess)
+    if not config.traits.renders and (views or not alone):
+        raise InputError("Several views and several processes belong to Deep Energies; add --preset deep.")
+    files = [*paths, *views.values(), *_given(landmarks), *_given(config.camera.rig)]
+    job = _Job(Path(folder), model, config, pictures, resume, overwrite, workers, progress or silent)
+    with run_folder(job.folder, files, resume, overwrite):
+        if config.traits.renders:
+            source = open_deep_source(paths, config, landmarks, frames, views)
+        else:
+            source = open_source(paths, config, landmarks, frames, keep_pictures=stills and pictures)
+        stills = stills or source.single_picture
+        job = replace(job, model=in_scheme(model, source.scheme))
+        meta = _meta([*paths, *views.values()], landmarks, job.model, config, stills, source)
+        meta["frames"] = None if frames is None else list(frames)
+        meta["views"] = {name: str(path) for name, path in views.items()}
+        return _finished(job, meta) or _run(job, source, meta, stills)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What a call of `track` asks for, apart from its input."""
+
+    folder: Path
+    model: FaceModel
+    config: Config
+    pictures: bool
+    resume: bool
+    overwrite: bool
+    workers: int | Workers
+    progress: Progress
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        return wanted_steps(self.config)
+
+    @property
+    def fits_path(self) -> Path:
+        """Where the fits of single frames go."""
+        return self.folder / (UNREFINED if self.steps else "track.npz")
+
+
+def _given(path: str | Path | None) -> tuple[Path, ...]:
+    return (Path(path),) if path else ()
+
+
+def _finished(job: _Job, meta: dict[str, Any]) -> RunResult | None:
+    """The result of a run to be resumed that has nothing left to do; None for others.
+
+    Raises `OutputError` where the folder holds a finished run of something else.
+    """
+    stored = job.folder / "track.npz"
+    if not job.resume or not stored.exists() or has_parts(job.fits_path, _fingerprint(meta)):
+        return None
+    reader = TrackReader(stored)
+    made = {name: value for name, value in reader.meta.items() if name not in ("format", "format_version")}
+    if _fingerprint(made) == _fingerprint(worked_meta(meta, job.config, job.steps) if job.steps else meta):
+        files = [path for path in map(job.folder.joinpath, FILES) if path.exists()]
+        drawn = [path for name in PICTURE_FOLDERS for path in sorted((job.folder / name).glob("*.jpg"))]
+        for name in PARTS:
+            shutil.rmtree(job.folder / name, ignore_errors=True)
+        note = "This run was finished before, and nothing was left to do; --overwrite repeats it."
+        return RunResult(job.folder, summary_of(reader.blocks(), None), (*files, *drawn), (note,))
+    if job.overwrite:
+        return None
+    raise OutputError(
+        f"{job.folder} holds a finished run of another input or configuration; name another folder, or replace it by "
+        "--overwrite."
+    )
+
+
+def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
+    folder, model, config, progress, steps = job.folder, job.model, job.config, job.progress, job.steps
+    if steps and stills:
+        raise InputError("Unrelated photos have no neighbours in time; leave infill and refinement out, or --stills.")
+    if steps:
+        # Settings of the flow that cannot be used are refused before a clip is fitted for nothing.
+        FlowFitter(model, plan_of(config, model.scheme))
+    # A character that cannot be drawn is refused before a clip is fitted for nothing.
+    dressed = dressed_as(config.head.character, model) if job.pictures else None
+    tracker = FaceTracker(model, config, stills=stills)
+    tracker.warm_up(source.image_size)
+    writer = TrackWriter(job.fits_path, meta, _fingerprint(meta), job.resume)
+    began, already, strips = time.perf_counter(), len(writer), []
+    deep = config.traits.renders
+    notes, files = [], ()
+    with ExitStack() as stack:
+        drawn = None
+        if stills and job.pictures:
+            drawn = stack.enter_context(StillPictures(source, model, meta["names"], folder, dressed))
+            drawn.add_missing(writer)
+        try:
+            if deep:
+                workers = stack.enter_context(working(job.workers))
+                strips = track_deep_frames(source, tracker, writer, stills, workers, progress, drawn)
+            else:
+                _track_frames(source, tracker, writer, stills, progress, drawn)
+            if not len(writer):
+                raise InputError(f"{meta['inputs'][0]['path']} holds no frame to track; check that it plays.")
+        except InputError:
+            if not len(writer):
+                writer.discard()
+            raise
+        if drawn is not None:
+            files, notes = drawn.files(len(writer)), drawn.notes()
+    written = writer
+    if steps:
+        written = _over_time(_fits(writer), source.views, model, config, steps, meta, folder, progress, len(writer))
+    seconds = time.perf_counter() - began
+    summary = summary_of(written.tracks(), seconds if not already else None)
+    notes = [*source.notes(), *notes]
+    files = _write_tables(written, summary, model, config, folder) + files
+    if job.pictures and deep:
+        files += write_strips(strips, tracker.fitter, folder, progress)
+    if job.pictures and not stills:
+        files += _write_film(source.frames, written, model, dressed, folder, progress, notes)
+    for finished in dict.fromkeys((writer, written)):  # track.npz comes last: with it a run is finished
+        finished.close()
+    kept = (folder / UNREFINED,) if steps else ()
+    return RunResult(folder, summary, (folder / "track.npz", *kept, *files), tuple(notes))
+
+
+def retrack(
+    stored: str | Path,
+    folder: str | Path,
+    model: FaceModel,
+    config: Config,
+    steps: Sequence[Step],
+    *,
+    pictures: bool = True,
+    overwrite: bool = False,
+    clip: Path | None = None,
+    views: Mapping[str, Path] = MappingProxyType({}),
+    progress: Progress | None = None,
+) -> RunResult:
+    """Infill, refine or re-estimate a stored track into `folder`: a new track and the tables of `track`.
+
+    `config` is the track's own (`config_of`) with changes; `clip` and `views` say where the pictures are now, where
+    they were moved. `overwrite` replaces what an earlier run left. Raises `InputError` for a track, model or pictures
+    that cannot be used, and `OutputError` as `track` does.
+    """
+    folder, progress = Path(folder), progress or silent
+    reader = TrackReader(stored)
+    check_model(reader.meta, model)
+    model = in_scheme(model, scheme_of(reader.meta))
+    if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
+        raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
+    dressed = dressed_as(config.head.character, model) if pictures else None
+    opened = views_of(reader.meta, config, clip, views)
+    inputs = [reader.path, *_given(clip), *views.values(), *_given(config.camera.rig), *input_files(reader.meta)]
+    with run_folder(folder, inputs, False, overwrite):
+        began = time.perf_counter()
+        origin = {"path": str(reader.path), "sha256": content_hash(reader.path)}
+        meta = {**reader.meta, "track": origin}
+        writer = _over_time(reader, opened, model, config, steps, meta, folder, progress, len(reader))
+        summary = summary_of(writer.tracks(), time.perf_counter() - began)
+        files = _write_tables(writer, summary, model, config, folder)
+        notes = [note for frames in opened for note in frames.notes]
+        if pictures and opened:
+            files += _write_film(opened[0], writer, model, dressed, folder, progress, notes)
+        writer.close()
+        return RunResult(folder, summary, (folder / "track.npz", *files), tuple(notes))
+
+
+def check_model(meta: Mapping[str, Any], model: FaceModel) -> None:
+    """Raise `InputError` unless a track was made with this face model."""
+    made = meta.get("model", {})
+    if made.get("sha256") not in (None, model.fingerprint()):
+        raise InputError(f"The track was made with the face model {made.get('name')!r}; pass that one with --model.")
+
+
+def _over_time(
+    fits: Iterable[FrameFit], views, model, config, steps, meta, folder: Path, progress: Progress, total: int
+) -> TrackWriter:
+    """The writer of the new track, all of its frames in it."""
+    meta = worked_meta(meta, config, steps)
+    writer = TrackWriter(folder / "track.npz", meta, _fingerprint(meta))
+    try:
+        for fit in over_time(fits, views, model, config, steps, progress, total):
+            writer.add(fit)
+            if writer.wants_part():
+                writer.write_part({})
+        writer.write_part({})
+    except BaseException:
+        writer.discard()
+        raise
+    return writer
+
+
+def _fits(writer: TrackWriter) -> Iterator[FrameFit]:
+    for part in writer.tracks():
+        yield from (part[position] for position in range(len(part)))
+
+
+def _track_frames(
+    source,
+    tracker: FaceTracker,
+    writer: TrackWriter,
+    stills: bool,
+    progress: Progress,
+    drawn: StillPictures | None = None,
+) -> None:
+    state = writer.state()
+    if len(writer):
+        tracker.restore(_prefixed(state, "tracker/"))
+    observations = source.observations(len(writer), _prefixed(state, "landmarks/"), stills)
+    done = len(writer)
+
+    def store() -> None:
+        # Only between frames that are all fitted do tracker, landmarks and written frames stand at one place.
+        of_tracker = tracker.state()
+        if drawn is not None:
+            drawn.flush()  # the frames of a part have their pictures
+        if of_tracker is not None:
+            of_landmarks = {f"landmarks/{name}": value for name, value in source.state().items()}
+            writer.write_part({f"tracker/{name}": value for name, value in of_tracker.items()} | of_landmarks)
+
+    try:
+        for observation in observations:
+            for fit in tracker.push(observation):
+                if drawn is not None:
+                    drawn.add(observation, fit)  # a still is fitted as soon as it comes
+                writer.add(fit)
+            done += 1
+            progress("track", done, source.count)
+            if writer.wants_part():
+                store()
+    except KeyboardInterrupt:
+        store()
+        raise
+    for fit in tracker.finish():
+        writer.add(fit)
+    store()
+
+
+def _prefixed(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
+
+
+def _write_tables(writer, summary, model, config, folder: Path) -> tuple[Path, ...]:
+    write_summary(summary, folder / "summary.json")
+    write_parameter_table(writer.tracks(), model.expression_names, folder / "parameters.csv")
+    with LandmarkCsvWriter(folder / "landmarks.csv", confidence=False, scheme=model.scheme) as table:
+        for position in range(len(writer)):
+            table.write(landmark_record(writer[position]))
+    write_config(config, folder / "config.toml")
+    return tuple(folder / name for name in ("summary.json", "parameters.csv", "landmarks.csv", "config.toml"))
+
+
+def landmark_record(fit: FrameFit) -> LandmarkRecord:
+    """The observed landmarks of a fit as a row of a landmark file."""
+    return LandmarkRecord(fit.index, f"frame-{fit.index}", fit.landmarks, fit.image_size)
+
+
+def _write_film(frames, writer, model, dressed, folder, progress, notes) -> tuple[Path, ...]:
+    path = folder / "overlay.mp4"
+
+    def drawn(done: int, total: int) -> None:
+        progress("overlay", done, total)
+
+    note = write_overlay_video(frames, writer, model, path, drawn, dressed=dressed)
+    notes += [note] if note else []
+    return (path,)
+
+
+def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, stills: bool, source) -> dict[str, Any]:
+    return {
+        "expression_names": list(model.expression_names),
+        "stages": [stage.name for stage in config.stages if stage.enabled],
+        "config": json.loads(config.model_dump_json()),
+        "inputs": [{"path": str(path), "sha256": content_hash(path)} for path in paths],
+        "landmarks": None if landmarks is None else {"path": str(landmarks), "sha256": content_hash(landmarks)},
+        "detector": source.detector,
+        "names": _names(source.frames) if stills else [],
+        "stills": stills,
+        "rate": source.frames.rate,
+        "camera_guessed": config.camera.guessed,
+        "model": model_record(model),
+        **scheme_record(model.scheme),
+        "versions": software_versions(),
+    }
+
+
+def _names(frames: Frames) -> list[str]:
+    if isinstance(frames, ImageFrames):
+        return [path.name for path in frames.paths]  # reading large photos once more for this would take long
+    return [frame.name for frame in frames.iterate()]
+
+
+def _fingerprint(meta: dict[str, Any]) -> str:
+    """The metadata holds all that a run depends on: inputs, configuration, model, versions.
+
+    Of the detector only which one ran counts, not whether it was asked for by name or by "auto".
+    """
+    landmarks = {**meta["config"]["landmarks"], "detector": meta["detector"]}
+    run = {**meta, "config": {**meta["config"], "landmarks": landmarks}}
+    return hashlib.sha256(json.dumps(run, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,34 @@
+"""The material of a stored run."""
+
+from pathlib import Path
+
+from workbench.export.sources import tracked_part
+from workbench.frames import open_frames
+from workbench.pipeline import is_landmark_file
+from workbench.session.material import Material, PictureStore
+from workbench.tracking import FrameObservation, Track
+from workbench.tracking.records import SOURCES
+
+
+def material_of_track(track: Track) -> Material:
+    """The landmarks of a stored run, with its pictures if the files still exist.
+
+    Points that the run's configuration moved by hand keep those positions.
+    """
+    inputs = tuple(Path(item["path"]) for item in track.meta.get("inputs", []))
+    stored = track.meta.get("landmarks")
+    observations = []
+    for k in range(len(track)):
+        fit = track[k]
+        landmarks = fit.landmarks
+        cut = k > 0 and bool(track.shot[k] != track.shot[k - 1])
+        source, times = SOURCES[int(track.source[k])], (float(fit.milliseconds[0]), float(fit.milliseconds[1]))
+        observations.append(FrameObservation(fit.index, landmarks, fit.image_size, source, cut, times))
+    frames = None
+    if inputs and all(path.exists() and not is_landmark_file(path) for path in inputs):
+        frames = tracked_part(open_frames(inputs if len(inputs) > 1 else inputs[0]), track.meta)
+    sizes = [observation.image_size for observation in observations]
+    name = inputs[0].stem if inputs else "track"
+    file = None if stored is None else Path(stored["path"])
+    stills = bool(track.meta.get("stills", False))
+    return Material(name, tuple(observations), PictureStore(frames, sizes), stills, inputs, file)

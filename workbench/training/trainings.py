@@ -1,0 +1,50 @@
+"""The recipes by the name of the network that they make."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+from workbench.errors import InputError
+from workbench.training.flow_recipe import QUICK_FLOW, FlowRecipe, train_flow_network
+from workbench.training.recipe import (
+    DENSE_PLAN,
+    FINDER_PLAN,
+    FURTHER_FINDER_PLAN,
+    FURTHER_LANDMARK_PLAN,
+    QUICK,
+    QUICK_DENSE,
+    Recipe,
+    train_dense_network,
+    train_face_finder,
+    train_landmark_network,
+)
+
+
+@dataclass(frozen=True)
+class Training:
+    """A network's recipe, in its sizes."""
+
+    make: Callable[..., Path]
+    """Called with the folder, a recipe, the number of processes, the device and a function that hears of progress."""
+    whole: Recipe | FlowRecipe
+    quick: Recipe | FlowRecipe
+    further: Recipe | None
+    """For weights that are there already; None: it begins from nothing only."""
+
+    def recipe(self, quick: bool, start: Path | None) -> Recipe | FlowRecipe:
+        """The recipe to follow. Raises `InputError` for weights to start from where there is no plan for going on."""
+        if not start:
+            return self.quick if quick else self.whole
+        if quick or not self.further:
+            raise InputError(f"{'a quick run' if quick else 'this network'} is trained from nothing: leave out --start")
+        return replace(self.further, start=start)
+
+
+TRAININGS: Mapping[str, Training] = MappingProxyType({
+    "landmarks": Training(train_landmark_network, Recipe(), QUICK, Recipe(plan=FURTHER_LANDMARK_PLAN)),
+    "finder": Training(train_face_finder, Recipe(plan=FINDER_PLAN), QUICK, Recipe(plan=FURTHER_FINDER_PLAN)),
+    "dense": Training(train_dense_network, Recipe(plan=DENSE_PLAN), QUICK_DENSE, Recipe(plan=DENSE_PLAN)),
+    "flow": Training(train_flow_network, FlowRecipe(), QUICK_FLOW, None),
+})  # fmt: skip
+"""By what `workbench train` calls the network."""
