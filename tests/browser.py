@@ -12,7 +12,7 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from urllib.parse import urlparse
@@ -79,6 +79,8 @@ class LabServer:
     choices: Path
     """Where it keeps what a user chooses, the theme for one."""
     room: str = ""
+    kept: set[str] = field(default_factory=set)
+    """Sessions whose kernels outlive a test file."""
 
     @property
     def folder(self) -> Path:
@@ -100,16 +102,33 @@ class LabServer:
             shutil.rmtree(self.choices, ignore_errors=True)
 
     def end_kernels(self) -> None:
-        """End every kernel of the server."""
-        with self._ask("GET", "kernels") as answer:
-            running = json.load(answer)
-        for kernel in running:
-            self._ask("DELETE", f"kernels/{kernel['id']}").close()
+        """End every kernel of the server but those that are kept."""
+        sessions = self._ask("GET", "sessions")
+        kept = {session["kernel"]["id"] for session in sessions if session["id"] in self.kept}
+        for kernel in self._ask("GET", "kernels"):
+            if kernel["id"] not in kept:
+                self._ask("DELETE", f"kernels/{kernel['id']}")
 
-    def _ask(self, method: str, what: str):
+    def keep_kernel(self, notebook: str) -> None:
+        """Give a notebook the kernel that is kept, or a new one that is kept from now on."""
+        wanted = {"path": f"{self.room}/{notebook}", "name": notebook, "type": "notebook"}
+        if self.kept:
+            self._ask("PATCH", f"sessions/{next(iter(self.kept))}", wanted)
+        else:
+            self.kept.add(self._ask("POST", "sessions", wanted | {"kernel": {"name": "python3"}})["id"])
+
+    def end_kept(self) -> None:
+        """Keep no kernel."""
+        while self.kept:
+            self._ask("DELETE", f"sessions/{self.kept.pop()}")
+
+    def _ask(self, method: str, what: str, content: dict | None = None):
         headers = {"Authorization": f"token {self.token}"}
-        asked = urllib.request.Request(f"{self.url}/api/{what}", headers=headers, method=method)
-        return urllib.request.urlopen(asked, timeout=RUN_S)
+        data = None if content is None else json.dumps(content).encode()
+        asked = urllib.request.Request(f"{self.url}/api/{what}", data, headers, method=method)
+        with urllib.request.urlopen(asked, timeout=RUN_S) as answer:
+            text = answer.read()
+        return json.loads(text) if text else None
 
 
 @contextmanager
@@ -236,6 +255,13 @@ class LabPage:
     def ask_kernel(self, code: str) -> float:
         """Milliseconds until the kernel has run some code that no cell shows."""
         return self.page.evaluate(_ASK, code)
+
+    def tidy_kernel(self) -> None:
+        """Leave nothing in the kernel but what is imported and compiled; one that does not answer is ended."""
+        if "answered" in self.page.evaluate(_ANSWERS):
+            self.ask_kernel(_TIDY)
+        else:
+            self.server.end_kept()
 
     def kernel_value(self, expression: str) -> str:
         """The `repr` of an expression in the kernel, through a file beside the notebook."""
@@ -397,6 +423,11 @@ _ASK = """async (code) => {
   await kernel.requestExecute({code, store_history: false}).done;
   return performance.now() - start;
 }"""
+_TIDY = """
+import ipywidgets
+ipywidgets.Widget.close_all()
+get_ipython().reset(new_session=False)
+"""
 _VISIBLE = "() => document.visibilityState"
 _WITHIN = """const within = (asked, word) => Promise.race([
   asked.then(() => word), new Promise((done) => setTimeout(() => done('nothing within 5 s'), 5000))]);"""
@@ -456,15 +487,36 @@ KEEP_PIXELS = """(() => {
     for (const value of data) sum = (sum * 31 + value) | 0;
     return sum;
   };
+  const drawn = new WeakMap(), draws = (selector) => drawn.get(document.querySelector(selector)) ?? 0;
+  const drawing = ["clearRect", "fillRect", "fill", "stroke", "drawImage", "putImageData", "clear", "drawArrays",
+    "drawElements", "drawArraysInstanced", "drawElementsInstanced"];
+  for (const kind of [CanvasRenderingContext2D, WebGLRenderingContext, WebGL2RenderingContext]) {
+    for (const name of drawing.filter((each) => each in kind.prototype)) {
+      const draw = kind.prototype[name];
+      kind.prototype[name] = function (...given) {
+        drawn.set(this.canvas, (drawn.get(this.canvas) ?? 0) + 1);
+        return draw.apply(this, given);
+      };
+    }
+  }
   window.timeToPixels = (handle, key, selectors) => new Promise((resolve) => {
-    const before = selectors.map(window.sumCanvas), start = performance.now();
+    const canvases = selectors.map((selector) => (
+      { selector, before: window.sumCanvas(selector), draws: draws(selector), changed: false }
+    ));
+    const start = performance.now();
+    // Reading pixels back holds up the page, so only what has been drawn on is read, after the frame that drew it.
     const look = () => {
-      const differs = (selector, k) => window.sumCanvas(selector) !== before[k];
-      if (selectors.every(differs)) resolve(performance.now() - start);
-      else if (performance.now() - start > 5000) resolve(null);
-      else requestAnimationFrame(look);
+      const now = performance.now();
+      for (const canvas of canvases.filter((each) => !each.changed && draws(each.selector) !== each.draws)) {
+        canvas.draws = draws(canvas.selector);
+        canvas.changed = window.sumCanvas(canvas.selector) !== canvas.before;
+      }
+      if (canvases.every((each) => each.changed)) resolve(now - start);
+      else if (now - start > 5000) resolve(null);
+      else afterFrame(look);
     };
+    const afterFrame = (then) => requestAnimationFrame(() => setTimeout(then));
     handle.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
-    requestAnimationFrame(look);
+    afterFrame(look);
   });
 })();"""

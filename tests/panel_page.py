@@ -21,6 +21,21 @@ PANEL = """
     panel = TuningPanel(session, backend="webgl")
     panel
     """
+CUT = """() => {
+  const context = document.createElement("canvas").getContext("2d");
+  const wide = (select) => {
+    const style = getComputedStyle(select);
+    context.font = style.font;
+    const words = context.measureText(select.selectedOptions[0]?.text ?? "").width;
+    return words > select.clientWidth - parseFloat(style.paddingLeft) - parseFloat(style.paddingRight) + 1;
+  };
+  const cut = (e) => e.tagName === "SELECT" ? wide(e) : e.scrollWidth > e.clientWidth + 1;
+  const texts = "button, select, input[type=text], .lm-TabBar-tabLabel, .fw-below span, .widget-html-content";
+  return [...document.querySelectorAll(`.fw-panel :is(${texts})`)]
+    .filter((e) => e.offsetWidth && getComputedStyle(e).overflow !== "visible" && cut(e) && !e.closest(".fw-status"))
+    .map((e) => e.selectedOptions?.[0]?.text ?? (e.value || e.textContent));
+}"""
+"""Texts of a panel that are cut; the status line is told whole where the mouse rests on it."""
 READY = "ready = panel.wait_idle(300)"
 
 
@@ -44,6 +59,22 @@ def notebook_page(name: str, cells: Sequence[str]) -> Iterator[browser.LabPage]:
         ):
             page.page.set_viewport_size({"width": 1366, "height": 768})
             yield page
+
+
+@contextmanager
+def panel_tab(server, chromium, notebook, cells):
+    """A page of 1366 × 768 pixels with a panel, shown and ready. Its notebook has the kernel of all such pages."""
+    write_notebook(server.folder / notebook, cells)
+    with browser.lab_tab(server, chromium) as page:
+        page.page.set_viewport_size({"width": 1366, "height": 768})
+        page.page.add_init_script(browser.KEEP_PIXELS)
+        server.keep_kernel(notebook)
+        page.open(notebook)
+        page.ask_kernel(f"import os; os.chdir({str(server.folder)!r})")
+        try:
+            yield shown(page, 0)
+        finally:
+            page.tidy_kernel()
 
 
 def opened(page, notebook):

@@ -6,7 +6,7 @@ import re
 import pytest
 
 from tests import browser
-from tests.panel_page import MARKS, PANEL, READY, opened, tab, write_notebook
+from tests.panel_page import CUT, MARKS, PANEL, READY, panel_tab, tab
 from workbench.config import preset
 
 lacking = browser.missing()
@@ -25,11 +25,8 @@ CELLS = (
 @pytest.fixture(scope="module")
 def page(server, chromium):
     """The panel on the portrait under Deep Energies, shown and ready."""
-    write_notebook(server.folder / "deep.ipynb", CELLS)
-    with browser.lab_tab(server, chromium) as page:
-        page.page.set_viewport_size({"width": 1366, "height": 768})
-        page.page.add_init_script(browser.KEEP_PIXELS)
-        yield opened(page, "deep.ipynb")
+    with panel_tab(server, chromium, "deep.ipynb", CELLS) as page:
+        yield page
 
 
 def strip_source(page):
@@ -70,6 +67,7 @@ def test_every_stage_can_be_reached(page, screenshots):
         page.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")
         page.wait_at_rest(".fw-panel")
         page.page.screenshot(path=screenshots / f"deep-panel-stages-{width}.png")
+        assert page.page.evaluate(CUT) == []
         titles = page.page.locator(".fw-stages b").filter(has_text=re.compile(r"\w"))
         assert titles.all_inner_texts() == [*("stage", "free", "landmarks", "terms", "limit", "when", "last fit")]
         boxes = [title.bounding_box() for title in titles.all()]

@@ -24,19 +24,21 @@ from workbench.landmarks.observations import Landmarks2D, of_ibug68
 from workbench.landmarks.scheme import GROUPS, IBUG68, MIRROR, outer_eye_distance
 from workbench.landmarks.schemes import DENSE, SCHEMES, scheme_named, scheme_of_count
 from workbench.landmarks.tracking import LandmarkTracker
-from workbench.landmarks.uncertainty import ellipses
+from workbench.landmarks.uncertainty import CORNERS, ellipses
 from workbench.pictures import OverlayParts, draw_landmarks, draw_overlay
 from workbench.pipeline import track
 from workbench.planning import plan_of
 from workbench.plots import close_up
 from workbench.samples import sample
-from workbench.session import TuningSession, material_of_track
+from workbench.session import FittedHead, TuningSession, material_of_photo, material_of_track
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
 from workbench.tracking.plan import whitening_of
 from workbench.tracking.records import stack_fits
+from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.overlay_view import OverlayView, point_groups
 from workbench.widgets.timeline_view import ROWS, TimelineView, strip_rows
+from workbench.widgets.waiting import Waiting
 
 SIZE = (640, 480)
 FRAMES = (40, 43)
@@ -343,6 +345,25 @@ class TestRun:
         assert np.isfinite(session.uncertainty(1).weights).all()
         with pytest.raises(ConfigError, match="choose a FACE IT! preset"):
             session.fit_frame(1, config=preset("deep"))
+
+    def test_the_panel_offers_their_ellipses_and_draws_them_on_request(self, run, head, perfect):
+        dense = TuningSession(head, material_of_track(run.track), preset("dense"))
+        few = material_of_photo(np.zeros((SIZE[1], SIZE[0], 3), np.uint8), of_ibug68(perfect.landmarks))
+        tools, plain = (
+            LandmarkTools(session, FittedHead(session.model), print, Waiting(), lambda: None)
+            for session in (dense, TuningSession(head, few))
+        )
+        assert [each.layers["ellipses"].layout.display for each in (tools, plain)] == [None, "none"]
+        tools.show(run.track[0])
+        assert tools.view._ellipses == b""
+        tools.layers["ellipses"].value = True
+        tools.show(run.track[0])
+        drawn = np.frombuffer(tools.view._ellipses, np.float32).reshape(377, CORNERS, 2)
+        np.testing.assert_allclose(drawn.mean(axis=1), run.track[0].observed, atol=1e-3)
+        tools.show(replace(run.track[0], source="filled"))
+        assert tools.view._ellipses == b""
+        tools.close()
+        plain.close()
 
     def test_a_frame_without_a_face_fits_among_the_others(self, dense_head):
         tracker = FaceTracker(dense_head, preset("dense").changed(identity={"calibrate": False}))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests import browser
-from tests.panel_page import HEAD, MARKS, PANEL, READY, latencies, opened, press, shown, tab, to_top, write_notebook
+from tests.panel_page import CUT, HEAD, MARKS, PANEL, READY, latencies, panel_tab, press, shown, tab, to_top
 from workbench.config import preset as read_preset
 from workbench.config import read_config
 
@@ -55,11 +55,8 @@ CLIP, SECOND, BUSY = 5, 7, 8
 @pytest.fixture(scope="module")
 def photo(server, chromium):
     """The panel on the portrait, shown and ready."""
-    write_notebook(server.folder / "panel.ipynb", CELLS)
-    with browser.lab_tab(server, chromium) as page:
-        page.page.set_viewport_size({"width": 1366, "height": 768})
-        page.page.add_init_script(browser.KEEP_PIXELS)
-        yield opened(page, "panel.ipynb")
+    with panel_tab(server, chromium, "panel.ipynb", CELLS) as page:
+        yield page
 
 
 @pytest.fixture(scope="module")
@@ -178,8 +175,8 @@ def test_every_stage_can_be_freed_moved_run_and_removed(photo, screenshots, pres
             box = rows.nth(k).locator("button").filter(has_text=re.compile(f"^{re.escape(name)}$")).bounding_box()
             assert box is not None, name
             assert box["width"] >= 24
-        assert rows.nth(k).locator("select").bounding_box()["width"] > 80
         assert rows.nth(k).locator("button:visible").filter(has_text="j6").count() == 0
+    assert photo.page.evaluate(CUT) == []
     for width in (1366, 1920):
         photo.page.set_viewport_size({"width": width, "height": 768})
         photo.page.evaluate("() => document.querySelector('.fw-panel').scrollIntoView({block: 'end'})")

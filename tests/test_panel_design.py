@@ -355,6 +355,21 @@ def test_another_frame_is_compared_as_soon_as_it_is_shown(comparison, panel):
     assert comparison.captions[1].value != before
 
 
+def test_on_a_frame_without_a_face_nothing_of_another_one_is_left(comparison, panel, monkeypatch):
+    fit_frame = panel.session.fit_frame
+    monkeypatch.setattr(
+        panel.session, "fit_frame", lambda *args, **named: replace(fit_frame(*args, **named), found=False)
+    )
+    monkeypatch.setattr(panel.session.runs, "known", lambda config: None)
+    panel.go(2)
+    assert panel.wait_idle(60)
+    assert panel.status.value.endswith("no face</span>")
+    assert panel.energy._series["count"] == 0
+    assert {row.result.value for row in panel.stages._rows} == {""}
+    assert [caption.value for caption in comparison.captions] == ["no face in this frame", "", ""]
+    assert {cell.children[1].layout.visibility for cell in comparison._cells} == {"hidden"}
+
+
 def test_the_metrics_of_the_compared_clips_are_a_table_with_the_best_marked(comparison, panel):
     run = panel.session.run
     comparison.choices[1].value = "–"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests import browser
-from tests.panel_page import HEAD, MARKS, fold, opened, tab, to_top, write_notebook
+from tests.panel_page import CUT, HEAD, MARKS, fold, panel_tab, tab, to_top
 from tests.test_panel_browser import changed, rested, wrong_outputs
 
 lacking = browser.missing()
@@ -40,9 +40,6 @@ CELLS = (
 SMALL, LARGE = {"width": 1366, "height": 768}, {"width": 1920, "height": 1080}
 ABOVE = 1.33
 """From the chin to the hairline, in heights from the chin to the brows."""
-CUT = """() => [...document.querySelectorAll('.fw-panel :is(button, .lm-TabBar-tabLabel, .fw-below span)')]
-  .filter((e) => e.offsetWidth && e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).overflow !== 'visible')
-  .map((e) => e.textContent)"""
 OUTSIDE = """() => {
   const panel = document.querySelector('.fw-panel').getBoundingClientRect();
   const rows = '.fw-top-bar, .fw-photo, .fw-head, .fw-transport, .fw-controls, .fw-pages > .lm-TabBar';
@@ -62,11 +59,7 @@ UNNAMED = """() => [...document.querySelectorAll('.fw-panel :is(button, input, s
 @pytest.fixture(scope="module")
 def page(server, chromium):
     """The panel on the sample clip with a flagged frame, shown and ready at 1366 × 768."""
-    write_notebook(server.folder / "design.ipynb", CELLS)
-    with browser.lab_tab(server, chromium) as page:
-        page.page.set_viewport_size(SMALL)
-        page.page.add_init_script(browser.KEEP_PIXELS)
-        opened(page, "design.ipynb")
+    with panel_tab(server, chromium, "design.ipynb", CELLS) as page:
         page.page.set_default_timeout(60_000)
         yield page
 
@@ -203,6 +196,31 @@ def test_sliders_are_long_and_no_text_is_cut(small):
         assert all(width >= 150 for width in widths), (title, widths)
         assert small.page.evaluate(CUT) == [], title
     tab(small, "ω")
+
+
+def test_no_text_of_the_pages_is_cut(small):
+    for title in ("Stages", "Diagnosis", "Curves", "Methods", "Sweep", "Tune", "Compare", "Film strip", "Changes"):
+        tab(small, title)
+        small.wait_at_rest(".fw-pages")
+        if title == "Sweep":
+            setting = small.page.get_by_placeholder("search a setting to sweep")
+            setting.fill("steady head")
+            setting.press("Enter")
+            small.page.wait_for_function("(e) => e.value.includes('ω_τ')", arg=setting.element_handle())
+        assert small.page.evaluate(CUT) == [], title
+    fold(small)
+
+
+def test_below_a_high_page_the_window_scrolls_and_strip_and_transport_are_whole(small, screenshots):
+    small.ask_kernel("for _ in range(6): panel.stages.add.click()")
+    tab(small, "Stages")
+    small.wait_at_rest(".fw-pages")
+    to_top(small)
+    small.page.screenshot(path=screenshots / "design-high-page.png")
+    transport, pages = (small.page.locator(place).bounding_box() for place in (".fw-transport", ".fw-pages"))
+    assert pages["height"] > 250
+    assert transport["y"] + transport["height"] <= pages["y"] + 1
+    fold(small)
 
 
 def test_every_control_has_a_name_for_screen_readers(small):
@@ -372,13 +390,10 @@ def test_compare_two_weights(small, actions):
 
 
 def test_fill_a_gap(small, actions):
-    actions.click(small.page.locator(".fw-controls .lm-TabBar-tab").filter(has_text="time"))
-    go_to(small, actions, 0.4)
-    actions.click(button(small, "this frame"))
-    row = small.page.locator(".fw-knob").filter(has_text=re.compile("^infill"))
-    actions.choose(row.locator("select").first, "linear")
-    actions.click(button(small, "run"))
+    frame = go_to(small, actions, 0.4)
+    actions.key("f")
     becomes(small, "panel.fit.source", "'filled'")
+    becomes(small, "session.config.infill.frames", f"(({frame}, {frame}),)")
     small.ask_kernel("panel.time.sides.value = 'before'")
     tab(small, "ω")
 
@@ -411,12 +426,20 @@ def test_undo(small, actions):
 
 
 def test_play_a_part(small, actions):
-    first = go_to(small, actions, 0.3)
-    actions.key("i")
-    becomes(small, "panel.time.play.min", str(first))
-    last = go_to(small, actions, 0.4)
-    actions.key("o")
-    becomes(small, "panel.time.play.max", str(last))
+    strip = small.page.locator(".fw-timeline canvas").last
+    box = strip.bounding_box()
+    actions.count += 1
+    small.page.keyboard.down("Shift")
+    small.page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.5 * box["height"])
+    small.page.mouse.down()
+    small.page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 0.5 * box["height"], steps=4)
+    small.page.mouse.up()
+    small.page.keyboard.up("Shift")
+    browser.wait_until(
+        lambda: small.kernel_value("(panel.time.play.max - panel.time.play.min) > 10 and panel.time.play.max < 200")
+        == "True", "a drag with Shift in the strip is the part to play", pause=lambda: small.page.wait_for_timeout(60),
+    )  # fmt: skip
+    first, last = json.loads(small.kernel_value("[panel.time.play.min, panel.time.play.max]"))
     actions.key(" ")
     browser.wait_until(lambda: first < int(small.kernel_value("panel.frame")) < last, "it plays the part")
     small.ask_kernel("panel.time.play.playing = False")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests import browser
-from tests.panel_page import HEAD, MARKS, PANEL, READY, opened, tab, to_top, write_notebook
+from tests.panel_page import HEAD, MARKS, PANEL, READY, panel_tab, tab, to_top
 from tests.test_panel_browser import changed, rested, wrong_outputs
 from workbench.config import read_config
 
@@ -27,11 +27,7 @@ PART = "120-136"
 @pytest.fixture(scope="module")
 def page(server, chromium):
     """The panel on the sample clip, shown and ready, at its page of infill and refinement."""
-    write_notebook(server.folder / "clip.ipynb", CELLS)
-    with browser.lab_tab(server, chromium) as page:
-        page.page.set_viewport_size({"width": 1366, "height": 768})
-        page.page.add_init_script(browser.KEEP_PIXELS)
-        opened(page, "clip.ipynb")
+    with panel_tab(server, chromium, "clip.ipynb", CELLS) as page:
         page.page.set_default_timeout(60_000)
         yield page
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from workbench.errors import InputError
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT
+from workbench.landmarks.uncertainty import ellipses
 from workbench.widgets.chart_view import COLORS, ChartView, pack_series, series_colors
 from workbench.widgets.encoded_pictures import LARGEST_SIDE
 from workbench.widgets.overlay_view import (
@@ -201,6 +202,14 @@ class TestOverlay:
         overlay.set_wire(None)
         assert overlay._wire == b""
 
+    def test_ellipses_are_closed_lines_around_the_landmarks(self, overlay):
+        corners = ellipses(OBSERVED, np.tile(np.diag([4.0, 1.0]), (len(OBSERVED), 1, 1)))
+        overlay.set_ellipses(corners)
+        np.testing.assert_array_equal(floats(overlay._ellipses), corners.astype(np.float32).ravel())
+        overlay.set_ellipses(None)
+        assert overlay._ellipses == b""
+        assert not overlay.layers["ellipses"]
+
     def test_every_landmark_has_its_smallest_group(self):
         groups = point_groups()
         assert (groups[8], groups[17], groups[36], groups[48], groups[60]) == (
@@ -225,6 +234,8 @@ class TestOverlay:
             overlay.set_heat(PICTURE)
         with pytest.raises(InputError, match=r"n, 2, 2"):
             overlay.set_wire(np.zeros((4, 2)))
+        with pytest.raises(InputError, match=r"points, corners, 2"):
+            overlay.set_ellipses(np.zeros((68, 2)))
 
     def test_traits_check_their_values(self, overlay):
         for name, value in [("tool", "hammer"), ("selection", [68]), ("layers", {"hat": True}), ("layer_opacity", 2.0)]:

@@ -13,8 +13,8 @@ from workbench.widgets.chart_view import ChartView
 from workbench.widgets.controls import menu
 from workbench.widgets.timeline_view import TimelineView
 
-CURVES = 8
-"""Number of weights in the chart, which shows those of a family that vary most."""
+CURVES = 5
+"""Number of weights in the chart, which shows those of a family that vary most: more of them cannot be followed."""
 FAMILIES = {"those that vary most": ""} | {
     f"of the {name}": name for name in ("mouth", "jaw", "eye", "brow", "cheek", "nose")
 }

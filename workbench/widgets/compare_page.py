@@ -124,7 +124,10 @@ class ComparePage(widgets.VBox):
         chosen = self._chosen()
         with self._waiting.during("fitting the frame for comparison", cancel=self._leave) as job:
             fits = [one and compared(self._session, frame, one[1], job.cancelled) for one in chosen]
-        if self._worker.newer() or not all(fit.found for fit in fits if fit):
+        if self._worker.newer():
+            return
+        if not all(fit.found for fit in fits if fit):
+            self._show_no_face()
             return
         first = fits[0]
         shown = [fit and against(self._session, fit, first) for fit in fits]
@@ -139,6 +142,12 @@ class ComparePage(widgets.VBox):
                 view.set_vertices(item.vertices, self._session.model.personal(item.fit.identity).neutral)
                 view.set_values(item.apart_mm if colors and number else None, 0.0, high, "distance, mm")
         self.show_table()
+
+    def _show_no_face(self) -> None:
+        self.scale.value = ""
+        for cell, caption in zip(self._cells, self.captions, strict=True):
+            cell.children[1].layout.visibility, caption.value = "hidden", ""
+        self.captions[0].value = "no face in this frame"
 
     def show_table(self) -> None:
         """The metrics of the configurations that are shown, as far as their clip has been fitted."""

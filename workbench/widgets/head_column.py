@@ -71,7 +71,7 @@ class HeadColumn:
         self.points = toggle("points", "landmarks and residuals in 3D")
         self.compare = widgets.Dropdown(
             options=self._comparisons(), value="", tooltip="the outline of another fit; see the page Compare",
-            layout=widgets.Layout(width="92px"),
+            layout=widgets.Layout(width="100px"),
         )  # fmt: skip
         for control in (self.color, self.shape, self.points, self.compare):
             control.observe(self._on_choice, "value")

@@ -172,7 +172,7 @@ def value_colors(
 def legend(label: str, low: Number, high: Number) -> str:
     """The colour scale as one line of HTML."""
     stops = ", ".join("#{:02x}{:02x}{:02x}".format(*color) for color in scale_colors()[::51].tolist())
-    bar = f"flex:1; height:8px; border-radius:4px; background:linear-gradient(to right, {stops})"
+    bar = f"flex:1; max-width:320px; height:8px; border-radius:4px; background:linear-gradient(to right, {stops})"
     style = (
         "display:flex; align-items:center; gap:8px; font-size:12px; line-height:18px; "
         "color:var(--jp-ui-font-color1, #333); font-variant-numeric:tabular-nums"

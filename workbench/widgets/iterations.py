@@ -37,8 +37,12 @@ class Iterations:
         return {trace.stage: len(trace.energies) - 1 for trace in self._traces}
 
     def show(self, fit: FrameFit, traces: tuple[StageTrace, ...], steps: int | None) -> None:
-        """Show the stages of a fit that was stopped after `steps` iterations."""
+        """Show the stages of a fit that was stopped after `steps` iterations; no traces: there is no face to fit."""
         self._traces = traces
+        if not traces:
+            self.energy.set_series(np.zeros(0), {})
+            self.stages.show_results({})
+            return
         self._show_energy(traces)
         total = sum(self.counts.values())
         place = f"stopped after {steps} of {total} iterations" if steps is not None else f"{total} iterations"

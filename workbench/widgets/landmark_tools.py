@@ -6,6 +6,7 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.errors import WorkbenchError
+from workbench.landmarks.uncertainty import ellipses
 from workbench.session import FittedHead, TuningSession
 from workbench.session.gesture import Gesture
 from workbench.tracking import FrameFit
@@ -26,6 +27,7 @@ LAYERS = {
     "layer": ("face", "the fitted head over the photo"),
     "lines": ("lines", "connect the model's landmarks"),
     "labels": ("123", "landmark numbers"),
+    "ellipses": ("σ", "where each point may be: the ellipse that holds 80 % of its places, as the detector says"),
     "bright": ("☀", "brighten a dark picture"),
     "heat": (
         "heat",
@@ -73,6 +75,9 @@ class LandmarkTools:
         self.view.set_fit(fit.observed, fit.projected, values, fit.confidence, self._weights())
         if self.layers["wire"].value:
             self.view.set_wire(self._head.wire(fit))
+        if self.layers["ellipses"].value:
+            doubted = fit.landmarks is not None and fit.landmarks.covariance is not None
+            self.view.set_ellipses(ellipses(fit.observed, fit.covariance) if doubted else None)
         self._pictures.show(fit)
 
     def wait_idle(self, timeout_s: float | int) -> bool:
@@ -143,6 +148,9 @@ class LandmarkTools:
     def _shown(self) -> widgets.Widget:
         """The toolbar below the picture: layers drawn over it."""
         self.layers = {name: toggle(text, tip, value=name == "points") for name, (text, tip) in LAYERS.items()}
+        seen = (observation.landmarks for observation in self._session.material.observations)
+        if all(landmarks is None or landmarks.covariance is None for landmarks in seen):
+            self.layers["ellipses"].layout.display = "none"
         for button in self.layers.values():
             button.observe(lambda _change: self._on_layers(), "value")
         self.opacity = widgets.FloatSlider(

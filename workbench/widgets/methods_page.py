@@ -30,7 +30,7 @@ class Methods(widgets.VBox):
         options = [(turns, "yaw"), (places, "z"), (names, names[first]), (names, names[-1])]
         self.quantities = [
             widgets.Dropdown(
-                options=choices, value=value, layout=widgets.Layout(width="130px"), tooltip="quantity to plot"
+                options=choices, value=value, layout=widgets.Layout(width="150px"), tooltip="quantity to plot"
             )
             for choices, value in options
         ]

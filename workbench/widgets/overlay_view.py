@@ -34,6 +34,7 @@ LAYERS: Mapping[str, bool] = {
     "layer": True,
     "heat": True,
     "arrows": False,
+    "ellipses": False,
     "bright": False,
 }
 """Layers shown initially; the wireframe and the picture layers appear when they are set."""
@@ -151,6 +152,7 @@ class OverlayView(anywidget.AnyWidget):
     _layer = traitlets.Bytes(b"").tag(sync=True)
     _heat = traitlets.Bytes(b"").tag(sync=True)
     _wire = traitlets.Bytes(b"").tag(sync=True)
+    _ellipses = traitlets.Bytes(b"").tag(sync=True)
     _fit = traitlets.Bytes(b"").tag(sync=True)
     _no_face = traitlets.Bool(False).tag(sync=True)
     # Counts the fits: one equal to the last must still reach a browser in which a landmark has been moved.
@@ -242,6 +244,14 @@ class OverlayView(anywidget.AnyWidget):
         encoded = float_bytes(segments[np.isfinite(segments).all(axis=(1, 2))])
         with self._lock:
             self._wire = encoded
+
+    def set_ellipses(self, corners: Num[np.ndarray, "..."] | None) -> None:
+        """Draw a closed line around each landmark, (points, corners, 2) px; None removes them."""
+        if corners is not None and (corners.ndim != 3 or corners.shape[2] != 2):
+            raise InputError(f"ellipses must have shape (points, corners, 2); got shape {corners.shape}")
+        encoded = b"" if corners is None else float_bytes(corners)
+        with self._lock:
+            self._ellipses = encoded
 
     def on_event(self, callback: Callable[[OverlayEvent], object], remove: bool = False) -> None:
         """Call `callback(event)` for every user action; `remove` unregisters it."""

@@ -9,10 +9,17 @@ CONTROLS_PX = 276
 OTHERS_PX = 130
 """Height of what a notebook shows around a panel that is as high as the window."""
 LOWEST_PX = 540
+ARROW = (
+    "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 20 20'%3E"
+    "%3Cpath d='M6 8.2 10 12.2 14 8.2' fill='none' stroke='%23ddd' stroke-width='1.8'/%3E%3C/svg%3E"
+)
+"""A picture of an arrow for menus on dark ground."""
 STYLE = """<style>
 .fw-panel { --jp-widgets-inline-height: 24px; --jp-widgets-font-size: 12px; position: relative; outline: none;
   --fw-accent: var(--jp-brand-color1, #1976d2); --fw-soft: var(--jp-layout-color2, #eee);
   --fw-line: var(--jp-border-color2, #ddd); overflow: visible; }
+/* the arrow of menus is black in every theme */
+[data-jp-theme-light="false"] .fw-panel { --jp-widgets-dropdown-arrow: url("FW_ARROW"); }
 .fw-panel .jupyter-button { padding: 0 6px; line-height: 22px; border-radius: 4px; }
 .fw-panel .jupyter-button:focus-visible, .fw-panel .noUi-handle:focus-visible, .fw-panel select:focus-visible
   { outline: 2px solid var(--fw-accent); outline-offset: 1px; }
@@ -42,6 +49,8 @@ FW_AT
 /* a panel as high as the window: the views get what is left */
 .fw-panel.fw-whole { min-height: calc(max(100vh - FW_OTHERSpx, FW_LOWESTpx)); }
 .fw-panel.fw-whole > .fw-body { flex: 1 1 0; min-height: 0; }
+/* below high pages, such as eight stages or a film strip, the window scrolls: strip and transport are not cut */
+.fw-panel.fw-whole:has(.fw-transport) > .fw-body { min-height: 340px; }
 .fw-whole .fw-controls { flex: 0 0 FW_CONTROLSpx; min-width: 0; min-height: 0; }
 .fw-whole .fw-controls > .jupyter-widget-Tab, .fw-whole .fw-controls > .widget-tab
   { flex: 1 1 0; min-height: 0; margin: 0; }
@@ -102,8 +111,7 @@ FW_AT
 .fw-panel .fw-status .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis;
   font-variant-numeric: tabular-nums; }
 .fw-panel .fw-status b { font-weight: 600; }
-.fw-panel .fw-one-line { flex: 1 1 0; min-width: 0; overflow: hidden; }
-.fw-panel .fw-one-line .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
+.fw-panel .fw-meaning { flex: 0 0 auto; margin: 0 4px; color: var(--jp-ui-font-color2, #666); }
 .fw-panel .fw-transport { flex: 0 0 auto; align-items: center; padding-left: 48px; }
 .fw-panel .fw-play { margin: 2px; width: auto; }
 .fw-panel .fw-play button:nth-of-type(2) { display: none; }
@@ -130,6 +138,7 @@ def style_sheet() -> widgets.Widget:
     """An invisible widget with the style of everything in a box of class fw-panel."""
     marks = "\n".join(f".fw-panel .fw-at-{k} {{ --fw-at: {k}%; }}" for k in range(101))
     style = STYLE.replace("FW_AT", marks)
+    style = style.replace("FW_ARROW", ARROW)
     for name, pixels in (("OTHERS", OTHERS_PX), ("LOWEST", LOWEST_PX), ("CONTROLS", CONTROLS_PX)):
         style = style.replace(f"FW_{name}", str(pixels))
     return widgets.HTML(style, layout=widgets.Layout(display="none"))
@@ -159,7 +168,7 @@ def beside(rows: Sequence[widgets.Widget], width_px: int, view: widgets.Widget) 
     """Rows of controls of a fixed width, and a view that takes what is left."""
     return [
         widgets.VBox(rows, layout=widgets.Layout(flex=f"0 0 {width_px}px", overflow="hidden auto")),
-        widgets.VBox([view], layout=widgets.Layout(flex="1 1 0", min_width="0")),
+        widgets.VBox([view], layout=widgets.Layout(flex="1 1 0", min_width="0", margin="0 0 0 12px")),
     ]
 
 

@@ -12,7 +12,8 @@ from workbench.errors import InputError
 from workbench.widgets.browser_program import BROWSER, browser_program
 
 ACTIONS = (
-    *("play", "back", "forth", "next", "previous", "in", "out", "view", "why", "keep", "export", "undo", "redo"),
+    *("play", "back", "forth", "next", "previous", "in", "out", "fill", "view", "why", "keep", "export"),
+    *("undo", "redo"),
 )  # fmt: skip
 """Actions that keys request of a panel; the browser does others itself. See `panel/help.js`."""
 

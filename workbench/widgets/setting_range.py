@@ -19,7 +19,10 @@ class SettingRange:
         self._refused = refused
         self.setting: SweepSetting | None = None
         self.name = widgets.Combobox(
-            placeholder=placeholder, tooltip=tip, continuous_update=False, layout=widgets.Layout(width="212px")
+            placeholder=placeholder,
+            tooltip=tip,
+            continuous_update=False,
+            layout=widgets.Layout(width="212px", flex="1 1 212px"),
         )
         self.low, self.high = (_field(f"{end} value of its range") for end in ("least", "most"))
         self.count = widgets.BoundedIntText(

@@ -32,25 +32,25 @@ class StageRow:
     def __init__(self, number: int, changed: Callable[[int, dict], None], act: Callable[[str, int], None]) -> None:
         self._number, self._changed, self._quiet = number, changed, False
         self.enabled = widgets.Checkbox(indent=False, tooltip="run this stage", layout=widgets.Layout(width="24px"))
-        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_fixed("124px"))
+        self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_growing("124px", "180px"))
         self.free = {
             block: widgets.ToggleButton(description=letter, tooltip=f"free: {block}", layout=_tiny())
             for block, letter in LETTERS.items()
         }
         self.landmarks = widgets.Text(
-            continuous_update=False, layout=_growing("96px", "200px"),
+            continuous_update=False, layout=_growing("110px", "200px"),
             tooltip="groups, subsets or point numbers with weights; later ones win: all 1, jaw 0.25, 30 2",
         )  # fmt: skip
         self.terms = widgets.Text(
-            continuous_update=False, layout=_growing("90px", "150px"),
+            continuous_update=False, layout=_growing("106px", "150px"),
             tooltip=f"additional terms of this stage: {', '.join(NAMED_TERMS)}",
         )  # fmt: skip
         self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=_fixed("44px"))
         self.when = widgets.Dropdown(
             options=["always", "start"], tooltip="start: only on the first frame of a shot",
-            layout=_fixed("82px"),
+            layout=_fixed("76px"),
         )  # fmt: skip
-        self.result = widgets.Label(layout=widgets.Layout(width="118px", flex="1 0 118px", max_width="260px"))
+        self.result = widgets.Label(layout=widgets.Layout(width="114px", flex="1 0 114px", max_width="260px"))
         buttons = {"up": ("↑", "earlier"), "down": ("↓", "later"), "here": ("▶|", "run to here and stop"),
                    "drop": ("✕", "remove this stage")}  # fmt: skip
         self.buttons = {}
@@ -181,7 +181,7 @@ class StageEditor:
 
 def _tiny() -> widgets.Layout:
     """Layout of a one-letter button; one per button, because hiding a layout hides all widgets that share it."""
-    return widgets.Layout(width="24px", padding="0", flex="0 0 auto")
+    return widgets.Layout(width="24px", padding="0", margin="2px 1px", flex="0 0 auto")
 
 
 def _fixed(width: str) -> widgets.Layout:
@@ -205,6 +205,7 @@ def _titles(row: StageRow) -> tuple[widgets.HTML, ...]:
                 width=below.layout.width,
                 flex=below.layout.flex,
                 max_width=below.layout.max_width,
+                margin=below.layout.margin,
                 min_width="0",
                 overflow="visible",
             ),

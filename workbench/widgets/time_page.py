@@ -7,6 +7,7 @@ import ipywidgets as widgets
 
 from workbench.session import TuningSession
 from workbench.session.knobs import METHODS, TIME
+from workbench.session.parts import parts_of
 from workbench.session.worked import Worked
 from workbench.tracking import FrameFit
 from workbench.widgets.clip_views import ClipViews
@@ -63,6 +64,7 @@ class TimePage:
         self.result = StatusLine()
         self._worker: LatestWins[str] = LatestWins(self._work, self.result.failed, "panel-time")
         self.knobs = {knob.path: KnobControl(knob, turned) for knob in (*METHODS, *TIME)}
+        views.timeline.observe(self._on_part, "loop")
         self._marks = FailedFrames(session, self.result, lambda: self.frame, lambda: self.run("flagged"))
         self.played = TimePart(session, self.show_config, go, redraw, views.in_view)
         # For scripts to press and read.
@@ -84,6 +86,20 @@ class TimePage:
         """Request `run`, `compare`, `flagged` or `cancel`."""
         if self._worker is not None:
             self._worker.submit(what)
+
+    def fill(self) -> None:
+        """Mark the shown frame as failed and fill it and those marked before; one undo step.
+
+        By the chosen method, on straight lines if none is chosen.
+        """
+        if not self.is_clip:
+            return
+        infill, temporal = self._session.config.infill, self._session.temporal
+        marked = {frame for first, last in temporal.marked for frame in range(first, last + 1)}
+        method = "linear" if infill.method == "none" else infill.method
+        frames = parts_of(marked | {self.frame})
+        self._session.set(f"fill frame {self.frame}", infill={"frames": frames, "method": method})
+        self.run()
 
     def wait_idle(self, timeout_s: float | int) -> bool:
         """Wait for the work; False if it takes longer."""
@@ -176,6 +192,12 @@ class TimePage:
             widgets.HTML("<b>settings of the methods</b>"),
             *(self.knobs[knob.path].widget for knob in TIME),
         ]
+
+    def _on_part(self, change) -> None:
+        """A part was chosen in the strip."""
+        chosen = tuple(change["new"])
+        if chosen != (self.played.usable or ()):
+            self.played.part.value = "{}-{}".format(*chosen) if chosen else ""
 
     # --- work, in the thread of the page ---
 

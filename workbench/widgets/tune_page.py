@@ -51,7 +51,7 @@ class TunePage(widgets.HBox):
         self._session = session
         self.result: Tuned | None = None
         self._values: list[tuple[float, float]] = []
-        self.said, self.words = StatusLine(), classed(StatusLine(), "fw-one-line")
+        self.said, self.words = StatusLine(), classed(StatusLine(), "fw-meaning")
         self._jobs: PageWork[Asked] = PageWork(
             self._work, self.said, give_way, "panel-tune", "stop; the best so far is judged"
         )
@@ -59,7 +59,8 @@ class TunePage(widgets.HBox):
         self.chart = ChartView(height_px=height_px - 38, title="")
         self._build_controls()
         rows = [
-            widgets.HBox([widgets.Label("make least"), self.objective, self.words], layout=one_row()),
+            widgets.HBox([widgets.Label("make least"), self.objective], layout=one_row()),
+            self.words,
             widgets.HBox([widgets.Label("learn"), *self.learn.values()], layout=wrapped()),
             widgets.HBox(
                 [widgets.Label("learn on"), self.train, widgets.Label("hold out"), self.held_out,

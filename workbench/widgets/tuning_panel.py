@@ -231,10 +231,10 @@ class TuningPanel(LateParts):
         if self._worker.wait_newer(PAUSE_S):
             return
         self.status.show_fit(fit, len(session), self.time.side == AFTER, self.clip.why(frame))
+        self._iterations.show(fit, session.explain_frame(frame)[1] if fit.found else (), request.steps)
         if fit.found:
-            self._iterations.show(fit, session.explain_frame(frame)[1], request.steps)
             self.strip.show_frame(frame)
-            self.compare.show_frame(frame)
+        self.compare.show_frame(frame)
 
     def _show(self, fit: "workbench.tracking.FrameFit") -> None:
         self.fit, self._iterations.found = fit, fit.found
@@ -287,6 +287,7 @@ def actions_of(panel: TuningPanel) -> dict[str, Callable[[], object]]:
         "next": lambda: panel.step(2),
         "in": lambda: transport.mark("in"),
         "out": lambda: transport.mark("out"),
+        "fill": panel.time.fill,
         "view": panel.head.next_look,
         "why": lambda: ask_why(panel),
         "keep": panel.history.take,

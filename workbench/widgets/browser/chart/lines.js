@@ -13,11 +13,10 @@ export function paintLines(canvas, chart) {
     const [start, end] = part.map((value) => clamp(scale.toX(value), LEFT, scale.right));
     context.fillRect(start, TOP, Math.max(end - start, 1), scale.height);
   }
+  if (!chart.x.length) return paintNothing(context, scale, theme);
   paintLevels(context, scale, theme);
-  if (chart.x.length) {
-    paintPlaces(context, scale, sent);
-    paintStages(context, scale, sent);
-  }
+  paintPlaces(context, scale, sent);
+  paintStages(context, scale, sent);
   context.save();
   context.beginPath();
   context.rect(LEFT - 1, TOP - 1, scale.width + 2, scale.height + 2);
@@ -25,11 +24,12 @@ export function paintLines(canvas, chart) {
   context.lineJoin = "round";
   rows.forEach((_, k) => chart.shown(k) && paintRow(context, chart, k));
   context.restore();
-  if (!chart.x.length) {
-    context.fillStyle = theme.muted;
-    context.textAlign = "center";
-    context.fillText("nothing to show yet", LEFT + scale.width / 2, TOP + scale.height / 2);
-  }
+}
+
+function paintNothing(context, scale, theme) {
+  context.fillStyle = theme.muted;
+  context.textAlign = "center";
+  context.fillText("nothing to show yet", LEFT + scale.width / 2, TOP + scale.height / 2);
 }
 
 function paintLevels(context, scale, theme) {

@@ -2,7 +2,7 @@ import { clamp } from "../shared/numbers.js";
 import { indices } from "./landmarks.js";
 
 export const INK = "rgba(16, 18, 22, 0.75)", WHITE = "#ffffff", GREY = "#b4b8bf", CHOSEN = "#ff6ec7";
-const SUBSET = "#7fe3ff", LINE = "rgba(150, 220, 235, 0.6)", WIRE = "rgba(210, 240, 245, 0.3)";
+const SUBSET = "#7fe3ff", LINE = "rgba(150, 220, 235, 0.6)", DOUBT = "#ffd479", WIRE = "rgba(210, 240, 245, 0.3)";
 const FEW = 68, CROWDED = 0.6; // more landmarks than these are drawn with marks of this size
 
 export function outline(context, color, width) {
@@ -34,7 +34,7 @@ export function paintLasso(context, path) {
   outline(context, CHOSEN, 1.5);
 }
 
-// The landmarks of a fit. `look`: {layer, colors, limit, lines, chosen, subset, hovered}, as assembled in view.js.
+// The landmarks of a fit. `look`: {layer, colors, limit, lines, ellipses, chosen, subset, hovered}, as assembled in view.js.
 export function paintLandmarks(context, landmarks, view, look) {
   const { layer } = look, { observed } = landmarks, { toScreen } = view;
   // Marks grow with the size of the face on the screen, measured between the outer eye corners.
@@ -47,6 +47,7 @@ export function paintLandmarks(context, landmarks, view, look) {
     return look.colors[Math.round(255 * clamp(share, 0, 1))];
   };
   if (layer("lines")) paintLines(pen, look.lines);
+  if (layer("ellipses")) paintEllipses(pen, look.ellipses);
   paintRings(pen, look.subset, 6.5 * unit + 1);
   if (layer("residuals")) all.filter(landmarks.weight).forEach((i) => paintResidual(pen, i));
   if (layer("arrows")) all.filter(landmarks.weight).forEach((i) => paintArrow(pen, i));
@@ -76,6 +77,17 @@ function paintLines({ context, landmarks, toScreen, unit }, lines) {
     context.beginPath();
     line.forEach((i) => context.lineTo(...toScreen(...landmarks.projected(i))));
     context.stroke();
+  }
+}
+
+// `ellipses`: the corners of each landmark's, x and y in turn.
+function paintEllipses({ context, landmarks, toScreen, unit }, ellipses) {
+  const numbers = ellipses.length / landmarks.count();
+  for (let first = 0; first < ellipses.length; first += numbers) {
+    context.beginPath();
+    for (let k = first; k < first + numbers; k += 2) context.lineTo(...toScreen(ellipses[k], ellipses[k + 1]));
+    context.closePath();
+    outline(context, landmarks.weight(first / numbers) ? DOUBT : GREY, 0.9 * unit);
   }
 }
 

@@ -22,7 +22,7 @@ function makeOverlay(model, el) {
   const scheme = model.get("_scheme"), colors = cssColors(new Uint8Array(bytesOf(scheme.colors)));
   const overlay = {
     scheme, colors, page: makePage(el, colors), view: makeView(model.get("at_face") ? "face" : "whole"),
-    size: [0, 0], wire: null, hovered: -1, pointer: null, gesture: null, bare: false,
+    size: [0, 0], wire: [], ellipses: [], hovered: -1, pointer: null, gesture: null, bare: false,
     layer: (name) => Boolean(model.get("layers")[name]),
     draw: () => {},
   };
@@ -57,11 +57,11 @@ function makePainting(model, overlay) {
     const context = cleared(page.marks), { wire, gesture } = overlay;
     context.lineCap = context.lineJoin = "round";
     if (overlay.bare) return;
-    if (wire && layer("wire")) paintWire(context, wire, view.toScreen);
+    if (layer("wire")) paintWire(context, wire, view.toScreen);
     if (landmarks.found()) {
       paintLandmarks(context, landmarks, view, {
         layer, colors: overlay.colors, limit: model.get("_scale"), lines: scheme.lines, hovered: overlay.hovered,
-        chosen: new Set(model.get("selection")), subset: model.get("subset"),
+        chosen: new Set(model.get("selection")), subset: model.get("subset"), ellipses: overlay.ellipses,
       });
     }
     if (gesture?.kind === "lasso") paintLasso(context, gesture.path);
@@ -151,8 +151,8 @@ function followModel(model, overlay, draw) {
     redraw();
   }
 
-  function onWire() {
-    overlay.wire = new Float32Array(bytesOf(model.get("_wire")));
+  function onShapes() {
+    for (const name of ["wire", "ellipses"]) overlay[name] = new Float32Array(bytesOf(model.get("_" + name)));
     draw();
   }
 
@@ -166,12 +166,12 @@ function followModel(model, overlay, draw) {
 
   const onLayer = () => pictures.layer.push(model.get("_layer")), onHeat = () => pictures.heat.push(model.get("_heat"));
   const unfollow = follow(model, [
-    ["change:_picture", onPicture], ["change:_fits", onFit], ["change:_wire", onWire],
+    ["change:_picture", onPicture], ["change:_fits", onFit], ["change:_wire", onShapes], ["change:_ellipses", onShapes],
     ["change:_layer", onLayer], ["change:_heat", onHeat], ["change:height_px", onSize],
     ...REDRAWN.map((name) => ["change:" + name, redraw]),
   ]);
   const unfollowSize = followSize(page.stage, onSize);
-  for (const begin of [onSize, onPicture, onLayer, onHeat, onWire, onFit]) begin();
+  for (const begin of [onSize, onPicture, onLayer, onHeat, onShapes, onFit]) begin();
   return [unfollow, unfollowSize];
 }
 

@@ -6,6 +6,7 @@ export const KEYS = [
   [",  .", ",.", "one frame back, forth", "back forth"],
   ["N  P", "np", "next, previous flagged frame", "next previous"],
   ["I  O", "io", "first, last frame of the loop: here", "in out"],
+  ["F", "f", "fill this frame from its neighbours", "fill"],
   ["H", "h", "hide or show everything over the picture", "bare"],
   ["V", "v", "the head: as the camera sees it, from the front, free", "view"],
   ["W", "w", "why this frame?", "why"],
@@ -16,6 +17,7 @@ export const KEYS = [
 ];
 const MORE = [
   ["Ctrl Z,  Ctrl Y", "undo, redo"],
+  ["Shift drag", "in the strip: the part to play and to work on"],
   ["Delete", "on a slider: back to the start (or double click)"],
   ["M  +  −  R", "selected landmarks: mute, weigh more or less, back to the detection"],
   ["arrows", "slider, strip, head or moved landmark, whichever has the focus"],

@@ -12,7 +12,7 @@ import { GUTTER, RIGHT, makeSpan } from "./span.js";
 import { paintStrip, pixelTable } from "./strip.js";
 import { putPart, readTrack } from "./track.js";
 
-const HELP = "click go to frame · scroll zoom · N P flagged";
+const HELP = "click go to frame · Shift drag a part · scroll zoom · N P flagged";
 
 function makePage(el, rgb) {
   const root = element(el, "div", "fw-timeline"), stage = element(root, "div", "fw-stage");
