@@ -368,6 +368,8 @@ class TestTheCommand:
         assert (code, err) == (0, "")
         assert "error + 2*jitter" in out
         assert "jitter at equal error" in out
+        # More smoothing is steadier in whichever frames are drawn.
+        assert "weights.tau = 10 (10 to 10)" in out
         assert "table.csv" in out
         assert json.loads(Storage(str(tmp_path / "s")).read("sweep.json"))["objectives"] == ["error", "jitter"]
 

@@ -121,15 +121,12 @@ def _list_objectives() -> None:
 
 
 def _print(result, wanted) -> None:
-    """The best point of each objective, and of the sum if one was asked for, and how sure its settings are."""
-    axes = [axis for axis in result.axes if axis.numeric]
-    table = screen.table("least", "is", "point", "settings", *(["in 95 % of draws"] if axes else []),
-                         right=("is", "point"))  # fmt: skip
+    """The best point of each objective, and of the sum if one was asked for; each setting in a line of its own."""
+    settings = "settings (in 95 % of draws)" if any(axis.numeric for axis in result.axes) else "settings"
+    table = screen.table("least", "is", "point", settings, right=("is", "point"))
 
     def add(label: str, value: str, number: int, rule) -> None:
-        sure = [result.interval(axis, rule) for axis in axes]
-        told = [", ".join(f"{low:.3g} to {high:.3g}" for low, high in filter(None, sure))] if axes else []
-        table.add_row(label, value, str(number), _settings(result, number), *told)
+        table.add_row(label, value, str(number), _settings(result, number, rule))
 
     rules = workbench.sweeps
     for name in result.objectives:
@@ -143,5 +140,11 @@ def _print(result, wanted) -> None:
     screen.console.print(table)
 
 
-def _settings(result, number: int) -> str:
-    return str(result.points[number]) or "as configured"
+def _settings(result, number: int, rule) -> str:
+    """The settings of a point, with how sure its choice by a rule is."""
+    lines = []
+    for axis, (path, value) in zip(result.axes, result.points[number].values, strict=True):
+        interval = result.interval(axis, rule)
+        sure = "" if interval is None else " ({:.3g} to {:.3g})".format(*interval)
+        lines.append(f"{path} = {workbench.sweeps.shown(value)}{sure}")
+    return "\n".join(lines) or "as configured"

@@ -18,6 +18,7 @@ from .space import config_at as config_at
 from .space import points_of as points_of
 from .space import read_axis as read_axis
 from .space import read_sampling as read_sampling
+from .space import shown as shown
 from .stored_clips import ClipSource as ClipSource
 from .stored_clips import check_second as check_second
 from .stored_clips import sources_of as sources_of
