@@ -35,6 +35,7 @@ LEAST_PICTURES = {
     "17_deep_energies_remade": 8,
     "18_deep_energies_through_time": 11,
     "19_let_the_data_choose": 4,
+    "20_what_68_points_cannot_see": 4,
 }
 APP = "10_workbench_app"
 """No part of the path: `workbench app` shows it as a page."""
@@ -63,9 +64,20 @@ def a_second_camera_locates_the_head(rows):
     assert two < 0.5 * one
 
 
+def more_points_help_if_their_errors_are_independent(rows):
+    """Notebook 20: weights, rotation and shape."""
+    ratios = {
+        errors: np.array(rows[f"377, {errors}"], float) / np.array(rows[f"68, {errors}"], float)
+        for errors in ("the network's", "independent noise")
+    }
+    assert (ratios["independent noise"] < 0.7).all()
+    assert (ratios["the network's"] > 0.85).all()
+
+
 CONCLUSIONS = {
     "03_the_beta_trap": ("from outside", bounds_hold_and_the_step_does_not),
     "12_two_cameras": ("mean error of four frames", a_second_camera_locates_the_head),
+    "20_what_68_points_cannot_see": ("points and errors", more_points_help_if_their_errors_are_independent),
 }
 """What the text around a table concludes: the head of its first column, and the check of its rows."""
 
