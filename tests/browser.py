@@ -11,7 +11,7 @@ import sys
 import time
 import urllib.request
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -375,8 +375,11 @@ def lab_page(server: LabServer, profile: Path, flags: Sequence[str] = ()) -> Ite
 
 
 @contextmanager
-def lab_tab(server: LabServer, address: str) -> Iterator[LabPage]:
-    """A page of a Chromium that runs already (`chromium`): JupyterLab's programs are there from the page before."""
+def lab_tab(server: LabServer, address: str, notebook: str = "") -> Iterator[LabPage]:
+    """A page of a Chromium that runs already (`chromium`): JupyterLab's programs are there from the page before.
+
+    A `notebook` that is named is opened with the kernel that is kept: what it needs is imported and compiled.
+    """
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -384,10 +387,22 @@ def lab_tab(server: LabServer, address: str) -> Iterator[LabPage]:
         page = playwright.chromium.connect_over_cdp(address, timeout=1000 * RUN_S).contexts[0].pages[0]
         page.set_default_timeout(1000 * RUN_S)
         page.set_viewport_size(SIZE)
+        lab = LabPage(page, server)
         try:
-            yield LabPage(page, server)
+            with kept_kernel(lab, notebook) if notebook else nullcontext():
+                yield lab
         finally:
             page.goto("about:blank")
+
+
+@contextmanager
+def kept_kernel(page: LabPage, notebook: str) -> Iterator[None]:
+    """Let a page open a notebook with the kernel that is kept, and leave nothing in it."""
+    page.server.keep_kernel(notebook)
+    try:
+        yield
+    finally:
+        page.tidy_kernel()
 
 
 _KERNEL_IDLE = """() => {

@@ -65,16 +65,12 @@ def notebook_page(name: str, cells: Sequence[str]) -> Iterator[browser.LabPage]:
 def panel_tab(server, chromium, notebook, cells):
     """A page of 1366 × 768 pixels with a panel, shown and ready. Its notebook has the kernel of all such pages."""
     write_notebook(server.folder / notebook, cells)
-    with browser.lab_tab(server, chromium) as page:
+    with browser.lab_tab(server, chromium, notebook) as page:
         page.page.set_viewport_size({"width": 1366, "height": 768})
         page.page.add_init_script(browser.KEEP_PIXELS)
-        server.keep_kernel(notebook)
         page.open(notebook)
         page.ask_kernel(f"import os; os.chdir({str(server.folder)!r})")
-        try:
-            yield shown(page, 0)
-        finally:
-            page.tidy_kernel()
+        yield shown(page, 0)
 
 
 def opened(page, notebook):

@@ -73,7 +73,7 @@ CELLS = (
 def lab(server, chromium):
     """A notebook with both views side by side, run up to its sliders."""
     write_notebook(server.folder / "views.ipynb", CELLS)
-    with browser.lab_tab(server, chromium) as page:
+    with browser.lab_tab(server, chromium, "views.ipynb") as page:
         page.page.add_init_script(browser.KEEP_PIXELS)
         page.open("views.ipynb")
         page.run_cell(0)

@@ -157,12 +157,13 @@ def wait_for_words(page, words):
 
 def test_a_camera_that_is_denied_is_said_plainly(server, tmp_path_factory, screenshots):
     denied = ["--use-fake-device-for-media-stream", "--deny-permission-prompts"]
-    with browser.lab_page(server, tmp_path_factory.mktemp("profile"), denied) as page:
+    profile = tmp_path_factory.mktemp("profile")
+    with browser.lab_page(server, profile, denied) as page, browser.kept_kernel(page, "trouble.ipynb"):
         check_without_camera(page, screenshots / "live-denied.png", "may not use the camera")
 
 
 def test_a_camera_that_is_missing_is_said_plainly(server, chromium, screenshots):
-    with browser.lab_tab(server, chromium) as page:
+    with browser.lab_tab(server, chromium, "trouble.ipynb") as page:
         page.page.context.grant_permissions(["camera"])
         check_without_camera(page, screenshots / "live-absent.png", "found no camera")
         page.page.context.clear_permissions()
@@ -177,7 +178,6 @@ def check_without_camera(page, screenshot, words):
     page.page.screenshot(path=screenshot)
     assert page.page_errors == []
     assert [output for output in page.outputs() if output["type"] == "error"] == []
-    page.run_cell(CLOSE)  # the next page has the same kernel
 
 
 def rate_and_delay(frames):

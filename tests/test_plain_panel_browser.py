@@ -36,7 +36,7 @@ IMAGE = ".jp-OutputArea img.widget-image"
 def bare(server, chromium):
     """A notebook in a JupyterLab whose page gets nothing of anywidget."""
     write_notebook(server.folder / "bare.ipynb", CELLS)
-    with browser.lab_tab(server, chromium) as page:
+    with browser.lab_tab(server, chromium, "bare.ipynb") as page:
         page.page.route("**/extensions/anywidget/**", lambda route: route.abort())
         page.open("bare.ipynb")
         page.run_cell(0)

@@ -177,7 +177,7 @@ def points() -> np.ndarray:
 @pytest.fixture(scope="module")
 def views(server, chromium):
     write_notebook(server.folder / "views.ipynb", (SETUP, SHOW))
-    with browser.lab_tab(server, chromium) as lab:
+    with browser.lab_tab(server, chromium, "views.ipynb") as lab:
         lab.page.set_viewport_size({"width": 1366, "height": 768})
         lab.open("views.ipynb")
         lab.run_all()
