@@ -23,6 +23,7 @@ from workbench.face import (
     load_default_head,
     model_landmarks,
 )
+from workbench.face.model import Embedding
 from workbench.frames import open_frames
 from workbench.geometry import camera_from_fov
 from workbench.landmarks.alignment import frame_from_points
@@ -87,6 +88,30 @@ def perfect(dense_head):
     """The neutral face seen without error, a pixel of deviation in every direction."""
     config = preset("dense").changed(identity={"calibrate": False})
     return FaceTracker(dense_head, config).fitter.neutral_observation(SIZE)
+
+
+def renumbered(model):
+    """The same surface with its vertices in another order: another mesh."""
+    order = np.random.default_rng(1).permutation(len(model.neutral))
+    back = np.argsort(order)
+
+    def moved(embedding):
+        return Embedding(back[embedding.vertices], embedding.barycentric)
+
+    return replace(
+        model,
+        name="renumbered",
+        neutral=model.neutral[order],
+        triangles=back[model.triangles],
+        expression_deltas=model.expression_deltas[:, order],
+        identity_deltas=model.identity_deltas[:, order],
+        landmarks=moved(model.landmarks),
+        contour=moved(model.contour),
+        colors=model.colors[order],
+        jaw_weights=model.jaw_weights[order],
+        mirror=back[model.mirror][order],
+        regions={name: back[vertices] for name, vertices in model.regions.items()},
+    )
 
 
 class TestSchemes:
@@ -158,10 +183,23 @@ class TestModel:
             assert np.abs(np.delete(moved.ravel(), 2 * eye + axis)).max() < 0.5
         assert not turns["jawOpen"].any()
 
-    def test_a_head_of_another_mesh_is_refused(self, head):
-        other = replace(head, name="cut", triangles=head.triangles[::-1])
-        with pytest.raises(ModelError, match="'dense' are known on the default head's mesh, not on 'cut'"):
-            in_scheme(other, DENSE)
+    def test_another_mesh_has_the_points_where_the_default_head_lies_on_it(self, head, dense_head):
+        person = head.personal(np.random.default_rng(0).normal(0.0, 1.0, 50))
+        other = in_scheme(renumbered(person), DENSE)
+        away = np.linalg.norm(other.landmarks.of(other.neutral) - dense_head.landmarks.of(person.neutral), axis=1)
+        assert away[:68].max() < 1e-9
+        assert away[list(DENSE.groups["ears"])].mean() < 1.0
+        assert np.delete(away, DENSE.groups["ears"]).mean() < 0.4
+        moved = [
+            each.landmarks.of(each.expression_deltas[each.expression_names.index("mouthSmileLeft")])
+            for each in (other, dense_head)
+        ]
+        np.testing.assert_allclose(*moved, atol=1.0)
+
+    def test_a_surface_that_is_no_face_is_refused(self, head):
+        flat = replace(renumbered(head), name="mask", triangles=np.tile(head.triangles[:1], (len(head.triangles), 1)))
+        with pytest.raises(ModelError, match="'dense' could not be placed on 'mask': the default head does not lie"):
+            in_scheme(flat, DENSE)
 
 
 class TestWhitening:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.scenes import turning_clip
-from workbench.config import Config, preset
+from workbench.config import Config, differences, preset
 from workbench.errors import InputError
 from workbench.export import export_track
 from workbench.session import TuningSession
@@ -21,7 +21,7 @@ from workbench.session.knob_words import WORDS, plain_words
 from workbench.session.knobs import KNOBS
 from workbench.session.performance import performance_commands, performance_track
 from workbench.widgets import TuningPanel, panel_page
-from workbench.widgets.changes_page import comparison_html
+from workbench.widgets.changes_page import change_words, comparison_html
 from workbench.widgets.controls import Controls
 from workbench.widgets.head_column import FACELESS
 from workbench.widgets.knob_control import CHANGED, KnobControl
@@ -290,6 +290,12 @@ def test_on_a_frame_without_a_face_no_head_is_left(panel):
     assert FACELESS not in panel.head._holder._dom_classes
 
 
+def test_marked_frames_are_ranges_in_the_changes():
+    base = preset("joint")
+    (marked,) = differences(base, base.changed(infill={"frames": ((36, 43), (50, 50))}))
+    assert change_words(marked) == "frames marked as failed: none → 36-43, 50"
+
+
 def test_where_all_are_equal_none_is_the_best():
     same, better = {"all_68_percent_mean": 2.0}, {"all_68_percent_mean": 1.0}
     assert "fw-best" not in comparison_html({"the start": same, "now": same})
@@ -366,7 +372,8 @@ def test_on_a_frame_without_a_face_nothing_of_another_one_is_left(comparison, pa
     assert panel.status.value.endswith("no face</span>")
     assert panel.energy._series["count"] == 0
     assert {row.result.value for row in panel.stages._rows} == {""}
-    assert [caption.value for caption in comparison.captions] == ["no face in this frame", "", ""]
+    assert comparison.scale.value == "no face in this frame"
+    assert {caption.value for caption in comparison.captions} == {""}
     assert {cell.children[1].layout.visibility for cell in comparison._cells} == {"hidden"}
 
 

@@ -7,6 +7,7 @@ import ipywidgets as widgets
 from workbench.config import Config, Difference
 from workbench.session import TuningSession
 from workbench.session.knobs import KNOBS
+from workbench.session.parts import parts_text
 
 COLUMNS = {
     "all_68_percent_mean": "error, %",
@@ -15,6 +16,7 @@ COLUMNS = {
     "jitter_deg": "jitter, °",
 }
 """Metrics of a run, all better when lower, and what they are called."""
+MARKED, SHOWN_PARTS = "infill.frames", 4
 START, NOW = "the start", "now"
 BY_PATH = {knob.path: knob for knob in KNOBS}
 
@@ -57,7 +59,10 @@ def changes_html(session: TuningSession) -> str:
 
 
 def change_words(item: Difference) -> str:
-    """A change in words: moved points are counted, settings have their symbol and plain name."""
+    """A change in words: moved points are counted, frames are ranges, settings have their symbol and plain name."""
+    if item.path == MARKED:
+        before, after = (parts_text(parts, SHOWN_PARTS) if parts else "none" for parts in (item.before, item.after))
+        return f"frames marked as failed: {before} → {after}"
     knob = BY_PATH.get(item.path)
     if knob is None or item.moved_points:
         return str(item)

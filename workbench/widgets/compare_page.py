@@ -144,10 +144,10 @@ class ComparePage(widgets.VBox):
         self.show_table()
 
     def _show_no_face(self) -> None:
-        self.scale.value = ""
+        self.scale.value = "no face in this frame"
         for cell, caption in zip(self._cells, self.captions, strict=True):
             cell.children[1].layout.visibility, caption.value = "hidden", ""
-        self.captions[0].value = "no face in this frame"
+        self.show_table()
 
     def show_table(self) -> None:
         """The metrics of the configurations that are shown, as far as their clip has been fitted."""
