@@ -1,6 +1,7 @@
 """A second camera judges fits to the first: from the commands, stored with its clip, and told where it is missing."""
 
 import csv
+import json
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from typer.testing import CliRunner
 
 from tests.stereo_scenes import make_rig, make_stereo_scene
 from workbench.cli import app
-from workbench.config import preset, read_config
+from workbench.config import preset, read_config, write_config
 from workbench.errors import ConfigError, InputError
 from workbench.face import load_default_head
 from workbench.geometry import read_rig, write_rig
@@ -68,6 +69,28 @@ def test_tuning_takes_it_and_says_what_it_was_tuned_on(given, files, tmp_path):
     assert found.objective == "second-view"
     assert np.isfinite([found.before["held_out"], found.after["held_out"]]).all()
     assert [line.split(" sha256:")[0] for line in found.inputs] == [files["clip"], files["second"], files["rig"]]
+
+
+@pytest.mark.slow
+def test_a_gradient_of_what_it_sees_is_followed_and_taken_up_again(given, tmp_path):
+    joint, out, base = preset("joint"), tmp_path / "learned.toml", tmp_path / "base.toml"
+    # A stage less makes half the program: what is tried here does not depend on it.
+    only = [joint.stages[-1].model_dump()]
+    heavy = {"weights": {"tau": 30.0}, "identity": {"calibrate": False}}
+    write_config(joint.changed(stages=only, **heavy), base)
+    asked = ["tune", *given, "--learn", "weights.tau", "--config", str(base), "--out", str(out)]
+    asked += ["--train", "0:12", "--held-out", "12:24"]
+    code, said = run(*asked, "--steps", "3")
+    assert code == 0, said
+    found, first = read_config(out), json.loads(out.with_suffix(".learning.json").read_text())
+    # The second camera misses a frame of those that are learned on: it does not count, and the others do.
+    assert found.weights.tau < 0.7 * heavy["weights"]["tau"]
+    assert found.provenance.after["held_out"] < found.provenance.before["held_out"]
+    code, said = run(*asked, "--steps", "4", "--resume")
+    assert code == 0, said
+    second = json.loads(out.with_suffix(".learning.json").read_text())
+    assert second["values"][:3] == first["values"]
+    assert len(second["values"]) == 4
 
 
 def test_what_it_sees_is_stored_with_the_clip_and_known_by_its_content(files, tmp_path):

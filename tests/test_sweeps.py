@@ -17,9 +17,14 @@ from workbench.session import Material, TuningSession, sweeping
 from workbench.session.material import PictureStore
 from workbench.sweeps import (
     ClipSolver,
+    Sampling,
     Sweep,
+    SweepResult,
     SweptClip,
     chosen_windows,
+    least,
+    nearest,
+    points_of,
     read_axis,
     run_sweep,
     sources_of,
@@ -159,6 +164,28 @@ def test_a_sweep_has_a_number_a_frame_for_every_point_and_clip(done):
     assert result.best("jitter") == int(np.argmin(result.means("jitter")))
     assert result.steadiest() is not None
     assert result.best("error") in result.pareto()
+
+
+def test_a_choice_is_as_sure_as_the_frames_agree():
+    """Two clips of 100 frames, four values: one is always best by `error`; by `jitter` two are, by turns."""
+    axis = read_axis("weights.tau=1,2,4,8")
+    points = points_of((axis,), Sampling())
+    turns = np.arange(100) // 10 % 2
+    rows = {0: (3.0, 5.0), 1: (1.0, turns), 2: (1.04, 1.0 - turns), 3: (2.0, 5.0)}
+    values = {
+        (k, clip): np.stack([np.broadcast_to(each, 100).astype(float) for each in row])
+        for k, row in rows.items()
+        for clip in "ab"
+    }
+    found = SweepResult(preset("joint"), (axis,), points, ("error", "jitter"), values)
+    assert found.interval(axis, least("error")) == (2.0, 2.0)
+    assert found.interval(axis, least("jitter")) == (2.0, 4.0)
+    # Within 5 % of the least, and nearest to 8.
+    from_eight = np.abs(np.log([1 / 8, 2 / 8, 4 / 8, 1.0]))
+    rule = nearest(from_eight, "error")
+    assert rule({name: found.means(name) for name in found.objectives}) == 2
+    assert found.interval(axis, rule) == (4.0, 4.0)
+    assert found.interval(read_axis("preset=joint,face-it"), least("error")) is None
 
 
 def test_nothing_is_done_twice_and_points_can_be_added(done, clips, tmp_path):
@@ -341,6 +368,8 @@ class TestTheCommand:
         assert (code, err) == (0, "")
         assert "error + 2*jitter" in out
         assert "jitter at equal error" in out
+        # More smoothing is steadier in whichever frames are drawn.
+        assert "weights.tau = 10 (10 to 10)" in out
         assert "table.csv" in out
         assert json.loads(Storage(str(tmp_path / "s")).read("sweep.json"))["objectives"] == ["error", "jitter"]
 

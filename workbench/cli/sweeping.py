@@ -120,20 +120,31 @@ def _list_objectives() -> None:
     screen.console.print(table)
 
 
-def _print(result, least) -> None:
-    """The best point of each objective, and of the sum if one was asked for."""
-    table = screen.table("least", "is", "point", "settings", right=("is", "point"))
+def _print(result, wanted) -> None:
+    """The best point of each objective, and of the sum if one was asked for; each setting in a line of its own."""
+    settings = "settings (in 95 % of draws)" if any(axis.numeric for axis in result.axes) else "settings"
+    table = screen.table("least", "is", "point", settings, right=("is", "point"))
+
+    def add(label: str, value: str, number: int, rule) -> None:
+        table.add_row(label, value, str(number), _settings(result, number, rule))
+
+    rules = workbench.sweeps
     for name in result.objectives:
         if (number := result.best(name)) is not None:
-            value = f"{result.means(name)[number]:.{workbench.objectives.TABLE[name].digits}f}"
-            table.add_row(name, value, str(number), _settings(result, number))
-    if least is not None and (number := result.best(least)) is not None:
-        table.add_row(str(least), "", str(number), _settings(result, number))
+            digits = workbench.objectives.TABLE[name].digits
+            add(name, f"{result.means(name)[number]:.{digits}f}", number, rules.least(name))
+    if wanted is not None and (number := result.best(wanted)) is not None:
+        add(str(wanted), "", number, rules.least(wanted))
     if (number := result.steadiest()) is not None:
-        value = f"{result.means('jitter')[number]:.3f}"
-        table.add_row("jitter at equal error", value, str(number), _settings(result, number))
+        add("jitter at equal error", f"{result.means('jitter')[number]:.3f}", number, rules.steadiest())
     screen.console.print(table)
 
 
-def _settings(result, number: int) -> str:
-    return str(result.points[number]) or "as configured"
+def _settings(result, number: int, rule) -> str:
+    """The settings of a point, with how sure its choice by a rule is."""
+    lines = []
+    for axis, (path, value) in zip(result.axes, result.points[number].values, strict=True):
+        interval = result.interval(axis, rule)
+        sure = "" if interval is None else " ({:.3g} to {:.3g})".format(*interval)
+        lines.append(f"{path} = {workbench.sweeps.shown(value)}{sure}")
+    return "\n".join(lines) or "as configured"

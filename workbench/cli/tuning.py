@@ -109,6 +109,8 @@ def _print(found, path: Path) -> None:
         table.add_row(name.replace("_", "-"), f"{before:.4g}", f"{found.config.provenance.after[name]:.4g}")
     screen.console.print(table)
     screen.console.print(f"held-out change, with its 95 % interval: {found.change}")
+    if found.learning is not None and found.learning.best and found.learning.best_step == 0:
+        screen.console.print("No step was better than the start on the frames that choose it: nothing was learned.")
     shown = [str(item) for item in differences(found.base, found.config)]
     for line in shown[:8]:
         screen.console.print(f"  {line}", markup=False, soft_wrap=True)

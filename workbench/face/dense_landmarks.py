@@ -19,8 +19,8 @@ _PUPIL_RING = 8
 def in_scheme(model: FaceModel, scheme: LandmarkScheme) -> FaceModel:
     """The model with the landmarks of this scheme; the jaw joint keeps its unit.
 
-    Raises `ModelError` for a scheme whose points are not known on this model: the dense ones are those of the default
-    head's mesh, in any shape.
+    The dense points are vertices of the default head. On another mesh they are where that head's are when it is laid on
+    the surface. Raises `ModelError` where it does not fit there.
     """
     if scheme is model.scheme:
         return model
@@ -38,13 +38,31 @@ def pupil_vertices(model: FaceModel) -> Int[np.ndarray, "2 p"]:
 def _dense_embedding(model: FaceModel) -> Embedding:
     """The points of `dense` after the 68."""
     if not np.array_equal(model.triangles, load_default_head().triangles):
-        raise ModelError(
-            f"The landmarks of the scheme {DENSE.name!r} are known on the default head's mesh, not on {model.name!r}; "
-            "use its 68 (another landmarks.detector), or the default head."
-        )
+        return _carried_over(model)
     pupils = _joined(*(_middle(model, ring) for ring in pupil_vertices(model)))
     alone = np.tile([1.0, 0.0, 0.0], (len(DENSE_POINTS), 1))
     return _joined(pupils, Embedding(np.repeat(DENSE_POINTS.vertices[:, None], 3, axis=1), alone))
+
+
+def _carried_over(model: FaceModel) -> Embedding:
+    """The same points of another mesh: the default head is laid on it, held by the model's own 68 landmarks."""
+    from workbench.face.formats.landmark_fit import centre_of_motion, fit_landmarks
+
+    head = in_scheme(load_default_head(), DENSE)
+    known = dict(enumerate(zip(model.landmarks.vertices, model.landmarks.barycentric, strict=True)))
+    eyes = {name: model.joints[name] for name in ("leftEye", "rightEye") if name in model.joints}
+    moved = zip(model.expression_names, model.expression_deltas, strict=True)
+    motions = {name: centre_of_motion(offsets) @ model.neutral for name, offsets in moved if np.any(offsets)}
+    places = model.landmarks.of(model.neutral), head.landmarks.of(head.neutral)[:POINT_COUNT]
+    own, usual = (np.linalg.norm(points - points.mean(axis=0)) for points in places)
+    fit = fit_landmarks(model.neutral, model.triangles, known, eyes, motions, own / usual, head)
+    if not fit.lies_on_it(own / usual):
+        raise ModelError(
+            f"The landmarks of the scheme {DENSE.name!r} could not be placed on {model.name!r}: the default head does "
+            f"not lie on its surface ({100 * fit.covered:.0f} % of the face found it, {fit.distance_mm:.1f} mm away in "
+            "the middle); use its 68 (another landmarks.detector)."
+        )
+    return Embedding(fit.landmarks.vertices[POINT_COUNT:], fit.landmarks.barycentric[POINT_COUNT:])
 
 
 def _middle(model: FaceModel, ring: Int[np.ndarray, "p"]) -> Embedding:

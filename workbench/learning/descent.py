@@ -28,16 +28,16 @@ STEP = 0.35
 MOMENTUM = 0.6
 AT_A_TIME = 2
 """Stretches of a step."""
-WATCHED = 4
-"""Stretches of the part that chooses the step."""
 WATCH_EVERY = 3
 FAR_POINTS = 0.1
 """What the mean square of the landmarks' logarithms costs: without it, they wander to fit the noise of a few frames."""
 FARTHEST = float(np.log(100.0))
 """No factor goes farther from 1 than 100."""
-FORMAT = 1
+FORMAT = 2
 
 Slope = Callable[[Logs, Example], tuple[Float[jax.Array, ""], Logs]]
+Watched = Callable[[Mapping[str, Float[np.ndarray, "m"]]], float]
+"""What some logarithms are worth on frames that are not learned on."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Learning:
     values: list[float] = field(default_factory=list)
     """The objective on the stretches of each step, before it."""
     watched: list[float | None] = field(default_factory=list)
-    """That on the watched stretches, where it was looked at."""
+    """That on the watched frames, where it was looked at."""
     best: dict[str, list[float]] = field(default_factory=dict)
     best_step: int = 0
     best_value: float = float("inf")
@@ -83,7 +83,7 @@ def descended(
     slope: Slope,
     begun: Learning,
     train: Sequence[Example],
-    watch: Sequence[Example],
+    watched: Watched | None,
     steps: int,
     tell: Tell,
     stored: Path | None = None,
@@ -91,12 +91,12 @@ def descended(
 ) -> Learning:
     """The learning after `steps` steps in all, or as far as it had come when it was `stopped` or interrupted (Ctrl-C).
 
-    `watch`: the values kept are the best on these; without any, the last. `stored` is written after each step.
+    The values kept are the best `watched` ones; without it, the last. `stored` is written after each step.
     """
     found, chain = begun, optimiser(steps)
     try:
         while len(found.values) < steps and not stopped():
-            found = _stepped(slope, chain, found, _turn(train, len(found.values)), watch, steps)
+            found = _stepped(slope, chain, found, _turn(train, len(found.values)), watched, steps)
             if stored is not None:
                 store(found, stored)
             tell(found, steps)
@@ -112,7 +112,7 @@ def _turn(train: Sequence[Example], step: int) -> list[Example]:
     return [train[(step + k * apart) % len(train)] for k in range(count)]
 
 
-def _stepped(slope: Slope, chain, before: Learning, examples, watch, steps: int) -> Learning:
+def _stepped(slope: Slope, chain, before: Learning, examples, watched: Watched | None, steps: int) -> Learning:
     logs = {path: jnp.array(log) for path, log in before.logs.items()}
     number = len(before.values)
     value, slopes = _mean(slope, logs, examples)
@@ -131,9 +131,9 @@ def _stepped(slope: Slope, chain, before: Learning, examples, watch, steps: int)
         watched=before.watched,
     )
     last = number + 1 == steps
-    if not watch or not (last or (number + 1) % WATCH_EVERY == 0):
+    if watched is None or not (last or (number + 1) % WATCH_EVERY == 0):
         return replace(after, watched=[*after.watched, None])
-    seen = _mean(slope, logs, watch)[0]
+    seen = watched({path: np.asarray(log) for path, log in logs.items()})
     after = replace(after, watched=[*after.watched, seen])
     better = seen < after.best_value
     return replace(after, best=after.logs, best_step=number + 1, best_value=seen) if better else after
@@ -170,11 +170,6 @@ def begin(key: str, start: Mapping[str, Float[np.ndarray, "m"]], watched: float 
     if watched is None:
         return Learning(key, logs, still)
     return Learning(key, logs, still, best=logs, best_value=watched)
-
-
-def watched_value(slope: Slope, start: Logs, watch: Sequence[Example]) -> float | None:
-    """The objective on the watched stretches before the first step."""
-    return _mean(slope, start, watch)[0] if watch else None
 
 
 def store(learning: Learning, path: Path) -> None:

@@ -5,10 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-RUN = 10
-"""Frames that a bootstrap draws in a row: neighbours are alike, and one by one would make the interval too narrow."""
-DRAWS = 2000
-SURE_PERCENT = 95.0
+from workbench.objectives import drawn_means, interval_of
 
 
 class Change(NamedTuple):
@@ -29,12 +26,7 @@ def change_of(before: Float[np.ndarray, "n"], after: Float[np.ndarray, "n"], see
     before, after = before[known], after[known]
     if not len(before):
         return Change(np.nan, np.nan, np.nan)
-    run = min(RUN, len(before))
-    count = -(-len(before) // run)
-    starts = np.random.default_rng(seed).integers(0, len(before) - run + 1, (DRAWS, count))
-    drawn = (starts[..., None] + np.arange(run)).reshape(DRAWS, -1)
-    shares = after[drawn].mean(1) / before[drawn].mean(1)
-    outside = 0.5 * (100.0 - SURE_PERCENT)
-    low, high = np.percentile(shares, [outside, 100.0 - outside])
+    means = drawn_means(np.stack([before, after]), seed)
+    low, high = interval_of(means[:, 1] / means[:, 0])
     whole = after.mean() / before.mean()
     return Change(*(round(100.0 * (float(share) - 1.0), 2) for share in (whole, low, high)))

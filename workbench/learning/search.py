@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from workbench.config import Config
-from workbench.errors import ConfigError
+from workbench.errors import ConfigError, InputError
 from workbench.extras import needs
 from workbench.files import make_folder
 from workbench.objectives import WeightedSum
@@ -67,10 +68,15 @@ def searched(
         found: list[float] = []
         for number, windows in enumerate(pieces):
             found.append(value_of(solver, chosen, clip, windows, objectives))
-            trial.report(float(np.nanmean(found)), number)
+            so_far = mean_of(np.array(found))
+            trial.report(so_far, number)
             if trial.should_prune():
                 raise optuna.TrialPruned
-        return float(np.nanmean(found))
+        if np.isfinite(so_far):
+            return so_far
+        if not _complete(study):
+            raise InputError(f"The objective {objectives} has no value on these frames; choose other ones (--train).")
+        raise optuna.TrialPruned
 
     try:
         # A trial that was interrupted is in the study, but not done.
@@ -79,19 +85,23 @@ def searched(
             tell(done + 1, trials, _best_value(study))
     except KeyboardInterrupt:
         pass
-    complete = [trial for trial in _ended(study) if not _given_up(trial)]
-    if not complete:
+    if not _complete(study):
         return config
-    best = min(complete, key=lambda trial: trial.value)
+    best = min(_complete(study), key=lambda trial: trial.value)
     return config_at(config, _point({axis.path: _value_of(axis, best.params[axis.path]) for axis in axes}))
 
 
 def value_of(
     solver: ClipSolver, config: Config, clip: SweptClip, windows: Sequence[range], objectives: WeightedSum
 ) -> float:
-    """The mean of a sum of objectives over some stretches, fitted as configured."""
+    """The mean of a sum of objectives over some stretches, fitted as configured; NaN if no frame has a value."""
     rows = objectives_of(solver, [config], clip, windows, objectives.names)[0]
-    return float(np.nanmean(objectives.of(dict(zip(objectives.names, rows, strict=True)))))
+    return mean_of(objectives.of(dict(zip(objectives.names, rows, strict=True))))
+
+
+def mean_of(values: Float[np.ndarray, "n"]) -> float:
+    """The mean of what is known; NaN if nothing is."""
+    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
 
 
 def check_axes(axes: Sequence[Axis]) -> None:
@@ -127,9 +137,9 @@ def _ended(study) -> list:
     return [trial for trial in study.trials if trial.state.name in ("COMPLETE", "PRUNED")]
 
 
-def _given_up(trial) -> bool:
-    return trial.state.name == "PRUNED"
+def _complete(study) -> list:
+    return [trial for trial in study.trials if trial.state.name == "COMPLETE"]
 
 
 def _best_value(study) -> float:
-    return min((trial.value for trial in _ended(study) if not _given_up(trial)), default=float("nan"))
+    return min((trial.value for trial in _complete(study)), default=float("nan"))

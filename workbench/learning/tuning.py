@@ -11,15 +11,15 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench.config import Config, differences
-from workbench.errors import ConfigError
+from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel
-from workbench.learning.descent import WATCHED, Learning, begin, descended, stored, watched_value
+from workbench.learning.descent import Learning, Watched, begin, descended, stored
 from workbench.learning.examples import example_of, spread, stretches_in
-from workbench.learning.learnable import learned, start_of
+from workbench.learning.learnable import Logs, learned, start_of
 from workbench.learning.objective import check_gradient, compiled_slope
 from workbench.learning.parts import Parts
 from workbench.learning.report import Change, change_of
-from workbench.learning.search import searched
+from workbench.learning.search import mean_of, searched, value_of
 from workbench.objectives import WeightedSum
 from workbench.pipeline import content_hash, software_versions
 from workbench.sweeps.clips import SweptClip
@@ -30,8 +30,8 @@ from workbench.sweeps.stored_clips import ClipSource, digest_of, observe
 from workbench.tracking.unwatched import never
 
 STEPS, TRIALS = 24, 40
-TRAINED = 12
-"""Stretches that are learned on, at most."""
+TRAINED, WATCHED = 12, 4
+"""Stretches that are learned on, and that choose the step, at most."""
 
 Tell = Callable[[str, int, int, float, float | None], None]
 """Called with what is done ("learn", "search"), how many steps of how many, the value and the watched value."""
@@ -73,7 +73,7 @@ class Tuned:
         return change_of(self.before["held_out"], self.after["held_out"])
 
     def __str__(self) -> str:
-        lines = [f"{name}: {_mean(self.before[name]):.4g} → {_mean(self.after[name]):.4g}" for name in self.before]
+        lines = [f"{name}: {mean_of(self.before[name]):.4g} → {mean_of(self.after[name]):.4g}" for name in self.before]
         return "\n".join([*lines, f"held-out change: {self.change}", *map(str, differences(self.base, self.config))])
 
 
@@ -139,25 +139,44 @@ def learn_on(
     check_gradient(wanted.objectives)
     kinds = folds_needed(wanted.objectives.names)
 
-    def examples(frames: range | None, count: int):
-        windows = [] if frames is None else spread(stretches_in(clip, frames), count)
-        return [example_of(solver, config, clip, window, kinds) for window in windows]
-
-    train, watch = examples(wanted.parts.train, TRAINED), examples(wanted.parts.watch, WATCHED)
+    train = [
+        example_of(solver, config, clip, window, kinds)
+        for window in spread(stretches_in(clip, wanted.parts.train), TRAINED)
+    ]
+    watched = None if wanted.parts.watch is None else watched_on(solver, config, clip, wanted)
     slope = compiled_slope(config, wanted.objectives, clip.observations[0].image_size, start, train[0])
     key = _key_of(config, clip, wanted)
     file = None if place is None else place.with_suffix(".learning.json")
     if resume and file is not None and file.exists():
         begun = stored(file, key)
     else:
-        begun = begin(key, start, watched_value(slope, start, watch))
+        begun = begin(key, start, None if watched is None else watched(start))
 
     def told(learning: Learning, steps: int) -> None:
-        seen = [begun.best_value] if watch else []
+        seen = [] if watched is None else [begun.best_value]
         seen += [value for value in learning.watched if value is not None]
         tell("learn", len(learning.values), steps, learning.values[-1], seen[-1] if seen else None)
 
-    return descended(slope, begun, train, watch, wanted.steps, told, file, stopped)
+    return descended(slope, begun, train, watched, wanted.steps, told, file, stopped)
+
+
+def watched_on(solver: ClipSolver, config: Config, clip: SweptClip, wanted: Wanted) -> Watched:
+    """What learned values are worth on the frames that choose the step, fitted as `workbench track` does.
+
+    The identity is calibrated with these values: where the gradient holds it, a step may look better than it is.
+    """
+    windows = spread(stretches_in(clip, wanted.parts.watch), WATCHED)
+
+    def watched(logs: Logs) -> float:
+        value = value_of(solver, learned(config, logs), clip, windows, wanted.objectives)
+        if not np.isfinite(value):
+            raise InputError(
+                f"The objective {wanted.objectives} has no value on the frames that choose the step; choose other ones "
+                "(--watch), or another objective."
+            )
+        return value
+
+    return watched
 
 
 def measured(
@@ -201,14 +220,10 @@ def _provenance(result: Tuned, model: FaceModel, wanted: Wanted, inputs: Sequenc
         "model": f"{model.name} sha256:{model.fingerprint()}",
         "inputs": list(inputs),
         "changed": [str(item) for item in differences(result.base, result.config)],
-        "before": {name: round(_mean(values), 5) for name, values in result.before.items()},
-        "after": {name: round(_mean(values), 5) for name, values in result.after.items()},
+        "before": {name: round(mean_of(values), 5) for name, values in result.before.items()},
+        "after": {name: round(mean_of(values), 5) for name, values in result.after.items()},
         "objective": str(wanted.objectives),
         "learned": [*wanted.learn, *(axis.path for axis in wanted.search)],
         "parts": {name: f"{frames.start}:{frames.stop}" for name, frames in wanted.parts.named.items()},
         "change_percent": {"held_out": change.percent, "low": change.low, "high": change.high},
     }
-
-
-def _mean(values: Float[np.ndarray, "n"]) -> float:
-    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")

@@ -1,3 +1,5 @@
+from .bootstrap import drawn_means as drawn_means
+from .bootstrap import interval_of as interval_of
 from .evidence import fitted_clip as fitted_clip
 from .evidence import flow_of_pictures as flow_of_pictures
 from .evidence import inner_landmarks as inner_landmarks

@@ -8,11 +8,14 @@ from workbench.objectives.records import ObservedClip
 
 
 def length(vectors: Float[AnyArray, "*n d"]) -> Float[AnyArray, "*n"]:
-    """Euclidean length; its derivative at zero is zero."""
+    """Euclidean length; its derivative is zero at zero, and where a vector is NaN and so has none."""
     library = library_of(vectors)
-    squared = (vectors * vectors).sum(-1)
+    unknown = library.isnan(vectors).any(-1)
+    known = library.where(unknown[..., None], 0.0, vectors)
+    squared = (known * known).sum(-1)
     zero = squared == 0.0
-    return library.where(zero, 0.0, library.sqrt(library.where(zero, 1.0, squared)))
+    found = library.where(zero, 0.0, library.sqrt(library.where(zero, 1.0, squared)))
+    return library.where(unknown, library.nan, found)
 
 
 def eye_distance(clip: ObservedClip) -> Float[AnyArray, "n"]:

@@ -10,13 +10,15 @@ from workbench.objectives.records import FittedClip, ObservedClip
 def rotation_error(clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "n"]:
     """Angle between the head's rotation and the true one, degrees."""
     library = library_of(fits.rotation)
+    unknown = library.isnan(clip.truth.rotation).any(-1)
     scalar, vector = _quaternion(fits.rotation)
-    true_scalar, true_vector = _quaternion(clip.truth.rotation)
+    true_scalar, true_vector = _quaternion(library.where(unknown[:, None], 0.0, clip.truth.rotation))
     # q* · p: its vector part is the sine and its scalar part the cosine of half the angle between both.
     along = scalar * true_scalar + (vector * true_vector).sum(-1)
     cross = library.cross(vector, library.asarray(true_vector))
     across = scalar[:, None] * true_vector - true_scalar[:, None] * vector - cross
-    return library.degrees(2.0 * library.arctan2(length(across), library.abs(along)))
+    angle = library.degrees(2.0 * library.arctan2(length(across), library.abs(along)))
+    return library.where(unknown, library.nan, angle)
 
 
 def position_error(clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "n"]:

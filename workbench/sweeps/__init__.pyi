@@ -6,6 +6,9 @@ from .figures import parallel_figure as parallel_figure
 from .figures import pareto_figure as pareto_figure
 from .figures import write_figures as write_figures
 from .outcome import SweepResult as SweepResult
+from .outcome import least as least
+from .outcome import nearest as nearest
+from .outcome import steadiest as steadiest
 from .second_camera import in_first_view as in_first_view
 from .solving import ClipSolver as ClipSolver
 from .space import Axis as Axis
@@ -15,6 +18,7 @@ from .space import config_at as config_at
 from .space import points_of as points_of
 from .space import read_axis as read_axis
 from .space import read_sampling as read_sampling
+from .space import shown as shown
 from .stored_clips import ClipSource as ClipSource
 from .stored_clips import check_second as check_second
 from .stored_clips import sources_of as sources_of

@@ -1,7 +1,7 @@
 """What a sweep found: a number a frame for every objective, point and clip, and the tables of them."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,18 @@ from workbench.config import Config
 from workbench.errors import InputError
 from workbench.extras import needs
 from workbench.files import atomic_path
-from workbench.objectives import WeightedSum, least_at_equal, pareto_set
+from workbench.objectives import WeightedSum, drawn_means, interval_of, least_at_equal, pareto_set
 from workbench.sweeps.space import Axis, Point, config_at
 
 BAND = (25.0, 75.0)
 """Percentiles of the band over frames."""
+SURE_DRAWS = 500
+SLACK = 0.05
+"""Means that differ by this share count as equal."""
+Means = Mapping[str, Float[np.ndarray, "p"]]
+"""By objective: the mean over frames at each point."""
+Rule = Callable[[Means], int | None]
+"""Which point is chosen by its means; None if they say nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +56,10 @@ class SweepResult:
         whole = np.concatenate(found) if found else np.zeros(0)
         return whole[np.isfinite(whole)]
 
+    def _in_a_row(self, objective: str, number: int) -> Float[np.ndarray, "n"]:
+        row = self._row(objective)
+        return np.concatenate([self.values[number, clip][row] for clip in self.clips])
+
     def means(self, objective: str) -> Float[np.ndarray, "p"]:
         """The mean of an objective over all frames at each point; NaN where none is known."""
         return np.array([_mean(self.frames(objective, point.number)) for point in self.points])
@@ -60,15 +71,25 @@ class SweepResult:
 
     def best(self, wanted: WeightedSum | str) -> int | None:
         """The number of the point with the least mean of an objective or a sum; None if nothing is known of it."""
-        wanted = WeightedSum({wanted: 1.0}) if isinstance(wanted, str) else wanted
-        means = wanted.of({name: self.means(name) for name in wanted.names})
-        return None if np.isnan(means).all() else int(np.nanargmin(means))
+        return least(wanted)({name: self.means(name) for name in self.objectives})
 
-    def steadiest(self, slack: float = 0.05) -> int | None:
+    def steadiest(self, slack: float = SLACK) -> int | None:
         """The point with the least jitter among those within `slack` of the least error; None without either."""
-        if not {"error", "jitter"} <= set(self.objectives):
+        return steadiest(slack)({name: self.means(name) for name in self.objectives})
+
+    def interval(self, axis: Axis, rule: Rule) -> tuple[float, float] | None:
+        """How sure a choice is: in 95 % of the bootstrap's draws of frames, its value of a setting lies between these.
+
+        None without a choice, and for settings that are not numbers.
+        """
+        points = [point for point in self.points if all((point.number, clip) in self.values for clip in self.clips)]
+        if not (axis.numeric and points):
             return None
-        return least_at_equal(self.means("jitter"), self.means("error"), slack)
+        rows = {name: np.stack([self._in_a_row(name, point.number) for point in points]) for name in self.objectives}
+        means = {name: drawn_means(values, draws=SURE_DRAWS) for name, values in rows.items()}
+        drawn = (rule({name: found[k] for name, found in means.items()}) for k in range(SURE_DRAWS))
+        values = np.array([dict(points[best].values)[axis.path] for best in drawn if best is not None], float)
+        return interval_of(values, of_drawn=True) if len(values) else None
 
     def pareto(self, objectives: Sequence[str] | None = None) -> tuple[int, ...]:
         """The points that no other beats in these objectives, or in all of them."""
@@ -121,6 +142,33 @@ class SweepResult:
         if objective not in self.objectives:
             raise InputError(f"The sweep did not measure {objective!r}; it has {', '.join(self.objectives)}.")
         return self.objectives.index(objective)
+
+
+def least(wanted: WeightedSum | str) -> Rule:
+    """The least mean of an objective or a sum."""
+    wanted = WeightedSum({wanted: 1.0}) if isinstance(wanted, str) else wanted
+
+    def rule(means: Means) -> int | None:
+        values = wanted.of(means)
+        return None if np.isnan(values).all() else int(np.nanargmin(values))
+
+    return rule
+
+
+def steadiest(slack: float = SLACK) -> Rule:
+    """The least jitter at equal error."""
+
+    def rule(means: Means) -> int | None:
+        known = {"error", "jitter"} <= set(means)
+        return least_at_equal(means["jitter"], means["error"], slack) if known else None
+
+    return rule
+
+
+def nearest(distances: Float[np.ndarray, "p"], wanted: str, slack: float = SLACK) -> Rule:
+    """The point at the least distance among those within `slack` of the least `wanted`: with distances from present
+    values, a change goes as far as it pays."""
+    return lambda means: least_at_equal(distances, means[wanted], slack)
 
 
 def _mean(values: Float[np.ndarray, "n"]) -> float:

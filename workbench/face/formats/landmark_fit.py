@@ -25,6 +25,8 @@ NORMALS_AGREE = 0.5
 FACE_BOX = ((-75.0, -70.0, -60.0), (75.0, 105.0, 45.0))
 """The part of the default head that is laid on the surface, head frame, millimetres."""
 IDENTITY_WEIGHT, LANDMARK_WEIGHT, MOTION_WEIGHT, POINT_WEIGHT = 2.0, 60.0, 6.0, 0.02
+WORST_MM, LEAST_COVERED = 4.0, 0.4
+"""A fit of the default head that is worse than this found no face."""
 WIDE = ("jaw", "eyeLook", "tongue")
 """Beginnings of the names of shapes whose motion is too wide, or inside the head, to tell a place of the face."""
 NEIGHBOURS = 30
@@ -41,6 +43,10 @@ class LandmarkFit(NamedTuple):
     """Median distance of its face from the surface."""
     covered: float
     """Part of its face that found the surface."""
+
+    def lies_on_it(self, size: float) -> bool:
+        """Whether the head lies on the mesh, which is of `size` times the default head's size."""
+        return bool(self.covered >= LEAST_COVERED and self.distance_mm <= WORST_MM * size)
 
 
 class _Surface(NamedTuple):

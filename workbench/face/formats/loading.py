@@ -38,8 +38,6 @@ CONVERTED = {
     ".vrm": "it is glTF; rename it to .glb",
 }
 REMEDY = "supply the file as it was published"
-WORST_MM, LEAST_COVERED = 4.0, 0.4
-"""A fit of the default head that is worse than this found no face."""
 IN_PLACE_MM = 15.0
 """A model in millimetres and our axes whose eyes are this close to its origin is in the head frame already."""
 MIRROR_MM = 3.0
@@ -190,7 +188,7 @@ def _fitted(
     motions = {name: centre_of_motion(delta) @ vertices for name, delta in moved.items()}
     head = load_default_head(gaze=True)
     fit = fit_landmarks(vertices, triangles, raw.landmarks, eyes, motions, placement.size, head)
-    found = fit.covered >= LEAST_COVERED and fit.distance_mm <= WORST_MM * placement.size
+    found = fit.lies_on_it(placement.size)
     if len(raw.landmarks) < 68 and not found:
         raise ModelError(
             f"{path}: the default head could not be laid on this mesh ({100 * fit.covered:.0f} % of its face found the "
