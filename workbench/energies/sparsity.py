@@ -7,6 +7,10 @@ from workbench.arrays import AnyArray, Scalar
 from workbench.energies.context import TermContext
 from workbench.face.parameters import FaceParameters
 
+EYES_SHARE = 0.05
+"""Of the norm, for the eyes' units: to look straight ahead is no rest for eyes, but what turns them one way must not
+work against what turns them the other way."""
+
 Weights = Float[AnyArray, "k"]
 
 
@@ -24,6 +28,8 @@ def smoothed_l1(weights: Weights, delta: Scalar) -> Weights:
 
 
 def sigma_smooth_residual(parameters: FaceParameters, context: TermContext) -> Weights:
-    """The smoothed L1 norm of the weights, without the eyes' units: to look straight ahead is no rest for them."""
+    """The smoothed L1 norm of the weights; of eyes that are seen, `EYES_SHARE` of it."""
     values = smoothed_l1(parameters.expression, context.constants.delta)
-    return values if context.gaze is None else jnp.where(jnp.any(context.gaze.turns != 0.0, axis=0), 0.0, values)
+    if context.gaze is None:
+        return values
+    return jnp.where(jnp.any(context.gaze.turns != 0.0, axis=0), EYES_SHARE**0.5 * values, values)
