@@ -113,6 +113,9 @@ FW_AT
 .fw-panel .fw-status b { font-weight: 600; }
 .fw-panel .fw-meaning { flex: 0 0 auto; margin: 0 4px; color: var(--jp-ui-font-color2, #666); }
 .fw-panel .fw-transport { flex: 0 0 auto; align-items: center; padding-left: 48px; }
+/* what a running fit says is cut before it makes the line higher */
+.fw-panel .fw-transport > .fw-said { flex: 1 1 0; min-width: 0; overflow: hidden; }
+.fw-panel .fw-said .widget-html-content { white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
 .fw-panel .fw-play { margin: 2px; width: auto; }
 .fw-panel .fw-play button:nth-of-type(2) { display: none; }
 .fw-panel .fw-export { flex: 0 0 auto; border: 1px solid var(--jp-border-color2, #ddd); border-radius: 6px;

@@ -42,7 +42,7 @@ class Transport:
             parts = [
                 classed(part.play, "fw-play"), parts[0], group(self.speed), group(self.first, self.last, self.whole),
             ]  # fmt: skip
-        parts += [group(bar.run_clip, bar.follow), bar.cancel, bar.progress, bar.said]
+        parts += [group(bar.run_clip, bar.follow), bar.cancel, bar.progress, classed(bar.said, "fw-said")]
         self.widget = classed(widgets.HBox(parts), "fw-transport")
 
     def play(self) -> None:
