@@ -13,12 +13,21 @@ from workbench.config import preset
 from workbench.diagnosis import indistinguishable_groups
 from workbench.energies.reprojection import Observation, landmark_errors, reprojection_with_jacobian
 from workbench.errors import ConfigError, InputError, ModelError
-from workbench.face import FaceParameters, contour_blend, in_scheme, landmark_model, load_default_head, model_landmarks
+from workbench.face import (
+    GAZE_NAMES,
+    FaceParameters,
+    contour_blend,
+    gaze_deg,
+    in_scheme,
+    landmark_model,
+    load_default_head,
+    model_landmarks,
+)
 from workbench.face.model import Embedding
 from workbench.frames import open_frames
 from workbench.geometry import camera_from_fov
 from workbench.landmarks.alignment import frame_from_points
-from workbench.landmarks.dense_detector import DenseDetector, covariance_of
+from workbench.landmarks.dense_detector import DenseDetector
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.files import LandmarkRecord, read_landmark_file, write_landmark_file
 from workbench.landmarks.observations import Landmarks2D, of_ibug68
@@ -26,6 +35,7 @@ from workbench.landmarks.scheme import GROUPS, IBUG68, MIRROR, outer_eye_distanc
 from workbench.landmarks.schemes import DENSE, SCHEMES, scheme_named, scheme_of_count
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.landmarks.uncertainty import CORNERS, ellipses
+from workbench.networks.regression import covariance_of
 from workbench.pictures import OverlayParts, draw_landmarks, draw_overlay
 from workbench.pipeline import track
 from workbench.planning import plan_of
@@ -141,12 +151,37 @@ class TestModel:
             assert away.max() < 1.2 * away.min()
             assert 4.0 < away.mean() < 8.0
 
-    def test_a_model_is_the_same_in_every_scheme(self, head, dense_head):
-        assert dense_head.fingerprint() == head.fingerprint()
+    def test_a_model_is_the_same_in_every_scheme_but_for_eyes_that_no_68_points_see(self, head, dense_head):
+        full = load_default_head(gaze=True)
+        assert dense_head.fingerprint() == full.fingerprint() == in_scheme(full, DENSE).fingerprint()
+        assert dense_head.expression_names == full.expression_names
         assert dense_head.jaw_unit == head.jaw_unit
         back = in_scheme(dense_head, IBUG68)
         assert np.array_equal(back.landmarks.vertices, head.landmarks.vertices)
         assert in_scheme(head, IBUG68) is head
+        assert landmark_model(head).gaze is None
+
+    def test_other_blendshapes_keep_their_order_before_the_eyes(self, head):
+        one = in_scheme(replace(head.with_expressions(("jawOpen",)), expression_names=("opening",)), DENSE)
+        assert one.expression_names == ("opening", *GAZE_NAMES)
+        assert (landmark_model(one).gaze[:, 0] == 0.0).all()
+
+    def test_the_eyes_turn_to_where_their_units_say(self, dense_head):
+        turns = dict(zip(dense_head.expression_names, landmark_model(dense_head).gaze.T, strict=True))
+        rest = gaze_deg(dense_head, np.zeros(52))
+        for name, (eye, axis, sign) in {
+            "eyeLookOutLeft": (1, 0, 1),
+            "eyeLookInLeft": (1, 0, -1),
+            "eyeLookInRight": (0, 0, 1),
+            "eyeLookUpRight": (0, 1, 1),
+            "eyeLookDownLeft": (1, 1, -1),
+        }.items():
+            looking = np.array([float(name == each) for each in dense_head.expression_names])
+            moved = gaze_deg(dense_head, looking) - rest
+            np.testing.assert_allclose(turns[name].reshape(2, 2), moved, atol=1e-9)
+            assert sign * moved[eye, axis] > 9.0
+            assert np.abs(np.delete(moved.ravel(), 2 * eye + axis)).max() < 0.5
+        assert not turns["jawOpen"].any()
 
     def test_another_mesh_has_the_points_where_the_default_head_lies_on_it(self, head, dense_head):
         person = head.personal(np.random.default_rng(0).normal(0.0, 1.0, 50))
@@ -155,8 +190,10 @@ class TestModel:
         assert away[:68].max() < 1e-9
         assert away[list(DENSE.groups["ears"])].mean() < 1.0
         assert np.delete(away, DENSE.groups["ears"]).mean() < 0.4
-        smile = head.expression_names.index("mouthSmileLeft")
-        moved = [each.landmarks.of(each.expression_deltas[smile]) for each in (other, dense_head)]
+        moved = [
+            each.landmarks.of(each.expression_deltas[each.expression_names.index("mouthSmileLeft")])
+            for each in (other, dense_head)
+        ]
         np.testing.assert_allclose(*moved, atol=1.0)
 
     def test_a_surface_that_is_no_face_is_refused(self, head):
@@ -181,7 +218,7 @@ class TestWhitening:
         points = model_landmarks(model, contour_blend(model.contour_yaw, 0.0, 1.0), jnp.zeros(50))
         camera = camera_from_fov(SIZE, 40.0)
         at = FaceParameters(
-            jnp.array([0.1, 0.2, 0.05]), jnp.array([5.0, -3.0, 600.0]), jnp.full(44, 0.2), jnp.zeros(50)
+            jnp.array([0.1, 0.2, 0.05]), jnp.array([5.0, -3.0, 600.0]), jnp.full(52, 0.2), jnp.zeros(50)
         )
         root = rng.normal(size=(377, 2, 2))
         whitening = jnp.asarray(whitening_of(root @ np.swapaxes(root, 1, 2) + np.eye(2)))

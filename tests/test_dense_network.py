@@ -8,17 +8,10 @@ import numpy as np
 import pytest
 
 from workbench.errors import ModelError
-from workbench.networks.dense_network import (
-    LEAST_DEVIATION_PX,
-    MOST_DEVIATION_PX,
-    NAME,
-    SIDE,
-    dense_places,
-    empty_dense_network,
-    read_dense_network,
-)
+from workbench.networks.dense_network import NAME, SIDE, empty_dense_network, read_dense_network
 from workbench.networks.encoder import BLOCKS, WIDTHS
 from workbench.networks.frozen import FrozenDenseNetwork
+from workbench.networks.regression import LEAST_DEVIATION_PX, MOST_DEVIATION_PX, places_of
 from workbench.networks.weights import ARCHITECTURE, save_module
 
 POINTS = 7
@@ -57,7 +50,7 @@ def test_places_have_a_derivative_in_the_picture(network, picture):
 
 def test_errors_that_are_drawn_by_the_covariance_are_whitened_to_unit_variance():
     numbers = np.array([0.1, -0.2, np.log(1 / 3.0), np.log(1 / 0.5), 0.4])
-    places = dense_places(numbers)
+    places = places_of(numbers, SIDE)
     np.testing.assert_allclose(places.points, [[0.6 * SIDE - 0.5, 0.3 * SIDE - 0.5]])
     covariance = np.linalg.inv(places.whitening[0].T @ places.whitening[0])
     errors = np.random.default_rng(4).multivariate_normal([0, 0], covariance, 20000)
@@ -65,13 +58,13 @@ def test_errors_that_are_drawn_by_the_covariance_are_whitened_to_unit_variance()
 
 
 def test_no_point_is_claimed_to_be_surer_or_less_sure_than_the_limits():
-    places = dense_places(np.array([0, 0, 50.0, -50.0, 0]))
+    places = places_of(np.array([0, 0, 50.0, -50.0, 0]), SIDE)
     np.testing.assert_allclose(1 / np.diagonal(places.whitening[0]), [LEAST_DEVIATION_PX, MOST_DEVIATION_PX])
 
 
 def test_the_measured_factor_widens_the_deviations():
     numbers = np.zeros(10)
-    plain, wide = dense_places(numbers), dense_places(numbers, np.array([2.0, 1.0]))
+    plain, wide = places_of(numbers, SIDE), places_of(numbers, SIDE, np.array([2.0, 1.0]))
     np.testing.assert_allclose(wide.whitening, plain.whitening / np.array([2.0, 1.0])[:, None, None])
 
 

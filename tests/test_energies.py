@@ -31,6 +31,7 @@ from workbench.energies import (
     stage_factors,
     still,
 )
+from workbench.energies.context import Gaze
 from workbench.energies.flow import choose_surface
 from workbench.energies.flow_link import FlowLink, FlowTargets
 from workbench.face import FaceParameters, contour_blend, landmark_model, model_landmarks, pack, unpack
@@ -53,7 +54,7 @@ OMEGA = {
     f"weights.{name}": value
     for name, value in {
         "sparse": 1.5, "pose": 0.7, "fit": 1.3, "prior": 0.9, "tau": 0.2, "beta": 0.3, "sigma": 0.4,
-        "sigma_smooth": 0.5, "range": 0.6, "flow": 0.8,
+        "sigma_smooth": 0.5, "range": 0.6, "flow": 0.8, "vergence": 0.3, "gaze": 0.2,
     }.items()
 }  # fmt: skip
 OMEGA |= {"identity.weight": 0.8, "deep.edges": 0.7, "deep.regularisation": 1.1, "deep.prior": 0.4, "flow.stay": 1.7}
@@ -205,6 +206,43 @@ def test_derivatives_agree_with_central_differences(residual):
 def test_a_weight_on_its_bound_is_not_pushed_by_the_range_term():
     _, slope = jax.jvp(distance_from_range, (jnp.array([0.0, 1.0]),), (jnp.ones(2),))
     np.testing.assert_array_equal(slope, 0.0)
+
+
+@pytest.fixture(scope="module")
+def looking():
+    """Weights of a head whose eyes' units are the first four, and the context that says so."""
+    turns = np.zeros((4, 6))
+    turns[[0, 2], [0, 1]], turns[[1, 3], [2, 3]] = (21.0, -21.0), (10.0, 10.0)
+    start = FaceParameters(jnp.zeros(3), jnp.zeros(3), jnp.zeros(6), jnp.zeros(0))
+    return still(start)._replace(gaze=Gaze(turns, np.asarray(0.25)))
+
+
+def test_the_eyes_terms_are_angles_in_degrees(looking):
+    at = looking.start._replace(expression=jnp.array([0.5, 0.2, 0.3, 0.1, 0.9, 0.9]))
+    np.testing.assert_allclose(residual_of("vergence")(at, looking), [-4.2 - 10.5, 1.0 - 3.0])
+    np.testing.assert_allclose(residual_of("gaze")(at, looking), [0.5 * 10.5, 0.5 * 3.0, -0.5 * 4.2, 0.5 * 1.0])
+    blind = looking._replace(gaze=None)
+    assert not residual_of("vergence")(at, blind).any()
+    assert not residual_of("gaze")(at, blind).any()
+
+
+def test_to_look_straight_ahead_is_no_rest_for_eyes_that_are_seen(looking):
+    at = looking.start._replace(expression=jnp.full(6, 0.5))
+    seen, blind = (residual_of("sigma_smooth")(at, context) for context in (looking, looking._replace(gaze=None)))
+    np.testing.assert_array_equal(seen[:4], 0.0)
+    np.testing.assert_array_equal(seen[4:], blind[4:])
+    assert (blind > 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["vergence", "gaze", "sigma_smooth"])
+def test_derivatives_of_the_eyes_terms_agree_with_central_differences(looking, name):
+    def residual(weights):
+        return residual_of(name)(looking.start._replace(expression=weights), looking)
+
+    at, way = (jnp.asarray(part) for part in np.random.default_rng(3).uniform(0.1, 0.9, (2, 6)))
+    _, slope = jax.jvp(residual, (at,), (way,))
+    numeric = (residual(at + 1e-6 * way) - residual(at - 1e-6 * way)) / 2e-6
+    np.testing.assert_allclose(slope, numeric, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize("free", FREE_SETS, ids="+".join)

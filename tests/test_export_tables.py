@@ -69,6 +69,22 @@ def test_pandas_reads_the_weights_back_left_on_the_left(live_link, track):
     assert (table[["EyeLookInLeft", "LeftEyeYaw"]].dropna() == 0.0).all(axis=None)
 
 
+def test_the_eyes_turn_as_their_weights_say(track, tmp_path):
+    """To the subject's left is positive, as of the head; 21 degrees at most, by the default head."""
+    names = [*track.expression_names, "eyeLookOutLeft", "eyeLookInRight", "eyeLookDownRight"]
+    looks = np.tile([1.0, 0.5, 1.0], (FRAMES, 1))
+    looking = replace(
+        track, expression=np.hstack([track.expression, looks]), meta={**track.meta, "expression_names": names}
+    )
+    write_live_link_csv(looking, tmp_path / "looks.csv")
+    row = pandas.read_csv(tmp_path / "looks.csv").iloc[0]
+    assert np.degrees(row["LeftEyeYaw"]) == pytest.approx(21.2, abs=0.2)
+    assert np.degrees(row["RightEyeYaw"]) == pytest.approx(10.6, abs=0.2)
+    assert np.degrees(row["RightEyePitch"]) == pytest.approx(-16.7, abs=0.2)
+    assert row["LeftEyeRoll"] == row["RightEyeRoll"] == 0.0
+    assert row["EyeLookOutLeft"] == 1.0
+
+
 def test_a_frame_without_a_face_keeps_its_row_and_counts_no_values(live_link):
     rows = list(csv.reader(live_link.read_text().splitlines()))
     assert all(len(row) == len(HEADER) for row in rows)

@@ -66,9 +66,8 @@ def pool_folder(tmp_path_factory):
     pictures_path, numbers_path = shard_paths(folder, 0)
     np.save(pictures_path, pictures)
     vertices = np.broadcast_to(points[:, :1], (SHARD, 4, 2))
-    np.savez(
-        numbers_path, points=points, vertices=vertices, angles=np.zeros((SHARD, 3)), expressions=np.zeros((SHARD, 52))
-    )
+    numbers = {"angles": np.zeros((SHARD, 3)), "expressions": np.zeros((SHARD, 52)), "glasses": np.zeros(SHARD, bool)}
+    np.savez(numbers_path, points=points, vertices=vertices, **numbers)
     return folder
 
 

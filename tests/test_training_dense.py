@@ -7,14 +7,20 @@ import pytest
 import torch
 from scipy.spatial.distance import pdist, squareform
 
-from workbench.landmarks.schemes import DENSE_POINTS, DENSE_TABLE, DensePoints
+from workbench.landmarks.schemes import DENSE_TABLE, DensePoints
 from workbench.landmarks.uncertainty import ellipse_radius
-from workbench.networks.dense_network import dense_places, read_dense_network
-from workbench.networks.frozen import FrozenDenseNetwork
+from workbench.networks.dense_network import read_dense_network
+from workbench.networks.eye_network import SIDE as EYE_SIDE
+from workbench.networks.eye_network import read_eye_network
+from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork
+from workbench.networks.regression import places_of
 from workbench.training.augment import TRAINING, augmented
 from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, measured_dense
 from workbench.training.dense_points import IRIS_POINTS, SPACING_MM, dense_points, write_table
-from workbench.training.dense_task import SIDE, DenseTask, TorchDenseNetwork, loss_of
+from workbench.training.dense_task import SIDE, DenseTask, loss_of
+from workbench.training.eye_measuring import EyeAnswers, measured_eyes
+from workbench.training.eye_pictures import eye_picture, moved, pupil_seen
+from workbench.training.eye_task import EyeTask
 from workbench.training.loop import Phase, TrainingPlan, train
 from workbench.training.pool import SHARD, halves, open_pool, shard_paths
 
@@ -54,6 +60,7 @@ def pool_path(gazing_head, tmp_path_factory):
         vertices=np.broadcast_to(vertices, (SHARD, *vertices.shape)).astype(np.float32),
         angles=np.zeros((SHARD, 3)),
         expressions=np.zeros((SHARD, 52)),
+        glasses=np.zeros(SHARD, bool),
     )
     return folder
 
@@ -143,7 +150,7 @@ def answers():
 
 class TestCalibration:
     def test_the_factor_is_what_the_claims_lack(self, answers):
-        np.testing.assert_allclose(deviation_factor(answers), 2.0, rtol=0.06)
+        np.testing.assert_allclose(deviation_factor(answers.deviations), 2.0, rtol=0.06)
 
     def test_honest_ellipses_hold_their_share(self, answers):
         honest = DenseAnswers(answers.points, answers.truth, answers.angles_deg, answers.whitening / 2.0)
@@ -158,16 +165,68 @@ class TestCalibration:
         assert rows["pupils"]["damaged, inside 50%"] == pytest.approx(1 - np.exp(-1.386 / 8), abs=0.02)
 
 
+class TestEyes:
+    def test_the_points_of_a_crop_are_those_of_the_render_as_a_right_eye_s(self, pool):
+        """The made-up pool is symmetric, so a left eye's crop, which comes mirrored, says what a right one's does."""
+        shapes = []
+        for eye in (0, 1):
+            for seed in range(3):
+                made = eye_picture(pool, 0, eye, np.random.default_rng(seed))
+                assert made.picture.shape == (EYE_SIDE, EYE_SIDE, 3)
+                shapes.append(pdist(made.points))
+        for shape in shapes:
+            ratio = shape / shapes[0]
+            assert np.ptp(ratio) / ratio.mean() < 0.05
+
+    def test_moving_a_crop_moves_its_points(self, pool):
+        made = eye_picture(pool, 0, 0, np.random.default_rng(0))
+        aside = moved(made, np.random.default_rng(4))
+        shift = np.unique(aside.points - made.points, axis=0)
+        assert len(np.unique(np.round(shift, 9), axis=0)) == 1
+        assert np.abs(shift).max() <= 3
+
+    def test_a_pupil_behind_the_lids_is_not_seen(self):
+        lids = np.array([[0, 5], [3, 2], [7, 2], [10, 5], [7, 8], [3, 8]], float)
+        assert pupil_seen(lids, np.array([5.0, 5.0]))
+        assert not pupil_seen(lids, np.array([5.0, 9.0]))
+
+    def test_what_is_kept_says_what_was_trained_and_goes_on(self, pool_path, tmp_path):
+        plan = TrainingPlan(phases=(Phase(EYE_SIDE, 3, 2, 1e-3),), widths=SMALL.widths, blocks=1)
+        kept = train(EyeTask(), pool_path, tmp_path / "eyes", plan, workers=0, report=lambda _: None)
+        still = TrainingPlan(phases=(Phase(EYE_SIDE, 1, 8, 1e-9),), widths=SMALL.widths, blocks=1)
+        on = train(EyeTask(), pool_path, tmp_path / "on", still, workers=0, report=lambda _: None, start=kept)
+        picture = np.random.default_rng(5).integers(0, 256, (EYE_SIDE, EYE_SIDE, 3), dtype=np.uint8)
+        first, second = (FrozenEyeNetwork(read_eye_network(path))(picture) for path in (kept, on))
+        np.testing.assert_allclose(first.points, second.points, atol=0.5)
+
+    def test_the_tables_tell_errors_slope_and_shares_with_and_without_glasses(self):
+        rng = np.random.default_rng(2)
+        truth = 32.0 + 6.0 * rng.normal(size=(4000, 9, 2))
+        points = truth + rng.normal(0, 1.0, truth.shape)
+        whitening = np.broadcast_to(np.eye(2), (4000, 9, 2, 2))
+        glasses, is_open = np.arange(4000) % 2.0, np.ones(4000)
+        answers = EyeAnswers(points, whitening, 0.9 * is_open, truth, is_open, glasses, np.zeros(4000))
+        tables = measured_eyes(answers, answers)
+        assert list(tables) == [
+            f"{kind}, {name}" for kind in ("clean", "damaged") for name in ("without glasses", "with glasses")
+        ]
+        row = tables["clean, with glasses"]
+        assert row["pupil: mean"] == pytest.approx(100 * np.sqrt(np.pi / 2) / (0.6 * EYE_SIDE), rel=0.05)
+        assert row["slope"] == pytest.approx(1.0, abs=0.02)
+        assert row["inside 80%"] == pytest.approx(0.8, abs=0.02)
+        assert row["open or shut: right"] == 1.0
+
+
 class TestTraining:
     def test_what_is_kept_says_what_was_trained(self, pool_path, tmp_path):
         task = DenseTask()
         kept = train(task, pool_path, tmp_path / "dense", SMALL, workers=0, report=lambda _: None)
-        network = TorchDenseNetwork(SMALL.widths, SMALL.blocks, 70 + len(DENSE_POINTS)).eval()
+        network = task.network(SMALL).eval()
         state = torch.load(tmp_path / "dense" / "checkpoint.pt", map_location="cpu", weights_only=True)
         network.load_state_dict(state["average"])
         picture = np.random.default_rng(5).integers(0, 256, (SIDE, SIDE, 3), dtype=np.uint8)
         with torch.no_grad():
             numbers = network(torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255)[0].numpy().ravel()
-        expected, found = dense_places(numbers), FrozenDenseNetwork(read_dense_network(kept))(picture)
+        expected, found = places_of(numbers, SIDE), FrozenDenseNetwork(read_dense_network(kept))(picture)
         np.testing.assert_allclose(found.points, expected.points, atol=1e-2)
         np.testing.assert_allclose(found.whitening, expected.whitening, rtol=1e-3, atol=1e-4)

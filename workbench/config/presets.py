@@ -62,13 +62,12 @@ PRESETS: dict[str, Config] = {
     # Ours: pose and expression as one problem with 50 unknowns, because the alternation gets stuck.
     "joint": Config(preset="joint", weights=_preset_weights("joint"), stages=PRESET_STAGES["joint"]),
     # Ours after Wood et al. (ECCV 2022): the same problem on points of the whole face, each by its own covariance.
-    # Those beyond the 68 err alike where they are neighbours, and together are worth less than their number. Eyes that
-    # do not turn explain no iris, and the default head's do not.
+    # Those beyond the 68 err alike where they are neighbours, and together are worth less than their number.
     "dense": Config(
         preset="dense",
         weights=_preset_weights("joint"),
-        landmarks=LandmarksConfig(detector="dense", weights={"dense": 0.1, "irises": 0.0}),
-        stages=PRESET_STAGES["joint"],
+        landmarks=LandmarksConfig(detector="dense", weights={"dense": 0.1, "irises": 0.1}),
+        stages=PRESET_STAGES["dense"],
     ),
     # Deep Energies as printed. Of its stages the order and the free parameters are; iteration limits and W are ours.
     "deep-energies": Config(

@@ -25,6 +25,15 @@ class LandmarkErrors(NamedTuple):
     of some weight alike."""
 
 
+class Gaze(NamedTuple):
+    """How eyes turn, and how well a frame shows it."""
+
+    turns: Float[AnyArray, "4 k"]
+    """`LandmarkModel.gaze`."""
+    hidden: Scalar
+    """0 where the place of a pupil is known, 1 where nothing tells that of either."""
+
+
 class TermContext(NamedTuple):
     """What a term may know about a frame besides the parameters."""
 
@@ -40,6 +49,8 @@ class TermContext(NamedTuple):
     """What ties the frame to the one before it; None where no stage names the flow term."""
     jaw_unit: JawUnit = USUAL_JAW
     """The face model's."""
+    gaze: Gaze | None = None
+    """None where no landmark shows where the eyes look."""
 
 
 def still(start: FaceParameters, constants: EnergyConstants = EnergyConstants()) -> TermContext:  # noqa: B008

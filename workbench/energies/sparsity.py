@@ -24,5 +24,6 @@ def smoothed_l1(weights: Weights, delta: Scalar) -> Weights:
 
 
 def sigma_smooth_residual(parameters: FaceParameters, context: TermContext) -> Weights:
-    """The smoothed L1 norm of the weights."""
-    return smoothed_l1(parameters.expression, context.constants.delta)
+    """The smoothed L1 norm of the weights, without the eyes' units: to look straight ahead is no rest for them."""
+    values = smoothed_l1(parameters.expression, context.constants.delta)
+    return values if context.gaze is None else jnp.where(jnp.any(context.gaze.turns != 0.0, axis=0), 0.0, values)

@@ -2,7 +2,7 @@
 
 Importers for Unreal, Blender, Maya, Houdini and MotionBuilder read it. The app's angles are radians. Their signs are
 documented nowhere; these are the ones that senders of the same data to Unreal use: yaw > 0 turns the face to the
-subject's own left, pitch > 0 up, roll > 0 lowers the subject's right ear.
+subject's own left, pitch > 0 up, roll > 0 lowers the subject's right ear. Eyes turn in the head, by the same signs.
 """
 
 import csv
@@ -14,7 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
 from workbench.export.clip import FLIP, RATE_OF_IMAGES, without_failures, without_jaw
+from workbench.face import in_scheme, load_default_head
+from workbench.face.gaze import eye_turns
 from workbench.files import atomic_path
+from workbench.landmarks.schemes import DENSE
 from workbench.tracking import Track
 
 _EYE = ("eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp", "eyeSquint", "eyeWide")
@@ -40,9 +43,9 @@ VALUES = len(LIVE_LINK_SHAPES) + len(ROTATIONS)
 def write_live_link_csv(track: Track, path: str | Path, rate: float | None = None) -> None:
     """One row per frame: timecode HH:MM:SS:FF.mmm, 61, the weights, then yaw, pitch, roll of head and eyes in radians.
 
-    Blendshapes that the track does not have are 0, and so are the eyes, which 68 landmarks do not see. The motion of a
-    jaw joint is in the jaw's blendshapes. A frame without a face, or with a failed fit, has the count 0 and no values,
-    as in the app's files.
+    Blendshapes that the track does not have are 0; the eyes turn by as much as their weights turn the default head's,
+    which in a track of 68 landmarks, that do not see them, is 0. The motion of a jaw joint is in the jaw's blendshapes.
+    A frame without a face, or with a failed fit, has the count 0 and no values, as in the app's files.
     Raises `InputError` for a track that has none of ARKit's blendshapes.
     """
     track = without_jaw(without_failures(track))
@@ -57,7 +60,7 @@ def write_live_link_csv(track: Track, path: str | Path, rate: float | None = Non
         if name in names:
             weights[:, column] = track.expression[:, names.index(name)]
     rotations = np.zeros((len(track), len(ROTATIONS)))
-    rotations[:, :3] = head_angles(track)
+    rotations[:, :3], rotations[:, 3:] = head_angles(track), eye_angles(weights)
     rate = float(rate or track.meta.get("rate") or RATE_OF_IMAGES)
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
@@ -78,6 +81,17 @@ def head_angles(track: Track) -> Float[np.ndarray, "n 3"]:
         about_y, about_x, about_z = Rotation.from_rotvec(track.rotation[track.found] * FLIP).as_euler("YXZ").T
         angles[track.found] = np.stack([about_y, -about_x, about_z], axis=1)
     return angles
+
+
+def eye_angles(weights: Float[np.ndarray, "n 52"]) -> Float[np.ndarray, "n 6"]:
+    """Yaw, pitch and roll (0) of the left eye and then of the right one in the head, radians.
+
+    `weights` in the order of `LIVE_LINK_SHAPES`.
+    """
+    head = in_scheme(load_default_head(), DENSE)
+    order = [head.expression_names.index(name) for name in LIVE_LINK_SHAPES]
+    turned = np.radians(weights @ eye_turns(head)[:, order].T).reshape(-1, 2, 2)[:, ::-1]
+    return np.concatenate([turned, np.zeros((len(weights), 2, 1))], axis=2).reshape(-1, 6)
 
 
 def timecode(index: int, rate: float) -> str:

@@ -19,7 +19,7 @@ from workbench.export.report_charts import (
     strip_rows,
 )
 from workbench.export.summary import summary_of
-from workbench.face import DressedHead, FaceModel
+from workbench.face import GAZE_NAMES, DressedHead, FaceModel
 from workbench.files import atomic_path
 from workbench.frames import Frames
 from workbench.pictures import HeadPanel, OverlayParts, draw_overlay, side_by_side
@@ -245,16 +245,19 @@ def _expression(track: Track, flags: FrameFlags) -> str:
     if not track.found.any():
         return "<p>No frame has a face.</p>"
     motion = np.nanstd(track.expression, axis=0)
-    most = np.argsort(-motion, kind="stable")[:CURVES]
     names = track.expression_names
-    curves = {names[k]: track.expression[:, k] for k in most}
+    looks = [k for k, name in enumerate(names) if name in GAZE_NAMES]
+    most = [k for k in np.argsort(-motion, kind="stable") if k not in looks][:CURVES]
+    curves, gaze = ({names[k]: track.expression[:, k] for k in chosen} for chosen in (most, looks))
     low, high, mean = (made(track.expression, axis=0) for made in (np.nanmin, np.nanmax, np.nanmean))
     rows = [
         (name, f"{mean[k]:.3f}", f"{low[k]:.3f}", f"{high[k]:.3f}", f"{motion[k]:.3f}") for k, name in enumerate(names)
     ]
     table = _table(("blendshape", "mean", "least", "most", "deviation"), rows)
+    frames, marked = track.index.astype(float), _marked(track, flags)
     return (
-        line_chart(track.index.astype(float), curves, f"weight, the {len(most)} that move most", _marked(track, flags))
+        line_chart(frames, curves, f"weight, the {len(most)} that move most", marked)
+        + (line_chart(frames, gaze, "weight of the eyes' units: where they look", marked) if gaze else "")
         + f"<details><summary>All {len(names)} weights</summary>{table}</details>"
     )
 

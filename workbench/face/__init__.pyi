@@ -19,6 +19,7 @@ from .dressed_head import read_skin as read_skin
 from .dressed_head import skin_names as skin_names
 from .formats import arkit_name as arkit_name
 from .formats import load_face_model as load_face_model
+from .gaze import gaze_deg as gaze_deg
 from .jaw import JawJoint as JawJoint
 from .jaw import jaw_joint as jaw_joint
 from .jaw import jaw_of_weights as jaw_of_weights

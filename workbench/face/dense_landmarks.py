@@ -7,6 +7,7 @@ from jaxtyping import Int
 
 from workbench.errors import ModelError
 from workbench.face.default_head import load_default_head
+from workbench.face.gaze import with_eye_units
 from workbench.face.model import Embedding, FaceModel
 from workbench.landmarks.scheme import IBUG68, POINT_COUNT, LandmarkScheme
 from workbench.landmarks.schemes import DENSE, DENSE_POINTS
@@ -19,14 +20,18 @@ _PUPIL_RING = 8
 def in_scheme(model: FaceModel, scheme: LandmarkScheme) -> FaceModel:
     """The model with the landmarks of this scheme; the jaw joint keeps its unit.
 
+    The default head without the eyes' units, which none of the 68 shows, has them in a scheme with pupils.
     The dense points are vertices of the default head. On another mesh they are where that head's are when it is laid on
     the surface. Raises `ModelError` where it does not fit there.
     """
     if scheme is model.scheme:
         return model
     first = Embedding(model.landmarks.vertices[:POINT_COUNT], model.landmarks.barycentric[:POINT_COUNT])
-    landmarks = first if scheme is IBUG68 else _joined(first, _dense_embedding(model))
-    return replace(model, landmarks=landmarks, fixed_jaw_unit=model.jaw_unit)
+    if scheme is IBUG68:
+        return replace(model, landmarks=first, fixed_jaw_unit=model.jaw_unit)
+    landmarks = _joined(first, _dense_embedding(model))
+    made = replace(model, landmarks=landmarks, fixed_jaw_unit=model.jaw_unit)
+    return with_eye_units(made) if np.array_equal(model.triangles, load_default_head().triangles) else made
 
 
 def pupil_vertices(model: FaceModel) -> Int[np.ndarray, "2 p"]:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from workbench.arrays import AnyArray, Scalar
+from workbench.face.gaze import EYES, eye_turns
 from workbench.face.model import BLINK_SCALE_RANGE, BLINKS, Embedding, FaceModel
 
 LEAST_SEEN_MM = 0.1
@@ -36,6 +37,9 @@ class LandmarkModel(NamedTuple):
     """Least weight of each blendshape where weights are bounded."""
     expression_upper: Float[AnyArray, "k"]
     """Largest one; both are 0 for a blendshape that no landmark sees, which a fit holds there, bounded or not."""
+    gaze: Float[AnyArray, "4 k"] | None = None
+    """Degrees that each blendshape turns the right eye to the subject's left and upwards, then the left one; None where
+    the landmarks show no pupils."""
 
     def personal(self, identity: Float[np.ndarray, "i"]) -> "LandmarkModel":
         """The landmarks of one person: identity and blink travel baked in, no identity basis left."""
@@ -52,6 +56,7 @@ class LandmarkModel(NamedTuple):
             expression_scale_identity=np.zeros((0, len(scale))),
             expression_lower=self.expression_lower,
             expression_upper=self.expression_upper,
+            gaze=self.gaze,
         )
 
     def frontal_neutral(self) -> Float[np.ndarray, "points 3"]:
@@ -105,6 +110,7 @@ def landmark_model(model: FaceModel) -> LandmarkModel:
         expression_scale_identity=scale_identity,
         expression_lower=bounds[:, 0],
         expression_upper=bounds[:, 1],
+        gaze=eye_turns(model) if "pupils" in model.scheme.groups and set(EYES) <= set(model.joints) else None,
     )
 
 

@@ -1,7 +1,8 @@
 """Landmarks of the whole face, each with its covariance: the dense network beside the network detector's.
 
 The heat maps say whether there is a face, and where its 68 points are; the dense network says where all others are, and
-how surely each of them all. After Wood et al., "3D Face Reconstruction with Dense Landmarks" (ECCV 2022).
+how surely each of them all; pupils and irises are the eye network's. After Wood et al., "3D Face Reconstruction with
+Dense Landmarks" (ECCV 2022).
 """
 
 from dataclasses import replace
@@ -12,13 +13,16 @@ from jaxtyping import Float, UInt8
 
 from workbench.landmarks.alignment import FaceFrame
 from workbench.landmarks.detection import Box
+from workbench.landmarks.eyes import IRISES, EyeDetector
 from workbench.landmarks.lids import true_lids
 from workbench.landmarks.network_detector import BUNDLED, CROP_SIDE, NetworkDetector, crop_frame, sampled_crop
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import POINT_COUNT, outer_eye_distance
 from workbench.landmarks.schemes import DENSE
-from workbench.networks.dense_network import DenseNetwork, DensePlaces, read_dense_network
+from workbench.networks.dense_network import DenseNetwork, read_dense_network
+from workbench.networks.eye_network import EyeNetwork
 from workbench.networks.frozen import FrozenDenseNetwork
+from workbench.networks.regression import Places, covariance_of
 
 HEAT_MAP_DEVIATION = 0.6
 """Of the 68 points: what their places in the heat maps deviate by, as a share of what the dense network claims for its
@@ -33,9 +37,10 @@ class DenseDetector(NetworkDetector):
 
     name = "dense"
 
-    def __init__(self, dense: DenseNetwork | None = None) -> None:
+    def __init__(self, dense: DenseNetwork | None = None, eyes: EyeNetwork | None = None) -> None:
         super().__init__()
         self._dense = FrozenDenseNetwork(dense or bundled_dense_network())
+        self._eyes = EyeDetector(eyes)
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
         """The mean of six looks, as the network detector's; a covariance is their mean too: they err alike."""
@@ -51,11 +56,14 @@ class DenseDetector(NetworkDetector):
         landmarks, _ = self._answer(crop, picture, to_image, mirrored)
         places = _unmirrored(self._dense(crop)) if mirrored else self._dense(crop)
         covariance = covariance_of(places.whitening)
-        confidence = np.concatenate([landmarks.confidence, _nearness(places.points, covariance)[POINT_COUNT:]])
         covariance[:POINT_COUNT] *= HEAT_MAP_DEVIATION**2
-        points = np.concatenate([true_lids(landmarks.points), to_image.to_image(places.points)[POINT_COUNT:]])
         turn = to_image.matrix
-        return Landmarks2D(points, confidence, landmarks.image_size, turn @ covariance @ turn.T)
+        covariance = turn @ covariance @ turn.T
+        points = np.concatenate([true_lids(landmarks.points), to_image.to_image(places.points)[POINT_COUNT:]])
+        eyes = self._eyes.see(picture, points)
+        points[IRISES], covariance[IRISES] = eyes.points, eyes.covariance
+        confidence = np.concatenate([landmarks.confidence, _nearness(points, covariance)[POINT_COUNT:]])
+        return Landmarks2D(points, confidence, landmarks.image_size, covariance)
 
 
 @cache
@@ -64,16 +72,11 @@ def bundled_dense_network() -> DenseNetwork:
     return read_dense_network(BUNDLED / "dense.safetensors")
 
 
-def covariance_of(whitening: Float[np.ndarray, "points 2 2"]) -> Float[np.ndarray, "points 2 2"]:
-    """(WᵀW)⁻¹: what errors are distributed by that W takes to unit variance."""
-    return np.linalg.inv(np.swapaxes(whitening, 1, 2) @ whitening)
-
-
-def _unmirrored(places: DensePlaces) -> DensePlaces:
+def _unmirrored(places: Places) -> Places:
     """Places of the mirrored crop in the crop's own pixels, by the number of the point that each really is."""
     order = list(DENSE.mirror)
     points = places.points[order] * _MIRRORED + np.array([CROP_SIDE - 1.0, 0.0])
-    return DensePlaces(points, places.whitening[order] * _MIRRORED)
+    return Places(points, places.whitening[order] * _MIRRORED)
 
 
 def _nearness(

@@ -13,10 +13,12 @@ import onnxruntime
 from jaxtyping import Float, UInt8
 from onnx import TensorProto, helper, numpy_helper
 
-from workbench.networks.dense_network import DenseNetwork, DensePlaces, Linear, dense_places
+from workbench.networks.dense_network import SIDE, DenseNetwork
 from workbench.networks.encoder import MIDDLE, SPREAD, Encoder
+from workbench.networks.eye_network import EyeNetwork, EyePlaces, eye_places
 from workbench.networks.landmark_network import LandmarkNetwork
 from workbench.networks.layers import Conv
+from workbench.networks.regression import Linear, Places, Regression, places_of
 
 OPSET, IR_VERSION = 17, 8
 """Of the graph: old enough for every ONNX Runtime that is allowed."""
@@ -44,13 +46,30 @@ class FrozenDenseNetwork:
     """A dense network as ONNX Runtime runs it; may be called from several threads."""
 
     def __init__(self, network: DenseNetwork) -> None:
-        self._run = _runner(_dense_graph(network))
-        factor = network.deviation_factor
-        self._deviation_factor = None if factor is None else np.asarray(factor, np.float64)
+        self._answer = _regression(network)
 
-    def __call__(self, picture: UInt8[np.ndarray, "256 256 3"]) -> DensePlaces:
+    def __call__(self, picture: UInt8[np.ndarray, "256 256 3"]) -> Places:
         """Points in the picture's pixels and their whitening: `network(picture / 255)` up to rounding."""
-        return dense_places(self._run(picture).astype(np.float64), self._deviation_factor)
+        numbers, factor = self._answer(picture)
+        return places_of(numbers, SIDE, factor)
+
+
+class FrozenEyeNetwork:
+    """An eye network as ONNX Runtime runs it; may be called from several threads."""
+
+    def __init__(self, network: EyeNetwork) -> None:
+        self._answer = _regression(network)
+
+    def __call__(self, picture: UInt8[np.ndarray, "64 64 3"]) -> EyePlaces:
+        """Pupil and iris of a right eye, and whether it is open: `network(picture / 255)` up to rounding."""
+        return eye_places(*self._answer(picture))
+
+
+def _regression(network: Regression) -> Callable[[UInt8[np.ndarray, "s s 3"]], tuple[np.ndarray, np.ndarray | None]]:
+    """A picture to the last layer's numbers, with the factors of their deviations."""
+    run, factor = _runner(_regression_graph(network)), network.deviation_factor
+    factor = None if factor is None else np.asarray(factor, np.float64)
+    return lambda picture: (run(picture).astype(np.float64), factor)
 
 
 def _runner(model) -> Callable[[UInt8[np.ndarray, "h w 3"]], np.ndarray]:
@@ -133,7 +152,7 @@ def _heat_map_graph(network: LandmarkNetwork):
     return graph.model([1, head.weight.shape[0], "h4", "w4"])
 
 
-def _dense_graph(network: DenseNetwork):
+def _regression_graph(network: Regression):
     """The network as an ONNX model, from a picture of bytes to the numbers of the points."""
     graph = _Graph()
     x = graph.add("Flatten", graph.step(graph.features(network)[-1], network.squeeze))

@@ -229,8 +229,8 @@ def retrack(
     """
     folder, progress = Path(folder), progress or silent
     reader = TrackReader(stored)
-    check_model(reader.meta, model)
     model = in_scheme(model, scheme_of(reader.meta))
+    check_model(reader.meta, model)
     if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
         raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
     dressed = dressed_as(config.head.character, model) if pictures else None

@@ -26,6 +26,7 @@ from workbench.energies import (
     normal_system,
     project_landmarks,
 )
+from workbench.energies.context import Gaze
 from workbench.energies.flow_link import FlowLink
 from workbench.energies.systems import SYSTEMS
 from workbench.face import (
@@ -38,6 +39,7 @@ from workbench.face import (
     unpack,
 )
 from workbench.geometry import Camera, head_yaw
+from workbench.landmarks.schemes import PUPILS
 from workbench.runtime import SMALL_ARRAYS
 from workbench.solvers import LevenbergMarquardt, Solution, TrustRegion, minimise
 
@@ -46,6 +48,8 @@ BLOCKS = SYSTEMS["face-it"].blocks
 BRANCHES = (("rotation", "translation"), BLOCKS)
 """The branches of one compiled program: a pose-only stage costs a small solve, any other stage a solve of the whole
 vector. Parameters that a stage does not free are masked, so that no schedule triggers recompilation."""
+PUPIL_GUESS = 0.06
+"""Deviation, as a share of the outer-eye distance, of a pupil that is half hidden: some 20 degrees of gaze."""
 STAGE_SLOTS = 8
 """Schedules are padded to a multiple of this many stages."""
 Method = Literal["levenberg-marquardt", "trust-region"]
@@ -222,8 +226,27 @@ def stage_problem(
     weights = landmark_weights * frame.measured[:, 2]
     observation = Observation(frame.measured[:, :2], weights, unit, frame.whitening)
     before = (frame.before_last_pose, frame.last_pose, frame.history)
-    context = TermContext(settings.constants, *before, parameters, frame.flow)
+    gaze = None
+    if model.gaze is not None:
+        gaze = Gaze(model.gaze, hidden_eyes(frame, weights, eye_distance_px))
+    context = TermContext(settings.constants, *before, parameters, frame.flow, gaze=gaze)
     return EnergyProblem(camera, points, observation, omega, context)
+
+
+def hidden_eyes(
+    frame: FrameInput, weights: Float[AnyArray, "points"], eye_distance_px: Float[AnyArray, ""]
+) -> Float[AnyArray, ""]:
+    """How far both pupils are hidden: each one's variance squared against that of a guess, 1 without weight.
+
+    Squared, so that eyes which are seen are not held at all. Where one is, the other follows it by vergence.
+    """
+    pupils = np.array(PUPILS)
+    if frame.whitening is None:
+        return jnp.prod(jnp.where(weights[pupils] > 0.0, 0.0, 1.0))
+    # The whitening is triangular: the product of its diagonal is one over the area of a deviation.
+    variance = 1.0 / (frame.whitening[pupils, 0, 0] * frame.whitening[pupils, 1, 1])
+    more = (variance / (PUPIL_GUESS * eye_distance_px) ** 2) ** 2
+    return jnp.prod(jnp.where(weights[pupils] > 0.0, more / (more + 1.0), 1.0))
 
 
 def moving_unknowns(

@@ -82,7 +82,7 @@ def augmented(
     else:
         picture = background
     if rng.random() < 0.35 * hardness.damage:
-        picture = _shadowed(picture, rng)
+        picture = shadowed(picture, rng)
     if hardness.damage > 0:
         picture = photographed(picture, rng, hardness.damage)
     points = points.astype(np.float32)
@@ -142,11 +142,14 @@ def random_background(rng: np.random.Generator, side: int = CROP_SIDE) -> Float[
 
 
 def photographed(
-    picture: Float[np.ndarray, "s s 3"], rng: np.random.Generator, amount: float = 1.0
+    picture: Float[np.ndarray, "s s 3"], rng: np.random.Generator, amount: float = 1.0, unit: float | None = None
 ) -> Float[np.ndarray, "s s 3"]:
-    """What lens, sensor and codec do: colour, contrast, blur, lost resolution, noise, compression."""
+    """What lens, sensor and codec do: colour, contrast, blur, lost resolution, noise, compression.
+
+    `unit`: pixels for one of a face's crop of `CROP_SIDE` pixels; by default the picture is such a crop.
+    """
     side = picture.shape[0]
-    unit = side / CROP_SIDE
+    unit = side / CROP_SIDE if unit is None else unit
     picture = np.clip(picture, 0, 255).astype(np.uint8)
     if rng.random() < 0.9 * amount:
         curve = np.linspace(0, 1, 256)[:, None] ** np.exp(rng.normal(0, 0.28))
@@ -164,9 +167,10 @@ def photographed(
     if rng.random() < 0.4 * amount:
         picture = cv2.GaussianBlur(picture, (0, 0), unit * float(rng.uniform(0.4, 2.6)))
     if rng.random() < 0.15 * amount:
-        picture = _moved(picture, rng)
+        picture = _moved(picture, rng, unit)
     if rng.random() < 0.45 * amount:
-        small = min(side, int(np.exp(rng.uniform(np.log(48), np.log(CROP_SIDE)))))
+        small = int(np.exp(rng.uniform(np.log(48), np.log(CROP_SIDE))) * (side / unit / CROP_SIDE))
+        small = min(side, max(small, 4))
         down = cv2.resize(picture, (small, small), interpolation=cv2.INTER_AREA)
         if rng.random() < 0.5:
             down = down + rng.normal(0, rng.uniform(0, 10), down.shape).astype(np.float32)
@@ -307,7 +311,7 @@ def _occluded(picture, points, rng):
     return picture * (1 - cover) + cover * layer
 
 
-def _shadowed(picture, rng):
+def shadowed(picture: Float[np.ndarray, "s s 3"], rng: np.random.Generator) -> Float[np.ndarray, "s s 3"]:
     """A soft or hard edge of shadow or light across the picture."""
     angle, place = rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5)
     x, y = np.meshgrid(*(np.linspace(-1, 1, len(picture), dtype=np.float32),) * 2)
@@ -328,9 +332,9 @@ def _dim(picture, rng):
     return (noisy * (255 / full * rng.uniform(0.4, 1.1))).astype(np.float32)
 
 
-def _moved(picture, rng):
+def _moved(picture, rng, unit):
     """Motion blur."""
-    length = max(3, round(rng.integers(3, 13) * len(picture) / CROP_SIDE))
+    length = max(3, round(rng.integers(3, 13) * unit))
     angle = rng.uniform(0, np.pi)
     kernel = np.zeros((length, length), np.float32)
     half = (length - 1) / 2

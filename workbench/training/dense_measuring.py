@@ -8,7 +8,8 @@ from jaxtyping import Float, UInt8
 
 from workbench.landmarks.schemes import DensePoints
 from workbench.landmarks.uncertainty import ellipse_radius
-from workbench.networks.dense_network import SIDE, DensePlaces
+from workbench.networks.dense_network import SIDE
+from workbench.networks.regression import Places
 from workbench.training.augment import MIRRORED, Hardness
 from workbench.training.evaluation import Found, columns, unseen_pictures
 from workbench.training.pool import Pool
@@ -16,7 +17,7 @@ from workbench.training.pool import Pool
 ELLIPSES = (0.5, 0.8, 0.95)
 """Shares of the truth that an ellipse should hold."""
 
-Look = Callable[[UInt8[np.ndarray, "256 256 3"]], DensePlaces]
+Look = Callable[[UInt8[np.ndarray, "256 256 3"]], Places]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,7 @@ class DenseAnswers(Found):
     @property
     def deviations(self) -> Float[np.ndarray, "n k"]:
         """Distances in units of the network's own uncertainty."""
-        return np.linalg.norm(np.einsum("nkij,nkj->nki", self.whitening, self.truth - self.points), axis=-1)
+        return deviations(self.whitening, self.truth - self.points)
 
 
 def dense_answers(
@@ -42,9 +43,17 @@ def dense_answers(
     return DenseAnswers(*columns(rows))
 
 
-def deviation_factor(answers: DenseAnswers, share: float = 0.8) -> Float[np.ndarray, "k"]:
-    """By how much each point's deviations are to be multiplied for its ellipses to hold this share of the truth."""
-    return np.quantile(answers.deviations, share, axis=0) / ellipse_radius(share)
+def deviations(whitening: Float[np.ndarray, "n k 2 2"], miss: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n k"]:
+    """Lengths of errors in units of their uncertainty."""
+    return np.linalg.norm(np.einsum("nkij,nkj->nki", whitening, miss), axis=-1)
+
+
+def deviation_factor(found: Float[np.ndarray, "n k"], share: float = 0.8) -> Float[np.ndarray, "k"]:
+    """By how much each point's deviations are to be multiplied for its ellipses to hold this share of the truth.
+
+    `found`: distances from the truth in units of the claimed uncertainty.
+    """
+    return np.quantile(found, share, axis=0) / ellipse_radius(share)
 
 
 def measured_dense(clean: DenseAnswers, damaged: DenseAnswers, dense: DensePoints) -> dict[str, Mapping[str, float]]:

@@ -7,12 +7,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from workbench.errors import InputError
 from workbench.face import load_default_head
 from workbench.files import atomic_path, make_folder
-from workbench.training.scenes import FaceStudio
+from workbench.training.scenes import EYES_VIEW, FACE_VIEW, FaceStudio, looking_around, random_expression
 from workbench.training.skin import skin_painter
 
 SHARD = 240
@@ -24,16 +24,17 @@ PICTURES_OF_A_PERSON = 4
 class Pool:
     """Rendered heads, memory-mapped."""
 
-    pictures: list[UInt8[np.ndarray, "n s s 4"]]
+    pictures: list[UInt8[np.ndarray, "n h w 4"]]
     points: list[Float[np.ndarray, "n 70 2"]]
     vertices: list[Float[np.ndarray, "n v 2"]]
     angles_deg: list[Float[np.ndarray, "n 3"]]
     expressions: list[Float[np.ndarray, "n k"]]
+    worn_glasses: list[Bool[np.ndarray, "n"]]
 
     def __len__(self) -> int:
         return SHARD * len(self.pictures)
 
-    def picture(self, index: int) -> tuple[UInt8[np.ndarray, "s s 4"], Float[np.ndarray, "70 2"]]:
+    def picture(self, index: int) -> tuple[UInt8[np.ndarray, "h w 4"], Float[np.ndarray, "70 2"]]:
         """RGBA (colours multiplied by coverage), and the 68 landmarks with the two pupils."""
         shard, place = divmod(index, SHARD)
         return self.pictures[shard][place], self.points[shard][place]
@@ -53,14 +54,23 @@ class Pool:
         shard, place = divmod(index, SHARD)
         return self.expressions[shard][place]
 
+    def glasses(self, index: int) -> bool:
+        """Whether the person wears some."""
+        shard, place = divmod(index, SHARD)
+        return bool(self.worn_glasses[shard][place])
 
-def make_shard(folder: Path, seed: int, shard: int) -> None:
+
+KINDS = {"faces": (FACE_VIEW, random_expression), "eyes": (EYES_VIEW, looking_around)}
+"""What a pool's pictures show, and how expressions are drawn."""
+
+
+def make_shard(folder: Path, seed: int, shard: int, kind: str = "faces") -> None:
     """Render one shard unless it is there: the same seed gives the same people, poses and lights."""
     pictures_path, numbers_path = shard_paths(folder, shard)
     if pictures_path.is_file() and numbers_path.is_file():
         return
     model = load_default_head(gaze=True)
-    studio = FaceStudio(model, skin_painter(model))
+    studio = FaceStudio(model, skin_painter(model), *KINDS[kind])
     faces = []
     try:
         for person in range(SHARD // PICTURES_OF_A_PERSON):
@@ -76,16 +86,22 @@ def make_shard(folder: Path, seed: int, shard: int) -> None:
             vertices=np.stack([face.vertices for face in faces]).astype(np.float32),
             angles=np.stack([face.yaw_pitch_roll_deg for face in faces]).astype(np.float32),
             expressions=np.stack([face.expression for face in faces]).astype(np.float32),
+            glasses=np.array([face.glasses for face in faces]),
         )
     with atomic_path(pictures_path) as path:
         np.save(path, np.stack([face.rgba for face in faces]))
 
 
 def make_pool(
-    folder: Path, pictures: int, seed: int, workers: int = 1, progress: Callable[[int, int], None] | None = None
+    folder: Path,
+    pictures: int,
+    seed: int,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    kind: str = "faces",
 ) -> None:
     """Render what is missing of a pool of (at least) this many pictures; may be interrupted and called again."""
-    make_shards(make_shard, folder, -(-pictures // SHARD), seed, SHARD, workers, progress)
+    make_shards(partial(make_shard, kind=kind), folder, -(-pictures // SHARD), seed, SHARD, workers, progress)
 
 
 def make_shards(
@@ -121,6 +137,7 @@ def open_pool(folder: Path) -> Pool:
         vertices=[shard["vertices"] for shard in numbers],
         angles_deg=[shard["angles"] for shard in numbers],
         expressions=[shard["expressions"] for shard in numbers],
+        worn_glasses=[shard["glasses"] for shard in numbers],
     )
 
 

@@ -9,17 +9,20 @@ from workbench.files import atomic_path
 from workbench.landmarks.schemes import DENSE_POINTS
 from workbench.networks import read_landmark_network, read_weights
 from workbench.networks.dense_network import read_dense_network
-from workbench.networks.frozen import FrozenDenseNetwork
+from workbench.networks.eye_network import read_eye_network
+from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork
 from workbench.training.augment import TRAINING
 from workbench.training.dense_measuring import dense_answers, deviation_factor, measured_dense
 from workbench.training.dense_task import DenseTask
 from workbench.training.evaluation import CLEAN, answers_of, calibration_of
+from workbench.training.eye_measuring import eye_answers, measured_eyes
+from workbench.training.eye_task import EyeTask
 from workbench.training.finder_task import FinderTask
 from workbench.training.landmark_task import LandmarkTask
 from workbench.training.loop import Phase, TrainingPlan, train
 from workbench.training.measuring import looker, measured
 from workbench.training.pool import halves, make_pool, open_pool
-from workbench.training.report import write_dense_report, write_report
+from workbench.training.report import DENSE_CURVES, EYE_CURVES, write_regression_report, write_report
 from workbench.training.shipping import write_shipped
 
 LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
@@ -32,7 +35,10 @@ FINDER_PLAN = TrainingPlan(
 FURTHER_FINDER_PLAN = TrainingPlan(phases=(Phase(256, 1400, 16, 1.5e-3),), widths=(16, 32, 64, 96), blocks=2)
 """For weights that are there already."""
 DENSE_PLAN = TrainingPlan(phases=(Phase(256, 4500, 32, 1.5e-3),))
-POOL_SEED, TEST_SEED = 1, 1002
+EYE_PLAN = TrainingPlan(phases=(Phase(64, 6000, 64, 2e-3),), widths=(24, 48, 64, 96))
+FURTHER_EYE_PLAN = TrainingPlan(phases=(Phase(64, 4000, 64, 1.5e-3),), widths=(24, 48, 64, 96))
+SEEDS = {"faces": (1, 1002), "eyes": (5, 1005)}
+"""Of the pools that are learned from and measured on, by what they show."""
 TEST_PICTURES, EVALUATED, CALIBRATED = 960, 800, 1500
 
 Report = Callable[[str], None]
@@ -62,6 +68,9 @@ QUICK = Recipe(
 QUICK_DENSE = replace(
     QUICK, plan=TrainingPlan(phases=(Phase(256, 20, 4, 1e-3),), widths=QUICK.plan.widths, blocks=QUICK.plan.blocks)
 )
+EYES = Recipe(pictures=3360, test_pictures=480, plan=EYE_PLAN)
+FURTHER_EYES = replace(EYES, plan=FURTHER_EYE_PLAN)
+QUICK_EYES = replace(QUICK, plan=TrainingPlan(phases=(Phase(64, 20, 8, 1e-3),), widths=(8, 8, 16, 16), blocks=1))
 
 
 def train_landmark_network(
@@ -123,7 +132,8 @@ def train_dense_network(
     raw = train(task, pool, folder / "dense", recipe.plan, workers, device, report=report, start=recipe.start)
     look, (known, unseen) = FrozenDenseNetwork(read_dense_network(raw)), halves(open_pool(test))
     report("calibrating the deviations")
-    factor = deviation_factor(dense_answers(look, known, DENSE_POINTS, recipe.calibrated, TRAINING, seed=1))
+    answers = dense_answers(look, known, DENSE_POINTS, recipe.calibrated, TRAINING, seed=1)
+    factor = deviation_factor(answers.deviations)
     path = folder / "dense.safetensors"
     write_shipped(path, read_weights(raw), recipe.plan.seed, deviation_factor=factor)
     report("measuring on renders that it has not seen")
@@ -131,14 +141,39 @@ def train_dense_network(
     clean, damaged = (
         dense_answers(look, unseen, DENSE_POINTS, recipe.evaluated, hardness) for hardness in (CLEAN, TRAINING)
     )
-    write_dense_report(folder, measured_dense(clean, damaged, DENSE_POINTS), folder / "dense" / "curves.csv")
+    write_regression_report(folder, "dense", measured_dense(clean, damaged, DENSE_POINTS), DENSE_CURVES)
     return path
 
 
-def _pools(folder: Path, recipe: Recipe, workers: int, report: Report) -> tuple[Path, Path]:
-    pools = folder / "pool", folder / "pool_test"
-    for path, pictures, seed in zip(
-        pools, (recipe.pictures, recipe.test_pictures), (POOL_SEED, TEST_SEED), strict=True
-    ):
-        make_pool(path, pictures, seed, workers, lambda done, total: report(f"rendered {done} of {total}"))
+def train_eye_network(
+    folder: Path,
+    recipe: Recipe = EYES,
+    workers: int = 1,
+    device: str = "cpu",
+    report: Report = print,
+) -> Path:
+    """Make the eye network from a pool of eyes: `folder/eyes.safetensors`; resumes like the landmark network.
+
+    Its deviations are calibrated on half of the held-out renders; the tables are of the other half.
+    """
+    pool, test = _pools(folder, recipe, workers, report, "eyes")
+    raw = train(EyeTask(), pool, folder / "eyes", recipe.plan, workers, device, report=report, start=recipe.start)
+    look, (known, unseen) = FrozenEyeNetwork(read_eye_network(raw)), halves(open_pool(test))
+    report("calibrating the deviations")
+    factor = deviation_factor(eye_answers(look, known, recipe.calibrated, TRAINING, seed=1).deviations)
+    path = folder / "eyes.safetensors"
+    write_shipped(path, read_weights(raw), recipe.plan.seed, deviation_factor=factor)
+    report("measuring on renders that it has not seen")
+    look = FrozenEyeNetwork(read_eye_network(path))
+    clean, damaged = (eye_answers(look, unseen, recipe.evaluated, hardness) for hardness in (CLEAN, TRAINING))
+    write_regression_report(folder, "eyes", measured_eyes(clean, damaged), EYE_CURVES)
+    return path
+
+
+def _pools(folder: Path, recipe: Recipe, workers: int, report: Report, kind: str = "faces") -> tuple[Path, Path]:
+    name = "pool" if kind == "faces" else f"pool_{kind}"
+    pools = folder / name, folder / f"{name}_test"
+    sizes = (recipe.pictures, recipe.test_pictures)
+    for path, pictures, seed in zip(pools, sizes, SEEDS[kind], strict=True):
+        make_pool(path, pictures, seed, workers, lambda done, total: report(f"rendered {done} of {total}"), kind)
     return pools

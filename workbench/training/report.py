@@ -12,7 +12,11 @@ from workbench.files import atomic_path
 
 CURVES = {"loss": "loss", "inner_percent": "inner 51, % of the outer-eye distance"}
 DENSE_CURVES = {**CURVES, "dense_percent": "dense points, % of the outer-eye distance"}
+EYE_CURVES = {"loss": "loss", "pupil_percent": "pupils of open eyes, % of the eye's width"}
 """Columns of the curves that are drawn, and what they are."""
+
+SHARES = {"inside", "right"}
+"""Words of columns that are shares."""
 
 
 def write_report(folder: Path, numbers: dict, curves: Path) -> None:
@@ -24,18 +28,20 @@ def write_report(folder: Path, numbers: dict, curves: Path) -> None:
         temporary.write_text(tables(numbers), encoding="utf-8")
 
 
-def write_dense_report(folder: Path, tables: Mapping[str, Mapping[str, float]], curves: Path) -> None:
-    """Write `dense_curves.png`, `dense_numbers.json` and `dense_tables.md` into the folder."""
-    with atomic_path(folder / "dense_curves.png") as temporary:
-        curves_figure(curves, DENSE_CURVES).savefig(temporary, dpi=100)
-    with atomic_path(folder / "dense_numbers.json") as temporary:
+def write_regression_report(
+    folder: Path, name: str, tables: Mapping[str, Mapping[str, float]], curves: Mapping[str, str]
+) -> None:
+    """Write a network's `NAME_curves.png`, `NAME_numbers.json` and `NAME_tables.md` into the folder."""
+    with atomic_path(folder / f"{name}_curves.png") as temporary:
+        curves_figure(folder / name / "curves.csv", curves).savefig(temporary, dpi=100)
+    with atomic_path(folder / f"{name}_numbers.json") as temporary:
         temporary.write_text(json.dumps(tables, indent=1), encoding="utf-8")
     columns = list(next(iter(tables.values())))
     lines = ["| | " + " | ".join(columns) + " |", "|" + "---|" * (len(columns) + 1)]
-    for name, row in tables.items():
-        cells = [f"{value:.0%}" if "inside" in column else f"{value:.2f}" for column, value in row.items()]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    with atomic_path(folder / "dense_tables.md") as temporary:
+    for title, row in tables.items():
+        cells = [f"{value:.0%}" if SHARES & set(column.split()) else f"{value:.2f}" for column, value in row.items()]
+        lines.append(f"| {title} | " + " | ".join(cells) + " |")
+    with atomic_path(folder / f"{name}_tables.md") as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

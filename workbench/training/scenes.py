@@ -1,5 +1,6 @@
 """Random scenes for training: a person, an expression, a pose, a camera, lights, hair and glasses."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -42,11 +43,37 @@ PAIRS = 0.75
 _BLANK = np.full((8, 8, 3), 255, np.uint8)
 
 
+@dataclass(frozen=True)
+class View:
+    """What pictures show of a face."""
+
+    size: tuple[int, int]
+    """Width and height, pixels."""
+    box_px: float
+    """Side of the face box (see `landmarks.alignment`)."""
+    middle: tuple[float, float] = (0.0, 0.0)
+    """Of the picture, in the face frame."""
+    most_yaw_deg: float = MOST_YAW_DEG
+
+
+FACE_VIEW = View((SIDE, SIDE), SIDE / BOX_SIDES)
+EYES_VIEW = View((320, 208), 390.0, (0.0, -0.18), 60.0)
+"""Both eyes and what is around them, each about 60 pixels wide."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posing:
+    """A given pose and expression, where a random one is not wanted."""
+
+    yaw_pitch_roll_deg: Float[np.ndarray, "3"]
+    expression: Float[np.ndarray, "k"]
+
+
 @dataclass(frozen=True, eq=False)
 class RenderedFace:
     """One head on nothing."""
 
-    rgba: UInt8[np.ndarray, "s s 4"]
+    rgba: UInt8[np.ndarray, "h w 4"]
     """Colours multiplied by the coverage, and the coverage."""
     points: Float[np.ndarray, "70 2"]
     """The 68 landmarks, then the pupils: the person's right one and the left one."""
@@ -54,6 +81,8 @@ class RenderedFace:
     """The head's vertices: whoever wants other points of the surface has them here."""
     yaw_pitch_roll_deg: Float[np.ndarray, "3"]
     expression: Float[np.ndarray, "k"]
+    focal_px: float
+    glasses: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,17 +120,23 @@ class Studio:
 class FaceStudio:
     """Renders random heads: most in the art of the default head, some with painted skin, eyes and teeth."""
 
-    def __init__(self, model: FaceModel, painter: SkinPainter) -> None:
-        """`model` with the eyes' units."""
+    def __init__(
+        self,
+        model: FaceModel,
+        painter: SkinPainter,
+        view: View = FACE_VIEW,
+        mien: Callable[[tuple[str, ...], np.random.Generator], Float[np.ndarray, "k"]] | None = None,
+    ) -> None:
+        """`model` with the eyes' units; `mien` draws the weights of an expression (`random_expression` by default)."""
+        self.view, self.mien = view, mien or random_expression
         self.model, self.painter, self.wardrobe = model, painter, open_wardrobe(model, SKIN_SIDE)
         self.shader = Shader(model)
         self.pupils = pupil_vertices(model)
         nobody = Character("nobody", "", "", "", "", "", "", np.zeros(len(model.identity_deltas)))
         # All that a dressed head is asked for here: which triangles show, and how parts follow.
         self.nobody = DressedHead(nobody, model, _BLANK, (), self.wardrobe.store.scale_vertices)
-        size = (SIDE, SIDE)
-        self.plain = HeadScene(model, size, _BLANK, supersampling=1.2, fade_neck=False)
-        self.dressed = HeadScene(model, size, _BLANK, supersampling=1.2, fade_neck=False, dressed=self.nobody)
+        self.plain = HeadScene(model, view.size, _BLANK, supersampling=1.2, fade_neck=False)
+        self.dressed = HeadScene(model, view.size, _BLANK, supersampling=1.2, fade_neck=False, dressed=self.nobody)
         self.wearing: tuple[WornPart, ...] = ()
 
     def cast(self, rng: np.random.Generator) -> Person:
@@ -113,24 +148,29 @@ class FaceStudio:
         albedo, hair_color, browed = self.painter.over_photo(self.wardrobe.skin(rng), rng)
         return Person(person, albedo, hair_color, self.wardrobe.dress(rng, hair_color), browed)
 
-    def shoot(self, who: Person, rng: np.random.Generator) -> RenderedFace:
-        """A random picture of this person."""
-        person = who.model
-        expression = random_expression(person.expression_names, rng)
+    def shoot(self, who: Person, rng: np.random.Generator, posing: Posing | None = None) -> RenderedFace:
+        """A random picture of this person.
+
+        With a `posing`, one of it: the same seed then gives the same camera, lights and glasses.
+        """
+        person, view = who.model, self.view
+        expression, angles = self.mien(person.expression_names, rng), random_pose_deg(rng, view.most_yaw_deg)
+        if posing is not None:
+            expression, angles = posing.expression, posing.yaw_pitch_roll_deg
         vertices = person.vertices(expression)
-        angles = random_pose_deg(rng, MOST_YAW_DEG)
         rotation = axis_angle_from_yaw_pitch_roll(angles)
         worn_head = [] if who.worn is None else self._worn(who.worn, person.neutral, vertices)
         framed = landmarks_head(person, vertices, angles[0])
         points_head = self._points(who, framed, vertices, worn_head)
         distance = np.exp(rng.uniform(np.log(300), np.log(2500)))
-        focal = SIDE / BOX_SIDES * distance / BOX_MM
-        camera = Camera(np.array([focal, focal]), np.full(2, (SIDE - 1) / 2), random_lens(rng, SIDE / focal))
+        focal = view.box_px * distance / BOX_MM
+        centre = (np.array(view.size) - 1) / 2
+        camera = Camera(np.array([focal, focal]), centre, random_lens(rng, view.box_px * BOX_SIDES / focal))
         translation = np.array([0.0, 0.0, distance])
         for _ in range(2):  # centre the face, and give it its size
             frame = frame_from_points(to_pixels(camera, to_camera(framed, rotation, translation)))
-            translation[2] *= frame.side / (SIDE / BOX_SIDES)
-            offset = (frame.origin - (SIDE - 1) / 2) * translation[2] / focal
+            translation[2] *= frame.side / view.box_px
+            offset = (frame.to_image(np.array([view.middle]))[0] - centre) * translation[2] / focal
             translation[:2] -= offset
         points_camera = to_camera(vertices, rotation, translation)
         meshes, lenses, worn = [], [], []
@@ -159,7 +199,8 @@ class FaceStudio:
         if lenses:
             rgba = _tinted(rgba, [to_pixels(camera, to_camera(lens, rotation, translation)) for lens in lenses], rng)
         points = to_pixels(camera, to_camera(points_head, rotation, translation))
-        return RenderedFace(np.ascontiguousarray(rgba), points, to_pixels(camera, points_camera), angles, expression)
+        pixels = to_pixels(camera, points_camera)
+        return RenderedFace(np.ascontiguousarray(rgba), points, pixels, angles, expression, focal, bool(lenses))
 
     def _worn(self, worn, rest, vertices) -> tuple[Float[np.ndarray, "_ 3"], ...]:
         return replace(self.nobody, worn=worn).parts_on(rest, vertices)
@@ -257,6 +298,23 @@ def random_expression(names: tuple[str, ...], rng: np.random.Generator) -> Float
             weights[f"eyeLook{'In' if across * inward > 0 else 'Out'}{side}"] = abs(across)
             weights[f"eyeLook{'Up' if upright > 0 else 'Down'}{side}"] = abs(upright)
     return np.array([weights[name] for name in names])
+
+
+def looking_around(names: tuple[str, ...], rng: np.random.Generator) -> Float[np.ndarray, "k"]:
+    """Weights of a random expression with eyes that look anywhere: together mostly, crossed or apart sometimes."""
+    weights = dict(zip(names, random_expression(names, rng).tolist(), strict=True))
+    both = rng.uniform(-1, 1, 2) if rng.random() < 0.75 else np.clip(rng.normal(0, 0.25, 2), -1, 1)
+    apart = rng.normal(0, 0.06, 2) if rng.random() < 0.8 else np.array([rng.uniform(-0.7, 0.7), rng.normal(0, 0.15)])
+    for side, half in (("Left", 0.5), ("Right", -0.5)):
+        weights |= gaze_weights(side, *np.clip(both + half * apart, -1, 1).tolist())
+    return np.array([weights[name] for name in names])
+
+
+def gaze_weights(side: str, across: float, upward: float) -> dict[str, float]:
+    """The four units of an eye that looks `across` (1: all the way to the subject's left) and `upward`."""
+    outward = across if side == "Left" else -across
+    amounts = {"Out": outward, "In": -outward, "Up": upward, "Down": -upward}
+    return {f"eyeLook{way}{side}": max(amount, 0.0) for way, amount in amounts.items()}
 
 
 def random_lighting(rng: np.random.Generator, count: int | None = None) -> Lighting:

@@ -9,13 +9,17 @@ from workbench.errors import InputError
 from workbench.training.flow_recipe import QUICK_FLOW, FlowRecipe, train_flow_network
 from workbench.training.recipe import (
     DENSE_PLAN,
+    EYES,
     FINDER_PLAN,
+    FURTHER_EYES,
     FURTHER_FINDER_PLAN,
     FURTHER_LANDMARK_PLAN,
     QUICK,
     QUICK_DENSE,
+    QUICK_EYES,
     Recipe,
     train_dense_network,
+    train_eye_network,
     train_face_finder,
     train_landmark_network,
 )
@@ -45,6 +49,7 @@ TRAININGS: Mapping[str, Training] = MappingProxyType({
     "landmarks": Training(train_landmark_network, Recipe(), QUICK, Recipe(plan=FURTHER_LANDMARK_PLAN)),
     "finder": Training(train_face_finder, Recipe(plan=FINDER_PLAN), QUICK, Recipe(plan=FURTHER_FINDER_PLAN)),
     "dense": Training(train_dense_network, Recipe(plan=DENSE_PLAN), QUICK_DENSE, Recipe(plan=DENSE_PLAN)),
+    "eyes": Training(train_eye_network, EYES, QUICK_EYES, FURTHER_EYES),
     "flow": Training(train_flow_network, FlowRecipe(), QUICK_FLOW, None),
 })  # fmt: skip
 """By what `workbench train` calls the network."""

@@ -18,6 +18,7 @@ CURVES = 5
 FAMILIES = {"those that vary most": ""} | {
     f"of the {name}": name for name in ("mouth", "jaw", "eye", "brow", "cheek", "nose")
 }
+FAMILIES["of the gaze"] = "eyeLook"
 """Beginnings of the names of the weights that can be shown."""
 
 
