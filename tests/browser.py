@@ -536,7 +536,7 @@ KEEP_PIXELS = """(() => {
       handle.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
       afterFrame(look);
     };
-    // Anywhere in a frame: pressed at its same place each time, all answers would come in one frame, or all in the next.
+    // Anywhere in a frame: at its same place each time, all answers would come in one frame, or all in the next.
     setTimeout(press, 50 * Math.random());
   });
 })();"""
