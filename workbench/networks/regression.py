@@ -39,7 +39,7 @@ class Linear(eqx.Module):
 
 
 class Regression(Encoder):
-    """The layers: what their last numbers mean, its heirs say."""
+    """The layers; subclasses say what the last numbers mean."""
 
     squeeze: Conv
     hidden: Linear

@@ -31,6 +31,8 @@ TERMS = {
     "identity": (SKY, "-"),
     "prior": (GREEN, ":"),
     "stay": (SKY, ":"),
+    "vergence": (SKY, "--"),
+    "gaze": (SKY, "-."),
     "flow": (RED, "-"),
 }
 """Terms of the energy, the same in every figure and in the panel; any other looks like `flow`."""
