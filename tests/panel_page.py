@@ -83,8 +83,6 @@ def shown(page, cell):
     """Run the two cells that make a panel and wait for it."""
     page.run_cell(cell)
     page.run_cell(cell + 1)
-    # JupyterLab hides cells that are scrolled out of view, and the second one may have been scrolled to.
-    page.page.evaluate("(k) => window.jupyterapp.shell.currentWidget.content.scrollToItem(k, 'start')", cell)
     for selector in (MARKS, HEAD):
         page.page.wait_for_selector(selector)
     page.page.wait_for_function("(s) => new Set(window.readCanvas(s, 100)).size > 60", arg=HEAD)
