@@ -77,8 +77,9 @@ def draw_overlay(
         _draw_mesh(canvas, fit, model, scale)
     if parts.lines:
         _draw_polylines(canvas, projected, fine)
-    if parts.ellipses and fit.landmarks and fit.landmarks.covariance is not None:
-        _draw_ellipses(canvas, observed, fit.covariance * scale**2, confidence_colors(fit.confidence), fine)
+    detected = fit.landmarks if parts.ellipses else None
+    if detected and detected.covariance is not None:
+        _draw_ellipses(canvas, observed, detected.covariance * scale**2, confidence_colors(fit.confidence), fine)
     if parts.residuals:
         _draw_segments(canvas, observed, projected, colors, fine)
     if parts.observed:

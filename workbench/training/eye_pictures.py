@@ -69,7 +69,7 @@ def eye_picture(
     if rng.random() < 0.25 * hardness.damage:
         picture = shadowed(picture, rng)
     if hardness.damage > 0:
-        eye_px = 0.6 * SIDE * asked.side / to_render.side
+        eye_px = CROP_EYE_PX * asked.side / to_render.side
         picture = photographed(picture, rng, 0.6 * hardness.damage, eye_px / FACE_EYE_PX)
     to_patch = FaceFrame(np.linalg.inv(to_render.matrix) @ asked.matrix, to_render.to_face(asked.origin[None])[0])
     crop = sampled(np.clip(picture, 0, 255).astype(np.uint8), to_patch, SIDE)
