@@ -62,13 +62,9 @@ def photo(server, chromium):
 @pytest.fixture(scope="module")
 def clip(photo):
     """The panel on the sample clip in the same page and kernel, after the portrait's tests."""
-    assert wrong_outputs(photo) == []
+    assert photo.wrong_outputs() == []
     photo.page.evaluate("() => window.jupyterapp.commands.execute('notebook:clear-all-cell-outputs')")
     return shown(photo, CLIP)
-
-
-def wrong_outputs(page):
-    return [output for output in page.outputs() if output["type"] == "error" or output["name"] == "stderr"]
 
 
 def rested(page, selector, before=None):
@@ -334,7 +330,7 @@ def test_nothing_came_from_another_host_and_nothing_failed(clip, screenshots):
     assert clip.foreign_requests == []
     assert clip.page_errors == []
     assert [text for text in clip.console_errors if "404" not in text] == []
-    assert wrong_outputs(clip) == []
+    assert clip.wrong_outputs() == []
 
 
 def test_the_head_is_there_while_the_cell_below_still_runs(clip, screenshots):
