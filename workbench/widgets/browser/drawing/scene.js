@@ -46,6 +46,7 @@ export function makeScene(gl, mesh, redraw, plain = false) {
     }
     gl.enable(gl.CULL_FACE);
     ghost.draw(pose);
+    gl.flush(); // the device begins now, not when the page shows its next frame
   }
 
   function setHead(shape) {
