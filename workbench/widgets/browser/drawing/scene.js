@@ -46,7 +46,9 @@ export function makeScene(gl, mesh, redraw, plain = false) {
     }
     gl.enable(gl.CULL_FACE);
     ghost.draw(pose);
-    gl.flush(); // the device begins now, not when the page shows its next frame
+    // The device begins now, not when the page shows its next frame; without a fence it would wait for more to draw.
+    gl.deleteSync(gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0));
+    gl.flush();
   }
 
   function setHead(shape) {
