@@ -23,6 +23,7 @@ WORDS = {
     "weights.sigma_smooth": Words("few shapes", "Higher: fewer blendshapes at once, a calmer and flatter face."),
     "weights.range": Words("soft range", "Higher: weights below 0 and above 1 become rare."),
     "weights.vergence": Words("eyes together", "Higher: both eyes look the same way, even where one is seen badly."),
+    "weights.opposites": Words("eyes one way", "Higher: no eye looks up and down, or in and out, at once."),
     "weights.gaze": Words("shut eyes hold", "Higher: eyes behind shut lids keep looking where they looked."),
     "weights.flow": Words("follow the flow", "Higher: the face moves as the pixels do; flow errors come in too."),
     "rho": Words("pose iterations", "Higher: the pose settles better; each frame takes longer."),
