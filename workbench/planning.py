@@ -61,7 +61,10 @@ def plan_of(config: Config, scheme: LandmarkScheme = IBUG68) -> Plan:
 
 
 def identity_plan(config: Config) -> IdentityPlan:
-    """How a face's shape is calibrated; with a guessed lens its size is free, to make up for the wrong perspective."""
+    """How a face's shape is calibrated.
+
+    With a guessed lens millimetres mean little, and the size is free: the shape comes closer to the points.
+    """
     plan = _taken(IdentityPlan, config.identity)
     return replace(plan, size=0.0) if config.camera.guessed else plan
 

@@ -157,9 +157,9 @@ def _solve_pass(cameras, model, settings, a_pass, frames, observed):
 def identity_prior(model: LandmarkModel, settings: CalibrationSettings) -> Float[AnyArray, "i i"]:
     """The matrix P of the prior identityᵀ P identity = ω_identity ‖identity‖² + ω_size (growth in percent)².
 
-    The growth is that of the frontal landmarks about their centre, to first order. A larger head that is farther away
-    looks nearly the same to one camera, so that what decides is perspective, hence fractions of a pixel that detectors
-    get wrong alike in every frame: without a prior of its own the size explains their errors.
+    The growth is that of the frontal landmarks about their centre, to first order. One camera hardly tells a head's
+    size, but a basis ties it to proportions: without a prior of its own, what a detector gets wrong alike in every
+    frame makes the head a fifth smaller and nearer.
     """
     frontal = jnp.concatenate([model.contour_neutral[0], model.inner_neutral])
     moved = jnp.concatenate([model.contour_identity[0], model.inner_identity], axis=1)
