@@ -1,8 +1,9 @@
 """Identity calibration: one identity shared by several frames, each with its own pose and expression.
 
 FACE IT! animates a character or a reconstruction made beforehand. Here the reconstruction is estimated from the
-landmarks by least squares, with a normal prior on the identity coefficients and another on the head's size. Chin and jaw are used only in the second
-pass: a detected contour is a silhouette, and a pose fitted to it turns the head to explain a long face.
+landmarks by least squares, with a normal prior on the identity coefficients and another on the head's size. Chin and
+jaw are used only in the second pass: a detected contour is a silhouette, and a pose fitted to it turns the head to
+explain a long face.
 """
 
 from functools import partial
