@@ -283,6 +283,10 @@ class LabPage:
         """Output type, MIME types and text of every output of every code cell."""
         return self.page.evaluate(_OUTPUTS)
 
+    def wrong_outputs(self) -> list[dict]:
+        """Those of `outputs` that are an error, or were written to the standard error stream."""
+        return [output for output in self.outputs() if output["type"] == "error" or output["name"] == "stderr"]
+
     def execution_counts(self) -> list[int | None]:
         """Execution count of every code cell; None for one that did not run."""
         return self.page.evaluate(_COUNTS)

@@ -36,7 +36,9 @@ CUT = """() => {
     .map((e) => e.selectedOptions?.[0]?.text ?? (e.value || e.textContent));
 }"""
 """Texts of a panel that are cut; the status line is told whole where the mouse rests on it."""
-READY = "ready = panel.wait_idle(300)"
+READY = "ready = panel.wait_idle(300)\nassert ready"
+PARTS = """() => [...document.querySelectorAll(".fw-panel, .fw-panel :is(.fw-first, .fw-overlay, .fw-head3d, canvas)")]
+  .map((e) => `${e.className} ${e.offsetWidth}x${e.offsetHeight} of ${e.children.length}`)"""
 
 
 def write_notebook(path: Path, cells: Sequence[str]) -> None:
@@ -80,12 +82,22 @@ def opened(page, notebook):
 
 
 def shown(page, cell):
-    """Run the two cells that make a panel and wait for it."""
-    page.run_cell(cell)
-    page.run_cell(cell + 1)
-    for selector in (MARKS, HEAD):
-        page.page.wait_for_selector(selector)
-    page.page.wait_for_function("(s) => new Set(window.readCanvas(s, 100)).size > 60", arg=HEAD)
+    """Run the two cells that make a panel and wait for it.
+
+    Raises `AssertionError` that says what the cells and the page had to say, if it does not come into view.
+    """
+    from playwright.sync_api import TimeoutError  # here: machines without a browser import this file, too
+
+    for each in (cell, cell + 1):
+        page.run_cell(each)
+        assert page.wrong_outputs() == [], page.state()
+    try:
+        for selector in (MARKS, HEAD):
+            page.page.wait_for_selector(selector)
+        page.page.wait_for_function("(s) => new Set(window.readCanvas(s, 100)).size > 60", arg=HEAD)
+    except TimeoutError as error:
+        parts = page.page.evaluate(PARTS)
+        raise AssertionError(f"{error}\nparts: {parts}\noutputs: {page.outputs()}\n{page.state()}") from error
     to_top(page)
     return page
 

@@ -29,6 +29,46 @@ def write(folder, **modules: str) -> None:
         (folder / f"{name}.js").write_text(text, encoding="utf-8")
 
 
+HEARS = """(() => {
+  class Base {
+    heard = []; asked = []; listeners = {};
+    comm = { on_msg: (handle) => { this.hear = handle; }, send: (data) => this.asked.push(data.method) };
+    async _handle_comm_msg(message) { if (message.content.data.method === "update") this.heard.push(message); }
+    on(name, callback) { this.listeners[name] = callback; }
+    off(name) { delete this.listeners[name]; }
+    set(name) { this.listeners[`change:${name}`]?.(this); }
+  }
+  class GivenUp extends Base {
+    async _handle_comm_msg(message) { await this.ready; return super._handle_comm_msg(message); }
+  }
+  return async (ready, missed) => {
+    const real = new GivenUp();
+    real.ready = ready;
+    real.hear = (message) => real._handle_comm_msg(message).catch(() => {});
+    const model = Object.fromEntries(["on", "off", "set"].map((name) => [name, real[name].bind(real)]));
+    keepHearing({ model }, () => real.asked.push("missed"));
+    await new Promise((done) => setTimeout(done));
+    await real.hear({ content: { data: { method: "update" } } });
+    return [real.heard.length, real.asked, Object.keys(real.listeners)];
+  };
+})()"""
+"""What a model hears, and what it asks the kernel for, with a library that waits for `ready` before each message."""
+
+
+class TestHearing:
+    @needs_node
+    @pytest.mark.parametrize(
+        ("ready", "asked"), [("Promise.resolve()", []), ("Promise.reject()", ["request_state", "missed"])]
+    )
+    def test_a_model_that_the_library_gave_up_hears_and_asks_for_what_it_missed(self, ready, asked):
+        hearing = BROWSER / "shared" / "hearing.js"
+        assert asked_of_node(hearing, "keepHearing", f"await {HEARS}({ready})") == [1, asked, []]
+
+    @pytest.mark.parametrize("program", PROGRAMS)
+    def test_every_program_keeps_its_model_hearing(self, program):
+        assert "keepHearing" in (BROWSER / program).read_text("utf-8").split("export default")[1]
+
+
 class TestJoining:
     @needs_node
     def test_a_program_computes_what_its_modules_compute(self, tmp_path):

@@ -54,7 +54,7 @@ OMEGA = {
     f"weights.{name}": value
     for name, value in {
         "sparse": 1.5, "pose": 0.7, "fit": 1.3, "prior": 0.9, "tau": 0.2, "beta": 0.3, "sigma": 0.4,
-        "sigma_smooth": 0.5, "range": 0.6, "flow": 0.8, "vergence": 0.3, "gaze": 0.2,
+        "sigma_smooth": 0.5, "range": 0.6, "flow": 0.8, "vergence": 0.3, "opposites": 0.9, "gaze": 0.2,
     }.items()
 }  # fmt: skip
 OMEGA |= {"identity.weight": 0.8, "deep.edges": 0.7, "deep.regularisation": 1.1, "deep.prior": 0.4, "flow.stay": 1.7}
@@ -220,10 +220,22 @@ def looking():
 def test_the_eyes_terms_are_angles_in_degrees(looking):
     at = looking.start._replace(expression=jnp.array([0.5, 0.2, 0.3, 0.1, 0.9, 0.9]))
     np.testing.assert_allclose(residual_of("vergence")(at, looking), [-4.2 - 10.5, 1.0 - 3.0])
-    np.testing.assert_allclose(residual_of("gaze")(at, looking), [0.5 * 10.5, 0.5 * 3.0, -0.5 * 4.2, 0.5 * 1.0])
+    np.testing.assert_allclose(
+        residual_of("gaze")(at, looking), [0.5 * 10.5, 0.5 * 4.2, 0.5 * 3.0, 0.5 * 1.0, 0.0, 0.0]
+    )
     blind = looking._replace(gaze=None)
     assert not residual_of("vergence")(at, blind).any()
     assert not residual_of("gaze")(at, blind).any()
+
+
+def test_opposite_turns_of_one_eye_count_by_their_product(looking):
+    turns = np.zeros((4, 6))
+    turns[1, :2], turns[2, 2:4] = (10.0, -20.0), (21.0, -21.0)
+    context = looking._replace(gaze=Gaze(turns, np.asarray(0.0)))
+    at = looking.start._replace(expression=jnp.array([0.5, 0.2, 0.0, 0.9, 0.9, 0.9]))
+    up_and_down = residual_of("opposites")(at, context)
+    np.testing.assert_allclose(up_and_down**2, [0.0, np.hypot(5.0 * 4.0, 1.0) - 1.0, 0.0, 0.0], atol=1e-12)
+    assert not residual_of("opposites")(at, looking._replace(gaze=None)).any()
 
 
 def test_sparsity_counts_little_for_eyes_that_are_seen(looking):
@@ -234,10 +246,13 @@ def test_sparsity_counts_little_for_eyes_that_are_seen(looking):
     assert (blind > 0.0).all()
 
 
-@pytest.mark.parametrize("name", ["vergence", "gaze", "sigma_smooth"])
+@pytest.mark.parametrize("name", ["vergence", "opposites", "gaze", "sigma_smooth"])
 def test_derivatives_of_the_eyes_terms_agree_with_central_differences(looking, name):
+    opposed = looking.gaze.turns - np.roll(looking.gaze.turns, 4, axis=1)
+    context = looking._replace(gaze=looking.gaze._replace(turns=opposed))
+
     def residual(weights):
-        return residual_of(name)(looking.start._replace(expression=weights), looking)
+        return residual_of(name)(looking.start._replace(expression=weights), context)
 
     at, way = (jnp.asarray(part) for part in np.random.default_rng(3).uniform(0.1, 0.9, (2, 6)))
     _, slope = jax.jvp(residual, (at,), (way,))

@@ -18,14 +18,17 @@ from tests.performances import FRAMES, GAP, other_character, performance, with_j
 from workbench.export import make_clip
 from workbench.export.clip import quaternions, to_world
 from workbench.export.gltf import render_corners, write_gltf
-from workbench.export.skinning import CORRECTIVES
-from workbench.face import load_character, load_default_head
+from workbench.export.skinning import CORRECTIVES, eyeball
+from workbench.face import gaze_deg, in_scheme, load_character, load_default_head
+from workbench.face.gaze import directions_deg
 from workbench.geometry import project
+from workbench.landmarks.schemes import DENSE
 
 ROOT = Path(__file__).resolve().parent.parent
 TOOLS = Path(os.environ.get("WORKBENCH_VALIDATORS", ROOT / ".cache" / "validators"))
 BLENDER = TOOLS / "bin" / "python"
 KHRONOS = TOOLS / "node_modules" / "gltf-validator"
+BALLS = ("leftEye", "rightEye")
 NODE = shutil.which("node") or shutil.which("node", path=str(TOOLS / "bin"))
 VALIDATE = """
 const fs = require("fs");
@@ -66,10 +69,14 @@ def array(document, number: int) -> np.ndarray:
     return np.frombuffer(content, kind).reshape(accessor.count, width)
 
 
-def curve(document, path: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times and values of the animated property."""
+def curve(document, path: str, node: str | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of the animated property of a node, or of the first that has it."""
     (animation,) = document.animations
-    channel = next(channel for channel in animation.channels if channel.target.path == path)
+    channel = next(
+        channel
+        for channel in animation.channels
+        if channel.target.path == path and node in (None, document.nodes[channel.target.node].name)
+    )
     sampler = animation.samplers[channel.sampler]
     return array(document, sampler.input)[:, 0], array(document, sampler.output)
 
@@ -231,6 +238,58 @@ def test_a_moving_jaw_joint_gives_our_vertices_by_the_formats_own_rules(change, 
         assert 1000.0 * np.abs(seen - clip.vertices_world(position)[corners]).max() < 0.1
 
 
+# --- eyes that turn ---
+
+
+@pytest.fixture(scope="module")
+def looking():
+    """A head with all 52 blendshapes looks to its left and down, more and more."""
+    full = load_default_head(gaze=True)
+    track, part = performance(full), np.linspace(0.0, 1.0, FRAMES)
+    weights = track.expression.copy()
+    for unit, most in {"eyeLookOutLeft": 1.0, "eyeLookInRight": 0.9, "eyeLookDownLeft": 0.5}.items():
+        weights[:, full.expression_names.index(unit)] = most * part
+    return make_clip(replace(track, expression=np.where(track.found[:, None], weights, np.nan)), full)
+
+
+@pytest.fixture(scope="module")
+def looking_glb(looking, tmp_path_factory):
+    path = tmp_path_factory.mktemp("gltf") / "looking.glb"
+    write_gltf(looking, path)
+    return path
+
+
+def gazes(clip, position: int) -> np.ndarray:
+    """Azimuth and elevation of the right and the left eye of the fitted head, degrees."""
+    return gaze_deg(in_scheme(clip.person, DENSE), clip.track.expression[position])
+
+
+def test_eyes_are_joints_that_turn_by_the_fitted_gaze(looking, looking_glb):
+    document = pygltflib.GLTF2().load(str(looking_glb))
+    assert [document.nodes[joint].name for joint in document.skins[0].joints] == ["head", "jaw", *BALLS]
+    for side, name in ((1, "leftEye"), (0, "rightEye")):
+        turns = curve(document, "rotation", name)[1]
+        assert np.abs(Rotation.from_quat(turns[0]).magnitude()) < 1e-6
+        straight = directions_deg(Rotation.from_quat(turns[-1]).apply([0.0, 0.0, 1.0]) * [1.0, -1.0, -1.0])
+        turned = gazes(looking, FRAMES - 1)[side] - gazes(looking, 0)[side]
+        np.testing.assert_allclose(straight, turned, atol=1.0)
+
+
+def test_looks_move_lids_and_leave_the_eyeballs_to_the_joints(looking, looking_glb):
+    document = pygltflib.GLTF2().load(str(looking_glb))
+    mesh = document.meshes[0]
+    attributes = mesh.primitives[0].attributes
+    joints, weights = array(document, attributes.JOINTS_0), array(document, attributes.WEIGHTS_0)
+    ball = ((joints >= 2) & (weights == 1.0)).any(axis=1)
+    corners = render_corners(looking.person)[0]
+    assert len(np.unique(corners[ball])) == 2 * 72
+    for unit in ("eyeLookDownLeft", "eyeLookInRight"):
+        target = mesh.primitives[0].targets[mesh.extras["targetNames"].index(unit)]
+        moved = np.abs(array(document, target["POSITION"])).max(axis=1)
+        assert moved[ball].max() == 0.0
+        assert moved[~ball].max() > 0.001
+
+
 # --- turning the frame of reference ---
 
 
@@ -258,21 +317,58 @@ def test_the_khronos_validator_finds_no_fault(glb, head, tmp_path):
     assert validated(tmp_path / "jaw.glb")["messages"] == []
 
 
-@pytest.mark.skipif(
+@needs_khronos
+def test_eyes_pass_the_validator(looking_glb):
+    assert validated(looking_glb)["messages"] == []
+
+
+needs_blender = pytest.mark.skipif(
     not BLENDER.is_file() or subprocess.run([str(BLENDER), "-c", "import bpy"], capture_output=True).returncode != 0,
     reason="no Blender (bpy) here; `make validators` installs it for Python 3.11",
 )
+
+
+def seen_in_blender(glb, frames: list[int], out) -> dict[str, np.ndarray]:
+    """What Blender sees of a file at some frames."""
+    command = [str(BLENDER), str(ROOT / "tests" / "blender_script.py"), "--", str(glb), str(out), "25"]
+    done = subprocess.run([*command, *map(str, frames)], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return np.load(out)
+
+
+@needs_blender
+def test_blender_turns_the_eyeballs_about_their_joints_and_keeps_them_round(looking, looking_glb, tmp_path):
+    seen = seen_in_blender(looking_glb, [0, FRAMES - 1], tmp_path / "seen.npz")
+    assert set(seen["bones"]) == {"head", "jaw", *BALLS}
+    corners = render_corners(looking.person)[0]
+    for frame, vertices in zip([0, FRAMES - 1], seen["vertices"], strict=True):
+        world = vertices[:, [0, 2, 1]] * [1.0, 1.0, -1.0]  # Blender's z is up
+        points = (
+            Rotation.from_rotvec(looking.track.rotation[frame])
+            .inv()
+            .apply(1000.0 * world * [1.0, -1.0, -1.0] - looking.track.translation[frame])
+        )
+        skin = ~np.any([eyeball(looking.person, name) for name in BALLS], axis=0)[corners]
+        assert np.abs(points - looking.vertices_head(frame)[corners])[skin].max() < 0.1
+        for side, name in ((1, "leftEye"), (0, "rightEye")):
+            ball, centre = eyeball(looking.person, name)[corners], looking.person.joints[name]
+            rest = looking.person.neutral[corners][ball] - centre
+            np.testing.assert_allclose(
+                np.linalg.norm(points[ball] - centre, axis=1), np.linalg.norm(rest, axis=1), atol=0.05
+            )
+            front = np.argmin(rest[:, 2])
+            turned = directions_deg(points[ball][front] - centre) - directions_deg(rest[front])
+            np.testing.assert_allclose(turned, gazes(looking, frame)[side] - gazes(looking, 0)[side], atol=1.5)
+
+
+@needs_blender
 @pytest.mark.parametrize("jaw", [False, True], ids=["blendshapes", "jaw joint"])
 def test_blender_sees_the_same_names_frames_and_vertices(jaw, head, tmp_path):
     track = performance(head)
     clip = make_clip(with_jaw(track) if jaw else track, head)
     write_gltf(clip, tmp_path / "face.glb")
     frames = [0, 4, FRAMES - 1]
-    script, out = ROOT / "tests" / "blender_script.py", tmp_path / "seen.npz"
-    command = [str(BLENDER), str(script), "--", str(tmp_path / "face.glb"), str(out), "25", *map(str, frames)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr[-2000:]
-    seen = np.load(out)
+    seen = seen_in_blender(tmp_path / "face.glb", frames, tmp_path / "seen.npz")
     assert seen["names"].tolist() == ["Basis", *clip.person.expression_names, *(CORRECTIVES if jaw else ())]
     assert set(seen["bones"]) == {"head", "jaw"}
     assert (float(seen["first"]), round(float(seen["last"]), 3)) == (0.0, FRAMES - 1)
@@ -359,6 +455,15 @@ def test_lower_teeth_hang_on_the_jaw_joint(worn_document):
     lower = np.abs(morphed(worn_document, "teeth", "jawOpen")).max(axis=1) > 0.001
     assert jaw[lower].min() > 0.95
     assert jaw[~lower].max() < 0.05
+
+
+def test_the_eyes_of_a_character_hang_on_their_joints_and_brows_do_not(looking, dressed, tmp_path):
+    write_gltf(looking, tmp_path / "looking.glb", dressed)
+    document = pygltflib.GLTF2().load(str(tmp_path / "looking.glb"))
+    for name, least, most in (("eyes", 0.99, 1.01), ("corneas", 0.99, 1.01), ("brows", -0.01, 0.01)):
+        attributes = document.meshes[node_of(document, name).mesh].primitives[0].attributes
+        on_eyes = array(document, attributes.WEIGHTS_0)[:, 2:].sum(axis=1)
+        assert least < on_eyes.min() <= on_eyes.max() < most
 
 
 @needs_khronos

@@ -34,6 +34,7 @@ from workbench.tracking import FrameObservation
 
 FRAMES = 26
 """Of a film: three glances and a blink."""
+OPPOSITE = (("eyeLookUp", "eyeLookDown"), ("eyeLookIn", "eyeLookOut"))
 
 
 @pytest.fixture(scope="module")
@@ -169,6 +170,16 @@ class TestFilm:
         drift, let_go = (angle_between_deg(each[shut[1:]], each[shut[:-1]]).max() for each in (gaze, free))
         assert drift < 3.0
         assert drift < let_go
+
+    def test_no_eye_is_turned_two_ways_at_once(self, film, observed):
+        names = in_scheme(load_default_head(), DENSE).expression_names
+        pairs = [[names.index(way + side) for way in ways] for side in ("Left", "Right") for ways in OPPOSITE]
+        held, free = (
+            max(min(fit.expression[list(pair)]) for fit in fitted(film, observed, weights)[1] for pair in pairs)
+            for weights in ({}, {"opposites": 0.0})
+        )
+        assert held < 0.05
+        assert held < 0.5 * free
 
     def test_vergence_makes_both_eyes_look_the_same_way(self, film, observed):
         apart = [

@@ -7,7 +7,9 @@ import time
 import pytest
 from jupyter_client.manager import start_new_kernel
 
+from workbench.errors import InputError
 from workbench.widgets.kernel_comms import after_cell
+from workbench.widgets.late_parts import LateParts
 
 WIDGET = """
 import threading
@@ -129,3 +131,30 @@ def test_what_comes_after_a_cell_waits_for_its_end_and_outside_of_one_for_nothin
     asyncio.run(two_cells())
     after_cell(lambda: done.append("at once"))
     assert done == ["cell", "after", "next cell", "at once"]
+
+
+class Broken(LateParts):
+    """Its parts cannot be made."""
+
+    def _make_parts(self) -> None:
+        raise InputError("no parts today")
+
+
+def test_parts_that_cannot_be_made_say_why_in_their_place_and_again_where_one_is_asked_for():
+    logged = []
+
+    async def cell():
+        asyncio.get_running_loop().set_exception_handler(lambda _loop, context: logged.append(context["exception"]))
+        made = Broken([])
+        assert made.children == ()
+        await asyncio.sleep(0)
+        return made
+
+    broken = asyncio.run(cell())
+    (told,) = broken.children
+    assert "no parts today" in told.value
+    assert [str(error) for error in logged] == ["no parts today"]
+    for _ in range(2):
+        with pytest.raises(InputError, match="no parts today"):
+            broken.transport  # noqa: B018
+    broken.close()

@@ -624,7 +624,13 @@ def test_a_drag_of_a_landmark_is_one_step_and_an_arrow_key_after_it_another(pane
     assert found == [263.0, 262.0]
 
 
-NAMED_BY_NO_STAGE = {"weights.flow", "weights.vergence", "weights.gaze", "constants.weighted_edges"}
+NAMED_BY_NO_STAGE = {
+    "weights.flow",
+    "weights.vergence",
+    "weights.opposites",
+    "weights.gaze",
+    "constants.weighted_edges",
+}
 """What belongs to terms that no stage of FACE IT!'s presets names."""
 
 

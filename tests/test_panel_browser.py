@@ -62,13 +62,9 @@ def photo(server, chromium):
 @pytest.fixture(scope="module")
 def clip(photo):
     """The panel on the sample clip in the same page and kernel, after the portrait's tests."""
-    assert wrong_outputs(photo) == []
+    assert photo.wrong_outputs() == []
     photo.page.evaluate("() => window.jupyterapp.commands.execute('notebook:clear-all-cell-outputs')")
     return shown(photo, CLIP)
-
-
-def wrong_outputs(page):
-    return [output for output in page.outputs() if output["type"] == "error" or output["name"] == "stderr"]
 
 
 def rested(page, selector, before=None):
@@ -334,7 +330,7 @@ def test_nothing_came_from_another_host_and_nothing_failed(clip, screenshots):
     assert clip.foreign_requests == []
     assert clip.page_errors == []
     assert [text for text in clip.console_errors if "404" not in text] == []
-    assert wrong_outputs(clip) == []
+    assert clip.wrong_outputs() == []
 
 
 def test_the_head_is_there_while_the_cell_below_still_runs(clip, screenshots):
@@ -353,3 +349,21 @@ def test_the_head_is_there_while_the_cell_below_still_runs(clip, screenshots):
     (clip.server.folder / "seen").touch()
     assert clip.page_errors == []
     assert clip.foreign_requests == []
+
+
+def test_views_that_the_browser_library_gave_up_still_follow(clip):
+    """It gives a view's program two seconds to load: here none at all."""
+    clip.page.evaluate(
+        """() => {
+          const timeout = AbortSignal.timeout.bind(AbortSignal);
+          AbortSignal.timeout = (ms) => timeout(ms === 2000 ? 0 : ms);
+        }"""
+    )
+    clip.page.evaluate("() => window.jupyterapp.commands.execute('notebook:clear-all-cell-outputs')")
+    shown(clip, CLIP)
+    assert any("Failed to initialize model" in error for error in (*clip.console_errors, *clip.page_errors))
+    tab(clip, "ω")
+    before = rested(clip, MARKS), rested(clip, HEAD)
+    press(clip, "ω_σ L1", "End")
+    assert changed(clip, MARKS, before[0]) > 0.0
+    assert changed(clip, HEAD, before[1]) > 0.005

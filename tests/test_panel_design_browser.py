@@ -9,7 +9,7 @@ import pytest
 
 from tests import browser
 from tests.panel_page import CUT, HEAD, MARKS, fold, panel_tab, tab, to_top
-from tests.test_panel_browser import changed, rested, wrong_outputs
+from tests.test_panel_browser import changed, rested
 
 lacking = browser.missing()
 
@@ -493,4 +493,4 @@ def test_nothing_failed_and_nothing_came_from_another_host(page):
     assert page.foreign_requests == []
     assert page.page_errors == []
     assert [text for text in page.console_errors if "404" not in text] == []
-    assert wrong_outputs(page) == []
+    assert page.wrong_outputs() == []

@@ -7,7 +7,7 @@ import pytest
 
 from tests import browser
 from tests.panel_page import HEAD, MARKS, PANEL, READY, panel_tab, tab, to_top
-from tests.test_panel_browser import changed, rested, wrong_outputs
+from tests.test_panel_browser import changed, rested
 from workbench.config import read_config
 
 lacking = browser.missing()
@@ -205,4 +205,4 @@ def test_in_the_dark_theme_all_of_it_can_be_read(page, screenshots):
         page.page.screenshot(path=screenshots / f"{title.lower()}-dark.png")
     assert page.foreign_requests == []
     assert page.page_errors == []
-    assert wrong_outputs(page) == []
+    assert page.wrong_outputs() == []

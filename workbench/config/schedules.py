@@ -160,7 +160,7 @@ PRESET_STAGES: dict[str, tuple[Stage, ...]] = {
     ),
 }
 PRESET_STAGES["dense"] = tuple(
-    stage if stage is ROBUST_START else stage.model_copy(update={"terms": ("vergence", "gaze")})
+    stage if stage is ROBUST_START else stage.model_copy(update={"terms": ("vergence", "opposites", "gaze")})
     for stage in PRESET_STAGES["joint"]
 )
 """As `joint`, with eyes that turn."""

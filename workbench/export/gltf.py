@@ -1,4 +1,4 @@
-"""glTF 2.0 (.glb): the person's head with its blendshapes as morph targets, jaw joint, camera and animation."""
+"""glTF 2.0 (.glb): the person's head, blendshapes as morph targets, joints of jaw and eyes, camera and animation."""
 
 from pathlib import Path
 
@@ -7,8 +7,8 @@ from jaxtyping import Float, Int
 
 from workbench.export.clip import FLIP, Clip, quaternions, to_world
 from workbench.export.gltf_buffer import INDICES, VERTICES, Buffer
-from workbench.export.gltf_parts import AddedParts, add_parts, embedded
-from workbench.export.skinning import Shapes, clip_shapes
+from workbench.export.gltf_parts import AddedParts, add_parts, add_skin, embedded
+from workbench.export.skinning import Joint, Shapes, beside_joints, clip_joints, clip_shapes
 from workbench.extras import needs
 from workbench.face import DressedHead, FaceModel
 from workbench.files import atomic_path
@@ -26,10 +26,12 @@ SMOOTH = pygltflib.Sampler(magFilter=pygltflib.LINEAR, minFilter=pygltflib.LINEA
 def write_gltf(clip: Clip, path: str | Path, dressed: DressedHead | None = None) -> None:
     """Write a binary glTF that other programs play.
 
-    Nodes: `camera` in the origin, `head` (animated; a joint), `jaw` below it, and `face`, the mesh that both move.
-    Morph targets have the blendshapes' names (`extras.targetNames`). Keys lie at the times of the frames with a face.
-    Vertices along the seams of the texture are doubled, as the format wants it. With `dressed` the character plays:
-    the face has its skin, and each part that it wears is a node of its own, with the same morph targets if it moves.
+    Nodes: `camera` in the origin, `head` (animated; a joint), below it `jaw` and, where eyes turn, `leftEye` and
+    `rightEye`, and `face`, the mesh that they move. Morph targets have the blendshapes' names (`extras.targetNames`);
+    those of a look move lids and skin, the eyeballs turn with their joints. Keys lie at the times of the frames with a
+    face. Vertices along the seams of the texture are doubled, as the format wants it. With `dressed` the character
+    plays: the face has its skin, and each part that it wears is a node of its own, with the same morph targets if it
+    moves.
     """
     document = _document(clip, dressed)
     with atomic_path(path) as temporary:
@@ -42,11 +44,11 @@ def _document(clip: Clip, dressed: DressedHead | None) -> pygltflib.GLTF2:
     corners, uv_corners, triangles = render_corners(person)
     triangles = triangles if dressed is None else triangles[dressed.shown]
     found = np.flatnonzero(track.found)
-    jawed = "jaw" in person.joints and bool(person.jaw_weights.any())
-    shapes = clip_shapes(clip)
+    joints = clip_joints(clip)
+    shapes = beside_joints(clip_shapes(clip), joints)
     picture = bundled_texture(person) if dressed is None else dressed.skin
     textured = picture is not None
-    mesh = _mesh(pool, person, shapes, corners, uv_corners, triangles, shapes.weights[found[0]], jawed, textured)
+    mesh = _mesh(pool, person, shapes, corners, uv_corners, triangles, shapes.weights[found[0]], joints, textured)
     nodes = [
         pygltflib.Node(name="camera", camera=0),
         pygltflib.Node(
@@ -57,24 +59,28 @@ def _document(clip: Clip, dressed: DressedHead | None) -> pygltflib.GLTF2:
         pygltflib.Node(name="face", mesh=0),
     ]
     scene, skins = [0, 1], []
-    if jawed:
+    if joints:
         # A mesh that joints move stands beside them: its own place does not count.
-        jaw = to_world(np.asarray(clip.joint.joint, float))
-        nodes.append(pygltflib.Node(name="jaw", translation=_numbers(jaw)))
-        nodes[1].children, nodes[2].skin = [3], 0
-        inverse = np.tile(np.eye(4), (2, 1, 1))
-        inverse[1, :3, 3] = -jaw
+        places = to_world(np.stack([joint.place for joint in joints]))
+        nodes += [
+            pygltflib.Node(name=joint.name, translation=_numbers(place))
+            for joint, place in zip(joints, places, strict=True)
+        ]
+        below = list(range(3, len(nodes)))
+        nodes[1].children, nodes[2].skin = below, 0
+        inverse = np.tile(np.eye(4), (1 + len(joints), 1, 1))
+        inverse[1:, :3, 3] = -places
         bind = pool.add(inverse.transpose(0, 2, 1))  # column-major
-        skins = [pygltflib.Skin(name="head", joints=[1, 3], skeleton=1, inverseBindMatrices=bind)]
+        skins = [pygltflib.Skin(name="head", joints=[1, *below], skeleton=1, inverseBindMatrices=bind)]
         scene.append(2)
     else:
         nodes[1].children = [2]
     images = [] if picture is None else [embedded(pool, "albedo", picture)]
-    worn = add_parts(pool, clip, shapes, dressed, found[0], len(images)) if dressed else AddedParts()
+    worn = add_parts(pool, clip, shapes, joints, dressed, found[0], len(images)) if dressed else AddedParts()
     moving = [2]
     for number, (node, follows) in enumerate(zip(worn.nodes, worn.follow, strict=True), len(nodes)):
         moving += [number] if follows else []
-        if follows and jawed:
+        if follows and joints:
             node.skin = 0
             scene.append(number)
         else:
@@ -91,7 +97,7 @@ def _document(clip: Clip, dressed: DressedHead | None) -> pygltflib.GLTF2:
         skins=skins,
         cameras=[_camera(clip.camera, clip.image_size)],
         materials=[_material(textured), *worn.materials],
-        animations=[_animation(pool, clip, shapes, found, moving)],
+        animations=[_animation(pool, clip, shapes, joints, found, moving)],
         images=images,
         textures=[pygltflib.Texture(source=source, sampler=0) for source in range(len(images))],
         samplers=[SMOOTH] if images else [],
@@ -112,8 +118,9 @@ def render_corners(person: FaceModel) -> tuple[Int[np.ndarray, "c"], Int[np.ndar
 
 
 def _mesh(
-    pool, person: FaceModel, shapes: Shapes, corners, uv_corners, triangles, weights, jawed: bool, textured: bool
-) -> pygltflib.Mesh:
+    pool, person: FaceModel, shapes: Shapes, corners, uv_corners, triangles, weights, joints: tuple[Joint, ...],
+    textured: bool,
+) -> pygltflib.Mesh:  # fmt: skip
     sums = corner_sum(person.triangles, len(person.neutral))
 
     def normals(vertices: np.ndarray) -> np.ndarray:
@@ -130,12 +137,7 @@ def _mesh(
     if not textured:
         linear = ((person.colors[corners] / 255.0) ** 2.2).astype(np.float32)
         attributes.COLOR_0 = pool.add(linear, VERTICES)
-    if jawed:
-        jaw = person.jaw_weights[corners]
-        joints = np.zeros((len(corners), 4), np.uint8)
-        joints[:, 1] = jaw > 0.0  # an unused slot names joint 0
-        attributes.JOINTS_0 = pool.add(joints, VERTICES)
-        attributes.WEIGHTS_0 = pool.add(np.stack([1.0 - jaw, jaw, 0.0 * jaw, 0.0 * jaw], axis=1), VERTICES)
+    add_skin(pool, attributes, [joint.holds[corners] for joint in joints])
     targets = [
         {
             "POSITION": pool.add(to_world(delta[corners]), VERTICES, bounds=True),
@@ -152,8 +154,10 @@ def _mesh(
     )
 
 
-def _animation(pool, clip: Clip, shapes: Shapes, found: Int[np.ndarray, "m"], moving: list[int]) -> pygltflib.Animation:
-    """Curves of head and jaw, and the weights of all nodes that have the morph targets."""
+def _animation(
+    pool, clip: Clip, shapes: Shapes, joints: tuple[Joint, ...], found: Int[np.ndarray, "m"], moving: list[int]
+) -> pygltflib.Animation:
+    """Curves of head, jaw and eyes, and the weights of all nodes that have the morph targets."""
     track = clip.track
     times = pool.add(clip.times_s[found], bounds=True)
     curves = {
@@ -163,9 +167,11 @@ def _animation(pool, clip: Clip, shapes: Shapes, found: Int[np.ndarray, "m"], mo
     }
     if clip.moves_scale:
         curves[1, "scale"] = np.repeat(track.scale[found, None], 3, axis=1)
-    if clip.moves_jaw:
-        curves[3, "translation"] = to_world(np.asarray(clip.joint.joint) + track.jaw[found, 3:])
-        curves[3, "rotation"] = quaternions(track.jaw[found, :3])
+    for node, joint in enumerate(joints, 3):
+        if joint.shifts is not None:
+            curves[node, "translation"] = to_world(joint.place + joint.shifts[found])
+        if joint.turns is not None:
+            curves[node, "rotation"] = quaternions(joint.turns[found])
     made = pygltflib.Animation(name="performance")
     for number, ((node, path), values) in enumerate(curves.items()):
         made.samplers.append(pygltflib.AnimationSampler(input=times, output=pool.add(values)))

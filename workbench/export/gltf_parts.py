@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 
 from workbench.export.clip import FLIP, Clip, to_world
 from workbench.export.gltf_buffer import INDICES, VERTICES, Buffer
-from workbench.export.skinning import Shapes
+from workbench.export.skinning import Joint, Shapes
 from workbench.extras import needs
 from workbench.face import DressedHead, Part, WornPart
 from workbench.pictures.mesh import corner_sum, split_seams, vertex_normals
@@ -58,7 +58,13 @@ class AddedParts:
 
 
 def add_parts(
-    pool: Buffer, clip: Clip, shapes: Shapes, dressed: DressedHead, first: int, images_before: int
+    pool: Buffer,
+    clip: Clip,
+    shapes: Shapes,
+    joints: tuple[Joint, ...],
+    dressed: DressedHead,
+    first: int,
+    images_before: int,
 ) -> AddedParts:
     """All parts on the clip's person; `first` is the frame whose weights the meshes rest at."""
     added = AddedParts()
@@ -70,13 +76,26 @@ def add_parts(
             image = images_before + len(added.images)
             added.images.append(embedded(pool, f"{part.kind}-{part.style}", worn.picture))
         added.materials.append(_material(worn, image))
-        mesh = _mesh(pool, clip, shapes, part, points, len(added.materials))
+        mesh = _mesh(pool, shapes, joints, part, points, len(added.materials))
         if not part.still:
             mesh.weights = np.asarray(shapes.weights[first], float).tolist()
         added.meshes.append(mesh)
         added.nodes.append(pygltflib.Node(name=part.kind, mesh=len(added.meshes)))  # mesh 0 is the face
         added.follow.append(not part.still)
     return added
+
+
+def add_skin(pool: Buffer, attributes: pygltflib.Attributes, holds: list[Float[np.ndarray, "n"]]) -> None:
+    """Tie vertices to up to three joints below the head, by the share that each holds; the head has the rest."""
+    if not holds:
+        return
+    weights = np.zeros((len(holds[0]), 4))
+    weights[:, 1 : 1 + len(holds)] = np.stack(holds, axis=1)
+    weights[:, 0] = np.maximum(1.0 - weights.sum(axis=1), 0.0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    joints = np.where(weights > 0.0, np.arange(4, dtype=np.uint8), np.uint8(0))  # an unused slot names joint 0
+    attributes.JOINTS_0 = pool.add(joints, VERTICES)
+    attributes.WEIGHTS_0 = pool.add(weights, VERTICES)
 
 
 def embedded(pool: Buffer, name: str, picture: UInt8[np.ndarray, "h w _"]) -> pygltflib.Image:
@@ -105,7 +124,12 @@ def _material(worn: WornPart, image: int | None) -> pygltflib.Material:
 
 
 def _mesh(
-    pool: Buffer, clip: Clip, shapes: Shapes, part: Part, points: Float[np.ndarray, "n 3"], material: int
+    pool: Buffer,
+    shapes: Shapes,
+    joints: tuple[Joint, ...],
+    part: Part,
+    points: Float[np.ndarray, "n 3"],
+    material: int,
 ) -> pygltflib.Mesh:
     order, uv_of_corner, triangles = split_seams(part.triangles, part.triangles_uv)
     normals = vertex_normals(points, part.triangles, corner_sum(part.triangles, len(points)))[order] * FLIP
@@ -116,13 +140,9 @@ def _mesh(
     if part.shade.min() < 255:
         linear = (part.shade[order, None] / 255.0) ** GAMMA
         attributes.COLOR_0 = pool.add(np.repeat(linear, 3, axis=1), VERTICES)
-    jaw_weights = clip.person.jaw_weights
-    if not part.still and "jaw" in clip.person.joints and jaw_weights.any():
-        jaw = np.clip(np.einsum("nj,nj->n", part.weights, jaw_weights[part.anchors]), 0.0, 1.0)[order]
-        joints = np.zeros((len(order), 4), np.uint8)
-        joints[:, 1] = jaw > 0.0
-        attributes.JOINTS_0 = pool.add(joints, VERTICES)
-        attributes.WEIGHTS_0 = pool.add(np.stack([1.0 - jaw, jaw, 0.0 * jaw, 0.0 * jaw], axis=1), VERTICES)
+    if not part.still:
+        held = [np.einsum("nj,nj->n", part.weights, joint.holds[part.anchors])[order] for joint in joints]
+        add_skin(pool, attributes, [np.clip(each, 0.0, 1.0) for each in held])
     indices = pool.add(triangles.astype(np.uint16).ravel(), INDICES)
     primitive = pygltflib.Primitive(attributes=attributes, indices=indices, material=material)
     extras = {}

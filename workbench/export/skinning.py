@@ -1,17 +1,24 @@
-"""Blendshapes and a jaw joint for formats that apply them one after the other: first the shapes, then the joints."""
+"""Blendshapes and joints for formats that apply them one after the other: first the shapes, then the joints."""
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from workbench.export.clip import Clip
-from workbench.face import JawJoint, JawUnit
+from workbench.face import GAZE_NAMES, FaceModel, JawJoint, JawUnit
+from workbench.face.gaze import EYES
 
 CORRECTIVES = ("jawCorrective", "jawCorrective2", "jawCorrective3", "jawCorrectiveYaw", "jawCorrectiveRoll")
 """Shapes that a turned jaw adds; their weights are in `corrective_weights`."""
 SAMPLES = 7
+EYEBALL = 0.5
+"""Parts of a mesh that lie within this share of the distance between the eyes about one of them are its eyeball."""
+FRONT = 0.7
+"""Cosine of the angle from straight ahead up to which an eyeball is its front."""
 
 
 class Shapes(NamedTuple):
@@ -32,6 +39,68 @@ def clip_shapes(clip: Clip) -> Shapes:
     deltas = np.concatenate([person.expression_deltas, corrective_shapes(clip.joint, most)])
     weights = np.concatenate([track.expression, corrective_weights(track.jaw, clip.joint.unit)], axis=1)
     return Shapes((*person.expression_names, *CORRECTIVES), deltas, weights)
+
+
+class Joint(NamedTuple):
+    """What turns a part of a head, as a child of the head's own joint."""
+
+    name: str
+    place: Float[np.ndarray, "3"]
+    """Head frame, millimetres."""
+    holds: Float[np.ndarray, "v"]
+    """Share of each vertex that moves with it."""
+    turns: Float[np.ndarray, "n 3"] | None
+    """Axis-angle in every frame, radians; None where it rests."""
+    shifts: Float[np.ndarray, "n 3"] | None = None
+    """Millimetres from its place; None where it stays."""
+
+
+def clip_joints(clip: Clip) -> tuple[Joint, ...]:
+    """The person's jaw, where the model has one, and both eyes, where its blendshapes turn eyeballs."""
+    person, track = clip.person, clip.track
+    joints = []
+    if "jaw" in person.joints and person.jaw_weights.any():
+        moved = (track.jaw[:, :3], track.jaw[:, 3:]) if clip.moves_jaw else (None, None)
+        joints.append(Joint("jaw", np.asarray(clip.joint.joint, float), np.asarray(person.jaw_weights, float), *moved))
+    if set(EYES) <= set(person.joints) and set(GAZE_NAMES) <= set(person.expression_names):
+        joints += [_eye(person, name, track.expression) for name in reversed(EYES)]
+    return tuple(joint for joint in joints if joint.holds.any())
+
+
+def _eye(person: FaceModel, name: str, expression: Float[np.ndarray, "n k"]) -> Joint:
+    ball, centre = eyeball(person, name), person.joints[name]
+    # Blendshapes move an eyeball along chords, and its back less; the rotation nearest to its front keeps it round.
+    looks = [person.expression_names.index(unit) for unit in GAZE_NAMES]
+    arms = person.neutral - centre
+    front = ball & (arms[:, 2] < -FRONT * np.linalg.norm(arms, axis=1))
+    arms = arms[front]
+    by_unit = np.einsum("vi,kvj->kij", arms, person.expression_deltas[looks][:, front])
+    weights = np.nan_to_num(expression[:, looks])
+    left, _, right = np.linalg.svd(arms.T @ arms + np.einsum("nk,kij->nij", weights, by_unit))
+    right[:, 2] *= np.linalg.det(left @ right)[:, None]
+    turns = Rotation.from_matrix((left @ right).transpose(0, 2, 1)).as_rotvec()
+    return Joint(name, np.asarray(centre, float), ball.astype(float), turns if weights.any() else None)
+
+
+def eyeball(person: FaceModel, name: str) -> Bool[np.ndarray, "v"]:
+    """Which vertices are the ball of an eye: parts of the mesh of their own that lie about its joint."""
+    count = len(person.neutral)
+    ends = np.concatenate([person.triangles[:, :2], person.triangles[:, 1:]]).T
+    _, part = connected_components(coo_array((np.ones(ends.shape[1]), ends), shape=(count, count)), directed=False)
+    apart = np.linalg.norm(np.subtract(*(person.joints[eye] for eye in EYES)))
+    far = np.linalg.norm(person.neutral - person.joints[name], axis=1) > EYEBALL * apart
+    return ~np.isin(part, part[far])
+
+
+def beside_joints(shapes: Shapes, joints: tuple[Joint, ...]) -> Shapes:
+    """The shapes without what the eyes' joints do in their place: of a look, the lids and the skin about the eye."""
+    balls = np.any([joint.holds > 0.0 for joint in joints if joint.name in EYES], axis=0)
+    if not np.any(balls):
+        return shapes
+    looks = [k for k, name in enumerate(shapes.names) if name in GAZE_NAMES]
+    deltas = shapes.deltas.copy()
+    deltas[np.ix_(looks, np.flatnonzero(balls))] = 0.0
+    return shapes._replace(deltas=deltas)
 
 
 def corrective_weights(jaw: Float[np.ndarray, "n _"], unit: JawUnit) -> Float[np.ndarray, "n 5"]:

@@ -33,6 +33,7 @@ TERMS = {
     "stay": (SKY, ":"),
     "vergence": (SKY, "--"),
     "gaze": (SKY, "-."),
+    "opposites": (GREEN, "--"),
     "flow": (RED, "-"),
 }
 """Terms of the energy, the same in every figure and in the panel; any other looks like `flow`."""

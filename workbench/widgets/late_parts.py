@@ -13,13 +13,15 @@ class LateParts(widgets.VBox):
     """Begins with the widgets of `first`; `_make_parts` makes the rest, after the cell or when a part is asked for.
 
     A browser shows nothing of a cell before its end, and hundreds of widgets take seconds. Subclasses call `_make`
-    before they use parts whose names begin with an underscore.
+    before they use parts whose names begin with an underscore. An error in making them is shown in their place, and
+    raised again wherever a part is asked for: no cell is left that it could end.
     """
 
     def __init__(self, first: Sequence[widgets.Widget]) -> None:
         self._making, self._made, self._closed = threading.RLock(), False, False
+        self._failure: Exception | None = None
         super().__init__(first)
-        after_cell(self._make)
+        after_cell(self._make_after_cell)
 
     def __getattr__(self, name: str) -> Any:
         """A part that is asked for before it has been made."""
@@ -32,15 +34,32 @@ class LateParts(widgets.VBox):
         with self._making:
             closed, self._closed = self._closed, True
         if not closed:
-            if self._made:
+            if self._made and self._failure is None:
                 self._close_parts()
             super().close()
 
     def _make(self) -> None:
         with self._making:
+            if self._failure is not None:
+                raise self._failure
             if not self._made and not self._closed:
                 self._made = True
-                self._make_parts()
+                try:
+                    self._make_parts()
+                except Exception as error:
+                    self._failure = error
+                    raise
+
+    def _make_after_cell(self) -> None:
+        try:
+            self._make()
+        except Exception as error:
+            from workbench.widgets.status_line import StatusLine  # here: the first part is shown without it
+
+            line = StatusLine()
+            line.failed(error)
+            self.children = (*self.children, line)
+            raise
 
     def _make_parts(self) -> None:
         raise NotImplementedError

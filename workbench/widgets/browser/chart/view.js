@@ -2,6 +2,7 @@
 import { bytesOf } from "../shared/bytes.js";
 import { element, makeStage } from "../shared/canvas.js";
 import { follow, followSize, followTheme, listen } from "../shared/following.js";
+import { keepHearing } from "../shared/hearing.js";
 import { clamp } from "../shared/numbers.js";
 import { onDemand } from "../shared/painting.js";
 import { themeOf } from "../shared/theme.js";
@@ -139,4 +140,4 @@ function render({ model, el }) {
   return () => stops.forEach((stop) => stop());
 }
 
-export default { render };
+export default { initialize: keepHearing, render };

@@ -1,6 +1,7 @@
 // Shows the latest picture of the head and sends the actions of mouse, fingers and keyboard.
 import { bytesOf } from "../shared/bytes.js";
 import { follow } from "../shared/following.js";
+import { keepHearing } from "../shared/hearing.js";
 import { listenTo } from "./mouse.js";
 import { makeMoves } from "./moves.js";
 import { makePage } from "./page.js";
@@ -32,4 +33,4 @@ function render({ model, el }) {
   return () => stops.forEach((end) => end());
 }
 
-export default { render };
+export default { initialize: keepHearing, render };

@@ -4,6 +4,7 @@ import { makeScene } from "../drawing/scene.js";
 import { makeStage } from "../drawing/stage.js";
 import { bytesOf } from "../shared/bytes.js";
 import { follow, followSize, listen } from "../shared/following.js";
+import { keepHearing } from "../shared/hearing.js";
 import { onDemand } from "../shared/painting.js";
 import { drawsInSoftware } from "../shared/webgl.js";
 import { cropOf, throughCrop } from "./crop.js";
@@ -94,4 +95,4 @@ function render({ model, el }) {
   return () => stops.forEach((stop) => stop());
 }
 
-export default { render };
+export default { initialize: keepHearing, render };

@@ -3,6 +3,7 @@
 import { readMesh } from "../drawing/mesh.js";
 import { bytesOf } from "../shared/bytes.js";
 import { follow, listen } from "../shared/following.js";
+import { keepHearing } from "../shared/hearing.js";
 import { onDemand } from "../shared/painting.js";
 import { makeCamera } from "./camera.js";
 import { makeDisplay } from "./display.js";
@@ -175,7 +176,10 @@ function render(live, model, el) {
 export default () => {
   const live = makeLive();
   return {
-    initialize: ({ model }) => initialize(live, model),
+    initialize: ({ model }) => {
+      keepHearing({ model });
+      return initialize(live, model);
+    },
     render: ({ model, el }) => render(live, model, el),
   };
 };

@@ -3,6 +3,7 @@ import { bytesOf } from "../shared/bytes.js";
 import { cleared } from "../shared/canvas.js";
 import { cssColors } from "../shared/colors.js";
 import { follow, followSize, listen } from "../shared/following.js";
+import { keepHearing } from "../shared/hearing.js";
 import { dragLimit } from "../shared/limit.js";
 import { onDemand } from "../shared/painting.js";
 import { hasWebGL } from "../shared/webgl.js";
@@ -193,4 +194,4 @@ function render({ model, el }) {
   return () => stops.forEach((stop) => stop());
 }
 
-export default { render };
+export default { initialize: keepHearing, render };

@@ -1,5 +1,6 @@
 // What a panel does in the page itself: drags of sliders, resets, movable borders, folded pages, keys and labels.
 import { listen } from "../shared/following.js";
+import { keepHearing } from "../shared/hearing.js";
 import { listenToCopies } from "./copying.js";
 import { takeDownloads } from "./downloads.js";
 import { watchDrags } from "./drags.js";
@@ -27,4 +28,4 @@ function render({ model, el }) {
   return () => stops.forEach((stop) => stop());
 }
 
-export default { render };
+export default { initialize: keepHearing, render };

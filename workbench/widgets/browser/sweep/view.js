@@ -3,6 +3,7 @@ import { BOTTOM, LEFT, TOP } from "../chart/scale.js";
 import { bytesOf } from "../shared/bytes.js";
 import { cleared, element, makeStage } from "../shared/canvas.js";
 import { follow, followSize, followTheme, listen } from "../shared/following.js";
+import { keepHearing } from "../shared/hearing.js";
 import { onDemand } from "../shared/painting.js";
 import { themeOf } from "../shared/theme.js";
 import { RED, paintCurve } from "./curve.js";
@@ -131,4 +132,4 @@ function render({ model, el }) {
   return () => stops.forEach((stop) => stop());
 }
 
-export default { render };
+export default { initialize: keepHearing, render };

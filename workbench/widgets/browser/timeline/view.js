@@ -3,6 +3,7 @@ import { bytesOf } from "../shared/bytes.js";
 import { cleared, element } from "../shared/canvas.js";
 import { cssColors, gradientOf } from "../shared/colors.js";
 import { follow, followSize, followTheme } from "../shared/following.js";
+import { keepHearing } from "../shared/hearing.js";
 import { dragLimit } from "../shared/limit.js";
 import { onDemand } from "../shared/painting.js";
 import { themeOf } from "../shared/theme.js";
@@ -136,8 +137,10 @@ function render({ model, el }) {
   ];
   onSize();
   onTrack();
-  model.send({ kind: "shown" });
+  askForTrack(model);
   return () => stops.forEach((stop) => stop());
 }
 
-export default { render };
+const askForTrack = (model) => model.send({ kind: "shown" });
+
+export default { initialize: ({ model }) => keepHearing({ model }, () => askForTrack(model)), render };
