@@ -103,7 +103,7 @@ class TuningPanel(LateParts):
         self._workers = (self._slow, self.time, self.sweep, self.tune, *shown)
         self._leave = self.session.listen(self._on_session)
         self.children = (*self.children, unloaded_note(), self.page, *rows_of(self))
-        self._show_session()
+        show_session(self)
         self.overlay.show_picture(0)
         self._worker.submit(Show(0))
         self._clip_bar.begin()
@@ -181,7 +181,7 @@ class TuningPanel(LateParts):
             self._behind = self._held
             self._worker.submit(Show(self.frame, coarse=self.is_clip))
             if not self._held:
-                self._show_session()
+                show_session(self)
             elif not self._shown.wait(FIRST_S):
                 self._catch_up()
             self._clip_bar.settle()
@@ -199,19 +199,7 @@ class TuningPanel(LateParts):
         """Show in the rest of the panel what a slider has changed, once its pictures are there or take long."""
         held, self._behind = self._behind, ""
         if held:
-            self._show_session(held)
-
-    def _show_session(self, held: str = "") -> None:
-        config = self.session.config
-        self.controls.show(config, but=held)
-        self.stages.show(config)
-        self.strip.show_config()
-        self.overlay.refresh_groups()
-        self.time.show_config()
-        self.sweep.show_config()
-        self.tune.show_config()
-        self.clip.timeline.marked = [list(part) for part in config.infill.frames]
-        self.history.show()
+            show_session(self, held)
 
     def _show_run(self) -> None:
         if self.is_clip:
@@ -262,6 +250,20 @@ class TuningPanel(LateParts):
         self._catch_up()
         self._clip_bar.hide_progress()
         self.status.failed(error)
+
+
+def show_session(panel: TuningPanel, held: str = "") -> None:
+    """Show the session's configuration and history in the parts of a panel, but for the knob that is held."""
+    config = panel.session.config
+    panel.controls.show(config, but=held)
+    panel.stages.show(config)
+    panel.strip.show_config()
+    panel.overlay.refresh_groups()
+    panel.time.show_config()
+    panel.sweep.show_config()
+    panel.tune.show_config()
+    panel.clip.timeline.marked = [list(part) for part in config.infill.frames]
+    panel.history.show()
 
 
 def pages_of(panel: TuningPanel) -> dict[str, widgets.Widget | None]:
