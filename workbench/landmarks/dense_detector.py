@@ -65,7 +65,9 @@ class DenseDetector(NetworkDetector):
         points = np.concatenate([true_lids(landmarks.points), to_image.to_image(places.points)[POINT_COUNT:]])
         eyes = self._eyes.see(picture, points)
         points[IRISES], covariance[IRISES] = eyes.points, eyes.covariance
-        covariance[LIDS] *= (SHUT_LIDS + (1.0 - SHUT_LIDS) * eyes.is_open[:, None, None, None]) ** 2
+        # The third power: behind glasses an open eye may pass for half shut.
+        shut = (1.0 - eyes.is_open[:, None, None, None]) ** 3
+        covariance[LIDS] *= (1.0 - (1.0 - SHUT_LIDS) * shut) ** 2
         confidence = np.concatenate([landmarks.confidence, _nearness(points, covariance)[POINT_COUNT:]])
         return Landmarks2D(points, confidence, landmarks.image_size, covariance)
 
