@@ -13,19 +13,8 @@ from workbench.errors import ModelError
 from workbench.face import GAZE_NAMES, gaze_deg, in_scheme, load_default_head
 from workbench.face.gaze import angle_between_deg
 from workbench.landmarks.alignment import MEAN_SHAPE
-from workbench.landmarks.dense_detector import SHUT_LIDS, DenseDetector
 from workbench.landmarks.detectors import make_detector
-from workbench.landmarks.eyes import (
-    CORNERS,
-    IRISES,
-    LEAST_OPEN,
-    LIDS,
-    EyeDetector,
-    bundled_eye_network,
-    eye_crop,
-    eye_frame,
-)
-from workbench.landmarks.scheme import GROUPS
+from workbench.landmarks.eyes import CORNERS, IRISES, LEAST_OPEN, EyeDetector, bundled_eye_network, eye_crop, eye_frame
 from workbench.landmarks.schemes import DENSE
 from workbench.networks.encoder import BLOCKS, WIDTHS
 from workbench.networks.eye_network import (
@@ -119,16 +108,6 @@ class TestCrops:
         closed, opened = (EyeDetector(_saying(odds)).see(picture, points) for odds in (-30.0, 30.0))
         np.testing.assert_allclose(closed.covariance, opened.covariance / LEAST_OPEN**2, rtol=1e-6)
         np.testing.assert_array_equal(closed.points, opened.points)
-
-    def test_the_lids_of_shut_eyes_are_surer(self):
-        points, picture = 300.0 * MEAN_SHAPE + 200.0, np.full((401, 401, 3), 90, np.uint8)
-        closed, opened = (
-            DenseDetector(eyes=_saying(odds)).refine(picture, points).covariance for odds in (-30.0, 30.0)
-        )
-        np.testing.assert_allclose(closed[LIDS], SHUT_LIDS**2 * opened[LIDS], rtol=1e-6)
-        others = np.setdiff1d(np.arange(len(opened)), np.concatenate([LIDS.ravel(), IRISES.ravel()]))
-        np.testing.assert_array_equal(closed[others], opened[others])
-        assert sorted(LIDS.ravel()) == sorted(set(GROUPS["eyes"]) - set(np.ravel(CORNERS)))
 
     def test_the_points_are_the_schemes_pupils_and_irises(self):
         assert sorted(IRISES.ravel()) == sorted(DENSE.groups["irises"])

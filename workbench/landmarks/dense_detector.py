@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 
 from workbench.landmarks.alignment import FaceFrame
 from workbench.landmarks.detection import Box
-from workbench.landmarks.eyes import IRISES, LIDS, EyeDetector
+from workbench.landmarks.eyes import IRISES, EyeDetector
 from workbench.landmarks.lids import true_lids
 from workbench.landmarks.network_detector import BUNDLED, CROP_SIDE, NetworkDetector, crop_frame, sampled_crop
 from workbench.landmarks.observations import Landmarks2D
@@ -27,9 +27,6 @@ from workbench.networks.regression import Places, covariance_of
 HEAT_MAP_DEVIATION = 0.6
 """Of the 68 points: what their places in the heat maps deviate by, as a share of what the dense network claims for its
 own. On the bundled clips the share of the errors is 0.63 to 0.82."""
-SHUT_LIDS = 0.6
-"""What the lids of a shut eye deviate by, as a share of what open ones do. The share of the errors, counted in claimed
-deviations, is 0.57 to 0.72 on two bundled clips and 0.76 to 1.03 on the third."""
 NEAR_PERCENT = 5.0
 """The confidence of a point that has no heat map: how likely it lies within this part of the outer-eye distance."""
 _MIRRORED = np.array([-1.0, 1.0])
@@ -65,9 +62,6 @@ class DenseDetector(NetworkDetector):
         points = np.concatenate([true_lids(landmarks.points), to_image.to_image(places.points)[POINT_COUNT:]])
         eyes = self._eyes.see(picture, points)
         points[IRISES], covariance[IRISES] = eyes.points, eyes.covariance
-        # The third power: behind glasses an open eye may pass for half shut.
-        shut = (1.0 - eyes.is_open[:, None, None, None]) ** 3
-        covariance[LIDS] *= (1.0 - (1.0 - SHUT_LIDS) * shut) ** 2
         confidence = np.concatenate([landmarks.confidence, _nearness(points, covariance)[POINT_COUNT:]])
         return Landmarks2D(points, confidence, landmarks.image_size, covariance)
 

@@ -18,8 +18,6 @@ EYE_BOXES = 0.27
 """Face boxes across an eye's crop: the corners of a frontal eye are about 60 % of it apart."""
 CORNERS = ((36, 39), (42, 45))
 """Of the person's right and left eye."""
-LIDS = np.array([[37, 38, 40, 41], [43, 44, 46, 47]])
-"""Upper and lower lid of the person's right and left eye, between the corners."""
 LEAST_OPEN = 0.02
 """Of how likely an eye is open: what a shut one's points still count."""
 _FLIPPED = np.array([-1.0, 1.0])
