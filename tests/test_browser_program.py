@@ -197,18 +197,19 @@ class TestChart:
 
 @needs_node
 class TestPainting:
-    def seen(self, happened: str) -> object:
-        """Which frames of a page's life painted; `hidden` takes what is painted out of the page."""
+    def seen(self, happened: str, soon: str = "false") -> object:
+        """Which moments of a page's life painted; `hidden` takes what is painted out of the page."""
         page = """
-            let frames = [], hidden = false, timers = [];
+            let frames = [], hidden = false, timers = [], tasks = [];
+            globalThis.queueMicrotask = (run) => tasks.push(run);
             globalThis.requestAnimationFrame = (run) => frames.push(run);
             globalThis.cancelAnimationFrame = () => { frames = []; };
             globalThis.setTimeout = (run) => timers.push(run);
             globalThis.clearTimeout = () => { timers = []; };
             const all = (runs) => runs.splice(0).forEach((run) => run());
-            const later = () => all(timers), frame = () => all(frames);
-            const seen = [], painting = onDemand((all) => !hidden && Boolean(seen.push(all)));
+            const later = () => all(timers), frame = () => all(frames), handled = () => all(tasks);
         """
+        page += f"const seen = [], painting = onDemand((all) => !hidden && Boolean(seen.push(all)), {soon});"
         path = BROWSER / "shared" / "painting.js"
         return asked_of_node(path, "onDemand", f"(() => {{ {page} {happened}; return seen; }})()")
 
@@ -218,6 +219,16 @@ class TestPainting:
             True,
             False,
         ]
+
+    @needs_node
+    def test_what_is_wanted_soon_is_painted_after_its_message_and_then_again_in_the_frame(self):
+        message = "painting.ask(), painting.ask(), handled(), seen.push('message')"
+        assert self.seen(f"{message}, frame()", "true") == [True, "message"]
+        assert self.seen(f"{message}, {message}, {message}, frame(), frame()", "true") == [
+            *(True, "message", "message", "message", False)
+        ]
+        assert self.seen(f"{message}, frame(), {message}", "true") == [True, "message", False, "message"]
+        assert self.seen("painting.ask(), painting.stop(), handled(), frame()", "true") == []
 
     @needs_node
     def test_what_is_out_of_the_page_for_a_moment_is_painted_when_it_is_back(self):

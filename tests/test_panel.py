@@ -162,17 +162,47 @@ def test_a_chart_can_be_drawn_from_what_the_browser_hears_first(monkeypatch):
     assert sent["_series"]["names"] == []
 
 
-def test_a_slider_changes_the_pictures_before_the_rest_of_the_panel(panel, monkeypatch):
-    order = []
-    for part, call in ((panel, "_show"), (panel.controls, "show")):
-        usual = getattr(part, call)
-        monkeypatch.setattr(
-            part, call, lambda *given, usual=usual, call=call, **named: (order.append(call), usual(*given, **named))
-        )
+@pytest.fixture
+def told(monkeypatch):
+    """Changes of widgets as they are sent to the browser: widget, names of what changed, bytes."""
+    sent = []
+
+    def send(widget, key=None):
+        names = {key} if isinstance(key, str) else set(widget.keys if key is None else key)
+        state = widget.get_state(names)
+        sent.append((widget, names, sum(len(part) for part in state.values() if isinstance(part, bytes))))
+
+    monkeypatch.setattr(widgets.Widget, "send_state", send)
+    return sent
+
+
+def test_a_slider_is_answered_by_one_message_for_the_head_and_one_for_the_picture(panel, told, monkeypatch):
     monkeypatch.setattr(tuning_panel, "FIRST_S", 30.0)
-    slider = panel.controls.by_path["weights.sigma_smooth"].input
-    slider.value += 4 * slider.step
-    assert order == ["_show", "show"]
+    control = panel.controls.by_path["weights.sigma_smooth"]
+    control.input.value += 4 * control.input.step
+    panel.wait_idle()
+    (slider, *_), head, picture, *rest = told
+    assert slider is control.input
+    assert head == (panel.head.view.canvas, {"_vertices", "_viewpoint"}, panel.session.model.neutral.size * 4)
+    assert picture == (panel.overlay.view, {"_fit", "_fits"}, 68 * 8 * 4)
+    later = {widget for widget, *_ in rest}
+    assert later >= {control.readout, panel.history.undo, panel.status}
+    assert not later & {panel.head.view.canvas, panel.overlay.view}
+
+
+def test_a_slider_is_answered_by_the_panel_where_a_fit_takes_long(panel, monkeypatch):
+    shown, go_on = [], threading.Event()
+    usual = panel.session.fit_frame
+    monkeypatch.setattr(panel.session, "fit_frame", lambda *given, **named: (go_on.wait(30), usual(*given, **named))[1])
+    monkeypatch.setattr(panel, "_show", lambda fit: shown.append(fit))
+    control = panel.controls.by_path["weights.sigma_smooth"]
+    control.input.value += 4 * control.input.step
+    assert not shown
+    assert panel.session.undo_label in panel.history.undo.tooltip
+    assert control.readout.value == f"{control.value:.4g}"
+    go_on.set()
+    panel.wait_idle()
+    assert shown
 
 
 # --- knobs ---

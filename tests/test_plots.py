@@ -226,6 +226,13 @@ def test_compared_fits_stand_side_by_side_over_their_heads(head, portrait):
     assert np.abs(pictures[2].astype(int) - pictures[3]).max() > 30
 
 
+def test_compared_fits_of_another_model_are_told(head, portrait):
+    picture, fit = portrait
+    dense = replace(fit, expression=np.zeros(52))
+    with pytest.raises(InputError, match="'dense' has 52 blendshape weights, and the face model has 44: give"):
+        plots.compared_fits(head, picture, {"joint": fit, "dense": dense})
+
+
 def test_one_fit_alone_has_its_head_beside_it_and_heads_need_no_picture(head, portrait):
     picture, fit = portrait
     alone = plots.compared_fits(head, picture, {"fit": fit}, side=100, view="front")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.pages import PAGES
 from tests.scenes import FOV_DEG, IMAGE_SIZE, make_scene, random_expression
@@ -13,11 +14,13 @@ from workbench.face import contour_blend, landmark_model, model_landmarks
 from workbench.geometry import camera_from_fov
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
+from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.solvers import Status
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation
 from workbench.tracking.frame_solver import solve_frame
+from workbench.tracking.identity import CalibrationSettings, identity_prior
 
 EXACT = Config(
     identity={"calibrate": False},
@@ -83,6 +86,46 @@ def test_a_calibrated_identity_is_shared_by_the_frames_and_explains_them(head):
     errors = np.abs([fit.angles_deg - scene.angles_deg for fit, scene in zip(fits, scenes, strict=True)])
     plain_errors = np.abs([fit.angles_deg - scene.angles_deg for fit, scene in zip(plain, scenes, strict=True)])
     assert errors.mean() < 0.5 * plain_errors.mean()
+
+
+def growth_percent(head, identity):
+    """How much larger an identity makes the frontal landmarks, by the similarity that lays the mean face's on them."""
+    mean = landmark_model(head).frontal_neutral()
+    points = landmark_model(head).personal(identity).frontal_neutral()
+    mean, points = (each - each.mean(axis=0) for each in (mean, points))
+    turn, _ = Rotation.align_vectors(points, mean)
+    return 100.0 * ((turn.apply(mean) * points).sum() / (mean**2).sum() - 1.0)
+
+
+def test_the_prior_of_the_size_is_the_squared_growth_of_the_landmarks(head):
+    settings = CalibrationSettings(0.0, 1.0, 1.0, (1, 1), np.ones((2, 68)), 1.0)
+    prior = np.asarray(identity_prior(landmark_model(head), settings))
+    for identity in np.random.default_rng(4).normal(0.0, 0.3, (20, 50)):
+        assert identity @ prior @ identity == pytest.approx(growth_percent(head, identity) ** 2, rel=0.02, abs=0.02)
+    alone = identity_prior(landmark_model(head), settings._replace(identity=5.0, size=0.0))
+    np.testing.assert_array_equal(alone, 5.0 * np.eye(50))
+
+
+def test_proportions_of_another_size_do_not_become_the_heads_size_where_the_lens_is_known(head):
+    child = np.zeros(50)
+    child[0] = -4.0
+    scenes = [make_scene(head, (yaw, 5, 0), identity=child) for yaw in (-30, -15, 0, 15, 30)]
+
+    def growth(size, fov_deg=FOV_DEG + 0.01):
+        config = PRESETS["calibrated"].changed(camera={"fov_deg": fov_deg}, identity={"size": size})
+        fit = next(FaceTracker(head, config).fit_all(scene.observation(k) for k, scene in enumerate(scenes)))
+        return growth_percent(head, fit.identity)
+
+    free = growth(0.0)
+    assert free < -10.0
+    assert 0.2 * free < growth(30.0) < 0.0
+    assert growth(30.0, FOV_DEG) == pytest.approx(free, abs=0.1)  # the default is a guess
+
+
+def test_with_a_guessed_lens_the_size_is_free():
+    guessed = Config()
+    assert plan_of(guessed).identity.size == 0.0
+    assert plan_of(guessed.changed(camera={"fov_deg": 30.0})).identity.size == guessed.identity.size > 0.0
 
 
 def test_calibration_off_leaves_the_models_mean_face(head):

@@ -44,6 +44,16 @@ def test_what_does_the_tasks_is_sent_to_each_process_once(workers):
     assert workers.count == 2
 
 
+def test_a_process_is_born_with_one_thread_for_blas(monkeypatch):
+    # A script's own imports, which may load BLAS, run in the process before anything of the workbench.
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    pool = Pool(1)
+    (pid, _) = dict(pool.results([Harmless(0)], Counted()))[0]
+    assert psutil.Process(pid).environ()["OPENBLAS_NUM_THREADS"] == "1"
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
+    pool.close()
+
+
 def test_a_clip_that_ends_its_process_is_told_and_the_rest_goes_on(workers):
     results = dict(workers.results([Harmless(0), Deadly(), *(Harmless(k) for k in range(2, 12))]))
     assert [results[k] for k in (0, *range(2, 12))] == [0, *range(2, 12)]

@@ -1,6 +1,6 @@
 """From a configuration to the plan of a run, at the door: below it nobody reads a configuration."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -51,13 +51,22 @@ def plan_of(config: Config, scheme: LandmarkScheme = IBUG68) -> Plan:
         sliding=config.contour.mode == "sliding",
         point_weights=points,
         confident=config.landmarks.confidence,
-        identity=_taken(IdentityPlan, config.identity),
+        identity=identity_plan(config),
         deep=_taken(DeepPlan, config.deep),
         flow=_taken(FlowPlan, config.flow),
         infill=infill_plan(config),
         refinement=refinement_plan(config),
         by_points=plan_of(_by_points(config)) if config.traits.renders else None,
     )
+
+
+def identity_plan(config: Config) -> IdentityPlan:
+    """How a face's shape is calibrated.
+
+    With a guessed lens millimetres mean little, and the size is free: the shape comes closer to the points.
+    """
+    plan = _taken(IdentityPlan, config.identity)
+    return replace(plan, size=0.0) if config.camera.guessed else plan
 
 
 def infill_plan(config: Config) -> InfillPlan:

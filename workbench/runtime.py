@@ -3,7 +3,8 @@
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -71,14 +72,21 @@ ONE_CORE = {"OPENBLAS_NUM_THREADS": "1"}
 last bits of some sums are others."""
 
 
-def keep_to_one_core() -> None:
-    """Let BLAS and LAPACK in this process, one of several, compute in one thread; at its start, before they are loaded.
+@contextmanager
+def starting_on_one_core() -> Iterator[None]:
+    """While on, processes that are started let BLAS and LAPACK compute in one thread, unless the user has set a number.
 
     Their threads wait for one another without sleeping: beside another worker, calibrating an identity took forty times
-    as long.
+    as long. BLAS reads the number where it is loaded, and a process that is spawned from a script runs the script's
+    imports before anything of ours: only what it is born with comes early enough.
     """
-    for name, value in ONE_CORE.items():
-        os.environ.setdefault(name, value)
+    unset = {name: value for name, value in ONE_CORE.items() if name not in os.environ}
+    os.environ.update(unset)
+    try:
+        yield
+    finally:
+        for name in unset:
+            os.environ.pop(name, None)
 
 
 def prepare_jax() -> None:

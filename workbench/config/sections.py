@@ -110,6 +110,9 @@ class IdentityConfig(Section):
     window: Annotated[int, Field(ge=1, le=1000)] = Field(90, description="Frames of a shot to choose from.")
     frames: Annotated[int, Field(ge=1, le=24)] = Field(12, description="Frames of the window that are used.")
     weight: NonNegative = _omega("identity")
+    size: NonNegative = Field(
+        1.0, description="ω of (the head's size over the mean head's, in percent)²; used where the lens is known."
+    )
     expression: NonNegative = Field(40.0, description="ω of the smoothed L1 norm of the weights during calibration.")
     jaw: NonNegative = Field(0.3, description="Landmark weight of the jaw contour in the second pass.")
     limits: tuple[Iterations, Iterations] = Field((30, 15), description="Iterations of the two passes.")

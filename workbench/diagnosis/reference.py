@@ -222,7 +222,7 @@ class ShotReference:
         chosen, starts, cameras = (part + part[-1:] * padding for part in (chosen, starts, cameras))
         used = np.array(self.config.point_weights())
         settings = CalibrationSettings(
-            identity=1.0, expression=8.0, limits=(40, 15), landmark_weights=np.stack([used, used]), sliding=1.0
+            identity=1.0, size=0.0, expression=8.0, limits=(40, 15), landmark_weights=np.stack([used] * 2), sliding=1.0
         )
         with COMPUTING:
             solved = calibrate_identity(

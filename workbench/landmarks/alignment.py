@@ -36,6 +36,11 @@ MEAN_SHAPE.setflags(write=False)
 _INNER = list(GROUPS["inner"])
 
 
+def rolled(angle_rad: float) -> Float[np.ndarray, "2 2"]:
+    """The rotation of the picture's plane, x to the right and y down, clockwise as it is seen."""
+    return np.array([[np.cos(angle_rad), -np.sin(angle_rad)], [np.sin(angle_rad), np.cos(angle_rad)]])
+
+
 @dataclass(frozen=True, eq=False)
 class FaceFrame:
     """The similarity that takes the face frame to the picture: points_image = points_face @ matrix.T + origin."""

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.arrays import AnyArray
-from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame, frame_from_box, frame_from_points, sampled
+from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame, frame_from_box, frame_from_points, rolled, sampled
 from workbench.landmarks.detection import Box, Effort, FaceDetection
 from workbench.landmarks.lids import true_lids
 from workbench.landmarks.observations import Landmarks2D
@@ -223,8 +223,7 @@ def _probability(heat_maps: Float[np.ndarray, "n m m"]) -> Float[np.ndarray, "n 
 
 
 def _rolled(face: FaceFrame, roll: float) -> FaceFrame:
-    turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
-    return FaceFrame(face.matrix @ turn, face.origin)
+    return FaceFrame(face.matrix @ rolled(roll), face.origin)
 
 
 def _sureness(landmarks: Landmarks2D) -> float:

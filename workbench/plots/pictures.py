@@ -161,8 +161,16 @@ def compared_fits(
 
     A single fit has its head next to it; without a picture only heads are shown, in rows of `columns`. With `view`
     "pose" the heads turn with the face, with "front" they stay frontal. All close-ups show the same square: around
-    the points `about`, by default the observed landmarks.
+    the points `about`, by default the observed landmarks. Raises `InputError` for a fit of another face model.
     """
+    count = len(model.expression_names)
+    for label, fit in fits.items():
+        if len(fit.expression) != count:
+            raise InputError(
+                f"The fit {label!r} has {len(fit.expression)} blendshape weights, and the face model has {count}: give "
+                "the model that it was fitted with (for the preset dense, face.in_scheme(model, DENSE)), and compare "
+                "fits of different models in pictures of their own."
+            )
     wide = round(HEAD_CUT * side)
     with HeadPanel(model, (wide, wide), view, dressed=dressed) as panel:
         whole = [panel.submit(fit).result()[0] for fit in fits.values()]

@@ -37,6 +37,7 @@ WORDS = {
     "camera.fov_deg": Words("lens", "Higher: a wider lens; the head comes nearer, with more perspective."),
     "identity.calibrate": Words("person's shape", "On: measures this face first, so that weights start at rest."),
     "identity.weight": Words("near the mean face", "Higher: the person looks more average."),
+    "identity.size": Words("near the mean size", "Higher: nearer to average size. Used where the lens is known."),
     "identity.expression": Words("neutral calibration", "Higher: differences count as the person's shape, not a mood."),
     "identity.jaw": Words("jaw in calibration", "Higher: the face outline decides more about the person's shape."),
     "constants.a": Words("upper end", "Higher: E_β allows larger weights."),

@@ -81,6 +81,8 @@ CAMERA = (
 IDENTITY = (
     Knob("identity.calibrate", "calibrate", "estimate one face shape per shot (or photo) before fitting", "switch"),
     _of_term(TABLE["identity"]),
+    Knob("identity.size", "ω_size", "(the head's size over the mean head's, in percent)² in calibration",
+         "log", 1e-2, 1e4),
     Knob("identity.expression", "ω_expression", "L1 norm of the weights during calibration; the rest is identity",
          "log", 1e-2, 1e4),
     Knob("identity.jaw", "jaw weight", "landmark weight of the jaw contour in calibration's second pass",

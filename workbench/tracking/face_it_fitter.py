@@ -238,6 +238,7 @@ class FaceItFitter(Fitter):
         second_pass[:17] *= identity.jaw
         settings = CalibrationSettings(
             identity=identity.weight,
+            size=identity.size,
             expression=identity.expression,
             limits=tuple(identity.limits),
             landmark_weights=np.stack([first_pass, second_pass]),

@@ -1,8 +1,9 @@
 """Identity calibration: one identity shared by several frames, each with its own pose and expression.
 
 FACE IT! animates a character or a reconstruction made beforehand. Here the reconstruction is estimated from the
-landmarks by least squares, with a normal prior on the identity coefficients. Chin and jaw are used only in the second
-pass: a detected contour is a silhouette, and a pose fitted to it turns the head to explain a long face.
+landmarks by least squares, with a normal prior on the identity coefficients and another on the head's size. Chin and
+jaw are used only in the second pass: a detected contour is a silhouette, and a pose fitted to it turns the head to
+explain a long face.
 """
 
 from functools import partial
@@ -31,6 +32,8 @@ class CalibrationSettings(NamedTuple):
 
     identity: Scalar
     """ω of ‖identity‖²: the squared landmark noise, in percent, that one standard deviation of the face costs."""
+    size: Scalar
+    """ω of (the head's growth over the mean head, in percent)²; see `identity_prior`."""
     expression: Scalar
     """ω of the smoothed L1 norm of each frame's weights: high, because identity should explain what is constant."""
     limits: tuple[Count, ...]
@@ -77,6 +80,7 @@ def calibrate_identity(
 
 def _solve_pass(cameras, model, settings, a_pass, frames, observed):
     moves, limit, landmark_weights = a_pass
+    prior = identity_prior(model, settings)
     free = (*BLOCKS, "identity")
     # The prior of the shared identity counts once, not once per frame, so it is added to the whole system below.
     factors = {"landmarks": 1.0, "sigma_smooth": settings.expression}
@@ -110,29 +114,29 @@ def _solve_pass(cameras, model, settings, a_pass, frames, observed):
 
     def cost(x):
         identity = split(x)[1]
-        return of_frames(energy, x).sum() + settings.identity * identity @ identity
+        return of_frames(energy, x).sum() + identity @ prior @ identity
 
     def evaluate(x):
         identity = split(x)[1]
         systems = of_frames(normal_system, x)
-        prior = jnp.zeros(packed.shape[1] + len(identity)).at[common].set(settings.identity)
-        total = systems.cost.sum() + settings.identity * identity @ identity
+        total = systems.cost.sum() + identity @ prior @ identity
         if count == 1:
             # A single frame needs no Schur complement: solving one dense system is several times faster.
-            system = DenseSystem(total, systems.gradient[0] + prior * x, systems.matrix[0] + jnp.diag(prior))
+            gradient = systems.gradient[0].at[common].add(prior @ identity)
+            system = DenseSystem(total, gradient, systems.matrix[0].at[common, common].add(prior))
         else:
-            system = arrowhead(total, systems, prior, identity)
+            system = arrowhead(total, systems, identity)
         return system.restricted(moving)
 
-    def arrowhead(total, systems, prior, identity):
+    def arrowhead(total, systems, identity):
         own = slice(0, packed.shape[1])
         return ArrowheadSystem(
             cost=total,
             local_gradient=systems.gradient[:, own],
-            shared_gradient=systems.gradient[:, common].sum(0) + prior[common] * identity,
+            shared_gradient=systems.gradient[:, common].sum(0) + prior @ identity,
             local=systems.matrix[:, own, own],
             border=systems.matrix[:, own, common],
-            shared=systems.matrix[:, common, common].sum(0) + jnp.diag(prior[common]),
+            shared=systems.matrix[:, common, common].sum(0) + prior,
         )
 
     lower, upper = _bounds(frames, model)
@@ -149,6 +153,20 @@ def _solve_pass(cameras, model, settings, a_pass, frames, observed):
     locals_, identity = split(solution.x)
     moved = jax.vmap(lambda local, frame: unpack(local, frame, BLOCKS))(locals_, frames)
     return moved._replace(identity=jnp.broadcast_to(identity, frames.identity.shape)), solution
+
+
+def identity_prior(model: LandmarkModel, settings: CalibrationSettings) -> Float[AnyArray, "i i"]:
+    """The matrix P of the prior identityᵀ P identity = ω_identity ‖identity‖² + ω_size (growth in percent)².
+
+    The growth is that of the frontal landmarks about their centre, to first order. One camera hardly tells a head's
+    size, but a basis ties it to proportions: without a prior of its own, what a detector gets wrong alike in every
+    frame makes the head a fifth smaller and nearer.
+    """
+    frontal = jnp.concatenate([model.contour_neutral[0], model.inner_neutral])
+    moved = jnp.concatenate([model.contour_identity[0], model.inner_identity], axis=1)
+    centred = frontal - frontal.mean(axis=0)
+    growth = 100.0 * (moved * centred).sum(axis=(1, 2)) / (centred**2).sum()
+    return settings.identity * jnp.eye(len(growth)) + settings.size * jnp.outer(growth, growth)
 
 
 def _bounds(frames: FaceParameters, model: LandmarkModel):

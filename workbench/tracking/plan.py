@@ -70,6 +70,7 @@ class IdentityPlan:
 
     calibrate: bool
     weight: float
+    size: float
     expression: float
     jaw: float
     limits: tuple[int, int]

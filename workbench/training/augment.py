@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from workbench.landmarks.alignment import FaceFrame, frame_from_points
+from workbench.landmarks.alignment import FaceFrame, frame_from_points, rolled
 from workbench.landmarks.network_detector import CROP_SIDE, crop_frame
 from workbench.landmarks.scheme import MIRROR
 from workbench.landmarks.schemes import DensePoints
@@ -200,8 +200,7 @@ def _framed(rgba, points, mirror, rng, side, hardness):
     shift = np.clip(rng.normal(0, 0.06, 2), -0.17, 0.17) * side * hardness.framing
     # The face's own roll stays in the picture, so undo the frame's before turning by a random angle.
     own = np.arctan2(view.matrix[1, 0], view.matrix[0, 0])
-    turn = np.array([[np.cos(angle - own), -np.sin(angle - own)], [np.sin(angle - own), np.cos(angle - own)]])
-    matrix = view.matrix @ turn * scale
+    matrix = view.matrix @ rolled(angle - own) * scale
     middle = view.to_image(np.full((1, 2), (side - 1) / 2) + shift)[0]
     to_image = FaceFrame(matrix, middle - matrix @ np.full(2, (side - 1) / 2))
     head = cv2.warpAffine(

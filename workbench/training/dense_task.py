@@ -16,7 +16,13 @@ from workbench.training.landmark_task import OPENINGS, POINTS
 from workbench.training.loop import Batch, Phase, TrainingPlan
 from workbench.training.pool import Pool, open_pool
 from workbench.training.torch_network import take_convolutions
-from workbench.training.torch_regression import TorchRegression, gaussian_cost, regression_arrays, torch_places
+from workbench.training.torch_regression import (
+    HALF_SQUARED,
+    TorchRegression,
+    gaussian_cost,
+    regression_arrays,
+    torch_places,
+)
 
 NAME = "face-energy-dense-1"
 SIDE = 256
@@ -74,6 +80,6 @@ def loss_of(answers, points, is_face) -> tuple[Tensor, dict[str, float]]:
         share = 100 * far / size * face
         inner = share[:, 17:68].sum() / (51 * face.sum())
         dense = share[:, 70:].sum() / ((points.shape[1] - 70) * face.sum())
-        inside = ((squared < 1.386) * face).sum() / (face.sum() * points.shape[1])
+        inside = ((squared < HALF_SQUARED) * face).sum() / (face.sum() * points.shape[1])
     numbers = {"loss": loss, "inner_percent": inner, "dense_percent": dense, "inside_half": inside}
     return loss, {name: float(value.detach()) for name, value in numbers.items()}

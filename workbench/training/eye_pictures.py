@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from workbench.landmarks.alignment import FaceFrame, sampled
+from workbench.landmarks.alignment import FaceFrame, rolled, sampled
 from workbench.landmarks.eyes import IRISES, eye_frame
 from workbench.landmarks.schemes import DENSE_POINTS, FIRST_DENSE
 from workbench.networks.eye_network import SIDE
@@ -81,8 +81,7 @@ def _as_detected(true: FaceFrame, rng: np.random.Generator, amount: float) -> Fa
     far = 2.5 if rng.random() < 0.1 else 1.0
     angle = np.radians(np.clip(rng.normal(0, 4), -12, 12) * far) * amount
     scale = np.exp(np.clip(rng.normal(0, 0.07), -0.2, 0.2) * far * amount)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    matrix = true.matrix @ turn * scale
+    matrix = true.matrix @ rolled(angle) * scale
     middle = np.full(2, (SIDE - 1) / 2)
     shift = np.clip(rng.normal(0, 0.05, 2), -0.12, 0.12) * far * amount * CROP_EYE_PX
     return FaceFrame(matrix, true.to_image((middle + shift)[None])[0] - matrix @ middle)
@@ -92,9 +91,8 @@ def _camera(asked: FaceFrame, rng: np.random.Generator) -> FaceFrame:
     """From the pixels of a camera's picture about the eye's crop, coarse and turned as those are, to the render's."""
     scale = CROP_EYE_PX / np.exp(rng.uniform(*np.log(WIDTHS_PX)))  # crop pixels a pixel of the picture
     angle = rng.uniform(-0.6, 0.6)  # the head's roll in the picture
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     between = np.full((1, 2), (SIDE - 1) / 2) + rng.uniform(-0.5, 0.5, 2) * scale
-    return FaceFrame(asked.matrix @ turn * scale, asked.to_image(between)[0])
+    return FaceFrame(asked.matrix @ rolled(angle) * scale, asked.to_image(between)[0])
 
 
 def _unmirrored(frame: FaceFrame, width: int) -> FaceFrame:

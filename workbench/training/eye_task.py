@@ -16,6 +16,7 @@ from workbench.training.eye_pictures import CROP_EYE_PX, EyePicture, eye_picture
 from workbench.training.loop import Batch, Phase, TrainingPlan
 from workbench.training.pool import Pool, open_pool
 from workbench.training.torch_regression import (
+    HALF_SQUARED,
     TorchRegression,
     gaussian_cost,
     regression_arrays,
@@ -70,7 +71,7 @@ class EyeTask:
             seen = is_open[:, None]
             pupil = (far[:, :1] * seen).sum() / seen.sum().clamp_min(1.0)
             right = ((answers[:, -1] > 0) == (is_open > 0.5)).float().mean()
-            inside = (squared < 1.386).float().mean()
+            inside = (squared < HALF_SQUARED).float().mean()
         numbers = {"loss": loss, "pupil_percent": pupil, "open_right": right, "inside_half": inside}
         return loss, {name: float(value.detach()) for name, value in numbers.items()}
 

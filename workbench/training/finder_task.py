@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from workbench.landmarks.alignment import frame_from_points
+from workbench.landmarks.alignment import frame_from_points, rolled
 from workbench.networks.face_finder import NAME, OUTPUTS, PADDING_GREY, STRIDE, UNIT_SIDE
 from workbench.training.augment import cut_out, exposed, photographed, random_background
 from workbench.training.loop import Batch, MapsTask, Phase
@@ -145,7 +145,7 @@ def _placed(picture, rgba, frame, centre, size, rng):
     """The head with its box at `centre`, `size` pixels wide, turned a little."""
     side = len(picture)
     angle = np.radians(np.clip(rng.normal(0, 12), -40, 40) if rng.random() < 0.8 else rng.uniform(-60, 60))
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    turn = rolled(angle)
     matrix = turn * size / frame.side
     head = exposed(rgba, rng)
     shrink = frame.side / size

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
+from workbench.landmarks.alignment import rolled
 from workbench.training.flow_pool import PairPool
 from workbench.training.flow_scenes import FACE, SEEN, VISIBLE
 
@@ -224,7 +225,7 @@ def _places(side: int) -> Float32[np.ndarray, "s s 2"]:
 
 def _affine(zoom, angle, side, middle) -> Float[np.ndarray, "3 3"]:
     """From a training picture's pixels to a source's: its middle shows the source's `middle`."""
-    turn = zoom * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    turn = zoom * rolled(angle)
     made = np.eye(3)
     made[:2, :2] = turn
     made[:2, 2] = middle - turn @ np.full(2, (side - 1) / 2)

@@ -7,12 +7,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from workbench.landmarks.uncertainty import ellipse_radius
 from workbench.networks.regression import LEAST_DEVIATION_PX, MOST_DEVIATION_PX, SMALLEST
 from workbench.training.loop import kept
 from workbench.training.torch_network import ConvNorm, TorchEncoder, conv_norms, take_convolutions
 
 ROBUST = 3.0
 """Deviations beyond which an error counts linearly: a point behind a hand is no better for pulling harder."""
+
+HALF_SQUARED = ellipse_radius(0.5) ** 2
+"""Squared deviations within which half of the truth lies, if the covariances are right."""
 
 
 class TorchRegression(TorchEncoder):

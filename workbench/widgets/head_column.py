@@ -91,11 +91,12 @@ class HeadColumn:
         self._holder.remove_class(FACELESS)
         if self.character.follow():
             self._make_view()
-        self.view.set_vertices(self._head.vertices(fit), self._head.personal(fit.identity).neutral)
-        self.view.set_pose(fit.rotation, fit.translation, fit.camera, fit.image_size)
         self._ghost(fit)
-        self._color(fit)
-        self._mark(fit)
+        with self.view.at_once():
+            self.view.set_vertices(self._head.vertices(fit), self._head.personal(fit.identity).neutral)
+            self.view.set_pose(fit.rotation, fit.translation, fit.camera, fit.image_size)
+            self._color(fit)
+            self._mark(fit)
 
     def next_look(self) -> None:
         """Look from the next of `LOOKS`."""

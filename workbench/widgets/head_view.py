@@ -1,6 +1,7 @@
 """A live 3D head in the notebook: the interface of its back ends, and their shared parts."""
 
 import html
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol, runtime_checkable
@@ -30,6 +31,9 @@ class HeadView(Protocol):
     """The widget for a cell to display."""
     note: str | None
     """A message for the user; None if there is nothing to report."""
+
+    def at_once(self) -> AbstractContextManager[object]:
+        """What is set within this is drawn together."""
 
     def set_vertices(self, vertices: Float[np.ndarray, "v 3"], rest: Float[np.ndarray, "v 3"] | None = None) -> None:
         """Show the head with these vertices: head frame, millimetres.

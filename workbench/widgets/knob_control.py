@@ -102,9 +102,10 @@ class KnobControl:
         if self._quiet or (self.value is not None and _same(change["new"], place_of(self.knob, self.value))):
             return
         self.value = value_at(self.knob, change["new"])
+        self._turned(self.knob.path, self.value)
+        # Afterwards, because a browser that lays out a new number first shows what follows from it later.
         self._read_out(self.value)
         self._show_changed()
-        self._turned(self.knob.path, self.value)
 
     def _on_typed(self, change) -> None:
         if self._quiet:

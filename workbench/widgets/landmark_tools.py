@@ -62,15 +62,21 @@ class LandmarkTools:
             self.view.set_heat(None)
         self.view.set_picture(self._session.picture(frame))
 
-    def show(self, fit: FrameFit) -> None:
-        """Show the fit of a frame on its picture."""
-        self.show_picture(self._frame_of(fit))
+    def show(self, fit: FrameFit, note: str = "") -> None:
+        """Show the fit of a frame on its picture, as one message to the browser; `note` is shown over it."""
+        with self.view.hold_sync():
+            self.show_picture(self._frame_of(fit))
+            self._show_fit(fit, note)
+        if fit.found:
+            self._pictures.show(fit)
+
+    def _show_fit(self, fit: FrameFit, note: str) -> None:
         if not fit.found:
-            self.view.message = f"frame {self.frame}: no face"
+            self.view.message = note or f"frame {self.frame}: no face"
             self.view.set_fit(None)
             self.view.set_heat(None)
             return
-        self.view.message = ""
+        self.view.message = note
         values = self.residuals(fit)
         self.view.set_fit(fit.observed, fit.projected, values, fit.confidence, self._weights())
         if self.layers["wire"].value:
@@ -78,7 +84,6 @@ class LandmarkTools:
         if self.layers["ellipses"].value:
             doubted = fit.landmarks is not None and fit.landmarks.covariance is not None
             self.view.set_ellipses(ellipses(fit.observed, fit.covariance) if doubted else None)
-        self._pictures.show(fit)
 
     def wait_idle(self, timeout_s: float | int) -> bool:
         """Wait until the layers are drawn; False if that takes longer."""

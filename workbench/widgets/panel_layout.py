@@ -79,7 +79,7 @@ FW_AT
 /* the first frame, until the picture with its landmarks is drawn */
 .fw-whole > .fw-first { position: absolute; top: 64px; bottom: 150px; left: calc(FW_CONTROLSpx + 14px); margin: 0;
   width: calc(0.61 * (100% - FW_CONTROLSpx - 14px)); object-fit: contain; pointer-events: none; }
-.fw-whole:has(.fw-overlay[data-state*='"decoded":true']) > .fw-first { display: none; }
+.fw-whole:has(.fw-decoded) > .fw-first { display: none; }
 .fw-whole .fw-faceless > * { visibility: hidden; }
 .fw-whole .fw-faceless::before { content: "no face in this frame"; position: absolute; inset: 0; display: flex;
   align-items: center; justify-content: center; color: var(--jp-ui-font-color2, #666); background: var(--fw-soft); }

@@ -1,6 +1,7 @@
 """The head drawn by the kernel: pictures in a canvas that sends mouse movements back. It needs no WebGL."""
 
 import threading
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 import anywidget
@@ -85,6 +86,10 @@ class PictureHeadView:
     def viewpoint(self) -> Viewpoint:
         """The current viewpoint."""
         return self._scene.viewpoint
+
+    def at_once(self) -> AbstractContextManager[object]:
+        """See `HeadView.at_once`; a thread that waits for the lock draws only the last state."""
+        return self._changed
 
     def set_vertices(self, vertices: Float[np.ndarray, "v 3"], rest: Float[np.ndarray, "v 3"] | None = None) -> None:
         """See `HeadView.set_vertices`."""

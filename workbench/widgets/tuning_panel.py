@@ -53,7 +53,7 @@ class TuningPanel(LateParts):
     def __init__(self, session: TuningSession, backend: str = "auto") -> None:
         self.session, self.frame, self.is_clip = session, 0, len(session) > 1
         self.fit: workbench.tracking.FrameFit | None = None
-        self._held, self._backend, self._shown = "", backend, threading.Event()
+        self._held, self._behind, self._backend, self._shown = "", "", backend, threading.Event()
         super().__init__([style_sheet(), classed(widgets.Image(value=picture_bytes(session.picture(0))), "fw-first")])
         classed(self, "fw-panel", "fw-whole")
 
@@ -163,12 +163,12 @@ class TuningPanel(LateParts):
 
     def _on_knob(self, path: str, value: Any) -> None:
         self._held = path
-        self.sweep.moved(path)
         try:
             changes = changed_by(self.session.config, path, value)
             self.status.guarded(lambda: self.session.set(label_of(path), Gesture(path, self.page.drag), **changes))
         finally:
             self._held = ""
+        self.sweep.moved(path)
 
     # --- what the session reports ---
 
@@ -178,10 +178,12 @@ class TuningPanel(LateParts):
         if what == "config":
             self._iterations.steps = None
             self._shown.clear()
+            self._behind = self._held
             self._worker.submit(Show(self.frame, coarse=self.is_clip))
-            if self._held:
-                self._shown.wait(FIRST_S)
-            self._show_session()
+            if not self._held:
+                self._show_session()
+            elif not self._shown.wait(FIRST_S):
+                self._catch_up()
             self._clip_bar.settle()
         elif what == "run":
             self.status.guarded(self._show_run)
@@ -193,9 +195,15 @@ class TuningPanel(LateParts):
             self.head.refresh_comparisons()
             self.compare.refresh()
 
-    def _show_session(self) -> None:
+    def _catch_up(self) -> None:
+        """Show in the rest of the panel what a slider has changed, once its pictures are there or take long."""
+        held, self._behind = self._behind, ""
+        if held:
+            self._show_session(held)
+
+    def _show_session(self, held: str = "") -> None:
         config = self.session.config
-        self.controls.show(config, but=self._held)
+        self.controls.show(config, but=held)
         self.stages.show(config)
         self.strip.show_config()
         self.overlay.refresh_groups()
@@ -230,6 +238,7 @@ class TuningPanel(LateParts):
         self._shown.set()
         if self._worker.wait_newer(PAUSE_S):
             return
+        self._catch_up()
         self.status.show_fit(fit, len(session), self.time.side == AFTER, self.clip.why(frame))
         self._iterations.show(fit, session.explain_frame(frame)[1] if fit.found else (), request.steps)
         if fit.found:
@@ -238,10 +247,8 @@ class TuningPanel(LateParts):
 
     def _show(self, fit: "workbench.tracking.FrameFit") -> None:
         self.fit, self._iterations.found = fit, fit.found
-        self.overlay.show(fit)
-        if note := self.time.note_of(fit):
-            self.overlay.view.message = note
-        self.head.show(fit)
+        self.head.show(fit)  # first, because it takes longer to draw
+        self.overlay.show(fit, self.time.note_of(fit))
 
     def _redraw(self) -> None:
         if self.fit is not None:
@@ -252,6 +259,7 @@ class TuningPanel(LateParts):
         self._slow.submit(self.waiting.running(work, what, usual_s))
 
     def _failed(self, error: Exception) -> None:
+        self._catch_up()
         self._clip_bar.hide_progress()
         self.status.failed(error)
 

@@ -1,6 +1,7 @@
 """The head drawn by the browser (WebGL2). Turning it with the mouse costs the kernel nothing."""
 
 import threading
+from contextlib import AbstractContextManager
 from dataclasses import replace
 
 import anywidget
@@ -90,6 +91,10 @@ class WebGLHeadView:
 
     def __repr__(self) -> str:
         return f"WebGLHeadView({self._model.name!r}, {self._size[0]} × {self._size[1]})"
+
+    def at_once(self) -> AbstractContextManager[object]:
+        """See `HeadView.at_once`."""
+        return self.canvas.hold_sync()
 
     def set_vertices(self, vertices: Float[np.ndarray, "v 3"], rest: Float[np.ndarray, "v 3"] | None = None) -> None:
         """See `HeadView.set_vertices`."""

@@ -9,7 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from threading import Thread
 from typing import Any
 
-from workbench.runtime import keep_to_one_core
+from workbench.runtime import starting_on_one_core
 from workbench.workers.tasks import Do, Failed, Task, guarded, run
 
 MOST_DEATHS = 3
@@ -72,7 +72,8 @@ class Pool:
         while True:
             # No more are handed out than there are processes, so that those that are out are those being done.
             for number, task in rest:
-                waiting[self._pool.submit(_done, task)] = number
+                with starting_on_one_core():
+                    waiting[self._pool.submit(_done, task)] = number
                 if len(waiting) >= at_once:
                     break
             if not waiting:
@@ -100,7 +101,6 @@ _DO: list[Do] = []
 
 def _begin(do: Do) -> None:
     """Start a process of a pool. Ctrl-C reaches all processes of a command; the command itself ends the others."""
-    keep_to_one_core()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with_the_command, daemon=True).start()
     _DO[:] = [do]

@@ -1,17 +1,19 @@
 import { projectionOf, transposed } from "./geometry.js";
 import { makeProgram } from "./program.js";
 import { makeRods } from "./rods.js";
-import { rodShaders, surfaceShaders, wornShaders } from "./shaders.js";
+import { plainSurfaceShaders, rodShaders, surfaceShaders, wornShaders } from "./shaders.js";
 import { loadTexture, makeSurface } from "./surface.js";
 import { dot } from "./vectors.js";
 import { makeWorn } from "./worn.js";
 
 const RIM = 0.3; // the cosine to the line of sight up to which a surface belongs to the outline
 
-// A head, a second translucent one, balls and rods in one WebGL context. `redraw` is called when the texture is loaded.
-export function makeScene(gl, mesh, redraw) {
+// A head, a second translucent one, balls and rods in one WebGL context. `redraw` is called when the texture is loaded;
+// `plain`: with cheaper light, for browsers that draw in software.
+export function makeScene(gl, mesh, redraw, plain = false) {
   const surfaces = makeProgram(gl, surfaceShaders()), rods = makeProgram(gl, rodShaders());
-  const head = makeSurface(gl, surfaces, mesh), texture = loadTexture(gl, mesh.texture, redraw);
+  const skin = plain ? makeProgram(gl, plainSurfaceShaders()) : surfaces;
+  const head = makeSurface(gl, skin, mesh), texture = loadTexture(gl, mesh.texture, redraw);
   const marks = { points: makeRods(gl, rods), segments: makeRods(gl, rods) }, ghost = makeGhost(gl, surfaces, mesh);
   const cloth = mesh.worn.length ? makeProgram(gl, wornShaders()) : null;
   const worn = cloth && makeWorn(gl, cloth, mesh, redraw);
@@ -30,19 +32,23 @@ export function makeScene(gl, mesh, redraw) {
     look(gl, rods, mesh, pose);
     marks.points.draw();
     marks.segments.draw();
-    look(gl, surfaces, mesh, pose);
-    gl.uniform1i(surfaces.uniform("textured"), texture.ready && !colored ? 1 : 0);
+    look(gl, skin, mesh, pose);
+    const inside = seesInside(mesh.collar, pose);
+    gl.uniform1i(skin.uniform("inside"), inside ? 1 : 0);
+    gl.uniform1i(skin.uniform("textured"), texture.ready && !colored ? 1 : 0);
     gl.bindTexture(gl.TEXTURE_2D, texture.texture);
-    if (seesInside(mesh.collar, pose)) gl.disable(gl.CULL_FACE);
+    if (inside) gl.disable(gl.CULL_FACE);
     head.draw(mesh.drawn.length / 3);
     if (worn) {
       gl.disable(gl.CULL_FACE); // cards have two sides
       look(gl, cloth, mesh, pose);
       worn.draw();
-      surfaces.use();
     }
     gl.enable(gl.CULL_FACE);
-    ghost.draw();
+    ghost.draw(pose);
+    // The device begins now, not when the page shows its next frame; without a fence it would wait for more to draw.
+    gl.deleteSync(gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0));
+    gl.flush();
   }
 
   function setHead(shape) {
@@ -76,8 +82,9 @@ function makeGhost(gl, program, mesh) {
   }
 
   // Depth is drawn first, so that only the front surface is blended. An outline lies over the head.
-  function draw() {
+  function draw(pose) {
     if (!opacity) return;
+    look(gl, program, mesh, pose);
     if (outlined) gl.clear(gl.DEPTH_BUFFER_BIT);
     gl.uniform1i(program.uniform("textured"), 0);
     gl.uniform1f(program.uniform("opacity"), opacity);

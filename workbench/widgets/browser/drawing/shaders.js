@@ -9,17 +9,26 @@ void show(vec3 place, vec3 normal, vec3 color) {
   tint = color;
   gl_Position = projection * vec4(p, 1.0);
 }`;
-// Distant lights in the camera's frame; the first one also has gloss (strength, exponent).
+// Distant lights in the camera's frame, on a surface with the normal m; the first one also has gloss.
+const LIGHTS = `
+uniform vec3 from[3], strength[3]; uniform float ambient;
+vec3 lightOn(vec3 m) {
+  vec3 sum = vec3(ambient);
+  for (int k = 0; k < 3; k++) sum += max(dot(m, from[k]), 0.0) * strength[k];
+  return sum;
+}
+float sparkOn(vec3 m, float exponent) { return pow(max(dot(reflect(normalize(p), m), from[0]), 0.0), exponent); }`;
+// Light at every pixel; gloss has a strength and an exponent.
 const LIGHTING = `${HEADER}
 in vec3 n, p, tint;
-uniform vec3 from[3], strength[3]; uniform float ambient, opacity;
+uniform float opacity;
 out vec4 result;
 float spark;
+${LIGHTS}
 void light(vec3 albedo, vec2 gloss) {
-  vec3 m = normalize(gl_FrontFacing ? n : -n), sum = vec3(ambient);
-  for (int k = 0; k < 3; k++) sum += max(dot(m, from[k]), 0.0) * strength[k];
-  spark = pow(max(dot(reflect(normalize(p), m), from[0]), 0.0), gloss.y);
-  result = vec4(albedo * sum + gloss.x * spark * strength[0], opacity);
+  vec3 m = normalize(gl_FrontFacing ? n : -n);
+  spark = sparkOn(m, gloss.y);
+  result = vec4(albedo * lightOn(m) + gloss.x * spark * strength[0], opacity);
 }`;
 
 // A surface coloured by its points or by a picture, cut off where its opacity is less than a half.
@@ -40,6 +49,33 @@ void main() {
   light(albedo, mix(shine[0], shine[1], kind.y));
   // Of a head with a rim, only what turns away from the camera is seen, unlit.
   if (rim > 0.0) result = vec4(tint, opacity * (1.0 - smoothstep(0.5 * rim, rim, abs(dot(normalize(n), normalize(p))))));
+}`];
+}
+
+// The same surface, opaque and without a rim, with light at its points: without a graphics card, light at every pixel
+// takes a third of the time of a head, whose triangles are a few pixels large.
+export function plainSurfaceShaders() {
+  return [`${PLACING}
+in vec3 place, normal, color; in vec2 uv; in float shown, wet;
+uniform bool textured, inside; uniform vec2 shine[2];
+out vec3 diffuse, glint; out vec2 at; out float kept;
+${LIGHTS}
+void main() {
+  at = uv;
+  kept = shown;
+  show(place, normal, color);
+  vec3 m = normalize(inside && dot(n, p) > 0.0 ? -n : n);
+  vec2 gloss = mix(shine[0], shine[1], wet);
+  diffuse = textured ? lightOn(m) : tint * lightOn(m);
+  glint = gloss.x * sparkOn(m, gloss.y) * strength[0];
+}`, `${HEADER}
+in vec3 diffuse, glint; in vec2 at; in float kept;
+uniform sampler2D skin; uniform bool textured;
+out vec4 result;
+void main() {
+  if (kept < 0.5) discard;
+  vec3 albedo = textured ? texture(skin, at).rgb : vec3(1.0);
+  result = vec4(albedo * diffuse + glint, 1.0);
 }`];
 }
 

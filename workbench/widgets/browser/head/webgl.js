@@ -59,8 +59,8 @@ function render({ model, el }) {
   const ground = [...mesh.ground.map((value) => value / 255), 1];
   const { canvas, message } = makePage(el, "fw-webgl", width, height), feeding = makeFeeding(model, mesh);
   // Without a graphics card, antialiasing costs as much as everything else.
-  const options = { alpha: false, antialias: !drawsInSoftware() };
-  const stage = makeStage(canvas, options, (gl) => makeScene(gl, mesh, ask), ask);
+  const plain = drawsInSoftware(), options = { alpha: false, antialias: !plain };
+  const stage = makeStage(canvas, options, (gl) => makeScene(gl, mesh, ask, plain), ask);
   if (!stage) message.textContent = model.get("_note");
   if (fills) fillPlace(el, canvas);
   const place = () => (fills ? [Math.max(canvas.clientWidth, 1), Math.max(canvas.clientHeight, 1)] : size);
@@ -73,7 +73,7 @@ function render({ model, el }) {
       scene.draw(crop ? { ...pose, camera: throughCrop(lens, crop, now) } : pose, ground);
     });
     return true;
-  });
+  }, true);
   function ask() {
     painting.ask();
   }

@@ -7,8 +7,8 @@ const GROUND = [0, 0, 0, 0]; // the page's background shows through
 // The head in WebGL; null without WebGL.
 export function makeAvatar(canvas, mesh, head, redraw) {
   // Without a graphics card, antialiasing costs as much as everything else.
-  const options = { antialias: !drawsInSoftware() };
-  const stage = makeStage(canvas, options, (gl) => makeScene(gl, mesh, redraw), redraw);
+  const plain = drawsInSoftware(), options = { antialias: !plain };
+  const stage = makeStage(canvas, options, (gl) => makeScene(gl, mesh, redraw, plain), redraw);
   if (!stage) return null;
   let stamp = -1, person = null;
 

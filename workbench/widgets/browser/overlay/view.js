@@ -32,12 +32,15 @@ function makeOverlay(model, el) {
   overlay.landmarks = makeLandmarks(() => overlay.draw());
   overlay.pictures = { picture: makePicture(redraw), layer: makePicture(redraw), heat: makePicture(redraw) };
 
+  // Returns whether that moves the picture.
   overlay.place = () => {
     const { landmarks, size } = overlay, face = view.mode === "face" && landmarks.found();
-    if (!size[0] || (view.mode === "free" && !face)) return;
+    if (!size[0] || (view.mode === "free" && !face)) return false;
     // Uses the kernel's positions, so that dragging a landmark does not move the view.
     const box = face ? faceBox(indices(landmarks).map(landmarks.detected)) : wholeBox(size);
-    Object.assign(view, fitted(box, stageSize()));
+    const placed = fitted(box, stageSize()), moved = Object.keys(placed).some((key) => placed[key] !== view[key]);
+    Object.assign(view, placed);
+    return moved;
   };
 
   overlay.zoom = (event, place) => {
@@ -84,6 +87,7 @@ function makePainting(model, overlay) {
 
   function tellState(asked) {
     root.dataset.draws = String(++draws);
+    root.classList.toggle("fw-decoded", Boolean(pictures.picture.image()));
     root.dataset.state = JSON.stringify({
       scale: view.scale, x: view.x, y: view.y, mode: view.mode, size: overlay.size, found: landmarks.found(),
       hovered: overlay.hovered, scaleMax: model.get("_scale"), decoded: Boolean(pictures.picture.image()),
@@ -114,7 +118,7 @@ function makePainting(model, overlay) {
     paintTexts();
     tellState(asked);
     return true;
-  });
+  }, true);
 }
 
 // Messages to Python.
@@ -136,8 +140,7 @@ function followModel(model, overlay, draw) {
 
   function onFit() {
     landmarks.read(bytesOf(model.get("_fit")));
-    if (view.mode === "face" && !overlay.gesture) overlay.place();
-    draw(view.mode === "face");
+    draw(view.mode === "face" && !overlay.gesture && overlay.place());
   }
 
   function onPicture() {

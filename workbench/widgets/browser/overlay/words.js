@@ -35,12 +35,16 @@ export function makePage(el, colors) {
 // `said`: {limit, unit, message, tool, legend} as texts and numbers.
 export function paintWords(page, said) {
   page.legend.hidden = !said.legend || page.stage.clientWidth < 240;
-  page.legendTitle.textContent = "residual, " + said.unit;
-  [0, said.limit / 2, said.limit].forEach((number, k) => (page.ends[k].textContent = String(+number.toPrecision(3))));
-  page.ends[2].textContent += "+";
-  page.banner.textContent = said.message;
+  say(page.legendTitle, "residual, " + said.unit);
+  [0, said.limit / 2, said.limit].forEach((number, k) => say(page.ends[k], +number.toPrecision(3) + (k < 2 ? "" : "+")));
+  say(page.banner, said.message);
   page.banner.hidden = !said.message;
-  page.help.textContent = HELP[said.tool];
+  say(page.help, HELP[said.tool]);
+}
+
+// Replacing a text by the same one would lay out the page again.
+function say(element, text) {
+  if (element.textContent !== String(text)) element.textContent = text;
 }
 
 export function short(value) {
