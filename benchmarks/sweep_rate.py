@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from result import print_result
+from sweep_scaling import processor_seconds
 
 from workbench.config import preset
 from workbench.face import load_default_head
@@ -41,7 +42,9 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             # Enough tasks that both processes load and compile first.
             run_sweep(swept("1e-4,1e-3", 16), Path(folder) / "warm", workers)
+            before = processor_seconds()
             both, _ = spent(lambda: run_sweep(swept("1e-3,10", SETTINGS), Path(folder) / "sweep", workers))
+            busy = [seconds - before.get(process, 0.0) for process, seconds in processor_seconds().items()]
     finally:
         workers.close()
     details = {
@@ -52,6 +55,7 @@ def main() -> None:
         "batched_per_processor_s": fits / together[1],
         "batched_by_processor_time": alone[1] / together[1],
         "two_processes_per_s": fits / both,
+        "two_processes_by_processor_time": alone[1] / max(busy),
     }
     against = "the same fits one by one in the same run"
     print_result("sweep_rate", alone[0] / both, "times the rate", ">= 4", against, details)

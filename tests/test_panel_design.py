@@ -123,7 +123,7 @@ def found_by(controls, text):
     [
         ("steady head", {"weights.tau"}),
         ("ω_τ", {"weights.tau", "weights.prior"}),  # the hierarchy names it too
-        ("LENS", {"camera.fov_deg"}),
+        ("LENS", {"camera.fov_deg", "identity.size"}),
         ("group lips", {"group.outer_lips", "group.inner_lips"}),
     ],
 )

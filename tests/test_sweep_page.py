@@ -61,6 +61,7 @@ def test_every_setting_that_is_offered_can_be_swept_and_read_back(setting):
 def test_settings_are_found_by_plain_words_symbols_and_names():
     assert found_setting(SETTINGS, "STEADY head").path == "weights.tau"
     assert found_setting(SETTINGS, "weights.tau").path == "weights.tau"
+    assert found_setting(SETTINGS, "few shapes").path == "weights.sigma_smooth"
     assert found_setting(SETTINGS, "lens").path == "camera.fov_deg"
     assert found_setting(SETTINGS, next(item.title for item in SETTINGS if item.symbol == "ω_τ")).path == "weights.tau"
     assert len({item.title for item in SETTINGS}) == len(SETTINGS)

@@ -27,11 +27,11 @@ from workbench.sweeps import (
     points_of,
     read_axis,
     run_sweep,
+    solving,
     sources_of,
     write_outcome,
 )
 from workbench.sweeps import sweep as sweep_module
-from workbench.sweeps.solving import FRAMES
 from workbench.sweeps.storage import Storage
 from workbench.sweeps.tasks import FitTask
 from workbench.workers import ThisProcess
@@ -52,10 +52,11 @@ def swept(frames, gaps=(), cuts=()):
 
 
 @pytest.mark.parametrize("name", ["joint", "face-it", "calibrated"])
-def test_fits_are_those_of_the_tracker_to_the_last_bit(solver, head, name):
+def test_fits_are_those_of_the_tracker_to_the_last_bit(solver, head, name, monkeypatch):
+    monkeypatch.setattr(solving, "FRAMES", 32)
     # A gap, a cut, a jump to another pose, and more frames than a block.
     clip = swept([*range(20), *range(100, 122)], gaps=(5, 6), cuts=(12,))
-    assert len(clip.observations) > FRAMES
+    assert len(clip.observations) > solving.FRAMES
     config = preset(name).changed(**FOV)
     sizes = [observation.image_size for observation in clip.observations]
     session = TuningSession(head, Material("clip", clip.observations, PictureStore(None, sizes), False), config)

@@ -171,6 +171,9 @@ def test_what_a_clip_has_chosen_is_shown_and_taken_as_one_step(page, screenshots
     pressed(page, "few shapes", ".fw-tune")
     pressed(page, "tune", ".fw-tune")
     says(page, "On frames 192-239, held out: −10.0 %")
+    said = page.page.locator(".fw-tune").get_by_text("On frames 192-239").bounding_box()
+    whole = page.page.locator(".fw-tune").bounding_box()
+    assert said["y"] + said["height"] <= whole["y"] + whole["height"]
     page.page.screenshot(path=screenshots / "tune-result.png")
     pressed(page, "take", ".fw-tune")
     says(page, "Taken; undo brings back what was there.")

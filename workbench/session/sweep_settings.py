@@ -67,12 +67,12 @@ def sweep_settings(config: Config) -> tuple[SweepSetting, ...]:
 
 
 def found_setting(settings: tuple[SweepSetting, ...], text: str) -> SweepSetting:
-    """The setting of a title or a path, or the only one with all words of a search.
+    """The setting of a title, a path or its plain words, or the only one with all words of a search.
 
     Raises `InputError` where none or several have them.
     """
     text = text.strip()
-    exact = [item for item in settings if text in (item.title, item.path)]
+    exact = [item for item in settings if text in (item.title, item.path) or text.lower() == item.words.lower()]
     matching = exact or [item for item in settings if item.matches(text)]
     if len(matching) == 1:
         return matching[0]

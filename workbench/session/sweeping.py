@@ -94,11 +94,11 @@ class SessionSweeps:
 
 
 def in_groups(points: int, windows: Sequence[range], objectives: Sequence[str]) -> list[range]:
-    """The numbers of the points in groups of about a block of chains each: as much as is computed at once.
+    """The numbers of the points in groups of a few blocks of chains each: what is computed between two pictures.
 
     Each group is spread over all points, so that a curve shows its course early.
     """
     folds = len(folds_of(folds_needed(objectives), 1))
-    size = max(1, min(CHAINS // (folds * len(windows)), FITS // (folds * sum(map(len, windows)))))
+    size = max(1, min(4 * CHAINS // (folds * len(windows)), FITS // (folds * sum(map(len, windows)))))
     count = -(-points // size)
     return [range(first, points, count) for first in range(count)]

@@ -62,8 +62,10 @@ def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Seq
         without_frame(area)
     for area in axes[len(names) :]:
         area.axis("off")
-    axes[0].legend(fontsize=8)
-    figure.tight_layout()
+    # Below all areas: inside of one it would lie on points.
+    below = 0.3 / figure.get_figheight()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=3, fontsize=8)
+    figure.tight_layout(rect=(0.0, below, 1.0, 1.0))
     return figure
 
 
@@ -114,7 +116,7 @@ def maps_figure(result: SweepResult, axes: tuple[Axis, Axis] | None = None, obje
 
 @styled
 def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
-    """Every point as a line through its settings and its objectives; the darkest tenth has least of `wanted`.
+    """Every point as a line through its settings and its objectives; the tenth with least of `wanted` in orange.
 
     Logarithmic settings are drawn so; objectives from their least at the bottom to their most at the top.
     """
@@ -143,7 +145,7 @@ def parallel_figure(result: SweepResult, wanted: str | None = None) -> Figure:
     area.set_ylim(-0.02, 1.02)
     area.set_xlim(-0.4, len(scales) - 0.6)
     area.spines[:].set_visible(False)
-    area.set_title(f"red: the tenth of the points with the least {wanted}", fontsize=10, loc="left", pad=22)
+    area.set_title(f"orange: the tenth of the points with the least {wanted}", fontsize=10, loc="left", pad=22)
     figure.tight_layout()
     return figure
 
@@ -177,7 +179,10 @@ def pareto_figure(
     area.tick_params(labelsize=9)
     area.margins(0.08)
     without_frame(area)
-    area.set_title("\n".join((f"what no other point beats in {across} and {up}", *named)), fontsize=9, loc="left")
+    title = [f"what no other point beats in {across} and {up}", *named]
+    if third is not None and len(unbeaten) > len(front):
+        title.append(f"thin ring: beaten in these two, but not with {colour} besides")
+    area.set_title("\n".join(title), fontsize=9, loc="left")
     figure.tight_layout()
     return figure
 

@@ -22,10 +22,11 @@ from workbench.geometry import Camera
 from workbench.runtime import ONE_THREAD
 from workbench.tracking.frame_solver import FrameInput, Method, SolveSettings, StageProgram, run_stages
 
-CHAINS = 16
-"""Chains of a block."""
-FRAMES = 32
-"""Frames of a block."""
+CHAINS = 4
+"""Chains of a block: some four settings of a clip make a sweep's task, and fill it."""
+FRAMES = 128
+"""Frames of a block: a task is done in few calls of the program, each of which begins slowly. A frame that is not there
+costs 2 µs."""
 
 
 class ChainFrames(NamedTuple):

@@ -126,6 +126,7 @@ class TunePage(widgets.HBox):
         rows = [TABLE[name] for name in read_sum(self.objective.value).names]
         blind = "; ".join(row.blind for row in rows)
         self.words.tell(html.escape("; ".join(row.says for row in rows)))
+        self.words.layout.display = None
         self.objective.tooltip = f"cannot see: {blind}"
 
     # --- what the user does ---
@@ -137,6 +138,8 @@ class TunePage(widgets.HBox):
         if not learn:
             raise ConfigError("Choose what to learn first, such as steady head.")
         parts = parts_texts(self.train.value, self.held_out.value)
+        # What it means is known by now, and its lines are those that the result needs to be seen whole.
+        self.words.layout.display = "none"
         self._jobs.submit(Asked(self.objective.value, learn, parts, self.steps.value))
 
     def _take(self) -> None:
@@ -176,8 +179,8 @@ class TunePage(widgets.HBox):
             steps, {LEARNED_ON: learned_on, HELD_OUT: held_out}, x_label="step", y_label=self.objective.value
         )
         self.progress.value = done
-        last = "judging it on all frames …" if done == total else ""
-        self.said.say(f"step {done} of {total} {last}".strip())
+        last = ", judging it on all frames …" if done == total else ""
+        self.said.say(f"step {done} of {total}{last}")
 
 
 def learnable(config: Config) -> tuple[str, ...]:
