@@ -85,6 +85,7 @@ def test_nonsense_in_a_field_is_said_and_changes_nothing(panel):
     assert "Type frames first" in page.result.value
     page.part.value = "5-99"
     panel.turn("refinement.method", "averaging")
+    assert panel.wait_idle(300)
     press(panel, page.go)
     assert "A part of this clip must lie within 0-23" in page.result.value
     assert panel.session.temporal.current is None

@@ -44,13 +44,14 @@ def test_what_does_the_tasks_is_sent_to_each_process_once(workers):
     assert workers.count == 2
 
 
-def test_a_process_is_born_with_one_thread_for_blas(monkeypatch):
+@pytest.mark.parametrize("name", ["OPENBLAS_NUM_THREADS", "NPROC"])
+def test_a_process_is_born_with_one_thread_for_blas_and_one_for_xla(monkeypatch, name):
     # A script's own imports, which may load BLAS, run in the process before anything of the workbench.
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    monkeypatch.delenv(name, raising=False)
     pool = Pool(1)
     (pid, _) = dict(pool.results([Harmless(0)], Counted()))[0]
-    assert psutil.Process(pid).environ()["OPENBLAS_NUM_THREADS"] == "1"
-    assert "OPENBLAS_NUM_THREADS" not in os.environ
+    assert psutil.Process(pid).environ()[name] == "1"
+    assert name not in os.environ
     pool.close()
 
 

@@ -18,8 +18,12 @@ SMALL_ARRAYS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_
 a CPU builds every kernel as a module of its own and takes half as long again to compile such a program, and LLVM's
 higher levels another quarter; the programs run no faster for it. Renderer and networks keep both: without the newer way
 they run a quarter slower."""
-ONE_THREAD = SMALL_ARRAYS | {"xla_cpu_multi_thread_eigen": False}
-"""The same without sharing a product out over threads, which would change its last bits with the number of cores."""
+ONE_THREAD = SMALL_ARRAYS | {
+    "xla_cpu_multi_thread_eigen": False,
+    "xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT",
+}
+"""The same without sharing products and sums out over threads, which would change their last bits with the number of
+cores: Eigen does so with products, YNNPACK with sums, and is left the products alone."""
 SHORT_TURN_S = 0.001
 """Python's own turn is 5 ms."""
 
@@ -67,17 +71,16 @@ def prepare_blas() -> None:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-ONE_CORE = {"OPENBLAS_NUM_THREADS": "1"}
-"""Environment of one of several processes that compute. XLA keeps its thread a core: with another number of them, the
-last bits of some sums are others."""
+ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "NPROC": "1"}
+"""Environment of one of several processes that compute: one thread for BLAS, and one for XLA, which reads `NPROC`."""
 
 
 @contextmanager
 def starting_on_one_core() -> Iterator[None]:
-    """While on, processes that are started let BLAS and LAPACK compute in one thread, unless the user has set a number.
+    """While on, processes that are started compute in one thread, unless the user has set a number.
 
-    Their threads wait for one another without sleeping: beside another worker, calibrating an identity took forty times
-    as long. BLAS reads the number where it is loaded, and a process that is spawned from a script runs the script's
+    Threads of BLAS wait for one another without sleeping: beside another worker, calibrating an identity took forty
+    times as long. XLA's look for work and slow the one that has some. BLAS reads the number where it is loaded, and a process that is spawned from a script runs the script's
     imports before anything of ours: only what it is born with comes early enough.
     """
     unset = {name: value for name, value in ONE_CORE.items() if name not in os.environ}
