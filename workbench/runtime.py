@@ -80,8 +80,9 @@ def starting_on_one_core() -> Iterator[None]:
     """While on, processes that are started compute in one thread, unless the user has set a number.
 
     Threads of BLAS wait for one another without sleeping: beside another worker, calibrating an identity took forty
-    times as long. XLA's look for work and slow the one that has some. BLAS reads the number where it is loaded, and a process that is spawned from a script runs the script's
-    imports before anything of ours: only what it is born with comes early enough.
+    times as long. XLA's look for work and slow the one that has some. BLAS reads the number where it is loaded, and a
+    process that is spawned from a script runs the script's imports before anything of ours: only what it is born with
+    comes early enough.
     """
     unset = {name: value for name, value in ONE_CORE.items() if name not in os.environ}
     os.environ.update(unset)
