@@ -336,6 +336,8 @@ def test_nothing_came_from_another_host_and_nothing_failed(clip, screenshots):
 def test_the_head_is_there_while_the_cell_below_still_runs(clip, screenshots):
     """The kernel answers nothing meanwhile: all that the head needs has come with it."""
     (clip.server.folder / "seen").unlink(missing_ok=True)
+    # JupyterLab, opened again, asks for the state of every widget, and waits for ever for one that is closed meanwhile.
+    clip.ask_kernel("panel.close()")
     clip.open("panel.ipynb")
     for cell in (SECOND, BUSY):
         clip.run_cell(cell, wait=False)
@@ -349,21 +351,3 @@ def test_the_head_is_there_while_the_cell_below_still_runs(clip, screenshots):
     (clip.server.folder / "seen").touch()
     assert clip.page_errors == []
     assert clip.foreign_requests == []
-
-
-def test_views_that_the_browser_library_gave_up_still_follow(clip):
-    """It gives a view's program two seconds to load: here none at all."""
-    clip.page.evaluate(
-        """() => {
-          const timeout = AbortSignal.timeout.bind(AbortSignal);
-          AbortSignal.timeout = (ms) => timeout(ms === 2000 ? 0 : ms);
-        }"""
-    )
-    clip.page.evaluate("() => window.jupyterapp.commands.execute('notebook:clear-all-cell-outputs')")
-    shown(clip, CLIP)
-    assert any("Failed to initialize model" in error for error in (*clip.console_errors, *clip.page_errors))
-    tab(clip, "ω")
-    before = rested(clip, MARKS), rested(clip, HEAD)
-    press(clip, "ω_σ L1", "End")
-    assert changed(clip, MARKS, before[0]) > 0.0
-    assert changed(clip, HEAD, before[1]) > 0.005
