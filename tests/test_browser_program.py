@@ -31,7 +31,10 @@ def write(folder, **modules: str) -> None:
 
 HEARS = """(() => {
   class Base {
-    heard = []; asked = []; listeners = {};
+    heard = []; asked = []; listeners = {}; worn = new Set();
+    classList = { add: (...names) => names.forEach((name) => this.worn.add(name)) };
+    views = { only: Promise.resolve({ el: { classList: this.classList } }) };
+    get() { return ["fw-grow"]; }
     comm = { on_msg: (handle) => { this.hear = handle; }, send: (data) => this.asked.push(data.method) };
     async _handle_comm_msg(message) { if (message.content.data.method === "update") this.heard.push(message); }
     on(name, callback) { this.listeners[name] = callback; }
@@ -49,7 +52,7 @@ HEARS = """(() => {
     keepHearing({ model }, () => real.asked.push("missed"));
     await new Promise((done) => setTimeout(done));
     await real.hear({ content: { data: { method: "update" } } });
-    return [real.heard.length, real.asked, Object.keys(real.listeners)];
+    return [real.heard.length, real.asked, Object.keys(real.listeners), [...real.worn]];
   };
 })()"""
 """What a model hears, and what it asks the kernel for, with a library that waits for `ready` before each message."""
@@ -58,11 +61,12 @@ HEARS = """(() => {
 class TestHearing:
     @needs_node
     @pytest.mark.parametrize(
-        ("ready", "asked"), [("Promise.resolve()", []), ("Promise.reject()", ["request_state", "missed"])]
+        ("ready", "asked", "worn"),
+        [("Promise.resolve()", [], []), ("Promise.reject()", ["request_state", "missed"], ["fw-grow"])],
     )
-    def test_a_model_that_the_library_gave_up_hears_and_asks_for_what_it_missed(self, ready, asked):
+    def test_a_model_that_the_library_gave_up_hears_and_asks_for_what_it_missed(self, ready, asked, worn):
         hearing = BROWSER / "shared" / "hearing.js"
-        assert asked_of_node(hearing, "keepHearing", f"await {HEARS}({ready})") == [1, asked, []]
+        assert asked_of_node(hearing, "keepHearing", f"await {HEARS}({ready})") == [1, asked, [], worn]
 
     @pytest.mark.parametrize("program", PROGRAMS)
     def test_every_program_keeps_its_model_hearing(self, program):

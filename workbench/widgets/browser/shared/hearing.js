@@ -9,10 +9,18 @@ export function keepHearing({ model }, missed = () => {}) {
   const real = modelBehind(model), hear = real && Object.getPrototypeOf(real.constructor.prototype)._handle_comm_msg;
   if (!hear || !real.comm) return;
   Promise.resolve(real._handle_comm_msg(NO_NEWS)).catch(() => {
-    real.comm.on_msg((message) => hear.call(real, message));
+    real.comm.on_msg(async (message) => {
+      await hear.call(real, message);
+      await dressViews(real);
+    });
     real.comm.send({ method: "request_state" }, {}, {}, []);
     missed();
   });
+}
+
+// anywidget ends what a view follows by itself, so that a class which came after the view was made would not show.
+async function dressViews(real) {
+  for (const view of Object.values(real.views ?? {})) (await view).el.classList.add(...real.get("_dom_classes"));
 }
 
 // Programs get a few functions of a model; events carry the model itself.
