@@ -42,6 +42,7 @@ from workbench.widgets.latest import LatestWins
 from workbench.widgets.light_panel import LightPanel
 from workbench.widgets.overlay_view import OverlayEvent
 from workbench.widgets.stage_editor import StageEditor, landmarks_text, read_landmarks
+from workbench.widgets.tuning_panel import Show
 from workbench.widgets.webgl_head_view import WebGLCanvas
 
 BY_PATH = {knob.path: knob for knob in KNOBS}
@@ -191,6 +192,28 @@ def test_a_slider_is_answered_by_one_message_for_the_head_and_one_for_the_pictur
     later = {widget for widget, *_ in rest}
     assert later >= {control.readout, panel.history.undo, panel.status}
     assert not later & {panel.head.view.canvas, panel.overlay.view}
+
+
+def test_waiting_for_the_panel_includes_what_its_fit_requests(panel, monkeypatch):
+    shown = []
+
+    def colours():
+        time.sleep(0.2)
+        shown.append("colours")
+        panel._worker.submit(Show(0))
+
+    def show(_fit):
+        shown.append("fit")
+        if len(shown) == 1:
+            panel._slow.submit(colours)
+
+    monkeypatch.setattr(panel, "_show", show)
+    panel._worker.submit(Show(0))
+    assert panel.wait_idle()
+    assert shown == ["fit", "colours", "fit"]
+    monkeypatch.setattr(panel, "_show", lambda _fit: time.sleep(0.2))
+    panel._worker.submit(Show(0))
+    assert not panel.wait_idle(0.05)
 
 
 def test_a_slider_is_answered_by_the_panel_where_a_fit_takes_long(panel, monkeypatch):

@@ -433,6 +433,17 @@ def test_what_is_quick_is_not_mentioned_and_what_is_slow_is_with_its_last_durati
     assert text_of("fitting", 12.4) == "fitting … about 12 s"
 
 
+def test_what_ends_while_it_begins_to_be_slow_is_not_mentioned_either(monkeypatch):
+    waiting, shown, late = Waiting(patience_s=0.0), widgets.HTML(), []
+    monkeypatch.setattr(threading.Timer, "start", lambda timer: late.append(timer))
+    with waiting.during("fitting", old=(shown,)):
+        pass
+    (timer,) = late
+    timer.function(*timer.args)
+    assert waiting.said.value == ""
+    assert OLD not in shown._dom_classes
+
+
 def test_what_has_never_run_takes_as_long_as_is_usual_and_then_as_long_as_it_took():
     waiting = Waiting(patience_s=0.0)
     with waiting.during("fitting", expected_s=40.0):

@@ -1,6 +1,7 @@
 """The panel: knobs of a session, the picture, the head, the clip and the diagnosis, all kept in step."""
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
@@ -85,8 +86,19 @@ class TuningPanel(LateParts):
     def wait_idle(self, timeout_s: float | int = 60.0) -> bool:
         """Wait until everything requested is shown; False if that takes longer."""
         self._make()
+        ends = time.monotonic() + timeout_s
+
+        def idle(worker: Any) -> bool:
+            return bool(worker.wait_idle(max(ends - time.monotonic(), 0.0)))
+
         # A fit requests layers and colours, and finished colours request that the fit is shown again.
-        return all(worker.wait_idle(timeout_s) for worker in (*self._workers, self._worker))
+        while idle(self._worker):
+            shown = self._worker.started
+            if not all(map(idle, self._workers)):
+                return False
+            if idle(self._worker) and self._worker.started == shown:
+                return True
+        return False
 
     # --- parts ---
 

@@ -36,7 +36,7 @@ class Job:
         self.what, self.old, self.cancel = what, old, cancel
         self._expected_s, self._began, self._told = expected_s, time.monotonic(), 0.0
         self._done, self._total = 0, 0
-        self._stopped = threading.Event()
+        self._stopped, self.ended = threading.Event(), False
         self.changed: Callable[[], None] = lambda: None
         """Called when `text` is worth showing again."""
 
@@ -117,7 +117,7 @@ class Waiting(widgets.HBox):
             timer.cancel()
             if not job.cancelled():
                 self._took[kind] = job.seconds
-            self._end(number)
+            self._end(number, job)
 
     def running(self, work: Work, what: str, expected_s: float | None = None) -> Callable[[], None]:
         """The same work on a job that can be cancelled, told about."""
@@ -142,18 +142,20 @@ class Waiting(widgets.HBox):
 
     def _begin(self, number: int, job: Job) -> None:
         with self._lock:
+            if job.ended:  # while the timer went off
+                return
             self._running[number] = job
             self._show()
             for widget in job.old:
                 widget.add_class(OLD)
 
-    def _end(self, number: int) -> None:
+    def _end(self, number: int, job: Job) -> None:
         with self._lock:
-            ended = self._running.pop(number, None)
-            if ended is None:
+            job.ended = True
+            if self._running.pop(number, None) is None:
                 return
             self._show()
-            for widget in ended.old:
+            for widget in job.old:
                 widget.remove_class(OLD)
 
     def _show(self) -> None:
