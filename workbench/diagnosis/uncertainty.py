@@ -42,7 +42,7 @@ class Linearised(NamedTuple):
     jacobian: Float[np.ndarray, "m n"]
     """Its derivative by rotation (axis-angle), translation and weights."""
     matrix: Float[np.ndarray, "n n"]
-    """Half the second derivative of the energy as its solver has it (`energies.normal_system`), in the energy's unit."""
+    """Half the energy's second derivative as the solver has it (`energies.normal_system`), in the energy's unit."""
     gradient: Float[np.ndarray, "n"]
     data_factor: float
     """ω_sparse · ω_fit."""
