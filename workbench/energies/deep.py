@@ -18,9 +18,11 @@ from workbench.energies.terms import terms_of
 from workbench.energies.total import weighed_residuals
 from workbench.face import FaceModel, FaceParameters, contour_blend
 from workbench.geometry import project, rotation_matrix, yaw_of
+from workbench.landmarks.dense_detector import nearness
 from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
-from workbench.networks import CropBox, Fan, LandmarkNetwork, soft_argmax, to_picture
+from workbench.networks import CropBox, DenseNetwork, EnergyNetwork, Fan, NetworkLandmarks, landmarks_in
 from workbench.networks.crop import fan_box_of
+from workbench.networks.regression import covariance_of
 from workbench.rendering import CropCamera, RenderModel, face_vertices, model_at, render, render_model
 from workbench.rendering.camera import AnyCamera, OrthographicCamera
 
@@ -51,26 +53,29 @@ class DeepView(NamedTuple):
     """From the reference camera's frame to this one's; the identity for a single camera."""
     translation: Float[AnyArray, "3"]
     """The reference camera's place in this one's frame, millimetres."""
-    target: Float[AnyArray, "68 2"]
+    target: Float[AnyArray, "points 2"]
     """N(F*), pixels."""
-    weights: Float[AnyArray, "68"]
+    weights: Float[AnyArray, "points"]
     """W times what the detection counts; all 0 where this view found no face."""
-    share: Float[AnyArray, "68"]
+    share: Float[AnyArray, "points"]
     """1: the landmark is seen in the render by the network; 0: it is the preselected point."""
     unit_px: Scalar
     """What one unit of the landmark residuals is."""
     light: Float[AnyArray, "9 3"]
     background: Float[AnyArray, "3"]
+    whitening: Float[AnyArray, "points 2 2"] | None = None
+    """Takes an error in pixels to one of unit variance by the photo's covariances; None where N tells none."""
 
 
 class NetworkView(NamedTuple):
     """What the network sees in one render."""
 
-    points: Float[Array, "68 2"]
+    points: Float[Array, "points 2"]
     """N(F), pixels of the whole picture."""
-    confidence: Float[Array, "68"]
+    confidence: Float[Array, "points"]
     """0 to 1."""
-    heat_maps: Float[Array, "68 m m"]
+    heat_maps: Float[Array, "points m m"] | None
+    """None from a dense network."""
     picture: Float[Array, "s s 3"]
     """The render inside of the crop, RGB in 0..1."""
     box: CropBox
@@ -116,7 +121,7 @@ def preselected_points(
 
 
 def network_view(
-    network: Fan | LandmarkNetwork,
+    network: EnergyNetwork,
     model: DeepModel,
     albedo: Float[AnyArray, "v 3"],
     view: DeepView,
@@ -135,12 +140,18 @@ def network_view(
     picture = render(
         vertices, model.render.topology, camera, albedo, view.light, view.background, size=(side, side), samples=samples
     ).color
-    heat_maps = network(jnp.moveaxis(picture, -1, 0))
-    points = to_picture(soft_argmax(heat_maps), box, heat_maps.shape[-1])
-    return NetworkView(points, network.confidence_of(heat_maps), heat_maps, picture, box)
+    seen = landmarks_in(network, jnp.moveaxis(picture, -1, 0), box)
+    return NetworkView(seen.points, confidence_of(network, seen), seen.heat_maps, picture, box)
 
 
-def crop_of(network: Fan | LandmarkNetwork, points: Float[AnyArray, "68 2"]) -> CropBox:
+def confidence_of(network: EnergyNetwork, seen: NetworkLandmarks) -> Float[Array, "points"]:
+    """How sure the network is of each landmark, 0..1: by its heat map, or by its covariance."""
+    if isinstance(network, DenseNetwork):
+        return nearness(seen.points, covariance_of(seen.whitening))
+    return network.confidence_of(seen.heat_maps)
+
+
+def crop_of(network: EnergyNetwork, points: Float[AnyArray, "points 2"]) -> CropBox:
     """The crop that a network wants of a face whose landmarks are known, pixels."""
     return fan_box_of(points) if isinstance(network, Fan) else landmark_crop(points)
 
@@ -148,7 +159,7 @@ def crop_of(network: Fan | LandmarkNetwork, points: Float[AnyArray, "68 2"]) -> 
 def deep_residuals(
     views: DeepView,
     omega: Float[AnyArray, "t"],
-    predicted: Float[AnyArray, "views 68 2"],
+    predicted: Float[AnyArray, "views points 2"],
     parameters: FaceParameters,
     context: TermContext,
     terms: tuple[str, ...] = DEEP_TERMS,
@@ -157,11 +168,13 @@ def deep_residuals(
 
     W multiplies squared errors: the paper's is its root. Errors count in `unit_px`, and W weighs E_2 too unless the
     context's `weighted_edges` is 0; the paper has pixels and does not weigh E_2. `views` is stacked. `predicted` are
-    landmarks in each view, pixels.
+    landmarks in each view, pixels. Where the views have a `whitening`, E_1 counts standard deviations.
     """
-    error = (predicted - views.target) / jnp.asarray(views.unit_px)[:, None, None]
+    apart = predicted - views.target
+    unwhitened = apart / jnp.asarray(views.unit_px)[:, None, None]
+    error = unwhitened if views.whitening is None else jnp.einsum("vpij,vpj->vpi", views.whitening, apart)
     root = jnp.sqrt(jnp.asarray(views.weights))
-    errors = LandmarkErrors(error, root, weighted_edges=context.constants.weighted_edges)
+    errors = LandmarkErrors(error, root, unwhitened=unwhitened, weighted_edges=context.constants.weighted_edges)
     return weighed_residuals(terms, omega, errors, parameters, context)
 
 

@@ -34,7 +34,15 @@ from workbench.tracking.deep_solver import StageProblem, solve_stage
 from workbench.tracking.deep_target import energy_network
 from workbench.tracking.deep_views import FAR_MM, eyes_per_box, light_of, recorded_camera, views_of, weighed
 from workbench.tracking.face_it_fitter import FaceItFitter
-from workbench.tracking.fitting import Calibrated, Continuation, Fitter, FrameContext, StageTrace, continued
+from workbench.tracking.fitting import (
+    Calibrated,
+    Continuation,
+    Fitter,
+    FrameContext,
+    StageTrace,
+    check_scheme,
+    continued,
+)
 from workbench.tracking.flow_term import FlowTerm, flow_term
 from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
@@ -123,6 +131,7 @@ class DeepFitter(Fitter):
     def problem(self, observation: FrameObservation, context: FrameContext) -> DeepProblem:
         """The solver's input for a frame: views, colours, start and stages."""
         problem = DeepProblem(observation, context, self.plan.running(start=True))
+        check_scheme(observation, self.model)
         if not observation.faces:
             return problem
         start = self._start(observation, context)

@@ -13,7 +13,7 @@ from workbench.geometry import Camera
 from workbench.landmarks.network_detector import CROP_BOXES
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import outer_eye_distance
-from workbench.networks import Fan, LandmarkNetwork
+from workbench.networks import EnergyNetwork
 from workbench.rendering import Appearance, ambient_light, directional_light, orthographic_camera, turned_light
 from workbench.rendering.camera import OrthographicCamera
 from workbench.tracking.observation import FrameObservation
@@ -40,7 +40,7 @@ def recorded_camera(plan: Plan, image_size: tuple[int, int]) -> Camera:
 
 def views_of(
     plan: Plan,
-    network: Fan | LandmarkNetwork,
+    network: EnergyNetwork,
     eyes: float,
     observation: FrameObservation,
     light: Float[np.ndarray, "9 3"],
@@ -74,7 +74,7 @@ def weighed(views: Sequence[DeepView], stage: StagePlan) -> tuple[DeepView, ...]
     return tuple(view._replace(weights=jnp.asarray(weights * np.asarray(view.weights))) for view in views)
 
 
-def eyes_per_box(model: FaceModel, network: Fan | LandmarkNetwork) -> float:
+def eyes_per_box(model: FaceModel, network: EnergyNetwork) -> float:
     """What counts as a model's outer-eye distance, in sides of the face box that the network's crop tells.
 
     By the neutral face as it is seen from the front: a model whose eyes are farther apart in the crop than the default
@@ -84,7 +84,7 @@ def eyes_per_box(model: FaceModel, network: Fan | LandmarkNetwork) -> float:
     return EYES_PER_BOX * (own / default)
 
 
-def percent_px(network: Fan | LandmarkNetwork, eyes: float, points: Float[np.ndarray, "68 2"]) -> float:
+def percent_px(network: EnergyNetwork, eyes: float, points: Float[np.ndarray, "points 2"]) -> float:
     """One percent of a face's outer-eye distance, in pixels, estimated from the size of its crop.
 
     `eyes` is the model's `eyes_per_box`.
@@ -99,14 +99,14 @@ def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
     return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
 
 
-def _eyes_per_crop(model: FaceModel, network: Fan | LandmarkNetwork) -> float:
+def _eyes_per_crop(model: FaceModel, network: EnergyNetwork) -> float:
     points = model.landmarks.of(model.neutral)[:, :2]
     return float(outer_eye_distance(points)) / float(crop_of(network, jnp.asarray(points)).side)
 
 
 def _view(
     plan: Plan,
-    network: Fan | LandmarkNetwork,
+    network: EnergyNetwork,
     eyes: float,
     camera,
     rotation,
@@ -114,22 +114,26 @@ def _view(
     landmarks: Landmarks2D | None,
     light,
 ) -> DeepView:
+    whitening = None
     if landmarks is None:
-        target, confidence, share, unit = np.zeros((68, 2)), np.zeros(68), np.zeros(68), 1.0
+        target, counts, share, unit = np.zeros((68, 2)), np.zeros(68), np.zeros(68), 1.0
     else:
         target, confidence = landmarks.points, landmarks.confidence
-        share = {"deep": np.ones(68), "points": np.zeros(68), "mixed": confidence}[plan.deep.energy]
+        alike = np.ones(len(target))
+        share = {"deep": alike, "points": 0.0 * alike, "mixed": confidence}[plan.deep.energy]
         unit = percent_px(network, eyes, target) if plan.solver.percent else 1.0
+        counts, whitening = plan.measured(landmarks)
     return DeepView(
         camera=Camera(*(jnp.asarray(part, float) for part in camera)) if isinstance(camera, Camera) else camera,
         rotation=jnp.asarray(rotation, jnp.float32),
         translation=jnp.asarray(translation, jnp.float32),
         target=jnp.asarray(target),
-        weights=jnp.asarray(plan.counts(confidence)),
+        weights=jnp.asarray(counts),
         share=jnp.asarray(share),
         unit_px=jnp.asarray(unit),
         light=jnp.asarray(light, jnp.float32),
         background=jnp.asarray(BACKGROUND, jnp.float32),
+        whitening=None if whitening is None else jnp.asarray(whitening),
     )
 
 
