@@ -133,5 +133,8 @@ def _check_network(config: Config, scheme: LandmarkScheme) -> None:
 def _by_points(config: Config, scheme: LandmarkScheme) -> Config:
     """FACE IT!'s configuration for identity and first pose, with this one's camera, landmarks and identity."""
     camera = config.camera.model_copy(update={"projection": "perspective", "rig": ""})
-    kept = {name: getattr(config, name) for name in ("identity", "landmarks", "subsets", "contour")}
-    return preset("dense" if scheme is DENSE else "joint").model_copy(update={**kept, "camera": camera})
+    base = preset("dense" if scheme is DENSE else "joint")
+    kept = {name: getattr(config, name) for name in ("identity", "subsets", "contour")}
+    weights = {**base.landmarks.weights, **config.landmarks.weights}
+    kept["landmarks"] = config.landmarks.model_copy(update={"weights": weights})
+    return base.model_copy(update={**kept, "camera": camera})

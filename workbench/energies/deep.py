@@ -65,6 +65,10 @@ class DeepView(NamedTuple):
     background: Float[AnyArray, "3"]
     whitening: Float[AnyArray, "points 2 2"] | None = None
     """Takes an error in pixels to one of unit variance by the photo's covariances; None where N tells none."""
+    crop: CropBox | None = None
+    """D of the photo, for a network whose answer depends on where in D the face is; None: D follows the render."""
+    held: Scalar = 0.0
+    """1: the render is seen in the photo's `crop`; 0: D follows the render."""
 
 
 class NetworkView(NamedTuple):
@@ -132,9 +136,12 @@ def network_view(
     """N(F(x_R)): the face rendered inside of its crop and seen by the network.
 
     The crop D is where a detector that never fails would put it, from the projected points; constant in the
-    derivative, as in the paper (Sec. 4). Rendering the crop itself replaces cutting and resizing a render.
+    derivative, as in the paper (Sec. 4). Rendering the crop itself replaces cutting and resizing a render. Where the
+    view holds the photo's crop, D is that.
     """
     box = jax.lax.stop_gradient(crop_of(network, preselected_points(model, view, parameters, 0.0)))
+    if view.crop is not None:
+        box = jax.tree.map(lambda own, photo: jnp.where(jnp.asarray(view.held) > 0.5, photo, own), box, view.crop)
     vertices = view_vertices(model, view, parameters)
     camera = CropCamera(view.camera, box, jnp.float32(side))
     picture = render(

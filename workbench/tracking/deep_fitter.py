@@ -32,7 +32,7 @@ from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solution import DeepProblem, DeepSolution, record_of
 from workbench.tracking.deep_solver import StageProblem, solve_stage
 from workbench.tracking.deep_target import energy_network
-from workbench.tracking.deep_views import FAR_MM, eyes_per_box, light_of, recorded_camera, views_of, weighed
+from workbench.tracking.deep_views import FAR_MM, eyes_per_box, holding, light_of, recorded_camera, views_of, weighed
 from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.fitting import (
     Calibrated,
@@ -149,7 +149,7 @@ class DeepFitter(Fitter):
         parameters = problem.start
         for stage in problem.stages if problem.views else ():
             began = time.perf_counter()
-            views = weighed(problem.views, stage)
+            views = holding(weighed(problem.views, stage), problem.scene, parameters)
             result = solve_stage(self._stage_problem(problem, views, stage), parameters, cancelled)
             parameters = result.parameters
             results.append(result)

@@ -2,26 +2,32 @@
 
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from workbench.energies.deep import DeepView, crop_of
 from workbench.errors import InputError
-from workbench.face import FaceModel, load_default_head
+from workbench.face import FaceModel, FaceParameters, load_default_head
 from workbench.geometry import Camera
 from workbench.landmarks.network_detector import CROP_BOXES
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import outer_eye_distance
-from workbench.networks import EnergyNetwork
+from workbench.networks import DenseNetwork, EnergyNetwork
 from workbench.rendering import Appearance, ambient_light, directional_light, orthographic_camera, turned_light
 from workbench.rendering.camera import OrthographicCamera
+from workbench.runtime import COMPUTING
+from workbench.tracking.deep_programs import DeepScene, project_points
 from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
 
 EYES_PER_BOX = 0.726
 """What counts as the default head's outer-eye distance, in sides of the face box (the eyes themselves take up 0.56 of
 it). Unlike the distance in the picture, it does not shrink with yaw."""
+NEAR = 0.25
+"""Of the photo's crop: within this part of its side, this logarithm of it and these radians a render's own crop is near
+enough to be seen in the photo's."""
 FAR_MM = 1e5
 """An orthographic view is recorded as a camera at this distance, so that every consumer of a fit can draw it."""
 BACKGROUND = (0.45, 0.45, 0.45)
@@ -74,6 +80,17 @@ def weighed(views: Sequence[DeepView], stage: StagePlan) -> tuple[DeepView, ...]
     return tuple(view._replace(weights=jnp.asarray(weights * np.asarray(view.weights))) for view in views)
 
 
+def holding(views: Sequence[DeepView], scene: DeepScene, parameters: FaceParameters) -> tuple[DeepView, ...]:
+    """The views of a solve from here: those whose render is about where the photo's face is hold the photo's crop.
+
+    A regression errs by where in its crop a face is: seen through one window, photo and render err alike. A face that
+    starts farther off would not be in that window, so D follows it until the next stage.
+    """
+    return tuple(
+        view if view.crop is None else view._replace(held=float(_is_near(view, scene, parameters))) for view in views
+    )
+
+
 def eyes_per_box(model: FaceModel, network: EnergyNetwork) -> float:
     """What counts as a model's outer-eye distance, in sides of the face box that the network's crop tells.
 
@@ -99,6 +116,15 @@ def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
     return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
 
 
+def _is_near(view: DeepView, scene: DeepScene, parameters: FaceParameters) -> bool:
+    with COMPUTING:
+        points = np.asarray(project_points(scene, view, parameters), float)
+        own = crop_of(scene.network, jnp.asarray(points))
+    apart = np.linalg.norm(np.subtract(own.centre, view.crop.centre)) / view.crop.side
+    differences = apart, np.log(own.side / view.crop.side), own.roll - view.crop.roll
+    return bool(np.max(np.abs(differences)) < NEAR)
+
+
 def _eyes_per_crop(model: FaceModel, network: EnergyNetwork) -> float:
     points = model.landmarks.of(model.neutral)[:, :2]
     return float(outer_eye_distance(points)) / float(crop_of(network, jnp.asarray(points)).side)
@@ -114,7 +140,7 @@ def _view(
     landmarks: Landmarks2D | None,
     light,
 ) -> DeepView:
-    whitening = None
+    whitening = crop = None
     if landmarks is None:
         target, counts, share, unit = np.zeros((68, 2)), np.zeros(68), np.zeros(68), 1.0
     else:
@@ -123,6 +149,8 @@ def _view(
         share = {"deep": alike, "points": 0.0 * alike, "mixed": confidence}[plan.deep.energy]
         unit = percent_px(network, eyes, target) if plan.solver.percent else 1.0
         counts, whitening = plan.measured(landmarks)
+        if isinstance(network, DenseNetwork):
+            crop = jax.tree.map(np.asarray, crop_of(network, jnp.asarray(target)))
     return DeepView(
         camera=Camera(*(jnp.asarray(part, float) for part in camera)) if isinstance(camera, Camera) else camera,
         rotation=jnp.asarray(rotation, jnp.float32),
@@ -134,6 +162,7 @@ def _view(
         light=jnp.asarray(light, jnp.float32),
         background=jnp.asarray(BACKGROUND, jnp.float32),
         whitening=None if whitening is None else jnp.asarray(whitening),
+        crop=crop,
     )
 
 
