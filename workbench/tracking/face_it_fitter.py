@@ -65,9 +65,9 @@ class FaceItFitter(Fitter):
         """Use another plan from now on; nothing is recompiled unless another kind of solver is chosen."""
         self.plan = plan
         self._flow = flow_term(self.model, plan, self._flow)
-        self._settings = solve_settings(plan)
+        programs = {start: stage_program(plan, start) for start in (True, False)}
+        self._settings, self._programs = jax.device_put((solve_settings(plan), programs))
         self._used = plan.point_weights > 0.0
-        self._programs = {start: stage_program(plan, start) for start in (True, False)}
         self._cameras: dict[tuple[int, int], tuple[Camera, Camera]] = {}
 
     @property

@@ -247,8 +247,8 @@ class TuningPanel(LateParts):
 
     def _show(self, fit: "workbench.tracking.FrameFit") -> None:
         self.fit, self._iterations.found = fit, fit.found
-        self.head.show(fit)  # first, because it takes longer to draw
         self.overlay.show(fit, self.time.note_of(fit))
+        self.head.show(fit)  # last, because the page may have to wait while the device draws it
 
     def _redraw(self) -> None:
         if self.fit is not None:
