@@ -32,7 +32,6 @@ class FaceItProblem(FrameProblem):
     settings: SolveSettings
     program: StageProgram
     """The stages that run."""
-    camera_on_device: Camera | None = None
     person: LandmarkModel | None = None
     frame: FrameInput | None = None
 
@@ -182,5 +181,5 @@ def in_doubles(tree):
 
 
 def on_device(tree):
-    """A tree of numbers as JAX arrays in double precision, put there in one call: one a number takes twice as long."""
+    """A tree of numbers as JAX arrays in double precision."""
     return jax.device_put(in_doubles(tree))
