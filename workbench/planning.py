@@ -1,6 +1,7 @@
 """From a configuration to the plan of a run, at the door: below it nobody reads a configuration."""
 
 from dataclasses import fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -9,8 +10,11 @@ import numpy as np
 from workbench.config import Config, Stage, preset
 from workbench.energies import TABLE, EnergyConstants
 from workbench.errors import ConfigError
+from workbench.face import load_character
+from workbench.face.characters import PLAIN
 from workbench.geometry import read_rig
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.rendering import CharacterLook, character_look, plain_look
 from workbench.tracking.plan import (
     CameraPlan,
     DeepPlan,
@@ -57,6 +61,7 @@ def plan_of(config: Config, scheme: LandmarkScheme = IBUG68) -> Plan:
         infill=infill_plan(config),
         refinement=refinement_plan(config),
         by_points=plan_of(_by_points(config)) if config.traits.renders else None,
+        look=_look(config.head.character) if config.renders_character else None,
     )
 
 
@@ -94,6 +99,12 @@ def camera_plan(config: Config) -> CameraPlan:
         parallel=camera.projection == "orthographic",
         rig=read_rig(Path(camera.rig)) if camera.rig else None,
     )
+
+
+@lru_cache(maxsize=2)
+def _look(character: str) -> CharacterLook:
+    """A character as renders show it; raises `ModelError` for one that cannot be read."""
+    return plain_look() if character == PLAIN else character_look(load_character(character))
 
 
 def _stage(config: Config, stage: Stage, points: np.ndarray, scheme: LandmarkScheme) -> StagePlan:

@@ -21,7 +21,18 @@ from workbench.geometry import project, rotation_matrix, yaw_of
 from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
 from workbench.networks import CropBox, Fan, LandmarkNetwork, soft_argmax, to_picture
 from workbench.networks.crop import fan_box_of
-from workbench.rendering import CropCamera, RenderModel, face_vertices, model_at, render, render_model
+from workbench.rendering import (
+    Cover,
+    CropCamera,
+    RenderModel,
+    Texture,
+    cover_vertices,
+    covered,
+    face_vertices,
+    model_at,
+    render,
+    render_model,
+)
 from workbench.rendering.camera import AnyCamera, OrthographicCamera
 
 DEEP_TERMS = terms_of("deep-energies")
@@ -92,9 +103,13 @@ def deep_model(model: FaceModel) -> DeepModel:
 
 def view_vertices(model: DeepModel, view: DeepView, parameters: FaceParameters) -> Float[Array, "v 3"]:
     """The face in the frame of a view's camera, millimetres."""
-    vertices = face_vertices(model.render, parameters)
+    return in_view(face_vertices(model.render, parameters), view)
+
+
+def in_view(points: Float[Array, "n 3"], view: DeepView) -> Float[Array, "n 3"]:
+    """Points of the reference camera's frame in a view's."""
     rotation, translation = (jnp.asarray(part, jnp.float32) for part in (view.rotation, view.translation))
-    return vertices @ rotation.T + translation
+    return points @ rotation.T + translation
 
 
 def preselected_points(
@@ -118,23 +133,29 @@ def preselected_points(
 def network_view(
     network: Fan | LandmarkNetwork,
     model: DeepModel,
-    albedo: Float[AnyArray, "v 3"],
+    albedo: Float[AnyArray, "v 3"] | Texture,
     view: DeepView,
     parameters: FaceParameters,
     side: int = CROP_SIDE,
     samples: int = 1,
+    cover: Cover | None = None,
 ) -> NetworkView:
     """N(F(x_R)): the face rendered inside of its crop and seen by the network.
 
     The crop D is where a detector that never fails would put it, from the projected points; constant in the
     derivative, as in the paper (Sec. 4). Rendering the crop itself replaces cutting and resizing a render.
+    A `cover`, as hair, is drawn before the face, and has no derivative.
     """
     box = jax.lax.stop_gradient(crop_of(network, preselected_points(model, view, parameters, 0.0)))
     vertices = view_vertices(model, view, parameters)
     camera = CropCamera(view.camera, box, jnp.float32(side))
-    picture = render(
+    seen = render(
         vertices, model.render.topology, camera, albedo, view.light, view.background, size=(side, side), samples=samples
-    ).color
+    )
+    picture = seen.color
+    if cover is not None:
+        worn = in_view(cover_vertices(cover, model.render, parameters), view)
+        picture, _ = covered(seen, cover, worn, camera, view.light, size=(side, side))
     heat_maps = network(jnp.moveaxis(picture, -1, 0))
     points = to_picture(soft_argmax(heat_maps), box, heat_maps.shape[-1])
     return NetworkView(points, network.confidence_of(heat_maps), heat_maps, picture, box)
