@@ -1,6 +1,7 @@
 """From a configuration to the plan of a run, at the door: below it nobody reads a configuration."""
 
 from dataclasses import fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -9,9 +10,12 @@ import numpy as np
 from workbench.config import Config, Stage, preset
 from workbench.energies import TABLE, EnergyConstants
 from workbench.errors import ConfigError
+from workbench.face import load_character
+from workbench.face.characters import PLAIN
 from workbench.geometry import read_rig
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.landmarks.schemes import DENSE
+from workbench.rendering import CharacterLook, character_look, plain_look
 from workbench.tracking.deep_target import network_scheme
 from workbench.tracking.plan import (
     CameraPlan,
@@ -58,6 +62,7 @@ def plan_of(config: Config, scheme: LandmarkScheme = IBUG68) -> Plan:
         infill=infill_plan(config),
         refinement=refinement_plan(config),
         by_points=plan_of(_by_points(config, scheme), scheme) if config.traits.renders else None,
+        look=_look(config.head.character) if config.renders_character else None,
     )
 
 
@@ -95,6 +100,12 @@ def camera_plan(config: Config) -> CameraPlan:
         parallel=camera.projection == "orthographic",
         rig=read_rig(Path(camera.rig)) if camera.rig else None,
     )
+
+
+@lru_cache(maxsize=2)
+def _look(character: str) -> CharacterLook:
+    """A character as renders show it; raises `ModelError` for one that cannot be read."""
+    return plain_look() if character == PLAIN else character_look(load_character(character))
 
 
 def _stage(config: Config, stage: Stage, points: np.ndarray, scheme: LandmarkScheme) -> StagePlan:

@@ -119,7 +119,7 @@ class IdentityConfig(Section):
 
 
 class HeadConfig(Section):
-    """How the default head is drawn; no fit depends on it."""
+    """How the default head is drawn; fits depend on it with deep.appearance = "character" alone."""
 
     character: str = Field(
         PLAIN,
@@ -173,8 +173,10 @@ class DeepConfig(Section):
         description="frontal: facing the camera in the middle of the picture; landmarks: pose from the landmarks.",
     )
     distance_mm: Annotated[float, Field(gt=0.0)] = Field(650.0, description="Distance of the frontal start.")
-    appearance: Literal["estimate", "model"] = Field(
-        "estimate", description="Colours and light: estimated from the most neutral frame, or the model's own."
+    appearance: Literal["estimate", "model", "character"] = Field(
+        "estimate",
+        description="Colours and light: estimated from the most neutral frame; the model's own; or head.character: "
+        "its skin as a texture, its hair outside of the face, the light estimated.",
     )
     network: str = Field(
         "heat-maps",

@@ -23,7 +23,18 @@ from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
 from workbench.networks import CropBox, DenseNetwork, EnergyNetwork, Fan, NetworkLandmarks, landmarks_in
 from workbench.networks.crop import fan_box_of
 from workbench.networks.regression import covariance_of
-from workbench.rendering import CropCamera, RenderModel, face_vertices, model_at, render, render_model
+from workbench.rendering import (
+    Cover,
+    CropCamera,
+    RenderModel,
+    Texture,
+    cover_vertices,
+    covered,
+    face_vertices,
+    model_at,
+    render,
+    render_model,
+)
 from workbench.rendering.camera import AnyCamera, OrthographicCamera
 
 DEEP_TERMS = terms_of("deep-energies")
@@ -101,9 +112,13 @@ def deep_model(model: FaceModel) -> DeepModel:
 
 def view_vertices(model: DeepModel, view: DeepView, parameters: FaceParameters) -> Float[Array, "v 3"]:
     """The face in the frame of a view's camera, millimetres."""
-    vertices = face_vertices(model.render, parameters)
+    return in_view(face_vertices(model.render, parameters), view)
+
+
+def in_view(points: Float[Array, "n 3"], view: DeepView) -> Float[Array, "n 3"]:
+    """Points of the reference camera's frame in a view's."""
     rotation, translation = (jnp.asarray(part, jnp.float32) for part in (view.rotation, view.translation))
-    return vertices @ rotation.T + translation
+    return points @ rotation.T + translation
 
 
 def preselected_points(
@@ -127,28 +142,33 @@ def preselected_points(
 def network_view(
     network: EnergyNetwork,
     model: DeepModel,
-    albedo: Float[AnyArray, "v 3"],
+    albedo: Float[AnyArray, "v 3"] | Texture,
     view: DeepView,
     parameters: FaceParameters,
     side: int = CROP_SIDE,
     samples: int = 1,
+    cover: Cover | None = None,
 ) -> NetworkView:
     """N(F(x_R)): the face rendered inside of its crop and seen by the network.
 
     The crop D is where a detector that never fails would put it, from the projected points; constant in the
     derivative, as in the paper (Sec. 4). Rendering the crop itself replaces cutting and resizing a render. Where the
-    view holds the photo's crop, D is that.
+    view holds the photo's crop, D is that. A `cover`, as hair, is drawn before the face, and has no derivative.
     """
     box = jax.lax.stop_gradient(crop_of(network, preselected_points(model, view, parameters, 0.0)))
     if view.crop is not None:
         box = jax.tree.map(lambda own, photo: jnp.where(jnp.asarray(view.held) > 0.5, photo, own), box, view.crop)
     vertices = view_vertices(model, view, parameters)
     camera = CropCamera(view.camera, box, jnp.float32(side))
-    picture = render(
+    seen = render(
         vertices, model.render.topology, camera, albedo, view.light, view.background, size=(side, side), samples=samples
-    ).color
-    seen = landmarks_in(network, jnp.moveaxis(picture, -1, 0), box)
-    return NetworkView(seen.points, confidence_of(network, seen), seen.heat_maps, picture, box)
+    )
+    picture = seen.color
+    if cover is not None:
+        worn = in_view(cover_vertices(cover, model.render, parameters), view)
+        picture, _ = covered(seen, cover, worn, camera, view.light, size=(side, side))
+    landmarks = landmarks_in(network, jnp.moveaxis(picture, -1, 0), box)
+    return NetworkView(landmarks.points, confidence_of(network, landmarks), landmarks.heat_maps, picture, box)
 
 
 def confidence_of(network: EnergyNetwork, seen: NetworkLandmarks) -> Float[Array, "points"]:

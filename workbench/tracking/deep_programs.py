@@ -25,6 +25,7 @@ from workbench.energies.deep import (
 from workbench.face import FaceParameters, pack, typical_sizes, unpack
 from workbench.face.unknowns import derivative_by_columns
 from workbench.networks import EnergyNetwork
+from workbench.rendering import Cover, Texture
 from workbench.runtime import SMALL_ARRAYS
 from workbench.solvers import DenseSystem, normal_equations
 
@@ -37,8 +38,10 @@ class DeepScene(NamedTuple):
 
     network: EnergyNetwork
     model: DeepModel
-    albedo: Float[AnyArray, "v 3"]
+    albedo: Float[AnyArray, "v 3"] | Texture
     sliding: Scalar
+    cover: Cover | None = None
+    """What hides the face in renders, as hair."""
 
 
 @partial(jax.jit, static_argnames=("side", "samples"))
@@ -46,7 +49,7 @@ def look(
     scene: DeepScene, view: DeepView, parameters: FaceParameters, side: int = 256, samples: int = 1
 ) -> NetworkView:
     """The network's landmarks in the render of one view."""
-    return network_view(scene.network, scene.model, scene.albedo, view, parameters, side, samples)
+    return network_view(scene.network, scene.model, scene.albedo, view, parameters, side, samples, scene.cover)
 
 
 @partial(jax.jit, static_argnames=("side", "samples"))
@@ -64,7 +67,7 @@ def look_derivative(
     """
 
     def points(at):
-        return network_view(scene.network, scene.model, scene.albedo, view, at, side, samples).points
+        return network_view(scene.network, scene.model, scene.albedo, view, at, side, samples, scene.cover).points
 
     return derivative_by_columns(points, parameters, columns, jaw_unit=scene.model.render.jaw.unit)
 
