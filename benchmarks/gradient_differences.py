@@ -44,7 +44,7 @@ def main() -> None:
     chosen = np.random.default_rng(0).choice(np.arange(3, len(problems)), min(wanted, len(problems) - 3), replace=False)
     for done, k in enumerate(chosen, 1):
         each = problems[k]
-        parts = derivatives((each.camera_on_device, each.person, each.settings, each.frame))
+        parts = derivatives((each.camera, each.person, each.settings, each.frame))
         rows.append(compared(*map(np.asarray, parts)))
         print(f"\r{done} of {len(chosen)} frames", end="" if done < len(chosen) else "\n", file=sys.stderr, flush=True)
     report(rows, [plan.terms[k] for k in used])

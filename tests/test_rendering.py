@@ -424,6 +424,38 @@ def test_a_texture_is_seen_the_right_way_up():
 # --- derivatives ---
 
 
+def test_a_texture_changes_with_vertices_places_texels_and_light_as_differences_do():
+    """A tilted quad in perspective, inside of its outline: all that the picture shows there is the texture."""
+    u, v = np.meshgrid((np.arange(12) + 0.5) / 12, (np.arange(12) + 0.5) / 12)
+    texels = 0.5 + 0.4 * np.stack([np.sin(5.0 * u + v), np.cos(3.0 * v - 2.0 * u), u * v], axis=-1)
+    vertices = np.concatenate(
+        [quad((-30, -30), (30, 30), 200.0) + np.float32([[0, 0, 12], [0, 0, 0], [0, 0, -9], [0, 0, 3]]), ASIDE]
+    )
+    uv = np.float32([[0, 1], [0, 0], [1, 0], [1, 1]] + [[0, 0]] * 4)
+    camera = Camera(*(np.asarray(part, np.float32) for part in camera_from_fov((24, 24), 14.0)))
+    mesh = mesh_topology(QUADS, 8)
+
+    @jax.jit
+    def inside(vertices, uv, texels, light):
+        texture = Texture(texels, uv, QUADS)
+        return render(vertices, mesh, camera, texture, light, BLACK, size=(24, 24), antialias=False).color[4:20, 4:20]
+
+    random = np.random.default_rng(4)
+    scene = tuple(np.asarray(part, np.float32) for part in (vertices, uv, texels, LIGHT))
+    assert inside(*scene).min() > 0.0
+    for part, step in enumerate((0.2, 2e-3, 0.05, 0.05)):
+        way = [np.zeros_like(value) for value in scene]
+        way[part] = random.normal(size=scene[part].shape).astype(np.float32)
+        there, here = (
+            inside(*(value + sign * step * d for value, d in zip(scene, way, strict=True))) for sign in (1.0, -1.0)
+        )
+        change = np.asarray(there - here) / (2.0 * step)
+        derivative = np.asarray(jax.jvp(inside, scene, tuple(way))[1])
+        # Bilinear look-ups have a kink at each texel's centre, so that single pixels may differ.
+        assert np.linalg.norm(derivative - change) < 0.06 * np.linalg.norm(change)
+        assert np.median(np.abs(derivative - change)) < 5e-3 * np.abs(change).max()
+
+
 def test_forward_and_reverse_agree(model, parameters, camera):
     random = np.random.default_rng(0)
     weights = random.normal(size=(*SIZE[::-1], 3)).astype(np.float32)

@@ -196,5 +196,6 @@ def identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
     moved = {key: config.landmarks.moved[key] for item in window if (key := str(item.index)) in config.landmarks.moved}
     kept = {"system", "camera", "identity", "contour", "subsets"}
     kept |= {"deep"} if config.traits.reads("deep") else set()
+    kept |= {"head"} if config.renders_character else set()
     sections = config.model_dump_json(include=kept)
     return f"{sections}{config.point_weights()}{moved}"

@@ -91,6 +91,11 @@ class Config(Section):
         """Whether a term of an enabled stage compares each frame's picture with the one before."""
         return any(TABLE[name].compares_pictures for name in self.summed_terms)
 
+    @property
+    def renders_character(self) -> bool:
+        """Whether fits compare renders of `head.character`."""
+        return self.traits.renders and self.deep.appearance == "character"
+
     @staticmethod
     def named_terms(stages: Iterable[Stage]) -> set[str]:
         """The terms that stages add to those of their system."""

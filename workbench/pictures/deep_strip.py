@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from workbench.energies.deep import DeepModel, DeepView, crop_of, view_vertices
+from workbench.energies.deep import DeepView, crop_of, in_view, view_vertices
 from workbench.errors import InputError
 from workbench.face import FaceParameters
 from workbench.frames import write_picture
@@ -18,9 +18,10 @@ from workbench.landmarks.scheme import POINT_NAMES
 from workbench.networks import BETA, CropBox, crop_and_resize, reduction_for, soft_argmax, to_picture
 from workbench.pictures.lettering import fitting_size, text_width, write_text
 from workbench.pictures.overlay import INK, PAPER, SHIFT
-from workbench.rendering import CropCamera, render
+from workbench.rendering import CropCamera, cover_vertices, covered, render
 from workbench.runtime import COMPUTING
 from workbench.tracking.deep_fitter import DeepFitter
+from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solution import DeepSolution
 from workbench.tracking.deep_solver import StageResult
 from workbench.tracking.failures import why_failed
@@ -73,7 +74,7 @@ def stage_strip(
     notes = ["", *(_note(result) for result in solution.results)]
     for (name, parameters, points), note in zip(places, notes, strict=True):
         with COMPUTING:
-            over, share = _face_in_box(scene.model, scene.albedo, camera, parameters, box, side=PANEL)
+            over, share = _face_in_box(scene, camera, parameters, box, side=PANEL)
         drawn = _blended(photo, np.asarray(over), np.asarray(share), FACE_SHARE)
         _draw_pairs(drawn, _in_panel(points, box), None if target is None else _in_panel(target, box))
         if target is not None:
@@ -115,10 +116,10 @@ def heat_map_pair(
     _check(solution, view)
     network, camera = solution.problem.scene.network, solution.views[view]
     look = solution.results[stage].prediction.looks[view]
-    if look is None or not np.any(np.asarray(camera.weights) > 0.0):
+    if look is None or look.heat_maps is None or not np.any(np.asarray(camera.weights) > 0.0):
         raise InputError(
-            f"View {view} was not seen by the network: there are heat maps where it found a face and deep.energy is "
-            '"deep" or "mixed".'
+            f'View {view} has no heat maps: there are some where the network found a face, deep.energy is "deep" or '
+            '"mixed", and deep.network is not dense.'
         )
     target, box = np.asarray(camera.target), crop_of(network, jnp.asarray(camera.target))
     with COMPUTING:
@@ -149,19 +150,26 @@ def heat_map_pair(
 
 @partial(jax.jit, static_argnames=("side",))
 def _face_in_box(
-    model: DeepModel,
-    albedo: Float[jax.Array, "v 3"],
+    scene: DeepScene,
     view: DeepView,
     parameters: FaceParameters,
     box: CropBox,
     side: int,
 ) -> tuple[Float[jax.Array, "s s 3"], Float[jax.Array, "s s"]]:
-    """The face inside of a square of a view's picture, its colours times its coverage, and the coverage."""
+    """The face inside of a square of a view's picture, its colours times its coverage, and the coverage.
+
+    What hides the face is left out: there the photo stays.
+    """
+    camera = CropCamera(view.camera, box, jnp.float32(side))
     seen = render(
-        view_vertices(model, view, parameters), model.render.topology, CropCamera(view.camera, box, jnp.float32(side)),
-        albedo, view.light, jnp.zeros(3), size=(side, side), samples=SAMPLES,
+        view_vertices(scene.model, view, parameters), scene.model.render.topology, camera, scene.albedo, view.light,
+        jnp.zeros(3), size=(side, side), samples=SAMPLES,
     )  # fmt: skip
-    return seen.color, seen.coverage
+    if scene.cover is None:
+        return seen.color, seen.coverage
+    worn = in_view(cover_vertices(scene.cover, scene.model.render, parameters), view)
+    _, hidden = covered(seen, scene.cover, worn, camera, view.light, size=(side, side))
+    return seen.color * ~hidden[..., None], seen.coverage * ~hidden
 
 
 def _check(solution: DeepSolution, view: int) -> None:

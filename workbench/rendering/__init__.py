@@ -2,10 +2,19 @@
 
 from workbench.rendering.appearance import Appearance as Appearance
 from workbench.rendering.appearance import estimate_appearance as estimate_appearance
+from workbench.rendering.appearance import known_appearance as known_appearance
 from workbench.rendering.appearance import load_appearance as load_appearance
 from workbench.rendering.camera import CropCamera as CropCamera
 from workbench.rendering.camera import OrthographicCamera as OrthographicCamera
 from workbench.rendering.camera import orthographic_camera as orthographic_camera
+from workbench.rendering.character import CharacterLook as CharacterLook
+from workbench.rendering.character import Cover as Cover
+from workbench.rendering.character import character_look as character_look
+from workbench.rendering.character import cover_vertices as cover_vertices
+from workbench.rendering.character import covered as covered
+from workbench.rendering.character import hidden_pixels as hidden_pixels
+from workbench.rendering.character import plain_look as plain_look
+from workbench.rendering.character import vertex_colors as vertex_colors
 from workbench.rendering.head import RenderModel as RenderModel
 from workbench.rendering.head import face_vertices as face_vertices
 from workbench.rendering.head import model_at as model_at

@@ -76,6 +76,27 @@ class Appearance:
             )
 
 
+def known_appearance(
+    picture: UInt8[np.ndarray, "..."] | Float[np.ndarray, "..."],
+    model: FaceModel,
+    vertices_camera: Float[np.ndarray, "v 3"],
+    camera: AnyCamera,
+    albedo: Float[np.ndarray, "v 3"],
+    hidden: Bool[np.ndarray, "h w"] | None = None,
+) -> Appearance:
+    """The light of the face in a picture, its albedo known; the rest as in `estimate_appearance`.
+
+    Pixels that something else hides, as hair, do not count.
+    """
+    view = _view(_unit_picture(picture), model, np.asarray(vertices_camera), camera)
+    pixels = _face_pixels(view, model, hidden)
+    light, shade = _solve_light(pixels, albedo)
+    difference = (pixels.corners @ albedo) * shade - pixels.colors
+    residual = float(np.sqrt((difference**2).mean()))
+    seen = pixels.corners.T @ np.ones(len(pixels.colors))
+    return Appearance(albedo.astype(np.float32), light.astype(np.float32), seen.astype(np.float32), residual)
+
+
 def load_appearance(path: str | Path, model: FaceModel) -> Appearance:
     """An appearance that `Appearance.save` wrote.
 
@@ -185,12 +206,14 @@ def _view(colors: np.ndarray, model: FaceModel, vertices: np.ndarray, camera: An
     return _View(colors, np.asarray(rendering.triangle), normals, np.asarray(rendering.barycentric, float), facing)
 
 
-def _face_pixels(view: _View, model: FaceModel) -> _Pixels:
-    """Pixels that landmarks hold to the face, away from its outline and not too foreshortened."""
+def _face_pixels(view: _View, model: FaceModel, hidden: Bool[np.ndarray, "h w"] | None = None) -> _Pixels:
+    """Pixels that landmarks hold to the face, away from its outline, not too foreshortened and not hidden."""
     ends, chin = model.landmarks.of(model.neutral)[[0, 16], 2].mean(), model.landmarks.of(model.neutral)[8, 1]
     held = (model.neutral[:, 2] < ends) & (model.neutral[:, 1] < chin)
     # Hair may hang over the scalp's border as the background does over the outline.
     inner = (view.triangle >= 0) & ~_shows(view, model, _in_regions(model, ("scalp",)))
+    if hidden is not None:
+        inner &= ~hidden
     mask = _shows(view, model, _in_regions(model, FACE_REGIONS) & held)
     mask &= distance_transform_edt(np.pad(inner, 1))[1:-1, 1:-1] > OUTLINE_SHARE * np.sqrt(mask.sum())
     mask = binary_erosion(mask) & (view.facing > LEAST_FACING)

@@ -42,7 +42,22 @@ def uv_map(model: FaceModel, size: int) -> UVMap:
     """The map of a model's texture of `size` × `size` texels, first row on top. Raises `InputError` without UVs."""
     if len(model.uv) < 2:
         raise InputError(f"The model {model.name} has no texture coordinates; use one that has, as the default head.")
-    corners = (model.uv * [1.0, -1.0] + [0.0, 1.0])[model.triangles_uv] * size - 0.5
+    drawn, barycentric = drawn_triangles(model.uv[model.triangles_uv], size)
+    nearest = tuple(distance_transform_edt(drawn < 0, return_distances=False, return_indices=True))
+    triangle = drawn[nearest]
+    return UVMap(
+        triangle=triangle,
+        barycentric=barycentric[nearest],
+        inside=drawn >= 0,
+        vertices=model.triangles[triangle].astype(np.int64),
+    )
+
+
+def drawn_triangles(
+    uv: Float[np.ndarray, "t 3 2"], size: int
+) -> tuple[Int[np.ndarray, "s s"], Float[np.ndarray, "s s 3"]]:
+    """Which triangle covers each texel's centre, the last of several, and where in it; −1 and zeros beside them all."""
+    corners = (uv * [1.0, -1.0] + [0.0, 1.0]) * size - 0.5
     drawn, barycentric = np.full((size, size), -1, np.int64), np.zeros((size, size, 3))
     first = np.clip(np.ceil(corners.min(axis=1)), 0, size).astype(int)
     last = np.clip(np.floor(corners.max(axis=1)) + 1, 0, size).astype(int)
@@ -52,14 +67,7 @@ def uv_map(model: FaceModel, size: int) -> UVMap:
         within = (shares >= -ROUNDING).all(axis=-1)
         drawn[top:bottom, left:right][within] = number
         barycentric[top:bottom, left:right][within] = shares[within]
-    nearest = tuple(distance_transform_edt(drawn < 0, return_distances=False, return_indices=True))
-    triangle = drawn[nearest]
-    return UVMap(
-        triangle=triangle,
-        barycentric=barycentric[nearest],
-        inside=drawn >= 0,
-        vertices=model.triangles[triangle].astype(np.int64),
-    )
+    return drawn, barycentric
 
 
 def _barycentric(corners: Float[np.ndarray, "3 2"], points: Float[np.ndarray, "h w 2"]) -> Float[np.ndarray, "h w 3"]:

@@ -28,9 +28,13 @@ def frame_key(config: Config) -> str:
 
 
 def _unread(config: Config) -> set[str]:
-    """Sections that a single frame's fit does not depend on; on flow it does where a stage names a term of it."""
+    """Sections that a single frame's fit does not depend on.
+
+    On flow it does where a stage names a term of it, and on the head where renders show the character.
+    """
     of_flow = any(TABLE[name].compares_pictures or TABLE[name].key.startswith("flow.") for name in config.summed_terms)
-    return {"preset", "provenance", "head", *TIME_SECTIONS} - ({"flow"} if of_flow else set())
+    unread = {"preset", "provenance", "head", *TIME_SECTIONS} - ({"flow"} if of_flow else set())
+    return unread - ({"head"} if config.renders_character else set())
 
 
 def stale_frames(fitted: Config, config: Config, shots: Sequence[range]) -> Bool[np.ndarray, "n"]:

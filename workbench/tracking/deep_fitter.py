@@ -9,41 +9,48 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial.transform import Rotation
 
 from workbench.energies import TermContext
 from workbench.energies.deep import DeepView, deep_model
 from workbench.energies.flow_link import FlowLink
-from workbench.errors import InputError
+from workbench.errors import ModelError
 from workbench.face import (
     FaceModel,
     FaceParameters,
     free_parameters,
     keeps_the_mouth_shut,
+    load_default_head,
     parameter_range,
     seen_shapes,
 )
-from workbench.geometry import Camera, yaw_pitch_roll_deg
-from workbench.rendering import Appearance, estimate_appearance
+from workbench.geometry import Camera
+from workbench.rendering import Appearance
+from workbench.tracking.deep_appearance import most_neutral_appearance
 from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solution import DeepProblem, DeepSolution, record_of
 from workbench.tracking.deep_solver import StageProblem, solve_stage
 from workbench.tracking.deep_target import energy_network
-from workbench.tracking.deep_views import FAR_MM, eyes_per_box, light_of, recorded_camera, views_of, weighed
+from workbench.tracking.deep_views import FAR_MM, eyes_per_box, holding, light_of, recorded_camera, views_of, weighed
 from workbench.tracking.face_it_fitter import FaceItFitter
-from workbench.tracking.fitting import Calibrated, Continuation, Fitter, FrameContext, StageTrace, continued
+from workbench.tracking.fitting import (
+    Calibrated,
+    Continuation,
+    Fitter,
+    FrameContext,
+    StageTrace,
+    check_scheme,
+    continued,
+)
 from workbench.tracking.flow_term import FlowTerm, flow_term
 from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
 from workbench.tracking.point_links import flow_views
 from workbench.tracking.records import FrameFit
 from workbench.tracking.unwatched import never
-
-NEUTRAL_YAW_DEG = 25.0
-"""For choosing the appearance frame, a blendshape weight of 1 counts as much as this yaw."""
 
 
 class DeepFitter(Fitter):
@@ -60,8 +67,10 @@ class DeepFitter(Fitter):
         self.configure(plan)
 
     def configure(self, plan: Plan) -> None:
-        """Use another plan from now on. Raises `InputError` for an unusable network file."""
+        """Use another plan from now on. Raises `InputError` for an unusable network, `ModelError` for the model."""
+        _check_look(self.model, plan)
         self.plan, self.rig = plan, plan.camera.rig
+        self._look = jax.tree.map(jnp.asarray, plan.look)
         self._network = energy_network(plan.deep.network)
         self._eyes = eyes_per_box(self.model, self._network)
         self._flow = flow_term(self.model, plan, self._flow, self._deep_model.render)
@@ -76,7 +85,7 @@ class DeepFitter(Fitter):
     @property
     def calibrates(self) -> bool:
         """Whether a shot is calibrated before its frames are fitted: its identity, its appearance, or both."""
-        return self.plan.identity.calibrate or self.plan.deep.appearance == "estimate"
+        return self.plan.identity.calibrate or self.plan.deep.appearance != "model"
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """The camera of the reference view; for an orthographic view, an equivalent distant camera."""
@@ -111,18 +120,13 @@ class DeepFitter(Fitter):
         if self.plan.deep.appearance == "model" or not pictured:
             return None
         fits = [self._points.fit(item, FrameContext(0, identity, None, None))[0] for item in pictured]
-        best = min(range(len(fits)), key=lambda k: _unfitness(fits[k]))
-        person, fit = self.model.personal(identity), fits[best]
-        vertices = person.vertices(fit.expression)
-        from_head = Rotation.from_rotvec(np.array(fit.rotation)).apply(vertices) + fit.translation
-        try:
-            return estimate_appearance(pictured[best].picture, person, from_head, fit.camera)
-        except InputError:
-            return None  # the face is too small: use the model's own colours
+        person, head = self.model.personal(identity), self._deep_model.render
+        return most_neutral_appearance([item.picture for item in pictured], fits, person, head, self._look)
 
     def problem(self, observation: FrameObservation, context: FrameContext) -> DeepProblem:
         """The solver's input for a frame: views, colours, start and stages."""
         problem = DeepProblem(observation, context, self.plan.running(start=True))
+        check_scheme(observation, self.model)
         if not observation.faces:
             return problem
         start = self._start(observation, context)
@@ -140,7 +144,7 @@ class DeepFitter(Fitter):
         parameters = problem.start
         for stage in problem.stages if problem.views else ():
             began = time.perf_counter()
-            views = weighed(problem.views, stage)
+            views = holding(weighed(problem.views, stage), problem.scene, parameters)
             result = solve_stage(self._stage_problem(problem, views, stage), parameters, cancelled)
             parameters = result.parameters
             results.append(result)
@@ -166,8 +170,10 @@ class DeepFitter(Fitter):
 
     def scene(self, appearance: Appearance | None) -> DeepScene:
         """Network, model and colours of a shot."""
-        albedo = self._deep_model.render.colors if appearance is None else jnp.asarray(appearance.albedo, jnp.float32)
         sliding = jnp.asarray(float(self.plan.sliding))
+        if self._look is not None:
+            return DeepScene(self._network, self._deep_model, self._look.texture, sliding, self._look.cover)
+        albedo = self._deep_model.render.colors if appearance is None else jnp.asarray(appearance.albedo, jnp.float32)
         return DeepScene(self._network, self._deep_model, albedo, sliding)
 
     def views(
@@ -272,6 +278,14 @@ class DeepFitter(Fitter):
         )
 
 
+def _check_look(model: FaceModel, plan: Plan) -> None:
+    """Raise `ModelError` where renders are to show a character on another model."""
+    if plan.look is not None and model.name != load_default_head().name:
+        raise ModelError(
+            f"Characters are for the default head, this is the model {model.name}; choose another deep.appearance."
+        )
+
+
 def _warn_of_a_shut_mouth(model: FaceModel, plan: Plan) -> None:
     """Warn where stages free the first components of a basis, and nothing that any stage frees opens the mouth."""
     stages = [stage for stage in plan.stages if stage.enabled]
@@ -289,8 +303,3 @@ def _warn_of_a_shut_mouth(model: FaceModel, plan: Plan) -> None:
             "workbench.face.principal_expressions makes one.",
             stacklevel=3,
         )
-
-
-def _unfitness(fit: FrameFit) -> float:
-    yaw, pitch, _ = yaw_pitch_roll_deg(fit.rotation)
-    return float((abs(yaw) + abs(pitch)) / NEUTRAL_YAW_DEG + np.abs(fit.expression).sum() + fit.errors[1] / 5.0)

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from workbench.energies import EnergyConstants
 from workbench.geometry import Camera, Rig, camera_from_fov, camera_from_matrix
 from workbench.landmarks.observations import Landmarks2D
+from workbench.rendering import CharacterLook
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,7 @@ class DeepPlan:
     distance_mm: float
     appearance: str
     network: str
-    """Weights file of N; empty: the bundled one."""
+    """N: heat-maps, dense, or a weights file."""
     tolerance: float
     largest_error: float
     largest_disagreement: float
@@ -159,6 +160,8 @@ class Plan:
     flow: FlowPlan
     infill: InfillPlan
     refinement: RefinementPlan
+    look: CharacterLook | None = None
+    """How renders show the face; None: in one colour per vertex, and nothing before it."""
     by_points: "Plan | None" = None
     """The FACE IT! plan that gives Deep Energies its identity, appearance and first pose."""
 
