@@ -70,7 +70,7 @@ class Fits:
         self._halves = [jax.tree.map(lambda leaf, at=at: leaf[at], frames) for at in (slice(half), slice(half, None))]
 
         def solve(frame):
-            stages = (first.camera_on_device, first.person, first.settings, first.program)
+            stages = (first.camera, first.person, first.settings, first.program)
             return run_stages(*stages, frame, terms=plan.terms).report
 
         self._side_by_side = jax.jit(jax.vmap(solve), compiler_options=ONE_THREAD)

@@ -20,6 +20,8 @@ from urllib.parse import urlparse
 import cv2
 import numpy as np
 
+from workbench.cli.servers import PROMPT
+
 ROOT = Path(__file__).resolve().parent.parent
 CHROMIUM = os.environ.get("WORKBENCH_CHROMIUM", "/usr/bin/chromium")
 FLAGS = [
@@ -132,8 +134,11 @@ class LabServer:
 
 
 @contextmanager
-def lab_server(folder: Path, settings: Path) -> Iterator[LabServer]:
-    """JupyterLab with a token on a free port, its root in `folder`, its settings apart from the user's."""
+def lab_server(folder: Path, settings: Path, prompt: bool = True) -> Iterator[LabServer]:
+    """JupyterLab with a token on a free port, its root in `folder`, its settings apart from the user's.
+
+    `prompt`: it hands messages on at once, as that of `workbench lab` does.
+    """
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -154,6 +159,7 @@ def lab_server(folder: Path, settings: Path) -> Iterator[LabServer]:
         *(sys.executable, "-m", "jupyterlab", "--no-browser", "--ip=127.0.0.1", f"--port={port}"),
         *(f"--IdentityProvider.token={token}", f"--ServerApp.root_dir={folder}", "--ServerApp.port_retries=0"),
         *("--LabApp.expose_app_in_browser=True", f"--LabApp.app_settings_dir={overrides}", "--allow-root"),
+        *([f"--ServerApp.kernel_websocket_connection_class={PROMPT}"] if prompt else []),
     ]
     with (settings / "server.log").open("wb") as log:
         process = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=subprocess.STDOUT)

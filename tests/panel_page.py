@@ -49,14 +49,17 @@ def write_notebook(path: Path, cells: Sequence[str]) -> None:
 
 
 @contextmanager
-def notebook_page(name: str, cells: Sequence[str]) -> Iterator[browser.LabPage]:
-    """A page at 1366×768 of a JupyterLab of its own, beside a notebook of these cells that is not open yet."""
+def notebook_page(name: str, cells: Sequence[str], prompt: bool = True) -> Iterator[browser.LabPage]:
+    """A page at 1366×768 of a JupyterLab of its own, beside a notebook of these cells that is not open yet.
+
+    `prompt` is as for `browser.lab_server`.
+    """
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         (folder / "notebooks").mkdir()
         write_notebook(folder / "notebooks" / name, cells)
         with (
-            browser.lab_server(folder / "notebooks", folder / "settings") as server,
+            browser.lab_server(folder / "notebooks", folder / "settings", prompt) as server,
             browser.lab_page(server, folder / "profile") as page,
         ):
             page.page.set_viewport_size({"width": 1366, "height": 768})

@@ -14,10 +14,12 @@ import urllib.parse
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock, call
 
 import nbformat
 import psutil
 import pytest
+from traitlets import import_item
 
 from tests import browser
 from workbench.cli import servers
@@ -195,6 +197,22 @@ def test_the_app_is_for_this_machine_and_its_token_is_on_no_command_line(noteboo
     assert environment["JUPYTER_TOKEN"] == "secret"
     assert environment["JUPYTER_PATH"].split(os.pathsep) == [str(servers.APP_PAGE), "/elsewhere"]
     assert not any("secret" in word for word in servers.app_command(notebook, 8866))
+
+
+def test_both_servers_hand_a_kernels_messages_on_at_once(notebook, run, monkeypatch):
+    channels = pytest.importorskip("jupyter_server.services.kernels.connection.channels")
+    said = [servers.app_command(notebook, 8866)]
+    monkeypatch.setattr(servers, "serve", lambda command, *_: said.append(command) or 0)
+    assert run("lab", "--no-browser")[0] == 0
+    for app, command in zip(("Voila", "ServerApp"), said, strict=True):
+        assert f"--{app}.kernel_websocket_connection_class={servers.PROMPT}" in command
+
+    from jupyter_server.services.kernels.websocket import KernelWebsocketHandler  # here: it comes with the extra lab
+
+    prompt, handler = import_item(servers.PROMPT), Mock(KernelWebsocketHandler)
+    monkeypatch.setattr(channels.ZMQChannelsWebsocketConnection, "connect", lambda connection: "connected")
+    assert prompt(websocket_handler=handler).connect() == "connected"
+    assert handler.method_calls == [call.set_nodelay(True)]
 
 
 def test_a_browser_is_opened_with_the_token_where_there_is_one(notebook, run, monkeypatch):

@@ -185,7 +185,7 @@ def test_a_slider_is_answered_by_one_message_for_the_head_and_one_for_the_pictur
     control = panel.controls.by_path["weights.sigma_smooth"]
     control.input.value += 4 * control.input.step
     panel.wait_idle()
-    (slider, *_), head, picture, *rest = told
+    (slider, *_), picture, head, *rest = told
     assert slider is control.input
     assert head == (panel.head.view.canvas, {"_vertices", "_viewpoint"}, panel.session.model.neutral.size * 4)
     assert picture == (panel.overlay.view, {"_fit", "_fits"}, 68 * 8 * 4)

@@ -21,6 +21,7 @@ from workbench.session.knob_words import WORDS, plain_words
 from workbench.session.knobs import KNOBS
 from workbench.session.performance import performance_commands, performance_track
 from workbench.widgets import TuningPanel, panel_page
+from workbench.widgets.alarms import ALARMS, Alarm, Alarms
 from workbench.widgets.changes_page import change_words, comparison_html
 from workbench.widgets.controls import Controls
 from workbench.widgets.head_column import FACELESS
@@ -417,6 +418,26 @@ def becomes(state, seconds=5.0):
     return bool(state())
 
 
+def test_alarms_come_at_their_time_from_one_thread_and_not_when_cancelled():
+    alarms, came = Alarms(), []
+
+    def call(name):
+        return lambda: came.append((name, threading.current_thread()))
+
+    alarms.after(0.06, call("last"))
+    alarms.after(0.03, lambda: 1 / 0)
+    alarms.after(0.02, call("cancelled")).cancel()
+    alarms.after(0.0, call("first"))
+    alarms.after(0.04, call("second"))
+    assert becomes(lambda: len(came) == 3)
+    names, threads = zip(*came, strict=True)
+    assert names == ("first", "second", "last")
+    assert set(threads) == {alarms._thread}
+    alarms.after(0.0, call("again"))
+    assert becomes(lambda: came[-1] == ("again", alarms._thread))
+    assert alarms._set == []
+
+
 def test_what_is_quick_is_not_mentioned_and_what_is_slow_is_with_its_last_duration():
     waiting = Waiting(patience_s=0.02)
     shown = widgets.HTML()
@@ -435,11 +456,11 @@ def test_what_is_quick_is_not_mentioned_and_what_is_slow_is_with_its_last_durati
 
 def test_what_ends_while_it_begins_to_be_slow_is_not_mentioned_either(monkeypatch):
     waiting, shown, late = Waiting(patience_s=0.0), widgets.HTML(), []
-    monkeypatch.setattr(threading.Timer, "start", lambda timer: late.append(timer))
+    monkeypatch.setattr(ALARMS, "after", lambda _seconds, call: late.append(call) or Alarm(0.0, 0, call))
     with waiting.during("fitting", old=(shown,)):
         pass
-    (timer,) = late
-    timer.function(*timer.args)
+    (begin,) = late
+    begin()
     assert waiting.said.value == ""
     assert OLD not in shown._dom_classes
 

@@ -37,6 +37,8 @@ Voilà sends no token with that request. Its origin is checked all the same. Pro
 minutes.
 """
 LOCALHOST = "127.0.0.1"
+PROMPT = "workbench.widgets.prompt_channels.PromptChannels"
+"""How both servers hand a kernel's messages to the browser: at once. By name, because only they import it."""
 PORTS_TRIED = 50
 
 APP_HELP = """Tune in the browser without seeing code: the workbench as an app, served by Voilà on this machine only.
@@ -67,6 +69,7 @@ def lab(
         f"--LabApp.default_url=/lab/tree/{page}",
         "--no-browser",
         "--ServerApp.port_retries=0",
+        f"--ServerApp.kernel_websocket_connection_class={PROMPT}",
         "--Application.log_level=ERROR",
     ]
     # Jupyter refuses to start as root, which is who one is in a container.
@@ -111,7 +114,8 @@ def _teller(name: str, address: str, browser: bool) -> Callable[[], None]:
 
 def app_command(notebook: Path, port: int) -> list[str]:
     """The command that serves a notebook as the app; its other settings are in `APP_PAGE`."""
-    return [sys.executable, "-m", "voila", str(notebook), f"--port={port}", f"--Voila.config_file_paths={APP_PAGE}"]
+    settings = [f"--Voila.config_file_paths={APP_PAGE}", f"--Voila.kernel_websocket_connection_class={PROMPT}"]
+    return [sys.executable, "-m", "voila", str(notebook), f"--port={port}", *settings]
 
 
 def write_app_pages(notebooks: Path, folder: Path) -> None:

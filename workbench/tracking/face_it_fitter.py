@@ -65,10 +65,12 @@ class FaceItFitter(Fitter):
         """Use another plan from now on; nothing is recompiled unless another kind of solver is chosen."""
         self.plan = plan
         self._flow = flow_term(self.model, plan, self._flow)
+        # On the host: a compiled program takes such small arrays from there as quickly, and to put them on the device
+        # for each move of a slider takes a quarter as long as a solve.
         self._settings = solve_settings(plan)
-        self._used = plan.point_weights > 0.0
         self._programs = {start: stage_program(plan, start) for start in (True, False)}
-        self._cameras: dict[tuple[int, int], tuple[Camera, Camera]] = {}
+        self._used = plan.point_weights > 0.0
+        self._cameras: dict[tuple[int, int], Camera] = {}
 
     @property
     def links_frames(self) -> bool:
@@ -82,7 +84,9 @@ class FaceItFitter(Fitter):
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """The camera used for pictures of this size."""
-        return self._camera_pair(image_size)[0]
+        if image_size not in self._cameras:
+            self._cameras[image_size] = self.plan.camera.of(image_size)
+        return self._cameras[image_size]
 
     def calibrate(self, observations: Sequence[FrameObservation], frames: int) -> Calibrated:
         """One identity from up to `frames` of these observations of one person, spread over the range of yaws.
@@ -111,7 +115,7 @@ class FaceItFitter(Fitter):
     def problem(self, observation: FrameObservation, context: FrameContext) -> FaceItProblem:
         """The solver's input for a frame: camera, person, stages and start."""
         began = time.perf_counter()
-        camera, camera_on_device = self._camera_pair(observation.image_size)
+        camera = self.camera(observation.image_size)
         problem = FaceItProblem(
             observation, context, began, camera, self._settings, self._programs[context.last is None]
         )
@@ -120,7 +124,7 @@ class FaceItFitter(Fitter):
             return problem
         person = self._personal_of(context.identity)
         frame = self._frame_input(observation, context)._replace(flow=self._flow_link(observation, context, camera))
-        return replace(problem, camera_on_device=camera_on_device, person=person, frame=frame)
+        return replace(problem, person=person, frame=frame)
 
     def solve(
         self, problem: FaceItProblem, traced: bool = False, cancelled: Callable[[], bool] = never
@@ -130,7 +134,7 @@ class FaceItFitter(Fitter):
             return FaceItSolution(problem, None, None, 0.0)
         with COMPUTING:
             found = solve_frame(
-                problem.camera_on_device,
+                problem.camera,
                 problem.person,
                 problem.settings,
                 problem.program,
@@ -181,12 +185,6 @@ class FaceItFitter(Fitter):
         scheme = self.model.scheme
         covariance = np.tile(np.eye(2), (len(scheme), 1, 1)) if scheme.has_covariances else None
         return Landmarks2D(points, np.ones(len(scheme)), image_size, covariance)
-
-    def _camera_pair(self, image_size):
-        if image_size not in self._cameras:
-            camera = self.plan.camera.of(image_size)
-            self._cameras[image_size] = (camera, on_device(camera))
-        return self._cameras[image_size]
 
     def _personal_of(self, identity: Float[np.ndarray, "i"]) -> LandmarkModel:
         # Persons come one after the other, so only the latest is kept on the device.

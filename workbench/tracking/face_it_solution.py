@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -33,7 +32,6 @@ class FaceItProblem(FrameProblem):
     settings: SolveSettings
     program: StageProgram
     """The stages that run."""
-    camera_on_device: Camera | None = None
     person: LandmarkModel | None = None
     frame: FrameInput | None = None
 
@@ -56,9 +54,9 @@ class FaceItSolution(FrameSolution):
 
 
 def solve_settings(plan: Plan) -> SolveSettings:
-    """The settings shared by all stages, as traced values."""
+    """The settings shared by all stages, as traced values; on the host."""
     lower, upper = (0.0, 1.0) if plan.solver.bounded else (-np.inf, np.inf)
-    return on_device(
+    return in_doubles(
         SolveSettings(
             constants=plan.constants,
             lower=lower,
@@ -72,7 +70,7 @@ def solve_settings(plan: Plan) -> SolveSettings:
 
 
 def stage_program(plan: Plan, start: bool) -> StageProgram:
-    """The stages of a first or a later frame as data for `solve_frame`."""
+    """The stages of a first or a later frame as data for `solve_frame`; on the host."""
     chosen = plan.running(start)
     slots = STAGE_SLOTS * -(-len(plan.stages) // STAGE_SLOTS)
     moves, limit = np.zeros((slots, len(BLOCKS)), bool), np.zeros(slots, int)
@@ -80,7 +78,7 @@ def stage_program(plan: Plan, start: bool) -> StageProgram:
     for k, stage in enumerate(chosen):
         moves[k], limit[k] = [name in stage.free for name in BLOCKS], stage.limit
         weights[k], omega[k] = stage.landmark_weights, stage.omega
-    return StageProgram(*(jnp.asarray(part) for part in (moves, limit, weights, omega, len(chosen))))
+    return StageProgram(moves, limit, weights, omega, np.asarray(len(chosen)))
 
 
 def traces_of(solution: FaceItSolution, plan: Plan) -> tuple[StageTrace, ...]:
@@ -107,7 +105,7 @@ def cut_off(solution: FaceItSolution, steps: int) -> StageProgram:
     program = solution.problem.program
     limit = np.array(program.limit)
     limit[: len(limits)] = limits
-    return program._replace(limit=jnp.asarray(limit), count=jnp.asarray(len(limits)))
+    return program._replace(limit=limit, count=np.asarray(len(limits)))
 
 
 def record_of(solution: FaceItSolution, plan: Plan) -> FrameFit:
@@ -177,6 +175,11 @@ def _missing(*shape: int) -> Float[np.ndarray, "..."]:
     return np.full(shape, np.nan)
 
 
+def in_doubles(tree):
+    """A tree of numbers as NumPy arrays in double precision."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf, float), tree)
+
+
 def on_device(tree):
     """A tree of numbers as JAX arrays in double precision."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
+    return jax.device_put(in_doubles(tree))

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -86,19 +86,7 @@ class TuningPanel(LateParts):
     def wait_idle(self, timeout_s: float | int = 60.0) -> bool:
         """Wait until everything requested is shown; False if that takes longer."""
         self._make()
-        ends = time.monotonic() + timeout_s
-
-        def idle(worker: Any) -> bool:
-            return bool(worker.wait_idle(max(ends - time.monotonic(), 0.0)))
-
-        # A fit requests layers and colours, and finished colours request that the fit is shown again.
-        while idle(self._worker):
-            shown = self._worker.started
-            if not all(map(idle, self._workers)):
-                return False
-            if idle(self._worker) and self._worker.started == shown:
-                return True
-        return False
+        return all_idle(self._worker, self._workers, timeout_s)
 
     # --- parts ---
 
@@ -247,8 +235,8 @@ class TuningPanel(LateParts):
 
     def _show(self, fit: "workbench.tracking.FrameFit") -> None:
         self.fit, self._iterations.found = fit, fit.found
-        self.head.show(fit)  # first, because it takes longer to draw
         self.overlay.show(fit, self.time.note_of(fit))
+        self.head.show(fit)  # last, because the page may have to wait while the device draws it
 
     def _redraw(self) -> None:
         if self.fit is not None:
@@ -262,6 +250,23 @@ class TuningPanel(LateParts):
         self._catch_up()
         self._clip_bar.hide_progress()
         self.status.failed(error)
+
+
+def all_idle(fits: LatestWins[Show], others: Sequence[Any], timeout_s: float | int) -> bool:
+    """Wait until a panel's worker for fits and what it requests of the others is done; False if that takes longer."""
+    ends = time.monotonic() + timeout_s
+
+    def idle(worker: Any) -> bool:
+        return bool(worker.wait_idle(max(ends - time.monotonic(), 0.0)))
+
+    # A fit requests layers and colours, and finished colours request that the fit is shown again.
+    while idle(fits):
+        shown = fits.started
+        if not all(map(idle, others)):
+            return False
+        if idle(fits) and fits.started == shown:
+            return True
+    return False
 
 
 def show_session(panel: TuningPanel, held: str = "") -> None:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import ipywidgets as widgets
 
+from workbench.widgets.alarms import ALARMS
 from workbench.widgets.controls import small_button
 
 PATIENCE_S = 0.3
@@ -108,13 +109,11 @@ class Waiting(widgets.HBox):
         with self._lock:
             self._number += 1
             number = self._number
-        timer = threading.Timer(self._patience_s, self._begin, (number, job))
-        timer.daemon = True
-        timer.start()
+        alarm = ALARMS.after(self._patience_s, lambda: self._begin(number, job))
         try:
             yield job
         finally:
-            timer.cancel()
+            alarm.cancel()
             if not job.cancelled():
                 self._took[kind] = job.seconds
             self._end(number, job)
