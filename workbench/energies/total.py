@@ -139,7 +139,10 @@ def normal_system(
             values, slopes = (root * part for part in of(term, problem, parameters, free))
             gradient, matrix = gradient + values @ slopes, matrix + slopes.T @ slopes
         others = others + jnp.sum(values**2)
-    return DenseSystem(cost + others, gradient, matrix + jnp.diag(diagonal))
+    at = jnp.arange(len(gradient))
+    # Not as a matrix: a sum of matrices would compute the diagonal again for each of its entries.
+    matrix = matrix.at[at, at].add(diagonal, indices_are_sorted=True, unique_indices=True)
+    return DenseSystem(cost + others, gradient, matrix)
 
 
 def depends_on(term: Term, free: tuple[str, ...]) -> bool:
