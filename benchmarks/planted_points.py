@@ -1,7 +1,7 @@
 """What a clip learns of ten landmarks that were planted wrong: their factors as a part of the others'.
 
 Each of the ten is moved by 6 % of the outer-eye distance in all frames of the sample clip, every one another way.
-Nothing but the clip's own landmarks says so: point weights are learned so that fits predict landmarks that they have not seen.
+Nothing but the clip's own landmarks says so: point weights are learned so that fits predict unseen ones.
 """
 
 import argparse
