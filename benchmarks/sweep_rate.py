@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from result import print_result
-from sweep_scaling import processor_seconds
+from sweep_scaling import processor_seconds, warm_up
 
 from workbench.config import preset
 from workbench.face import load_default_head
@@ -40,8 +40,7 @@ def main() -> None:
     workers = workers_for(2, kind="pool")
     try:
         with tempfile.TemporaryDirectory() as folder:
-            # Enough tasks that both processes load and compile first.
-            run_sweep(swept("1e-4,1e-3", 16), Path(folder) / "warm", workers)
+            warm_up(workers, lambda k: run_sweep(swept(f"{k + 1}e-4,1", 16), Path(folder) / f"warm{k}", workers))
             before = processor_seconds()
             both, _ = spent(lambda: run_sweep(swept("1e-3,10", SETTINGS), Path(folder) / "sweep", workers))
             busy = [seconds - before.get(process, 0.0) for process, seconds in processor_seconds().items()]

@@ -7,6 +7,7 @@ workers' processors were busy: where other work takes the cores, only that says 
 import argparse
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -17,9 +18,11 @@ from workbench.config import preset
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.samples import sample
 from workbench.sweeps import Sweep, read_axis, run_sweep, sources_of
-from workbench.workers import Pool, workers_for
+from workbench.workers import Pool, Workers, workers_for
 
 CLIPS, FRAMES, SETTINGS = 40, 48, 12
+MOST_ROUNDS, LEAST_S = 20, 0.1
+"""To warm up; processor time of a worker that has done a task."""
 
 
 def main() -> None:
@@ -65,7 +68,7 @@ def measured(clips: list[str], count: int, backend: str, folder: Path) -> tuple[
     workers = workers_for(count, kind=backend) if backend == "dask" else Pool(count)  # a pool even of one
     try:
         warm = Sweep(sources_of(clips[: 4 * count]), axes, base, objectives=("error",))
-        run_sweep(warm, folder / f"warm{count}", workers)
+        warm_up(workers, lambda k: run_sweep(warm, folder / f"warm{count}-{k}", workers))
         before = processor_seconds()
         began = time.perf_counter()
         run_sweep(Sweep(sources_of(clips), axes, base, objectives=("error", "jitter")), folder / f"run{count}", workers)
@@ -74,6 +77,19 @@ def measured(clips: list[str], count: int, backend: str, folder: Path) -> tuple[
     finally:
         workers.close()
     return seconds, sorted(after[pid] - before.get(pid, 0.0) for pid in after)[-count:]
+
+
+def warm_up(workers: Workers, work: Callable[[int], object]) -> None:
+    """Do work until every worker has had some of it twice: it loads and compiles in its first task."""
+    times = dict.fromkeys(range(workers.count), 0)
+    for k in range(MOST_ROUNDS):
+        before = processor_seconds()
+        work(k)
+        busy = sorted(seconds - before.get(process, 0.0) for process, seconds in processor_seconds().items())
+        times = {n: times[n] + (spent > LEAST_S) for n, spent in enumerate(busy[-workers.count :])}
+        if min(times.values()) >= 2:
+            return
+    raise SystemExit(f"After {MOST_ROUNDS} rounds some of {workers.count} workers have not worked twice.")
 
 
 def processor_seconds() -> dict[int, float]:

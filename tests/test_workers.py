@@ -55,6 +55,13 @@ def test_a_process_is_born_with_one_thread_for_blas_and_one_for_xla(monkeypatch,
     pool.close()
 
 
+def test_the_processes_of_a_pool_start_together_even_for_one_task():
+    before, pool = children(), Pool(2)
+    assert dict(pool.results([Harmless(0)])) == {0: 0}
+    assert len(children() - before) == 2
+    pool.close()
+
+
 def test_a_clip_that_ends_its_process_is_told_and_the_rest_goes_on(workers):
     results = dict(workers.results([Harmless(0), Deadly(), *(Harmless(k) for k in range(2, 12))]))
     assert [results[k] for k in (0, *range(2, 12))] == [0, *range(2, 12)]

@@ -68,6 +68,10 @@ class Pool:
             # Spawned: a forked child of a process that runs JAX's threads hangs.
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(self._do,))
+            with starting_on_one_core():
+                # It starts a process where none is idle; those of later tasks would load only when the first are done.
+                for _ in range(self.count):
+                    self._pool.submit(int)
         waiting, rest = {}, iter([(number, left[number]) for number in unsuspected or left])
         while True:
             # No more are handed out than there are processes, so that those that are out are those being done.
