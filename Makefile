@@ -24,7 +24,7 @@ help:
 	@echo "make demo   track the bundled portrait and clip into $(OUT)/, no browser needed"
 	@echo "make test   lint and run all tests but for the notebooks and those of test-long and test-train"
 	@echo "make test-fast   without the long tests and those in a browser"
-	@echo "make test-long   tests that take renders through flow networks, or kill worker processes"
+	@echo "make test-long   tests that take renders through networks, differentiate fits, or kill processes"
 	@echo "make notebooks   run every notebook from top to bottom"
 	@echo "make test-train  the tests of training and of PyTorch's models; installs PyTorch"
 	@echo "make docs   the documentation as pages, in docs/_build/html; runs the notebooks"

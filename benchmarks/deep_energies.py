@@ -1,7 +1,8 @@
 """Deep Energies on photos whose truth is known (`deep_scenes.py`): does it converge, how exactly, how long it takes.
 
-Tables: `convergence` from a frontal start, `energies` (network against preselected points), `jaw` stages,
-`derivatives`, `stereo` against one camera, `orthographic` (Appendix C.2). Each prints its own line.
+Tables: `convergence` from a frontal start, `energies` (network against preselected points), `networks` (heat maps or
+dense), `jaw` stages, `derivatives`, `stereo` against one camera, `orthographic` (Appendix C.2). Each prints its own
+line.
 """
 
 import argparse
@@ -9,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +30,13 @@ from deep_scenes import (
 from result import print_result
 
 from workbench.config import Config, preset
-from workbench.face import FaceParameters, load_default_head
+from workbench.face import FaceParameters, in_scheme, load_default_head
 from workbench.geometry import write_rig
+from workbench.landmarks.schemes import DENSE
 from workbench.planning import plan_of
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_solution import DeepSolution
+from workbench.tracking.deep_target import energy_network, network_scheme, photo_landmarks
 
 CONVERGED_DEG, CONVERGED_DEPTH = 3.0, 0.05
 """A frame has converged within these errors of rotation and, as a share, of depth."""
@@ -59,12 +63,16 @@ class Bench:
 
     def solve(self, config: Config, count: int, name: str, views: int = 1, identity: bool = True, **how) -> list[Row]:
         """A row of errors for every frame; frames without a detection have `found` False."""
-        fitter, rows = DeepFitter(self.scenes.head, plan_of(config)), []
+        scheme, rows = network_scheme(config.deep.network), []
+        fitter = DeepFitter(in_scheme(self.scenes.head, scheme), plan_of(config, scheme))
         for k, truth in enumerate(self.truths(count, **how)):
             if truth.landmarks[0] is None:
                 rows.append({"found": False})
                 continue
             observation = truth.observation(k, views)
+            if scheme is DENSE:
+                seen = photo_landmarks(energy_network(config.deep.network), truth.pictures[0], truth.landmarks[0])
+                observation = replace(observation, landmarks=seen)
             context = truth.context(None if identity else fitter.mean_identity())
             if not rows:
                 fitter.solve(fitter.problem(observation, context))  # compiles
@@ -118,6 +126,21 @@ def energies(bench: Bench) -> None:
         goal="<= 1.0",
         against="preselected points on the same frames",
         details={energy: _accuracy(rows) for energy, rows in tables.items()} | {"frames": bench.frames},
+    )
+
+
+def networks(bench: Bench) -> None:
+    """The same frames with the heat maps as N and with the dense network."""
+    tables = {name: bench.solve(_config(deep={"network": name}), bench.frames, name) for name in ("heat-maps", "dense")}
+    both = {name: [row for row in rows if row["found"]] for name, rows in tables.items()}
+    print_result(
+        "deep_energies_networks",
+        value=_mean(both["dense"], "rotation_deg") / _mean(both["heat-maps"], "rotation_deg"),
+        unit="× the rotation error",
+        goal="<= 1.0",
+        against="the heat maps of 68 points on the same frames",
+        details={name: _accuracy(rows) | _timing(rows, stages=False) for name, rows in both.items()}
+        | {"frames": bench.frames},
     )
 
 
@@ -214,6 +237,7 @@ def orthographic(bench: Bench) -> None:
 TABLES = {
     "convergence": convergence,
     "energies": energies,
+    "networks": networks,
     "jaw": jaw,
     "derivatives": derivatives,
     "stereo": stereo,
@@ -255,7 +279,7 @@ def _row(solution: DeepSolution, truth: DeepTruth, names: tuple[str, ...]) -> Ro
         )
         seconds[stage.name] = spent
     mouth = [k for k, name in enumerate(names) if name.startswith("mouth")]
-    weights = (np.asarray(found.expression) - np.asarray(true.expression))[mouth]
+    weights = np.asarray(found.expression)[mouth] - np.asarray(true.expression)[mouth]
     return {
         "found": True,
         "rotation_deg": rotation_error_deg(found.rotation, true.rotation),

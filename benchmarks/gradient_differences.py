@@ -14,7 +14,7 @@ import numpy as np
 from result import print_result
 
 from workbench.config import preset
-from workbench.energies import normal_system
+from workbench.energies import residuals
 from workbench.face import load_default_head, unpack
 from workbench.learning import implicit
 from workbench.planning import plan_of
@@ -120,8 +120,13 @@ def derivatives_of(plan, stage, used):
 
         moves, kinks = jax.lax.map(difference, STEP * jnp.eye(len(none)))
         turned = jax.jacfwd(slope)(none, x, seen)
-        normal = 2.0 * normal_system(problem_of(none, seen), middle, BLOCKS, plan.terms).matrix
-        gauss = solved(normal, fixed, -turned)
+
+        def all_residuals(x):
+            parts = residuals(problem_of(none, seen), unpack(x, start, BLOCKS), BLOCKS, plan.terms)
+            return jnp.concatenate(list(parts.values()))
+
+        jacobian = jax.jacfwd(all_residuals)(x)
+        gauss = solved(2.0 * jacobian.T @ jacobian, fixed, -turned)
         return jax.jacfwd(fit)(none, middle), moves.T, gauss, kinks, fixed
 
     return derivatives

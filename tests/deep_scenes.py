@@ -1,6 +1,6 @@
 """Truth for Deep Energies: what the network sees in the model's own render, so that a perfect solve leaves nothing."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -11,14 +11,16 @@ from workbench.config import Config, Stage, preset
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import axis_angle_from_yaw_pitch_roll
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import LandmarkScheme
 from workbench.planning import plan_of
 from workbench.tracking import FrameContext, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_solver import predict
+from workbench.tracking.deep_target import LOOKS
+from workbench.tracking.deep_views import holding
 
 IMAGE_SIZE = (720, 540)
 FOV_DEG = 40.0
-BLANK = Landmarks2D(np.zeros((68, 2)), np.ones(68), IMAGE_SIZE)
 DEEP = preset("deep").changed(camera={"fov_deg": FOV_DEG}, deep={"appearance": "model"})
 POINTS = DEEP.changed(deep={"energy": "points"})
 POSE_ONLY = (Stage(name="pose", free=("rotation", "translation"), limit=20),)
@@ -68,15 +70,27 @@ def make_parameters(
 def make_deep_scene(fitter: DeepFitter, parameters: FaceParameters) -> DeepScene:
     """What the fitter itself would predict of these parameters, by its energy and in all its views, as detections."""
     count = 1 if fitter.rig is None else len(fitter.rig)
-    blank = FrameObservation(0, BLANK, IMAGE_SIZE, others=(BLANK,) * (count - 1))
+    scheme = fitter.model.scheme
+    nowhere = _detected(np.zeros((len(scheme), 2)), scheme)
+    blank = FrameObservation(0, nowhere, IMAGE_SIZE, others=(nowhere,) * (count - 1))
     context = FrameContext(0, np.asarray(parameters.identity), None, None)
-    seen = predict(fitter.scene(None), fitter.views(blank, context), parameters).points
-    return DeepScene(parameters, tuple(Landmarks2D(points, np.ones(68), IMAGE_SIZE) for points in seen))
+    views, scene = fitter.views(blank, context), fitter.scene(None)
+    seen = predict(scene, views, parameters).points
+    for _ in range(LOOKS if views[0].crop is not None else 0):  # a photo's crop lies about what was seen in it
+        observation = replace(blank, landmarks=_detected(seen[0], scheme))
+        seen = predict(scene, holding(fitter.views(observation, context), scene, parameters), parameters).points
+    return DeepScene(parameters, tuple(_detected(points, scheme) for points in seen))
+
+
+def _detected(points: np.ndarray, scheme: LandmarkScheme) -> Landmarks2D:
+    """By a sure detector: where it tells covariances, one of a pixel."""
+    covariance = np.tile(np.eye(2), (len(points), 1, 1)) if scheme.has_covariances else None
+    return Landmarks2D(points, np.ones(len(points)), IMAGE_SIZE, covariance)
 
 
 def fitter_with(fitter: DeepFitter, config: Config) -> DeepFitter:
     """The shared fitter under another configuration."""
-    fitter.configure(plan_of(config))
+    fitter.configure(plan_of(config, fitter.model.scheme))
     return fitter
 
 

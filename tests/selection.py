@@ -30,7 +30,6 @@ SLOW = (
     "test_cli_models.py",
     "test_fuzz.py",
     "test_live_panel.py",
-    "test_learning.py",
     "test_session.py",
     "test_dense_landmarks.py",
     "test_session_temporal.py",
@@ -45,7 +44,6 @@ SLOW = (
     "test_paper_deep_energies.py",
     "test_extras.py",
     "test_track_reader.py",
-    "test_through_time.py",
     "test_front_door.py",
     "test_cli_export.py",
     "test_sweeps.py",
@@ -64,11 +62,14 @@ BROWSER = (
 )
 """Files that need Chromium as a whole."""
 LONG = (
+    "test_learning.py",
     "test_rendered_flow.py",
     "test_sweep_workers.py",
+    "test_through_time.py",
     "test_workers.py",
 )
-"""Files that take renders through flow networks, or kill and restart the processes of pools and clusters."""
+"""Files that take renders through networks, differentiate whole fits, or kill and restart the processes of pools and
+clusters."""
 TRAIN = (
     "test_networks_checkpoints.py",
     "test_networks_fan.py",
@@ -82,7 +83,7 @@ MARKS = {"slow": SLOW, "browser": BROWSER, "long": LONG, "train": TRAIN}
 LEFT_OUT = {
     "slow": "long tests (make test)",
     "browser": "tests in a browser (make test)",
-    "long": "renders through flow networks, and worker processes that are killed (make test-long)",
+    "long": "renders through networks, derivatives of fits, and worker processes that are killed (make test-long)",
     "notebook": "notebooks from top to bottom (make notebooks)",
     "train": "tests of training and of PyTorch's models (make test-train)",
 }

@@ -19,18 +19,22 @@ from workbench.face import (
     character_names,
     dressed_as,
     find_character,
+    in_scheme,
     load_character,
     load_default_head,
     posed_vertices,
 )
 from workbench.face.parts import open_parts
+from workbench.landmarks.schemes import DENSE
 from workbench.pictures import HeadRenderer, gl_available, portrait_view
 from workbench.pictures.extras import NOTHING, Extras
 from workbench.pictures.neck import bent, neck_of
 from workbench.samples import sample
 
 PEOPLE = Path(__file__).parents[1] / "data_samples" / "head" / "people"
-HEAD_ARRAYS = "8fa74dfe6ec70c5c988380b8e420f1dae26015d4562cb4e32c088268a66ec556"
+HEAD_ARRAYS = "5c436c49ef24cbf0e1bf53db2f05d08f3c8a73c38a67998238d3b5e72142fb4d"
+LANDMARK_MOTIONS = "dd80faad7bb4de2cef4794533326ff6d5cfe2247a6ed62799f3bd63323d736d7"
+"""Of the first head, whose smile had a ridge beside the mouth, as well."""
 KINDS = ("tongue", "teeth", "eyes", "corneas", "brows", "lashes")
 
 
@@ -65,6 +69,15 @@ def test_the_heads_geometry_is_the_one_that_tracks_were_made_with():
             digest.update(name.encode() + np.ascontiguousarray(stored[name]).tobytes())
     assert digest.hexdigest() == HEAD_ARRAYS
     assert load_character("mei").model.fingerprint() == load_default_head(gaze=True).fingerprint()
+
+
+def test_landmarks_move_as_they_did_when_a_smile_had_a_ridge():
+    """All that a fit to the 68 points, the jaw's contour or the dense points knows of a head: bit by bit."""
+    model, digest = in_scheme(load_default_head(gaze=True), DENSE), hashlib.sha256()
+    for shapes in (model.neutral, model.expression_deltas, model.identity_deltas):
+        for points in (model.landmarks, model.contour):
+            digest.update(np.ascontiguousarray(points.of(shapes)).tobytes())
+    assert digest.hexdigest() == LANDMARK_MOTIONS
 
 
 def test_there_are_many_and_they_differ():

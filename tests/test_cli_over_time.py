@@ -8,6 +8,7 @@ import pytest
 
 from tests.films import FOV_DEG
 from workbench.config import preset, read_config
+from workbench.face.default_head import EARLIER_EDITIONS
 from workbench.frames import VideoWriter
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
@@ -178,6 +179,16 @@ def test_another_face_model_is_noticed(run, talk):
     code, _, err = run("infill", "talk", *QUICK)
     assert code == 2
     assert "made with the face model 'other head'" in err
+
+
+def test_a_track_of_the_head_as_it_was_goes_on(run, talk):
+    track = Track.load(talk / "track.npz")
+    with_gaze = len(track.expression_names) == 52
+    (sha256,) = (former for former, gaze in EARLIER_EDITIONS.items() if gaze == with_gaze)
+    meta = {**track.meta, "model": {**track.meta["model"], "sha256": sha256}}
+    type(track)(**{**vars(track), "meta": meta}).save(talk / "track.npz")
+    code, _, err = run("infill", "talk", *QUICK)
+    assert code == 0, err
 
 
 def test_unrelated_photos_have_no_neighbours(run, talk, clip):

@@ -271,7 +271,7 @@ FAN = object.__new__(Fan)
 """A 3D-FAN of which only the crop is asked."""
 
 
-@pytest.mark.parametrize("network", [energy_network(""), FAN], ids=["ours", "3D-FAN"])
+@pytest.mark.parametrize("network", [energy_network("heat-maps"), FAN], ids=["ours", "3D-FAN"])
 def test_a_percent_is_one_of_the_models_own_eyes(network, head):
     """As many pixels as ever for the default head and larger ones, more for a face whose eyes are farther apart."""
     neutral = head.landmarks.of(head.neutral)[:, :2]

@@ -263,9 +263,13 @@ class TestWhitening:
         with pytest.raises(InputError, match="frame 0 are the 377 of 'dense', those of the face model the 68"):
             FaceTracker(head, config).push(perfect)
 
-    def test_deep_energies_says_that_it_has_68(self):
-        with pytest.raises(ConfigError, match="at the 68 points of its network, and these landmarks are the 377"):
+    def test_deep_energies_says_how_many_its_network_has(self):
+        with pytest.raises(ConfigError, match=r'at the 68 points of its network.* the 377 .* deep\.network = "dense"'):
             plan_of(preset("deep"), DENSE)
+        with pytest.raises(
+            ConfigError, match=r'at the 377 points of its network.* the 68 .* landmarks\.detector = "dense"'
+        ):
+            plan_of(preset("deep").changed(deep={"network": "dense"}))
 
 
 class TestRecords:

@@ -81,6 +81,7 @@ def test_the_tracking_snippet_runs(tmp_path):
     assert names["smile"][0] > 0.2
 
 
+@pytest.mark.long
 def test_the_deep_energies_snippet_runs():
     text = snippet("stage_strip")
     text = text.replace('"talk.mp4"', f'r"{sample("astronaut")}"').replace("(12)", "(0)")

@@ -271,6 +271,17 @@ def test_a_value_between_two_places_stays_until_the_slider_leaves_its_place():
     assert turned == [pytest.approx(5.62, abs=0.01)]
 
 
+def test_a_choice_shows_the_path_of_a_weights_file_among_its_own():
+    turned = []
+    control = KnobControl(BY_PATH["deep.network"], lambda path, value: turned.append(value))
+    control.show("nets/fan.safetensors")
+    assert control.input.options == ("heat-maps", "dense", "nets/fan.safetensors")
+    assert control.input.value == control.value == "nets/fan.safetensors"
+    assert turned == []
+    control.input.value = "dense"
+    assert turned == ["dense"]
+
+
 def test_a_typed_number_is_taken_as_it_is_and_nonsense_is_put_back():
     turned = []
     control = KnobControl(BY_PATH["weights.tau"], lambda path, value: turned.append(value))

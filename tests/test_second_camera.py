@@ -72,6 +72,7 @@ def test_tuning_takes_it_and_says_what_it_was_tuned_on(given, files, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_gradient_of_what_it_sees_is_followed_and_taken_up_again(given, tmp_path):
     joint, out, base = preset("joint"), tmp_path / "learned.toml", tmp_path / "base.toml"
     # A stage less makes half the program: what is tried here does not depend on it.

@@ -14,7 +14,9 @@ from workbench.face import load_character
 from workbench.face.characters import PLAIN
 from workbench.geometry import read_rig
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.schemes import DENSE
 from workbench.rendering import CharacterLook, character_look, plain_look
+from workbench.tracking.deep_target import network_scheme
 from workbench.tracking.plan import (
     CameraPlan,
     DeepPlan,
@@ -35,12 +37,11 @@ def plan_of(config: Config, scheme: LandmarkScheme = IBUG68) -> Plan:
 
     Raises `InputError` and `ConfigError` for a rig that cannot be used, and for landmarks that the system cannot.
     """
-    if config.traits.renders and scheme is not IBUG68:
-        raise ConfigError(
-            f"Deep Energies compares photo and render at the 68 points of its network, and these landmarks are the "
-            f"{len(scheme)} of {scheme.name!r}; choose a FACE IT! preset, or another landmarks.detector."
-        )
     points = np.array(config.point_weights(scheme))
+    if config.traits.renders:
+        _check_network(config, scheme)
+        # The gaze is held where the model has it: an iris in the photo says nothing about the head.
+        points[list(scheme.groups.get("irises", ()))] = 0.0
     return Plan(
         system=config.system,
         terms=config.terms,
@@ -60,7 +61,7 @@ def plan_of(config: Config, scheme: LandmarkScheme = IBUG68) -> Plan:
         flow=_taken(FlowPlan, config.flow),
         infill=infill_plan(config),
         refinement=refinement_plan(config),
-        by_points=plan_of(_by_points(config)) if config.traits.renders else None,
+        by_points=plan_of(_by_points(config, scheme), scheme) if config.traits.renders else None,
         look=_look(config.head.character) if config.renders_character else None,
     )
 
@@ -125,8 +126,26 @@ def _taken(kind: type[Section], section: Any) -> Section:
     return kind(**{field.name: getattr(section, field.name) for field in fields(kind)})
 
 
-def _by_points(config: Config) -> Config:
+def _check_network(config: Config, scheme: LandmarkScheme) -> None:
+    """Raise `ConfigError` for landmarks that are not what N sees, and for a dense one in a rig."""
+    seen = network_scheme(config.deep.network)
+    if seen is not scheme:
+        other = 'deep.network = "dense"' if scheme is DENSE else 'landmarks.detector = "dense"'
+        raise ConfigError(
+            f"Deep Energies compares photo and render at the {len(seen)} points of its network, and these landmarks "
+            f"are the {len(scheme)} of {scheme.name!r}; set {other}, or choose a FACE IT! preset."
+        )
+    if config.camera.rig and scheme is DENSE:
+        raise ConfigError(
+            'A dense network looks through one camera; set deep.network = "heat-maps" or leave camera.rig empty.'
+        )
+
+
+def _by_points(config: Config, scheme: LandmarkScheme) -> Config:
     """FACE IT!'s configuration for identity and first pose, with this one's camera, landmarks and identity."""
     camera = config.camera.model_copy(update={"projection": "perspective", "rig": ""})
-    kept = {name: getattr(config, name) for name in ("identity", "landmarks", "subsets", "contour")}
-    return preset("joint").model_copy(update={**kept, "camera": camera})
+    base = preset("dense" if scheme is DENSE else "joint")
+    kept = {name: getattr(config, name) for name in ("identity", "subsets", "contour")}
+    weights = {**base.landmarks.weights, **config.landmarks.weights}
+    kept["landmarks"] = config.landmarks.model_copy(update={"weights": weights})
+    return base.model_copy(update={**kept, "camera": camera})

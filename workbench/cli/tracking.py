@@ -67,6 +67,7 @@ DETECTOR_HELP = (
 LANDMARKER_HELP = "MediaPipe's model face_landmarker.task, for --detector mediapipe."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 ENERGY_HELP = "deep (network on the render), points (on the mesh) or mixed."
+NETWORK_HELP = "What looks at photo and render: heat-maps (68 points), dense (377), or a weights file."
 FRAMES_HELP = "Only frames A-B (or one frame); the results are numbered from the part's start."
 WORKERS_HELP = "Processes on this machine that fit frames: a Dask cluster where it is installed, else a pool."
 SCHEDULER_HELP = "Address of a Dask scheduler whose workers fit frames, as tcp://host:8786."
@@ -101,6 +102,7 @@ def track(
     infill: Annotated[str | None, typer.Option(help=INFILL_HELP, rich_help_panel=FIT)] = None,
     refine: Annotated[str | None, typer.Option(help=REFINE_HELP, rich_help_panel=FIT)] = None,
     energy: Annotated[str | None, typer.Option(help=ENERGY_HELP, rich_help_panel=DEEP)] = None,
+    network: Annotated[str | None, typer.Option(help=NETWORK_HELP, rich_help_panel=DEEP)] = None,
     rig: Annotated[Path | None, typer.Option(help=RIG_HELP, rich_help_panel=DEEP)] = None,
     view: Annotated[list[str] | None, typer.Option(help=VIEW_HELP, rich_help_panel=DEEP)] = None,
     workers: Annotated[int, typer.Option(min=1, max=64, help=WORKERS_HELP, rich_help_panel=DEEP)] = 1,
@@ -112,7 +114,7 @@ def track(
     overwrite: Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP, rich_help_panel=RESULTS)] = False,
 ) -> None:
     """Track faces in pictures, a video or landmark files."""
-    settings = _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine)
+    settings = _configuration(config, preset_name, detector, fov, face, identity, energy, network, rig, infill, refine)
     if character is not None:
         settings = settings.changed(head={"character": character})
     if face_landmarker is not None:
@@ -155,7 +157,7 @@ def _next_steps(out: Path, pictures: bool) -> str:
     return escape(f"{look}Why a frame is bad: workbench diagnose {clip}. To tune it in the browser: workbench lab.")
 
 
-def _configuration(config, preset_name, detector, fov, face, identity, energy, rig, infill, refine) -> Config:
+def _configuration(config, preset_name, detector, fov, face, identity, energy, network, rig, infill, refine) -> Config:
     if config is not None and preset_name is not None:
         raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
     base = read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
@@ -168,10 +170,11 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, r
         camera = {"fov_deg": fov, "matrix": None}
     if rig is not None:
         camera["rig"] = str(rig)
-    if energy is not None and not base.traits.reads("deep"):
-        raise ConfigError("--energy belongs to Deep Energies; add --preset deep.")
+    deep = {name: value for name, value in (("energy", energy), ("network", network)) if value is not None}
+    if deep and not base.traits.reads("deep"):
+        raise ConfigError(f"--{next(iter(deep))} belongs to Deep Energies; add --preset deep.")
     changes = {
-        "deep": {} if energy is None else {"energy": energy},
+        "deep": deep,
         "landmarks": landmarks,
         "camera": camera,
         "identity": {} if identity is None else {"calibrate": identity},

@@ -178,7 +178,11 @@ class DeepConfig(Section):
         description="Colours and light: estimated from the most neutral frame; the model's own; or head.character: "
         "its skin as a texture, its hair outside of the face, the light estimated.",
     )
-    network: str = Field("", description="Weights of the landmark network (.safetensors); empty: the bundled one.")
+    network: str = Field(
+        "heat-maps",
+        description="What looks at photo and render: heat-maps (68 points), dense (377, each with its covariance), or "
+        "the weights of a network (.safetensors).",
+    )
     edges: NonNegative = _omega("edges")
     regularisation: NonNegative = _omega("regularisation")
     lambda_reading: Literal["energy", "residual"] = Field(
@@ -196,6 +200,12 @@ class DeepConfig(Section):
         12.0,
         description="A fit has failed if the mean errors of jaw and other landmarks differ by more, % of eye distance.",
     )
+
+    @field_validator("network")
+    @classmethod
+    def _is_named(cls, name: str) -> str:
+        """Files of older versions left the name of the heat maps empty."""
+        return name or "heat-maps"
 
 
 class FlowConfig(Section):

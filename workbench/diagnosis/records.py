@@ -166,7 +166,7 @@ class Uncertainty:
     """Standard deviation of each blendshape weight; 0 if it is at a bound."""
     on_bound: Bool[np.ndarray, "k"]
     condition: float
-    """Condition number of JᵀJ (data and priors) over the free unknowns in units of 0.1 rad, 10 mm, 0.3 of a weight."""
+    """Condition number of H (data and priors) over the free unknowns in units of 0.1 rad, 10 mm, 0.3 of a weight."""
     pairs: tuple[tuple[str, str, float], ...]
     """Unknowns that trade off against each other, |correlation| > 0.9, strongest first."""
 

@@ -42,7 +42,7 @@ class Linearised(NamedTuple):
     jacobian: Float[np.ndarray, "m n"]
     """Its derivative by rotation (axis-angle), translation and weights."""
     matrix: Float[np.ndarray, "n n"]
-    """JᵀJ of all terms, in the energy's unit."""
+    """Half the energy's second derivative as the solver has it (`energies.normal_system`), in the energy's unit."""
     gradient: Float[np.ndarray, "n"]
     data_factor: float
     """ω_sparse · ω_fit."""
@@ -117,7 +117,9 @@ def _linearised(
 
 
 def estimate_uncertainty(model: FaceModel, config: Config, context: FrameContext, fit: FrameFit) -> Uncertainty:
-    """Posterior covariance of pose and weights: σ²·(JᵀJ)⁻¹ of data and priors, σ² from the data residual.
+    """Posterior covariance of pose and weights: σ²·H⁻¹ of data and priors, σ² from the data residual.
+
+    H is JᵀJ, of terms on single unknowns half the whole second derivative (`energies.normal_system`).
 
     Weights that the energy presses against a bound are held there. Where weights are kept in [0, 1], that range is
     part of the prior. Raises `InputError` for a frame without a face.

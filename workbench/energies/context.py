@@ -20,6 +20,8 @@ class LandmarkErrors(NamedTuple):
     """√ of what each landmark's squared error counts."""
     unit: Scalar = 1.0
     """What counts as 1, in the unit of the errors."""
+    unwhitened: Float[AnyArray, "*views points 2"] | None = None
+    """The errors in the unit, before a covariance whitened them: those of neighbours have one frame. None: the same."""
     weighted_edges: Scalar = 1.0
     """1: an edge between landmarks counts as the lesser weight of its ends; 0: all edges between landmarks
     of some weight alike."""

@@ -18,9 +18,11 @@ from workbench.energies.terms import terms_of
 from workbench.energies.total import weighed_residuals
 from workbench.face import FaceModel, FaceParameters, contour_blend
 from workbench.geometry import project, rotation_matrix, yaw_of
+from workbench.landmarks.dense_detector import nearness
 from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
-from workbench.networks import CropBox, Fan, LandmarkNetwork, soft_argmax, to_picture
+from workbench.networks import CropBox, DenseNetwork, EnergyNetwork, Fan, NetworkLandmarks, landmarks_in
 from workbench.networks.crop import fan_box_of
+from workbench.networks.regression import covariance_of
 from workbench.rendering import (
     Cover,
     CropCamera,
@@ -62,26 +64,33 @@ class DeepView(NamedTuple):
     """From the reference camera's frame to this one's; the identity for a single camera."""
     translation: Float[AnyArray, "3"]
     """The reference camera's place in this one's frame, millimetres."""
-    target: Float[AnyArray, "68 2"]
+    target: Float[AnyArray, "points 2"]
     """N(F*), pixels."""
-    weights: Float[AnyArray, "68"]
+    weights: Float[AnyArray, "points"]
     """W times what the detection counts; all 0 where this view found no face."""
-    share: Float[AnyArray, "68"]
+    share: Float[AnyArray, "points"]
     """1: the landmark is seen in the render by the network; 0: it is the preselected point."""
     unit_px: Scalar
     """What one unit of the landmark residuals is."""
     light: Float[AnyArray, "9 3"]
     background: Float[AnyArray, "3"]
+    whitening: Float[AnyArray, "points 2 2"] | None = None
+    """Takes an error in pixels to one of unit variance by the photo's covariances; None where N tells none."""
+    crop: CropBox | None = None
+    """D of the photo, for a network whose answer depends on where in D the face is; None: D follows the render."""
+    held: Scalar = 0.0
+    """1: the render is seen in the photo's `crop`; 0: D follows the render."""
 
 
 class NetworkView(NamedTuple):
     """What the network sees in one render."""
 
-    points: Float[Array, "68 2"]
+    points: Float[Array, "points 2"]
     """N(F), pixels of the whole picture."""
-    confidence: Float[Array, "68"]
+    confidence: Float[Array, "points"]
     """0 to 1."""
-    heat_maps: Float[Array, "68 m m"]
+    heat_maps: Float[Array, "points m m"] | None
+    """None from a dense network."""
     picture: Float[Array, "s s 3"]
     """The render inside of the crop, RGB in 0..1."""
     box: CropBox
@@ -131,7 +140,7 @@ def preselected_points(
 
 
 def network_view(
-    network: Fan | LandmarkNetwork,
+    network: EnergyNetwork,
     model: DeepModel,
     albedo: Float[AnyArray, "v 3"] | Texture,
     view: DeepView,
@@ -143,10 +152,12 @@ def network_view(
     """N(F(x_R)): the face rendered inside of its crop and seen by the network.
 
     The crop D is where a detector that never fails would put it, from the projected points; constant in the
-    derivative, as in the paper (Sec. 4). Rendering the crop itself replaces cutting and resizing a render.
-    A `cover`, as hair, is drawn before the face, and has no derivative.
+    derivative, as in the paper (Sec. 4). Rendering the crop itself replaces cutting and resizing a render. Where the
+    view holds the photo's crop, D is that. A `cover`, as hair, is drawn before the face, and has no derivative.
     """
     box = jax.lax.stop_gradient(crop_of(network, preselected_points(model, view, parameters, 0.0)))
+    if view.crop is not None:
+        box = jax.tree.map(lambda own, photo: jnp.where(jnp.asarray(view.held) > 0.5, photo, own), box, view.crop)
     vertices = view_vertices(model, view, parameters)
     camera = CropCamera(view.camera, box, jnp.float32(side))
     seen = render(
@@ -156,12 +167,18 @@ def network_view(
     if cover is not None:
         worn = in_view(cover_vertices(cover, model.render, parameters), view)
         picture, _ = covered(seen, cover, worn, camera, view.light, size=(side, side))
-    heat_maps = network(jnp.moveaxis(picture, -1, 0))
-    points = to_picture(soft_argmax(heat_maps), box, heat_maps.shape[-1])
-    return NetworkView(points, network.confidence_of(heat_maps), heat_maps, picture, box)
+    landmarks = landmarks_in(network, jnp.moveaxis(picture, -1, 0), box)
+    return NetworkView(landmarks.points, confidence_of(network, landmarks), landmarks.heat_maps, picture, box)
 
 
-def crop_of(network: Fan | LandmarkNetwork, points: Float[AnyArray, "68 2"]) -> CropBox:
+def confidence_of(network: EnergyNetwork, seen: NetworkLandmarks) -> Float[Array, "points"]:
+    """How sure the network is of each landmark, 0..1: by its heat map, or by its covariance."""
+    if isinstance(network, DenseNetwork):
+        return nearness(seen.points, covariance_of(seen.whitening))
+    return network.confidence_of(seen.heat_maps)
+
+
+def crop_of(network: EnergyNetwork, points: Float[AnyArray, "points 2"]) -> CropBox:
     """The crop that a network wants of a face whose landmarks are known, pixels."""
     return fan_box_of(points) if isinstance(network, Fan) else landmark_crop(points)
 
@@ -169,7 +186,7 @@ def crop_of(network: Fan | LandmarkNetwork, points: Float[AnyArray, "68 2"]) -> 
 def deep_residuals(
     views: DeepView,
     omega: Float[AnyArray, "t"],
-    predicted: Float[AnyArray, "views 68 2"],
+    predicted: Float[AnyArray, "views points 2"],
     parameters: FaceParameters,
     context: TermContext,
     terms: tuple[str, ...] = DEEP_TERMS,
@@ -178,11 +195,13 @@ def deep_residuals(
 
     W multiplies squared errors: the paper's is its root. Errors count in `unit_px`, and W weighs E_2 too unless the
     context's `weighted_edges` is 0; the paper has pixels and does not weigh E_2. `views` is stacked. `predicted` are
-    landmarks in each view, pixels.
+    landmarks in each view, pixels. Where the views have a `whitening`, E_1 counts standard deviations.
     """
-    error = (predicted - views.target) / jnp.asarray(views.unit_px)[:, None, None]
+    apart = predicted - views.target
+    unwhitened = apart / jnp.asarray(views.unit_px)[:, None, None]
+    error = unwhitened if views.whitening is None else jnp.einsum("vpij,vpj->vpi", views.whitening, apart)
     root = jnp.sqrt(jnp.asarray(views.weights))
-    errors = LandmarkErrors(error, root, weighted_edges=context.constants.weighted_edges)
+    errors = LandmarkErrors(error, root, unwhitened=unwhitened, weighted_edges=context.constants.weighted_edges)
     return weighed_residuals(terms, omega, errors, parameters, context)
 
 

@@ -8,6 +8,7 @@ from .characters import character_names as character_names
 from .characters import find_character as find_character
 from .characters import read_characters as read_characters
 from .default_head import GAZE_NAMES as GAZE_NAMES
+from .default_head import fits_as as fits_as
 from .default_head import load_default_head as load_default_head
 from .dense_landmarks import in_scheme as in_scheme
 from .dressed_head import DressedHead as DressedHead

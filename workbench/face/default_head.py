@@ -16,6 +16,20 @@ GAZE_NAMES = tuple(f"eyeLook{way}{side}" for way in ("Down", "In", "Out", "Up") 
 """The eight units that turn the eyes: no landmark sees them, so FACE IT!'s D = 44 leaves them out."""
 
 
+EARLIER_EDITIONS = {
+    "7334a89b1cdb67eae19353110b94000ae985a0dc1c5b4cee3b94072e363be4d8": False,
+    "a32ef3e22c5d7290cb9773c525c5977ae7d5d7e2d8d7dae567599cbf0f636e3e": True,
+}
+"""Fingerprints of the head whose smile had a ridge, and whether it has gaze units: its landmarks are the same."""
+
+
+def fits_as(model: FaceModel, fingerprint: str) -> bool:
+    """Whether fits with the model of a fingerprint are valid for this one: its own, or the default head as it was."""
+    gaze = EARLIER_EDITIONS.get(fingerprint)
+    now = fingerprint if gaze is None else load_default_head(gaze=gaze).fingerprint()
+    return now == model.fingerprint()
+
+
 def load_default_head(path: Path | None = None, gaze: bool = False) -> FaceModel:
     """The default head with FACE IT!'s 44 blendshapes, or all 52 with `gaze`; `path` is another baked head.
 

@@ -11,13 +11,14 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from workbench.arrays import AnyArray, library_of
 from workbench.landmarks.alignment import FaceFrame
 from workbench.landmarks.detection import Box
 from workbench.landmarks.eyes import IRISES, EyeDetector
 from workbench.landmarks.lids import true_lids
 from workbench.landmarks.network_detector import BUNDLED, CROP_SIDE, NetworkDetector, crop_frame, sampled_crop
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import POINT_COUNT, outer_eye_distance
+from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, POINT_COUNT, RIGHT_EYE_OUTER_CORNER
 from workbench.landmarks.schemes import DENSE
 from workbench.networks.dense_network import DenseNetwork, read_dense_network
 from workbench.networks.eye_network import EyeNetwork
@@ -62,7 +63,7 @@ class DenseDetector(NetworkDetector):
         points = np.concatenate([true_lids(landmarks.points), to_image.to_image(places.points)[POINT_COUNT:]])
         eyes = self._eyes.see(picture, points)
         points[IRISES], covariance[IRISES] = eyes.points, eyes.covariance
-        confidence = np.concatenate([landmarks.confidence, _nearness(points, covariance)[POINT_COUNT:]])
+        confidence = np.concatenate([landmarks.confidence, nearness(points, covariance)[POINT_COUNT:]])
         return Landmarks2D(points, confidence, landmarks.image_size, covariance)
 
 
@@ -79,9 +80,11 @@ def _unmirrored(places: Places) -> Places:
     return Places(points, places.whitening[order] * _MIRRORED)
 
 
-def _nearness(
-    points: Float[np.ndarray, "points 2"], covariance: Float[np.ndarray, "points 2 2"]
-) -> Float[np.ndarray, "points"]:
+def nearness(
+    points: Float[AnyArray, "points 2"], covariance: Float[AnyArray, "points 2 2"]
+) -> Float[AnyArray, "points"]:
     """How likely each point lies within `NEAR_PERCENT`, were its covariance as large in every direction."""
-    radius = 0.01 * NEAR_PERCENT * outer_eye_distance(points)
-    return 1.0 - np.exp(-0.5 * radius**2 / np.sqrt(np.linalg.det(covariance)))
+    library = library_of(points)
+    corners = points[LEFT_EYE_OUTER_CORNER], points[RIGHT_EYE_OUTER_CORNER]
+    radius = 0.01 * NEAR_PERCENT * library.linalg.norm(corners[0] - corners[1])
+    return 1.0 - library.exp(-0.5 * radius**2 / library.sqrt(library.linalg.det(covariance)))

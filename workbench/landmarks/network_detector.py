@@ -183,8 +183,8 @@ def network_box(face: FaceFrame) -> CropBox:
     return CropBox(middle, np.float64(CROP_BOXES * face.side), np.float64(roll))
 
 
-def landmark_crop(points: Float[AnyArray, "68 2"]) -> CropBox:
-    """`network_box` of the face frame of known landmarks (pixels), traceable."""
+def landmark_crop(points: Float[AnyArray, "points 2"]) -> CropBox:
+    """`network_box` of the face frame of known landmarks (pixels), of which the inner of the 68 count; traceable."""
     source = MEAN_SHAPE[_INNER] - MEAN_SHAPE[_INNER].mean(axis=0)
     middle = points[_INNER].mean(axis=0)
     turned = np.stack([-source[:, 1], source[:, 0]], axis=1)

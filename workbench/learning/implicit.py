@@ -8,7 +8,7 @@ implicit function theorem,
 
 one linear system a stage, however many iterations the solver took. H is the whole Hessian of the energy: Gauss–Newton's
 JᵀJ leaves out how residuals bend, and the smoothed L1 norm, linear far from 0, is all bend (its JᵀJ is 1/(4w) where its
-curvature is nearly 0).
+curvature is nearly 0); the solver's normal equations have that, but not how landmarks bend with the pose.
 """
 
 from functools import partial

@@ -9,6 +9,7 @@ from workbench.networks.crop import fan_box_from_landmarks as fan_box_from_landm
 from workbench.networks.crop import reduction_for as reduction_for
 from workbench.networks.crop import to_crop as to_crop
 from workbench.networks.crop import to_picture as to_picture
+from workbench.networks.dense_network import DenseNetwork as DenseNetwork
 from workbench.networks.fan import Fan as Fan
 from workbench.networks.fan import convert_fan as convert_fan
 from workbench.networks.fan import read_fan as read_fan
@@ -18,8 +19,10 @@ from workbench.networks.flow_network import save_flow_network as save_flow_netwo
 from workbench.networks.flownet2 import FlowNet2 as FlowNet2
 from workbench.networks.flownet2 import convert_flownet2 as convert_flownet2
 from workbench.networks.flownet2 import read_flownet2 as read_flownet2
+from workbench.networks.landmark_chain import EnergyNetwork as EnergyNetwork
 from workbench.networks.landmark_chain import HeatMapNetwork as HeatMapNetwork
 from workbench.networks.landmark_chain import NetworkLandmarks as NetworkLandmarks
+from workbench.networks.landmark_chain import landmarks_in as landmarks_in
 from workbench.networks.landmark_chain import landmarks_of as landmarks_of
 from workbench.networks.landmark_network import Calibration as Calibration
 from workbench.networks.landmark_network import LandmarkNetwork as LandmarkNetwork

@@ -126,6 +126,11 @@ def to_crop(points: Float[AnyArray, "n 2"], box: CropBox, side: int | Scalar) ->
     return (unit + 0.5) * side - 0.5
 
 
+def whitening_in_picture(whitening: Float[AnyArray, "n 2 2"], box: CropBox, side: int) -> Float[Array, "n 2 2"]:
+    """What whitens errors in the picture's pixels, of what whitens them in those of a crop of `side` pixels."""
+    return (side / box.side) * whitening @ _rotation(box.roll).T
+
+
 def _checked_edges(edges: Edges) -> tuple[float, float, float, float]:
     left, top, right, bottom = (float(edge) for edge in edges)
     if not (right > left and bottom > top and np.isfinite([left, top, right, bottom]).all()):

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from workbench.arrays import AnyArray
-from workbench.networks.regression import NUMBERS, Places, Regression, empty_layers, places_of, read_regression
-from workbench.networks.weights import fill
+from workbench.networks.regression import NUMBERS, Places, Regression, empty_layers, places_of, regression_sizes
+from workbench.networks.weights import Weights, fill, read_weights
 
 NAME = "face-energy-dense-1"
 """Value of the metadata key `architecture`."""
@@ -40,6 +40,11 @@ def read_dense_network(path: str | Path) -> DenseNetwork:
 
     Raises `InputError` for a file that cannot be read, `ModelError` for weights of another network.
     """
-    weights, (*sizes, outputs) = read_regression(path, NAME)
+    return dense_network_from(read_weights(path))
+
+
+def dense_network_from(weights: Weights) -> DenseNetwork:
+    """As `read_dense_network`, of weights in memory."""
+    *sizes, outputs = regression_sizes(weights, NAME)
     calibrated = "deviation_factor" in weights.arrays
     return fill(lambda: empty_dense_network(*sizes, outputs // NUMBERS, calibrated), weights)

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from workbench.arrays import AnyArray, library_of
-from workbench.networks.regression import NUMBERS, Regression, empty_layers, places_of, read_regression
-from workbench.networks.weights import fill
+from workbench.networks.regression import NUMBERS, Regression, empty_layers, places_of, regression_sizes
+from workbench.networks.weights import fill, read_weights
 
 NAME = "face-energy-eye-1"
 """Value of the metadata key `architecture`."""
@@ -60,5 +60,6 @@ def read_eye_network(path: str | Path) -> EyeNetwork:
 
     Raises `InputError` for a file that cannot be read, `ModelError` for weights of another network.
     """
-    weights, (*sizes, _) = read_regression(path, NAME)
+    weights = read_weights(path)
+    *sizes, _ = regression_sizes(weights, NAME)
     return fill(lambda: empty_eye_network(*sizes, "deviation_factor" in weights.arrays), weights)

@@ -9,14 +9,13 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray, library_of
 from workbench.errors import ModelError
 from workbench.networks.encoder import Encoder, encoder_convolutions, network_size
 from workbench.networks.layers import Conv, empty_conv
-from workbench.networks.weights import Weights, read_weights
+from workbench.networks.weights import Weights
 from workbench.reading import shortened
 
 NUMBERS = 5
@@ -79,9 +78,10 @@ def places_of(
     return Places(points, whitening)
 
 
-def covariance_of(whitening: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2 2"]:
+def covariance_of(whitening: Float[AnyArray, "n 2 2"]) -> Float[AnyArray, "n 2 2"]:
     """(WᵀW)⁻¹: what errors are distributed by that W takes to unit variance."""
-    return np.linalg.inv(np.swapaxes(whitening, 1, 2) @ whitening)
+    library = library_of(whitening)
+    return library.linalg.inv(library.swapaxes(whitening, 1, 2) @ whitening)
 
 
 def empty_layers(
@@ -106,19 +106,15 @@ class LayerSizes(NamedTuple):
     outputs: int
 
 
-def read_regression(path, name: str) -> tuple[Weights, LayerSizes]:
-    """The weights of a safetensors file of this architecture.
-
-    Raises `InputError` for a file that cannot be read, `ModelError` for weights of another network.
-    """
-    weights = read_weights(path)
+def regression_sizes(weights: Weights, name: str) -> LayerSizes:
+    """How large a network its weights make. Raises `ModelError` for weights of another than `name`."""
     if weights.architecture != name:
         raise ModelError(
             f"{weights.origin} should hold the weights of {name}, but its metadata names "
             f"{shortened(weights.architecture)}"
         )
     lengths = (_length(weights, part) for part in ("squeeze.bias", "hidden.bias", "head.bias"))
-    return weights, LayerSizes(*network_size(weights), *lengths)
+    return LayerSizes(*network_size(weights), *lengths)
 
 
 def _length(weights: Weights, name: str) -> int:

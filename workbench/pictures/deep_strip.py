@@ -116,10 +116,10 @@ def heat_map_pair(
     _check(solution, view)
     network, camera = solution.problem.scene.network, solution.views[view]
     look = solution.results[stage].prediction.looks[view]
-    if look is None or not np.any(np.asarray(camera.weights) > 0.0):
+    if look is None or look.heat_maps is None or not np.any(np.asarray(camera.weights) > 0.0):
         raise InputError(
-            f"View {view} was not seen by the network: there are heat maps where it found a face and deep.energy is "
-            '"deep" or "mixed".'
+            f'View {view} has no heat maps: there are some where the network found a face, deep.energy is "deep" or '
+            '"mixed", and deep.network is not dense.'
         )
     target, box = np.asarray(camera.target), crop_of(network, jnp.asarray(camera.target))
     with COMPUTING:

@@ -16,7 +16,7 @@ from workbench.landmarks.scheme import IBUG68
 from workbench.pipeline.picture_source import PictureSource
 from workbench.pipeline.sources import FileSource, open_source
 from workbench.tracking import FrameObservation
-from workbench.tracking.deep_target import energy_network, photo_landmarks
+from workbench.tracking.deep_target import energy_network, network_scheme, photo_landmarks
 from workbench.tracking.observation import PicturePair
 
 
@@ -28,7 +28,7 @@ class DeepSource:
         self._network = energy_network(config.deep.network)
         self.frames, self.image_size, self.detector = source.frames, source.image_size, source.detector
         self.count, self.single_picture = source.count, source.single_picture
-        self.views, self.scheme = source.views, IBUG68
+        self.views, self.scheme = source.views, network_scheme(config.deep.network)
         self._without_pictures = False
 
     def notes(self) -> list[str]:
@@ -48,7 +48,7 @@ class DeepSource:
             return None
         if picture is None:
             self._without_pictures = True
-            return of_ibug68(landmarks)
+            return of_ibug68(landmarks) if self.scheme is IBUG68 else landmarks
         return photo_landmarks(self._network, picture, landmarks)
 
 
@@ -62,7 +62,7 @@ class RigSource:
         counts = [source.count for source in sources if source.count is not None]
         self.count = min(counts) if counts else None
         self.single_picture = all(source.single_picture for source in sources)
-        self.views, self.scheme = [source.frames for source in sources], IBUG68
+        self.views, self.scheme = [source.frames for source in sources], reference.scheme
 
     def notes(self) -> list[str]:
         counts = {name: source.count for name, source in zip(self._names, self._sources, strict=True)}

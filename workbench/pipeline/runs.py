@@ -17,7 +17,7 @@ from workbench.config import Config, write_config
 from workbench.errors import InputError, OutputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.export.sources import input_files
-from workbench.face import FaceModel, dressed_as, in_scheme
+from workbench.face import FaceModel, dressed_as, fits_as, in_scheme
 from workbench.frames import Frames, ImageFrames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.pictures.overlay_files import write_overlay_video
@@ -253,7 +253,7 @@ def retrack(
 def check_model(meta: Mapping[str, Any], model: FaceModel) -> None:
     """Raise `InputError` unless a track was made with this face model."""
     made = meta.get("model", {})
-    if made.get("sha256") not in (None, model.fingerprint()):
+    if made.get("sha256") is not None and not fits_as(model, made["sha256"]):
         raise InputError(f"The track was made with the face model {made.get('name')!r}; pass that one with --model.")
 
 

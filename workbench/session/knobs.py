@@ -115,6 +115,8 @@ LANDMARKS = tuple(
     for name in LANDMARK_GROUPS
 )  # fmt: skip
 DEEP = (
+    Knob("deep.network", "network", "N: heat-maps: 68 points; dense: 377, each with its covariance, from landmarks of "
+         "the detector dense", "choice", choices=("heat-maps", "dense")),
     Knob("deep.energy", "energy", "N(F*) − N(F): detected in the render, Eq. 2; points on the mesh, C.1; or mixed",
          "choice", choices=("deep", "points", "mixed")),
     Knob("deep.derivative", "derivative", "forward: through renderer and network; broyden: from mesh points, corrected",

@@ -48,8 +48,10 @@ class LevenbergMarquardt(NamedTuple):
     ) -> tuple[Float[AnyArray, "n"], Float[AnyArray, "n"]]:
         """The next place to try, inside the bounds, and the move that leads there."""
         extra = trust.value * jnp.clip(system.diagonal(), 1e-6, 1e32)
-        move = _bounded_move(system, extra, lower - x, upper - x)
-        return x + move, move
+        lowest, highest = lower - x, upper - x
+        move = _bounded_move(system, extra, lowest, highest)
+        # Exactly on the bounds: what lies a rounding off would be free in the next step, and mislead the others.
+        return jnp.where(move <= lowest, lower, jnp.where(move >= highest, upper, x + move)), move
 
     def judge(self, system: System, trust: Damping, move: Float[AnyArray, "n"], value: Scalar) -> Judgement:
         """Whatever lowers the cost is accepted; the gain ratio says how far to trust the next step."""
@@ -72,7 +74,8 @@ def _bounded_move(system: System, extra, lowest_move, highest_move):
 
     def solve(held, move):
         pinned = jnp.where(held, jnp.clip(move, lowest_move, highest_move), 0.0)
-        return system.solve(extra + jnp.where(held, stiffness, 0.0), jnp.where(held, stiffness * pinned, -gradient))
+        move = system.solve(extra + jnp.where(held, stiffness, 0.0), jnp.where(held, stiffness * pinned, -gradient))
+        return jnp.where(held, pinned, move)
 
     def leaves(carry):
         count, held, move = carry

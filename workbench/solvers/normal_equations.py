@@ -1,6 +1,7 @@
 """Cost and normal equations of a least-squares problem at one place, as a *system* that solvers ask for products.
 
-Dense, or arrowhead: many local blocks that share a few unknowns.
+Dense, or arrowhead: many local blocks that share a few unknowns. Where a problem knows more of its second derivative
+than JᵀJ, that stands in the place of JᵀJ.
 """
 
 from typing import NamedTuple

@@ -1,9 +1,10 @@
 """Fits of parts of a clip under many configurations at once, with what cross-validation hides as more of the same."""
 
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +39,8 @@ from workbench.tracking.initial_pose import initial_pose
 from workbench.tracking.walk import jumped
 
 KEPT_IDENTITIES = 256
+KEPT_WINDOWS = 64
+"""Of 240 frames they take 25 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +84,36 @@ class ChainJob:
         return Chain(self.camera, self.person, self.setting.numbers, self.setting.first, self.setting.later)
 
 
+class SeenFrames(NamedTuple):
+    """What frames in a row show: the first fields of `ChainFrames`."""
+
+    measured: Float[np.ndarray, "n 68 3"]
+    present: Bool[np.ndarray, "n"]
+    afresh: Bool[np.ndarray, "n"]
+
+
+def seen_frames(
+    plan: Plan,
+    observations: Sequence[FrameObservation],
+    moved: Sequence[Mapping[int, tuple[float, float]]],
+    mask: Bool[np.ndarray, "n 68"],
+) -> SeenFrames:
+    """What frames show whose detections are corrected by `moved`, without the landmarks that `mask` hides."""
+    count = len(observations)
+    seen = SeenFrames(np.zeros((count, 68, 3)), np.zeros(count, bool), np.zeros(count, bool))
+    before = None
+    for k, (observation, places, hidden) in enumerate(zip(observations, moved, mask, strict=True)):
+        observation = without_hidden(corrected(observation, places), hidden)
+        if observation.landmarks is None:
+            before = None
+            continue
+        points = observation.landmarks.points
+        seen.measured[k, :, :2], seen.measured[k, :, 2] = points, plan.counts(observation.landmarks.confidence)
+        seen.present[k], seen.afresh[k] = True, before is None or jumped(before, points)
+        before = points
+    return seen
+
+
 class ClipSolver:
     """Solves parts of clips for one face model by its 68 points, in this process; the latest identities are kept."""
 
@@ -89,6 +122,7 @@ class ClipSolver:
         self._landmarks = landmark_model(model)
         self._fitter: FaceItFitter | None = None
         self._identities: OrderedDict[tuple, Calibrated] = OrderedDict()
+        self._windows: OrderedDict[tuple, SeenFrames] = OrderedDict()
 
     def fits(
         self,
@@ -120,7 +154,7 @@ class ClipSolver:
             for window, mask in zip(windows, np.split(fold, ends[:-1]), strict=True):
                 shot = next(shot for shot in clip.shots if window.start in shot)
                 calibrated = self._calibrated(setting, clip, shot, mask)
-                yield self._job(setting, frames_of(clip, [window]), calibrated, mask), calibrated.identity
+                yield self._job(setting, clip, window, calibrated, mask), calibrated.identity
 
     def _calibrated(self, setting: Setting, clip: SweptClip, shot: range, mask: Bool[np.ndarray, "n 68"]) -> Calibrated:
         """The identity of a shot, from landmarks that are not hidden in all frames."""
@@ -148,41 +182,33 @@ class ClipSolver:
         return self._identities[key]
 
     def _job(
-        self,
-        setting: Setting,
-        observations: Sequence[FrameObservation],
-        calibrated: Calibrated,
-        mask: Bool[np.ndarray, "n 68"],
+        self, setting: Setting, clip: SweptClip, window: range, calibrated: Calibrated, mask: Bool[np.ndarray, "n 68"]
     ) -> ChainJob:
-        config, plan = setting.config, setting.plan
+        plan, shapes = setting.plan, len(self.model.expression_names)
         person = self._landmarks.personal(np.asarray(calibrated.identity, float))
-        camera = plan.camera.of(observations[0].image_size)
-        count, shapes = len(observations), len(self.model.expression_names)
-        frames = ChainFrames(
-            np.zeros((count, 68, 3)),
-            np.zeros(count, bool),
-            np.zeros(count, bool),
-            *(np.zeros((count, size)) for size in (3, 3, shapes)),
-        )
-        before = None
-        for k, (observation, hidden) in enumerate(zip(observations, mask, strict=True)):
-            observation = without_hidden(corrected(observation, config.moved_points(observation.index)), hidden)
-            if observation.landmarks is None:
-                before = None
-                continue
-            points = observation.landmarks.points
-            frames.measured[k, :, :2], frames.measured[k, :, 2] = points, plan.counts(observation.landmarks.confidence)
-            frames.present[k] = True
-            frames.afresh[k] = before is None or jumped(before, points)
-            if frames.afresh[k]:
-                start = calibrated.starts.get(observation.index)
-                if start is None:
-                    used = (plan.point_weights > 0.0) & ~hidden
-                    pose = initial_pose(camera, person.frontal_neutral(), points, used)
-                    start = FaceParameters(*pose, np.zeros(shapes), np.zeros(0))
-                frames.rotation[k], frames.translation[k], frames.expression[k] = start[:3]
-            before = points
+        camera = plan.camera.of(clip.observations[window.start].image_size)
+        seen = self._seen(setting, clip, window, mask)
+        frames = ChainFrames(*seen, *(np.zeros((len(window), size)) for size in (3, 3, shapes)))
+        for k in np.flatnonzero(seen.afresh):
+            start = calibrated.starts.get(clip.observations[window[k]].index)
+            if start is None:
+                used = (plan.point_weights > 0.0) & ~mask[k]
+                pose = initial_pose(camera, person.frontal_neutral(), seen.measured[k, :, :2], used)
+                start = FaceParameters(*pose, np.zeros(shapes), np.zeros(0))
+            frames.rotation[k], frames.translation[k], frames.expression[k] = start[:3]
         return ChainJob(setting, person, camera, frames)
+
+    def _seen(self, setting: Setting, clip: SweptClip, window: range, mask: Bool[np.ndarray, "n 68"]) -> SeenFrames:
+        """What the frames of a window show; the same for most settings, so the latest are kept."""
+        moved = {index: setting.config.moved_points(index) for index in map(int, setting.config.landmarks.moved)}
+        key = (clip.digest, window, mask.tobytes(), setting.plan.confident, repr(moved))
+        if key not in self._windows:
+            frames = frames_of(clip, [window])
+            self._windows[key] = seen_frames(setting.plan, frames, [moved.get(each.index, {}) for each in frames], mask)
+            while len(self._windows) > KEPT_WINDOWS:
+                self._windows.popitem(last=False)
+        self._windows.move_to_end(key)
+        return self._windows[key]
 
     def _fitted(self, solved: Iterator, windows, kinds: tuple[str, ...], surface: bool) -> FittedClip:
         """Takes one configuration's chains, the folds' in their order."""

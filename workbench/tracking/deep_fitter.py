@@ -34,9 +34,17 @@ from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solution import DeepProblem, DeepSolution, record_of
 from workbench.tracking.deep_solver import StageProblem, solve_stage
 from workbench.tracking.deep_target import energy_network
-from workbench.tracking.deep_views import FAR_MM, eyes_per_box, light_of, recorded_camera, views_of, weighed
+from workbench.tracking.deep_views import FAR_MM, eyes_per_box, holding, light_of, recorded_camera, views_of, weighed
 from workbench.tracking.face_it_fitter import FaceItFitter
-from workbench.tracking.fitting import Calibrated, Continuation, Fitter, FrameContext, StageTrace, continued
+from workbench.tracking.fitting import (
+    Calibrated,
+    Continuation,
+    Fitter,
+    FrameContext,
+    StageTrace,
+    check_scheme,
+    continued,
+)
 from workbench.tracking.flow_term import FlowTerm, flow_term
 from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
@@ -118,6 +126,7 @@ class DeepFitter(Fitter):
     def problem(self, observation: FrameObservation, context: FrameContext) -> DeepProblem:
         """The solver's input for a frame: views, colours, start and stages."""
         problem = DeepProblem(observation, context, self.plan.running(start=True))
+        check_scheme(observation, self.model)
         if not observation.faces:
             return problem
         start = self._start(observation, context)
@@ -135,7 +144,7 @@ class DeepFitter(Fitter):
         parameters = problem.start
         for stage in problem.stages if problem.views else ():
             began = time.perf_counter()
-            views = weighed(problem.views, stage)
+            views = holding(weighed(problem.views, stage), problem.scene, parameters)
             result = solve_stage(self._stage_problem(problem, views, stage), parameters, cancelled)
             parameters = result.parameters
             results.append(result)

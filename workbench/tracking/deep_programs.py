@@ -24,7 +24,7 @@ from workbench.energies.deep import (
 )
 from workbench.face import FaceParameters, pack, typical_sizes, unpack
 from workbench.face.unknowns import derivative_by_columns
-from workbench.networks import Fan, LandmarkNetwork
+from workbench.networks import EnergyNetwork
 from workbench.rendering import Cover, Texture
 from workbench.runtime import SMALL_ARRAYS
 from workbench.solvers import DenseSystem, normal_equations
@@ -36,7 +36,7 @@ CHUNK = 8
 class DeepScene(NamedTuple):
     """The data that is constant over the frames of a clip."""
 
-    network: Fan | LandmarkNetwork
+    network: EnergyNetwork
     model: DeepModel
     albedo: Float[AnyArray, "v 3"] | Texture
     sliding: Scalar
@@ -60,7 +60,7 @@ def look_derivative(
     columns: Int[AnyArray, "c"],
     side: int = 256,
     samples: int = 1,
-) -> Float[Array, "c 68 2"]:
+) -> Float[Array, "c points 2"]:
     """Forward-mode derivative of the network's landmarks by some of the scaled unknowns; 0 for padding columns.
 
     Each call takes one chunk of `CHUNK` columns: linearising through a loop takes ten times as long on a CPU.
@@ -73,13 +73,13 @@ def look_derivative(
 
 
 @partial(jax.jit, compiler_options=SMALL_ARRAYS)
-def project_points(scene: DeepScene, view: DeepView, parameters: FaceParameters) -> Float[Array, "68 2"]:
+def project_points(scene: DeepScene, view: DeepView, parameters: FaceParameters) -> Float[Array, "points 2"]:
     """The preselected points in one view."""
     return preselected_points(scene.model, view, parameters, scene.sliding)
 
 
 @partial(jax.jit, compiler_options=SMALL_ARRAYS)
-def points_derivative(scene: DeepScene, view: DeepView, parameters: FaceParameters) -> Float[Array, "n 68 2"]:
+def points_derivative(scene: DeepScene, view: DeepView, parameters: FaceParameters) -> Float[Array, "n points 2"]:
     """Derivative of the preselected points by all scaled unknowns."""
     vector = pack(parameters)
     sizes = jnp.asarray(typical_sizes(parameters, jaw_unit=scene.model.render.jaw.unit))
@@ -93,8 +93,8 @@ def points_derivative(scene: DeepScene, view: DeepView, parameters: FaceParamete
 def stage_system(
     views: DeepView,
     omega: Float[AnyArray, "t"],
-    predicted: Float[AnyArray, "views 68 2"],
-    derivative: Float[AnyArray, "views n 68 2"],
+    predicted: Float[AnyArray, "views points 2"],
+    derivative: Float[AnyArray, "views n points 2"],
     parameters: FaceParameters,
     context: TermContext,
     terms: tuple[str, ...] = DEEP_TERMS,
@@ -121,7 +121,7 @@ def stage_system(
 def term_energies(
     views: DeepView,
     omega: Float[AnyArray, "t"],
-    predicted: Float[AnyArray, "views 68 2"],
+    predicted: Float[AnyArray, "views points 2"],
     parameters: FaceParameters,
     context: TermContext,
     terms: tuple[str, ...] = DEEP_TERMS,

@@ -9,7 +9,8 @@ from workbench.energies import TermContext
 from workbench.energies.deep import DeepView
 from workbench.face import FaceParameters
 from workbench.geometry import Camera
-from workbench.networks import Fan, LandmarkNetwork
+from workbench.landmarks.schemes import scheme_of_count
+from workbench.networks import EnergyNetwork
 from workbench.solvers import Status
 from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solver import StageResult
@@ -17,7 +18,7 @@ from workbench.tracking.deep_views import FAR_MM, percent_px
 from workbench.tracking.failures import failure_of_residuals
 from workbench.tracking.fitting import FrameProblem, FrameSolution, StageTrace, landmarks_of_others
 from workbench.tracking.plan import Plan, StagePlan
-from workbench.tracking.records import FAILURES, FrameFit
+from workbench.tracking.records import FAILURES, FrameFit, recorded_covariance
 
 
 @dataclass(frozen=True)
@@ -82,9 +83,7 @@ class DeepSolution(FrameSolution):
         )
 
 
-def record_of(
-    solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork, eyes: float, camera: Camera
-) -> FrameFit:
+def record_of(solution: DeepSolution, plan: Plan, network: EnergyNetwork, eyes: float, camera: Camera) -> FrameFit:
     """The record of a solution with results, for tables, pictures and exports; `camera` is stored in the record.
 
     `eyes` is the model's `eyes_per_box`.
@@ -99,6 +98,7 @@ def record_of(
     landmarks = observation.landmarks
     # A view without a face has no residual: its confidence of 0 keeps it out of all means.
     observed = prediction.points[0] if landmarks is None else landmarks.points
+    covariance = None if landmarks is None else landmarks.covariance
     rotation = np.array(parameters.rotation)
     return FrameFit(
         index=observation.index,
@@ -112,7 +112,7 @@ def record_of(
         expression=parameters.expression,
         identity=parameters.identity,
         observed=observed,
-        confidence=np.zeros(68) if landmarks is None else landmarks.confidence,
+        confidence=np.zeros(len(observed)) if landmarks is None else landmarks.confidence,
         projected=prediction.points[0],
         energies=_rows([result.energies for result in results], rows, np.nan),
         status=_rows([int(result.status.value) for result in results], rows, -1),
@@ -122,10 +122,11 @@ def record_of(
         scale=scale,
         failure=_failure(solution, plan, network, eyes),
         others=landmarks_of_others(observation),
+        covariance=recorded_covariance(covariance, scheme_of_count(len(observed))),
     )
 
 
-def _failure(solution: DeepSolution, plan: Plan, network: Fan | LandmarkNetwork, eyes: float) -> str:
+def _failure(solution: DeepSolution, plan: Plan, network: EnergyNetwork, eyes: float) -> str:
     """Why the result should not be used, from its errors in the first view that shows a failure."""
     result = solution.results[-1]
     if result.status is Status.NOT_FINITE:

@@ -43,9 +43,9 @@ SMALLEST_RADIUS = 1e-2
 class Prediction(NamedTuple):
     """The model's landmarks in every view, and the two sources that they are mixed from."""
 
-    points: Float[np.ndarray, "views 68 2"]
+    points: Float[np.ndarray, "views points 2"]
     """Mixture of network and preselected landmarks, by each view's share."""
-    preselected: Float[np.ndarray, "views 68 2"]
+    preselected: Float[np.ndarray, "views points 2"]
     looks: tuple[NetworkView | None, ...]
     """None for views that do not use the network."""
 
@@ -56,7 +56,7 @@ class Iteration(NamedTuple):
     parameters: FaceParameters
     energies: Float[np.ndarray, "t"]
     """Energy of each of the problem's terms."""
-    points: Float[np.ndarray, "views 68 2"]
+    points: Float[np.ndarray, "views points 2"]
 
 
 @dataclass(frozen=True)
@@ -172,8 +172,10 @@ def solve_stage(
 
 
 def broyden(
-    derivative: Float[np.ndarray, "views n 68 2"], step: Float[np.ndarray, "n"], change: Float[np.ndarray, "views 68 2"]
-) -> Float[np.ndarray, "views n 68 2"]:
+    derivative: Float[np.ndarray, "views n points 2"],
+    step: Float[np.ndarray, "n"],
+    change: Float[np.ndarray, "views points 2"],
+) -> Float[np.ndarray, "views n points 2"]:
     """The derivative closest to the current one that explains the observed change (Broyden's rank-one update)."""
     length = step @ step
     if length == 0.0:
@@ -195,11 +197,11 @@ class _Stage:
             omega, terms = self._problem.omega, self._problem.terms
             return np.asarray(term_energies(views, omega, prediction.points, parameters, self.context, terms), float)
 
-    def derivative(self, parameters: FaceParameters, prediction: Prediction) -> Float[np.ndarray, "views n 68 2"]:
+    def derivative(self, parameters: FaceParameters, prediction: Prediction) -> Float[np.ndarray, "views n points 2"]:
         """Derivative of the mixed landmarks by the scaled unknowns; the network's part only by the free ones."""
         return np.stack([self._of_view(view, parameters) for view in self._problem.views])
 
-    def _of_view(self, view: DeepView, parameters: FaceParameters) -> Float[np.ndarray, "n 68 2"]:
+    def _of_view(self, view: DeepView, parameters: FaceParameters) -> Float[np.ndarray, "n points 2"]:
         problem = self._problem
         with COMPUTING:
             of_points = np.asarray(points_derivative(problem.scene, view, parameters), float)

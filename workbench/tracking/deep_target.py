@@ -7,45 +7,73 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import UInt8
 
-from workbench.energies.deep import crop_of
+from workbench.energies.deep import confidence_of, crop_of
+from workbench.errors import ModelError
+from workbench.landmarks.dense_detector import bundled_dense_network
 from workbench.landmarks.network_detector import bundled_landmark_network
 from workbench.landmarks.observations import Landmarks2D, of_ibug68
-from workbench.networks import Fan, LandmarkNetwork, landmarks_of, read_weights, reduction_for
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.schemes import DENSE
+from workbench.networks import DenseNetwork, EnergyNetwork, landmarks_of, read_weights, reduction_for
+from workbench.networks.dense_network import NAME as DENSE_NETWORK
+from workbench.networks.dense_network import dense_network_from
 from workbench.networks.fan import NAME as FAN
 from workbench.networks.fan import fan_from
 from workbench.networks.landmark_network import landmark_network_from
+from workbench.networks.regression import NUMBERS, covariance_of
 from workbench.runtime import COMPUTING
 
 LOOKS = 2
 """The first evaluation corrects the crop for the second."""
 
 
-@cache
-def energy_network(path: str) -> Fan | LandmarkNetwork:
-    """The landmark network of a weights file, 3D-FAN's or our own; the bundled one for an empty path.
+BUNDLED = {"heat-maps": bundled_landmark_network, "dense": bundled_dense_network}
+"""The networks that come with the package, by what a configuration calls them."""
 
-    Raises `InputError` or `ModelError` if the file cannot be read.
+
+@cache
+def energy_network(name: str) -> EnergyNetwork:
+    """N: one of `BUNDLED`, or the network of a weights file: 3D-FAN's or one of our own two kinds.
+
+    Raises `InputError` or `ModelError` if the file cannot be read, or has other points than the scheme `dense`.
     """
-    if not path:
-        return bundled_landmark_network()
-    weights = read_weights(path)
+    if name in BUNDLED:
+        return BUNDLED[name]()
+    weights = read_weights(name)
+    if weights.architecture == DENSE_NETWORK:
+        return _of_the_scheme(dense_network_from(weights), weights.origin)
     return fan_from(weights) if weights.architecture == FAN else landmark_network_from(weights)
 
 
-def photo_landmarks(
-    network: Fan | LandmarkNetwork, picture: UInt8[np.ndarray, "h w 3"], detected: Landmarks2D
-) -> Landmarks2D:
-    """N(F*) for a detected face, in full-resolution pixels (Deep Energies Sec. 4): its 68 points, whoever found it."""
+def network_scheme(name: str) -> LandmarkScheme:
+    """What the points are called that a network (`energy_network`) sees. Raises as that does."""
+    return DENSE if isinstance(energy_network(name), DenseNetwork) else IBUG68
+
+
+def _of_the_scheme(network: DenseNetwork, origin: str) -> DenseNetwork:
+    points = len(network.head.bias) // NUMBERS
+    if points != len(DENSE):
+        raise ModelError(
+            f"the dense network of {origin} should answer the {len(DENSE)} points of the scheme {DENSE.name!r}, it "
+            f"answers {points}; train it on that scheme"
+        )
+    return network
+
+
+def photo_landmarks(network: EnergyNetwork, picture: UInt8[np.ndarray, "h w 3"], detected: Landmarks2D) -> Landmarks2D:
+    """N(F*) for a detected face, in full-resolution pixels (Deep Energies Sec. 4), about the 68 points of whoever found
+    it: the points that the network knows, a dense one's each with its covariance."""
     points = of_ibug68(detected).points
     for _ in range(LOOKS):
         with COMPUTING:
             box = crop_of(network, jnp.asarray(points))
             seen, confidence = _look(network, picture, box, reduction_for(box))
-            points = np.asarray(seen, float)
-    return Landmarks2D(points, np.clip(np.asarray(confidence, float), 0.0, 1.0), detected.image_size)
+            points = np.asarray(seen.points, float)
+    covariance = None if seen.whitening is None else covariance_of(np.asarray(seen.whitening, float))
+    return Landmarks2D(points, np.clip(np.asarray(confidence, float), 0.0, 1.0), detected.image_size, covariance)
 
 
 @partial(jax.jit, static_argnames=("reduction",))
 def _look(network, picture, box, reduction):
     seen = landmarks_of(network, picture.astype(jnp.float32) / 255.0, box, reduction=reduction)
-    return seen.points, network.confidence_of(seen.heat_maps)
+    return seen, confidence_of(network, seen)

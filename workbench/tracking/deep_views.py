@@ -2,26 +2,32 @@
 
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from workbench.energies.deep import DeepView, crop_of
 from workbench.errors import InputError
-from workbench.face import FaceModel, load_default_head
+from workbench.face import FaceModel, FaceParameters, load_default_head
 from workbench.geometry import Camera
 from workbench.landmarks.network_detector import CROP_BOXES
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import outer_eye_distance
-from workbench.networks import Fan, LandmarkNetwork
+from workbench.networks import DenseNetwork, EnergyNetwork
 from workbench.rendering import Appearance, ambient_light, directional_light, orthographic_camera, turned_light
 from workbench.rendering.camera import OrthographicCamera
+from workbench.runtime import COMPUTING
+from workbench.tracking.deep_programs import DeepScene, project_points
 from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
 
 EYES_PER_BOX = 0.726
 """What counts as the default head's outer-eye distance, in sides of the face box (the eyes themselves take up 0.56 of
 it). Unlike the distance in the picture, it does not shrink with yaw."""
+NEAR = 0.25
+"""Of the photo's crop: within this part of its side, this logarithm of it and these radians a render's own crop is near
+enough to be seen in the photo's."""
 FAR_MM = 1e5
 """An orthographic view is recorded as a camera at this distance, so that every consumer of a fit can draw it."""
 BACKGROUND = (0.45, 0.45, 0.45)
@@ -40,7 +46,7 @@ def recorded_camera(plan: Plan, image_size: tuple[int, int]) -> Camera:
 
 def views_of(
     plan: Plan,
-    network: Fan | LandmarkNetwork,
+    network: EnergyNetwork,
     eyes: float,
     observation: FrameObservation,
     light: Float[np.ndarray, "9 3"],
@@ -74,7 +80,18 @@ def weighed(views: Sequence[DeepView], stage: StagePlan) -> tuple[DeepView, ...]
     return tuple(view._replace(weights=jnp.asarray(weights * np.asarray(view.weights))) for view in views)
 
 
-def eyes_per_box(model: FaceModel, network: Fan | LandmarkNetwork) -> float:
+def holding(views: Sequence[DeepView], scene: DeepScene, parameters: FaceParameters) -> tuple[DeepView, ...]:
+    """The views of a solve from here: those whose render is about where the photo's face is hold the photo's crop.
+
+    A regression errs by where in its crop a face is: seen through one window, photo and render err alike. A face that
+    starts farther off would not be in that window, so D follows it until the next stage.
+    """
+    return tuple(
+        view if view.crop is None else view._replace(held=float(_is_near(view, scene, parameters))) for view in views
+    )
+
+
+def eyes_per_box(model: FaceModel, network: EnergyNetwork) -> float:
     """What counts as a model's outer-eye distance, in sides of the face box that the network's crop tells.
 
     By the neutral face as it is seen from the front: a model whose eyes are farther apart in the crop than the default
@@ -84,7 +101,7 @@ def eyes_per_box(model: FaceModel, network: Fan | LandmarkNetwork) -> float:
     return EYES_PER_BOX * (own / default)
 
 
-def percent_px(network: Fan | LandmarkNetwork, eyes: float, points: Float[np.ndarray, "68 2"]) -> float:
+def percent_px(network: EnergyNetwork, eyes: float, points: Float[np.ndarray, "points 2"]) -> float:
     """One percent of a face's outer-eye distance, in pixels, estimated from the size of its crop.
 
     `eyes` is the model's `eyes_per_box`.
@@ -99,14 +116,23 @@ def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
     return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
 
 
-def _eyes_per_crop(model: FaceModel, network: Fan | LandmarkNetwork) -> float:
+def _is_near(view: DeepView, scene: DeepScene, parameters: FaceParameters) -> bool:
+    with COMPUTING:
+        points = np.asarray(project_points(scene, view, parameters), float)
+        own = crop_of(scene.network, jnp.asarray(points))
+    apart = np.linalg.norm(np.subtract(own.centre, view.crop.centre)) / view.crop.side
+    differences = apart, np.log(own.side / view.crop.side), own.roll - view.crop.roll
+    return bool(np.max(np.abs(differences)) < NEAR)
+
+
+def _eyes_per_crop(model: FaceModel, network: EnergyNetwork) -> float:
     points = model.landmarks.of(model.neutral)[:, :2]
     return float(outer_eye_distance(points)) / float(crop_of(network, jnp.asarray(points)).side)
 
 
 def _view(
     plan: Plan,
-    network: Fan | LandmarkNetwork,
+    network: EnergyNetwork,
     eyes: float,
     camera,
     rotation,
@@ -114,22 +140,29 @@ def _view(
     landmarks: Landmarks2D | None,
     light,
 ) -> DeepView:
+    whitening = crop = None
     if landmarks is None:
-        target, confidence, share, unit = np.zeros((68, 2)), np.zeros(68), np.zeros(68), 1.0
+        target, counts, share, unit = np.zeros((68, 2)), np.zeros(68), np.zeros(68), 1.0
     else:
         target, confidence = landmarks.points, landmarks.confidence
-        share = {"deep": np.ones(68), "points": np.zeros(68), "mixed": confidence}[plan.deep.energy]
+        alike = np.ones(len(target))
+        share = {"deep": alike, "points": 0.0 * alike, "mixed": confidence}[plan.deep.energy]
         unit = percent_px(network, eyes, target) if plan.solver.percent else 1.0
+        counts, whitening = plan.measured(landmarks)
+        if isinstance(network, DenseNetwork):
+            crop = jax.tree.map(np.asarray, crop_of(network, jnp.asarray(target)))
     return DeepView(
         camera=Camera(*(jnp.asarray(part, float) for part in camera)) if isinstance(camera, Camera) else camera,
         rotation=jnp.asarray(rotation, jnp.float32),
         translation=jnp.asarray(translation, jnp.float32),
         target=jnp.asarray(target),
-        weights=jnp.asarray(plan.counts(confidence)),
+        weights=jnp.asarray(counts),
         share=jnp.asarray(share),
         unit_px=jnp.asarray(unit),
         light=jnp.asarray(light, jnp.float32),
         background=jnp.asarray(BACKGROUND, jnp.float32),
+        whitening=None if whitening is None else jnp.asarray(whitening),
+        crop=crop,
     )
 
 

@@ -87,7 +87,7 @@ class DeepPlan:
     distance_mm: float
     appearance: str
     network: str
-    """Weights file of N; empty: the bundled one."""
+    """N: heat-maps, dense, or a weights file."""
     tolerance: float
     largest_error: float
     largest_disagreement: float

@@ -55,6 +55,8 @@ class KnobControl:
         """Show a value without calling back."""
         self.value, self._quiet = value, True
         try:
+            if self.knob.kind == "choice" and value not in self.input.options:  # the path of a weights file
+                self.input.options = (*self.knob.choices, value)
             self.input.value = place_of(self.knob, value)
             self._read_out(value)
         finally:

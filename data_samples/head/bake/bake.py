@@ -24,6 +24,7 @@ from makehuman import MakeHuman
 from paint import SKIN_REGION, Sitter, Surface, brow_coverage, paint, scalp_coverage
 from people import Wardrobe, bake_characters, bake_parts, bake_skins
 from skins import make_canvas
+from smile import softened_smile
 from texture import OVERSAMPLING, SIZE, assembled, encoded_png, rasterise
 from uvlayout import packed_uvs
 
@@ -164,14 +165,17 @@ def assemble(head: Head, embedding: Embedding) -> dict[str, np.ndarray]:
     surface = vertex_surface(head)
     half_face = np.abs(surface.points * [1.0, 0.0, 0.0]) + surface.points * [0.0, 1.0, 1.0]
     brow, scalp = (cover(half_face / head.scale, 0.0) for cover in (brow_coverage, scalp_coverage))
+    regions = region_ids(crop, brow, scalp)
+    smile = softened_smile(head.units["mouthSmileLeft"], surface.points, head.triangles, regions, embedding)
+    units = head.units | {"mouthSmileLeft": smile, "mouthSmileRight": crop.mirrored(smile)}
     blink_mean, blink_identity = blink_scales(head)
     return {
         "neutral": head.neutral[:count].astype(np.float32),
         "triangles": head.triangles.astype(np.uint16),
         "uv": packed_uvs(crop, surface.points).astype(np.float32),
         "triangles_uv": head.triangles_uv.astype(np.uint16),
-        "expression_names": np.array(list(head.units)),
-        "expression_deltas": quantised(np.stack(list(head.units.values())), EXPRESSION_STEP_MM),
+        "expression_names": np.array(list(units)),
+        "expression_deltas": quantised(np.stack(list(units.values())), EXPRESSION_STEP_MM),
         "expression_step_mm": np.float32(EXPRESSION_STEP_MM),
         "identity_deltas": quantised(head.identities[:, :count], IDENTITY_STEP_MM),
         "identity_step_mm": np.float32(IDENTITY_STEP_MM),
@@ -180,7 +184,7 @@ def assemble(head: Head, embedding: Embedding) -> dict[str, np.ndarray]:
         "identity_joint_deltas": head.identities[:, count:].astype(np.float32),
         "jaw_weights": head.jaw_weights.astype(np.float16),
         "jaw_unit": np.array(JAW_UNIT, np.float32),
-        "regions": region_ids(crop, brow, scalp),
+        "regions": regions,
         "region_names": np.array(REGIONS),
         "colors": np.rint(paint(surface, sitter(head))).astype(np.uint8),
         "mirror": crop.mirror.astype(np.uint16),
