@@ -15,7 +15,14 @@ from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov
 from workbench.pictures import HeadRenderer, gl_available
 from workbench.pictures.mesh import to_camera
 from workbench.pipeline.clip_character import Wardrobe, candidates, character_of_clip, sharpness, usable_fits
-from workbench.rendering.skin_texture import FULL_WEIGHT, SkinView, closest_skin, completed_skin, painted_skin
+from workbench.rendering.skin_texture import (
+    FULL_WEIGHT,
+    PaintedSkin,
+    SkinView,
+    closest_skin,
+    completed_skin,
+    painted_skin,
+)
 from workbench.rendering.uv_map import uv_map
 from workbench.samples import sample
 from workbench.session import open_session
@@ -73,6 +80,25 @@ def test_texels_lie_in_their_triangles():
     assert 0.4 < mapped.inside.mean() < 1.0
     # Beside the islands lies what is nearest inside.
     assert set(np.unique(mapped.triangle[~mapped.inside])) <= set(np.unique(mapped.triangle[mapped.inside]))
+
+
+def test_a_dark_line_is_a_brow_above_the_brows_landmarks_and_something_else_on_the_forehead():
+    """Brows are often higher than the model's; the strand of a fringe is no skin."""
+    model, skin = load_default_head(), true_skin("bruno")
+    points = model.landmarks.of(model.neutral)[18:21]
+    mapped = uv_map(model, SIZE)
+    place = mapped.of(model.neutral)
+    inside = mapped.inside & (np.abs(place[..., 0] - points[1, 0]) < 11.0) & (place[..., 2] < 0.0)
+    brow, strand = (inside & (np.abs(place[..., 1] - points[1, 1] + above) < 3.0) for above in (7.0, 32.0))
+    color = skin.copy()
+    color[brow | strand] = 0.08
+    skins = {name: read_skin(name) for name in SKINS[:1]}
+    completed, _ = completed_skin(PaintedSkin(color, np.full((SIZE, SIZE), 2.0 * FULL_WEIGHT)), model, skins)
+    shown = completed / 255.0
+    assert brow.sum() > 20
+    assert strand.sum() > 20
+    assert np.median(shown[brow]) < 0.15
+    assert np.median(shown[strand]) > 0.3
 
 
 def test_a_model_without_texture_coordinates_is_refused():

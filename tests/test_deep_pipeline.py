@@ -179,6 +179,7 @@ def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):
     ("options", "sentence"),
     [
         (["--energy", "deep"], "--energy belongs to Deep Energies"),
+        (["--network", "dense"], "--network belongs to Deep Energies"),
         (["--frames", "9-3"], "first and last frame as A-B"),
         (["--frames", "500-600"], "frames 0 to 239"),
         (["--preset", "deep", "--view", "right"], "NAME=CLIP"),

@@ -27,7 +27,7 @@ from workbench.face.model import Embedding
 from workbench.frames import open_frames
 from workbench.geometry import camera_from_fov
 from workbench.landmarks.alignment import frame_from_points
-from workbench.landmarks.dense_detector import DenseDetector
+from workbench.landmarks.dense_detector import LIDS, DenseDetector
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.files import LandmarkRecord, read_landmark_file, write_landmark_file
 from workbench.landmarks.observations import Landmarks2D, of_ibug68
@@ -342,6 +342,22 @@ class TestDetector:
         assert np.linalg.norm(middles[0] - middles[1]) < 0.05 * outer_eye_distance(heat.points)
         spread = np.sqrt(np.linalg.det(found.covariance)) ** 0.5
         assert spread[list(DENSE.groups["ears"])].mean() > 1.5 * spread[list(DENSE.groups["nose"])].mean()
+
+    def test_lids_of_a_shut_eye_are_the_surer(self, detector, pictures, monkeypatch):
+        (face, *_) = detector.detect_faces(pictures[0], "quick")
+        points = detector.align(pictures[0], face.box).points
+        see = detector._eyes.see
+
+        def deviations(right: float) -> np.ndarray:
+            open_by = np.array([right, 1.0])
+            monkeypatch.setattr(detector._eyes, "see", lambda *seen: see(*seen)._replace(is_open=open_by))
+            return np.sqrt(np.linalg.det(detector.refine(pictures[0], points).covariance)) ** 0.5
+
+        shut, half, wide = map(deviations, (0.0, 0.5, 1.0))
+        np.testing.assert_allclose(shut[LIDS[0]] / wide[LIDS[0]], 0.6)
+        np.testing.assert_allclose(half[LIDS[0]] / wide[LIDS[0]], 0.8)
+        others = np.setdiff1d(np.arange(377), LIDS[0])
+        np.testing.assert_allclose(shut[others], wide[others])
 
     def test_the_mirrored_picture_gives_the_mirrored_answer(self, detector, pictures):
         (face, *_) = detector.detect_faces(pictures[0], "quick")

@@ -62,6 +62,9 @@ TONE_RANGE = 1.2
 """Largest change of another skin's tone, in logarithms."""
 KEPT = ("brow", "lips")
 """Regions whose colour may differ from the skin's."""
+BROW_MM = (14.0, 4.0)
+"""So may what is so far above the line of a brow's landmarks, which real brows often are, and below, where rims of
+glasses begin."""
 PART_REGIONS = ("eyeL", "eyeR", "eye_cavity", "teethU", "teethL", "tongue", "mouth_cavity")
 SMALL = 256
 """Side at which skins are compared."""
@@ -128,7 +131,7 @@ def completed_skin(
     other = np.maximum(cv2.resize(skins[name], (size, size), interpolation=cv2.INTER_AREA) / 255.0, DARKEST)
     own = np.log(np.maximum(painted.color, DARKEST)) - np.log(other)
     weight = np.clip(painted.seen / FULL_WEIGHT, 0.0, 1.0) * (painted.seen > LEAST_WEIGHT)
-    kept = mapped.of(_in(model, KEPT).astype(float)) > 0.5
+    kept = mapped.of((_in(model, KEPT) | _near_brows(model)).astype(float)) > 0.5
     # What differs from its surroundings all over the clip is no skin: a strand of hair, the rim of glasses.
     middle = _median_color(own, weight)
     trusted = weight * (np.abs((own - middle).mean(axis=-1)) < FOREIGN)
@@ -227,6 +230,14 @@ def _held(model: FaceModel) -> Float[np.ndarray, "v"]:
         near, far = CLEAR_MM
         held *= np.clip((cKDTree(inner).query(places)[0] - near) / (far - near), 0.0, 1.0)
     return held
+
+
+def _near_brows(model: FaceModel) -> Bool[np.ndarray, "v"]:
+    points = model.landmarks.of(model.neutral)[17:27].reshape(2, 5, 3)
+    along = np.linspace(0.0, 1.0, 5)[:, None, None, None]
+    line = ((1.0 - along) * points[:, :-1] + along * points[:, 1:]).reshape(-1, 3)
+    away, nearest = cKDTree(line).query(model.neutral)
+    return (away < BROW_MM[0]) & (model.neutral[:, 1] - line[nearest, 1] < BROW_MM[1])
 
 
 def _in(model: FaceModel, names: Sequence[str]) -> Bool[np.ndarray, "v"]:
