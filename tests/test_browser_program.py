@@ -73,6 +73,26 @@ class TestHearing:
         assert "keepHearing" in (BROWSER / program).read_text("utf-8").split("export default")[1]
 
 
+CARRIED = """(async () => {
+  const heard = [], head = { set_state: (state) => heard.push(state) };
+  const get_model = (id) => (id === "head" ? Promise.resolve(head) : Promise.reject(new Error("closed")));
+  const on = (name, callback) => { listeners[name] = callback; }, listeners = {};
+  let carried;
+  handOn({ on, get: () => carried, widget_manager: { get_model } });
+  const toHead = (state) => ({ to: "head", state }), gone = { to: "gone", state: { x: 2 } };
+  for (carried of [{}, toHead({ x: 1 }), gone, toHead({ y: 3 })]) await listeners["change:_carried"]();
+  return heard;
+})()"""
+"""What a head is given by the widget that carries its changes."""
+
+
+class TestCarrying:
+    @needs_node
+    def test_what_a_message_carries_is_handed_on_where_the_other_widget_is_there(self):
+        carrying = BROWSER / "shared" / "carrying.js"
+        assert asked_of_node(carrying, "handOn", f"await {CARRIED}") == [{"x": 1}, {"y": 3}]
+
+
 class TestJoining:
     @needs_node
     def test_a_program_computes_what_its_modules_compute(self, tmp_path):

@@ -177,7 +177,7 @@ def told(monkeypatch):
     return sent
 
 
-def test_a_slider_is_answered_by_one_message_for_the_head_and_one_for_the_picture(panel, told, monkeypatch):
+def test_a_slider_is_answered_by_one_message_for_head_and_picture(panel, told, monkeypatch):
     panel.wait_idle()
     told.clear()
     monkeypatch.setattr(tuning_panel, "FIRST_S", 30.0)
@@ -185,10 +185,12 @@ def test_a_slider_is_answered_by_one_message_for_the_head_and_one_for_the_pictur
     control = panel.controls.by_path["weights.sigma_smooth"]
     control.input.value += 4 * control.input.step
     panel.wait_idle()
-    (slider, *_), picture, head, *rest = told
+    (slider, *_), picture, *rest = told
     assert slider is control.input
-    assert head == (panel.head.view.canvas, {"_vertices", "_viewpoint"}, panel.session.model.neutral.size * 4)
-    assert picture == (panel.overlay.view, {"_fit", "_fits"}, 68 * 8 * 4)
+    assert picture == (panel.overlay.view, {"_fit", "_fits", "_carried"}, 68 * 8 * 4)
+    head, carried = panel.head.view.canvas, panel.overlay.view._carried
+    assert carried == {"to": head.model_id, "state": head.get_state(("_vertices", "_viewpoint"))}
+    assert len(head._vertices) == panel.session.model.neutral.size * 4
     later = {widget for widget, *_ in rest}
     assert later >= {control.readout, panel.history.undo, panel.status}
     assert not later & {panel.head.view.canvas, panel.overlay.view}

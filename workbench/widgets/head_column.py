@@ -15,7 +15,7 @@ from workbench.tracking import FrameFit
 from workbench.widgets.character_choice import CharacterChoice
 from workbench.widgets.controls import toggle
 from workbench.widgets.head_backends import make_head_view
-from workbench.widgets.head_view import HeadView
+from workbench.widgets.head_view import Carrier, HeadView
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.panel_layout import classed, wrapped
 from workbench.widgets.waiting import Waiting
@@ -83,8 +83,8 @@ class HeadColumn:
         self._holder = classed(widgets.VBox([classed(self.view.widget, "fw-grow")]), "fw-grow")
         self.widget = widgets.VBox([above, self._holder, self.working, below, self.note])
 
-    def show(self, fit: FrameFit) -> None:
-        """Show the head of a fit, and none for a frame without a face."""
+    def show(self, fit: FrameFit, carrier: Carrier | None = None) -> None:
+        """Show the head of a fit, and none for a frame without a face; `carrier` is as in `HeadView.at_once`."""
         if not fit.found:
             self._holder.add_class(FACELESS)
             return
@@ -92,7 +92,7 @@ class HeadColumn:
         if self.character.follow():
             self._make_view()
         self._ghost(fit)
-        with self.view.at_once():
+        with self.view.at_once(carrier):
             self.view.set_vertices(self._head.vertices(fit), self._head.personal(fit.identity).neutral)
             self.view.set_pose(fit.rotation, fit.translation, fit.camera, fit.image_size)
             self._color(fit)

@@ -23,6 +23,13 @@ DARKEST = 42
 """First step of viridis in use, of 256, because darker ones look like shadow."""
 
 
+class Carrier(Protocol):
+    """A widget whose next message takes along what has changed in another one."""
+
+    def carry(self, to: str, state: dict[str, object]) -> None:
+        """Take along the `state` of the widget with the `model_id` `to`."""
+
+
 @runtime_checkable
 class HeadView(Protocol):
     """A head that can be viewed from all sides. Every method may be called from any thread and returns at once."""
@@ -32,8 +39,8 @@ class HeadView(Protocol):
     note: str | None
     """A message for the user; None if there is nothing to report."""
 
-    def at_once(self) -> AbstractContextManager[object]:
-        """What is set within this is drawn together."""
+    def at_once(self, carrier: Carrier | None = None) -> AbstractContextManager[object]:
+        """What is set within this is drawn together; together with the `carrier`, too, if it goes to the browser."""
 
     def set_vertices(self, vertices: Float[np.ndarray, "v 3"], rest: Float[np.ndarray, "v 3"] | None = None) -> None:
         """Show the head with these vertices: head frame, millimetres.

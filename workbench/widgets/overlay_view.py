@@ -159,6 +159,7 @@ class OverlayView(anywidget.AnyWidget):
     _fits = traitlets.Int(0).tag(sync=True)
     _scale = traitlets.Float(SMALLEST_SCALE).tag(sync=True)
     _scheme = traitlets.Dict().tag(sync=True)
+    _carried = traitlets.Dict(help="`to`: the model of another widget, `state`: what has changed in it").tag(sync=True)
 
     def __init__(self, height_px: int = 420, scheme: LandmarkScheme = IBUG68, **traits: object) -> None:
         self._lock = threading.RLock()
@@ -187,6 +188,10 @@ class OverlayView(anywidget.AnyWidget):
     def scale(self) -> float:
         """Residual at the bright end of the colours, in `unit`."""
         return self._scale
+
+    def carry(self, to: str, state: dict[str, object]) -> None:
+        """Take along what has changed in another widget (`model_id`), so that both are drawn together."""
+        self._carried = {"to": to, "state": state}
 
     def set_picture(self, rgb: Shaped[np.ndarray, "..."]) -> None:
         """Show an RGB picture, uint8 (h, w, 3); setting the same array object again sends nothing."""

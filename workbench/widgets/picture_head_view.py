@@ -18,6 +18,7 @@ from workbench.geometry import Camera
 from workbench.pictures.head_picture import head_painter
 from workbench.widgets.browser_program import browser_program
 from workbench.widgets.head_view import (
+    Carrier,
     Legend,
     Number,
     Shown,
@@ -87,7 +88,7 @@ class PictureHeadView:
         """The current viewpoint."""
         return self._scene.viewpoint
 
-    def at_once(self) -> AbstractContextManager[object]:
+    def at_once(self, carrier: Carrier | None = None) -> AbstractContextManager[object]:
         """See `HeadView.at_once`; a thread that waits for the lock draws only the last state."""
         return self._changed
 

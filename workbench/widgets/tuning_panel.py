@@ -235,8 +235,9 @@ class TuningPanel(LateParts):
 
     def _show(self, fit: "workbench.tracking.FrameFit") -> None:
         self.fit, self._iterations.found = fit, fit.found
-        self.overlay.show(fit, self.time.note_of(fit))
-        self.head.show(fit)  # last, because the page may have to wait while the device draws it
+        with self.overlay.view.hold_sync():  # one message: two arrive milliseconds apart and are drawn a frame apart
+            self.head.show(fit, self.overlay.view)
+            self.overlay.show(fit, self.time.note_of(fit))
 
     def _redraw(self) -> None:
         if self.fit is not None:

@@ -1,7 +1,8 @@
 """The head drawn by the browser (WebGL2). Turning it with the mouse costs the kernel nothing."""
 
 import threading
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 
 import anywidget
@@ -18,6 +19,7 @@ from workbench.pictures.head_picture import head_painter
 from workbench.widgets.browser_program import browser_program
 from workbench.widgets.head_mesh import rods_message, surface_message
 from workbench.widgets.head_view import (
+    Carrier,
     Legend,
     Number,
     Shown,
@@ -59,6 +61,33 @@ class WebGLCanvas(anywidget.AnyWidget):
     _fills = traitlets.Bool(False, help="whether the canvas is as large as its place, not `_size`").tag(sync=True)
     _note = traitlets.Unicode(NO_WEBGL_NOTE).tag(sync=True)
     _missing = traitlets.Bool(False, help="whether WebGL is missing").tag(sync=True)
+    _handed: dict[str, object] | None = None
+    """What has changed while another widget is to carry it."""
+
+    def __init__(self, **traits: object) -> None:
+        self._handing = threading.RLock()
+        super().__init__(**traits)
+
+    @contextmanager
+    def carried_by(self, carrier: Carrier) -> Iterator[None]:
+        """Let another widget's next message carry what is changed within this."""
+        with self._handing:
+            self._handed = {}
+        try:
+            yield
+        finally:
+            with self._handing:
+                handed, self._handed = self._handed, None
+            if handed:
+                carrier.carry(self.model_id, handed)
+
+    def send_state(self, key=None) -> None:
+        """Send a part of the state, or let it be carried."""
+        with self._handing:
+            if self._handed is not None:
+                self._handed |= self.get_state(key)
+                return
+        super().send_state(key)
 
 
 class WebGLHeadView:
@@ -92,9 +121,9 @@ class WebGLHeadView:
     def __repr__(self) -> str:
         return f"WebGLHeadView({self._model.name!r}, {self._size[0]} × {self._size[1]})"
 
-    def at_once(self) -> AbstractContextManager[object]:
+    def at_once(self, carrier: Carrier | None = None) -> AbstractContextManager[object]:
         """See `HeadView.at_once`."""
-        return self.canvas.hold_sync()
+        return self.canvas.hold_sync() if carrier is None else self.canvas.carried_by(carrier)
 
     def set_vertices(self, vertices: Float[np.ndarray, "v 3"], rest: Float[np.ndarray, "v 3"] | None = None) -> None:
         """See `HeadView.set_vertices`."""

@@ -1,6 +1,7 @@
 // The frame with its landmarks: two stacked canvases, the picture below and the marks above it.
 import { bytesOf } from "../shared/bytes.js";
 import { cleared } from "../shared/canvas.js";
+import { handOn } from "../shared/carrying.js";
 import { cssColors } from "../shared/colors.js";
 import { follow, followSize, listen } from "../shared/following.js";
 import { keepHearing } from "../shared/hearing.js";
@@ -197,4 +198,4 @@ function render({ model, el }) {
   return () => stops.forEach((stop) => stop());
 }
 
-export default { initialize: keepHearing, render };
+export default { initialize: ({ model }) => { keepHearing({ model }); handOn(model); }, render };
