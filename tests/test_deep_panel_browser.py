@@ -44,7 +44,7 @@ def test_the_film_strip_shows_the_stages_and_follows_the_choice_of_energy(page, 
     tab(page, "deep")
     before = strip_source(page)
     page.page.screenshot(path=screenshots / "deep-panel.png")
-    page.page.locator(".fw-controls select:visible").first.select_option("points")
+    page.page.locator(".fw-controls select:visible:has(option:text-is('points'))").select_option("points")
     page.page.wait_for_function(
         "([s, before]) => document.querySelector(s).src !== before", arg=[STRIP, before], timeout=120_000
     )

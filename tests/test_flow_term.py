@@ -12,6 +12,7 @@ from workbench.energies import residual_of
 from workbench.errors import InputError
 from workbench.flow import personal_points, points_in_camera
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import IBUG68
 from workbench.pipeline import track
 from workbench.pipeline.deep_sources import RigSource
 from workbench.planning import plan_of
@@ -266,7 +267,7 @@ class View:
     """A camera's film, as sources bring it."""
 
     frames = detector = None
-    image_size, count, single_picture, views = SIZE, 2, False, ()
+    image_size, count, single_picture, views, scheme = SIZE, 2, False, (), IBUG68
 
     def __init__(self, seen):
         self.seen = seen

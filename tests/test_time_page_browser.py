@@ -127,8 +127,13 @@ def test_a_sweep_grows_into_a_curve_whose_points_are_told_and_taken(page, screen
     setting.press("Enter")
     pressed(page, "run", ".fw-sweeps")
     says(page, "Least error:")
-    state = page.page.locator(".fw-sweep").evaluate("(e) => JSON.parse(e.dataset.state)")
-    assert (state["kind"], state["count"], state["known"]) == ("curve", 15, 15)
+
+    def drawn():
+        return page.page.locator(".fw-sweep").evaluate("(e) => JSON.parse(e.dataset.state)")
+
+    browser.wait_until(lambda: drawn()["known"] == 15, "the whole curve is drawn")
+    state = drawn()
+    assert (state["kind"], state["count"]) == ("curve", 15)
     stage, (left, top, width, height, _) = page.page.locator(".fw-sweep .fw-stage"), state["box"]
     stage.hover(position={"x": left + 0.9 * width, "y": top + height / 2})
     page.page.get_by_text("half the frames:").wait_for()
