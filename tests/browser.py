@@ -445,7 +445,10 @@ _OUTPUTS = """() => {
 }"""
 _ASK = """async (code) => {
   const kernel = window.jupyterapp.shell.currentWidget.sessionContext.session.kernel, start = performance.now();
-  await kernel.requestExecute({code, store_history: false}).done;
+  const future = kernel.requestExecute({code, store_history: false});
+  // "Idle" follows the answer. Once it never came, and the page would have waited for ever.
+  const answered = new Promise((done) => { future.onReply = () => setTimeout(done, 5000); });
+  await Promise.race([future.done, answered]);
   return performance.now() - start;
 }"""
 _TIDY = """
