@@ -169,7 +169,10 @@ def test_the_face_has_a_third_of_the_height_and_the_panel_fits_into_the_window(p
             f"() => document.body.dataset.jpThemeLight === '{'true' if theme == 'Light' else 'false'}'"
         )
         to_top(page)
+        page.wait_drawn()
         page.page.screenshot(path=screenshots / f"design-{size['width']}-{theme}.png")
+        # Not the head from so near that it fills its place with skin.
+        assert page.page.evaluate("(s) => new Set(window.readCanvas(s, 100)).size > 60", HEAD)
     box = page.page.locator(".fw-panel").bounding_box()
     assert box["y"] + box["height"] <= size["height"]
     page.page.evaluate("() => window.jupyterapp.commands.execute('apputils:change-theme', {theme: 'JupyterLab Light'})")

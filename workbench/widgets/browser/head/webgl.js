@@ -65,6 +65,7 @@ function render({ model, el }) {
   if (fills) fillPlace(el, canvas);
   const place = () => (fills ? [Math.max(canvas.clientWidth, 1), Math.max(canvas.clientHeight, 1)] : size);
   const painting = onDemand(() => {
+    if (fills && !canvas.clientWidth) return false; // in a hidden tab, and for a moment while the theme changes
     const now = place(), lens = model.get("_lens"), crop = lens.length ? cropOf(canvas) : null;
     sharpen(canvas, now);
     stage?.draw((scene, fresh) => {
