@@ -66,9 +66,7 @@ def character_look(dressed: DressedHead, side: int = SIDE) -> CharacterLook:
     """A character for the renderer, with a texture of `side` × `side` texels, in the pictures' own encoding."""
     model = dressed.model
     mapped = uv_map(model, side)
-    own = read_picture(sample("head-texture"))
-    skin, own = (cv2.resize(picture, (side, side), interpolation=cv2.INTER_AREA) for picture in (dressed.skin, own))
-    texture = np.where(dressed.shown[mapped.triangle][..., None], skin, own) / 255.0
+    texture = np.where(dressed.shown[mapped.triangle][..., None], _resized(dressed.skin, side), _own_skin(side)) / 255.0
     outside = [worn for worn in dressed.worn if worn.part.kind in OUTSIDE]
     for worn in dressed.worn:
         if worn.part.kind == "brows":
@@ -78,8 +76,7 @@ def character_look(dressed: DressedHead, side: int = SIDE) -> CharacterLook:
 
 def plain_look(side: int = SIDE) -> CharacterLook:
     """The default head without a character: its painted texture, and nothing before the face."""
-    painted = cv2.resize(read_picture(sample("head-texture")), (side, side), interpolation=cv2.INTER_AREA)
-    return CharacterLook(_texture(painted / 255.0, load_default_head()), None)
+    return CharacterLook(_texture(_own_skin(side) / 255.0, load_default_head()), None)
 
 
 def vertex_colors(texture: Texture, model: FaceModel) -> Float[np.ndarray, "v 3"]:
@@ -143,6 +140,14 @@ def hidden_pixels(
     light, black = jnp.zeros((9, 3)), jnp.zeros(3)
     face = render_face(model, parameters, camera, model.colors, light, black, size=size, antialias=False)
     return covered(face, cover, cover_vertices(cover, model, parameters), camera, light, size=size)[1]
+
+
+def _own_skin(side: int) -> UInt8[np.ndarray, "s s 3"]:
+    return _resized(read_picture(sample("head-texture")), side)
+
+
+def _resized(picture: UInt8[np.ndarray, "h w 3"], side: int) -> UInt8[np.ndarray, "s s 3"]:
+    return cv2.resize(picture, (side, side), interpolation=cv2.INTER_AREA)
 
 
 def _texture(picture: Float[np.ndarray, "s s 3"], model: FaceModel) -> Texture:

@@ -1,10 +1,10 @@
 """Fits of parts of a clip under many configurations at once, with what cross-validation hides as more of the same."""
 
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,8 @@ from workbench.tracking.frame_solver import Method, SolveSettings, StageProgram
 from workbench.tracking.initial_pose import initial_pose
 from workbench.tracking.walk import jumped
 
+Key, Value = TypeVar("Key", bound=Hashable), TypeVar("Value")
+
 KEPT_IDENTITIES = 256
 KEPT_WINDOWS = 64
 """Of 240 frames they take 25 MB."""
@@ -64,8 +66,7 @@ def setting_of(config: Config) -> Setting:
     """The setting of a configuration. Raises `ConfigError` for one that no batch can solve."""
     check_swept(config)
     plan = plan_of(config)
-    numbers = solve_settings(plan), stage_program(plan, True), stage_program(plan, False)
-    return Setting(config, plan, *jax.tree.map(np.asarray, numbers))
+    return Setting(config, plan, solve_settings(plan), stage_program(plan, True), stage_program(plan, False))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,17 +170,16 @@ class ClipSolver:
         window = [without_hidden(corrected(each, config.moved_points(each.index)), hidden) for each in window]
         if not any(each.landmarks is not None for each in window):
             return nothing
-        key = (clip.digest, shot.start, identity_key(config, window), hidden.tobytes())
-        if key not in self._identities:
+
+        def calibrate() -> Calibrated:
             if self._fitter is None:
                 self._fitter = FaceItFitter(self.model, plan)
             # Hidden landmarks are muted too, or the poses that the calibration starts from would know them.
             self._fitter.configure(replace(plan, point_weights=np.where(hidden, 0.0, plan.point_weights)))
-            self._identities[key] = self._fitter.calibrate(window, 1 if clip.stills else config.identity.frames)
-            while len(self._identities) > KEPT_IDENTITIES:
-                self._identities.popitem(last=False)
-        self._identities.move_to_end(key)
-        return self._identities[key]
+            return self._fitter.calibrate(window, 1 if clip.stills else config.identity.frames)
+
+        key = (clip.digest, shot.start, identity_key(config, window), hidden.tobytes())
+        return kept(self._identities, key, KEPT_IDENTITIES, calibrate)
 
     def _job(
         self, setting: Setting, clip: SweptClip, window: range, calibrated: Calibrated, mask: Bool[np.ndarray, "n 68"]
@@ -201,14 +201,13 @@ class ClipSolver:
     def _seen(self, setting: Setting, clip: SweptClip, window: range, mask: Bool[np.ndarray, "n 68"]) -> SeenFrames:
         """What the frames of a window show; the same for most settings, so the latest are kept."""
         moved = {index: setting.config.moved_points(index) for index in map(int, setting.config.landmarks.moved)}
-        key = (clip.digest, window, mask.tobytes(), setting.plan.confident, repr(moved))
-        if key not in self._windows:
+
+        def see() -> SeenFrames:
             frames = frames_of(clip, [window])
-            self._windows[key] = seen_frames(setting.plan, frames, [moved.get(each.index, {}) for each in frames], mask)
-            while len(self._windows) > KEPT_WINDOWS:
-                self._windows.popitem(last=False)
-        self._windows.move_to_end(key)
-        return self._windows[key]
+            return seen_frames(setting.plan, frames, [moved.get(each.index, {}) for each in frames], mask)
+
+        key = (clip.digest, window, mask.tobytes(), setting.plan.confident, repr(moved))
+        return kept(self._windows, key, KEPT_WINDOWS, see)
 
     def _fitted(self, solved: Iterator, windows, kinds: tuple[str, ...], surface: bool) -> FittedClip:
         """Takes one configuration's chains, the folds' in their order."""
@@ -230,6 +229,16 @@ class ClipSolver:
             surface_points(self.model, *numbers) if surface else None,
             folds,
         )
+
+
+def kept(store: OrderedDict[Key, Value], key: Key, most: int, make: Callable[[], Value]) -> Value:
+    """The value of a key, made where it is not kept; the `most` that were asked for last are."""
+    if key not in store:
+        store[key] = make()
+        while len(store) > most:
+            store.popitem(last=False)
+    store.move_to_end(key)
+    return store[key]
 
 
 def check_swept(config: Config) -> None:

@@ -11,7 +11,7 @@ from workbench.errors import OutputError
 from workbench.face import FaceModel, load_default_head, load_face_model
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import objectives_of, result_key, store_result, stored_result
-from workbench.sweeps.solving import ClipSolver
+from workbench.sweeps.solving import ClipSolver, kept
 from workbench.sweeps.storage import Storage, local_file
 from workbench.sweeps.stored_clips import ClipSource, digest_of, observe, store_clip, stored_clip
 
@@ -117,13 +117,10 @@ _CLIPS: OrderedDict[tuple[str, str], SweptClip] = OrderedDict()
 
 
 def _clip(storage: Storage, digest: str, name: str) -> SweptClip:
-    key = (storage.place, digest)
-    if key not in _CLIPS:
+    def read() -> SweptClip:
         clip = stored_clip(storage, digest, name)
         if clip is None:
             raise OutputError(f"The landmarks of {name} are gone from {storage.place}; run the sweep again.")
-        _CLIPS[key] = clip
-        while len(_CLIPS) > KEPT_CLIPS:
-            _CLIPS.popitem(last=False)
-    _CLIPS.move_to_end(key)
-    return _CLIPS[key]
+        return clip
+
+    return kept(_CLIPS, (storage.place, digest), KEPT_CLIPS, read)
