@@ -15,6 +15,7 @@ import pytest
 from tests.scenes import turning_clip
 from workbench.config import FACE_IT_PRESETS, PRESETS, differences, preset, read_config
 from workbench.diagnosis import Change
+from workbench.errors import StoppedError
 from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.samples import sample
@@ -151,6 +152,33 @@ def test_a_panel_that_is_closed_before_its_parts_are_made_gets_none(head, clip):
 
     with pytest.raises(AttributeError, match="tabs"):
         _ = asyncio.run(cell()).tabs
+
+
+def test_what_a_panel_is_doing_is_cancelled_when_it_is_closed_and_nothing_is_told_any_more(head, photo, told):
+    began, ended = threading.Event(), []
+
+    def get_ready(cancelled):
+        began.set()
+        patience = time.monotonic() + 60.0
+        while not cancelled() and time.monotonic() < patience:
+            time.sleep(0.01)
+        ended.append(cancelled())
+        raise StoppedError("Getting ready was cancelled.")
+
+    session = TuningSession(head, photo)
+    session.warm_up = get_ready
+    made = TuningPanel(session, backend="webgl")
+    made._make()
+    assert began.wait(60)
+    patience = time.monotonic() + 60.0
+    while tuning_panel.GETTING_READY not in made.waiting.said.value and time.monotonic() < patience:
+        time.sleep(0.01)
+    assert tuning_panel.GETTING_READY in made.waiting.said.value
+    made.close()
+    told.clear()
+    made._slow._pool.shutdown(wait=True)
+    assert ended == [True]
+    assert told == []
 
 
 def test_a_chart_can_be_drawn_from_what_the_browser_hears_first(monkeypatch):

@@ -500,6 +500,19 @@ def test_cancelling_tells_the_job_that_the_line_is_about_and_is_not_remembered_a
         assert becomes(lambda: "first … about 9 s" in waiting.said.value)
 
 
+def test_closing_the_line_cancels_what_runs_and_what_begins_afterwards_and_tells_of_neither():
+    waiting, pressed = Waiting(patience_s=0.0), []
+    with waiting.during("first", cancel=lambda: pressed.append("first")) as first:
+        assert becomes(lambda: "first" in waiting.said.value)
+        told = waiting.said.value
+        waiting.close()
+        with waiting.during("second") as second:
+            assert second.cancelled()
+        assert first.cancelled()
+    assert waiting.said.value == told
+    assert pressed == []
+
+
 def test_a_failure_ends_the_waiting_too():
     waiting = Waiting(patience_s=0.0)
     with pytest.raises(ValueError, match="broken"), waiting.during("fitting"):

@@ -112,6 +112,7 @@ class TuningPanel(LateParts):
     def _close_parts(self) -> None:
         self._leave()
         self.export_dialog.stop()
+        self.waiting.close()
         for worker in self._workers:
             worker.close()
 
@@ -248,6 +249,8 @@ class TuningPanel(LateParts):
         self._slow.submit(self.waiting.running(work, what, usual_s))
 
     def _failed(self, error: Exception) -> None:
+        if self._closed:  # what it was doing has been cancelled
+            return
         self._catch_up()
         self._clip_bar.hide_progress()
         self.status.failed(error)

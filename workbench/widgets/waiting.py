@@ -45,6 +45,10 @@ class Job:
         """Whether the user has cancelled it."""
         return self._stopped.is_set()
 
+    def drop(self) -> None:
+        """Cancel it because nobody is there to see its result."""
+        self._stopped.set()
+
     def stop(self) -> None:
         """Cancel it. What cannot stop halfway ends as soon as it can, and its result is not shown."""
         self._stopped.set()
@@ -79,7 +83,9 @@ class Waiting(widgets.HBox):
 
     def __init__(self, patience_s: float = PATIENCE_S) -> None:
         self._patience_s = patience_s
-        self._running: dict[int, Job] = {}
+        self._jobs: dict[int, Job] = {}
+        self._running: dict[int, Job] = {}  # of them, those that the line has told about
+        self._closed = False
         self._took: dict[str, float] = {}
         self._lock, self._number = threading.RLock(), 0
         self.said = widgets.HTML()
@@ -109,6 +115,9 @@ class Waiting(widgets.HBox):
         with self._lock:
             self._number += 1
             number = self._number
+            self._jobs[number] = job
+            if self._closed:
+                job.drop()
         alarm = ALARMS.after(self._patience_s, lambda: self._begin(number, job))
         try:
             yield job
@@ -135,13 +144,21 @@ class Waiting(widgets.HBox):
             job.stop()
             self._show()
 
+    def close(self) -> None:
+        """Cancel every job, and tell about none any more."""
+        with self._lock:
+            self._closed, jobs = True, list(self._jobs.values())
+        for job in jobs:
+            job.drop()
+        super().close()
+
     @property
     def _shown(self) -> Job | None:
         return next(reversed(self._running.values()), None)
 
     def _begin(self, number: int, job: Job) -> None:
         with self._lock:
-            if job.ended:  # while the timer went off
+            if job.ended or self._closed:  # while the timer went off
                 return
             self._running[number] = job
             self._show()
@@ -151,7 +168,8 @@ class Waiting(widgets.HBox):
     def _end(self, number: int, job: Job) -> None:
         with self._lock:
             job.ended = True
-            if self._running.pop(number, None) is None:
+            del self._jobs[number]
+            if self._running.pop(number, None) is None or self._closed:
                 return
             self._show()
             for widget in job.old:
@@ -159,6 +177,8 @@ class Waiting(widgets.HBox):
 
     def _show(self) -> None:
         with self._lock:
+            if self._closed:
+                return
             job = self._shown
             self.said.value = f"{SPINNER} {html.escape(job.text)}" if job else ""
             can = job is not None and job.cancel is not None and not job.cancelled()
