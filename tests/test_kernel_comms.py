@@ -8,7 +8,7 @@ import pytest
 from jupyter_client.manager import start_new_kernel
 
 from workbench.errors import InputError
-from workbench.widgets.kernel_comms import after_cell
+from workbench.widgets.kernel_comms import after_cell, after_message
 from workbench.widgets.late_parts import LateParts
 
 WIDGET = """
@@ -131,6 +131,19 @@ def test_what_comes_after_a_cell_waits_for_its_end_and_outside_of_one_for_nothin
     asyncio.run(two_cells())
     after_cell(lambda: done.append("at once"))
     assert done == ["cell", "after", "next cell", "at once"]
+
+
+def test_what_comes_some_time_after_a_message_waits_for_it_and_outside_of_one_for_nothing():
+    done = []
+
+    async def message():
+        after_message(0.02, lambda: done.append("later"))
+        done.append("message")
+        await asyncio.sleep(0.2)
+
+    asyncio.run(message())
+    after_message(30.0, lambda: done.append("at once"))
+    assert done == ["message", "later", "at once"]
 
 
 class Broken(LateParts):

@@ -34,11 +34,11 @@ from workbench.session.knobs import (
 )
 from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
-from workbench.widgets import FitPlayground, LivePanel, SessionOpener, TuningPanel, tuning_panel
+from workbench.widgets import FitPlayground, LivePanel, SessionOpener, TuningPanel, knob_control, tuning_panel
 from workbench.widgets.chart_view import ChartView
 from workbench.widgets.diagnosis_view import found_text
 from workbench.widgets.film_strip import FilmStrip
-from workbench.widgets.knob_control import KnobControl, place_of, value_at
+from workbench.widgets.knob_control import CHANGED, KnobControl, place_of, value_at
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.light_panel import LightPanel
 from workbench.widgets.overlay_view import OverlayEvent
@@ -262,6 +262,25 @@ def test_a_slider_is_answered_by_the_panel_where_a_fit_takes_long(panel, monkeyp
 
 
 # --- knobs ---
+
+
+def test_in_a_kernel_a_sliders_number_follows_it_once_however_often_it_moves():
+    turned, shown = [], []
+    control = KnobControl(BY_PATH["weights.sigma_smooth"], lambda path, value: turned.append(value))
+    control.begin_at(1.0)
+    control.show(1.0)
+    control.readout.observe(lambda change: shown.append(change["new"]), "value")
+
+    async def drag():
+        for _ in range(3):
+            control.input.value += 2 * control.input.step
+        assert not shown
+        await asyncio.sleep(4 * knob_control.NUMBER_S)
+
+    asyncio.run(drag())
+    assert len(turned) == 3
+    assert shown == [f"{turned[-1]:.4g}"]
+    assert CHANGED in control.widget._dom_classes
 
 
 @pytest.mark.parametrize("path", BY_PATH)

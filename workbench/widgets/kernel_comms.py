@@ -44,9 +44,25 @@ def lose_no_messages() -> None:
 
 def after_cell(work: Callable[[], object]) -> None:
     """Do some work once the cell that runs has ended, before the next one; at once in a thread that runs no cell."""
-    try:
-        loop = asyncio.get_running_loop()
-    except RuntimeError:
+    loop = _own_loop()
+    if loop is None:
         work()
-        return
-    loop.call_soon(work)
+    else:
+        loop.call_soon(work)
+
+
+def after_message(seconds: float, work: Callable[[], object]) -> None:
+    """Do some work in this thread, some time after the message that it handles; at once where it handles none."""
+    loop = _own_loop()
+    if loop is None:
+        work()
+    else:
+        loop.call_later(seconds, work)
+
+
+def _own_loop() -> asyncio.AbstractEventLoop | None:
+    """The loop that this thread runs; None outside a kernel's threads for cells and messages."""
+    try:
+        return asyncio.get_running_loop()
+    except RuntimeError:
+        return None

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import ipywidgets as widgets
 
 from workbench.session.knobs import Knob, Value
+from workbench.widgets.kernel_comms import after_message
 
 Turned = Callable[[str, Value], None]
 """Called with the path of a knob and its new value."""
@@ -15,6 +16,9 @@ LABEL_PX = 66
 NUMBERS = ("log", "linear", "whole")
 """Kinds of knobs with a slider and a number."""
 KNOB, CHANGED = "fw-knob", "fw-changed"
+NUMBER_S = 0.05
+"""A slider's number follows it after this time, in a drag once in this time: a browser that lays it out in the frame of
+what follows from the slider shows both later."""
 
 
 class KnobControl:
@@ -25,7 +29,7 @@ class KnobControl:
     """
 
     def __init__(self, knob: Knob, turned: Turned) -> None:
-        self.knob, self._turned, self._quiet = knob, turned, False
+        self.knob, self._turned, self._quiet, self._late = knob, turned, False, False
         self.value: Value | None = None
         self.start: Value | None = None
         self._mark = ""
@@ -105,7 +109,13 @@ class KnobControl:
             return
         self.value = value_at(self.knob, change["new"])
         self._turned(self.knob.path, self.value)
-        # Afterwards, because a browser that lays out a new number first shows what follows from it later.
+        if not self._late:
+            self._late = True
+            after_message(NUMBER_S, self._follow)
+
+    def _follow(self) -> None:
+        """Show the slider's number."""
+        self._late = False
         self._read_out(self.value)
         self._show_changed()
 

@@ -13,7 +13,7 @@ const RIM = 0.3; // the cosine to the line of sight up to which a surface belong
 export function makeScene(gl, mesh, redraw, plain = false) {
   const surfaces = makeProgram(gl, surfaceShaders()), rods = makeProgram(gl, rodShaders());
   const skin = plain ? makeProgram(gl, plainSurfaceShaders()) : surfaces;
-  const head = makeSurface(gl, skin, mesh), texture = loadTexture(gl, mesh.texture, redraw);
+  const head = makeSurface(gl, skin, mesh), texture = loadTexture(gl, mesh.texture, redraw, plain);
   const marks = { points: makeRods(gl, rods), segments: makeRods(gl, rods) }, ghost = makeGhost(gl, surfaces, mesh);
   const cloth = mesh.worn.length ? makeProgram(gl, wornShaders()) : null;
   const worn = cloth && makeWorn(gl, cloth, mesh, redraw);

@@ -1,9 +1,9 @@
 // The part of the picture that the panel's photo shows: its scale, place and the size of its stage; null without one.
 export function cropOf(canvas) {
-  const overlay = canvas.closest(".fw-panel")?.querySelector(".fw-overlay"), stage = overlay?.querySelector(".fw-stage");
-  if (!overlay?.dataset.state || !stage?.clientHeight) return null;
-  const { scale, x, y } = JSON.parse(overlay.dataset.state);
-  return { scale, x, y, width: stage.clientWidth, height: stage.clientHeight };
+  const state = canvas.closest(".fw-panel")?.querySelector(".fw-overlay")?.dataset.state;
+  if (!state) return null;
+  const { scale, x, y, room: [width, height] } = JSON.parse(state);
+  return { scale, x, y, width, height };
 }
 
 // The camera (focal lengths, principal point) of a head of this size that is seen through the picture's lens, with the

@@ -3,6 +3,7 @@ import { floatsOf, makeShape, readMesh } from "../drawing/mesh.js";
 import { makeScene } from "../drawing/scene.js";
 import { makeStage } from "../drawing/stage.js";
 import { bytesOf } from "../shared/bytes.js";
+import { roomOf } from "../shared/canvas.js";
 import { follow, followSize, listen } from "../shared/following.js";
 import { keepHearing } from "../shared/hearing.js";
 import { onDemand } from "../shared/painting.js";
@@ -63,9 +64,10 @@ function render({ model, el }) {
   const stage = makeStage(canvas, options, (gl) => makeScene(gl, mesh, ask, plain), ask);
   if (!stage) message.textContent = model.get("_note");
   if (fills) fillPlace(el, canvas);
-  const place = () => (fills ? [Math.max(canvas.clientWidth, 1), Math.max(canvas.clientHeight, 1)] : size);
+  let room = [0, 0];
+  const place = () => (fills ? room.map((length) => Math.max(length, 1)) : size);
   const painting = onDemand(() => {
-    if (fills && !canvas.clientWidth) return false; // in a hidden tab, and for a moment while the theme changes
+    if (fills && !room[0]) return false; // in a hidden tab, and for a moment while the theme changes
     const now = place(), lens = model.get("_lens"), crop = lens.length ? cropOf(canvas) : null;
     sharpen(canvas, now);
     stage?.draw((scene, fresh) => {
@@ -78,6 +80,10 @@ function render({ model, el }) {
   function ask() {
     painting.ask();
   }
+  function fill() {
+    room = roomOf(canvas);
+    ask();
+  }
   function move(change) {
     const [now, front] = [model.get("_viewpoint"), model.get("_front")].map(viewpointOf);
     model.set("_viewpoint", numbersOf(moved(now, change, front, height)));
@@ -86,7 +92,7 @@ function render({ model, el }) {
   const onChange = (name) => [`change:${name}`, () => { feeding.spoil(name); ask(); }];
   const stops = [
     listenTo(canvas, () => (fills ? 1 / stretchOf(size, place()) : width / canvas.clientWidth), move),
-    painting.stop, () => stage?.close(), fills ? followSize(canvas, ask) : () => {},
+    painting.stop, () => stage?.close(), fills ? followSize(canvas, fill) : () => {},
     follow(model, [...feeding.names.map(onChange), ["change:_viewpoint", ask], ["change:_lens", ask]]),
     listen(document, { "fw-crop": () => model.get("_lens").length && ask() }),
   ];

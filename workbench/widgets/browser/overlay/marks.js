@@ -61,7 +61,8 @@ export function paintLandmarks(context, landmarks, view, look) {
     pen.circle(observed(look.hovered), 8.0 * unit);
     outline(context, WHITE, 1);
   }
-  paintLabels(pen, look.chosen, layer("labels") ? all : []);
+  // Where there are none: to set a font, the browser looks up the page's style.
+  if (look.chosen.size || layer("labels")) paintLabels(pen, look.chosen, layer("labels") ? all : []);
 }
 
 const circleOf = (context, toScreen) => ([x, y], radius) => {

@@ -44,8 +44,8 @@ export function brightened(image) {
 }
 
 // Pictures on top of each other, at the position of the first; `layers`: pairs of an image, or null, and its opacity.
-export function paintPictures(canvas, view, size, layers) {
-  const context = cleared(canvas);
+export function paintPictures(canvas, room, view, size, layers) {
+  const context = cleared(canvas, room);
   if (!size[0]) return;
   const box = [...view.toScreen(-0.5, -0.5), view.scale * size[0], view.scale * size[1]];
   context.imageSmoothingQuality = "medium";

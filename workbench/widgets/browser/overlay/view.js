@@ -1,6 +1,6 @@
 // The frame with its landmarks: two stacked canvases, the picture below and the marks above it.
 import { bytesOf } from "../shared/bytes.js";
-import { cleared } from "../shared/canvas.js";
+import { cleared, roomOf } from "../shared/canvas.js";
 import { handOn } from "../shared/carrying.js";
 import { cssColors } from "../shared/colors.js";
 import { follow, followSize, listen } from "../shared/following.js";
@@ -15,21 +15,20 @@ import { brightened, makePicture, paintPictures } from "./pictures.js";
 import { faceBox, fitted, makeView, wholeBox, zoomedAt } from "./places.js";
 import { listenToRest } from "./rest.js";
 import { listenToPointer } from "./tools.js";
-import { factsOf, makePage, paintHover, paintWords } from "./words.js";
+import { factsOf, hide, makePage, paintHover, paintWords } from "./words.js";
 
 const REDRAWN = ["layers", "layer_opacity", "unit", "selection", "subset", "tool", "message", "_scale"];
 
-// The drawn state: position of the picture, landmarks, pictures, and the current pointer action.
+// The drawn state: size of the stage, position of the picture, landmarks, pictures, and the current pointer action.
 function makeOverlay(model, el) {
   const scheme = model.get("_scheme"), colors = cssColors(new Uint8Array(bytesOf(scheme.colors)));
   const overlay = {
     scheme, colors, page: makePage(el, colors), view: makeView(model.get("at_face") ? "face" : "whole"),
-    size: [0, 0], wire: [], ellipses: [], hovered: -1, pointer: null, gesture: null, bare: false,
+    room: [0, 0], size: [0, 0], wire: [], ellipses: [], hovered: -1, pointer: null, gesture: null, bare: false,
     layer: (name) => Boolean(model.get("layers")[name]),
     draw: () => {},
   };
-  const redraw = () => overlay.draw(true), { view } = overlay, { stage } = overlay.page;
-  const stageSize = () => [stage.clientWidth, stage.clientHeight];
+  const redraw = () => overlay.draw(true), { view } = overlay;
   overlay.landmarks = makeLandmarks(() => overlay.draw());
   overlay.pictures = { picture: makePicture(redraw), layer: makePicture(redraw), heat: makePicture(redraw) };
 
@@ -39,7 +38,7 @@ function makeOverlay(model, el) {
     if (!size[0] || (view.mode === "free" && !face)) return false;
     // Uses the kernel's positions, so that dragging a landmark does not move the view.
     const box = face ? faceBox(indices(landmarks).map(landmarks.detected)) : wholeBox(size);
-    const placed = fitted(box, stageSize()), moved = Object.keys(placed).some((key) => placed[key] !== view[key]);
+    const placed = fitted(box, overlay.room), moved = Object.keys(placed).some((key) => placed[key] !== view[key]);
     Object.assign(view, placed);
     return moved;
   };
@@ -48,7 +47,7 @@ function makeOverlay(model, el) {
     event.preventDefault();
     if (!overlay.size[0]) return;
     const lines = event.deltaMode === 1 ? 16 : 1, factor = Math.exp(-0.0015 * lines * event.deltaY);
-    Object.assign(view, zoomedAt(view, place, factor, overlay.size, stageSize()), { mode: "free" });
+    Object.assign(view, zoomedAt(view, place, factor, overlay.size, overlay.room), { mode: "free" });
     redraw();
   };
   return overlay;
@@ -59,7 +58,7 @@ function makePainting(model, overlay) {
   let draws = 0, told = "";
 
   function paintMarks() {
-    const context = cleared(page.marks), { wire, gesture } = overlay;
+    const context = cleared(page.marks, overlay.room), { wire, gesture } = overlay;
     context.lineCap = context.lineJoin = "round";
     if (overlay.bare) return;
     if (layer("wire")) paintWire(context, wire, view.toScreen);
@@ -77,10 +76,10 @@ function makePainting(model, overlay) {
     paintWords(page, {
       tool, unit, limit: model.get("_scale"), legend: landmarks.found() && !overlay.bare && ["model", "residuals", "arrows"].some(layer),
       message: model.get("message") || (model.get("_no_face") ? "no face in this frame" : ""),
-    });
+    }, overlay.room[0]);
     const idle = tool === "lasso" ? "crosshair" : hovered < 0 ? "grab" : "pointer";
     stage.style.cursor = gesture?.kind === "pan" ? "grabbing" : idle;
-    page.hoverBox.hidden = hovered < 0 || hovered >= landmarks.count() || gesture !== null;
+    hide(page.hoverBox, hovered < 0 || hovered >= landmarks.count() || gesture !== null);
     if (page.hoverBox.hidden) return;
     const facts = factsOf(landmarks, hovered, scheme.groups[hovered], unit);
     paintHover(page, `${hovered} · ${scheme.names[hovered]}`, facts, overlay.pointer);
@@ -90,7 +89,8 @@ function makePainting(model, overlay) {
     root.dataset.draws = String(++draws);
     root.classList.toggle("fw-decoded", Boolean(pictures.picture.image()));
     root.dataset.state = JSON.stringify({
-      scale: view.scale, x: view.x, y: view.y, mode: view.mode, size: overlay.size, found: landmarks.found(),
+      scale: view.scale, x: view.x, y: view.y, mode: view.mode, room: overlay.room, size: overlay.size,
+      found: landmarks.found(),
       hovered: overlay.hovered, scaleMax: model.get("_scale"), decoded: Boolean(pictures.picture.image()),
       ms: performance.now() - asked,
     });
@@ -99,21 +99,21 @@ function makePainting(model, overlay) {
 
   // A head that is seen by the same camera shows the same part of the picture.
   function tellCrop() {
-    const crop = [view.scale, view.x, view.y, stage.clientWidth, stage.clientHeight].join();
+    const crop = [view.scale, view.x, view.y, ...overlay.room].join();
     if (crop === told) return;
     told = crop;
     root.dispatchEvent(new CustomEvent("fw-crop", { bubbles: true }));
   }
 
   return onDemand((all, asked) => {
-    if (!stage.clientWidth) return false; // in a hidden tab
+    if (!overlay.room[0]) return false; // in a hidden tab
     // Landmarks are drawn together with their picture.
     if (pictures.picture.busy() && pictures.picture.image()) return false;
     if (all) {
       const overlaid = [layer("layer") ? pictures.layer.image() : null, model.get("layer_opacity")];
       const heat = [layer("heat") ? pictures.heat.image() : null, 1];
       page.picture.style.filter = layer("bright") ? brightened(pictures.picture.image()) : "";
-      paintPictures(page.picture, view, overlay.size, [[pictures.picture.image(), 1], overlaid, heat]);
+      paintPictures(page.picture, overlay.room, view, overlay.size, [[pictures.picture.image(), 1], overlaid, heat]);
     }
     paintMarks();
     paintTexts();
@@ -165,6 +165,7 @@ function followModel(model, overlay, draw) {
     const height = model.get("height_px");
     page.root.classList.toggle("fw-fill", !height);
     page.stage.style.height = height ? `${height}px` : "";
+    overlay.room = roomOf(page.stage);
     overlay.place();
     redraw();
   }

@@ -32,19 +32,23 @@ export function makePage(el, colors) {
   return { root, stage, picture, marks, legend, legendTitle, ends, banner, hoverBox, help, limit: ends[2] };
 }
 
-// `said`: {limit, unit, message, tool, legend} as texts and numbers.
-export function paintWords(page, said) {
-  page.legend.hidden = !said.legend || page.stage.clientWidth < 240;
+// `said`: {limit, unit, message, tool, legend} as texts and numbers; `width`: of the stage.
+export function paintWords(page, said, width) {
+  hide(page.legend, !said.legend || width < 240);
   say(page.legendTitle, "residual, " + said.unit);
   [0, said.limit / 2, said.limit].forEach((number, k) => say(page.ends[k], +number.toPrecision(3) + (k < 2 ? "" : "+")));
   say(page.banner, said.message);
-  page.banner.hidden = !said.message;
+  hide(page.banner, !said.message);
   say(page.help, HELP[said.tool]);
 }
 
 // Replacing a text by the same one would lay out the page again.
 function say(element, text) {
   if (element.textContent !== String(text)) element.textContent = text;
+}
+
+export function hide(element, hidden) {
+  if (element.hidden !== hidden) element.hidden = hidden;
 }
 
 export function short(value) {

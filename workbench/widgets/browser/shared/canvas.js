@@ -16,13 +16,16 @@ export function makeStage(root, name) {
   return { stage, drawn, over, hoverBox };
 }
 
+// The place of an element in CSS pixels, [0, 0] for one that is hidden. Asked after something else has changed, the page
+// is laid out for the answer: what draws often keeps the one of `followSize`.
+export const roomOf = (element) => [element.clientWidth, element.clientHeight];
+
 // The drawing context of a canvas in CSS pixels, sharp on screens with more than one pixel per CSS pixel.
-export function cleared(canvas) {
-  const ratio = window.devicePixelRatio || 1;
-  const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+export function cleared(canvas, room = roomOf(canvas)) {
+  const ratio = window.devicePixelRatio || 1, [width, height] = room.map((length) => Math.round(length * ratio));
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
   const context = canvas.getContext("2d");
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  context.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
+  context.clearRect(0, 0, ...room);
   return context;
 }
