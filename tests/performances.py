@@ -7,9 +7,11 @@ import pyvista as pv
 from scipy.spatial import cKDTree
 
 from tests.scenes import make_scene
-from workbench.face import FaceModel
+from workbench.export import make_clip
+from workbench.face import FaceModel, gaze_deg, in_scheme, load_default_head
 from workbench.face.model import Embedding
 from workbench.face.obj_folder import linear_model
+from workbench.landmarks.schemes import DENSE
 from workbench.tracking import Track
 from workbench.tracking.records import FrameFit, stack_fits
 from workbench.tracking.track_layout import model_record
@@ -45,6 +47,21 @@ def with_jaw(track: Track) -> Track:
     jaw[:, 0], jaw[:, 1] = np.radians(24.0) * part, np.radians(3.0) * np.sin(9.0 * part)
     jaw[:, 3], jaw[:, 5] = 4.0 * np.cos(5.0 * part), -2.0 * part
     return replace(track, jaw=jaw, scale=1.0 + 0.1 * part)
+
+
+def looking_aside():
+    """A head with all 52 blendshapes that looks to its left and down, more and more."""
+    full = load_default_head(gaze=True)
+    track, part = performance(full), np.linspace(0.0, 1.0, FRAMES)
+    weights = track.expression.copy()
+    for unit, most in {"eyeLookOutLeft": 1.0, "eyeLookInRight": 0.9, "eyeLookDownLeft": 0.5}.items():
+        weights[:, full.expression_names.index(unit)] = most * part
+    return make_clip(replace(track, expression=np.where(track.found[:, None], weights, np.nan)), full)
+
+
+def gazes(clip, position: int) -> np.ndarray:
+    """Azimuth and elevation of the right and the left eye of a fitted head, degrees."""
+    return gaze_deg(in_scheme(clip.person, DENSE), clip.track.expression[position])
 
 
 def other_character(head: FaceModel, identity: np.ndarray, keep: float = 0.5) -> FaceModel:

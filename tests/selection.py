@@ -142,5 +142,25 @@ def in_order(config, log):
         def _split_scope(self, nodeid: str) -> str:
             return unit(nodeid)
 
+        def remove_node(self, node) -> str | None:
+            """Hand out what a process that died has not run, without the test that ended it: it would end the next."""
+            units = self.assigned_work.pop(node)
+            ended = next((test for tests in units.values() for test, done in tests.items() if not done), None)
+            if ended is None:
+                return None
+            for name, tests in units.items():
+                tests |= {ended: True} if ended in tests else {}
+                if not all(tests.values()):
+                    self.workqueue[name] = tests
+            for other in self.registered_collections.keys() & self.assigned_work.keys():
+                self._reschedule(other)
+            return ended
+
+        def _reschedule(self, node) -> None:
+            """A process runs a test when it knows the next one: hand out units until it does, or until all are out."""
+            super()._reschedule(node)
+            while not node.shutting_down and self._pending_of(self.assigned_work[node]) < 2:
+                super()._reschedule(node)
+
     config.option.loadscopereorder = False
     return InOrder(config, log)

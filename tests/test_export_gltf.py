@@ -14,15 +14,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.other_heads import half_open
-from tests.performances import FRAMES, GAP, other_character, performance, with_jaw
+from tests.performances import FRAMES, GAP, gazes, looking_aside, other_character, performance, with_jaw
 from workbench.export import make_clip
 from workbench.export.clip import quaternions, to_world
 from workbench.export.gltf import render_corners, write_gltf
 from workbench.export.skinning import CORRECTIVES, eyeball
-from workbench.face import gaze_deg, in_scheme, load_character, load_default_head
+from workbench.face import load_character, load_default_head
 from workbench.face.gaze import directions_deg
 from workbench.geometry import project
-from workbench.landmarks.schemes import DENSE
 
 ROOT = Path(__file__).resolve().parent.parent
 TOOLS = Path(os.environ.get("WORKBENCH_VALIDATORS", ROOT / ".cache" / "validators"))
@@ -243,13 +242,7 @@ def test_a_moving_jaw_joint_gives_our_vertices_by_the_formats_own_rules(change, 
 
 @pytest.fixture(scope="module")
 def looking():
-    """A head with all 52 blendshapes looks to its left and down, more and more."""
-    full = load_default_head(gaze=True)
-    track, part = performance(full), np.linspace(0.0, 1.0, FRAMES)
-    weights = track.expression.copy()
-    for unit, most in {"eyeLookOutLeft": 1.0, "eyeLookInRight": 0.9, "eyeLookDownLeft": 0.5}.items():
-        weights[:, full.expression_names.index(unit)] = most * part
-    return make_clip(replace(track, expression=np.where(track.found[:, None], weights, np.nan)), full)
+    return looking_aside()
 
 
 @pytest.fixture(scope="module")
@@ -257,11 +250,6 @@ def looking_glb(looking, tmp_path_factory):
     path = tmp_path_factory.mktemp("gltf") / "looking.glb"
     write_gltf(looking, path)
     return path
-
-
-def gazes(clip, position: int) -> np.ndarray:
-    """Azimuth and elevation of the right and the left eye of the fitted head, degrees."""
-    return gaze_deg(in_scheme(clip.person, DENSE), clip.track.expression[position])
 
 
 def test_eyes_are_joints_that_turn_by_the_fitted_gaze(looking, looking_glb):

@@ -11,12 +11,14 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from tests.other_heads import half_open
-from tests.performances import FRAMES, GAP, other_character, performance, with_jaw
+from tests.performances import FRAMES, GAP, gazes, looking_aside, other_character, performance, with_jaw
 from workbench.errors import InputError, MissingDependencyError
 from workbench.export import make_clip
 from workbench.export.meshes import write_arrays, write_meshes
+from workbench.export.skinning import eyeball
 from workbench.export.usd import write_usd
 from workbench.face import load_character, load_default_head
+from workbench.face.gaze import directions_deg
 from workbench.geometry import project
 from workbench.pictures.mesh import to_camera
 
@@ -143,6 +145,33 @@ def test_usd_itself_skins_the_face_to_our_vertices(jaw, head, tmp_path):
     for frame in (0, 4, FRAMES - 1):
         points = np.array(mesh.GetPointsAttr().Get(frame))
         assert 1000.0 * np.abs(points - clip.vertices_world(frame)).max() < 0.1
+
+
+def test_usd_turns_the_eyeballs_about_their_joints_by_the_fitted_gaze_and_keeps_them_round(tmp_path):
+    pytest.importorskip("pxr.Usd")
+    from pxr import Gf, Usd, UsdGeom, UsdSkel
+
+    clip = looking_aside()
+    write_usd(clip, tmp_path / "looking.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "looking.usda"))
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath("/performance/skeleton"))
+    assert list(skeleton.GetJointsAttr().Get()) == ["head", "head/jaw", "head/leftEye", "head/rightEye"]
+    UsdSkel.BakeSkinning(UsdSkel.Root(stage.GetPrimAtPath("/performance")), Gf.Interval(0, FRAMES - 1))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/performance/face"))
+    balls = {side: eyeball(clip.person, name) for side, name in enumerate(("rightEye", "leftEye"))}
+    for frame in (0, FRAMES - 1):
+        world = 1000.0 * np.array(mesh.GetPointsAttr().Get(frame)) * [1.0, -1.0, -1.0]
+        back = Rotation.from_rotvec(clip.track.rotation[frame]).inv()
+        points = back.apply(world - clip.track.translation[frame])
+        skin = ~np.any(list(balls.values()), axis=0)
+        assert np.abs(points - clip.vertices_head(frame))[skin].max() < 0.1
+        for side, ball in balls.items():
+            centre = clip.person.joints[("rightEye", "leftEye")[side]]
+            rest, arms = clip.person.neutral[ball] - centre, points[ball] - centre
+            np.testing.assert_allclose(np.linalg.norm(arms, axis=1), np.linalg.norm(rest, axis=1), atol=0.05)
+            front = np.argmin(rest[:, 2])
+            turned = directions_deg(arms[front]) - directions_deg(rest[front])
+            np.testing.assert_allclose(turned, gazes(clip, frame)[side] - gazes(clip, 0)[side], atol=1.5)
 
 
 def test_the_usd_camera_has_our_lens_also_where_its_axis_is_off_the_middle(head, tmp_path):

@@ -1,5 +1,6 @@
 """Which tests a run takes and leaves out, and how they are handed to several processes."""
 
+import os
 import re
 import subprocess
 import sys
@@ -91,3 +92,21 @@ def test_a_test_that_hangs_ends_with_the_stack_of_every_thread_in_one_process_or
         done = subprocess.run([*command, str(tmp_path)], cwd=tmp_path, capture_output=True, text=True, timeout=50)
         assert done.returncode != 0
         assert "in test_hangs" in done.stdout + done.stderr
+
+
+def test_a_process_that_dies_costs_one_test_and_the_run_ends(tmp_path):
+    (tmp_path / "conftest.py").write_text(
+        "from tests import selection\n\n\n"
+        "def pytest_xdist_make_scheduler(config, log):\n    return selection.in_order(config, log)\n"
+    )
+    tests = ("def test_before(): pass", "def test_dies(): os._exit(1)", "def test_after(): pass")
+    (tmp_path / "test_first.py").write_text("\n".join(["import os", *tests]))
+    for name in ("second", "third", "fourth"):
+        (tmp_path / f"test_{name}.py").write_text(f"def test_{name}(): pass\n")
+    options = ("-q", "-n2", "-p", "no:cacheprovider", "--rootdir", str(tmp_path), str(tmp_path))
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", *options],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert "test_first.py::test_dies - worker" in run.stdout
+    assert "1 failed, 5 passed" in run.stdout

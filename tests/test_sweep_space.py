@@ -43,6 +43,7 @@ def test_ranges_are_read_as_they_are_written(text, values):
         "weights.tau=lin(1,nan,3)",
         "stages.0.limit=9..1",
         "stages.0.limit=1..9..0",
+        "weights.tau=0.5..3/6",
         "weights.tau=",
         "weights.tau",
         "weights.tau=[]",

@@ -15,6 +15,7 @@ from workbench.errors import InputError
 from workbench.face import load_default_head
 from workbench.face.dense_landmarks import pupil_vertices
 from workbench.landmarks.alignment import MEAN_SHAPE, frame_from_points
+from workbench.landmarks.lids import lid_openings
 from workbench.landmarks.network_detector import crop_frame
 from workbench.landmarks.scheme import MIRROR
 from workbench.networks import read_landmark_network, soft_argmax
@@ -36,6 +37,7 @@ from workbench.training.evaluation import (
 from workbench.training.finder_task import FinderTask, can_be_seen, crowd
 from workbench.training.landmark_task import LandmarkTask, local_soft_argmax, loss_of, target_distribution
 from workbench.training.loop import Phase, TrainingPlan, folded_arrays, train
+from workbench.training.measuring import lids_of
 from workbench.training.pool import SHARD, Pool, open_pool, shard_paths
 from workbench.training.recipe import FURTHER_LANDMARK_PLAN, Recipe
 from workbench.training.scenes import FaceStudio, random_expression, random_lens, random_pose_deg
@@ -456,6 +458,19 @@ class TestEvaluation:
         opened = shape.copy()
         opened[66, 1] += 0.2
         assert mouth_opening(opened) > mouth_opening(shape) + 0.3
+
+    def test_lids_that_are_read_too_open_are_told_with_where_they_are(self):
+        heights = np.linspace(0.0, 0.6, 25)
+        faces = np.repeat(MEAN_SHAPE[None], len(heights), axis=0)
+        lower, upper = [41, 40, 47, 46], [37, 38, 43, 44]
+        faces[:, upper, 1] = MEAN_SHAPE[lower, 1] - heights[:, None] * (MEAN_SHAPE[lower, 1] - MEAN_SHAPE[upper, 1])
+        true = np.array([lid_openings(face).mean() for face in faces])
+        read = faces.copy()
+        read[:, upper, 1] -= 0.05 * np.linalg.norm(MEAN_SHAPE[39] - MEAN_SHAPE[36])
+        table = lids_of(Answers(read, faces, np.zeros((len(faces), 3)), np.ones((len(faces), 68))))
+        assert table[:, 2].sum() == 2 * (true + 0.05 < 0.2425).sum()
+        known = table[:, 2] > 0
+        assert table[known, 1] == pytest.approx(table[known, 0] - 0.05, abs=0.02)
 
 
 class TestTrainings:

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from workbench.export.clip import FLIP, Clip, quaternions, to_world
 from workbench.export.gltf_buffer import INDICES, VERTICES, Buffer
 from workbench.export.gltf_parts import AddedParts, add_parts, add_skin, embedded
-from workbench.export.skinning import Joint, Shapes, beside_joints, clip_joints, clip_shapes
+from workbench.export.skinning import Joint, Shapes, beside_joints, clip_joints, clip_shapes, joint_shares
 from workbench.extras import needs
 from workbench.face import DressedHead, FaceModel
 from workbench.files import atomic_path
@@ -137,7 +137,8 @@ def _mesh(
     if not textured:
         linear = ((person.colors[corners] / 255.0) ** 2.2).astype(np.float32)
         attributes.COLOR_0 = pool.add(linear, VERTICES)
-    add_skin(pool, attributes, [joint.holds[corners] for joint in joints])
+    if joints:
+        add_skin(pool, attributes, joint_shares(joints, len(person.neutral))[corners])
     targets = [
         {
             "POSITION": pool.add(to_world(delta[corners]), VERTICES, bounds=True),

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 
 from workbench.export.clip import FLIP, Clip, to_world
 from workbench.export.gltf_buffer import INDICES, VERTICES, Buffer
-from workbench.export.skinning import Joint, Shapes
+from workbench.export.skinning import Joint, Shapes, joint_shares, part_joints
 from workbench.extras import needs
 from workbench.face import DressedHead, Part, WornPart
 from workbench.pictures.mesh import corner_sum, split_seams, vertex_normals
@@ -85,14 +85,10 @@ def add_parts(
     return added
 
 
-def add_skin(pool: Buffer, attributes: pygltflib.Attributes, holds: list[Float[np.ndarray, "n"]]) -> None:
-    """Tie vertices to up to three joints below the head, by the share that each holds; the head has the rest."""
-    if not holds:
-        return
-    weights = np.zeros((len(holds[0]), 4))
-    weights[:, 1 : 1 + len(holds)] = np.stack(holds, axis=1)
-    weights[:, 0] = np.maximum(1.0 - weights.sum(axis=1), 0.0)
-    weights /= weights.sum(axis=1, keepdims=True)
+def add_skin(pool: Buffer, attributes: pygltflib.Attributes, shares: Float[np.ndarray, "n j"]) -> None:
+    """Tie vertices to the head and up to three joints below it; see `joint_shares`."""
+    weights = np.zeros((len(shares), 4))
+    weights[:, : shares.shape[1]] = shares
     joints = np.where(weights > 0.0, np.arange(4, dtype=np.uint8), np.uint8(0))  # an unused slot names joint 0
     attributes.JOINTS_0 = pool.add(joints, VERTICES)
     attributes.WEIGHTS_0 = pool.add(weights, VERTICES)
@@ -140,9 +136,8 @@ def _mesh(
     if part.shade.min() < 255:
         linear = (part.shade[order, None] / 255.0) ** GAMMA
         attributes.COLOR_0 = pool.add(np.repeat(linear, 3, axis=1), VERTICES)
-    if not part.still:
-        held = [np.einsum("nj,nj->n", part.weights, joint.holds[part.anchors])[order] for joint in joints]
-        add_skin(pool, attributes, [np.clip(each, 0.0, 1.0) for each in held])
+    if joints and not part.still:
+        add_skin(pool, attributes, joint_shares(part_joints(joints, part), len(points))[order])
     indices = pool.add(triangles.astype(np.uint16).ravel(), INDICES)
     primitive = pygltflib.Primitive(attributes=attributes, indices=indices, material=material)
     extras = {}

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from workbench.export.clip import Clip
 from workbench.face import GAZE_NAMES, FaceModel, JawJoint, JawUnit
 from workbench.face.gaze import EYES
+from workbench.face.parts import Part
 
 CORRECTIVES = ("jawCorrective", "jawCorrective2", "jawCorrective3", "jawCorrectiveYaw", "jawCorrectiveRoll")
 """Shapes that a turned jaw adds; their weights are in `corrective_weights`."""
@@ -90,6 +91,19 @@ def eyeball(person: FaceModel, name: str) -> Bool[np.ndarray, "v"]:
     apart = np.linalg.norm(np.subtract(*(person.joints[eye] for eye in EYES)))
     far = np.linalg.norm(person.neutral - person.joints[name], axis=1) > EYEBALL * apart
     return ~np.isin(part, part[far])
+
+
+def joint_shares(joints: tuple[Joint, ...], count: int) -> Float[np.ndarray, "v 1+j"]:
+    """Of each of `count` vertices, the share that moves with the head alone, then with each joint below; sums to 1."""
+    holds = np.array([joint.holds for joint in joints], float).reshape(len(joints), count).T
+    shares = np.column_stack([np.maximum(1.0 - holds.sum(axis=1), 0.0), holds])
+    return shares / shares.sum(axis=1, keepdims=True)
+
+
+def part_joints(joints: tuple[Joint, ...], part: Part) -> tuple[Joint, ...]:
+    """The joints as they hold a part that is tied to the head's vertices."""
+    held = (np.einsum("nj,nj->n", part.weights, joint.holds[part.anchors]) for joint in joints)
+    return tuple(joint._replace(holds=np.clip(hold, 0.0, 1.0)) for joint, hold in zip(joints, held, strict=True))
 
 
 def beside_joints(shapes: Shapes, joints: tuple[Joint, ...]) -> Shapes:

@@ -1,4 +1,4 @@
-"""USD (UsdSkel): head and jaw joints, blendshapes by name, camera, animation in time samples."""
+"""USD (UsdSkel): joints of head, jaw and eyes, blendshapes by name, camera, animation in time samples."""
 
 from pathlib import Path
 
@@ -6,13 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench.export.clip import Clip, quaternions, to_world
-from workbench.export.skinning import Shapes, clip_shapes
+from workbench.export.skinning import Joint, Shapes, beside_joints, clip_joints, clip_shapes
 from workbench.export.usd_parts import define_mesh, dress_stage, face_mesh
 from workbench.extras import needs
 from workbench.face import DressedHead
 from workbench.files import atomic_path
 
-JOINTS = ("head", "head/jaw")
 APERTURE_MM = 36.0
 """Film width that represents the picture; USD gives lenses in tenths of its unit of length."""
 
@@ -36,14 +35,14 @@ def write_usd(clip: Clip, path: str | Path, dressed: DressedHead | None = None) 
         stage.SetEndTimeCode(float(clip.track.index[-1]))
         root = UsdSkel.Root.Define(stage, "/performance")
         stage.SetDefaultPrim(root.GetPrim())
-        skeleton = _skeleton(stage, clip)
-        shapes = clip_shapes(clip)
-        animation = _animation(stage, clip, shapes)
+        joints = clip_joints(clip)
+        shapes = beside_joints(clip_shapes(clip), joints)
+        skeleton, animation = _skeleton(stage, joints), _animation(stage, clip, shapes, joints)
         binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
         binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-        define_mesh(stage, face_mesh(clip, shapes, dressed), skeleton)
+        define_mesh(stage, face_mesh(clip, shapes, joints, dressed), skeleton)
         if dressed is not None:
-            dress_stage(stage, clip, shapes, skeleton, dressed, Path(path))
+            dress_stage(stage, clip, shapes, joints, skeleton, dressed, Path(path))
         _camera(stage, clip)
         # The layer is made under a name that USD has not seen: it keeps layers by name for as long as a program runs.
         layer = Sdf.Layer.CreateAnonymous(path.suffix if isinstance(path, Path) else Path(path).suffix)
@@ -54,38 +53,46 @@ def write_usd(clip: Clip, path: str | Path, dressed: DressedHead | None = None) 
             raise OSError(f"USD could not write it: {error}") from error
 
 
-def _skeleton(stage, clip: Clip):
+def _skeleton(stage, joints: tuple[Joint, ...]):
     from pxr import Gf, UsdSkel, Vt
 
-    jaw = Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*to_world(np.asarray(clip.joint.joint, float)).tolist()))
+    places = [to_world(joint.place).tolist() for joint in joints]
+    rest = [Gf.Matrix4d(1.0), *(Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*place)) for place in places)]
     skeleton = UsdSkel.Skeleton.Define(stage, "/performance/skeleton")
-    skeleton.CreateJointsAttr(Vt.TokenArray(JOINTS))
-    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray([Gf.Matrix4d(1.0), jaw]))
-    skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray([Gf.Matrix4d(1.0), jaw]))
+    skeleton.CreateJointsAttr(Vt.TokenArray(_paths(joints)))
+    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray(rest))
+    skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray(rest))
     return skeleton
 
 
-def _animation(stage, clip: Clip, shapes: Shapes):
+def _paths(joints: tuple[Joint, ...]) -> list[str]:
+    return ["head", *(f"head/{joint.name}" for joint in joints)]
+
+
+def _animation(stage, clip: Clip, shapes: Shapes, joints: tuple[Joint, ...]):
     from pxr import Gf, UsdSkel, Vt
 
     track = clip.track
     animation = UsdSkel.Animation.Define(stage, "/performance/animation")
-    animation.CreateJointsAttr(Vt.TokenArray(JOINTS))
+    animation.CreateJointsAttr(Vt.TokenArray(_paths(joints)))
     animation.CreateBlendShapesAttr(Vt.TokenArray(shapes.names))
     places, turns = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     sizes, weights = animation.CreateScalesAttr(), animation.CreateBlendShapeWeightsAttr()
-    sizes.Set(Vt.Vec3hArray([Gf.Vec3h(1.0)] * len(JOINTS)))
+    one = Gf.Vec3h(1.0)
+    sizes.Set(Vt.Vec3hArray([one] * (1 + len(joints))))
     found = np.flatnonzero(track.found)
-    pivot = np.asarray(clip.joint.joint)
-    turned = zip(found, _quaternions(track.rotation[found]), _quaternions(track.jaw[found, :3]), strict=True)
-    for position, head, jaw in turned:
+    still = np.zeros((len(found), 3))
+    moved = [joint.place + (still if joint.shifts is None else joint.shifts[found]) for joint in joints]
+    at = to_world(np.stack([track.translation[found], *moved], axis=1))
+    turned = [still if joint.turns is None else joint.turns[found] for joint in joints]
+    facing = zip(*map(_quaternions, (track.rotation[found], *turned)), strict=True)
+    for position, place, turn in zip(found, at, facing, strict=True):
         time = float(track.index[position])
-        both = (to_world(track.translation[position]), to_world(pivot + track.jaw[position, 3:]))
-        places.Set(Vt.Vec3fArray([Gf.Vec3f(*place.tolist()) for place in both]), time)
-        turns.Set(Vt.QuatfArray([head, jaw]), time)
+        places.Set(Vt.Vec3fArray.FromNumpy(place.astype(np.float32)), time)
+        turns.Set(Vt.QuatfArray(turn), time)
         weights.Set(Vt.FloatArray.FromNumpy(shapes.weights[position].astype(np.float32)), time)
         if clip.moves_scale:
-            sizes.Set(Vt.Vec3hArray([Gf.Vec3h(float(track.scale[position])), Gf.Vec3h(1.0)]), time)
+            sizes.Set(Vt.Vec3hArray([Gf.Vec3h(float(track.scale[position])), *([one] * len(joints))]), time)
     return animation
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Integer, UInt8
 
 from workbench.export.clip import Clip, to_world
-from workbench.export.skinning import Shapes
+from workbench.export.skinning import Joint, Shapes, joint_shares, part_joints
 from workbench.face import DressedHead, WornPart
 from workbench.files import atomic_path
 
@@ -42,12 +42,13 @@ LOOKS = {
 
 @dataclass(frozen=True, eq=False)
 class SkinnedMesh:
-    """A mesh on the two joints of the head; head frame, millimetres."""
+    """A mesh on the joints of the head; head frame, millimetres."""
 
     name: str
     points: Float[np.ndarray, "n 3"]
     triangles: Integer[np.ndarray, "t 3"]
-    jaw_weights: Float[np.ndarray, "n"]
+    shares: Float[np.ndarray, "n j"]
+    """See `joint_shares`."""
     names: tuple[str, ...]
     deltas: Float[np.ndarray, "k n 3"]
     uv: Float[np.ndarray, "u 2"] | None = None
@@ -56,7 +57,7 @@ class SkinnedMesh:
     both_sides: bool = False
 
 
-def face_mesh(clip: Clip, shapes: Shapes, dressed: DressedHead | None) -> SkinnedMesh:
+def face_mesh(clip: Clip, shapes: Shapes, joints: tuple[Joint, ...], dressed: DressedHead | None) -> SkinnedMesh:
     """The face of a clip's person; of a character without what its parts replace."""
     person = clip.person
     shown = np.ones(len(person.triangles), bool) if dressed is None else dressed.shown
@@ -65,7 +66,7 @@ def face_mesh(clip: Clip, shapes: Shapes, dressed: DressedHead | None) -> Skinne
         name="face",
         points=person.neutral,
         triangles=person.triangles[shown],
-        jaw_weights=person.jaw_weights,
+        shares=joint_shares(joints, len(person.neutral)),
         names=shapes.names,
         deltas=shapes.deltas,
         uv=person.uv if textured else None,
@@ -74,17 +75,19 @@ def face_mesh(clip: Clip, shapes: Shapes, dressed: DressedHead | None) -> Skinne
     )
 
 
-def part_mesh(clip: Clip, shapes: Shapes, worn: WornPart, points: Float[np.ndarray, "n 3"]) -> SkinnedMesh:
-    """A worn part; blendshapes that do not move it are left out."""
+def part_mesh(
+    shapes: Shapes, joints: tuple[Joint, ...], worn: WornPart, points: Float[np.ndarray, "n 3"]
+) -> SkinnedMesh:
+    """A worn part; one that is still hangs on the head alone, and blendshapes that do not move it are left out."""
     part = worn.part
-    jaw, names, deltas = np.zeros(len(points)), (), np.zeros((0, len(points), 3))
+    shares, names, deltas = np.ones((len(points), 1)), (), np.zeros((0, len(points), 3))
     if not part.still:
-        jaw = np.clip(np.einsum("nj,nj->n", part.weights, clip.person.jaw_weights[part.anchors]), 0.0, 1.0)
+        shares = joint_shares(part_joints(joints, part), len(points))
         carried = part.carried(shapes.deltas)
         moving = np.flatnonzero(np.abs(carried).max(axis=(1, 2)) > STILL_MM)
         names, deltas = tuple(shapes.names[k] for k in moving), carried[moving]
     return SkinnedMesh(
-        part.kind, points, part.triangles, jaw, names, deltas, part.uv, part.triangles_uv,
+        part.kind, points, part.triangles, shares, names, deltas, part.uv, part.triangles_uv,
         both_sides=LOOKS[part.kind].both_sides,
     )  # fmt: skip
 
@@ -111,10 +114,10 @@ def define_mesh(stage, mesh: SkinnedMesh, skeleton) -> None:
         uv.Set(Vt.Vec2fArray.FromNumpy(mesh.uv[mesh.triangles_uv.ravel()].astype(np.float32)))
     binding = UsdSkel.BindingAPI.Apply(made.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-    weights = np.stack([1.0 - mesh.jaw_weights, mesh.jaw_weights], axis=1).astype(np.float32)
-    joints = np.tile(np.arange(2, dtype=np.int32), (len(points), 1))
-    binding.CreateJointIndicesPrimvar(False, 2).Set(Vt.IntArray.FromNumpy(joints.ravel()))
-    binding.CreateJointWeightsPrimvar(False, 2).Set(Vt.FloatArray.FromNumpy(weights.ravel()))
+    count = mesh.shares.shape[1]
+    joints = np.tile(np.arange(count, dtype=np.int32), len(points))
+    binding.CreateJointIndicesPrimvar(False, count).Set(Vt.IntArray.FromNumpy(joints))
+    binding.CreateJointWeightsPrimvar(False, count).Set(Vt.FloatArray.FromNumpy(mesh.shares.astype(np.float32).ravel()))
     if not mesh.names:
         return
     binding.CreateBlendShapesAttr(Vt.TokenArray(mesh.names))
@@ -128,13 +131,15 @@ def define_mesh(stage, mesh: SkinnedMesh, skeleton) -> None:
     binding.CreateBlendShapeTargetsRel().SetTargets(targets)
 
 
-def dress_stage(stage, clip: Clip, shapes: Shapes, skeleton, dressed: DressedHead, path: Path) -> None:
+def dress_stage(
+    stage, clip: Clip, shapes: Shapes, joints: tuple[Joint, ...], skeleton, dressed: DressedHead, path: Path
+) -> None:
     """Add what a character wears, its materials, and their pictures in the folder `STEM_textures` beside the stage."""
     folder = path.parent / f"{path.stem}_textures"
     define_material(stage, "face", SKIN, _picture(folder, "skin", dressed.skin))
     rest = clip.person.neutral
     for worn, points in zip(dressed.worn, dressed.parts_on(rest, rest), strict=True):
-        define_mesh(stage, part_mesh(clip, shapes, worn, points), skeleton)
+        define_mesh(stage, part_mesh(shapes, joints, worn, points), skeleton)
         kind = worn.part.kind
         if kind == "corneas":
             define_material(stage, kind, LOOKS[kind], None, CORNEA_OPACITY)

@@ -29,6 +29,12 @@ ALIKE = (0.5, 2.0)
 _UNIT = np.array([[0.0, 0.0], [1.0, 0.0]])
 
 
+def lid_openings(points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "2"]:
+    """How far the lids of the right and the left eye are apart, in widths of the eye; below zero where they overlap."""
+    lids = [_eye(points[list(corners)]).to_face(points[[*upper, *lower]]) for corners, upper, lower in EYES]
+    return np.array([eye[2:, 1].mean() - eye[:2, 1].mean() for eye in lids])
+
+
 def true_lids(points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68 2"]:
     """The network's points with the upper lids of narrow eyes lowered to where they are; open eyes are left alone."""
     points = points.copy()

@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt8
+from scipy.ndimage import map_coordinates
 
 from workbench.arrays import AnyArray
 from workbench.face import FaceModel, FaceParameters, load_default_head
 from workbench.face.dressed_head import DressedHead, WornPart
 from workbench.frames import read_picture
-from workbench.geometry import rotation_matrix
 from workbench.rendering.camera import AnyCamera
-from workbench.rendering.head import RenderModel, render_face
+from workbench.rendering.head import RenderModel, placed, render_face
 from workbench.rendering.renderer import Rendering, render
 from workbench.rendering.texture import Texture
 from workbench.rendering.topology import MeshTopology, mesh_topology
@@ -98,10 +98,7 @@ def cover_vertices(cover: Cover, model: RenderModel, parameters: FaceParameters)
         for head in (rest, model.neutral)
     )
     tied = jnp.einsum("nk,nkd->nd", cover.weights, rest[cover.anchors]) + own / mean * cover.offsets
-    vertices = jnp.einsum("mj,mjd->md", cover.shares, tied[cover.corners])
-    if len(parameters.scale):
-        vertices = vertices * parameters.scale
-    return vertices @ rotation_matrix(parameters.rotation).T + parameters.translation
+    return placed(jnp.einsum("mj,mjd->md", cover.shares, tied[cover.corners]), parameters)
 
 
 def covered(
@@ -221,11 +218,8 @@ def _averaged(picture: UInt8[np.ndarray, "h w 4"], side: float) -> Float[np.ndar
 
 
 def _looked_up(picture: Float[np.ndarray, "h w c"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n c"]:
-    """As `sample_texture`, of any number of channels."""
+    """As `sample_texture`, of any number of channels, in double precision."""
     height, width = picture.shape[:2]
-    places = np.clip((uv * [1.0, -1.0] + [0.0, 1.0]) * [width, height] - 0.5, 0.0, [width - 1.0, height - 1.0])
-    low = np.floor(places).astype(int)
-    (x, y), (right, down) = low.T, (places - low).T[..., None]
-    x1, y1 = np.minimum(x + 1, width - 1), np.minimum(y + 1, height - 1)
-    above, below = ((1.0 - right) * picture[row, x] + right * picture[row, x1] for row in (y, y1))
-    return (1.0 - down) * above + down * below
+    column, row = ((uv * [1.0, -1.0] + [0.0, 1.0]) * [width, height] - 0.5).T
+    channels = np.moveaxis(picture, 2, 0)
+    return np.stack([map_coordinates(part, (row, column), float, order=1, mode="nearest") for part in channels], axis=1)

@@ -101,7 +101,7 @@ def face_vertices(model: RenderModel, parameters: FaceParameters) -> Float[Array
     and scale 1.
     """
     parameters = FaceParameters(*(jnp.asarray(part, jnp.float32) for part in parameters))
-    rotation, translation, expression, identity, jaw, factor = parameters
+    expression, identity, jaw = parameters.expression, parameters.identity, parameters.jaw
     scale, vertices = model.expression_scale, model.neutral
     if len(identity):
         scale = jnp.clip(scale + identity @ model.expression_scale_identity, *BLINK_SCALE_RANGE)
@@ -109,9 +109,14 @@ def face_vertices(model: RenderModel, parameters: FaceParameters) -> Float[Array
     vertices = vertices + jnp.tensordot(expression * scale, model.expression, axes=1)
     if len(jaw):
         vertices = move_jaw(model.jaw, vertices, identity, jaw)
-    if len(factor):
-        vertices = vertices * factor
-    return vertices @ rotation_matrix(rotation).T + translation
+    return placed(vertices, parameters)
+
+
+def placed(vertices: Float[Array, "v 3"], parameters: FaceParameters) -> Float[Array, "v 3"]:
+    """From the head's frame to the camera's: R(θ)·s·x + t, millimetres. An empty scale means 1."""
+    if len(parameters.scale):
+        vertices = vertices * parameters.scale
+    return vertices @ rotation_matrix(parameters.rotation).T + parameters.translation
 
 
 def render_face(

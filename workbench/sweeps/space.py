@@ -27,6 +27,8 @@ from workbench.errors import ConfigError
 
 _CALL = re.compile(r"(?P<scale>log|lin)\((?P<numbers>[^()]*)\)")
 _WHOLE = re.compile(r"(?P<first>-?\d+)\.\.(?P<last>-?\d+)(?:\.\.(?P<step>\d+))?")
+_RANGE = re.compile(r"-?\d[\d.]*\.\.")
+"""What begins as a range of numbers does."""
 MOST_VALUES = 100_000
 
 
@@ -94,6 +96,8 @@ def read_axis(text: str) -> Axis:
         if step < 1 or last < first or (last - first) // step >= MOST_VALUES:
             raise ConfigError(f"{text}: the range is empty; write FIRST..LAST with FIRST below LAST, as 1..30.")
         return Axis(path, tuple(range(first, last + 1, step)), "whole")
+    if _RANGE.match(values):
+        raise ConfigError(f"{text}: FIRST..LAST..STEP is for whole numbers; write others as lin(0.5,3,6).")
     return Axis(path, _listed(values, text), "list")
 
 

@@ -27,7 +27,7 @@ from workbench.training.shipping import write_shipped
 
 LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
 FURTHER_LANDMARK_PLAN = TrainingPlan(
-    phases=(Phase(256, 1400, 16, 1e-3), Phase(256, 1000, 16, 4e-4), Phase(256, 1400, 16, 8e-4))
+    phases=(Phase(256, 1400, 16, 1e-3), Phase(256, 1000, 16, 4e-4), Phase(256, 6000, 16, 8e-4))
 )
 FINDER_PLAN = TrainingPlan(
     phases=(Phase(128, 2500, 32, 3e-3), Phase(256, 2500, 24, 2e-3)), widths=(16, 32, 64, 96), blocks=2
@@ -48,7 +48,7 @@ Report = Callable[[str], None]
 class Recipe:
     """Sizes of one training."""
 
-    pictures: int = 3600
+    pictures: int = 5280
     test_pictures: int = TEST_PICTURES
     plan: TrainingPlan = LANDMARK_PLAN
     evaluated: int = EVALUATED

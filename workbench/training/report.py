@@ -91,6 +91,8 @@ def tables(numbers: dict) -> str:
         "",
         "- eye aspect ratio: {eye_aspect_open:.3f} on open eyes (truth {eye_aspect_open_true:.3f}), "
         "{eye_aspect_closed:.3f} on closed ones (truth {eye_aspect_closed_true:.3f})".format(**value),
+        "- lids as read and as they are, in widths of the eye: "
+        + ", ".join(f"{read:g} {true:.3f} ({eyes:.0f} eyes)" for read, true, eyes in numbers["lids"]),
         "- mouth opening: error {mouth_opening_error:.1%}, bias {mouth_opening_bias:+.1%}".format(**value),
         "- rank correlation of confidence and accuracy: {rank_correlation:.2f}".format(**value),
     ]
