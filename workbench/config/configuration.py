@@ -123,9 +123,14 @@ class Config(Section):
 
         Raises `ConfigError` for unknown keys and bad values.
         """
-        stored = self.model_dump()
+        # The other sections as they are: to write them out and read them again would take most of the time.
+        stored = {name: getattr(self, name) for name in type(self).model_fields}
         for section, values in sections.items():
-            stored[section] = {**(stored.get(section) or {}), **values} if isinstance(values, dict) else values
+            if isinstance(values, dict):
+                old = stored.get(section) or {}
+                stored[section] = {**(old.model_dump() if isinstance(old, Section) else old), **values}
+            else:
+                stored[section] = values
         return validated(stored, "The configuration")
 
     @model_validator(mode="after")

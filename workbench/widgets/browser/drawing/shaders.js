@@ -13,9 +13,8 @@ void show(vec3 place, vec3 normal, vec3 color) {
 const LIGHTS = `
 uniform vec3 from[3], strength[3]; uniform float ambient;
 vec3 lightOn(vec3 m) {
-  vec3 sum = vec3(ambient);
-  for (int k = 0; k < 3; k++) sum += max(dot(m, from[k]), 0.0) * strength[k];
-  return sum;
+  vec3 seen = max(vec3(dot(m, from[0]), dot(m, from[1]), dot(m, from[2])), 0.0);
+  return ambient + seen.x * strength[0] + seen.y * strength[1] + seen.z * strength[2];
 }
 float sparkOn(vec3 m, float exponent) { return pow(max(dot(reflect(normalize(p), m), from[0]), 0.0), exponent); }`;
 // Light at every pixel; gloss has a strength and an exponent.
@@ -58,24 +57,22 @@ export function plainSurfaceShaders() {
   return [`${PLACING}
 in vec3 place, normal, color; in vec2 uv; in float shown, wet;
 uniform bool textured, inside; uniform vec2 shine[2];
-out vec3 diffuse, glint; out vec2 at; out float kept;
+out vec4 lit; out vec3 at; // light and gloss; the place in the texture, and whether it is shown
 ${LIGHTS}
 void main() {
-  at = uv;
-  kept = shown;
+  at = vec3(uv, shown);
   show(place, normal, color);
   vec3 m = normalize(inside && dot(n, p) > 0.0 ? -n : n);
   vec2 gloss = mix(shine[0], shine[1], wet);
-  diffuse = textured ? lightOn(m) : tint * lightOn(m);
-  glint = gloss.x * sparkOn(m, gloss.y) * strength[0];
+  lit = vec4(textured ? lightOn(m) : tint * lightOn(m), gloss.x * sparkOn(m, gloss.y));
 }`, `${HEADER}
-in vec3 diffuse, glint; in vec2 at; in float kept;
-uniform sampler2D skin; uniform bool textured;
+in vec4 lit; in vec3 at;
+uniform sampler2D skin; uniform bool textured; uniform vec3 strength[3];
 out vec4 result;
 void main() {
-  if (kept < 0.5) discard;
-  vec3 albedo = textured ? texture(skin, at).rgb : vec3(1.0);
-  result = vec4(albedo * diffuse + glint, 1.0);
+  if (at.z < 0.5) discard;
+  vec3 albedo = textured ? texture(skin, at.xy).rgb : vec3(1.0);
+  result = vec4(albedo * lit.rgb + lit.a * strength[0], 1.0);
 }`];
 }
 

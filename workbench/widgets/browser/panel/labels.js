@@ -1,9 +1,12 @@
 const SOON_MS = 400;
+const CONTROLS = "button, input, select, textarea, .noUi-handle";
 const ICONS = { "fa-play": "play", "fa-pause": "pause", "fa-stop": "stop", "fa-retweet": "loop" };
 
-// Names for screen readers: controls that show a symbol or nothing are called what their tooltip says.
-export function labelControls(panel) {
-  for (const control of panel.querySelectorAll("button, input, select, textarea, .noUi-handle")) {
+// Names for screen readers: controls that show a symbol or nothing are called what their tooltip says. `changed`: parts of
+// the panel; all of it takes as long as to draw a head.
+export function labelControls(panel, changed = [panel]) {
+  const within = (part) => [...(part.matches(CONTROLS) ? [part] : []), ...part.querySelectorAll(CONTROLS)];
+  for (const control of new Set(changed.flatMap(within))) {
     if (control.labels?.length || (control.ariaLabel && control.ariaLabel !== control.dataset.told)) continue;
     const icon = control.querySelector("i.fa"), shown = icon && Object.keys(ICONS).find((name) => icon.matches(`.${name}`));
     const told = ICONS[shown] || control.closest("[title]")?.title.split("\n")[0] || control.placeholder;
@@ -21,17 +24,22 @@ export function labelControls(panel) {
 
 // Labels a panel shortly after it was shown or changed.
 export function labelSoon(page) {
-  let timer = 0, watch = null;
+  let timer = 0, watch = null, all = true, changed = new Set();
   function label() {
     timer = 0;
     const panel = page.panel();
     if (!panel) return soon();
-    labelControls(panel);
+    labelControls(panel, all ? [panel] : [...changed]);
+    [all, changed] = [false, new Set()];
     if (watch) return;
-    watch = new MutationObserver(soon);
+    watch = new MutationObserver((changes) => {
+      for (const { target } of changes) changed.add(target);
+      timer ||= setTimeout(label, SOON_MS);
+    });
     watch.observe(panel, { subtree: true, attributeFilter: ["title"] });
   }
   function soon() {
+    all = true;
     timer ||= setTimeout(label, SOON_MS);
   }
   return { soon, stop: () => { clearTimeout(timer); watch?.disconnect(); } };
