@@ -16,12 +16,12 @@ from result import print_result
 from workbench.config import preset
 from workbench.face import load_character, load_default_head, posed_vertices
 from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov
-from workbench.landmarks.network_detector import NetworkDetector, bundled_landmark_network
+from workbench.landmarks.network_detector import NetworkDetector
 from workbench.pictures import HeadRenderer
 from workbench.planning import plan_of
 from workbench.tracking import FrameContext, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
-from workbench.tracking.deep_target import photo_landmarks
+from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
 
 SIZE, FOV_DEG = (640, 480), 40.0
 PEOPLE = ("mei", "nora", "amara", "bruno", "leila", "thabo")
@@ -53,7 +53,7 @@ def main() -> None:
                 if not faces:
                     print(f"{name}: no face is found", file=sys.stderr)
                     continue
-                seen = photo_landmarks(bundled_landmark_network(), photo, detector.align(photo, faces[0].box))
+                seen = photo_landmarks(bundled_heat_maps(), photo, detector.align(photo, faces[0].box))
                 observation = FrameObservation(0, seen, SIZE, picture=photo)
                 identity = np.asarray(dressed.character.identity, float)
                 for kind, fitter in fitters.items():

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera, Rig, View, camera_from_fov
-from workbench.landmarks.network_detector import NetworkDetector, bundled_landmark_network
+from workbench.landmarks.network_detector import NetworkDetector
 from workbench.landmarks.observations import Landmarks2D
 from workbench.rendering import (
     Appearance,
@@ -29,7 +29,7 @@ from workbench.rendering import (
     turned_light,
 )
 from workbench.tracking import FrameContext, FrameObservation
-from workbench.tracking.deep_target import photo_landmarks
+from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
 
 IMAGE_SIZE = (720, 540)
 FOV_DEG = 40.0
@@ -141,7 +141,7 @@ class DeepScenes:
         faces = self._detector.detect_faces(picture)
         if not faces:
             return None
-        return photo_landmarks(bundled_landmark_network(), picture, self._detector.align(picture, faces[0].box))
+        return photo_landmarks(bundled_heat_maps(), picture, self._detector.align(picture, faces[0].box))
 
 
 @cache

@@ -12,7 +12,6 @@ from workbench.errors import InputError
 from workbench.frames import open_frames, read_picture
 from workbench.geometry import write_rig
 from workbench.landmarks.files import read_landmark_file
-from workbench.landmarks.network_detector import bundled_landmark_network
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures import heat_map_pair, stage_strip, write_stage_strip
 from workbench.pictures.deep_strip import (
@@ -28,7 +27,7 @@ from workbench.pictures.deep_strip import (
 from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.tracking.deep_fitter import DeepFitter
-from workbench.tracking.deep_target import photo_landmarks
+from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
 from workbench.tracking.fitting import FrameContext
 from workbench.tracking.observation import FrameObservation
 
@@ -52,7 +51,7 @@ def photo() -> np.ndarray:
 @pytest.fixture(scope="module")
 def observation(photo) -> FrameObservation:
     detected = next(iter(read_landmark_file(sample("performance-landmarks")))).landmarks
-    seen = photo_landmarks(bundled_landmark_network(), photo, detected)
+    seen = photo_landmarks(bundled_heat_maps(), photo, detected)
     return FrameObservation(FRAME, seen, seen.image_size, picture=photo)
 
 

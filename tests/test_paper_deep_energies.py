@@ -27,12 +27,12 @@ from workbench.face import USUAL_JAW, FaceParameters, JawJoint, move_jaw, pack, 
 from workbench.flow import surface_points
 from workbench.frames import read_picture
 from workbench.geometry import Camera, camera_from_fov, rotation_matrix
-from workbench.landmarks.network_detector import bundled_landmark_network
 from workbench.networks import BETA, CropBox, crop_and_resize, landmarks_of, soft_argmax, to_picture
 from workbench.planning import plan_of
 from workbench.rendering import OrthographicCamera, face_vertices, render_model
 from workbench.rendering.camera import to_screen
 from workbench.samples import sample
+from workbench.tracking.deep_target import bundled_heat_maps
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.interpolation import averaged, between
 
@@ -187,7 +187,7 @@ def test_the_bundled_networks_landmarks_are_eq_3_of_its_heat_maps():
     picture = np.asarray(read_picture(sample("astronaut")), np.float32) / 255.0
     edges, side = (150, 30, 300, 180), 150
     box = CropBox(np.array([224.5, 104.5]), np.float64(side), np.float64(0.0))
-    seen = landmarks_of(bundled_landmark_network(), jnp.asarray(picture), box)
+    seen = landmarks_of(bundled_heat_maps(), jnp.asarray(picture), box)
     maps = np.asarray(seen.heat_maps, float)
     peaks = np.array([np.unravel_index(one.argmax(), one.shape) for one in maps])
     inside = ((peaks > 0) & (peaks < maps.shape[-1] - 1)).all(axis=1)

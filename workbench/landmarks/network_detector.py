@@ -30,8 +30,9 @@ CROP_BOXES = 1.6
 """Face boxes (see `landmarks.alignment`) across the network's input."""
 CROP_DROP = 0.1
 """How far the crop's centre is below the box's, in box sides."""
-STILL_MOVES = ((0.0, 0.0, 1.0), (0.03, -0.02, 0.94), (-0.03, 0.02, 1.06))
-"""Moved frames (x, y in box sides, scale) whose answers are averaged on a still, each also mirrored."""
+STILL_MOVES = ((0.0, 0.0, 1.0), (0.0, -0.02, 0.94), (0.0, 0.02, 1.06))
+"""Moved frames (x, y in box sides, scale) whose answers are averaged on a still, each also mirrored. None moves
+sideways: a mirrored picture gets the mirrored answer."""
 OTHER_ROLLS = (-0.9, 0.9)
 """Rolls in radians that are looked at too where the upright look leaves doubt: training went up to 40 degrees."""
 DOUBTFUL = 0.8

@@ -12,7 +12,6 @@ from jaxtyping import Float, UInt8
 
 from workbench.config import Config, preset
 from workbench.face import FaceModel, load_default_head, principal_expressions
-from workbench.landmarks.network_detector import bundled_landmark_network
 from workbench.planning import plan_of
 from workbench.rendering import Appearance
 from workbench.reproduction.rendered_clip import (
@@ -27,7 +26,7 @@ from workbench.reproduction.study import Study
 from workbench.tracking import FrameContext, FrameFit, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_solution import DeepSolution
-from workbench.tracking.deep_target import photo_landmarks
+from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
 
 QUANTITIES = ("rotation, °", "across, mm", "depth, mm", "jaw, °")
 QUICK_NOTE = "A quick run leaves out what takes the derivative through the network: it takes long to compile."
@@ -67,7 +66,7 @@ def observed(frame: int) -> FrameObservation:
 
 def seen_in(picture: UInt8[np.ndarray, "480 640 3"], frame: int) -> FrameObservation:
     """The same in another picture of this frame."""
-    seen = photo_landmarks(bundled_landmark_network(), picture, clip_landmarks()[frame])
+    seen = photo_landmarks(bundled_heat_maps(), picture, clip_landmarks()[frame])
     return FrameObservation(frame, seen, seen.image_size, picture=picture)
 
 

@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from workbench.face import FaceModel
 from workbench.geometry import Rig, View, axis_angle_from_yaw_pitch_roll, camera_from_fov
-from workbench.landmarks.network_detector import NetworkDetector, bundled_landmark_network
+from workbench.landmarks.network_detector import NetworkDetector
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures.lighting import STUDIO, Lighting
 from workbench.reproduction.people import FilmStudio, Motion, SimulatedPerson
 from workbench.reproduction.study import Progress
 from workbench.tracking import FrameObservation
-from workbench.tracking.deep_target import photo_landmarks
+from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
 
 SIZE = (720, 540)
 """Of the paper's pictures."""
@@ -150,4 +150,4 @@ def network_landmarks(detector: NetworkDetector, picture: UInt8[np.ndarray, "h w
     faces = detector.detect_faces(picture)
     if not faces:
         return None
-    return photo_landmarks(bundled_landmark_network(), picture, detector.align(picture, faces[0].box))
+    return photo_landmarks(bundled_heat_maps(), picture, detector.align(picture, faces[0].box))

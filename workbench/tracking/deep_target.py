@@ -10,11 +10,19 @@ from jaxtyping import UInt8
 from workbench.energies.deep import confidence_of, crop_of
 from workbench.errors import ModelError
 from workbench.landmarks.dense_detector import bundled_dense_network
-from workbench.landmarks.network_detector import bundled_landmark_network
+from workbench.landmarks.network_detector import BUNDLED as BUNDLED_FOLDER
 from workbench.landmarks.observations import Landmarks2D, of_ibug68
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.landmarks.schemes import DENSE
-from workbench.networks import DenseNetwork, EnergyNetwork, landmarks_of, read_weights, reduction_for
+from workbench.networks import (
+    DenseNetwork,
+    EnergyNetwork,
+    LandmarkNetwork,
+    landmarks_of,
+    read_landmark_network,
+    read_weights,
+    reduction_for,
+)
 from workbench.networks.dense_network import NAME as DENSE_NETWORK
 from workbench.networks.dense_network import dense_network_from
 from workbench.networks.fan import NAME as FAN
@@ -27,7 +35,16 @@ LOOKS = 2
 """The first evaluation corrects the crop for the second."""
 
 
-BUNDLED = {"heat-maps": bundled_landmark_network, "dense": bundled_dense_network}
+@cache
+def bundled_heat_maps() -> LandmarkNetwork:
+    """The heat maps that photo and render go through: weights that learned from painted heads, like those we render.
+
+    The detector's have learned on from photographed skin. They see photographs better, but photo and render less alike.
+    """
+    return read_landmark_network(BUNDLED_FOLDER / "heat_maps.safetensors")
+
+
+BUNDLED = {"heat-maps": bundled_heat_maps, "dense": bundled_dense_network}
 """The networks that come with the package, by what a configuration calls them."""
 
 
