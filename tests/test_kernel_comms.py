@@ -5,6 +5,7 @@ import queue
 import time
 
 import pytest
+from jupyter_client.blocking.client import BlockingKernelClient
 from jupyter_client.manager import start_new_kernel
 
 from workbench.errors import InputError
@@ -101,14 +102,34 @@ def test_a_widget_hears_the_browser_while_a_cell_runs(kernel, subshell, widget, 
     assert printed(kernel, "heard") == "heard [True]"
 
 
-def test_nothing_is_lost_while_the_server_does_not_listen(kernel, widget):
+@pytest.fixture(params=["page of before", "page opened later"])
+def listener(request, kernel, widget):
+    """What hears the kernel: connected before the widget was made, or since."""
+    if request.param == "page of before":
+        yield kernel
+        return
+    later = BlockingKernelClient()
+    later.load_connection_info(kernel.get_connection_info())
+    later.start_channels(shell=False, stdin=False, hb=False, control=False)
+    while True:  # until it hears something it may not be connected
+        kernel.execute("print('hello')")
+        try:
+            later.get_iopub_msg(timeout=1.0)
+            break
+        except queue.Empty:
+            continue
+    yield later
+    later.stop_channels()
+
+
+def test_nothing_is_lost_while_the_server_does_not_listen(kernel, widget, listener):
     """Neither are the parts of a panel, which come all at once."""
     kernel.execute(f"for number in range({MANY}):\n    widget.send({{'number': number, 'padding': 'x' * 500}})")
     kernel.execute("print('all sent')")
     time.sleep(2.0)  # a server that is busy
     numbers, deadline = [], time.monotonic() + LONGEST_S
     while time.monotonic() < deadline:
-        message = kernel.get_iopub_msg(timeout=LONGEST_S)
+        message = listener.get_iopub_msg(timeout=LONGEST_S)
         if message["msg_type"] == "comm_msg" and "number" in message["content"]["data"].get("content", {}):
             numbers.append(message["content"]["data"]["content"]["number"])
         if message["msg_type"] == "stream" and "all sent" in message["content"]["text"]:

@@ -6,6 +6,11 @@ from collections.abc import Callable
 
 import comm
 import zmq
+from tornado.ioloop import IOLoop
+from zmq.eventloop.zmqstream import ZMQStream
+
+UNLIMITED = 0
+"""The number of messages that may wait, in ZeroMQ's words."""
 
 
 def answer_while_cells_run() -> None:
@@ -27,7 +32,7 @@ def answer_while_cells_run() -> None:
 
 
 def lose_no_messages() -> None:
-    """Let the kernel's messages to the browser wait, however many, until the server takes them.
+    """Let the kernel's messages to each page wait, however many, until the server takes them.
 
     ZeroMQ drops what is more than 1,000 messages ahead, without a word. A panel is 1,600: beside a busy server parts of
     it were missing ("widget model not found"), or the cell never ended in the browser. Does nothing outside a kernel.
@@ -37,9 +42,25 @@ def lose_no_messages() -> None:
         return
     publishing = getattr(kernelbase.Kernel.instance(), "iopub_thread", None)
     if publishing is not None:
-        unlimited = 0
         # In the thread that the socket belongs to.
-        publishing.schedule(lambda: publishing.socket.setsockopt(zmq.SNDHWM, unlimited))
+        publishing.schedule(lambda: keep_unlimited(publishing.socket, publishing.io_loop))
+
+
+def keep_unlimited(publisher: zmq.Socket, loop: IOLoop) -> ZMQStream:
+    """Let nothing be dropped on a socket's connections, those of pages that are opened later too.
+
+    The limit that a bound socket has when a connection comes is that of the time when it was bound: it is lifted for
+    the connections that are there, again for each that comes, in the loop of the socket's thread.
+    """
+
+    def lift(*_event: object) -> None:
+        publisher.getsockopt(zmq.EVENTS)  # takes in connections that have just come
+        publisher.setsockopt(zmq.SNDHWM, UNLIMITED)
+
+    came = ZMQStream(publisher.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED), loop)
+    came.on_recv(lift)
+    lift()
+    return came
 
 
 def after_cell(work: Callable[[], object]) -> None:
