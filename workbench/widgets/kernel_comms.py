@@ -3,10 +3,10 @@
 import asyncio
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import comm
 import zmq
-from tornado.ioloop import IOLoop
 from zmq.eventloop.zmqstream import ZMQStream
 
 UNLIMITED = 0
@@ -46,11 +46,11 @@ def lose_no_messages() -> None:
         publishing.schedule(lambda: keep_unlimited(publishing.socket, publishing.io_loop))
 
 
-def keep_unlimited(publisher: zmq.Socket, loop: IOLoop) -> ZMQStream:
+def keep_unlimited(publisher: zmq.Socket, loop: Any) -> ZMQStream:
     """Let nothing be dropped on a socket's connections, those of pages that are opened later too.
 
     The limit that a bound socket has when a connection comes is that of the time when it was bound: it is lifted for
-    the connections that are there, again for each that comes, in the loop of the socket's thread.
+    the connections that are there, again for each that comes, in the loop (Tornado's) of the socket's thread.
     """
 
     def lift(*_event: object) -> None:
