@@ -10,8 +10,8 @@ import psutil
 import pytest
 
 from tests.clusters import Counted, Deadly, Harmless, until
-from workbench.errors import ConfigError
-from workbench.workers import Failed, Pool, ThisProcess, in_order, workers_for, working
+from workbench.errors import ConfigError, LostSchedulerError
+from workbench.workers import Failed, Pool, ThisProcess, dask_workers, in_order, workers_for, working
 
 
 @pytest.fixture(scope="module", params=["pool", "dask"])
@@ -78,14 +78,26 @@ def test_ctrl_c_is_left_to_the_command(workers):
     assert at_work <= children()
 
 
-def test_a_worker_that_dask_gives_up_is_replaced():
+def test_a_worker_that_dask_would_give_up_is_waited_for():
     with dask.config.set({"distributed.deploy.lost-worker-timeout": "1 ms"}):
         alone = workers_for(1, kind="dask")
+        (nanny,) = alone._cluster.workers.values()
         (pid, _) = dict(alone.results([Harmless(0)], Counted()))[0]
         os.kill(pid, signal.SIGKILL)
-        until(lambda: not alone._cluster.workers)
+        until(lambda: not psutil.pid_exists(pid))
         assert dict(alone.results([Harmless(3)])) == {0: 3}
+        assert [*alone._cluster.workers.values()] == [nanny]
         alone.close()
+
+
+def test_workers_that_do_not_come_back_are_told(monkeypatch):
+    monkeypatch.setattr(dask_workers, "AWAY_S", 2.0)
+    alone = workers_for(1, kind="dask")
+    (nanny,) = alone._cluster.workers.values()
+    alone._cluster.sync(nanny.close)
+    with pytest.raises(LostSchedulerError, match=r"none has come back for 2 s. Finished work is kept"):
+        list(alone.results([Harmless(0)]))
+    alone.close()
 
 
 def test_a_dashboard_is_told_where_there_is_one(workers):

@@ -22,7 +22,7 @@ class OutputError(WorkbenchError, OSError):
 
 
 class LostSchedulerError(OutputError):
-    """The scheduler of a cluster that cannot be reached any more; what was done is kept."""
+    """A scheduler or workers of a cluster that cannot be reached any more; what was done is kept."""
 
 
 class StoppedError(WorkbenchError):

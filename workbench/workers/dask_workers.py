@@ -3,9 +3,11 @@
 import logging
 import queue
 import signal
+import time
 import warnings
 from collections import deque
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from typing import Any
 
 from workbench.errors import InputError, LostSchedulerError
@@ -18,6 +20,8 @@ REACH_S = 10.0
 """Longest that a scheduler is waited for."""
 LOOK_S = 1.0
 """Time between two looks at whether the scheduler is there."""
+AWAY_S = 120.0
+"""Longest that this machine's workers may all be away: one whose process died is started again within seconds."""
 AHEAD = 4
 """Tasks a worker that are handed to the scheduler at once: enough that none waits, and few enough to stop soon."""
 
@@ -28,12 +32,16 @@ class DaskWorkers:
     def __init__(self, count: int = 1, scheduler: str | None = None):
         """Raises `MissingDependencyError` without the extra, `InputError` for a scheduler that cannot be reached."""
         with needs("cluster"):
+            import dask
             from distributed import Client, LocalCluster
         # What becomes of workers and scheduler is told by the errors below.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self.address = scheduler or ""
-        self._cluster, self._wanted = None, count
+        self._cluster, self._seen_s = None, time.monotonic()
         if scheduler is None:
+            # A nanny starts its worker again. Dask would close a nanny whose worker has been away for 15 s, as on a
+            # busy machine, and one that takes its place can find the name still taken and never come up.
+            dask.config.set({"distributed.deploy.lost-worker-timeout": "1 day"})
             self._cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
@@ -57,7 +65,10 @@ class DaskWorkers:
     @property
     def count(self) -> int:
         """Workers of the scheduler now; at least one, which may be yet to come."""
-        return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+        return max(1, self._at_work())
+
+    def _at_work(self) -> int:
+        return len(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def results(self, tasks: Sequence[Task], do: Do = run) -> Iterator[tuple[int, Any]]:
         """As they are done. Raises `LostSchedulerError`."""
@@ -65,6 +76,7 @@ class DaskWorkers:
         rest, out = deque(range(len(tasks))), {}
         suspects, alone = deque(), set()
         there = self._there(do)
+        self._seen_s = time.monotonic()
         while rest or suspects or out:
             if not (rest or out):
                 # A dead worker counts against all tasks that it held: one at a time tells whose deaths they are.
@@ -108,11 +120,15 @@ class DaskWorkers:
         return self._do[1]
 
     def _check(self) -> None:
-        if self._cluster is not None and len(self._cluster.workers) < self._wanted:
-            # Dask gives up a worker that has not come back for 15 s, as on a busy machine, and would wait for ever.
-            self._cluster.scale(self._wanted)
         if self._client.status not in ("running", "newly-created"):
             raise self._lost()
+        if self._cluster is None or self._at_work():
+            self._seen_s = time.monotonic()
+        elif time.monotonic() - self._seen_s > AWAY_S:
+            raise LostSchedulerError(
+                f"The workers are gone, and none has come back for {AWAY_S:.0f} s. Finished work is kept; free some "
+                "memory and go on with --resume."
+            )
 
     def _lost(self) -> LostSchedulerError:
         return LostSchedulerError(
@@ -123,7 +139,9 @@ class DaskWorkers:
         """Leave the scheduler; a cluster of this machine ends."""
         self._client.close(timeout=2)
         if self._cluster is not None:
-            self._cluster.close(timeout=10)
+            # What is still going on ends with this process.
+            with suppress(TimeoutError):
+                self._cluster.close(timeout=10)
 
 
 def dask_setup(worker: Any) -> None:
