@@ -9,7 +9,7 @@ from jupyter_client.blocking.client import BlockingKernelClient
 from jupyter_client.manager import start_new_kernel
 
 from workbench.errors import InputError
-from workbench.widgets.kernel_comms import after_cell, after_message
+from workbench.widgets.kernel_comms import after_message
 from workbench.widgets.late_parts import LateParts
 
 WIDGET = """
@@ -141,7 +141,7 @@ def test_what_comes_after_a_cell_waits_for_its_end_and_outside_of_one_for_nothin
     done = []
 
     async def cell():
-        after_cell(lambda: done.append("after"))
+        after_message(lambda: done.append("after"))
         done.append("cell")
 
     async def two_cells():
@@ -150,7 +150,7 @@ def test_what_comes_after_a_cell_waits_for_its_end_and_outside_of_one_for_nothin
         done.append("next cell")
 
     asyncio.run(two_cells())
-    after_cell(lambda: done.append("at once"))
+    after_message(lambda: done.append("at once"))
     assert done == ["cell", "after", "next cell", "at once"]
 
 
@@ -158,12 +158,12 @@ def test_what_comes_some_time_after_a_message_waits_for_it_and_outside_of_one_fo
     done = []
 
     async def message():
-        after_message(0.02, lambda: done.append("later"))
+        after_message(lambda: done.append("later"), 0.02)
         done.append("message")
         await asyncio.sleep(0.2)
 
     asyncio.run(message())
-    after_message(30.0, lambda: done.append("at once"))
+    after_message(lambda: done.append("at once"), 30.0)
     assert done == ["message", "later", "at once"]
 
 

@@ -63,22 +63,18 @@ def keep_unlimited(publisher: zmq.Socket, loop: Any) -> ZMQStream:
     return came
 
 
-def after_cell(work: Callable[[], object]) -> None:
-    """Do some work once the cell that runs has ended, before the next one; at once in a thread that runs no cell."""
+def after_message(work: Callable[[], object], seconds: float = 0.0) -> None:
+    """Do some work in this thread once the message that it handles, as of a cell, is done with; or some time later.
+
+    At once in a thread that handles none. Without `seconds` it comes before the next message.
+    """
     loop = _own_loop()
     if loop is None:
         work()
+    elif seconds:
+        loop.call_later(seconds, work)
     else:
         loop.call_soon(work)
-
-
-def after_message(seconds: float, work: Callable[[], object]) -> None:
-    """Do some work in this thread, some time after the message that it handles; at once where it handles none."""
-    loop = _own_loop()
-    if loop is None:
-        work()
-    else:
-        loop.call_later(seconds, work)
 
 
 def _own_loop() -> asyncio.AbstractEventLoop | None:

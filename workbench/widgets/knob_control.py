@@ -111,7 +111,7 @@ class KnobControl:
         self._turned(self.knob.path, self.value)
         if not self._late:
             self._late = True
-            after_message(NUMBER_S, self._follow)
+            after_message(self._follow, NUMBER_S)
 
     def _follow(self) -> None:
         """Show the slider's number."""

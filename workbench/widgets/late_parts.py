@@ -6,7 +6,7 @@ from typing import Any
 
 import ipywidgets as widgets
 
-from workbench.widgets.kernel_comms import after_cell
+from workbench.widgets.kernel_comms import after_message
 
 
 class LateParts(widgets.VBox):
@@ -21,7 +21,7 @@ class LateParts(widgets.VBox):
         self._making, self._made, self._closed = threading.RLock(), False, False
         self._failure: Exception | None = None
         super().__init__(first)
-        after_cell(self._make_after_cell)
+        after_message(self._make_after_cell)
 
     def __getattr__(self, name: str) -> Any:
         """A part that is asked for before it has been made."""

@@ -24,23 +24,24 @@ export function labelControls(panel, changed = [panel]) {
 
 // Labels a panel shortly after it was shown or changed.
 export function labelSoon(page) {
-  let timer = 0, watch = null, all = true, changed = new Set();
+  let timer = 0, watch = null, changed = null; // all of it: null
+  const ask = () => { timer ||= setTimeout(label, SOON_MS); };
   function label() {
     timer = 0;
     const panel = page.panel();
-    if (!panel) return soon();
-    labelControls(panel, all ? [panel] : [...changed]);
-    [all, changed] = [false, new Set()];
+    if (!panel) return ask();
+    labelControls(panel, changed ? [...changed] : [panel]);
+    changed = new Set();
     if (watch) return;
     watch = new MutationObserver((changes) => {
-      for (const { target } of changes) changed.add(target);
-      timer ||= setTimeout(label, SOON_MS);
+      for (const { target } of changes) changed?.add(target);
+      ask();
     });
     watch.observe(panel, { subtree: true, attributeFilter: ["title"] });
   }
   function soon() {
-    all = true;
-    timer ||= setTimeout(label, SOON_MS);
+    changed = null;
+    ask();
   }
   return { soon, stop: () => { clearTimeout(timer); watch?.disconnect(); } };
 }
