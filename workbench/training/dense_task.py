@@ -21,7 +21,6 @@ from workbench.training.torch_regression import (
     TorchRegression,
     gaussian_cost,
     regression_arrays,
-    take_regression,
     torch_places,
 )
 
@@ -44,11 +43,8 @@ class DenseTask:
         return TorchRegression(plan.widths, plan.blocks, SQUEEZED, HIDDEN, NUMBERS * (POINTS + len(DENSE_POINTS)), SIDE)
 
     def begin(self, network: TorchRegression, start: Path, pictures: Tensor) -> None:
-        """Give the network what another dense network's file holds, or the encoder of a landmark network's; `pictures`
-        are some of those to come."""
-        arrays = read_weights(start).arrays
-        take = take_regression if "hidden.weight" in arrays else take_convolutions
-        take(network, arrays, pictures)
+        """Give the network the encoder of a landmark network's file; `pictures` are some of those to come."""
+        take_convolutions(network, read_weights(start).arrays, pictures)
 
     def arrays(self, network: TorchRegression) -> dict[str, np.ndarray]:
         """What is kept of a trained one."""

@@ -20,6 +20,9 @@ REACH_S = 10.0
 """Longest that a scheduler is waited for."""
 LOOK_S = 1.0
 """Time between two looks at whether the scheduler is there."""
+MALLOC = {"MALLOC_TRIM_THRESHOLD_": 1 << 28, "MALLOC_MMAP_THRESHOLD_": 1 << 25, "MALLOC_ARENA_MAX": 1}
+"""Environment of this machine's workers. Dask has theirs give memory back at once, and each array of a fit would be
+asked of the system anew: a sweep would take a seventh longer."""
 AWAY_S = 120.0
 """Longest that this machine's workers may all be away: one whose process died is started again within seconds."""
 AHEAD = 4
@@ -42,15 +45,18 @@ class DaskWorkers:
             # A nanny starts its worker again. Dask would close a nanny whose worker has been away for 15 s, as on a
             # busy machine, and one that takes its place can find the name still taken and never come up.
             dask.config.set({"distributed.deploy.lost-worker-timeout": "1 day"})
-            self._cluster = LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=":0",
-                silence_logs=50,
-                env=ONE_CORE,
-                preload=[__name__],
-            )
+            environment = dask.config.get("distributed.nanny.pre-spawn-environ") | MALLOC
+            born = {"distributed.nanny.pre-spawn-environ": environment, "distributed.worker.profile.enabled": False}
+            with dask.config.set(born):
+                self._cluster = LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=":0",
+                    silence_logs=50,
+                    env=ONE_CORE,
+                    preload=[__name__],
+                )
             self.address = self._cluster.scheduler_address
         try:
             self._client = Client(self._cluster or scheduler, timeout=REACH_S, set_as_default=False)
