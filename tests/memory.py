@@ -7,7 +7,7 @@ import sys
 import psutil
 
 LARGE = max(2_000_000_000, psutil.virtual_memory().total // 5)
-"""Bytes of a process that holds many programs. Those of one file take 0.3 to 0.7 GB, and what stays 1.7 GB."""
+"""Bytes of a process that holds many programs. Those of one file take 0.3 to 0.7 GB; 1.7 GB are never freed."""
 
 
 def let_go_of_programs(large: int = LARGE) -> bool:

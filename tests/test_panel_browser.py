@@ -19,7 +19,7 @@ if lacking and os.environ.get("CI") != "true":
     pytest.skip(f"browser tests: {lacking}", allow_module_level=True)
 
 STRIP = ".fw-timeline canvas"
-SAMPLES = 20
+SAMPLES = 50
 """Keys of a round, and rounds of which one must be so quick: other work on the machine comes and goes."""
 SLOWEST_MS = 600.0
 """Generous: software WebGL on a shared machine; `benchmarks/panel_latency.py` has the goals."""
@@ -260,10 +260,10 @@ def test_a_long_drag_over_slow_fits_never_gets_stuck(photo, capsys):
     photo.page.mouse.move(x, y)
     photo.page.mouse.down()
     answers, began = [], time.monotonic()
-    for k in range(60):
+    for k in range(100):
         photo.page.mouse.move(x + 20 + 15 * np.sin(k / 3), y)
         photo.page.wait_for_timeout(80)
-        if k % 15 == 7:
+        if k % 25 == 12:
             answers.append(photo.ask_kernel("number = 1 + 1"))
             photo.ask_kernel("waiting = panel._worker.waiting\nassert waiting <= 1")
     photo.page.mouse.move(x + 8, y)
@@ -276,7 +276,7 @@ def test_a_long_drag_over_slow_fits_never_gets_stuck(photo, capsys):
     assert "same True" in said
     assert statistics.median(answers) < 500  # a kernel that waited for the fits would take that long on average
     fits = int(said.split("fits")[1].split()[0])
-    assert 4 <= fits <= seconds + 8  # one a second; nothing piled up
+    assert 5 <= fits <= seconds + 8  # one a second; nothing piled up
 
 
 def test_a_click_in_the_timeline_shows_another_frame(clip, screenshots):

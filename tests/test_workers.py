@@ -4,8 +4,11 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from types import SimpleNamespace
 
 import dask
+import distributed  # noqa: F401  before its settings are set for a test, or Dask drops them all afterwards
 import psutil
 import pytest
 
@@ -88,6 +91,21 @@ def test_a_worker_that_dask_would_give_up_is_waited_for():
         assert dict(alone.results([Harmless(3)])) == {0: 3}
         assert [*alone._cluster.workers.values()] == [nanny]
         alone.close()
+
+
+def test_a_worker_that_dies_late_in_a_long_run_is_waited_for_as_long_as_one_that_dies_early(monkeypatch):
+    later_s = [0.0]
+    monkeypatch.setattr(dask_workers, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + later_s[0]))
+    monkeypatch.setattr(dask_workers, "LOOK_S", 0.2)
+    alone = workers_for(1, kind="dask")
+    results = alone.results([Harmless(k) for k in range(40)], Counted())
+    done = [next(results)]
+    later_s[0] = 10.0 * dask_workers.AWAY_S
+    done.append(next(results))
+    os.kill(done[0][1][0], signal.SIGKILL)
+    done += results
+    assert sorted(number for number, _ in done) == [*range(40)]
+    alone.close()
 
 
 def test_workers_that_do_not_come_back_are_told(monkeypatch):

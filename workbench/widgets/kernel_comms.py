@@ -64,9 +64,9 @@ def keep_unlimited(publisher: zmq.Socket, loop: Any) -> ZMQStream:
 
 
 def after_message(work: Callable[[], object], seconds: float = 0.0) -> None:
-    """Do some work in this thread once the message that it handles, as of a cell, is done with; or some time later.
+    """Do some work in this thread once it is done with its message (a cell, say), or some seconds from now.
 
-    At once in a thread that handles none. Without `seconds` it comes before the next message.
+    At once in a thread that handles no message. Without `seconds`, the work comes before the next message.
     """
     loop = _own_loop()
     if loop is None:

@@ -21,8 +21,8 @@ REACH_S = 10.0
 LOOK_S = 1.0
 """Time between two looks at whether the scheduler is there."""
 MALLOC = {"MALLOC_TRIM_THRESHOLD_": 1 << 28, "MALLOC_MMAP_THRESHOLD_": 1 << 25, "MALLOC_ARENA_MAX": 1}
-"""Environment of this machine's workers. Dask has theirs give memory back at once, and each array of a fit would be
-asked of the system anew: a sweep would take a seventh longer."""
+"""Environment of this machine's workers. By default Dask's return memory to the system at once and ask for it again
+with each array of a fit; that and Dask's profiler make a sweep a seventh longer."""
 AWAY_S = 120.0
 """Longest that this machine's workers may all be away: one whose process died is started again within seconds."""
 AHEAD = 4
@@ -40,7 +40,7 @@ class DaskWorkers:
         # What becomes of workers and scheduler is told by the errors below.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self.address = scheduler or ""
-        self._cluster, self._seen_s = None, time.monotonic()
+        self._cluster = None
         if scheduler is None:
             # A nanny starts its worker again. Dask would close a nanny whose worker has been away for 15 s, as on a
             # busy machine, and one that takes its place can find the name still taken and never come up.
@@ -82,7 +82,7 @@ class DaskWorkers:
         rest, out = deque(range(len(tasks))), {}
         suspects, alone = deque(), set()
         there = self._there(do)
-        self._seen_s = time.monotonic()
+        seen_s = time.monotonic()
         while rest or suspects or out:
             if not (rest or out):
                 # A dead worker counts against all tasks that it held: one at a time tells whose deaths they are.
@@ -97,8 +97,9 @@ class DaskWorkers:
             try:
                 future = done.get(timeout=LOOK_S)
             except queue.Empty:
-                self._check()
+                seen_s = self._last_seen(seen_s)
                 continue
+            seen_s = time.monotonic()
             number = out.pop(future, None)
             if number is None:
                 continue
@@ -125,16 +126,18 @@ class DaskWorkers:
                 self._do = do, self._client.submit(_handed_on, do, pure=False)
         return self._do[1]
 
-    def _check(self) -> None:
+    def _last_seen(self, before_s: float) -> float:
+        """When there were workers last, who had been seen at `before_s`. Raises `LostSchedulerError`."""
         if self._client.status not in ("running", "newly-created"):
             raise self._lost()
         if self._cluster is None or self._at_work():
-            self._seen_s = time.monotonic()
-        elif time.monotonic() - self._seen_s > AWAY_S:
+            return time.monotonic()
+        if time.monotonic() - before_s > AWAY_S:
             raise LostSchedulerError(
                 f"The workers are gone, and none has come back for {AWAY_S:.0f} s. Finished work is kept; free some "
                 "memory and go on with --resume."
             )
+        return before_s
 
     def _lost(self) -> LostSchedulerError:
         return LostSchedulerError(

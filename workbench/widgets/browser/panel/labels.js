@@ -24,7 +24,7 @@ export function labelControls(panel, changed = [panel]) {
 
 // Labels a panel shortly after it was shown or changed.
 export function labelSoon(page) {
-  let timer = 0, watch = null, changed = null; // all of it: null
+  let timer = 0, watch = null, changed = null; // null: all of the panel
   const ask = () => { timer ||= setTimeout(label, SOON_MS); };
   function label() {
     timer = 0;
