@@ -25,6 +25,7 @@ from workbench.networks.weights import fill, read_weights
 from workbench.pictures.gl_probe import gl_available
 from workbench.pictures.lighting import Light, Lighting
 from workbench.training.augment import Hardness, augmented, cut_out
+from workbench.training.brows import BrowPlace, brow_landmarks, brows_at, random_brow_place
 from workbench.training.evaluation import (
     Answers,
     calibration_of,
@@ -164,6 +165,36 @@ class TestRenders:
             assert (np.diff(points[:, 0]) > 0).all()
             assert points[4, 0] < 0 < points[5, 0]
             assert np.abs(points - own).max() < 12
+
+    def test_brows_lie_lower_on_the_skin_at_their_outer_ends_most_and_their_landmarks_with_them(self, gazing):
+        place, head = BrowPlace(lower_mm=4.0, outer_mm=5.0), gazing.neutral
+        wardrobe, own = open_wardrobe(gazing, 64), gazing.landmarks.of(gazing.neutral)[17:27]
+        lowered = brow_landmarks(gazing, place).of(head) - own
+        assert np.abs(lowered[:, 0]).max() < 0.01
+        assert lowered[:5, 1] == pytest.approx(lowered[:4:-1, 1], abs=0.2)
+        assert lowered[0, 1] == pytest.approx(9.0, abs=0.1)
+        assert lowered[4, 1] == pytest.approx(4.0, abs=0.1)
+        assert (np.diff(lowered[:5, 1]) < 0).all()
+        part = wardrobe.store.read("brows", "eyebrow007", len(head))
+        moved = brows_at(part, gazing, place)
+        skin, line = np.einsum("nk,nkc->nc", moved.weights, head[moved.anchors]), wardrobe.brow_line("eyebrow007")
+        assert np.linalg.norm(moved.on(head) - skin, axis=1) == pytest.approx(np.full(len(skin), 0.8))
+        before, after = line.of(part.on(head)), line.of(moved.on(head))
+        assert after[:, :2] - before[:, :2] == pytest.approx(
+            np.column_stack([np.zeros(10), place.of(before[:, 0], gazing.landmarks.of(head)[17:27])]), abs=0.5
+        )
+
+    def test_brows_of_people_lie_anywhere_between_a_little_above_the_landmarks_and_the_lids(self, gazing, studio):
+        line = gazing.landmarks.of(gazing.neutral)[17:27]
+        places = [random_brow_place(np.random.default_rng(seed)) for seed in range(200)]
+        lower = np.array([place.of(line[:, 0], line) for place in places])
+        assert lower.min() >= -3
+        assert lower.max() <= 13
+        assert lower.mean(axis=0)[[0, 4]] == pytest.approx([7.0, 3.0], abs=0.6)
+        assert lower[:, 2].std() > 2.5
+        who = [studio.cast(np.random.default_rng(seed)) for seed in range(4)]
+        heights = [person.brows.of(gazing.neutral)[2, 1] for person in who]
+        assert np.ptp(heights) > 1
 
     def test_a_lens_moves_the_corner_of_a_picture_by_a_tenth_at_most(self):
         width = 0.8

@@ -26,9 +26,7 @@ from workbench.training.report import DENSE_CURVES, EYE_CURVES, write_regression
 from workbench.training.shipping import write_shipped
 
 LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
-FURTHER_LANDMARK_PLAN = TrainingPlan(
-    phases=(Phase(256, 1400, 16, 1e-3), Phase(256, 1000, 16, 4e-4), Phase(256, 6000, 16, 8e-4))
-)
+FURTHER_LANDMARK_PLAN = TrainingPlan(phases=(Phase(256, 9600, 16, 1e-3),))
 FINDER_PLAN = TrainingPlan(
     phases=(Phase(128, 2500, 32, 3e-3), Phase(256, 2500, 24, 2e-3)), widths=(16, 32, 64, 96), blocks=2
 )

@@ -11,7 +11,7 @@ from workbench.face.characters import Character
 from workbench.face.dense_landmarks import pupil_vertices
 from workbench.face.dressed_head import DressedHead, WornPart
 from workbench.face.landmark_model import contour_blend
-from workbench.face.model import FaceModel
+from workbench.face.model import Embedding, FaceModel
 from workbench.geometry import Camera
 from workbench.geometry.rotations import axis_angle_from_yaw_pitch_roll
 from workbench.landmarks.alignment import frame_from_points
@@ -20,9 +20,10 @@ from workbench.pictures.head_scene import HeadScene
 from workbench.pictures.lighting import Light, Lighting
 from workbench.pictures.mesh import to_camera, to_pixels
 from workbench.training.accessories import glasses, hair
+from workbench.training.brows import USUAL, brow_landmarks, random_brow_place
 from workbench.training.shading import Shader, random_sky
 from workbench.training.skin import SIDE as SKIN_SIDE
-from workbench.training.skin import SkinPainter
+from workbench.training.skin import SkinPainter, places_of
 from workbench.training.wardrobe import open_wardrobe
 
 SIDE = 320
@@ -94,8 +95,10 @@ class Person:
     hair_color: Float[np.ndarray, "3"]
     worn: tuple[WornPart, ...] | None = None
     """What a dressed head wears; None: a plain head, whose eyes and teeth are painted."""
+    brows: Embedding | None = None
+    """Their landmarks on the skin, if not the head's."""
     painted_brows: bool = True
-    """Painted ones reach up to the head's landmarks; worn ones alone have landmarks of their own."""
+    """Worn ones alone have their landmarks in their own hair."""
 
 
 class Studio:
@@ -143,10 +146,17 @@ class FaceStudio:
         """A random person."""
         identity = rng.normal(0, rng.uniform(0.4, 1.35), len(self.model.identity_deltas))
         person = self.model.personal(np.clip(identity, -3.5, 3.5))
+        place = random_brow_place(rng)
+        brows = brow_landmarks(self.model, place)
+        places = places_of(brows, self.model)
         if rng.random() < PAINTED:
-            return Person(person, *self.painter.paint(rng))
-        albedo, hair_color, browed = self.painter.over_photo(self.wardrobe.skin(rng), rng)
-        return Person(person, albedo, hair_color, self.wardrobe.dress(rng, hair_color), browed)
+            albedo, hair_color = self.painter.paint(rng, places)
+            return Person(person, albedo, hair_color, brows=brows)
+        albedo, hair_color, painted = self.painter.over_photo(self.wardrobe.skin(rng), rng, places)
+        worn = self.wardrobe.dress(rng, hair_color, place)
+        if not painted and all(part.part.kind != "brows" for part in worn):
+            brows = brow_landmarks(self.model, USUAL)
+        return Person(person, albedo, hair_color, worn, brows, painted)
 
     def shoot(self, who: Person, rng: np.random.Generator, posing: Posing | None = None) -> RenderedFace:
         """A random picture of this person.
@@ -168,7 +178,7 @@ class FaceStudio:
         camera = Camera(np.array([focal, focal]), centre, random_lens(rng, view.box_px * BOX_SIDES / focal))
         translation = np.array([0.0, 0.0, distance])
         for _ in range(2):  # centre the face, and give it its size
-            frame = frame_from_points(to_pixels(camera, to_camera(framed, rotation, translation)))
+            frame = frame_from_points(to_pixels(camera, to_camera(points_head[:68], rotation, translation)))
             translation[2] *= frame.side / view.box_px
             offset = (frame.to_image(np.array([view.middle]))[0] - centre) * translation[2] / focal
             translation[:2] -= offset
@@ -208,6 +218,8 @@ class FaceStudio:
     def _points(self, who: Person, landmarks, vertices, worn_head) -> Float[np.ndarray, "70 3"]:
         """Landmarks and pupils in the head frame: those of the brows where hair is seen."""
         points = landmarks.copy()
+        if who.brows is not None:
+            points[17:27] = who.brows.of(vertices)
         for part, own in zip(who.worn or (), worn_head, strict=True):
             if part.part.kind == "brows" and not who.painted_brows:
                 points[17:27] = self.wardrobe.brow_line(part.part.style).of(own)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Integer, UInt8
 
-from workbench.face.model import FaceModel
+from workbench.face.model import Embedding, FaceModel
 from workbench.frames import read_picture
 from workbench.samples import sample
 
@@ -40,8 +40,10 @@ class SkinPainter:
     iris: Float[np.ndarray, "s s"]
     landmarks: Float[np.ndarray, "68 2"]
 
-    def paint(self, rng: np.random.Generator) -> tuple[UInt8[np.ndarray, "s s 3"], Float[np.ndarray, "3"]]:
-        """A random albedo (sRGB), and the colour of its hair."""
+    def paint(
+        self, rng: np.random.Generator, brows: Float[np.ndarray, "10 2"] | None = None
+    ) -> tuple[UInt8[np.ndarray, "s s 3"], Float[np.ndarray, "3"]]:
+        """A random albedo (sRGB), and the colour of its hair. `brows`: their landmarks' places, if not the head's."""
         tone = _tone(rng)
         hair_color = (HAIR_COLORS[rng.integers(len(HAIR_COLORS))] / 255 * rng.uniform(0.7, 1.25)).astype(np.float32)
         skin = self._skin(rng, tone)
@@ -51,16 +53,16 @@ class SkinPainter:
         skin = self._hair(skin, rng, hair_color)
         if rng.random() < 0.45:
             skin = self._beard(skin, rng, hair_color)
-        skin = self._brows(skin, rng, hair_color)
+        skin = self._brows(skin, rng, hair_color, brows)
         wet = self._wet(rng)
         picture = self.wet[..., None] * wet + (1 - self.wet[..., None]) * skin
         return np.clip(np.rint(255 * picture), 0, 255).astype(np.uint8), np.clip(hair_color, 0, 1)
 
     def over_photo(
-        self, photo: UInt8[np.ndarray, "s s 3"], rng: np.random.Generator
+        self, photo: UInt8[np.ndarray, "s s 3"], rng: np.random.Generator, brows: Float[np.ndarray, "10 2"]
     ) -> tuple[UInt8[np.ndarray, "s s 3"], Float[np.ndarray, "3"], bool]:
         """A photographed albedo with marks, make-up, a beard and roots of hair painted on; the hair's colour; and
-        whether brows are painted too."""
+        whether brows are painted too. `brows`: the places of their landmarks."""
         skin = photo.astype(np.float32) / 255
         tone = np.median(skin[200:330, 180:332].reshape(-1, 3), axis=0)
         hair_color = (HAIR_COLORS[rng.integers(len(HAIR_COLORS))] / 255 * rng.uniform(0.7, 1.25)).astype(np.float32)
@@ -76,7 +78,7 @@ class SkinPainter:
             skin = self._beard(skin, rng, hair_color)
         browed = rng.random() < 0.45
         if browed:
-            skin = self._brows(skin, rng, hair_color)
+            skin = self._brows(skin, rng, hair_color, brows)
         picture = self.wet[..., None] * photo / 255 + (1 - self.wet[..., None]) * skin
         albedo = np.clip(np.rint(255 * picture), 0, 255).astype(np.uint8)
         return albedo, np.clip(hair_color, 0, 1), browed
@@ -204,14 +206,14 @@ class SkinPainter:
         color = hair_color * rng.uniform(0.6, 1.2) * (1 + 0.1 * _noise(rng, SIDE, 60)[..., None])
         return skin * (1 - share) + share * color
 
-    def _brows(self, skin, rng, hair_color) -> np.ndarray:
+    def _brows(self, skin, rng, hair_color, line=None) -> np.ndarray:
+        line = self.landmarks[17:27] if line is None else line
         layer = np.zeros((SIDE, SIDE), np.float32)
         thick, density = rng.uniform(3, 12), rng.uniform(0.25, 1.0)
         arch, drop = rng.normal(0, 1.5), rng.normal(1.0, 1.2)
         ends = rng.normal(0, 3, 2)
-        for outer, inner, sign in ((17, 21, 1), (26, 22, -1)):
-            points = self.landmarks[outer : inner + 1] if sign > 0 else self.landmarks[inner : outer + 1][::-1]
-            points = points + np.array([0.0, drop])
+        for brow, sign in ((line[:5], 1), (line[:4:-1], -1)):
+            points = brow + np.array([0.0, drop])
             points[2, 1] -= arch
             points[0, 0] += sign * ends[0]
             points[4, 0] += sign * ends[1]
@@ -273,8 +275,12 @@ def skin_painter(model: FaceModel) -> SkinPainter:
 
 def landmark_places(model: FaceModel) -> Float[np.ndarray, "68 2"]:
     """Where the 68 landmarks lie in the albedo, pixels of a SIDE×SIDE picture."""
-    places = vertex_places(model)
-    return np.einsum("lkc,lk->lc", places[model.landmarks.vertices], model.landmarks.barycentric)
+    return places_of(model.landmarks, model)
+
+
+def places_of(points: Embedding, model: FaceModel) -> Float[np.ndarray, "n 2"]:
+    """Where points of the skin lie in the albedo, pixels of a SIDE×SIDE picture."""
+    return np.einsum("lkc,lk->lc", vertex_places(model)[points.vertices], points.barycentric)
 
 
 def vertex_places(model: FaceModel) -> Float[np.ndarray, "v 2"]:

@@ -1,6 +1,6 @@
 """Random people in the art of the default head: what they wear, at the size of training pictures."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -13,15 +13,10 @@ from workbench.face.parts import Part, PartStore, open_parts
 from workbench.face.tinting import shifted, tinted
 from workbench.frames import read_picture
 from workbench.samples import sample
+from workbench.training.brows import BrowPlace, brows_at, line_of_brows
 
 PICTURE_SIDE = 256
 """Pixels of the longer side of a part's picture: a head is drawn about as large."""
-BROW_STATIONS = (0.05, 0.27, 0.5, 0.73, 0.95)
-"""Where the five landmarks of a brow are, of its length."""
-BROW_HEIGHT = 0.3
-"""How far below its upper edge they are, of its thickness there."""
-SOLID = 100
-"""Alpha from which a texel of a brow is hair."""
 AS_PHOTOGRAPHED = 0.2
 """Share of hair that keeps the colour of its picture."""
 
@@ -48,7 +43,9 @@ class Wardrobe:
         mixed = cv2.addWeighted(mixed, amount := float(rng.uniform(0.7, 1.7)), contrast, 1 - amount, 0)
         return shifted(mixed, tuple((rng.normal(0, 1, 3) * [8.0, 2.0, 3.0] + [3.0, 0.0, -1.0]).tolist()))
 
-    def dress(self, rng: np.random.Generator, hair_color: Float[np.ndarray, "3"]) -> tuple[WornPart, ...]:
+    def dress(
+        self, rng: np.random.Generator, hair_color: Float[np.ndarray, "3"], brows: BrowPlace
+    ) -> tuple[WornPart, ...]:
         """Eyes, mouth, brows, lashes, and most often hair and a shirt; `hair_color` is RGB of 0 to 1."""
         shade = 255.0 * hair_color
         hair = None if rng.random() < AS_PHOTOGRAPHED else _color(shade)
@@ -76,7 +73,11 @@ class Wardrobe:
         if rng.random() < 0.75:
             style = _one(rng, self.store.styles["hair"])
             worn.append(("hair", style, tinted(self._picture("hair", style), hair)))
-        return tuple(WornPart(self._part(kind, style), picture) for kind, style, picture in worn)
+        parts = [WornPart(self._part(kind, style), picture) for kind, style, picture in worn]
+        return tuple(
+            replace(own, part=brows_at(own.part, self.model, brows)) if own.part.kind == "brows" else own
+            for own in parts
+        )
 
     def brow_line(self, style: str) -> Embedding:
         """The ten landmarks of both brows on a style's own vertices: annotators follow the hair that they see."""
@@ -112,37 +113,6 @@ class Wardrobe:
 def open_wardrobe(model: FaceModel, skin_side: int) -> Wardrobe:
     """The bundled art, for skins of `skin_side` pixels."""
     return Wardrobe(model, open_parts(sample("parts")), skin_side)
-
-
-def line_of_brows(part: Part, picture: UInt8[np.ndarray, "h w 4"], head: Float[np.ndarray, "v 3"]) -> Embedding:
-    """Landmarks 17 to 26 on the vertices of a style of brows: along the hair, a little below its upper edge."""
-    height, width = picture.shape[:2]
-    vertices, places, shares = part.on(head), [], []
-    for corners, at in zip(part.triangles, part.uv[part.triangles_uv], strict=True):
-        pixels = np.stack([at[:, 0] * width - 0.5, (1 - at[:, 1]) * height - 0.5], axis=1)
-        low, high = np.floor(pixels.min(axis=0)).astype(int), np.ceil(pixels.max(axis=0)).astype(int)
-        x, y = (axis.ravel() for axis in np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True))))
-        edges = np.column_stack([pixels[1] - pixels[0], pixels[2] - pixels[0]])
-        if abs(np.linalg.det(edges)) < 1e-6:
-            continue
-        second, third = np.linalg.solve(edges, np.stack([x, y]) - pixels[0][:, None])
-        share = np.stack([1 - second - third, second, third], axis=1)
-        inside = (share >= 0).all(axis=1) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
-        hair = inside & (picture[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1), 3] >= SOLID)
-        shares.append(share[hair])
-        places.append(np.tile(corners, (int(hair.sum()), 1)))
-    corners, barycentric = np.concatenate(places), np.concatenate(shares)
-    points = np.einsum("nk,nkc->nc", barycentric, vertices[corners])
-    chosen = []
-    for side in (points[:, 0] < 0, points[:, 0] > 0):
-        start, end = np.quantile(points[side, 0], (0.005, 0.995))
-        for station in BROW_STATIONS:
-            x = start + station * (end - start)
-            column = np.flatnonzero(side & (np.abs(points[:, 0] - x) < 0.06 * (end - start)))
-            upper, lower = np.quantile(points[column, 1], (0.05, 0.95))
-            wanted = np.array([x, upper + BROW_HEIGHT * (lower - upper)])
-            chosen.append(column[np.argmin(np.linalg.norm(points[column, :2] - wanted, axis=1))])
-    return Embedding(corners[chosen].astype(np.int32), barycentric[chosen])
 
 
 def _folder(kind: str) -> Path:

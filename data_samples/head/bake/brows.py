@@ -13,6 +13,8 @@ from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicSpline
 from texture import rasterise
 
+from workbench.face.seen_from_front import seen_from_front
+
 ABOVE_SKIN_MM = 0.8
 """Of the strands' cards: their triangles cut corners of the skin's."""
 SOLID = 0.4
@@ -44,7 +46,7 @@ def raised_brows(
         columns, middle = columns[within], middle[within]
         way = Polynomial.fit(columns, curve_through(line)(columns) - middle, CURVE)
         raised[side, 1] += way(np.clip(points[side, 0], columns[0], columns[-1]))
-    corners, share, normals = in_front(raised[:, :2], head, skin)
+    corners, share, normals = seen_from_front(raised[:, :2], head, skin)
     return Ties(corners, share), np.einsum("nk,nkd->nd", share, head[corners]) + ABOVE_SKIN_MM * normals
 
 
@@ -65,26 +67,3 @@ def curve_through(line: Float[np.ndarray, "k 3"]) -> Callable[[np.ndarray], np.n
     """y as a function of x, smooth, through points in the order of x, and level beyond the first and the last."""
     curve = CubicSpline(line[:, 0], line[:, 1])
     return lambda x: curve(np.clip(x, line[0, 0], line[-1, 0]))
-
-
-def in_front(
-    places: Float[np.ndarray, "n 2"], head: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray, "t 3"]
-) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """What is seen from the front at each place (x, y): corners of its triangle, their shares, and the unit normal."""
-    a, b, c = (head[triangles[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    at_vertex = np.zeros_like(head)
-    for k in range(3):
-        np.add.at(at_vertex, triangles[:, k], normal)
-    seen = np.flatnonzero(normal[:, 2] < 0)
-    first, edges = a[seen, :2], np.stack([b - a, c - a], axis=2)[seen, :2]
-    local = np.einsum("tij,ntj->nti", np.linalg.inv(edges), places[:, None] - first)
-    share = np.concatenate([1 - local.sum(axis=2, keepdims=True), local], axis=2)
-    depth = np.einsum("ntk,tk->nt", share, head[triangles[seen], 2])
-    depth = np.where((share >= -1e-9).all(axis=2), depth, np.inf)
-    if np.isinf(missed := depth.min(axis=1)).any():
-        raise ValueError(f"there is no skin in front of (x, y) = {places[np.isinf(missed)][0].round(1)} mm")
-    hit = np.argmin(depth, axis=1)
-    corners, share = triangles[seen[hit]], share[np.arange(len(places)), hit]
-    normals = np.einsum("nk,nkd->nd", share, at_vertex[corners])
-    return corners, share, normals / np.linalg.norm(normals, axis=1, keepdims=True)
