@@ -7,17 +7,23 @@ import pytest
 import torch
 from scipy.spatial.distance import pdist, squareform
 
+from workbench.errors import ModelError
+from workbench.landmarks.network_detector import BUNDLED
+from workbench.landmarks.scheme import MIRROR
 from workbench.landmarks.schemes import DENSE_TABLE, DensePoints
 from workbench.landmarks.uncertainty import ellipse_radius
+from workbench.networks.dense_gain import MOST_PX, DenseGain, read_dense_gain
 from workbench.networks.dense_network import read_dense_network
 from workbench.networks.eye_network import SIDE as EYE_SIDE
 from workbench.networks.eye_network import read_eye_network
 from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork
-from workbench.networks.regression import places_of
+from workbench.networks.regression import Places, places_of
 from workbench.training.augment import TRAINING, augmented
+from workbench.training.dense_gain import corrected_answers, fitted_gain, write_dense_gain
 from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, measured_dense
 from workbench.training.dense_points import IRIS_POINTS, SPACING_MM, dense_points, write_table
 from workbench.training.dense_task import SIDE, DenseTask, loss_of
+from workbench.training.evaluation import Answers
 from workbench.training.eye_measuring import EyeAnswers, measured_eyes
 from workbench.training.eye_pictures import eye_picture, moved, pupil_seen
 from workbench.training.eye_task import EyeTask
@@ -163,6 +169,58 @@ class TestCalibration:
         assert list(rows) == ["68 landmarks, without the jaw", "pupils", "dense, nose", "dense, irises"]
         assert rows["dense, nose"]["clean"] == pytest.approx(2.0 * np.sqrt(np.pi / 2), rel=0.02)
         assert rows["pupils"]["damaged, inside 50%"] == pytest.approx(1 - np.exp(-1.386 / 8), abs=0.02)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Dense errors that are the heat maps' differences from the dense network's 68, halved, and a little chance."""
+    rng = np.random.default_rng(3)
+    truth = np.tile(rng.uniform(40, 200, (1, 377, 2)), (1500, 1, 1))
+    shared = rng.normal(0, 6.0, (1500, 307, 2))
+    points = truth + rng.normal(0, 0.3, truth.shape)
+    points[:, 70:] -= 0.5 * shared
+    points[:, :68] -= shared[:, :68]
+    whitening = np.broadcast_to(np.eye(2), (*truth.shape[:2], 2, 2))
+    angles = np.zeros((1500, 3))
+    heat_maps = truth[:, :68] + rng.normal(0, 0.3, (1500, 68, 2))
+    return (
+        DenseAnswers(points, truth, angles, whitening),
+        Answers(heat_maps, truth[:, :68], angles, np.ones((1500, 68))),
+    )
+
+
+class TestGain:
+    def test_what_the_heat_maps_tell_of_other_points_is_learned(self, pair):
+        # Each of the first 68 further points errs with a landmark: mirrored, it has to err with the mirrored one.
+        order = tuple(np.array([*MIRROR, *range(68, 307)]).tolist())
+        points = DensePoints(np.arange(307), np.array(order), ("face",) * 307, ("middle",) * 307)
+        corrected = corrected_answers(fitted_gain(*pair, points), *pair)
+        before, after = (np.linalg.norm(each.truth - each.points, axis=-1) for each in (pair[0], corrected))
+        assert after[:, 70:138].mean() < 0.35 * before[:, 70:138].mean()
+        assert np.array_equal(after[:, :70], before[:, :70])
+        assert after[:, 138:].mean() == pytest.approx(before[:, 138:].mean(), rel=0.05)
+        for share in ELLIPSES:
+            held = (corrected.deviations[:, 70:] < ellipse_radius(share)).mean()
+            assert held == pytest.approx(share, abs=0.03)
+
+    def test_a_network_that_is_lost_moves_the_points_by_a_bounded_way(self, pair):
+        gain = DenseGain(np.full((614, 136), 0.01), np.full(307, 2.0))
+        seen = Places(pair[0].points[0], pair[0].whitening[0])
+        far, farther = (gain.corrected(seen, seen.points[:68] + away) for away in (MOST_PX, 50 * MOST_PX))
+        assert np.array_equal(far.points, farther.points)
+        assert far.points[70:] == pytest.approx(seen.points[70:] + 136 * 0.01 * MOST_PX)
+        assert far.whitening[70:] == pytest.approx(seen.whitening[70:] / 2)
+        assert np.array_equal(far.whitening[:70], seen.whitening[:70])
+
+    def test_a_file_gives_the_gain_back_and_other_weights_are_refused(self, tmp_path):
+        rng = np.random.default_rng(4)
+        gain = DenseGain(rng.normal(size=(614, 136)), rng.uniform(0.5, 1.0, 307))
+        write_dense_gain(tmp_path / "gain.safetensors", gain)
+        back = read_dense_gain(tmp_path / "gain.safetensors")
+        np.testing.assert_allclose(back.gain, gain.gain, atol=2e-3)
+        np.testing.assert_allclose(back.deviation_factor, gain.deviation_factor, rtol=1e-6)
+        with pytest.raises(ModelError, match="should hold a face-energy-dense-gain-1"):
+            read_dense_gain(BUNDLED / "eyes.safetensors")
 
 
 class TestEyes:

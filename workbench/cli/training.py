@@ -33,15 +33,19 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
                                                   some 300 points with their uncertainty, on the landmark
                                                   network's encoder
 
+  workbench train gain training                   what the landmark network tells of the dense network's
+                                                  points; again whenever one of the two is another
+
   workbench train eyes training                   pupils, irises and lids, from crops of single eyes
 
   workbench train flow training                   the flow network, from pairs of its own
 """
-Network = StrEnum("Network", ["landmarks", "finder", "dense", "eyes", "flow"])
+Network = StrEnum("Network", ["landmarks", "finder", "dense", "gain", "eyes", "flow"])
 RESULTS: Mapping[str, tuple[str, ...]] = {
     Network.landmarks: ("landmarks.safetensors", "tables.md"),
     Network.finder: ("finder.safetensors",),
     Network.dense: ("dense.safetensors", "dense_tables.md"),
+    Network.gain: ("dense_gain.safetensors", "dense_gain_tables.md"),
     Network.eyes: ("eyes.safetensors", "eyes_tables.md"),
     Network.flow: ("flow.safetensors", "flow_tables.md"),
 }

@@ -1,13 +1,14 @@
 """Landmarks of the whole face, each with its covariance: the dense network beside the network detector's.
 
 The heat maps say whether there is a face, and where its 68 points are; the dense network says where all others are, and
-how surely each of them all; pupils and irises are the eye network's. After Wood et al., "3D Face Reconstruction with
-Dense Landmarks" (ECCV 2022).
+how surely each of them all, corrected by what it misses at the 68; pupils and irises are the eye network's. After Wood
+et al., "3D Face Reconstruction with Dense Landmarks" (ECCV 2022).
 """
 
 from dataclasses import replace
 from functools import cache
 
+import jax
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -20,6 +21,7 @@ from workbench.landmarks.network_detector import BUNDLED, CROP_SIDE, NetworkDete
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, POINT_COUNT, RIGHT_EYE_OUTER_CORNER
 from workbench.landmarks.schemes import DENSE
+from workbench.networks.dense_gain import DenseGain, read_dense_gain
 from workbench.networks.dense_network import DenseNetwork, read_dense_network
 from workbench.networks.eye_network import EyeNetwork
 from workbench.networks.frozen import FrozenDenseNetwork
@@ -46,6 +48,7 @@ class DenseDetector(NetworkDetector):
     def __init__(self, dense: DenseNetwork | None = None, eyes: EyeNetwork | None = None) -> None:
         super().__init__()
         self._dense = FrozenDenseNetwork(dense or bundled_dense_network())
+        self._gain = bundled_dense_gain() if dense is None else None
         self._eyes = EyeDetector(eyes)
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
@@ -61,6 +64,8 @@ class DenseDetector(NetworkDetector):
         crop = sampled_crop(picture, to_image, mirrored)
         landmarks, _ = self._answer(crop, picture, to_image, mirrored)
         places = _unmirrored(self._dense(crop)) if mirrored else self._dense(crop)
+        if self._gain is not None:
+            places = self._gain.corrected(places, to_image.to_face(landmarks.points))
         covariance = covariance_of(places.whitening)
         covariance[:POINT_COUNT] *= HEAT_MAP_DEVIATION**2
         turn = to_image.matrix
@@ -78,6 +83,12 @@ class DenseDetector(NetworkDetector):
 def bundled_dense_network() -> DenseNetwork:
     """The dense network that comes with the package."""
     return read_dense_network(BUNDLED / "dense.safetensors")
+
+
+@cache
+def bundled_dense_gain() -> DenseGain:
+    """What the bundled landmark network tells of the bundled dense network's points, in NumPy."""
+    return jax.tree.map(np.asarray, read_dense_gain(BUNDLED / "dense_gain.safetensors"))
 
 
 def _unmirrored(places: Places) -> Places:

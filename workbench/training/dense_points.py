@@ -34,6 +34,8 @@ REACH_MM = {"eyes": 4.5, "mouth": 5.5, "brows": 7.0, "nose": 13.0}
 IRIS_POINTS = 8
 """Points on the border of each iris."""
 SIGHT_SIDE, SIGHT_FOV_DEG = 512, 12.0
+SIGHT_MIDDLE_MM, SIGHT_HEIGHT_MM = 32.7983, 291.6078
+"""Of the view: the middle of the head's heights and their range. Fixed, so that the neck has no say in the choice."""
 SIGHT_YAWS_DEG = (-80.0, -45.0, 0.0, 45.0, 80.0)
 """Pictures in which a point must be seen."""
 BELOW_CHIN_MM = 6.0
@@ -108,9 +110,7 @@ def _seen_from_outside(model: FaceModel) -> Bool[np.ndarray, "v"]:
     """Corners of triangles that some view from the front or a side shows."""
     size, camera = (SIGHT_SIDE, SIGHT_SIDE), camera_from_fov((SIGHT_SIDE, SIGHT_SIDE), SIGHT_FOV_DEG)
     topology, seen = mesh_topology(model.triangles, len(model.neutral)), np.zeros(len(model.neutral), bool)
-    away = np.array(
-        [0.0, -model.neutral[:, 1].mean(), 0.6 * np.ptp(model.neutral[:, 1]) / np.tan(np.radians(SIGHT_FOV_DEG) / 2)]
-    )
+    away = np.array([0.0, -SIGHT_MIDDLE_MM, 0.6 * SIGHT_HEIGHT_MM / np.tan(np.radians(SIGHT_FOV_DEG) / 2)])
     for yaw in SIGHT_YAWS_DEG:
         rotation = rotation_matrix(axis_angle_from_yaw_pitch_roll(np.array([yaw, 0.0, 0.0])))
         view = render(

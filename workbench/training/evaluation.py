@@ -1,8 +1,9 @@
 """How good a landmark network is: error, closed eyes, open mouths and confidence on renders that it has not seen."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -38,6 +39,9 @@ class Found:
         return 100 * np.linalg.norm(self.points - self.truth, axis=-1) / outer_eye_distance(self.truth)[:, None]
 
 
+FoundKind = TypeVar("FoundKind", bound=Found)
+
+
 @dataclass(frozen=True, eq=False)
 class Answers(Found):
     """What a landmark network said of many pictures, and the truth."""
@@ -67,6 +71,12 @@ def unseen_pictures(
         made = augmented(pool, index, rng, side, hardness, dense)
         if made.is_face:
             yield made, pool.angles(index)
+
+
+def joined(parts: Sequence[FoundKind]) -> FoundKind:
+    """The answers on several sets of pictures as one."""
+    names = [field.name for field in fields(parts[0])]
+    return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
 def columns(rows: Sequence[tuple]) -> Iterator[Float[np.ndarray, "n ..."]]:

@@ -6,23 +6,27 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from workbench.files import atomic_path
+from workbench.landmarks.dense_detector import bundled_dense_network
+from workbench.landmarks.network_detector import bundled_landmark_network
 from workbench.landmarks.schemes import DENSE_POINTS
 from workbench.networks import read_landmark_network, read_weights
-from workbench.networks.dense_network import read_dense_network
+from workbench.networks.dense_gain import read_dense_gain
+from workbench.networks.dense_network import SIDE, read_dense_network
 from workbench.networks.eye_network import read_eye_network
 from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork
-from workbench.training.augment import TRAINING
-from workbench.training.dense_measuring import dense_answers, deviation_factor, measured_dense
+from workbench.training.augment import TRAINING, Hardness
+from workbench.training.dense_gain import corrected_answers, fitted_gain, write_dense_gain
+from workbench.training.dense_measuring import DenseAnswers, dense_answers, deviation_factor, measured_dense
 from workbench.training.dense_task import DenseTask
-from workbench.training.evaluation import CLEAN, answers_of, calibration_of
+from workbench.training.evaluation import CLEAN, Answers, answers_of, calibration_of, joined
 from workbench.training.eye_measuring import eye_answers, measured_eyes
 from workbench.training.eye_task import EyeTask
 from workbench.training.finder_task import FinderTask
 from workbench.training.landmark_task import LandmarkTask
 from workbench.training.loop import Phase, TrainingPlan, train
 from workbench.training.measuring import looker, measured
-from workbench.training.pool import halves, make_pool, open_pool
-from workbench.training.report import DENSE_CURVES, EYE_CURVES, write_regression_report, write_report
+from workbench.training.pool import Pool, halves, make_pool, open_pool
+from workbench.training.report import DENSE_CURVES, EYE_CURVES, write_regression_report, write_report, write_tables
 from workbench.training.shipping import write_shipped
 
 LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
@@ -34,7 +38,7 @@ FURTHER_FINDER_PLAN = TrainingPlan(phases=(Phase(256, 1400, 16, 1.5e-3),), width
 """For weights that are there already."""
 DENSE_PLAN = TrainingPlan(phases=(Phase(256, 4500, 32, 1.5e-3),))
 EYE_PLAN = TrainingPlan(phases=(Phase(64, 6000, 64, 2e-3),), widths=(24, 48, 64, 96))
-FURTHER_EYE_PLAN = TrainingPlan(phases=(Phase(64, 4000, 64, 1.5e-3),), widths=(24, 48, 64, 96))
+FURTHER_EYE_PLAN = TrainingPlan(phases=(Phase(64, 8000, 64, 1.5e-3),), widths=(24, 48, 64, 96))
 SEEDS = {"faces": (1, 1002), "eyes": (5, 1005)}
 """Of the pools that are learned from and measured on, by what they show."""
 TEST_PICTURES, EVALUATED, CALIBRATED = 960, 800, 1500
@@ -67,7 +71,7 @@ QUICK_DENSE = replace(
     QUICK, plan=TrainingPlan(phases=(Phase(256, 20, 4, 1e-3),), widths=QUICK.plan.widths, blocks=QUICK.plan.blocks)
 )
 EYES = Recipe(pictures=3360, test_pictures=480, plan=EYE_PLAN)
-FURTHER_EYES = replace(EYES, plan=FURTHER_EYE_PLAN)
+FURTHER_EYES = replace(EYES, pictures=6720, plan=FURTHER_EYE_PLAN)
 QUICK_EYES = replace(QUICK, plan=TrainingPlan(phases=(Phase(64, 20, 8, 1e-3),), widths=(8, 8, 16, 16), blocks=1))
 
 
@@ -143,6 +147,38 @@ def train_dense_network(
     return path
 
 
+def learn_dense_gain(
+    folder: Path, recipe: Recipe = Recipe(), workers: int = 1, device: str = "cpu", report: Report = print
+) -> Path:
+    """Learn what the bundled heat maps tell of the bundled dense network's points: `folder/dense_gain.safetensors`.
+
+    On half of the held-out renders; the tables are of the other half. It takes minutes on a CPU, whatever the `device`.
+    """
+    test = folder / "pool_test"
+    make_pool(test, recipe.test_pictures, SEEDS["faces"][1], workers, _rendered(report))
+    known, unseen = halves(open_pool(test))
+    dense, landmarks = FrozenDenseNetwork(bundled_dense_network()), looker(bundled_landmark_network())
+
+    def answers(pool: Pool, count: int, hardness: Hardness, seed: int = 0) -> tuple[DenseAnswers, Answers]:
+        return (
+            dense_answers(dense, pool, DENSE_POINTS, count, hardness, seed),
+            answers_of(landmarks, pool, count, SIDE, hardness, seed),
+        )
+
+    report("looking at renders with both networks")
+    looks = [answers(known, recipe.calibrated, hardness, seed=1) for hardness in (CLEAN, TRAINING)]
+    gain = fitted_gain(*(joined(part) for part in zip(*looks, strict=True)), DENSE_POINTS)
+    path = folder / "dense_gain.safetensors"
+    write_dense_gain(path, gain)
+    report("measuring on renders of other people")
+    gain = read_dense_gain(path)
+    clean, damaged = (
+        corrected_answers(gain, *answers(unseen, recipe.evaluated, hardness)) for hardness in (CLEAN, TRAINING)
+    )
+    write_tables(folder, "dense_gain", measured_dense(clean, damaged, DENSE_POINTS))
+    return path
+
+
 def train_eye_network(
     folder: Path,
     recipe: Recipe = EYES,
@@ -173,5 +209,9 @@ def _pools(folder: Path, recipe: Recipe, workers: int, report: Report, kind: str
     pools = folder / name, folder / f"{name}_test"
     sizes = (recipe.pictures, recipe.test_pictures)
     for path, pictures, seed in zip(pools, sizes, SEEDS[kind], strict=True):
-        make_pool(path, pictures, seed, workers, lambda done, total: report(f"rendered {done} of {total}"), kind)
+        make_pool(path, pictures, seed, workers, _rendered(report), kind)
     return pools
+
+
+def _rendered(report: Report) -> Callable[[int, int], None]:
+    return lambda done, total: report(f"rendered {done} of {total}")

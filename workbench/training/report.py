@@ -34,6 +34,11 @@ def write_regression_report(
     """Write a network's `NAME_curves.png`, `NAME_numbers.json` and `NAME_tables.md` into the folder."""
     with atomic_path(folder / f"{name}_curves.png") as temporary:
         curves_figure(folder / name / "curves.csv", curves).savefig(temporary, dpi=100)
+    write_tables(folder, name, tables)
+
+
+def write_tables(folder: Path, name: str, tables: Mapping[str, Mapping[str, float]]) -> None:
+    """Write `NAME_numbers.json` and `NAME_tables.md` into the folder."""
     with atomic_path(folder / f"{name}_numbers.json") as temporary:
         temporary.write_text(json.dumps(tables, indent=1), encoding="utf-8")
     columns = list(next(iter(tables.values())))

@@ -18,6 +18,7 @@ from workbench.training.recipe import (
     QUICK_DENSE,
     QUICK_EYES,
     Recipe,
+    learn_dense_gain,
     train_dense_network,
     train_eye_network,
     train_face_finder,
@@ -49,6 +50,7 @@ TRAININGS: Mapping[str, Training] = MappingProxyType({
     "landmarks": Training(train_landmark_network, Recipe(), QUICK, Recipe(plan=FURTHER_LANDMARK_PLAN)),
     "finder": Training(train_face_finder, Recipe(plan=FINDER_PLAN), QUICK, Recipe(plan=FURTHER_FINDER_PLAN)),
     "dense": Training(train_dense_network, Recipe(plan=DENSE_PLAN), QUICK_DENSE, Recipe(plan=DENSE_PLAN)),
+    "gain": Training(learn_dense_gain, Recipe(), QUICK, None),
     "eyes": Training(train_eye_network, EYES, QUICK_EYES, FURTHER_EYES),
     "flow": Training(train_flow_network, FlowRecipe(), QUICK_FLOW, None),
 })  # fmt: skip
