@@ -8,7 +8,7 @@ from workbench.config import Config
 from workbench.frames import Frame, Frames, read_ahead
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import detector_scheme, fallback_note, make_detector
-from workbench.landmarks.tracker_options import TrackerOptions
+from workbench.landmarks.tracker_options import TrackerOptions, options_for
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.tracking import FrameObservation
 from workbench.tracking.observation import motion_of
@@ -29,7 +29,7 @@ class PictureSource:
         self.detector, self.scheme = detector.name, detector_scheme(detector.name)
         self._fallback = fallback_note(config.landmarks.detector, detector.name)
         face = config.landmarks.face
-        self._tracker = LandmarkTracker(detector, TrackerOptions(face=face))
+        self._tracker = LandmarkTracker(detector, options_for(detector.name, face))
         self._finder = LandmarkTracker(detector, TrackerOptions(face=face, accept_confidence=STILL_CONFIDENCE))
 
     @property

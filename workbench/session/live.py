@@ -13,7 +13,7 @@ from workbench.face import FaceModel, in_scheme
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import detector_scheme, make_detector
 from workbench.landmarks.scheme import IBUG68, outer_eye_distance
-from workbench.landmarks.tracker_options import TrackerOptions
+from workbench.landmarks.tracker_options import options_for
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.planning import plan_of
 from workbench.session.gesture import Gesture
@@ -229,7 +229,7 @@ class LiveSession:
             landmarks, detector = self.config.landmarks, self._detector
             if detector is None:
                 detector = make_detector(landmarks.detector, landmarks.face_landmarker)
-            self._landmarks = LandmarkTracker(detector, TrackerOptions(face=landmarks.face))
+            self._landmarks = LandmarkTracker(detector, options_for(detector.name, landmarks.face))
         return self._landmarks
 
     def _gather(self, observation: FrameObservation) -> None:

@@ -1,5 +1,6 @@
 """How the dense network's errors go with its differences from the heat maps: least squares on unseen renders."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,26 +14,39 @@ from workbench.networks.landmark_network import LANDMARKS
 from workbench.networks.regression import Places
 from workbench.networks.weights import ARCHITECTURE, write_weights
 from workbench.training.dense_measuring import DenseAnswers, deviation_factor
-from workbench.training.evaluation import Answers
+from workbench.training.evaluation import Answers, joined
 from workbench.training.shipping import NOTES
 
 NOISE_PX2 = 10.0
 """Variance of what differs by chance, square pixels of 256: it keeps the gain small (ridge regression)."""
 
 
-def fitted_gain(dense: DenseAnswers, heat_maps: Answers, points: DensePoints) -> DenseGain:
-    """The gain for both networks' answers on the same pictures; of the dense network's points, `points` are the last.
+LookedAt = tuple[DenseAnswers, Answers]
+"""Both networks' answers on the same pictures."""
 
-    Mirrored pictures count as well: the gain of a mirrored face is the mirrored gain.
+
+def fitted_gain(sets: Sequence[LookedAt], points: DensePoints) -> DenseGain:
+    """The gain for all of these answers, each set on pictures of other people; of the points, `points` are the last.
+
+    What is left of the deviations is measured on each set with the gain of the others.
     """
+    left = []
+    for held_out in sets:
+        gain = _least_squares([each for each in sets if each is not held_out], points)
+        corrected = corrected_answers(DenseGain(gain, np.ones(len(points))), *held_out)
+        left.append(corrected.deviations[:, -len(points) :])
+    return DenseGain(_least_squares(sets, points), deviation_factor(np.concatenate(left)))
+
+
+def _least_squares(sets: Sequence[LookedAt], points: DensePoints) -> Float[np.ndarray, "moves differences"]:
+    """Mirrored pictures count as well: the gain of a mirrored face is the mirrored gain."""
+    dense, heat_maps = (joined(part) for part in zip(*sets, strict=True))
     apart = differences(dense.points, heat_maps.points)
     missed = np.clip((dense.truth - dense.points)[:, -len(points) :], -MOST_PX, MOST_PX).reshape(len(apart), -1)
     apart = np.concatenate([apart, _mirrored(apart, np.array(MIRROR))])
     missed = np.concatenate([missed, _mirrored(missed, np.array(points.mirror))])
     normal = apart.T @ apart + NOISE_PX2 * len(apart) * np.eye(2 * LANDMARKS)
-    gain = np.linalg.solve(normal, apart.T @ missed).T
-    moved = corrected_answers(DenseGain(gain, np.ones(len(points))), dense, heat_maps)
-    return DenseGain(gain, deviation_factor(moved.deviations[:, -len(points) :]))
+    return np.linalg.solve(normal, apart.T @ missed).T
 
 
 def corrected_answers(gain: DenseGain, dense: DenseAnswers, heat_maps: Answers) -> DenseAnswers:

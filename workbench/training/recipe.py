@@ -166,8 +166,11 @@ def learn_dense_gain(
         )
 
     report("looking at renders with both networks")
-    looks = [answers(known, recipe.calibrated, hardness, seed=1) for hardness in (CLEAN, TRAINING)]
-    gain = fitted_gain(*(joined(part) for part in zip(*looks, strict=True)), DENSE_POINTS)
+    sets = []
+    for people in halves(known):
+        looks = [answers(people, recipe.calibrated // 2, hardness, seed=1) for hardness in (CLEAN, TRAINING)]
+        sets.append(tuple(joined(part) for part in zip(*looks, strict=True)))
+    gain = fitted_gain(sets, DENSE_POINTS)
     path = folder / "dense_gain.safetensors"
     write_dense_gain(path, gain)
     report("measuring on renders of other people")
