@@ -14,7 +14,7 @@ from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame, frame_from_poin
 from workbench.landmarks.detection import FaceDetection
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.tracker_options import TrackerOptions
+from workbench.landmarks.tracker_options import TrackerOptions, options_for
 from workbench.landmarks.tracking import LandmarkTracker
 
 ASTRONAUT = Path(__file__).resolve().parents[1] / "data_samples" / "astronaut.png"
@@ -118,6 +118,14 @@ def test_a_moving_face_is_detected_once_and_then_tracked():
     assert not any(r.cut for r in results)
     assert max(error_in_sides(r, s.faces[0]) for r, s in zip(results, scenes, strict=True)) < 0.01
     assert all(set(r.milliseconds) == {"detect", "landmarks"} for r in results)
+
+
+@pytest.mark.parametrize(("name", "believed"), [("network", True), ("dense", True), ("dlib", False), ("mine", False)])
+def test_a_network_is_believed_with_less_confidence_than_others(name, believed, monkeypatch):
+    faces = KnownFaces([still := scene(0)])
+    monkeypatch.setattr(faces, "align", lambda *_: Landmarks2D(still.faces[0], np.full(68, 0.27), SIZE))
+    tracker = LandmarkTracker(faces, options_for(name))
+    assert (tracker.step(still.picture).landmarks is not None) == believed
 
 
 def test_flow_and_predictor_together_are_steadier_than_the_predictor_alone():
