@@ -2,6 +2,8 @@
 
 import asyncio
 import queue
+import subprocess
+import sys
 import time
 
 import pytest
@@ -37,6 +39,36 @@ while not heard and time.monotonic() < deadline:
 elsewhere = [thread is not threading.main_thread() for thread in heard]
 heard.clear()
 print("heard", elsewhere)
+"""
+COMING_AND_GOING = """
+import random, threading, time
+import zmq
+from workbench.widgets.kernel_comms import UNLIMITED, keep_unlimited
+
+publisher = zmq.Context().socket(zmq.XPUB)
+address = f"tcp://127.0.0.1:{publisher.bind_to_random_port('tcp://127.0.0.1')}"
+until = time.monotonic() + 3.0
+
+def come_and_go(seed):
+    context, pause = zmq.Context(), random.Random(seed)
+    while time.monotonic() < until:
+        page = context.socket(zmq.SUB)
+        page.linger = 0
+        page.connect(address)
+        page.subscribe(b"")
+        time.sleep(pause.uniform(0.005, 0.06))
+        page.close()
+        time.sleep(pause.uniform(0.0, 0.03))
+
+pages = [threading.Thread(target=come_and_go, args=(seed,)) for seed in range(3)]
+for page in pages:
+    page.start()
+lifted = 0
+while time.monotonic() < until:
+    keep_unlimited(publisher)
+    publisher.send(b"x")
+    lifted += publisher.getsockopt(zmq.SNDHWM) == UNLIMITED
+print(lifted)
 """
 LONGEST_S = 60.0
 MANY = 20000
@@ -124,6 +156,7 @@ def listener(request, kernel, widget):
 
 def test_nothing_is_lost_while_the_server_does_not_listen(kernel, widget, listener):
     """Neither are the parts of a panel, which come all at once."""
+    kernel.execute("workbench.widgets.kernel_comms.lose_no_messages()")  # as panels do
     kernel.execute(f"for number in range({MANY}):\n    widget.send({{'number': number, 'padding': 'x' * 500}})")
     kernel.execute("print('all sent')")
     time.sleep(2.0)  # a server that is busy
@@ -135,6 +168,13 @@ def test_nothing_is_lost_while_the_server_does_not_listen(kernel, widget, listen
         if message["msg_type"] == "stream" and "all sent" in message["content"]["text"]:
             break
     assert numbers == list(range(MANY))
+
+
+def test_the_limit_is_lifted_while_pages_come_and_go():
+    """In a process of its own: where an end of a connection that closes is told of it, ZeroMQ ends the process."""
+    ended = subprocess.run([sys.executable, "-c", COMING_AND_GOING], capture_output=True, text=True, timeout=LONGEST_S)
+    assert ended.returncode == 0, ended.stderr
+    assert int(ended.stdout) > 10
 
 
 def test_what_comes_after_a_cell_waits_for_its_end_and_outside_of_one_for_nothing():

@@ -2,15 +2,19 @@
 
 import asyncio
 import sys
+import time
 from collections.abc import Callable
-from typing import Any
+from uuid import uuid4
 
 import comm
 import zmq
-from zmq.eventloop.zmqstream import ZMQStream
 
 UNLIMITED = 0
 """The number of messages that may wait, in ZeroMQ's words."""
+SETTLED_S = 0.02
+"""After which both ends of a connection that closes are gone; ZeroMQ's threads need some 0.1 ms."""
+MOST_TRIES = 50
+"""While connections close all the time."""
 
 
 def answer_while_cells_run() -> None:
@@ -32,35 +36,48 @@ def answer_while_cells_run() -> None:
 
 
 def lose_no_messages() -> None:
-    """Let the kernel's messages to each page wait, however many, until the server takes them.
+    """Let the kernel's messages to each page that is open wait, however many, until the server takes them.
 
-    ZeroMQ drops what is more than 1,000 messages ahead, without a word. A panel is 1,600: beside a busy server parts of
-    it were missing ("widget model not found"), or the cell never ended in the browser. Does nothing outside a kernel.
+    For what sends many: ZeroMQ drops what is more than 1,000 messages ahead, without a word. A panel is 1,600: beside
+    a busy server parts of it were missing ("widget model not found"), or the cell never ended in the browser. Does
+    nothing outside a kernel.
     """
     kernelbase = sys.modules.get("ipykernel.kernelbase")
     if kernelbase is None or not kernelbase.Kernel.initialized():
         return
     publishing = getattr(kernelbase.Kernel.instance(), "iopub_thread", None)
     if publishing is not None:
-        # In the thread that the socket belongs to.
-        publishing.schedule(lambda: keep_unlimited(publishing.socket, publishing.io_loop))
+        # In the thread that the socket belongs to, before whatever is sent from now on.
+        publishing.schedule(lambda: keep_unlimited(publishing.socket))
 
 
-def keep_unlimited(publisher: zmq.Socket, loop: Any) -> ZMQStream:
-    """Let nothing be dropped on a socket's connections, those of pages that are opened later too.
+def keep_unlimited(publisher: zmq.Socket) -> None:
+    """Lift the limit of waiting messages for the connections that a bound socket has.
 
-    The limit that a bound socket has when a connection comes is that of the time when it was bound: it is lifted for
-    the connections that are there, again for each that comes, in the loop (Tornado's) of the socket's thread.
+    ZeroMQ 4.3 tells both ends of each connection, and the process ends where one has lost its other end, as it has for
+    a moment when it closes. So this waits until none is closing: ZeroMQ says that one does before it begins.
     """
+    told = publisher.get_monitor_socket(zmq.EVENT_DISCONNECTED, f"inproc://closed-{uuid4()}")
+    try:
+        for _ in range(MOST_TRIES):
+            publisher.getsockopt(zmq.EVENTS)  # takes in connections that have just come, or begun to close
+            time.sleep(SETTLED_S)
+            publisher.getsockopt(zmq.EVENTS)  # lets go of those that have closed
+            if not _some_closed(told):
+                publisher.setsockopt(zmq.SNDHWM, UNLIMITED)
+                return
+    finally:
+        publisher.disable_monitor()
+        told.close()
 
-    def lift(*_event: object) -> None:
-        publisher.getsockopt(zmq.EVENTS)  # takes in connections that have just come
-        publisher.setsockopt(zmq.SNDHWM, UNLIMITED)
 
-    came = ZMQStream(publisher.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED), loop)
-    came.on_recv(lift)
-    lift()
-    return came
+def _some_closed(told: zmq.Socket) -> bool:
+    """Whether connections have closed since this was asked last."""
+    closed = False
+    while told.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+        told.recv_multipart()
+        closed = True
+    return closed
 
 
 def after_message(work: Callable[[], object], seconds: float = 0.0) -> None:

@@ -15,6 +15,7 @@ from workbench.session.live_frame import FrameSource, LiveFrame
 from workbench.session.recording import Recording
 from workbench.tracking import FrameFit, Track
 from workbench.widgets.camera_bar import CameraBar, cameras_by_name
+from workbench.widgets.kernel_comms import lose_no_messages
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.live_messages import NEUTRAL, READYING, STOPPED, WELCOME, LiveMessages
 from workbench.widgets.live_settings import LiveSettings
@@ -45,6 +46,7 @@ class LivePanel(widgets.VBox):
         config: Config | None = None,
         height_px: int = 372,
     ) -> None:
+        lose_no_messages()
         self._closed = True  # nothing to free until everything is built
         model = load_default_head() if model is None else model
         self.session = LiveSession(model, config)

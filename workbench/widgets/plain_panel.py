@@ -10,6 +10,7 @@ from workbench.session.knobs import changed_by, label_of
 from workbench.widgets.character_choice import CharacterChoice
 from workbench.widgets.controls import Controls
 from workbench.widgets.history_bar import HistoryBar
+from workbench.widgets.kernel_comms import lose_no_messages
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.panel_layout import classed, style_sheet
 from workbench.widgets.playground import PARTS, SEEN_WHOLE, SIDE_PX, jpeg
@@ -26,6 +27,7 @@ class PlainPanel(widgets.VBox):
     """
 
     def __init__(self, session: TuningSession) -> None:
+        lose_no_messages()
         self.session, self._closed = session, False
         self.status = StatusLine()
         self.history = HistoryBar(session, self.status)

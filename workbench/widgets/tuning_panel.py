@@ -15,6 +15,7 @@ from workbench.session import TuningSession
 from workbench.session.gesture import Gesture
 from workbench.session.knobs import changed_by, label_of
 from workbench.widgets.encoded_pictures import picture_bytes
+from workbench.widgets.kernel_comms import lose_no_messages
 from workbench.widgets.late_parts import LateParts
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.panel_layout import arranged, classed, on_turn, style_sheet, tabs, unloaded_note
@@ -52,6 +53,7 @@ class TuningPanel(LateParts):
     """
 
     def __init__(self, session: TuningSession, backend: str = "auto") -> None:
+        lose_no_messages()
         self.session, self.frame, self.is_clip = session, 0, len(session) > 1
         self.fit: workbench.tracking.FrameFit | None = None
         self._held, self._behind, self._backend, self._shown = "", "", backend, threading.Event()
