@@ -180,9 +180,9 @@ def test_a_rendered_crop_is_seen_as_the_crop_of_a_render(deep, truth):
     """Two routes to N(F): the crop rendered at the network's size, or cut out of the whole picture and shrunk.
 
     The whole picture is smooth by many samples instead of by its contours: a third way, whose program is small. The
-    head looks the other way: from this side the heat maps of two points of the jaw have two maxima, jaw and neck.
+    head looks the other way than elsewhere: there, heat maps of the jaw have two maxima, on the jaw and on the neck.
     """
-    truth = replace(truth, rotation=truth.rotation * np.array([1.0, -1.0, -1.0]))
+    truth = truth._replace(rotation=truth.rotation * np.array([1.0, -1.0, -1.0]))
     scene = make_deep_scene(deep, truth)
     view, programs = deep.views(scene.observation(), scene.context())[0], deep.scene(None)
     seen = look(programs, view, truth)
