@@ -21,7 +21,7 @@ from workbench.widgets.live_messages import NEUTRAL, READYING, STOPPED, WELCOME,
 from workbench.widgets.live_settings import LiveSettings
 from workbench.widgets.live_status import LiveStatus
 from workbench.widgets.live_view import LiveView
-from workbench.widgets.panel_layout import in_columns, in_line, style_sheet
+from workbench.widgets.panel_layout import classed, in_columns, in_line, style_sheet
 from workbench.widgets.panel_page import PanelPage
 from workbench.widgets.record_bar import NOT_STARTED, RecordBar
 from workbench.widgets.slow_jobs import SlowJobs
@@ -68,8 +68,7 @@ class LivePanel(widgets.VBox):
         self.view.on_left(self.stop)
         self.view.observe(self._on_running, "running")
         super().__init__([style_sheet(), self.drags, *rows])
-        self.add_class("fw-panel")
-        self.add_class("fw-live-panel")
+        classed(self, "fw-panel", "fw-live-panel")
         self._closed = False
         self.say(WELCOME)
 
