@@ -420,6 +420,7 @@ def test_find_a_setting_and_raise_it(small, actions):
     actions.type("steady head")
     # What is found stands in place of the pages, which have a view of the same slider.
     small.page.locator(".fw-controls > .widget-tab").wait_for(state="hidden")
+    small.wait_at_rest(".fw-controls .widget-slider")  # the last letters find anew
     actions.count += 1
     small.slider("ω_τ").press("PageUp")
     becomes(small, "session.config.weights.tau > session.base.weights.tau", "True")
