@@ -65,13 +65,14 @@ def a_second_camera_locates_the_head(rows):
 
 
 def more_points_help_if_their_errors_are_independent(rows):
-    """Notebook 20: weights, rotation and shape."""
+    """Notebook 20: weights, rotation and shape; the network's own errors let more points turn the head alone."""
     ratios = {
         errors: np.array(rows[f"377, {errors}"], float) / np.array(rows[f"68, {errors}"], float)
         for errors in ("the network's", "independent noise")
     }
     assert (ratios["independent noise"] < 0.7).all()
-    assert (ratios["the network's"] > 0.85).all()
+    weights, rotation, shape = ratios["the network's"]
+    assert min(weights, shape) > 0.85 > rotation
 
 
 CONCLUSIONS = {
