@@ -33,8 +33,8 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
                                                   some 300 points with their uncertainty, on the landmark
                                                   network's encoder
 
-  workbench train gain training                   what the landmark network tells of the dense network's
-                                                  points; again whenever one of the two is another
+  workbench train gain training                   how to correct the dense network's points by the landmark
+                                                  network's; repeat when either network changes
 
   workbench train eyes training                   pupils, irises and lids, from crops of single eyes
 
