@@ -32,7 +32,7 @@ from workbench.pictures.neck import bent, neck_of
 from workbench.samples import sample
 
 PEOPLE = Path(__file__).parents[1] / "data_samples" / "head" / "people"
-HEAD_ARRAYS = "5c436c49ef24cbf0e1bf53db2f05d08f3c8a73c38a67998238d3b5e72142fb4d"
+HEAD_ARRAYS = "b9e91ec1c27d22fb86bd2efaba05950aae854afd49c95f7ec0dca7200d07764b"
 LANDMARK_MOTIONS = "dd80faad7bb4de2cef4794533326ff6d5cfe2247a6ed62799f3bd63323d736d7"
 """Of the first head, whose smile had a ridge beside the mouth, as well."""
 KINDS = ("tongue", "teeth", "eyes", "corneas", "brows", "lashes")

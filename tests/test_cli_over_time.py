@@ -181,10 +181,11 @@ def test_another_face_model_is_noticed(run, talk):
     assert "made with the face model 'other head'" in err
 
 
-def test_a_track_of_the_head_as_it_was_goes_on(run, talk):
+@pytest.mark.parametrize("edition", range(2))
+def test_a_track_of_the_head_as_it_was_goes_on(run, talk, edition):
     track = Track.load(talk / "track.npz")
     with_gaze = len(track.expression_names) == 52
-    (sha256,) = (former for former, gaze in EARLIER_EDITIONS.items() if gaze == with_gaze)
+    sha256 = [former for former, gaze in EARLIER_EDITIONS.items() if gaze == with_gaze][edition]
     meta = {**track.meta, "model": {**track.meta["model"], "sha256": sha256}}
     type(track)(**{**vars(track), "meta": meta}).save(talk / "track.npz")
     code, _, err = run("infill", "talk", *QUICK)

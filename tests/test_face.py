@@ -229,3 +229,16 @@ def test_a_model_with_missing_parts_is_refused(tmp_path, head):
 def test_the_fingerprint_changes_with_the_shape(head):
     assert head.fingerprint() == load_default_head().fingerprint()
     assert head.fingerprint() != head.personal(np.ones(50)).fingerprint()
+
+
+def test_the_neck_ends_in_an_even_line_around_it(head):
+    """Neighbours on the border below the chin are at nearly one height, and it has nothing pointed."""
+    edges = np.sort(head.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    single, count = np.unique(edges, axis=0, return_counts=True)
+    open_edges = single[count == 1]
+    below = head.neutral[open_edges][..., 1].min(axis=1) > head.landmarks.of(head.neutral)[8, 1] + 15
+    ends = head.neutral[open_edges[below]]
+    along = ends[:, 1] - ends[:, 0]
+    assert len(along) == 48
+    assert np.abs(along[:, 1]).max() < 0.4 * np.linalg.norm(along, axis=1).max()
+    assert np.ptp(ends[..., 1]) < 20

@@ -19,8 +19,11 @@ GAZE_NAMES = tuple(f"eyeLook{way}{side}" for way in ("Down", "In", "Out", "Up") 
 EARLIER_EDITIONS = {
     "7334a89b1cdb67eae19353110b94000ae985a0dc1c5b4cee3b94072e363be4d8": False,
     "a32ef3e22c5d7290cb9773c525c5977ae7d5d7e2d8d7dae567599cbf0f636e3e": True,
+    "f44f5be12f2de9f415a53b28d3e3eae3c8a1d9ecc30d862abe131fe9d72e3cc7": False,
+    "5746c6c67b2324b82a1950591fd0b8b170512d8426c33e5df02c9c88a6fe798a": True,
 }
-"""Fingerprints of the head whose smile had a ridge, and whether it has gaze units: its landmarks are the same."""
+"""Fingerprints of the heads whose smile had a ridge and whose neck ended in scallops, and whether they have gaze units:
+their landmarks are the same."""
 
 
 def fits_as(model: FaceModel, fingerprint: str) -> bool:

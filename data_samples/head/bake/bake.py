@@ -21,6 +21,7 @@ from expressions import face_units
 from identities import JOINT_CUBES, Generator, principal_components
 from landmarks import Embedding, read_landmarks
 from makehuman import MakeHuman
+from neck import even_border
 from paint import SKIN_REGION, Sitter, Surface, brow_coverage, paint, scalp_coverage
 from people import Wardrobe, bake_characters, bake_parts, bake_skins
 from skins import make_canvas
@@ -33,6 +34,8 @@ EYE_DISTANCE_MM = 63.0
 SAMPLES, COMPONENTS, SEED = 700, 50, 100
 BLINK_SAMPLES = 300
 EXPRESSION_STEP_MM, IDENTITY_STEP_MM = 0.01, 0.02
+CHIN = 8
+"""Landmark."""
 JAW_UNIT = (26.5, 8.0, 8.0)
 """The jaw joint's motion that counts as a jaw unit at weight 1: degrees, millimetres sideways, millimetres forward.
 Tracks and settings depend on these numbers; a fit to the units gives 24.0, 8.3 and 10.5."""
@@ -170,7 +173,7 @@ def assemble(head: Head, embedding: Embedding) -> dict[str, np.ndarray]:
     units = head.units | {"mouthSmileLeft": smile, "mouthSmileRight": crop.mirrored(smile)}
     blink_mean, blink_identity = blink_scales(head)
     return {
-        "neutral": head.neutral[:count].astype(np.float32),
+        "neutral": with_even_neck(head, embedding).astype(np.float32),
         "triangles": head.triangles.astype(np.uint16),
         "uv": packed_uvs(crop, surface.points).astype(np.float32),
         "triangles_uv": head.triangles_uv.astype(np.uint16),
@@ -198,11 +201,19 @@ def assemble(head: Head, embedding: Embedding) -> dict[str, np.ndarray]:
     }
 
 
+def with_even_neck(head: Head, embedding: Embedding) -> np.ndarray:
+    """The neutral vertices as they are shipped."""
+    vertices = head.neutral[: len(head.crop.base_ids)]
+    chin = embedding.weights[CHIN] @ vertices[embedding.vertices[CHIN]]
+    return even_border(vertices, head.triangles, chin[1])
+
+
 def people(head: Head, uvs: np.ndarray, embedding: Embedding, art: Path, out: Path) -> None:
     """Bake the characters into the folder `out`."""
     neutral, identities = (points[..., : len(head.crop.base_ids), :] for points in (head.neutral, head.identities))
     points = np.einsum("lk,lkd->ld", embedding.weights, neutral[embedding.vertices])
-    wardrobe = Wardrobe.of(head.source, head.crop, neutral, head.scale, head.triangles, points)
+    shipped = with_even_neck(head, embedding)
+    wardrobe = Wardrobe.of(head.source, head.crop, neutral, shipped, head.scale, head.triangles, points)
     bake_parts(wardrobe, art, out)
     canvas = make_canvas(head.crop, neutral, uvs, head.triangles, head.triangles_uv, points)
     bake_skins(canvas, art, out)

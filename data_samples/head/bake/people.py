@@ -64,6 +64,8 @@ class Wardrobe:
     crop: Crop
     neutral: np.ndarray
     """Head vertices, millimetres, head frame."""
+    shipped: np.ndarray
+    """The same with an even border at the neck: what parts are tied to."""
     base: np.ndarray
     """All vertices of the base mesh in the same frame: the head's, and helpers carried along with them."""
     triangles: np.ndarray
@@ -75,6 +77,7 @@ class Wardrobe:
         source: MakeHuman,
         crop: Crop,
         neutral: np.ndarray,
+        shipped: np.ndarray,
         scale: float,
         triangles: np.ndarray,
         landmarks: np.ndarray,
@@ -90,7 +93,7 @@ class Wardrobe:
         weights = 1.0 / np.maximum(distance, 0.5)
         base = base + np.einsum("nk,nkd->nd", weights / weights.sum(axis=1, keepdims=True), moved[skin][nearest])
         base[crop.base_ids] = neutral
-        return Wardrobe(source, crop, neutral, base, triangles, landmarks)
+        return Wardrobe(source, crop, neutral, shipped, base, triangles, landmarks)
 
 
 def part_arrays(
@@ -112,7 +115,7 @@ def part_arrays(
     else:
         ties = _ties(wardrobe, kind, clothes, points)
     weights = ties.weights.astype(np.float16)
-    offsets = Ties(ties.anchors, weights.astype(float)).offsets(points, wardrobe.neutral)
+    offsets = Ties(ties.anchors, weights.astype(float)).offsets(points, wardrobe.shipped)
     shade = _shade(wardrobe, kind, points)
     uvs = np.clip(clothes.uvs, 0, 1)
     return {
