@@ -25,7 +25,7 @@ from workbench.networks.weights import fill, read_weights
 from workbench.pictures.gl_probe import gl_available
 from workbench.pictures.lighting import Light, Lighting
 from workbench.training.augment import Hardness, augmented, cut_out
-from workbench.training.brows import BrowPlace, brow_landmarks, brows_at, random_brow_place
+from workbench.training.brows import BrowPlace, brow_landmarks, brows_at, denser, random_brow_place
 from workbench.training.evaluation import (
     Answers,
     calibration_of,
@@ -183,6 +183,23 @@ class TestRenders:
         assert after[:, :2] - before[:, :2] == pytest.approx(
             np.column_stack([np.zeros(10), place.of(before[:, 0], gazing.landmarks.of(head)[17:27])]), abs=0.5
         )
+
+    def test_brows_may_be_thicker_about_their_line(self, gazing):
+        head, line = gazing.neutral, gazing.landmarks.of(gazing.neutral)[17:27]
+        part = open_wardrobe(gazing, 64).store.read("brows", "eyebrow009", len(head))
+        usual, thick = (brows_at(part, gazing, BrowPlace(thickness=times)).on(head) for times in (1.0, 1.5))
+        beyond = [points[:, 1] - np.interp(points[:, 0], line[:, 0], line[:, 1]) for points in (usual, thick)]
+        # Where the skin is bent, what hovers before it leans.
+        assert beyond[1] == pytest.approx(1.5 * beyond[0], abs=0.5)
+        assert np.ptp(beyond[0]) > 8
+
+    def test_denser_brows_let_less_skin_through_and_keep_their_colours_and_their_outline(self):
+        hairs = np.random.default_rng(0).integers(0, 255, (8, 8, 4), np.uint8)
+        hairs[0, :4, 3] = 0, 51, 128, 255
+        twice = denser(hairs, 2.0)
+        assert twice[0, :4, 3].tolist() == [0, 92, 192, 255]
+        assert np.array_equal(twice[..., :3], hairs[..., :3])
+        assert np.array_equal(denser(hairs, 1.0), hairs)
 
     def test_brows_of_people_lie_anywhere_between_a_little_above_the_landmarks_and_the_lids(self, gazing, studio):
         line = gazing.landmarks.of(gazing.neutral)[17:27]

@@ -1,4 +1,5 @@
-"""Where people have their brows: lower than the head's landmarks, mostly, and more bent; and the landmarks on them."""
+"""Where people have their brows: lower than the head's landmarks, mostly, and more bent; the landmarks on them; and how
+thick they are."""
 
 from dataclasses import dataclass, replace
 
@@ -25,12 +26,14 @@ MOST_LOWER_MM, MOST_IN_ALL_MM = 10.0, 13.0
 
 @dataclass(frozen=True)
 class BrowPlace:
-    """By how much brows lie below the head's landmarks, millimetres."""
+    """By how much brows lie below the head's landmarks, millimetres, and how thick they are."""
 
     lower_mm: float = 0.0
     """From end to end."""
     outer_mm: float = 0.0
     """More of it at the outer ends; from the inner end outwards it grows with the square."""
+    thickness: float = 1.0
+    """Of worn brows, as a multiple of their style's."""
 
     def of(self, x: Float[np.ndarray, "n"], line: Float[np.ndarray, "10 3"]) -> Float[np.ndarray, "n"]:
         """How much lower brows lie at these places of the head frame; `line`: the head's landmarks of both brows."""
@@ -45,9 +48,9 @@ USUAL = BrowPlace(3.0, 4.0)
 
 def random_brow_place(rng: np.random.Generator) -> BrowPlace:
     """Of a random person."""
-    lower = np.clip(rng.normal(USUAL.lower_mm, 3.5), -3.0, MOST_LOWER_MM)
+    lower = np.clip(rng.normal(USUAL.lower_mm, 4.0), -3.0, MOST_LOWER_MM)
     outer = np.clip(rng.normal(USUAL.outer_mm, 3.0), -2.0, MOST_LOWER_MM)
-    return BrowPlace(float(lower), float(outer))
+    return BrowPlace(float(lower), float(outer), float(np.exp(rng.uniform(np.log(0.8), np.log(1.8)))))
 
 
 def brow_landmarks(model: FaceModel, place: BrowPlace) -> Embedding:
@@ -59,11 +62,18 @@ def brow_landmarks(model: FaceModel, place: BrowPlace) -> Embedding:
 
 
 def brows_at(part: Part, model: FaceModel, place: BrowPlace) -> Part:
-    """Worn brows, moved there along the skin of the default head."""
+    """Worn brows, moved there along the skin of the default head, and as thick."""
     line, points = model.landmarks.of(model.neutral)[BROWS], part.on(model.neutral)
-    points[:, 1] += place.of(points[:, 0], line)
+    middle = np.interp(points[:, 0], line[:, 0], line[:, 1])
+    points[:, 1] = middle + place.thickness * (points[:, 1] - middle) + place.of(points[:, 0], line)
     corners, shares, normals = seen_from_front(points[:, :2], model.neutral, _skin(model))
     return replace(part, anchors=corners, weights=shares, offsets=ABOVE_SKIN_MM * normals)
+
+
+def denser(picture: UInt8[np.ndarray, "h w 4"], layers: float) -> UInt8[np.ndarray, "h w 4"]:
+    """Brows of so many layers of the hair in this picture (RGBA): what one lets through, the next may hide."""
+    through = (1.0 - picture[..., 3:] / 255.0) ** layers
+    return np.concatenate([picture[..., :3], np.rint(255.0 * (1.0 - through)).astype(np.uint8)], axis=2)
 
 
 def line_of_brows(part: Part, picture: UInt8[np.ndarray, "h w 4"], head: Float[np.ndarray, "v 3"]) -> Embedding:

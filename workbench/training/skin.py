@@ -209,7 +209,7 @@ class SkinPainter:
     def _brows(self, skin, rng, hair_color, line=None) -> np.ndarray:
         line = self.landmarks[17:27] if line is None else line
         layer = np.zeros((SIDE, SIDE), np.float32)
-        thick, density = rng.uniform(3, 12), rng.uniform(0.25, 1.0)
+        thick, density = rng.uniform(3, 12), rng.uniform(0.35, 1.0)
         arch, drop = rng.normal(0, 1.5), rng.normal(1.0, 1.2)
         ends = rng.normal(0, 3, 2)
         for brow, sign in ((line[:5], 1), (line[:4:-1], -1)):
@@ -229,7 +229,7 @@ class SkinPainter:
                 cv2.line(layer, tuple(a.tolist()), tuple(b.tolist()), 1.0, 1, cv2.LINE_AA, 4)
         soft = cv2.GaussianBlur(layer, (0, 0), rng.uniform(0.6, 1.4))
         share = np.clip(soft * rng.uniform(0.5, 1.5), 0, 0.97)[..., None] * density**0.5
-        color = np.minimum(hair_color * rng.uniform(0.4, 1.0), 0.6)
+        color = np.minimum(hair_color * rng.uniform(0.15, 0.85), 0.6)
         return skin * (1 - share) + share * color
 
     def _wet(self, rng) -> np.ndarray:

@@ -13,12 +13,14 @@ from workbench.face.parts import Part, PartStore, open_parts
 from workbench.face.tinting import shifted, tinted
 from workbench.frames import read_picture
 from workbench.samples import sample
-from workbench.training.brows import BrowPlace, brows_at, line_of_brows
+from workbench.training.brows import BrowPlace, brows_at, denser, line_of_brows
 
 PICTURE_SIDE = 256
 """Pixels of the longer side of a part's picture: a head is drawn about as large."""
 AS_PHOTOGRAPHED = 0.2
 """Share of hair that keeps the colour of its picture."""
+MOST_LAYERS = 4.0
+"""Of brows: the bundled ones, as they are, let a quarter or more of the skin through."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,8 @@ class Wardrobe:
         ]
         if rng.random() < 0.8:
             style = _one(rng, self.store.styles["brows"])
-            worn.append(("brows", style, tinted(self._picture("brows", style), _color(shade * rng.uniform(0.4, 1.0)))))
+            hairs = denser(self._picture("brows", style), float(np.exp(rng.uniform(0.0, np.log(MOST_LAYERS)))))
+            worn.append(("brows", style, tinted(hairs, _color(shade * rng.uniform(0.15, 0.85)))))
         if rng.random() < 0.8:
             style = _one(rng, self.store.styles["lashes"])
             worn.append(("lashes", style, self._picture("lashes", style)))
