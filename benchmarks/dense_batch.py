@@ -11,7 +11,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from result import print_result
 
@@ -70,9 +69,8 @@ class Fits:
         self._frames = frames
         self._halves = [jax.tree.map(lambda leaf, at=at: leaf[at], frames) for at in (slice(half), slice(half, None))]
 
-        stages = jax.tree.map(jnp.asarray, (first.camera, first.person, first.settings, first.program))
-
         def solve(frame):
+            stages = (first.camera, first.person, first.settings, first.program)
             return run_stages(*stages, frame, terms=plan.terms).report
 
         self._side_by_side = jax.jit(jax.vmap(solve), compiler_options=ONE_THREAD)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -19,7 +20,7 @@ from workbench.samples import sample
 from workbench.solvers import Status
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation
-from workbench.tracking.frame_solver import solve_frame
+from workbench.tracking.frame_solver import run_stages, solve_frame
 from workbench.tracking.identity import CalibrationSettings, identity_prior
 
 EXACT = Config(
@@ -317,6 +318,24 @@ def test_moving_any_number_compiles_nothing(head):
         tracker.configure(Config.model_validate(stored))
         tracker.push(make_scene(head, (1, 0, 0)).observation(index))
     assert solve_frame._cache_size() == before
+
+
+def test_many_frames_are_solved_in_one_program_like_one_by_one(head):
+    """The stages are data of the host, and may be constants of a larger program."""
+    tracker = FaceTracker(head, PRESETS["calibrated"].changed(identity={"calibrate": False}))
+    scenes = [make_scene(head, (k, 0, 0), {"jawOpen": 0.1 * k}).observation(k) for k in range(4)]
+    contexts = [context for seen in scenes for _, context in tracker.advance(seen)]
+    pairs = zip(scenes, contexts, strict=True)
+    problems = [tracker.fitter.problem(*pair) for pair in pairs if pair[1].last is not None]
+    first, terms = problems[0], tracker.fitter.plan.terms
+
+    def solve(frame):
+        return run_stages(first.camera, first.person, first.settings, first.program, frame, terms=terms).report
+
+    frames = jax.tree.map(lambda *leaves: np.stack(leaves), *(problem.frame for problem in problems))
+    together = jax.jit(lambda frames: jax.lax.map(solve, frames))(frames)
+    alone = [tracker.fitter.solve(problem).found.report for problem in problems]
+    np.testing.assert_allclose(together, alone, rtol=1e-6, atol=1e-9)
 
 
 def test_the_trace_shows_every_iteration_of_every_stage(head):

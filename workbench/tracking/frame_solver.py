@@ -131,6 +131,7 @@ def run_stages(
 ) -> SolvedFrame:
     """Run the stages in order, each from the previous result. `terms` names the columns of `program.omega`."""
     settings = within_range(settings, model)
+    program = jax.tree.map(jnp.asarray, program)  # a traced stage picks its row
 
     def branch(free: tuple[str, ...]):
         def run(problem: EnergyProblem, parameters: FaceParameters, moves, limit):
