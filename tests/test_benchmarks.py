@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
 import run_all
+
+BENCHMARKS = Path(run_all.__file__).parent
 
 
 @pytest.mark.long
