@@ -277,4 +277,4 @@ def test_the_schema_explains_every_key_and_needs_no_network():
 def test_the_papers_presets_fill_and_steady_as_published(name):
     flow, infill = preset(name).flow, preset(name).infill
     assert (flow.estimator, flow.side, flow.renders, flow.stay) == ("network", 512, "network", 0.0)
-    assert infill.passes == "back-and-forth"
+    assert (infill.passes, infill.lids) == ("back-and-forth", "flow")

@@ -43,7 +43,7 @@ DEEP_AS_PRINTED: dict[str, Any] = {
 # Secs. 6, 7 and 8.3. A point is downweighted (`robust`) only where it is off by 1,000 % of the eye distance: never.
 FLOW_AS_PRINTED: dict[str, Any] = {
     "flow": FlowConfig(estimator="network", side=512, renders="network", robust=1000.0, stay=0.0),
-    "infill": InfillConfig(passes="back-and-forth"),
+    "infill": InfillConfig(passes="back-and-forth", lids="flow"),
 }
 
 PRESETS: dict[str, Config] = {

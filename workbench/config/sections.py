@@ -242,6 +242,11 @@ class InfillConfig(Section):
     rounds: Annotated[int, Field(ge=1, le=10)] = Field(
         1, description="Flow: further passes through a gap, in alternating directions."
     )
+    lids: Literal["network", "flow"] = Field(
+        "network",
+        description="Flow: network sets eyelids as far open as the landmark network sees them, where flow has put the "
+        "face; flow leaves them as it has them, as published.",
+    )
     longest: Annotated[int, Field(ge=1)] = Field(10_000, description="Longer gaps, in frames, are not filled.")
     largest_error: NonNegative = Field(
         10.0, description="Mean landmark error, % of eye distance, above which a fit counts as failed."

@@ -1,4 +1,5 @@
-"""Eyelids relative to the corners of their eye: what the network reads too open, and one detector's lids on another.
+"""Eyelids relative to the corners of their eye: how far open they are, what the network reads too open, and one
+detector's lids on another.
 
 The frame of an eye has its outer (right eye) or inner (left eye) corner at (0, 0) and the other one at (1, 0); y points
 down. Lengths are in eye widths.
@@ -33,6 +34,16 @@ def lid_openings(points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "2"]:
     """How far the lids of the right and the left eye are apart, in widths of the eye; below zero where they overlap."""
     lids = [_eye(points[list(corners)]).to_face(points[[*upper, *lower]]) for corners, upper, lower in EYES]
     return np.array([eye[2:, 1].mean() - eye[:2, 1].mean() for eye in lids])
+
+
+def seen_openings(
+    face: Float[np.ndarray, "68 2"], seen: Landmarks2D
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """How far apart a look at a face sees the lids of its right and left eye, in widths of the eye; and how much that
+    counts, 0 to 1: nothing where the look is unsure or means something else than an eye of this face."""
+    known = Landmarks2D(face, np.ones(len(face)), seen.image_size)
+    shares = [_share(known, seen, list(corners), [*upper, *lower]) for corners, upper, lower in EYES]
+    return lid_openings(seen.points), np.array(shares)
 
 
 def true_lids(points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68 2"]:

@@ -329,7 +329,7 @@ def flow_form_settings(quick: bool) -> dict[str, dict[str, dict[str, Any]]]:
             f"exact, photos by the network, {SMALL_SIDE} px": {"flow": small},
             f"the network's derivative, {SMALL_SIDE} px": {"flow": through},
         }
-    passes = {"passes": "back-and-forth"}
+    passes = {"passes": "back-and-forth", "lids": "flow"}
     return forms | {f"as published, {SMALL_SIDE} px": {"flow": published, "infill": passes}}
 
 

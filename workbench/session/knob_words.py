@@ -64,6 +64,7 @@ WORDS = {
     "refinement.centre": Words("own share", "Higher: less steadying; 1 changes nothing."),
     "infill.passes": Words("way through a gap", "meet is quicker; back-and-forth is the paper's."),
     "infill.rounds": Words("passes through a gap", "Higher: both ends of a gap agree better; takes longer."),
+    "infill.lids": Words("eyelids in a gap", "network sees blinks; flow hardly does."),
     "infill.largest_error": Words("failed above", "Higher: fewer frames count as failed."),
     "flow.estimator": Words("flow of the pictures", "dis is quick; network is our own, and slower."),
     "flow.renders": Words("flow of the renders", "exact is quickest; network is the paper's, and slow."),

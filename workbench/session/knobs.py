@@ -148,6 +148,8 @@ TIME = (
     Knob("infill.passes", "passes", "flow infill: meet: from both ends, then between both neighbours; back-and-forth: "
          "forward, then backward over the filled frames, Sec. 8.3", "choice", choices=("meet", "back-and-forth")),
     Knob("infill.rounds", "rounds", "flow infill: further passes through a gap, back and forth", "whole", 1, 10),
+    Knob("infill.lids", "lids", "flow infill: eyelids as the landmark network sees them, or as flow has them", "choice",
+         choices=("network", "flow")),
     Knob("infill.largest_error", "bad above", "a fit has failed above this mean error, % of the eye distance",
          "linear", 0.5, 50.0, 0.5),
     Knob("flow.estimator", "flow", "of the pictures: OpenCV's DIS or Farnebäck, or our network (slower)", "choice",

@@ -4,12 +4,14 @@ By flow, frame by frame from a known neighbour. In the paper, a gap is solved fo
 and then backward from the one after it, starting from what the first pass found; both may be repeated
 ("back-and-forth"). By default both passes start afresh ("meet"), are blended by distance from their anchors, because
 flow errors accumulate, and every frame is solved again between its two neighbours. At the ends of a clip there is only
-one anchor and one pass.
+one anchor and one pass. Flow hardly sees eyelids close, so that by default the landmark network looks at them
+afterwards.
 """
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool
@@ -17,6 +19,7 @@ from jaxtyping import Bool
 from workbench.errors import InputError
 from workbench.face import FaceParameters
 from workbench.tracking.failures import failures_of, why_failed
+from workbench.tracking.filled_lids import free_blinks, with_seen_lids
 from workbench.tracking.flow_fitter import FlowFitter, parameters_of
 from workbench.tracking.interpolation import SPLINE_FRAMES, between, splined
 from workbench.tracking.moments import Moment, PictureSpool
@@ -131,14 +134,26 @@ def fill_by_flow(
     pictures: Sequence[Pictures] | PictureSpool,
     advanced: Callable[[int], None] = lambda k: None,
 ) -> list[FaceParameters]:
-    """Parameters of the frames between two anchors, or beyond one.
+    """Parameters of the frames between two anchors, or beyond one; eyelids are then set as the plan says.
 
     `advanced` is called with the position of each frame in the gap after its solve.
     Raises `InputError` without any anchor.
     """
-    anchor = before or after
-    if anchor is None:
+    ends = [end for end in (before, after) if end is not None]
+    if not ends:
         raise InputError("A gap needs a good frame at one of its ends; this shot has none.")
+    path = _by_flow(fitter, before, after, pictures, advanced)
+    names = fitter.model.expression_names
+    blinks = free_blinks(names, fitter.free[6 : 6 + len(names)])  # behind the pose
+    if fitter.plan.infill.lids == "flow" or not blinks:
+        return path
+    known = [(parameters_of(end.fit), end.pictures[0]) for end in ends]
+    gap = (pictures[k][0] for k in range(len(pictures)))
+    return with_seen_lids(blinks, partial(fitter.landmarks, ends[0].fit), known, path, gap)
+
+
+def _by_flow(fitter: FlowFitter, before, after, pictures, advanced) -> list[FaceParameters]:
+    anchor = before or after
     views = fitter.views(anchor.fit)
     appearance = fitter.appearance_of_shot(anchor)
     ends = tuple(None if end is None else Neighbour(parameters_of(end.fit), end.pictures) for end in (before, after))

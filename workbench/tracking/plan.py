@@ -113,6 +113,7 @@ class InfillPlan:
     method: str
     passes: str
     rounds: int
+    lids: str
     longest: int
     largest_error: float
     frames: tuple[tuple[int, int], ...]
