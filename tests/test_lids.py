@@ -1,6 +1,7 @@
 """Blinks: lids that the network reads, on dlib's face; how they pass the tracker and what the fit makes of them."""
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from workbench.config import preset
 from workbench.face import load_default_head
 from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame
 from workbench.landmarks.detection import FaceDetection, LandmarkDetector
-from workbench.landmarks.lids import true_lids, with_lids
+from workbench.landmarks.lids import seen_openings, true_lids, with_lids
 from workbench.landmarks.mixed_detector import MixedDetector
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS
@@ -44,6 +45,20 @@ def opening(points) -> float:
     """Mean opening of the lids in eye widths."""
     width = np.linalg.norm(points[[39, 45]] - points[[36, 42]], axis=1).mean()
     return float((points[LOWER, 1] - points[UPPER, 1]).mean() / width)
+
+
+def test_a_look_says_how_far_eyes_are_open_and_how_much_that_counts():
+    own, seen = face(0.3), face(0.1, shift=(4.0, -3.0))
+    openings, shares = seen_openings(own.points, seen)
+    assert openings == pytest.approx([0.1, 0.1])
+    assert shares.tolist() == [1.0, 1.0]
+    unsure = seen_openings(own.points, face(0.1, confidence=0.2))
+    assert [each.tolist() for each in unsure] == [[0.0, 0.0], [0.0, 0.0]]
+    lost = seen.points.copy()
+    lost[36:42] = lost[36]
+    openings, shares = seen_openings(own.points, replace(seen, points=lost))
+    assert openings == pytest.approx([0.0, 0.1])
+    assert shares.tolist() == [0.0, 1.0]
 
 
 class Always:

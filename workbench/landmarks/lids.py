@@ -32,18 +32,18 @@ _UNIT = np.array([[0.0, 0.0], [1.0, 0.0]])
 
 def lid_openings(points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "2"]:
     """How far the lids of the right and the left eye are apart, in widths of the eye; below zero where they overlap."""
-    lids = [_eye(points[list(corners)]).to_face(points[[*upper, *lower]]) for corners, upper, lower in EYES]
-    return np.array([eye[2:, 1].mean() - eye[:2, 1].mean() for eye in lids])
+    return np.array([_opening(points, *eye) for eye in EYES])
 
 
 def seen_openings(
     face: Float[np.ndarray, "68 2"], seen: Landmarks2D
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
     """How far apart a look at a face sees the lids of its right and left eye, in widths of the eye; and how much that
-    counts, 0 to 1: nothing where the look is unsure or means something else than an eye of this face."""
+    counts, 0 to 1: nothing, and 0 apart, where the look is unsure or means something else than an eye of this face."""
     known = Landmarks2D(face, np.ones(len(face)), seen.image_size)
-    shares = [_share(known, seen, list(corners), [*upper, *lower]) for corners, upper, lower in EYES]
-    return lid_openings(seen.points), np.array(shares)
+    shares = np.array([_share(known, seen, list(corners), [*upper, *lower]) for corners, upper, lower in EYES])
+    openings = [_opening(seen.points, *eye) if share > 0.0 else 0.0 for eye, share in zip(EYES, shares, strict=True)]
+    return np.array(openings), shares
 
 
 def true_lids(points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68 2"]:
@@ -89,6 +89,11 @@ def _share(face: Landmarks2D, other: Landmarks2D, ends: list[int], lids: list[in
     if not ALIKE[0] * width < its < ALIKE[1] * width:
         return 0.0
     return float(np.interp(np.median(other.confidence[ends + lids]), SURE_LIDS, (0.0, 1.0)))
+
+
+def _opening(points: Float[np.ndarray, "68 2"], corners, upper, lower) -> float:
+    lids = _eye(points[list(corners)]).to_face(points[[*upper, *lower]])
+    return float(lids[2:, 1].mean() - lids[:2, 1].mean())
 
 
 def _eye(corners: Float[np.ndarray, "2 2"]) -> FaceFrame:
