@@ -19,8 +19,8 @@ LIVE_CLIP_FRAMES = 1500
 class ClipBar:
     """Buttons that fit a clip, and the thread that does it; only the latest request counts.
 
-    `refit` is called if the fit of the shown frame is out of date; `settled` if there is nothing to run; `failed` with
-    errors.
+    `refit` is called if the fit of the shown frame is out of date; `settled` if there is nothing to run; `known` to
+    show a run from before there was a panel; `failed` with errors.
     """
 
     def __init__(
@@ -29,9 +29,10 @@ class ClipBar:
         views: ClipViews,
         refit: Callable[[], None],
         settled: Callable[[], None],
+        known: Callable[[], None],
         failed: Callable[[Exception], None],
     ) -> None:
-        self._session, self._views, self._refit, self._settled = session, views, refit, settled
+        self._session, self._views, self._refit, self._settled, self._known = session, views, refit, settled, known
         self._worker: LatestWins[str] = LatestWins(self._work, failed, "panel-clip")
         self.run_clip = small_button("fit clip", "fit all frames with these settings")
         self.run_clip.on_click(lambda _button: self._worker.submit("run"))
@@ -54,8 +55,8 @@ class ClipBar:
         return self.is_clip and not self._session.config.traits.real_time
 
     def begin(self) -> None:
-        """Start the first run, if it is quick."""
-        self._worker.submit("settle" if self.is_slow else "run")
+        """Show the run that there is, and start one if it is out of date or missing, and quick."""
+        self._worker.submit("settle" if self.is_slow and self._session.run is None else "begin")
 
     def settle(self) -> None:
         """After a change of configuration: run the clip after a pause, if enabled."""
@@ -76,7 +77,11 @@ class ClipBar:
         self._views.curves.remove_class(OLD)
 
     def _work(self, wanted: str) -> None:
-        if wanted == "run" or (wanted == "settle" and not self._worker.wait_newer(SETTLED_S) and self._is_due()):
+        if wanted == "begin" and self._session.run is not None:
+            self._known()
+            wanted = "settle"
+        due = wanted == "settle" and not self._worker.wait_newer(SETTLED_S) and self._is_due()
+        if due or wanted in ("begin", "run"):
             self._run()
 
     def _is_due(self) -> bool:

@@ -146,9 +146,8 @@ class TuningPanel(LateParts):
         self.changes = parts.ChangesPage(session, TABS_PX)
         self.history = parts.HistoryBar(session, self.status)
         self.export_dialog = parts.ExportDialog(session, self._slow.submit, self.page.download)
-        self._clip_bar = parts.ClipBar(
-            session, self.clip, lambda: self._worker.submit(Show(self.frame)), self.changes.show, self._failed
-        )
+        told = self._redraw, self.changes.show, self._show_run, self._failed
+        self._clip_bar = parts.ClipBar(session, self.clip, *told)
         self.transport = parts.Transport(self._clip_bar, self.step, lambda: self.frame, self.time.played)
         self.page.on_reset(self.controls.reset)
         self.page.on_key(lambda action: self.status.guarded(actions_of(self)[action]))
