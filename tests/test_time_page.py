@@ -42,6 +42,12 @@ def press(panel, button):
     assert panel.wait_idle(300)
 
 
+def test_a_run_from_before_there_was_a_panel_is_shown_and_not_fitted_again(panel, fitted):  # noqa: F811 - fixture
+    assert repr(panel.clip.timeline) == f"TimelineView({COUNT} frames from 0, at 0)"
+    assert panel.session.run is fitted.run
+    assert "error" in panel.status.value
+
+
 def test_the_shown_frame_and_ranges_are_marked_and_shown_on_the_strip(panel):
     page = panel.time
     panel.go(7)
