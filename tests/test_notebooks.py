@@ -65,7 +65,7 @@ def a_second_camera_locates_the_head(rows):
 
 
 def more_points_help_if_their_errors_are_independent(rows):
-    """Notebook 20: with independent errors all three improve; with the network's, rotation and shape, not the weights."""
+    """Notebook 20: with independent errors all three improve; with the network's, rotation and shape, not weights."""
     ratios = {
         errors: np.array(rows[f"377, {errors}"], float) / np.array(rows[f"68, {errors}"], float)
         for errors in ("the network's", "independent noise")
