@@ -56,7 +56,7 @@ class ClipBar:
 
     def begin(self) -> None:
         """Show the run that there is, and start one if it is out of date or missing, and quick."""
-        self._worker.submit("settle" if self.is_slow and self._session.run is None else "begin")
+        self._worker.submit("begin")
 
     def settle(self) -> None:
         """After a change of configuration: run the clip after a pause, if enabled."""
@@ -77,11 +77,12 @@ class ClipBar:
         self._views.curves.remove_class(OLD)
 
     def _work(self, wanted: str) -> None:
-        if wanted == "begin" and self._session.run is not None:
-            self._known()
-            wanted = "settle"
-        due = wanted == "settle" and not self._worker.wait_newer(SETTLED_S) and self._is_due()
-        if due or wanted in ("begin", "run"):
+        if wanted == "begin":
+            known = self._session.run is not None
+            if known:
+                self._known()
+            wanted = "settle" if known or self.is_slow else "run"
+        if wanted == "run" or (wanted == "settle" and not self._worker.wait_newer(SETTLED_S) and self._is_due()):
             self._run()
 
     def _is_due(self) -> bool:
