@@ -164,7 +164,7 @@ def test_settings_of_time_do_not_fit_the_clip_again(panel):
     assert panel.session.run is run
 
 
-def test_cancel_stops_a_run_and_says_so(panel):
+def test_cancel_stops_a_run_and_says_so(panel, monkeypatch):
     page, told = panel.time, []
     panel.turn("refinement.method", "plate")
     panel.turn("refinement.sweeps", 20)
@@ -176,12 +176,37 @@ def test_cancel_stops_a_run_and_says_so(panel):
         if len(told) == 2:
             page.cancel.click()
 
-    page._told = cancelling
+    monkeypatch.setattr(page, "_told", cancelling)
     press(panel, page.go)
     assert len(told) == 2
     assert panel.session.temporal.current is None
     assert "Cancelled" in page.result.value
     assert page.progress.layout.visibility == "hidden"
+
+
+def test_what_was_said_of_the_settings_stays_when_the_panel_is_brought_up_to_date_late(panel):
+    page = panel.time
+    panel.turn("refinement.method", "averaging")
+    page.part.value = "5-99"
+    press(panel, page.go)
+    said = page.result.value
+    assert "must lie within 0-23" in said
+    page.show_config()
+    assert page.result.value == said
+    panel.turn("refinement.sweeps", 3)
+    assert panel.wait_idle(60)
+    assert "not run with these settings yet" in page.result.value
+
+
+def test_a_result_of_a_script_is_shown_and_running_again_says_it_again(panel):
+    page = panel.time
+    panel.turn("refinement.method", "averaging")
+    assert panel.wait_idle(60)
+    panel.session.temporal.run()
+    assert "averaging</b> 0-23" in page.result.value
+    said = page.result.value
+    press(panel, page.go)
+    assert page.result.value == said
 
 
 def test_all_methods_are_compared_line_by_line(panel):

@@ -51,6 +51,31 @@ class StatusLine(widgets.HTML):
             self.failed(error)
 
 
+class LineAbout(StatusLine):
+    """A line about what `about` returns: whatever was said last stays until that changes, however often it is shown.
+
+    A panel catches up with a drag in its own time; what was said of the new settings meanwhile must not go.
+    """
+
+    def __init__(self, about: Callable[[], object]) -> None:
+        self._about = about
+        self._said_of: object | None = None
+        super().__init__()
+        self.observe(self._on_said, "value")
+
+    def show(self, said: str) -> None:
+        """Show a text of HTML, if what the line is about has changed."""
+        if self._said_of is None or self._said_of != self._about():
+            self.value = said
+
+    def forget(self) -> None:
+        """Let the next text that is shown replace what was said."""
+        self._said_of = None
+
+    def _on_said(self, _change: object) -> None:
+        self._said_of = self._about()
+
+
 def status_of(fit: FrameFit, frames: int, after: bool = False, flag: str = "") -> str:
     """Error, pose and time of a fit in words, as HTML; `after`: it was infilled or refined; `flag`: why its frame was
     flagged, if it was.

@@ -5,9 +5,10 @@ from collections.abc import Callable
 
 import ipywidgets as widgets
 
+from workbench.config import Config
 from workbench.session import TuningSession
 from workbench.session.knobs import METHODS, TIME
-from workbench.session.parts import parts_of
+from workbench.session.parts import Part, parts_of
 from workbench.session.worked import Worked
 from workbench.tracking import FrameFit
 from workbench.widgets.clip_views import ClipViews
@@ -16,7 +17,7 @@ from workbench.widgets.failed_frames import FailedFrames
 from workbench.widgets.knob_control import KnobControl, Turned
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.methods_page import Methods
-from workbench.widgets.status_line import StatusLine
+from workbench.widgets.status_line import LineAbout
 from workbench.widgets.time_part import AFTER, BEFORE, TimePart
 
 DEEP_FRAMES = 24
@@ -38,8 +39,7 @@ class TimePage:
     """The controls page (`widget`) and the curves page (`methods`) for the clip of a session.
 
     `turned` is called with the path and value of a knob, `go` with a frame, `redraw` to show another side or result;
-    `views` show the clip. Work is done in a separate thread; only the latest
-    request counts.
+    `views` show the clip. Work is done in a separate thread; only the latest request counts.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class TimePage:
             self._worker = None
             return
         self.methods = Methods(session, go)
-        self.result = StatusLine()
+        self.result = LineAbout(self._shown_now)
         self._worker: LatestWins[str] = LatestWins(self._work, self.result.failed, "panel-time")
         self.knobs = {knob.path: KnobControl(knob, turned) for knob in (*METHODS, *TIME)}
         views.timeline.observe(self._on_part, "loop")
@@ -155,10 +155,9 @@ class TimePage:
         """Update from the results."""
         if not self.is_clip:
             return
-        part = self.played.whole
-        worked = self._session.temporal.result(part)
+        _, part, worked = self._shown_now()
         if not self._busy:
-            self.result.value = result_html(worked)
+            self.result.show(result_html(worked))
         self.sides.tooltips = [
             "the single-frame fits",
             "after infill and refinement" if worked else "not run with these settings yet",
@@ -199,6 +198,11 @@ class TimePage:
         if chosen != (self.played.usable or ()):
             self.played.part.value = "{}-{}".format(*chosen) if chosen else ""
 
+    def _shown_now(self) -> tuple[Config, Part, Worked | None]:
+        """What the line of the result is about."""
+        part = self.played.whole
+        return self._session.config, part, self._session.temporal.result(part)
+
     # --- work, in the thread of the page ---
 
     def _work(self, wanted: str) -> None:
@@ -219,6 +223,7 @@ class TimePage:
                 done = temporal.run(part, None, self._told, self._worker.newer)
             if done is not None:
                 self._busy = False
+                self.result.forget()
                 self.sides.value = AFTER
                 self.show_result()
         finally:
