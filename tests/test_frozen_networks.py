@@ -1,6 +1,7 @@
 """Detectors' networks run without JAX: the answers are those of the network itself."""
 
 import threading
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -8,10 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from workbench.landmarks.network_detector import bundled_landmark_network
+from workbench.frames import read_picture
+from workbench.landmarks.alignment import frame_from_points
+from workbench.landmarks.files import read_landmark_file
+from workbench.landmarks.network_detector import bundled_landmark_network, crop_frame, sampled_crop
 from workbench.networks import soft_argmax
-from workbench.networks.frozen import FrozenNetwork
+from workbench.networks.frozen import FrozenNetwork, largest_passed
 from workbench.networks.landmark_network import empty_landmark_network
+from workbench.samples import sample
+
+CELL = 4
+"""Pixels of the crop in one of a heat map's."""
 
 
 def random_network(seed: int, **sizes):
@@ -44,11 +52,44 @@ def test_maps_of_pupils_follow_those_of_the_landmarks_which_stay_what_the_networ
     np.testing.assert_allclose(found[5:], FrozenNetwork(without)(picture)[:2], atol=1e-5 * float(np.abs(found).max()))
 
 
-def test_the_bundled_network_frozen_puts_landmarks_where_the_network_does():
-    network = bundled_landmark_network()
+def test_the_bundled_network_frozen_in_single_precision_puts_landmarks_where_the_network_does():
+    network = replace(bundled_landmark_network(), largest=None)
     crop = np.random.default_rng(2).integers(0, 256, (256, 256, 3), dtype=np.uint8)
     expected = soft_argmax(eqx.filter_jit(network)(jnp.moveaxis(jnp.asarray(crop), -1, 0).astype(jnp.float32) / 255))
     np.testing.assert_allclose(soft_argmax(FrozenNetwork(network)(crop)[:68]), expected, atol=1e-3)
+
+
+def noise(seed: int, height: int, width: int):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(("height", "width"), [(64, 64), (32, 96)])
+def test_heat_maps_in_bytes_are_those_of_the_network_but_for_small_steps(height, width):
+    network = random_network(height, outputs=5, pupils=True)
+    known = replace(network, largest=jnp.asarray(largest_passed(network, [noise(k, height, width) for k in range(3)])))
+    exact, found = FrozenNetwork(network)(noise(1, height, width)), FrozenNetwork(known)(noise(1, height, width))
+    assert found.shape == exact.shape == (7, height // 4, width // 4)
+    assert 0.0 < np.abs(found - exact).max() < 0.06 * np.ptp(exact)
+    assert np.corrcoef(found.ravel(), exact.ravel())[0, 1] > 0.999
+
+
+def test_the_largest_that_layers_pass_on_is_that_of_any_picture():
+    network, pictures = random_network(7), [noise(1, 64, 64), noise(2, 64, 64) // 3]
+    each = [largest_passed(network, [picture]) for picture in pictures]
+    np.testing.assert_array_equal(largest_passed(network, pictures), np.maximum(*each))
+    lowest = network.features(jnp.moveaxis(jnp.asarray(pictures[0]), -1, 0).astype(jnp.float32) / 255)[-1]
+    encoder = 4 + 2 * (1 + 2 + 2 + 2)
+    assert each[0][encoder - 1] == pytest.approx(float(lowest.max()), rel=1e-4)
+
+
+def test_the_bundled_network_in_bytes_puts_a_faces_landmarks_a_fraction_of_a_pixel_away():
+    network, picture = bundled_landmark_network(), read_picture(sample("astronaut"))
+    points = next(read_landmark_file(sample("astronaut-landmarks"))).landmarks.points
+    crop = sampled_crop(picture, crop_frame(frame_from_points(points)))
+    exact, found = (soft_argmax(FrozenNetwork(net)(crop)[:68]) for net in (replace(network, largest=None), network))
+    away = CELL * np.linalg.norm(found - exact, axis=1)
+    assert 0.0 < np.median(away) < 0.2
+    assert away.max() < 2.0
 
 
 def test_a_frozen_network_answers_several_threads_at_once():

@@ -272,6 +272,12 @@ def test_a_calibration_that_is_no_ascending_map_is_refused(save, weights, mass, 
         read_landmark_network(save(changed(weights, **knots)))
 
 
+@pytest.mark.parametrize("largest", [np.ones(3), np.zeros(30), -np.ones(30)], ids=["too few", "zero", "negative"])
+def test_largest_numbers_that_are_no_sizes_of_the_layers_are_refused(save, weights, largest):
+    with pytest.raises(ModelError, match="a number above zero for each of the network's 30 layers, got"):
+        read_landmark_network(save(changed(weights, largest=largest.astype(np.float32))))
+
+
 def test_networks_are_arguments_of_a_compiled_function_so_other_weights_compile_nothing():
     traces = []
 

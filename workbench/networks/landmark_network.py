@@ -5,6 +5,7 @@ An encoder with three halvings below its stem and a decoder that adds what it pa
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -57,6 +58,9 @@ class LandmarkNetwork(Encoder):
     calibration: Calibration | None = None
     pupils: Conv | None = None
     """Beside `head`: heat maps of the person's right and left pupil."""
+    largest: Float[Array, "layers"] | None = None
+    """The largest number that each layer passed on in training pictures, in the order of `frozen_bytes.py`; with them a
+    frozen network computes in bytes."""
 
     def __call__(self, picture: Float[AnyArray, "3 h w"]) -> Float[Array, "n h4 w4"]:
         """Heat maps (68; another network's `outputs`) of a quarter of the picture's size, RGB in 0..1.
@@ -80,9 +84,16 @@ def confidence_by_mass(mass: Float[AnyArray, "n"], calibration: Calibration | No
 
 
 def empty_landmark_network(
-    widths: tuple[int, int, int, int], blocks: int, knots: int = 0, outputs: int = LANDMARKS, pupils: bool = False
+    widths: tuple[int, int, int, int],
+    blocks: int,
+    knots: int = 0,
+    outputs: int = LANDMARKS,
+    pupils: bool = False,
+    layers: int = 0,
 ) -> LandmarkNetwork:
-    """The network with zero weights: channels per level, residual blocks on the lowest, knots of the calibration."""
+    """The network with zero weights: channels per level, residual blocks on the lowest, knots of the calibration,
+    layers whose largest numbers are known.
+    """
     c0, c1, c2, c3 = widths
     return LandmarkNetwork(
         **encoder_convolutions(widths, blocks),
@@ -95,6 +106,7 @@ def empty_landmark_network(
         head=empty_conv(c0, outputs, 1),
         calibration=Calibration(jnp.zeros(knots, jnp.float32), jnp.zeros(knots, jnp.float32)) if knots else None,
         pupils=empty_conv(c0, PUPILS, 1) if pupils else None,
+        largest=jnp.zeros(layers, jnp.float32) if layers else None,
     )
 
 
@@ -117,10 +129,28 @@ def landmark_network_from(weights: Weights) -> LandmarkNetwork:
     widths, blocks = network_size(weights)
     mass = weights.arrays.get("calibration.mass")
     knots, pupils = 0 if mass is None else mass.size, "pupils.weight" in weights.arrays
-    network = fill(lambda: empty_landmark_network(widths, blocks, knots, pupils=pupils), weights)
+    layers = weights.arrays["largest"].size if "largest" in weights.arrays else 0
+    network = fill(lambda: empty_landmark_network(widths, blocks, knots, pupils=pupils, layers=layers), weights)
     if network.calibration is not None:
         _check_calibration(network.calibration, weights.origin)
+    if network.largest is not None:
+        _check_largest(network, weights.origin)
     return network
+
+
+def layers_that_pass_on(network: LandmarkNetwork) -> int:
+    """How many results a network passes from layer to layer: those of convolutions but the last, and of sums."""
+    residuals = 1 + len(network.e1) + len(network.e2) + len(network.e3) + 3
+    return 4 + 2 * (residuals + 3)
+
+
+def all_maps(network: LandmarkNetwork) -> Conv:
+    """The landmarks' heat maps and the pupils' as one convolution."""
+    if network.pupils is None:
+        return network.head
+    parts = ((network.head.weight, network.pupils.weight), (network.head.bias, network.pupils.bias))
+    weight, bias = (jnp.concatenate(both) for both in parts)
+    return replace(network.head, weight=weight, bias=bias)
 
 
 def save_landmark_network(path: str | Path, network: LandmarkNetwork, metadata: dict[str, str] | None = None) -> None:
@@ -135,4 +165,13 @@ def _check_calibration(calibration: Calibration, origin: str) -> None:
     if not (in_range and (np.diff(mass) > 0).all() and (np.diff(confidence) >= 0).all()):
         raise ModelError(
             f"the calibration in {origin} should map ascending masses in 0..1 to confidences in 0..1 that never fall"
+        )
+
+
+def _check_largest(network: LandmarkNetwork, origin: str) -> None:
+    expected = layers_that_pass_on(network)
+    if network.largest.shape != (expected,) or not (network.largest > 0).all():
+        raise ModelError(
+            f"`largest` in {origin} should hold a number above zero for each of the network's {expected} layers, got "
+            f"{network.largest.size}, the least {float(network.largest.min()):g}: get the file again"
         )

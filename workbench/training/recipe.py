@@ -13,12 +13,12 @@ from workbench.networks import read_landmark_network, read_weights
 from workbench.networks.dense_gain import read_dense_gain
 from workbench.networks.dense_network import SIDE, read_dense_network
 from workbench.networks.eye_network import read_eye_network
-from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork
+from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork, largest_passed
 from workbench.training.augment import TRAINING, Hardness
 from workbench.training.dense_gain import corrected_answers, fitted_gain, write_dense_gain
 from workbench.training.dense_measuring import DenseAnswers, dense_answers, deviation_factor, measured_dense
 from workbench.training.dense_task import DenseTask
-from workbench.training.evaluation import CLEAN, Answers, answers_of, calibration_of, joined
+from workbench.training.evaluation import CLEAN, Answers, answers_of, calibration_of, joined, unseen_pictures
 from workbench.training.eye_measuring import eye_answers, measured_eyes
 from workbench.training.eye_task import EyeTask
 from workbench.training.finder_task import FinderTask
@@ -92,9 +92,14 @@ def train_landmark_network(
     held_out = open_pool(test)
     report("calibrating the confidence")
     mass, confidence = calibration_of(answers_of(look, held_out, recipe.calibrated, side, TRAINING, seed=1))
+    seen = unseen_pictures(held_out, recipe.calibrated, side, TRAINING, seed=1)
+    known = {
+        "calibration.mass": mass,
+        "calibration.confidence": confidence,
+        "largest": largest_passed(read_landmark_network(raw), (made.picture for made, _ in seen)),
+    }
     path = folder / "landmarks.safetensors"
-    calibration = {"calibration.mass": mass, "calibration.confidence": confidence}
-    write_shipped(path, read_weights(raw), recipe.plan.seed, **calibration)
+    write_shipped(path, read_weights(raw), recipe.plan.seed, **known)
     report("measuring on renders that it has not seen")
     numbers = measured(path, held_out, recipe.evaluated, side)
     with atomic_path(folder / "numbers.json") as temporary:
