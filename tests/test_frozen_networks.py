@@ -73,6 +73,16 @@ def test_heat_maps_in_bytes_are_those_of_the_network_but_for_small_steps(height,
     assert np.corrcoef(found.ravel(), exact.ravel())[0, 1] > 0.999
 
 
+def test_an_output_in_bytes_that_is_its_bias_alone_is_that_bias():
+    drawn = random_network(9, outputs=5)
+    where = (lambda tree: tree.stem.weight), (lambda tree: tree.stem.bias)
+    for part, value in zip(where, (0.0, 0.7), strict=True):
+        drawn = eqx.tree_at(part, drawn, part(drawn).at[0].set(value))
+    network = replace(drawn, largest=jnp.asarray(largest_passed(drawn, [noise(1, 64, 64)])))
+    exact, found = FrozenNetwork(drawn)(noise(1, 64, 64)), FrozenNetwork(network)(noise(1, 64, 64))
+    assert np.abs(found - exact).max() < 0.06 * np.ptp(exact)
+
+
 def test_the_largest_that_layers_pass_on_is_that_of_any_picture():
     network, pictures = random_network(7), [noise(1, 64, 64), noise(2, 64, 64) // 3]
     each = [largest_passed(network, [picture]) for picture in pictures]

@@ -18,7 +18,7 @@ from workbench.networks.onnx_graph import ANSWER, PICTURE, RUNTIME, OnnxGraph
 
 LARGEST_WEIGHT = 63
 """Weights are whole numbers up to this: of larger ones some processors cannot add two products in 16 bits."""
-LARGEST_BYTE = 255
+LARGEST_BYTE, LARGEST_BIAS = 255, 2**30
 
 
 class Bytes(NamedTuple):
@@ -47,7 +47,9 @@ class ByteGraph(OnnxGraph):
     def step(self, x: Bytes, conv: Conv) -> Bytes:
         """A convolution; what is negative becomes the byte zero."""
         weight, bias = np.asarray(conv.weight, np.float64), np.asarray(conv.bias, np.float64)
-        scale = np.maximum(np.abs(weight).max(axis=(1, 2, 3)), 1e-12) / LARGEST_WEIGHT
+        scale = np.abs(weight).max(axis=(1, 2, 3)) / LARGEST_WEIGHT
+        # Where weights vanish beside the bias, it would not fit into 32 bits.
+        scale = np.maximum(scale, np.maximum(np.abs(bias) / x.scale, 1e-12) / LARGEST_BIAS)
         rounded = np.rint(weight / scale[:, None, None, None])
         weights = [self.constant(rounded, np.int8), self.constant(scale), self.constant(np.zeros(len(scale)), np.int8)]
         biases = self.constant(np.rint(bias / (scale * x.scale)), np.int32)
@@ -62,9 +64,8 @@ class ByteGraph(OnnxGraph):
     def sum(self, x: Bytes, y: Bytes) -> Bytes:
         """Both added; one may have sides of 1 where the other has more."""
         made = next(self._scales)
-        scales = (self.scale_and_zero(each) for each in (x, y, Bytes("", made)))
-        (x_scale, y_scale, scale) = scales
-        name = self.add("QLinearAdd", x.name, *x_scale, y.name, *y_scale, *scale, domain=RUNTIME)
+        of_x, of_y, of_sum = (self.scale_and_zero(each) for each in (x, y, Bytes("", made)))
+        name = self.add("QLinearAdd", x.name, *of_x, y.name, *of_y, *of_sum, domain=RUNTIME)
         return Bytes(name, made)
 
     def residual(self, x: Bytes, *convs: Conv) -> Bytes:
@@ -90,9 +91,8 @@ class ByteGraph(OnnxGraph):
     def answer(self, x: Bytes, head: Conv) -> None:
         """The last layer, 1×1, in single precision: (1, maps, height, width)."""
         maps, channels = head.weight.shape[:2]
-        numbers = self.add(
-            "DequantizeLinear", self.add("Transpose", x.name, perm=[0, 3, 1, 2]), *self.scale_and_zero(x)
-        )
+        turned = self.add("Transpose", x.name, perm=[0, 3, 1, 2])
+        numbers = self.add("DequantizeLinear", turned, *self.scale_and_zero(x))
         flat = self.add("Reshape", numbers, self.whole(channels, -1))
         product = self.add("MatMul", self.constant(np.asarray(head.weight)[:, :, 0, 0]), flat)
         biased = self.add("Add", product, self.constant(np.asarray(head.bias)[:, None]))
