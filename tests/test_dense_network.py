@@ -1,6 +1,7 @@
 """The dense network as it runs: the frozen graph is the network, and five numbers mean a place and a covariance."""
 
 import json
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -8,11 +9,18 @@ import numpy as np
 import pytest
 
 from workbench.errors import ModelError
+from workbench.frames import read_picture
+from workbench.landmarks.alignment import frame_from_points
+from workbench.landmarks.dense_detector import bundled_dense_network
+from workbench.landmarks.files import read_landmark_file
+from workbench.landmarks.network_detector import crop_frame, sampled_crop
 from workbench.networks.dense_network import NAME, SIDE, empty_dense_network, read_dense_network
 from workbench.networks.encoder import BLOCKS, WIDTHS
 from workbench.networks.frozen import FrozenDenseNetwork
+from workbench.networks.frozen_floats import largest_passed
 from workbench.networks.regression import LEAST_DEVIATION_PX, MOST_DEVIATION_PX, places_of
 from workbench.networks.weights import ARCHITECTURE, save_module
+from workbench.samples import sample
 
 POINTS = 7
 
@@ -37,6 +45,29 @@ def test_the_frozen_network_says_what_the_network_says(network, picture):
     found = FrozenDenseNetwork(network)(picture)
     for ours, theirs in zip(found, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4 * float(np.abs(theirs).max()))
+
+
+def in_bytes(network):
+    pictures = [np.random.default_rng(seed).integers(0, 256, (SIDE, SIDE, 3), dtype=np.uint8) for seed in range(2, 5)]
+    return replace(network, largest=jnp.asarray(largest_passed(network, pictures)))
+
+
+def test_a_network_in_bytes_says_what_the_network_says_but_for_small_steps(network, picture):
+    exact, found = FrozenDenseNetwork(network)(picture), FrozenDenseNetwork(in_bytes(network))(picture)
+    for ours, theirs in zip(found, exact, strict=True):
+        assert 0.0 < np.abs(ours - theirs).max() < 0.02 * np.abs(theirs).max()
+
+
+def test_the_bundled_network_in_bytes_puts_a_faces_points_a_fraction_of_a_pixel_away():
+    network, picture = bundled_dense_network(), read_picture(sample("astronaut"))
+    points = next(read_landmark_file(sample("astronaut-landmarks"))).landmarks.points
+    crop = sampled_crop(picture, crop_frame(frame_from_points(points)))
+    exact, found = (FrozenDenseNetwork(net)(crop) for net in (replace(network, largest=None), network))
+    away = np.linalg.norm(found.points - exact.points, axis=1)
+    assert 0.0 < np.median(away) < 0.6
+    assert away.max() < 2.0
+    deviations = [np.linalg.det(places.whitening) ** -0.5 for places in (exact, found)]
+    assert np.abs(np.log(deviations[1] / deviations[0])).mean() < 0.1
 
 
 def test_places_have_a_derivative_in_the_picture(network, picture):
@@ -76,3 +107,13 @@ def test_a_file_gives_the_network_back_and_another_network_is_refused(network, t
     save_module(tmp_path / "other.safetensors", network, {**size, ARCHITECTURE: "another"})
     with pytest.raises(ModelError, match="should hold the weights of face-energy-dense-1, but its metadata names"):
         read_dense_network(tmp_path / "other.safetensors")
+
+
+def test_a_file_gives_back_the_largest_numbers_of_its_layers_and_too_few_are_refused(network, tmp_path):
+    size = {WIDTHS: json.dumps([4, 6, 8, 10]), BLOCKS: "2", ARCHITECTURE: NAME}
+    known = in_bytes(network)
+    save_module(tmp_path / "bytes.safetensors", known, size)
+    np.testing.assert_array_equal(read_dense_network(tmp_path / "bytes.safetensors").largest, known.largest)
+    save_module(tmp_path / "few.safetensors", replace(known, largest=known.largest[:-1]), size)
+    with pytest.raises(ModelError, match=f"each of the network's {len(known.largest)} layers, got"):
+        read_dense_network(tmp_path / "few.safetensors")

@@ -14,7 +14,8 @@ from workbench.landmarks.alignment import frame_from_points
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.network_detector import bundled_landmark_network, crop_frame, sampled_crop
 from workbench.networks import soft_argmax
-from workbench.networks.frozen import FrozenNetwork, largest_passed
+from workbench.networks.frozen import FrozenNetwork
+from workbench.networks.frozen_floats import largest_passed
 from workbench.networks.landmark_network import empty_landmark_network
 from workbench.samples import sample
 
@@ -90,6 +91,7 @@ def test_the_largest_that_layers_pass_on_is_that_of_any_picture():
     lowest = network.features(jnp.moveaxis(jnp.asarray(pictures[0]), -1, 0).astype(jnp.float32) / 255)[-1]
     encoder = 4 + 2 * (1 + 2 + 2 + 2)
     assert each[0][encoder - 1] == pytest.approx(float(lowest.max()), rel=1e-4)
+    assert len(each[0]) == network.passed_on
 
 
 def test_the_bundled_network_in_bytes_puts_a_faces_landmarks_a_fraction_of_a_pixel_away():

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from workbench.arrays import AnyArray
+from workbench.networks.encoder import check_largest
 from workbench.networks.regression import NUMBERS, Places, Regression, empty_layers, places_of, regression_sizes
 from workbench.networks.weights import Weights, fill, read_weights
 
@@ -28,11 +29,20 @@ class DenseNetwork(Regression):
 
 
 def empty_dense_network(
-    widths: tuple[int, int, int, int], blocks: int, squeezed: int, hidden: int, points: int, calibrated: bool = False
+    widths: tuple[int, int, int, int],
+    blocks: int,
+    squeezed: int,
+    hidden: int,
+    points: int,
+    calibrated: bool = False,
+    layers: int = 0,
 ) -> DenseNetwork:
-    """The network with zero weights."""
-    layers = empty_layers(widths, blocks, squeezed, hidden, NUMBERS * points, SIDE)
-    return DenseNetwork(**layers, deviation_factor=jnp.ones(points, jnp.float32) if calibrated else None)
+    """The network with zero weights; `layers`: those whose largest numbers are known."""
+    return DenseNetwork(
+        **empty_layers(widths, blocks, squeezed, hidden, NUMBERS * points, SIDE),
+        deviation_factor=jnp.ones(points, jnp.float32) if calibrated else None,
+        largest=jnp.zeros(layers, jnp.float32) if layers else None,
+    )
 
 
 def read_dense_network(path: str | Path) -> DenseNetwork:
@@ -46,5 +56,8 @@ def read_dense_network(path: str | Path) -> DenseNetwork:
 def dense_network_from(weights: Weights) -> DenseNetwork:
     """As `read_dense_network`, of weights in memory."""
     *sizes, outputs = regression_sizes(weights, NAME)
-    calibrated = "deviation_factor" in weights.arrays
-    return fill(lambda: empty_dense_network(*sizes, outputs // NUMBERS, calibrated), weights)
+    calibrated, largest = "deviation_factor" in weights.arrays, weights.arrays.get("largest")
+    layers = 0 if largest is None else largest.size
+    network = fill(lambda: empty_dense_network(*sizes, outputs // NUMBERS, calibrated, layers), weights)
+    check_largest(network, network.largest, weights.origin)
+    return network

@@ -44,6 +44,11 @@ class Encoder(eqx.Module):
         """Channels of the four levels, the largest first."""
         return tuple(conv.weight.shape[0] for conv in (self.stem, self.d1, self.d2, self.d3))
 
+    @property
+    def passed_on(self) -> int:
+        """How many results layers pass on: of each level's first convolution, and of two for each residual one."""
+        return 4 + 2 * (1 + len(self.e1) + len(self.e2) + len(self.e3))
+
 
 def encoder_convolutions(widths: tuple[int, int, int, int], blocks: int) -> dict[str, Conv | tuple[Conv, ...]]:
     """The parts of an `Encoder` with zero weights: channels of each level, residual blocks on the lowest."""
@@ -84,6 +89,15 @@ def network_size(weights: Weights) -> tuple[tuple[int, int, int, int], int]:
             f"(one number), got {shortened(weights.metadata.get(WIDTHS))} and "
             f"{shortened(weights.metadata.get(BLOCKS))}"
         ) from error
+
+
+def check_largest(network: Encoder, largest: Float[Array, "layers"] | None, origin: str) -> None:
+    """Raises `ModelError` where the largest numbers that layers pass on are known, but not one for each of them."""
+    if largest is not None and not (largest.shape == (network.passed_on,) and (largest > 0).all()):
+        raise ModelError(
+            f"`largest` in {origin} should hold a number above zero for each of the network's {network.passed_on} "
+            f"layers, got {largest.size}, the least {float(largest.min()):g}: get the file again"
+        )
 
 
 def _counted(number: object, most: int) -> int:

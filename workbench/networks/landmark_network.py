@@ -15,7 +15,16 @@ from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray, library_of
 from workbench.errors import ModelError
-from workbench.networks.encoder import BLOCKS, WIDTHS, Encoder, encoder_convolutions, network_size, residual, step
+from workbench.networks.encoder import (
+    BLOCKS,
+    WIDTHS,
+    Encoder,
+    check_largest,
+    encoder_convolutions,
+    network_size,
+    residual,
+    step,
+)
 from workbench.networks.layers import Conv, empty_conv, enlarge
 from workbench.networks.soft_argmax import patch_mass
 from workbench.networks.weights import ARCHITECTURE, Weights, fill, read_weights, save_module
@@ -59,8 +68,8 @@ class LandmarkNetwork(Encoder):
     pupils: Conv | None = None
     """Beside `head`: heat maps of the person's right and left pupil."""
     largest: Float[Array, "layers"] | None = None
-    """The largest number that each layer passed on in training pictures, in the order of `frozen_bytes.py`; with them a
-    frozen network computes in bytes."""
+    """The largest number that each layer passed on in training pictures, in the order of `network_graph.py`; with them
+    a frozen network computes in bytes."""
 
     def __call__(self, picture: Float[AnyArray, "3 h w"]) -> Float[Array, "n h4 w4"]:
         """Heat maps (68; another network's `outputs`) of a quarter of the picture's size, RGB in 0..1.
@@ -72,6 +81,11 @@ class LandmarkNetwork(Encoder):
         x1 = residual(x1 + enlarge(step(x2, self.u1)), self.f1)
         x0 = residual(x0 + enlarge(step(x1, self.u0)), self.f0)
         return jnp.moveaxis(self.head(x0), -1, 0)
+
+    @property
+    def passed_on(self) -> int:
+        """Those of the encoder, and of each decoder level two convolutions and two sums."""
+        return super().passed_on + 3 * 4
 
     def confidence_of(self, heat_maps: Float[AnyArray, "n h w"]) -> Float[AnyArray, "n"]:
         """How likely each landmark is found, 0..1: the calibrated mass of its map (the mass itself if uncalibrated)."""
@@ -133,15 +147,8 @@ def landmark_network_from(weights: Weights) -> LandmarkNetwork:
     network = fill(lambda: empty_landmark_network(widths, blocks, knots, pupils=pupils, layers=layers), weights)
     if network.calibration is not None:
         _check_calibration(network.calibration, weights.origin)
-    if network.largest is not None:
-        _check_largest(network, weights.origin)
+    check_largest(network, network.largest, weights.origin)
     return network
-
-
-def layers_that_pass_on(network: LandmarkNetwork) -> int:
-    """How many results a network passes from layer to layer: those of convolutions but the last, and of sums."""
-    residuals = 1 + len(network.e1) + len(network.e2) + len(network.e3) + 3
-    return 4 + 2 * (residuals + 3)
 
 
 def all_maps(network: LandmarkNetwork) -> Conv:
@@ -165,13 +172,4 @@ def _check_calibration(calibration: Calibration, origin: str) -> None:
     if not (in_range and (np.diff(mass) > 0).all() and (np.diff(confidence) >= 0).all()):
         raise ModelError(
             f"the calibration in {origin} should map ascending masses in 0..1 to confidences in 0..1 that never fall"
-        )
-
-
-def _check_largest(network: LandmarkNetwork, origin: str) -> None:
-    expected = layers_that_pass_on(network)
-    if network.largest.shape != (expected,) or not (network.largest > 0).all():
-        raise ModelError(
-            f"`largest` in {origin} should hold a number above zero for each of the network's {expected} layers, got "
-            f"{network.largest.size}, the least {float(network.largest.min()):g}: get the file again"
         )

@@ -21,6 +21,8 @@ class OnnxGraph:
 
     def __init__(self) -> None:
         self.nodes, self.weights = [], []
+        self.told: list[str] = []
+        """Results that are given out beside the answer."""
 
     def add(self, operation: str, *inputs: str, result: str | None = None, domain: str = "", **attributes) -> str:
         """One operation; the name of its result."""
@@ -34,10 +36,10 @@ class OnnxGraph:
         self.weights.append(numpy_helper.from_array(np.asarray(values, dtype), name))
         return name
 
-    def model(self, answer_shape: list[int | str], *others: str):
-        """The whole, from a picture of bytes to the answer, and to the results of `others`."""
+    def model(self, answer_shape: list[int | str]):
+        """The whole, from a picture of bytes to the answer and to what is `told`."""
         picture = helper.make_tensor_value_info(PICTURE, TensorProto.UINT8, [1, "height", "width", 3])
-        shapes = {ANSWER: answer_shape} | dict.fromkeys(others)
+        shapes = {ANSWER: answer_shape} | dict.fromkeys(self.told)
         results = [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in shapes.items()]
         made = helper.make_graph(self.nodes, "network", [picture], results, self.weights)
         opsets = [helper.make_opsetid("", OPSET), helper.make_opsetid(RUNTIME, RUNTIME_OPSET)]

@@ -45,6 +45,8 @@ class Regression(Encoder):
     head: Linear
     deviation_factor: Float[Array, "n"] | None = None
     """By which the claimed deviations are multiplied: measured on renders that training has not seen."""
+    largest: Float[Array, "layers"] | None = None
+    """As `LandmarkNetwork.largest`."""
 
     def numbers(self, picture: Float[AnyArray, "3 s s"]) -> Float[Array, "out"]:
         """The last layer's answer to RGB in 0..1."""

@@ -5,15 +5,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
 from workbench.files import atomic_path
 from workbench.landmarks.dense_detector import bundled_dense_network
 from workbench.landmarks.network_detector import bundled_landmark_network
 from workbench.landmarks.schemes import DENSE_POINTS
 from workbench.networks import read_landmark_network, read_weights
 from workbench.networks.dense_gain import read_dense_gain
-from workbench.networks.dense_network import SIDE, read_dense_network
+from workbench.networks.dense_network import SIDE, DenseNetwork, read_dense_network
 from workbench.networks.eye_network import read_eye_network
-from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork, largest_passed
+from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork
+from workbench.networks.frozen_floats import largest_passed
+from workbench.networks.landmark_network import LandmarkNetwork
 from workbench.training.augment import TRAINING, Hardness
 from workbench.training.dense_gain import corrected_answers, fitted_gain, write_dense_gain
 from workbench.training.dense_measuring import DenseAnswers, dense_answers, deviation_factor, measured_dense
@@ -42,6 +48,7 @@ FURTHER_EYE_PLAN = TrainingPlan(phases=(Phase(64, 8000, 64, 1.5e-3),), widths=(2
 SEEDS = {"faces": (1, 1002), "eyes": (5, 1005)}
 """Of the pools that are learned from and measured on, by what they show."""
 TEST_PICTURES, EVALUATED, CALIBRATED = 960, 800, 1500
+LOOKED_AT_FOR_BYTES = 240
 
 Report = Callable[[str], None]
 
@@ -88,18 +95,12 @@ def train_landmark_network(
         LandmarkTask(), pool, folder / "landmarks", recipe.plan, workers, device, report=report, start=recipe.start
     )
     side = recipe.plan.phases[-1].input_side
-    look = looker(read_landmark_network(raw))
-    held_out = open_pool(test)
+    network, held_out = read_landmark_network(raw), open_pool(test)
     report("calibrating the confidence")
-    mass, confidence = calibration_of(answers_of(look, held_out, recipe.calibrated, side, TRAINING, seed=1))
-    seen = unseen_pictures(held_out, recipe.calibrated, side, TRAINING, seed=1)
-    known = {
-        "calibration.mass": mass,
-        "calibration.confidence": confidence,
-        "largest": largest_passed(read_landmark_network(raw), (made.picture for made, _ in seen)),
-    }
+    mass, confidence = calibration_of(answers_of(looker(network), held_out, recipe.calibrated, side, TRAINING, seed=1))
+    known = {"calibration.mass": mass, "calibration.confidence": confidence}
     path = folder / "landmarks.safetensors"
-    write_shipped(path, read_weights(raw), recipe.plan.seed, **known)
+    write_shipped(path, read_weights(raw), recipe.plan.seed, **known, largest=_largest(network, held_out, recipe, side))
     report("measuring on renders that it has not seen")
     numbers = measured(path, held_out, recipe.evaluated, side)
     with atomic_path(folder / "numbers.json") as temporary:
@@ -137,12 +138,14 @@ def train_dense_network(
     task = DenseTask()
     pool, test = _pools(folder, recipe, workers, report)
     raw = train(task, pool, folder / "dense", recipe.plan, workers, device, report=report, start=recipe.start)
-    look, (known, unseen) = FrozenDenseNetwork(read_dense_network(raw)), halves(open_pool(test))
+    network, (known, unseen) = read_dense_network(raw), halves(open_pool(test))
     report("calibrating the deviations")
+    largest = _largest(network, known, recipe, SIDE)
+    look = FrozenDenseNetwork(replace(network, largest=jnp.asarray(largest)))
     answers = dense_answers(look, known, DENSE_POINTS, recipe.calibrated, TRAINING, seed=1)
     factor = deviation_factor(answers.deviations)
     path = folder / "dense.safetensors"
-    write_shipped(path, read_weights(raw), recipe.plan.seed, deviation_factor=factor)
+    write_shipped(path, read_weights(raw), recipe.plan.seed, deviation_factor=factor, largest=largest)
     report("measuring on renders that it has not seen")
     look = FrozenDenseNetwork(read_dense_network(path))
     clean, damaged = (
@@ -210,6 +213,14 @@ def train_eye_network(
     clean, damaged = (eye_answers(look, unseen, recipe.evaluated, hardness) for hardness in (CLEAN, TRAINING))
     write_regression_report(folder, "eyes", measured_eyes(clean, damaged), EYE_CURVES)
     return path
+
+
+def _largest(
+    network: LandmarkNetwork | DenseNetwork, pool: Pool, recipe: Recipe, side: int
+) -> Float[np.ndarray, "layers"]:
+    """What the frozen network's bytes reach up to, by pictures like those of the training."""
+    count = min(recipe.calibrated, LOOKED_AT_FOR_BYTES)
+    return largest_passed(network, (made.picture for made, _ in unseen_pictures(pool, count, side, TRAINING, seed=1)))
 
 
 def _pools(folder: Path, recipe: Recipe, workers: int, report: Report, kind: str = "faces") -> tuple[Path, Path]:
