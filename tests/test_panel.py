@@ -29,7 +29,7 @@ from workbench.session.knobs import (
     TIME,
     changed_by,
     effective_weights,
-    is_inert,
+    inert_among,
     value_of,
 )
 from workbench.tracking.frame_solver import solve_frame
@@ -769,7 +769,7 @@ def controls_of(panel, enabled):
 
 def test_what_is_greyed_out_changes_no_fit(head, photo):
     config = other = preset("joint")
-    for path in filter(lambda path: is_inert(config, path), BY_PATH):
+    for path in inert_among(config, BY_PATH):
         knob = BY_PATH[path]
         value = {"choice": knob.choices[-1:], "switch": (False,)}.get(knob.kind, (0.7,))[0]
         other = other.changed(**changed_by(other, path, value))

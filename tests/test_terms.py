@@ -18,7 +18,7 @@ from workbench.errors import ConfigError, InputError
 from workbench.face import contour_blend, landmark_model, model_landmarks
 from workbench.pipeline import track
 from workbench.planning import plan_of
-from workbench.session.knobs import KNOBS, is_inert
+from workbench.session.knobs import KNOBS, inert_among
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameContext
 from workbench.tracking.deep_fitter import DeepFitter
@@ -157,14 +157,14 @@ def test_a_term_that_does_not_exist_is_named_with_those_that_do():
 
 
 def test_the_slider_of_a_term_is_grey_until_a_stage_names_it():
-    assert is_inert(preset("joint"), "deep.edges")
-    assert is_inert(preset("deep"), "weights.tau")
-    assert is_inert(preset("joint"), "deep.lambda_reading")
-    assert is_inert(preset("orthographic"), "deep.lambda_reading")
-    assert not is_inert(preset("deep"), "deep.lambda_reading")
-    assert not is_inert(linked(POINTS, 1.0), "weights.tau")
-    assert not is_inert(linked(POINTS, 1.0), "constants.rotation_mm")
-    assert is_inert(POINTS, "constants.a")
+    asked = ("deep.edges", "deep.lambda_reading", "weights.tau", "constants.rotation_mm", "constants.a")
+    assert {"deep.edges", "deep.lambda_reading"} <= inert_among(preset("joint"), asked)
+    assert "deep.lambda_reading" in inert_among(preset("orthographic"), asked)
+    assert "weights.tau" in inert_among(preset("deep"), asked)
+    assert "deep.lambda_reading" not in inert_among(preset("deep"), asked)
+    assert not {"weights.tau", "constants.rotation_mm"} & inert_among(linked(POINTS, 1.0), asked)
+    assert "constants.a" in inert_among(POINTS, asked)
+    assert inert_among(preset("deep"), ()) == frozenset()
 
 
 def test_every_term_with_a_weight_of_its_own_has_a_slider_and_a_comment():

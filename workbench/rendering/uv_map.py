@@ -1,5 +1,6 @@
 """What lies at each texel of a mesh's texture."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,8 @@ from workbench.face import FaceModel
 
 Numbers = Float[np.ndarray, "v"] | Float[np.ndarray, "v d"]
 ROUNDING = 1e-9
+AT_ONCE = 200_000
+"""Texels that are looked at together: some megabytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,18 +63,32 @@ def drawn_triangles(
     corners = (uv * [1.0, -1.0] + [0.0, 1.0]) * size - 0.5
     drawn, barycentric = np.full((size, size), -1, np.int64), np.zeros((size, size, 3))
     first = np.clip(np.ceil(corners.min(axis=1)), 0, size).astype(int)
-    last = np.clip(np.floor(corners.max(axis=1)) + 1, 0, size).astype(int)
-    for number, (corner, (left, top), (right, bottom)) in enumerate(zip(corners, first, last, strict=True)):
-        rows, columns = np.mgrid[top:bottom, left:right]
-        shares = _barycentric(corner, np.stack([columns, rows], axis=-1).astype(float))
-        within = (shares >= -ROUNDING).all(axis=-1)
-        drawn[top:bottom, left:right][within] = number
-        barycentric[top:bottom, left:right][within] = shares[within]
+    extent = np.clip(np.floor(corners.max(axis=1)) + 1, first, size).astype(int) - first
+    for triangle, texel in _in_boxes(first, extent):
+        shares = _barycentric(corners[triangle], texel)
+        within = (shares >= -ROUNDING).all(axis=1)
+        column, row = texel[within].T
+        # Of texels that come several times, the last counts.
+        drawn[row, column], barycentric[row, column] = triangle[within], shares[within]
     return drawn, barycentric
 
 
-def _barycentric(corners: Float[np.ndarray, "3 2"], points: Float[np.ndarray, "h w 2"]) -> Float[np.ndarray, "h w 3"]:
-    first, second, third = np.moveaxis(corners - points[..., None, :], 2, 0)
+def _in_boxes(
+    first: Int[np.ndarray, "t 2"], extent: Int[np.ndarray, "t 2"]
+) -> Iterator[tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n 2"]]]:
+    """The texels (column, row) in the box about each triangle, with its number, about `AT_ONCE` at a time."""
+    counts = extent.prod(axis=1)
+    ends = np.cumsum(counts)
+    for numbers in np.split(np.arange(len(counts)), np.searchsorted(ends, np.arange(AT_ONCE, ends[-1], AT_ONCE))):
+        triangle = np.repeat(numbers, counts[numbers])
+        begins = np.cumsum(counts[numbers]) - counts[numbers]
+        place = np.arange(len(triangle)) - np.repeat(begins, counts[numbers])
+        row, column = np.divmod(place, extent[triangle, 0])
+        yield triangle, first[triangle] + np.stack([column, row], axis=1)
+
+
+def _barycentric(corners: Float[np.ndarray, "n 3 2"], points: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+    first, second, third = np.moveaxis(corners - points[:, None], 1, 0)
     areas = np.stack([_cross(second, third), _cross(third, first), _cross(first, second)], axis=-1)
     total = areas.sum(axis=-1, keepdims=True)
     return np.divide(areas, total, out=np.full_like(areas, -1.0), where=np.abs(total) > ROUNDING)

@@ -1,5 +1,6 @@
 """The configuration values that have a control in the panel: path, range and meaning of each."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -167,26 +168,26 @@ def label_of(path: str) -> str:
     return f"{knob.label}, {knob.words.name}"
 
 
-def is_inert(config: Config, path: str) -> bool:
-    """Whether a knob has no effect under this configuration's system and stages."""
-    section, _, key = path.rpartition(".")
-    if path == "deep.lambda_reading":
-        return is_inert(config, "deep.regularisation")
-    if section == "constants":
-        return not any(key in TABLE[name].constants for name in config.summed_terms)
-    if section in ("weights", "deep") and path in config.omega():
-        return not _weighs(config, path)
-    return not config.traits.reads(path)
+def inert_among(config: Config, paths: Iterable[str]) -> frozenset[str]:
+    """The knobs among these that have no effect under this configuration's system and stages."""
+    traits, terms, system = config.traits, config.summed_terms, config.system
+    ones = dict.fromkeys(config.omega(), 1.0)
 
+    def acts(path: str) -> bool:
+        section, _, key = path.rpartition(".")
+        if path == "deep.lambda_reading":
+            return acts("deep.regularisation")
+        if section == "constants":
+            return any(key in TABLE[name].constants for name in terms)
+        if section in ("weights", "deep") and path in ones:
+            # An ω acts if it multiplies a term that is in some stage.
+            without = {**ones, path: 0.0}
+            return any(
+                factor(TABLE[name], without, system, pose_only) == 0.0 for name in terms for pose_only in (True, False)
+            )
+        return traits.reads(path)
 
-def _weighs(config: Config, path: str) -> bool:
-    """Whether an ω multiplies a term that is in some stage."""
-    without = {**dict.fromkeys(config.omega(), 1.0), path: 0.0}
-    return any(
-        factor(TABLE[name], without, config.system, pose_only) == 0.0
-        for name in config.summed_terms
-        for pose_only in (True, False)
-    )
+    return frozenset(path for path in paths if not acts(path))
 
 
 def value_of(config: Config, path: str) -> Value:

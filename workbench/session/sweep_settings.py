@@ -17,7 +17,7 @@ from workbench.session.knobs import (
     Kind,
     Knob,
     Value,
-    is_inert,
+    inert_among,
 )
 
 ITERATIONS, WINDOW, CALIBRATED = (1, 30), (10, 200), (1, 24)
@@ -62,7 +62,11 @@ class SweepSetting:
 def sweep_settings(config: Config) -> tuple[SweepSetting, ...]:
     """The settings that act on the fits of a configuration, in the order of their sliders; each title is there once."""
     knobs = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS)
-    found = [item for knob in knobs if not _without_effect(config, knob) for item in _of_knob(config, knob)]
+    left_out = inert_among(config, (knob.path for knob in knobs))
+    if config.camera.matrix is not None:
+        left_out |= {"camera.fov_deg"}
+    swept = (knob for knob in knobs if knob.kind in ("log", "linear", "whole") and knob.path not in left_out)
+    found = [item for knob in swept for item in _of_knob(config, knob)]
     return (*found, *_without_slider(config))
 
 
@@ -100,12 +104,6 @@ def place_among(values: tuple[Value, ...], value: Value | None, log: bool) -> fl
         return None
     scaled = [np.log(each) if log else float(each) for each in (*values, value)]
     return float(np.interp(scaled[-1], scaled[:-1], np.arange(len(values))))
-
-
-def _without_effect(config: Config, knob: Knob) -> bool:
-    if knob.path == "camera.fov_deg" and config.camera.matrix is not None:
-        return True
-    return knob.kind not in ("log", "linear", "whole") or is_inert(config, knob.path)
 
 
 def _of_knob(config: Config, knob: Knob) -> Iterator[SweepSetting]:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import ipywidgets as widgets
 
 from workbench.config import Config
-from workbench.session.knobs import CAMERA, CONSTANTS, DEEP, IDENTITY, LANDMARKS, OMEGA, SOLVE, is_inert, value_of
+from workbench.session.knobs import CAMERA, CONSTANTS, DEEP, IDENTITY, LANDMARKS, OMEGA, SOLVE, inert_among, value_of
 from workbench.session.knobs import effective_weights as effective_weights_of
 from workbench.widgets.knob_control import KnobControl, Turned
 
@@ -63,15 +63,17 @@ class Controls:
 
     def show(self, config: Config, but: str | None = None) -> None:
         """Set the controls from a configuration, except the one at `but`, which the user is holding."""
+        inert = inert_among(config, self.by_path)
         for path, control in self.by_path.items():
             value = value_of(config, path)
             if path != but and value != control.value:
                 control.show(value)
-            control.enable(not is_inert(config, path))
+            control.enable(path not in inert)
         for title, note in self.notes.items():
-            inert = [is_inert(config, knob.path) for knob in PAGES[title]]
-            note.value = "" if not any(inert) else _why_inert(config, title, all(inert))
-            note.layout.display = None if any(inert) else "none"
+            without_effect = inert_among(config, (knob.path for knob in PAGES[title]))
+            every = len(without_effect) == len(PAGES[title])
+            note.value = _why_inert(config, title, every) if without_effect else ""
+            note.layout.display = None if without_effect else "none"
         for path, product in effective_weights_of(config).items():
             if path in self.by_path and self.by_path[path].knob.level:
                 self.by_path[path].effective.value = f"={product:.3g}"

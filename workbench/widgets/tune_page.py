@@ -15,7 +15,7 @@ from workbench.learning.parts import SHARES, read_frames
 from workbench.objectives import TABLE, read_sum
 from workbench.session import TuningSession
 from workbench.session.knob_words import plain_words
-from workbench.session.knobs import is_inert
+from workbench.session.knobs import inert_among
 from workbench.session.parts import read_parts
 from workbench.session.sweep_settings import value_at
 from workbench.widgets.chart_view import ChartView
@@ -187,13 +187,10 @@ def learnable(config: Config) -> tuple[str, ...]:
     """The settings with a gradient that act on the fits of a configuration and are above 0."""
     if config.traits.renders:
         return ()
-    fixed_lens = (FOV,) if config.camera.matrix is not None else ()
+    left_out = inert_among(config, LEARNABLE) | ({FOV} if config.camera.matrix is not None else set())
     return tuple(
-        path
-        for path in LEARNABLE
-        if path not in fixed_lens
-        and (path == POINTS or (value_at(config, path) > 0.0 and not is_inert(config, path)))
-    )  # fmt: skip
+        path for path in LEARNABLE if path == POINTS or (path not in left_out and value_at(config, path) > 0.0)
+    )
 
 
 def usual_parts(frames: int) -> tuple[str, str]:
