@@ -17,13 +17,14 @@ OUT ?= demo_out
 # and the Khronos validator with its own Node.
 VALIDATORS := .cache/validators
 
-.PHONY: help lab demo test test-fast test-long test-train docs validators notebooks lint types format bench head clip clean
+.PHONY: help lab demo test test-fast test-browser test-long test-train docs validators notebooks lint types format bench head clip clean
 
 help:
 	@echo "make lab    open JupyterLab on the first notebook"
 	@echo "make demo   track the bundled portrait and clip into $(OUT)/, no browser needed"
-	@echo "make test   lint and run all tests but for the notebooks and those of test-long and test-train"
-	@echo "make test-fast   without the long tests and those in a browser"
+	@echo "make test   lint and run all tests but those of the next targets"
+	@echo "make test-fast   without the slow ones"
+	@echo "make test-browser  tests of the panels in JupyterLab and Chromium"
 	@echo "make test-long   tests that take renders through networks, differentiate fits, or kill processes"
 	@echo "make notebooks   run every notebook from top to bottom"
 	@echo "make test-train  the tests of training and of PyTorch's models; installs PyTorch"
@@ -65,10 +66,13 @@ demo: $(STAMP)
 	$(BIN)/workbench demo --out $(OUT)
 
 test: lint
-	$(PYTEST) -m "not train and not notebook and not long"
+	$(PYTEST) -m "not train and not notebook and not long and not browser"
 
 test-fast: $(TEST_STAMP)
-	$(PYTEST) -m "not train and not notebook and not long and not slow and not browser"
+	$(PYTEST) -m "not train and not notebook and not long and not browser and not slow"
+
+test-browser: $(TEST_STAMP)
+	$(PYTEST) -m browser
 
 test-long: $(TEST_STAMP)
 	$(PYTEST) -m long

@@ -82,7 +82,7 @@ TRAIN = (
 MARKS = {"slow": SLOW, "browser": BROWSER, "long": LONG, "train": TRAIN}
 LEFT_OUT = {
     "slow": "long tests (make test)",
-    "browser": "tests in a browser (make test)",
+    "browser": "tests in a browser (make test-browser)",
     "long": "renders through networks, derivatives of fits, and worker processes that are killed (make test-long)",
     "notebook": "notebooks from top to bottom (make notebooks)",
     "train": "tests of training and of PyTorch's models (make test-train)",

@@ -45,6 +45,7 @@ def test_every_file_that_cannot_be_imported_without_pytorch_has_the_mark():
         ("not train and not notebook", True, ["notebook", "train"]),
         ("not train and not notebook and not long", True, ["long", "notebook", "train"]),
         ("not train and not slow and not browser", True, ["slow", "browser", "train"]),
+        ("browser", True, []),
         ("train", True, []),
     ],
 )

@@ -73,9 +73,8 @@ class TrackWriter:
             return
         part = self._part(len(self._parts))
         with atomic_path(part) as temporary, temporary.open("wb") as stream:
-            np.savez_compressed(
-                stream, **stack_fits(self._buffer), **{f"state/{name}": value for name, value in state.items()}
-            )
+            # Compressed only in the track itself, once.
+            np.savez(stream, **stack_fits(self._buffer), **{f"state/{name}": value for name, value in state.items()})
         self._take(part, len(self._buffer))
         self._buffer, self._stored_at = [], time.monotonic()
 
