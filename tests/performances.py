@@ -1,6 +1,7 @@
 """A short made-up performance as a track, and a second character to play it."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pyvista as pv
@@ -22,6 +23,15 @@ FRAMES, GAP = 12, 5
 
 def performance(head: FaceModel, frames: int = FRAMES, gap: int | None = GAP, rate: float = 25.0, shots: int = 1):
     """A head of its own that turns to its left, opens the mouth, and smiles and blinks on the left side."""
+    meta = {"expression_names": list(head.expression_names), "rate": rate, "model": dict(_record(head))}
+    return Track(meta=meta, **stack_fits(list(_fits(head, frames, gap, shots))))
+
+
+_record = lru_cache(maxsize=4)(model_record)
+
+
+@lru_cache(maxsize=16)
+def _fits(head: FaceModel, frames: int, gap: int | None, shots: int) -> tuple[FrameFit, ...]:
     rng = np.random.default_rng(3)
     faces = [rng.normal(0.0, 1.0, len(head.identity_deltas)) for _ in range(shots)]
     fits = []
@@ -32,12 +42,7 @@ def performance(head: FaceModel, frames: int = FRAMES, gap: int | None = GAP, ra
         shot = index * shots // frames
         scene = make_scene(head, angles, weights, faces[shot], translation=(40.0 * part, -10.0, 600.0 + 50.0 * part))
         fits.append(_fit(scene, index, shot, index != gap))
-    meta = {
-        "expression_names": list(head.expression_names),
-        "rate": rate,
-        "model": model_record(head),
-    }
-    return Track(meta=meta, **stack_fits(fits))
+    return tuple(fits)
 
 
 def with_jaw(track: Track) -> Track:

@@ -1,7 +1,9 @@
 """Synthetic truth: a head with known pose and weights, and the landmarks that a perfect detector would give."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -52,10 +54,17 @@ def make_scene(
         jnp.asarray(expression),
         jnp.asarray(identity, float),
     )
-    model = landmark_model(head)
-    blend = contour_blend(model.contour_yaw, head_yaw(parameters.rotation), float(sliding))
-    points = project_landmarks(camera, model_landmarks(model, blend, parameters.identity), parameters)
+    points = _projected(camera, _landmark_model(head), parameters, float(sliding))
     return Scene(camera, parameters, np.asarray(angles_deg, float), np.asarray(points))
+
+
+@jax.jit
+def _projected(camera, model, parameters, sliding):
+    blend = contour_blend(model.contour_yaw, head_yaw(parameters.rotation), sliding)
+    return project_landmarks(camera, model_landmarks(model, blend, parameters.identity), parameters)
+
+
+_landmark_model = lru_cache(maxsize=4)(landmark_model)
 
 
 def turning_clip(head: FaceModel, frames: int, first_yaw_deg: float) -> Material:

@@ -30,7 +30,7 @@ class Embedding:
         return np.einsum("...jd,...j->...d", vertices[..., self.vertices, :], self.barycentric)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FaceModel:
     """A linear face model. Head frame, millimetres; sides are the subject's.
 
