@@ -22,7 +22,7 @@ VALIDATORS := .cache/validators
 help:
 	@echo "make lab    open JupyterLab on the first notebook"
 	@echo "make demo   track the bundled portrait and clip into $(OUT)/, no browser needed"
-	@echo "make test   lint and run all tests but those of the next targets"
+	@echo "make test   lint and run all tests but for the notebooks and those of test-browser, test-long and test-train"
 	@echo "make test-fast   without the slow ones"
 	@echo "make test-browser  tests of the panels in JupyterLab and Chromium"
 	@echo "make test-long   tests that take renders through networks, differentiate fits, or kill processes"

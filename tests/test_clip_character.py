@@ -23,7 +23,7 @@ from workbench.rendering.skin_texture import (
     completed_skin,
     painted_skin,
 )
-from workbench.rendering.uv_map import uv_map
+from workbench.rendering.uv_map import drawn_triangles, uv_map
 from workbench.samples import sample
 from workbench.session import open_session
 
@@ -80,6 +80,18 @@ def test_texels_lie_in_their_triangles():
     assert 0.4 < mapped.inside.mean() < 1.0
     # Beside the islands lies what is nearest inside.
     assert set(np.unique(mapped.triangle[~mapped.inside])) <= set(np.unique(mapped.triangle[mapped.inside]))
+
+
+def test_of_triangles_that_overlap_the_last_counts_and_without_any_nothing_is_drawn():
+    whole = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
+    small = 0.5 * whole
+    for triangles in ([whole, small], [small, whole]):
+        drawn, barycentric = drawn_triangles(np.array(triangles), 600)  # more texels than are looked at together
+        assert set(np.unique(drawn)) == ({0, 1} if triangles[1] is small else {1})
+        np.testing.assert_allclose(barycentric.sum(axis=-1), 1.0)
+    drawn, barycentric = drawn_triangles(np.zeros((0, 3, 2)), 8)
+    assert (drawn == -1).all()
+    assert not barycentric.any()
 
 
 def test_a_dark_line_is_a_brow_above_the_brows_landmarks_and_something_else_on_the_forehead():

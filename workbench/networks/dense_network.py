@@ -56,8 +56,7 @@ def read_dense_network(path: str | Path) -> DenseNetwork:
 def dense_network_from(weights: Weights) -> DenseNetwork:
     """As `read_dense_network`, of weights in memory."""
     *sizes, outputs = regression_sizes(weights, NAME)
-    calibrated, largest = "deviation_factor" in weights.arrays, weights.arrays.get("largest")
-    layers = 0 if largest is None else largest.size
+    calibrated, layers = "deviation_factor" in weights.arrays, weights.size_of("largest")
     network = fill(lambda: empty_dense_network(*sizes, outputs // NUMBERS, calibrated, layers), weights)
     check_largest(network, network.largest, weights.origin)
     return network

@@ -1,7 +1,7 @@
 """Networks whose weights stay as they are, for detectors: no derivatives, and half the processor time of JAX.
 
-The same layers as in `LandmarkNetwork.__call__`, written as an ONNX graph that ONNX Runtime runs, in single precision
-or in bytes (`frozen_bytes.py`). Where a derivative is needed, as in Deep Energies, the network itself runs.
+ONNX Runtime runs the network's layers (`network_graph.py`) in single precision (`frozen_floats.py`) or, where `largest`
+is known, in bytes (`frozen_bytes.py`). Where a derivative is needed, as in Deep Energies, the network itself runs.
 """
 
 from collections.abc import Callable
@@ -41,7 +41,10 @@ class FrozenDenseNetwork:
         self._answer = _regression(network)
 
     def __call__(self, picture: UInt8[np.ndarray, "256 256 3"]) -> Places:
-        """Points in the picture's pixels and their whitening: `network(picture / 255)` up to rounding."""
+        """Points in the picture's pixels and their whitening: `network(picture / 255)` up to rounding.
+
+        In bytes, where `network.largest` is known, points are 0.4 pixels from the network's in the median.
+        """
         numbers, factor = self._answer(picture)
         return places_of(numbers, SIDE, factor)
 

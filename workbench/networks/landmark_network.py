@@ -141,9 +141,8 @@ def landmark_network_from(weights: Weights) -> LandmarkNetwork:
             f"{shortened(weights.architecture)}"
         )
     widths, blocks = network_size(weights)
-    mass = weights.arrays.get("calibration.mass")
-    knots, pupils = 0 if mass is None else mass.size, "pupils.weight" in weights.arrays
-    layers = weights.arrays["largest"].size if "largest" in weights.arrays else 0
+    knots, layers = weights.size_of("calibration.mass"), weights.size_of("largest")
+    pupils = "pupils.weight" in weights.arrays
     network = fill(lambda: empty_landmark_network(widths, blocks, knots, pupils=pupils, layers=layers), weights)
     if network.calibration is not None:
         _check_calibration(network.calibration, weights.origin)

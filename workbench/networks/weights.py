@@ -46,6 +46,10 @@ class Weights:
         """Which network these are of, if the file says."""
         return self.metadata.get(ARCHITECTURE)
 
+    def size_of(self, name: str) -> int:
+        """How many numbers an array holds; 0 if the file has none of this name."""
+        return self.arrays[name].size if name in self.arrays else 0
+
 
 def read_weights(path: str | Path) -> Weights:
     """All arrays and the metadata of a safetensors file.

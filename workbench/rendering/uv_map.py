@@ -78,8 +78,8 @@ def _in_boxes(
 ) -> Iterator[tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n 2"]]]:
     """The texels (column, row) in the box about each triangle, with its number, about `AT_ONCE` at a time."""
     counts = extent.prod(axis=1)
-    ends = np.cumsum(counts)
-    for numbers in np.split(np.arange(len(counts)), np.searchsorted(ends, np.arange(AT_ONCE, ends[-1], AT_ONCE))):
+    cuts = np.searchsorted(np.cumsum(counts), np.arange(AT_ONCE, counts.sum(), AT_ONCE))
+    for numbers in np.split(np.arange(len(counts)), cuts):
         triangle = np.repeat(numbers, counts[numbers])
         begins = np.cumsum(counts[numbers]) - counts[numbers]
         place = np.arange(len(triangle)) - np.repeat(begins, counts[numbers])

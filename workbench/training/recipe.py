@@ -49,6 +49,7 @@ SEEDS = {"faces": (1, 1002), "eyes": (5, 1005)}
 """Of the pools that are learned from and measured on, by what they show."""
 TEST_PICTURES, EVALUATED, CALIBRATED = 960, 800, 1500
 LOOKED_AT_FOR_BYTES = 240
+"""Augmented pictures on which a network's `largest` is measured."""
 
 Report = Callable[[str], None]
 
@@ -99,8 +100,9 @@ def train_landmark_network(
     report("calibrating the confidence")
     mass, confidence = calibration_of(answers_of(looker(network), held_out, recipe.calibrated, side, TRAINING, seed=1))
     known = {"calibration.mass": mass, "calibration.confidence": confidence}
+    known["largest"] = _largest(network, held_out, recipe, side)
     path = folder / "landmarks.safetensors"
-    write_shipped(path, read_weights(raw), recipe.plan.seed, **known, largest=_largest(network, held_out, recipe, side))
+    write_shipped(path, read_weights(raw), recipe.plan.seed, **known)
     report("measuring on renders that it has not seen")
     numbers = measured(path, held_out, recipe.evaluated, side)
     with atomic_path(folder / "numbers.json") as temporary:
@@ -218,7 +220,7 @@ def train_eye_network(
 def _largest(
     network: LandmarkNetwork | DenseNetwork, pool: Pool, recipe: Recipe, side: int
 ) -> Float[np.ndarray, "layers"]:
-    """What the frozen network's bytes reach up to, by pictures like those of the training."""
+    """A network's `largest`, measured on pictures like those of the training."""
     count = min(recipe.calibrated, LOOKED_AT_FOR_BYTES)
     return largest_passed(network, (made.picture for made, _ in unseen_pictures(pool, count, side, TRAINING, seed=1)))
 

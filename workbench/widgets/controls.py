@@ -70,10 +70,9 @@ class Controls:
                 control.show(value)
             control.enable(path not in inert)
         for title, note in self.notes.items():
-            without_effect = inert_among(config, (knob.path for knob in PAGES[title]))
-            every = len(without_effect) == len(PAGES[title])
-            note.value = _why_inert(config, title, every) if without_effect else ""
-            note.layout.display = None if without_effect else "none"
+            greyed = [knob.path in inert for knob in PAGES[title]]
+            note.value = _why_inert(config, title, all(greyed)) if any(greyed) else ""
+            note.layout.display = None if any(greyed) else "none"
         for path, product in effective_weights_of(config).items():
             if path in self.by_path and self.by_path[path].knob.level:
                 self.by_path[path].effective.value = f"={product:.3g}"
