@@ -27,12 +27,12 @@ from workbench.tracking import FrameContext
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.face_it_fitter import FaceItFitter
 
-assert "symmetry" in json.loads(config_schema())["$defs"]["WeightsConfig"]["properties"]
-assert "symmetry = 0.0 # ω_sym: neighbouring weights alike." in config_toml(preset("joint"))
-assert "## E_sym: `symmetry`" in table_page()
-(knob,) = [knob for knob in KNOBS if knob.path == "weights.symmetry"]
-assert "neighbouring weights alike" in knob.tip and knob.label == "ω_sym"
-assert effective_weights(preset("joint").changed(weights={"symmetry": 7.0}))["weights.symmetry"] == 7.0
+assert "neighbours" in json.loads(config_schema())["$defs"]["WeightsConfig"]["properties"]
+assert "neighbours = 0.0 # ω_nb: neighbouring weights alike." in config_toml(preset("joint"))
+assert "## E_nb: `neighbours`" in table_page()
+(knob,) = [knob for knob in KNOBS if knob.path == "weights.neighbours"]
+assert "neighbouring weights alike" in knob.tip and knob.label == "ω_nb"
+assert effective_weights(preset("joint").changed(weights={"neighbours": 7.0}))["weights.neighbours"] == 7.0
 
 head, smile = load_default_head(), {"mouthSmileLeft": 0.8, "jawOpen": 0.4}
 scene = make_scene(head, weights=smile)
@@ -42,12 +42,12 @@ rough = []
 for base, fitter, observation in (
     (preset("joint"), FaceItFitter, scene.observation()), (POINTS, DeepFitter, deep.observation())
 ):
-    for terms in ((), ("symmetry",)):
-        config = base.changed(stages=[stage.model_dump() | {"terms": terms}], weights={"symmetry": 1e4})
+    for terms in ((), ("neighbours",)):
+        config = base.changed(stages=[stage.model_dump() | {"terms": terms}], weights={"neighbours": 1e4})
         made = fitter(head, plan_of(config))
         fit, traces = made.explain(observation, FrameContext(0, np.zeros(50), None, None))
         rough.append(np.abs(np.diff(fit.expression)).sum())
-        assert ("symmetry" in made.terms) == bool(terms)
+        assert ("neighbours" in made.terms) == bool(terms)
         assert traces[0].energies.shape[1] == len(made.terms) == fit.energies.shape[1]
     assert rough[-1] < 0.5 * rough[-2], rough
 """,

@@ -54,7 +54,8 @@ OMEGA = {
     f"weights.{name}": value
     for name, value in {
         "sparse": 1.5, "pose": 0.7, "fit": 1.3, "prior": 0.9, "tau": 0.2, "beta": 0.3, "sigma": 0.4,
-        "sigma_smooth": 0.5, "range": 0.6, "flow": 0.8, "vergence": 0.3, "opposites": 0.9, "gaze": 0.2,
+        "sigma_smooth": 0.5, "range": 0.6, "flow": 0.8, "vergence": 0.3, "opposites": 0.9, "gaze": 0.2, "symmetry": 0.6,
+        "usual": 0.1,
     }.items()
 }  # fmt: skip
 OMEGA |= {"identity.weight": 0.8, "deep.edges": 0.7, "deep.regularisation": 1.1, "deep.prior": 0.4, "flow.stay": 1.7}
@@ -103,6 +104,7 @@ def problem(head):
             history=jnp.ones(()),
             start=scene.parameters,
             flow=moved_points(head, scene, rng),
+            usual=model.usual,
         ),
     )
     parameters = scene.parameters._replace(

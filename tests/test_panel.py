@@ -745,6 +745,8 @@ NAMED_BY_NO_STAGE = {
     "weights.vergence",
     "weights.opposites",
     "weights.gaze",
+    "weights.symmetry",
+    "weights.usual",
     "constants.weighted_edges",
 }
 """What belongs to terms that no stage of FACE IT!'s presets names."""

@@ -39,8 +39,11 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
   workbench train eyes training                   pupils, irises and lids, from crops of single eyes
 
   workbench train flow training                   the flow network, from pairs of its own
+
+  workbench train expressions training            which blendshapes act together (the prior E_usual), from
+                                                  random expressions and the tracks in training/tracks
 """
-Network = StrEnum("Network", ["landmarks", "finder", "dense", "gain", "eyes", "flow"])
+Network = StrEnum("Network", ["landmarks", "finder", "dense", "gain", "eyes", "flow", "expressions"])
 RESULTS: Mapping[str, tuple[str, ...]] = {
     Network.landmarks: ("landmarks.safetensors", "tables.md"),
     Network.finder: ("finder.safetensors",),
@@ -48,6 +51,7 @@ RESULTS: Mapping[str, tuple[str, ...]] = {
     Network.gain: ("dense_gain.safetensors", "dense_gain_tables.md"),
     Network.eyes: ("eyes.safetensors", "eyes_tables.md"),
     Network.flow: ("flow.safetensors", "flow_tables.md"),
+    Network.expressions: ("expressions.safetensors", "expressions_tables.md"),
 }
 """What each training leaves at its end, tables last. Its checkpoints are in a folder of its name."""
 

@@ -10,6 +10,7 @@ from workbench.energies.constants import EnergyConstants
 from workbench.energies.flow_link import FlowLink
 from workbench.face.jaw import USUAL_JAW, JawUnit
 from workbench.face.parameters import FaceParameters
+from workbench.face.usual_expressions import UsualExpressions
 
 
 class LandmarkErrors(NamedTuple):
@@ -53,6 +54,8 @@ class TermContext(NamedTuple):
     """The face model's."""
     gaze: Gaze | None = None
     """None where no landmark shows where the eyes look."""
+    usual: UsualExpressions | None = None
+    """How the model's blendshapes usually act; None where nothing is known of it."""
 
 
 def still(start: FaceParameters, constants: EnergyConstants = EnergyConstants()) -> TermContext:  # noqa: B008

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from workbench.arrays import AnyArray, Scalar
 from workbench.face.gaze import EYES, eye_turns
 from workbench.face.model import BLINK_SCALE_RANGE, BLINKS, Embedding, FaceModel
+from workbench.face.usual_expressions import UsualExpressions, usual_expressions
 
 LEAST_SEEN_MM = 0.1
 """A blendshape is seen if its largest weight moves a landmark this far; detectors err by ten times as much. Of the
@@ -40,6 +41,8 @@ class LandmarkModel(NamedTuple):
     gaze: Float[AnyArray, "4 k"] | None = None
     """Degrees that each blendshape turns the right eye to the subject's left and upwards, then the left one; None where
     the landmarks show no pupils."""
+    usual: UsualExpressions | None = None
+    """How the blendshapes usually act, by their names."""
 
     def personal(self, identity: Float[np.ndarray, "i"]) -> "LandmarkModel":
         """The landmarks of one person: identity and blink travel baked in, no identity basis left."""
@@ -57,6 +60,7 @@ class LandmarkModel(NamedTuple):
             expression_lower=self.expression_lower,
             expression_upper=self.expression_upper,
             gaze=self.gaze,
+            usual=self.usual,
         )
 
     def frontal_neutral(self) -> Float[np.ndarray, "points 3"]:
@@ -111,6 +115,7 @@ def landmark_model(model: FaceModel) -> LandmarkModel:
         expression_lower=bounds[:, 0],
         expression_upper=bounds[:, 1],
         gaze=eye_turns(model) if "pupils" in model.scheme.groups and set(EYES) <= set(model.joints) else None,
+        usual=usual_expressions(model.expression_names),
     )
 
 

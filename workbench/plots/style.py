@@ -34,6 +34,8 @@ TERMS = {
     "vergence": (SKY, "--"),
     "gaze": (SKY, "-."),
     "opposites": (GREEN, "--"),
+    "symmetry": (GREY, "--"),
+    "usual": (GREY, "-"),
     "flow": (RED, "-"),
 }
 """Terms of the energy, the same in every figure and in the panel; any other looks like `flow`."""

@@ -25,6 +25,8 @@ WORDS = {
     "weights.vergence": Words("eyes together", "Higher: both eyes look the same way, even where one is seen badly."),
     "weights.opposites": Words("eyes one way", "Higher: no eye looks up and down, or in and out, at once."),
     "weights.gaze": Words("shut eyes hold", "Higher: eyes behind shut lids keep looking where they looked."),
+    "weights.symmetry": Words("both sides alike", "Higher: no lopsided faces, but winks and smirks get weaker."),
+    "weights.usual": Words("usual expressions", "Higher: shapes act as they do in most faces, and less in all."),
     "weights.flow": Words("follow the flow", "Higher: the face moves as the pixels do; flow errors come in too."),
     "rho": Words("pose iterations", "Higher: the pose settles better; each frame takes longer."),
     "epsilon": Words("expression iterations", "Higher: the expression settles better; each frame takes longer."),

@@ -27,6 +27,7 @@ from workbench.face import (
     parameter_range,
     seen_shapes,
 )
+from workbench.face.usual_expressions import usual_expressions
 from workbench.geometry import Camera
 from workbench.rendering import Appearance
 from workbench.tracking.deep_appearance import most_neutral_appearance
@@ -241,7 +242,8 @@ class DeepFitter(Fitter):
         poses, known = (np.zeros(6), np.zeros(6)), np.zeros(())
         if last is not None:
             poses, known = (np.asarray(last.last_pose), np.asarray(last.pose)), np.asarray(float(last.frames >= 2))
-        return TermContext(self.plan.constants, *poses, known, start, jaw_unit=self.model.jaw_unit)
+        usual = usual_expressions(self.model.expression_names)
+        return TermContext(self.plan.constants, *poses, known, start, jaw_unit=self.model.jaw_unit, usual=usual)
 
     def _flow_link(
         self, observation: FrameObservation, context: FrameContext, start: FaceParameters

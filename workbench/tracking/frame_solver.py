@@ -230,7 +230,7 @@ def stage_problem(
     gaze = None
     if model.gaze is not None:
         gaze = Gaze(model.gaze, hidden_eyes(frame, weights, eye_distance_px))
-    context = TermContext(settings.constants, *before, parameters, frame.flow, gaze=gaze)
+    context = TermContext(settings.constants, *before, parameters, frame.flow, gaze=gaze, usual=model.usual)
     return EnergyProblem(camera, points, observation, omega, context)
 
 

@@ -12,6 +12,7 @@ from workbench.face.dense_landmarks import pupil_vertices
 from workbench.face.dressed_head import DressedHead, WornPart
 from workbench.face.landmark_model import contour_blend
 from workbench.face.model import Embedding, FaceModel
+from workbench.face.usual_expressions import ONE_SIDED
 from workbench.geometry import Camera
 from workbench.geometry.rotations import axis_angle_from_yaw_pitch_roll
 from workbench.landmarks.alignment import frame_from_points
@@ -282,7 +283,8 @@ def random_expression(names: tuple[str, ...], rng: np.random.Generator) -> Float
     weights = dict.fromkeys(names, 0.0)
 
     def act(name: str, weight: float) -> None:
-        for side in (name, _other_side(name)) if rng.random() < PAIRS else (name,):
+        paired = rng.random() < PAIRS and name not in ONE_SIDED
+        for side in (name, _other_side(name)) if paired else (name,):
             if side in weights:
                 weights[side] = max(weights[side], float(np.clip(weight * rng.uniform(0.8, 1.2), 0, 1)))
 
@@ -304,6 +306,9 @@ def random_expression(names: tuple[str, ...], rng: np.random.Generator) -> Float
         act("eyeBlinkLeft", rng.uniform(0.85, 1.0))
     elif kind < 0.42:
         act("eyeBlinkLeft" if rng.random() < 0.5 else "eyeBlinkRight", rng.uniform(0.0, 1.0))
+    for left, right in zip(ONE_SIDED[::2], ONE_SIDED[1::2], strict=True):
+        if left in weights and right in weights:
+            weights[min(left, right, key=weights.__getitem__)] = 0.0
     if rng.random() < 0.6:  # both eyes look the same way
         across, upright = rng.uniform(-1, 1), rng.uniform(-1, 1)
         for side, inward in (("Left", -1), ("Right", 1)):

@@ -1,4 +1,4 @@
-"""The recipes by the name of the network that they make."""
+"""The recipes by the name of what they make: networks, and what expressions usually are."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -6,6 +6,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from workbench.errors import InputError
+from workbench.training.expressions import QUICK_EXPRESSIONS, ExpressionRecipe, learn_expressions
 from workbench.training.flow_recipe import QUICK_FLOW, FlowRecipe, train_flow_network
 from workbench.training.recipe import (
     DENSE_PLAN,
@@ -25,24 +26,26 @@ from workbench.training.recipe import (
     train_landmark_network,
 )
 
+AnyRecipe = Recipe | FlowRecipe | ExpressionRecipe
+
 
 @dataclass(frozen=True)
 class Training:
-    """A network's recipe, in its sizes."""
+    """A recipe, in its sizes."""
 
     make: Callable[..., Path]
     """Called with the folder, a recipe, the number of processes, the device and a function that hears of progress."""
-    whole: Recipe | FlowRecipe
-    quick: Recipe | FlowRecipe
+    whole: AnyRecipe
+    quick: AnyRecipe
     further: Recipe | None
     """For weights that are there already; None: it begins from nothing only."""
 
-    def recipe(self, quick: bool, start: Path | None) -> Recipe | FlowRecipe:
+    def recipe(self, quick: bool, start: Path | None) -> AnyRecipe:
         """The recipe to follow. Raises `InputError` for weights to start from where there is no plan for going on."""
         if not start:
             return self.quick if quick else self.whole
         if quick or not self.further:
-            raise InputError(f"{'a quick run' if quick else 'this network'} is trained from nothing: leave out --start")
+            raise InputError(f"{'a quick run' if quick else 'what this makes'} begins from nothing: leave out --start")
         return replace(self.further, start=start)
 
 
@@ -53,5 +56,6 @@ TRAININGS: Mapping[str, Training] = MappingProxyType({
     "gain": Training(learn_dense_gain, Recipe(), QUICK, None),
     "eyes": Training(train_eye_network, EYES, QUICK_EYES, FURTHER_EYES),
     "flow": Training(train_flow_network, FlowRecipe(), QUICK_FLOW, None),
+    "expressions": Training(learn_expressions, ExpressionRecipe(), QUICK_EXPRESSIONS, None),
 })  # fmt: skip
 """By what `workbench train` calls the network."""
