@@ -65,8 +65,8 @@ PRESETS: dict[str, Config] = {
     # Those beyond the 68 err alike where they are neighbours, and together are worth less than their number.
     "dense": Config(
         preset="dense",
-        weights=_preset_weights("joint"),
-        landmarks=LandmarksConfig(detector="dense", weights={"dense": 0.1, "irises": 0.1}),
+        weights=_preset_weights("dense"),
+        landmarks=LandmarksConfig(detector="dense", weights={"dense": 0.05, "irises": 0.1}),
         stages=PRESET_STAGES["dense"],
     ),
     # Deep Energies as printed. Of its stages the order and the free parameters are; iteration limits and W are ours.

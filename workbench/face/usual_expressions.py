@@ -6,7 +6,6 @@ is about the neutral face, not about the mean expression, so that a face at rest
 
 import json
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,19 +43,23 @@ class Moments(NamedTuple):
     """The mean of w wᵀ."""
 
 
-def usual_expressions(names: tuple[str, ...], moments: Moments | None = None) -> UsualExpressions:
-    """The matrices for blendshapes of these names; by the bundled moments if none are given.
+@cache
+def usual_expressions(names: tuple[str, ...]) -> UsualExpressions:
+    """The matrices for blendshapes of these names, by the bundled moments.
 
     Blendshapes that the moments do not know are judged by symmetry alone, where they end in Left and Right. How eyes
     turn is left to the gaze's own terms.
     """
-    moments = moments or bundled_moments()
+    moments = bundled_moments()
     known = [name for name in names if name in moments.names and name not in GAZE_NAMES]
     rows = [moments.names.index(name) for name in known]
     second = moments.second[np.ix_(rows, rows)] + LEAST_DEVIATION**2 * np.eye(len(rows))
     whitening = np.zeros((len(known), len(names)))
     whitening[:, [names.index(name) for name in known]] = np.linalg.inv(np.linalg.cholesky(second))
-    return UsualExpressions(_sides(names), whitening)
+    usual = UsualExpressions(_sides(names), whitening)
+    for matrix in usual:
+        matrix.setflags(write=False)
+    return usual
 
 
 def _sides(names: tuple[str, ...]) -> Float[np.ndarray, "pairs k"]:
@@ -76,7 +79,7 @@ def _sides(names: tuple[str, ...]) -> Float[np.ndarray, "pairs k"]:
 @cache
 def bundled_moments() -> Moments:
     """The moments that come with the package."""
-    return read_moments(Path(str(files("workbench.face") / "usual_expressions.safetensors")))
+    return read_moments(Path(__file__).with_suffix(".safetensors"))
 
 
 def read_moments(path: Path) -> Moments:
