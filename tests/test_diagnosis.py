@@ -1,13 +1,20 @@
 """Which blendshapes the landmarks cannot tell apart: constructed cases, and the default head."""
 
+import re
+from itertools import takewhile
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from workbench.diagnosis import group_columns, indistinguishable_groups, landmark_motion
 from workbench.errors import InputError
-from workbench.face import FaceParameters, PointModel, contour_blend, landmark_model, model_landmarks
+from workbench.face import FaceParameters, PointModel, contour_blend, in_scheme, landmark_model, model_landmarks
 from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov
+from workbench.landmarks.scheme import IBUG68
+from workbench.landmarks.schemes import DENSE
 
+ROOT = Path(__file__).resolve().parent.parent
 RNG = np.random.default_rng(0)
 MOTION = 5.0 * np.linalg.qr(RNG.normal(size=(136, 8)))[0] * np.sqrt(136)
 """Eight independent movements, each far above what counts as seen."""
@@ -97,6 +104,19 @@ def test_the_default_heads_groups(head, points):
     assert found.similarity[names_at(head, "eyeBlinkLeft", "eyeWideLeft")] < -0.9
     mirrored = {frozenset(swap_sides(name) for name in group) for group in found.groups}
     assert mirrored == {frozenset(group) for group in found.groups}
+
+
+@pytest.mark.parametrize(("scheme", "title"), [(IBUG68, "**What 68 points"), (DENSE, "**What 377 points")])
+def test_the_documentation_lists_what_each_scheme_cannot_tell_apart(head, scheme, title):
+    model = in_scheme(head, scheme)
+    landmarks = landmark_model(model)
+    points = model_landmarks(landmarks, np.eye(len(landmarks.contour_yaw))[0], np.zeros(50))
+    frontal = view(len(model.expression_names))._replace(identity=np.zeros(50))
+    found = indistinguishable_groups(points, CAMERA, [frontal], model.expression_names)
+    lines = (ROOT / "docs" / "limits.md").read_text(encoding="utf-8").split(title)[1].splitlines()
+    listed = takewhile(lambda line: not line.startswith("- **"), lines[1:])
+    groups = [part for line in listed if line.startswith("  - ") for part in line.split("; and ")]
+    assert sorted(tuple(re.findall("`(.+?)`", group)) for group in groups) == sorted(found.groups)
 
 
 def test_more_views_leave_fewer_hidden_combinations(head, points):

@@ -76,7 +76,7 @@ def test_every_setting_has_a_plain_name_and_says_what_it_does_before_its_equatio
 
 
 def test_a_setting_of_a_new_term_is_called_what_the_term_says():
-    assert plain_words("weights.symmetry", "neighbouring weights alike").name == "neighbouring weights alike"
+    assert plain_words("weights.neighbours", "neighbouring weights alike").name == "neighbouring weights alike"
 
 
 def test_no_words_are_left_of_a_setting_that_is_gone():
