@@ -1,7 +1,6 @@
 """What expressions usually are: learned moments, and the two terms that judge weights by them."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from workbench.config import Config, preset
 from workbench.energies import FACE_IT_TERMS, TABLE
 from workbench.energies.context import TermContext, still
 from workbench.energies.total import residual_of
-from workbench.errors import InputError, ModelError
+from workbench.errors import ModelError
 from workbench.face import GAZE_NAMES, FaceParameters, landmark_model, load_default_head, principal_expressions
 from workbench.face.usual_expressions import (
     LEAST_DEVIATION,
@@ -24,10 +23,7 @@ from workbench.face.usual_expressions import (
     write_moments,
 )
 from workbench.planning import plan_of
-from workbench.tracking import FaceItFitter, FrameContext, Track
-from workbench.tracking.records import stack_fits
-from workbench.training.expressions import ExpressionRecipe, learn_expressions, moment_of, second_moment, together
-from workbench.training.scenes import random_expression
+from workbench.tracking import FaceItFitter, FrameContext
 
 LAUGH = {"mouthSmile": 0.9, "cheekSquint": 0.7, "eyeSquint": 0.5, "mouthUpperUp": 0.4}
 NAMES = load_default_head().expression_names
@@ -156,59 +152,12 @@ class TestFits:
         assert name not in FACE_IT_TERMS
 
 
-class TestLearning:
-    def test_the_second_moment_of_expressions(self):
-        np.testing.assert_allclose(
-            second_moment(np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 0.0]])), np.array([[1.25, 0.25], [0.25, 0.25]]) / 3
-        )
-
-    def test_tracks_count_as_much_as_random_expressions_and_each_alike(self, tmp_path, head):
-        (tmp_path / "tracks").mkdir()
-        for name, smiles in (("short", [1.0]), ("long", [0.5, 0.5, 0.5])):
-            track_of(head, [weights(mouthSmile=smile) for smile in smiles]).save(tmp_path / "tracks" / f"{name}.npz")
-        moments = read_moments(learn_expressions(tmp_path, ExpressionRecipe(drawn=40), report=lambda said: None))
-        names = load_default_head(gaze=True).expression_names
-        rng = np.random.default_rng(3)
-        drawn = second_moment(np.array([random_expression(names, rng) for _ in range(40)]))
-        left, right = (names.index(f"mouthSmile{side}") for side in ("Left", "Right"))
-        assert moments.names == names
-        assert moments.second[left, right] == pytest.approx(0.5 * (drawn[left, right] + (1.0 + 0.25) / 2), rel=1e-6)
-        table = (tmp_path / "expressions_tables.md").read_text(encoding="utf-8")
-        assert "mouthSmileLeft, mouthSmileRight" in table
-
-    def test_a_track_without_a_fit_is_named(self, head, tmp_path):
-        track = track_of(head, [np.full(44, np.nan)])
-        with pytest.raises(InputError, match=r"empty\.npz has no fitted frame"):
-            moment_of(track, tmp_path / "empty.npz", NAMES)
-
+class TestFiles:
     def test_the_bundled_moments_are_of_the_whole_head(self):
         moments = bundled_moments()
         assert moments.names == load_default_head(gaze=True).expression_names
         assert np.linalg.eigvalsh(moments.second).min() > -1e-6
-        assert "eyeBlinkLeft, eyeBlinkRight" in together(moments)
 
-    def test_random_expressions_move_jaw_and_mouth_to_one_side_or_the_other(self):
-        rng = np.random.default_rng(0)
-        drawn = np.array([random_expression(NAMES, rng) for _ in range(3000)])
-        for way in ("jaw", "mouth"):
-            left, right = (drawn[:, NAMES.index(f"{way}{side}")] for side in ("Left", "Right"))
-            assert not (left * right).any()
-            assert (left > 0.3).sum() > 30
-            assert (right > 0.3).sum() > 30
-
-
-def track_of(head, expressions: list[np.ndarray]) -> Track:
-    """A track whose fits have these weights; no face where they are not known."""
-    fitter, scene = FaceItFitter(head, plan_of(preset("joint"))), make_scene(head)
-    fit, _ = fitter.fit(scene.observation(), FrameContext(0, np.zeros(50), None, None))
-    fits = [
-        replace(fit, index=k, expression=each, confidence=fit.confidence * np.isfinite(each[0]))
-        for k, each in enumerate(expressions)
-    ]
-    return Track(meta={"expression_names": list(head.expression_names)}, **stack_fits(fits))
-
-
-class TestFiles:
     def test_what_is_written_is_read(self, tmp_path):
         moments = Moments(("a", "b"), np.array([[0.5, 0.25], [0.25, 1.0]]))
         write_moments(tmp_path / "m.safetensors", moments, {"licence": "mine"})
