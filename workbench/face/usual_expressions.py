@@ -36,7 +36,7 @@ class UsualExpressions(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """What was learned of many expressions."""
+    """What was learned from many expressions."""
 
     names: tuple[str, ...]
     second: Float[np.ndarray, "k k"]
@@ -62,13 +62,16 @@ def usual_expressions(names: tuple[str, ...]) -> UsualExpressions:
     return usual
 
 
+def other_side(name: str) -> str:
+    """The name of the same blendshape on the other side of the face."""
+    return name.replace("Left", "Right") if "Left" in name else name.replace("Right", "Left")
+
+
 def _sides(names: tuple[str, ...]) -> Float[np.ndarray, "pairs k"]:
     pairs = [
-        (names.index(name), names.index(other))
+        (names.index(name), names.index(other_side(name)))
         for name in names
-        if (other := name.removesuffix("Left") + "Right") in names
-        and name.endswith("Left")
-        and name not in (*ONE_SIDED, *GAZE_NAMES)
+        if name.endswith("Left") and other_side(name) in names and name not in (*ONE_SIDED, *GAZE_NAMES)
     ]
     sides = np.zeros((len(pairs), len(names)))
     for row, (left, right) in enumerate(pairs):

@@ -47,7 +47,7 @@ def learn_expressions(
     drawn = second_moment(np.array([random_expression(names, rng) for _ in range(recipe.drawn)]))
     paths = sorted((folder / TRACKS).rglob("*.npz"))
     fitted = [moment_of(Track.load(path), path, names) for path in paths]
-    report(f"learned of {recipe.drawn} random expressions and of {len(paths)} tracks")
+    report(f"learned from {recipe.drawn} random expressions and from {len(paths)} tracks")
     second = 0.5 * (drawn + np.mean(fitted, axis=0)) if fitted else drawn
     path = folder / "expressions.safetensors"
     notes = {"licence": "Apache-2.0", "expressions": str(recipe.drawn), "tracks": str(len(paths))}
@@ -66,7 +66,7 @@ def moment_of(track: Track, path: Path, names: Sequence[str]) -> Float[np.ndarra
     """The second moment of a track's fits, 0 for blendshapes that it lacks. Raises `InputError` if there are none."""
     fits = track.expression[track.seen]
     if len(fits) == 0:
-        raise InputError(f"{path} has no fitted frame to learn expressions of; take it out of {path.parent}.")
+        raise InputError(f"{path} has no fitted frame to learn expressions from; take it out of {path.parent}.")
     known = [name for name in names if name in track.expression_names]
     weights = np.zeros((len(fits), len(names)))
     columns = [track.expression_names.index(name) for name in known]

@@ -12,7 +12,7 @@ from workbench.face.dense_landmarks import pupil_vertices
 from workbench.face.dressed_head import DressedHead, WornPart
 from workbench.face.landmark_model import contour_blend
 from workbench.face.model import Embedding, FaceModel
-from workbench.face.usual_expressions import ONE_SIDED
+from workbench.face.usual_expressions import ONE_SIDED, other_side
 from workbench.geometry import Camera
 from workbench.geometry.rotations import axis_angle_from_yaw_pitch_roll
 from workbench.landmarks.alignment import frame_from_points
@@ -284,7 +284,7 @@ def random_expression(names: tuple[str, ...], rng: np.random.Generator) -> Float
 
     def act(name: str, weight: float) -> None:
         paired = rng.random() < PAIRS and name not in ONE_SIDED
-        for side in (name, _other_side(name)) if paired else (name,):
+        for side in (name, other_side(name)) if paired else (name,):
             if side in weights:
                 weights[side] = max(weights[side], float(np.clip(weight * rng.uniform(0.8, 1.2), 0, 1)))
 
@@ -306,9 +306,9 @@ def random_expression(names: tuple[str, ...], rng: np.random.Generator) -> Float
         act("eyeBlinkLeft", rng.uniform(0.85, 1.0))
     elif kind < 0.42:
         act("eyeBlinkLeft" if rng.random() < 0.5 else "eyeBlinkRight", rng.uniform(0.0, 1.0))
-    for left, right in zip(ONE_SIDED[::2], ONE_SIDED[1::2], strict=True):
-        if left in weights and right in weights:
-            weights[min(left, right, key=weights.__getitem__)] = 0.0
+    for name in ONE_SIDED:
+        if name in weights and weights[name] <= weights.get(other_side(name), 0.0):
+            weights[name] = 0.0
     if rng.random() < 0.6:  # both eyes look the same way
         across, upright = rng.uniform(-1, 1), rng.uniform(-1, 1)
         for side, inward in (("Left", -1), ("Right", 1)):
@@ -352,10 +352,6 @@ def random_lighting(rng: np.random.Generator, count: int | None = None) -> Light
         lights = [replace(light, intensity=dim * light.intensity) for light in lights]
         return Lighting(tuple(lights), float(rng.uniform(0.5, 1.0)))
     return Lighting(tuple(lights), float(rng.uniform(0.05, 0.6) if count is None else rng.uniform(0.1, 0.7)))
-
-
-def _other_side(name: str) -> str:
-    return name.replace("Left", "Right") if "Left" in name else name.replace("Right", "Left")
 
 
 def _tinted(rgba, lenses, rng):

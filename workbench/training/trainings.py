@@ -45,7 +45,7 @@ class Training:
         if not start:
             return self.quick if quick else self.whole
         if quick or not self.further:
-            raise InputError(f"{'a quick run' if quick else 'what this makes'} begins from nothing: leave out --start")
+            raise InputError(f"{'a quick run' if quick else 'this training'} starts from nothing: leave out --start")
         return replace(self.further, start=start)
 
 
