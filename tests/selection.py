@@ -63,6 +63,7 @@ BROWSER = (
 """Files that need Chromium as a whole."""
 LONG = (
     "test_learning.py",
+    "test_learning_schemes.py",
     "test_rendered_flow.py",
     "test_sweep_workers.py",
     "test_through_time.py",

@@ -133,7 +133,12 @@ def film():
 
 @pytest.fixture(scope="module")
 def observed(film):
-    detector = make_detector("dense")
+    return seen_by("dense", film)
+
+
+def seen_by(name, film):
+    """The film's landmarks as a detector sees them from frame to frame."""
+    detector = make_detector(name)
     box = detector.detect_faces(film.frames[0].picture, "quick")[0].box
     points, seen = detector.align(film.frames[0].picture, box).points, []
     for number, frame in enumerate(film.frames):
@@ -143,25 +148,41 @@ def observed(film):
     return seen
 
 
-def fitted(film, observed, weights):
-    """The gaze of each frame's fit, and the weights of the blinks."""
-    head = in_scheme(load_default_head(), DENSE)
-    config = preset("dense").changed(camera={"fov_deg": film.fov_deg}, identity={"frames": 4}, weights=weights)
+def fitted(film, observed, weights, name="dense"):
+    """The gaze of each frame's fit, and the fits."""
+    head = in_scheme(load_default_head(), observed[0].landmarks.scheme)
+    config = preset(name).changed(camera={"fov_deg": film.fov_deg}, identity={"frames": 4}, weights=weights)
     fits = list(FaceTracker(head, config).fit_all(observed))
     person = head.personal(fits[0].identity)
     return np.stack([gaze_deg(person, fit.expression) for fit in fits]), fits
 
 
+def errors_and_those_of_still_eyes(film, gaze, fits):
+    """Mean errors of the gaze in frames with open eyes: of the fits, and of the same eyes if they never turned."""
+    true, is_open = np.stack([f.gaze_deg for f in film.frames]), np.array([f.eyes_open for f in film.frames])
+    head = in_scheme(load_default_head(), fits[0].scheme)
+    still = np.array([name not in GAZE_NAMES for name in head.expression_names])
+    unturned = np.stack([gaze_deg(head.personal(fit.identity), fit.expression * still) for fit in fits])
+    return tuple(angle_between_deg(each, true)[is_open].mean() for each in (gaze, unturned))
+
+
 class TestFilm:
     def test_fitted_eyes_look_where_the_true_ones_do_and_far_better_than_eyes_that_never_turn(self, film, observed):
-        gaze, fits = fitted(film, observed, {})
-        true, is_open = np.stack([f.gaze_deg for f in film.frames]), np.array([f.eyes_open for f in film.frames])
-        head = in_scheme(load_default_head(), DENSE)
-        still = np.array([name not in GAZE_NAMES for name in head.expression_names])
-        unturned = np.stack([gaze_deg(head.personal(fit.identity), fit.expression * still) for fit in fits])
-        off, idle = (angle_between_deg(each, true)[is_open].mean() for each in (gaze, unturned))
+        off, idle = errors_and_those_of_still_eyes(film, *fitted(film, observed, {}))
         assert off < 5.0
         assert off < 0.5 * idle
+
+    def test_two_pupils_beside_the_68_say_as_much(self, film):
+        observed = seen_by("network+pupils", film)
+        off, idle = errors_and_those_of_still_eyes(film, *fitted(film, observed, {}, "gaze"))
+        assert off < 5.0
+        assert off < 0.5 * idle
+        unseen = [
+            replace(o, landmarks=replace(o.landmarks, confidence=np.r_[o.landmarks.confidence[:68], 0.0, 0.0]))
+            for o in observed
+        ]
+        held, _ = fitted(film, unseen, {}, "gaze")
+        assert angle_between_deg(held[1:], held[:-1]).mean() < 0.5
 
     def test_shut_eyes_hold_their_last_gaze(self, film, observed):
         gaze, _ = fitted(film, observed, {})

@@ -130,7 +130,8 @@ def _check_network(config: Config, scheme: LandmarkScheme) -> None:
     """Raise `ConfigError` for landmarks that are not what N sees, and for a dense one in a rig."""
     seen = network_scheme(config.deep.network)
     if seen is not scheme:
-        other = 'deep.network = "dense"' if scheme is DENSE else 'landmarks.detector = "dense"'
+        detector = "dense" if seen is DENSE else "network"
+        other = 'deep.network = "dense"' if scheme is DENSE else f'landmarks.detector = "{detector}"'
         raise ConfigError(
             f"Deep Energies compares photo and render at the {len(seen)} points of its network, and these landmarks "
             f"are the {len(scheme)} of {scheme.name!r}; set {other}, or choose a FACE IT! preset."

@@ -61,8 +61,8 @@ IDENTITY_HELP = "Calibrate the subject's face shape first."
 PICTURES_HELP = "Write the overlay video or pictures."
 RESUME_HELP = "Continue an interrupted run."
 DETECTOR_HELP = (
-    "auto (dlib+network where dlib is there, else network), network, dense (377 points, not 68), dlib, dlib-hog, "
-    "dlib-cnn or mediapipe."
+    "auto (dlib+network where dlib is there, else network), network, network+pupils (68 points and the pupils), dense "
+    "(377 points), dlib, dlib-hog, dlib-cnn or mediapipe."
 )
 LANDMARKER_HELP = "MediaPipe's model face_landmarker.task, for --detector mediapipe."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."

@@ -61,6 +61,13 @@ PRESETS: dict[str, Config] = {
     ),
     # Ours: pose and expression as one problem with 50 unknowns, because the alternation gets stuck.
     "joint": Config(preset="joint", weights=_preset_weights("joint"), stages=PRESET_STAGES["joint"]),
+    # The same with the pupils: eyes that turn.
+    "gaze": Config(
+        preset="gaze",
+        weights=_preset_weights("gaze"),
+        landmarks=LandmarksConfig(detector="network+pupils", weights={"pupils": 3.0}),
+        stages=PRESET_STAGES["gaze"],
+    ),
     # Ours after Wood et al. (ECCV 2022): the same problem on points of the whole face, each by its own covariance.
     # Those beyond the 68 err alike where they are neighbours, and together are worth less than their number.
     "dense": Config(

@@ -159,7 +159,7 @@ PRESET_STAGES: dict[str, tuple[Stage, ...]] = {
         Stage(name="pose and expression", free=(*POSE, "expression"), landmarks={"all": 1.0, "jaw": 0.1}, limit=30),
     ),
 }
-PRESET_STAGES["dense"] = tuple(
+PRESET_STAGES["gaze"] = PRESET_STAGES["dense"] = tuple(
     stage if stage is ROBUST_START else stage.model_copy(update={"terms": ("vergence", "opposites", "gaze")})
     for stage in PRESET_STAGES["joint"]
 )

@@ -11,7 +11,9 @@ NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
 PointKey = Annotated[str, Field(pattern=r"^([0-9]|[1-9][0-9]|[12][0-9]{2}|3[0-6][0-9]|37[0-6])$")]
 """A point number from 0 to 376, the last of the largest landmark scheme, as text because TOML keys are text."""
-Detector = Literal["auto", "dlib+network", "network", "dense", "dlib", "dlib-hog", "dlib-cnn", "mediapipe"]
+Detector = Literal[
+    "auto", "dlib+network", "network", "network+pupils", "dense", "dlib", "dlib-hog", "dlib-cnn", "mediapipe"
+]
 Iterations = Annotated[int, Field(ge=0, le=500)]
 
 
@@ -140,7 +142,7 @@ class LandmarksConfig(Section):
     detector: Detector = Field(
         "auto",
         description="Face detector and predictor; auto: dlib+network where dlib is installed, else network. dense: "
-        "points of the whole face with a covariance each, the others: 68.",
+        "points of the whole face with a covariance each, network+pupils: 68 and the pupils, the others: 68.",
     )
     face_landmarker: str = Field("", description="MediaPipe's model face_landmarker.task, for the detector mediapipe.")
     face: tuple[float, float] | None = Field(

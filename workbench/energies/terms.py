@@ -153,7 +153,7 @@ ROWS = (
         unknowns=("expression",),
         structure="diagonal",
         systems=("face-it",),
-        presets={"calibrated": 20.0, "joint": 20.0, "dense": 12.0},
+        presets={"calibrated": 20.0, "joint": 20.0, "gaze": 20.0, "dense": 12.0},
         slider=(1e-3, 1e3),
         constants=("delta",),
     ),
@@ -247,7 +247,7 @@ ROWS = (
         residual="gaze:opposites_residual",
         unknowns=("expression",),
         default=1.0,
-        presets={"dense": 3.0},
+        presets={"gaze": 3.0, "dense": 3.0},
     ),
     Term(
         name="gaze",

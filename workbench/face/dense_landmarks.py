@@ -26,11 +26,12 @@ def in_scheme(model: FaceModel, scheme: LandmarkScheme) -> FaceModel:
     """
     if scheme is model.scheme:
         return model
-    first = Embedding(model.landmarks.vertices[:POINT_COUNT], model.landmarks.barycentric[:POINT_COUNT])
+    known = model.landmarks
+    if len(scheme) > len(known.vertices):
+        known = _joined(_first(known, POINT_COUNT), _dense_embedding(model))
+    made = replace(model, landmarks=_first(known, len(scheme)), fixed_jaw_unit=model.jaw_unit)
     if scheme is IBUG68:
-        return replace(model, landmarks=first, fixed_jaw_unit=model.jaw_unit)
-    landmarks = _joined(first, _dense_embedding(model))
-    made = replace(model, landmarks=landmarks, fixed_jaw_unit=model.jaw_unit)
+        return made
     return with_eye_units(made) if np.array_equal(model.triangles, load_default_head().triangles) else made
 
 
@@ -75,6 +76,10 @@ def _middle(model: FaceModel, ring: Int[np.ndarray, "p"]) -> Embedding:
     apart = np.linalg.norm(model.neutral[ring[:, None]] - model.neutral[ring[None]], axis=2)
     first, second = ring[list(np.unravel_index(np.argmax(apart), apart.shape))]
     return Embedding(np.array([[first, second, second]]), np.array([[0.5, 0.5, 0.0]]))
+
+
+def _first(landmarks: Embedding, count: int) -> Embedding:
+    return Embedding(landmarks.vertices[:count], landmarks.barycentric[:count])
 
 
 def _joined(*parts: Embedding) -> Embedding:

@@ -98,11 +98,9 @@ def _unmirrored(places: Places) -> Places:
     return Places(points, places.whitening[order] * _MIRRORED)
 
 
-def nearness(
-    points: Float[AnyArray, "points 2"], covariance: Float[AnyArray, "points 2 2"]
-) -> Float[AnyArray, "points"]:
-    """How likely each point lies within `NEAR_PERCENT`, were its covariance as large in every direction."""
-    library = library_of(points)
-    corners = points[LEFT_EYE_OUTER_CORNER], points[RIGHT_EYE_OUTER_CORNER]
+def nearness(face: Float[AnyArray, "points 2"], covariance: Float[AnyArray, "n 2 2"]) -> Float[AnyArray, "n"]:
+    """How likely each point of a face lies within `NEAR_PERCENT`, were its covariance as large in every direction."""
+    library = library_of(face)
+    corners = face[LEFT_EYE_OUTER_CORNER], face[RIGHT_EYE_OUTER_CORNER]
     radius = 0.01 * NEAR_PERCENT * library.linalg.norm(corners[0] - corners[1])
     return 1.0 - library.exp(-0.5 * radius**2 / library.sqrt(library.linalg.det(covariance)))

@@ -12,8 +12,9 @@ from workbench.landmarks.dlib_detector import DlibDetector, check_installed
 from workbench.landmarks.mediapipe_detector import MediapipeDetector
 from workbench.landmarks.mixed_detector import MixedDetector
 from workbench.landmarks.network_detector import NetworkDetector
+from workbench.landmarks.pupil_detector import PupilDetector
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
-from workbench.landmarks.schemes import DENSE
+from workbench.landmarks.schemes import DENSE, IBUG68_PUPILS
 
 AUTO = "auto"
 """Not a detector but a choice: see `chosen_detector`."""
@@ -32,6 +33,7 @@ DETECTORS: Mapping[str, Callable[[], LandmarkDetector]] = MappingProxyType(
         AUTO: _auto,
         "dlib+network": _mixed,
         "network": NetworkDetector,
+        "network+pupils": PupilDetector,
         "dense": DenseDetector,
         "dlib": partial(DlibDetector, "hog-then-cnn"),
         "dlib-hog": partial(DlibDetector, "hog"),
@@ -56,7 +58,7 @@ def make_detector(name: str, face_landmarker: str | Path | None = None) -> Landm
 
 def detector_scheme(name: str) -> LandmarkScheme:
     """What the points of a detector are called."""
-    return DENSE if name == DenseDetector.name else IBUG68
+    return {DenseDetector.name: DENSE, PupilDetector.name: IBUG68_PUPILS}.get(name, IBUG68)
 
 
 def chosen_detector(name: str = AUTO) -> str:

@@ -1,6 +1,6 @@
-"""The landmark schemes there are: iBUG's 68 points, and dense ones over the whole face.
+"""The landmark schemes there are: iBUG's 68 points, those with the two pupils, and dense ones over the whole face.
 
-`dense` continues the 68 with the two pupils and some 300 vertices of the default head, which one rule has chosen on its
+`dense` continues the 68 and the pupils with some 300 vertices of the default head, which one rule has chosen on its
 mesh (`workbench.training.dense_points` states it and writes the table that is read here).
 """
 
@@ -27,6 +27,7 @@ from workbench.landmarks.scheme import (
 DENSE_TABLE = Path(__file__).resolve().parent / "dense_points.json"
 PUPILS = (POINT_COUNT, POINT_COUNT + 1)
 """The person's right and left one, after the 68."""
+PUPIL_NAMES = ("right pupil", "left pupil")
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +77,19 @@ def _dense_groups(points: DensePoints) -> Mapping[str, tuple[int, ...]]:
 def _dense_names(points: DensePoints) -> tuple[str, ...]:
     kinds = zip(points.sides, points.parts, strict=True)
     chosen = (f"{side} {part}, dense point {number}" for number, (side, part) in enumerate(kinds, FIRST_DENSE))
-    return (*POINT_NAMES, "right pupil", "left pupil", *chosen)
+    return (*POINT_NAMES, *PUPIL_NAMES, *chosen)
+
+
+def _with_pupils() -> LandmarkScheme:
+    count = POINT_COUNT + len(PUPILS)
+    whole = {"all": tuple(range(count)), "non_jaw": tuple(range(len(GROUPS["jaw"]), count))}
+    return LandmarkScheme(
+        name="ibug68+pupils",
+        point_names=(*POINT_NAMES, *PUPIL_NAMES),
+        groups=MappingProxyType({**GROUPS, **whole, "pupils": PUPILS, "irises": PUPILS}),
+        polylines=POLYLINES,
+        mirror=(*MIRROR, *PUPILS[::-1]),
+    )
 
 
 def _dense_scheme(points: DensePoints) -> LandmarkScheme:
@@ -93,11 +106,15 @@ def _dense_scheme(points: DensePoints) -> LandmarkScheme:
     )
 
 
+IBUG68_PUPILS = _with_pupils()
 DENSE = _dense_scheme(DENSE_POINTS)
-SCHEMES: Mapping[str, LandmarkScheme] = MappingProxyType({scheme.name: scheme for scheme in (IBUG68, DENSE)})
+SCHEMES: Mapping[str, LandmarkScheme] = MappingProxyType(
+    {scheme.name: scheme for scheme in (IBUG68, IBUG68_PUPILS, DENSE)}
+)
 """By name."""
 MOST_POINTS = max(len(scheme) for scheme in SCHEMES.values())
-_LISTED = " or ".join(f"{len(scheme)} points ({scheme.name})" for scheme in SCHEMES.values())
+_COUNTS = [f"{len(scheme)} points ({scheme.name})" for scheme in SCHEMES.values()]
+_LISTED = f"{', '.join(_COUNTS[:-1])} or {_COUNTS[-1]}"
 
 
 def scheme_of_count(count: int) -> LandmarkScheme:

@@ -54,7 +54,7 @@ class TrackerOptions:
                 raise ConfigError(f"tracker option {name} must be positive, got {getattr(self, name)}")
 
 
-ACCEPT_CONFIDENCE = {"network": 0.25, "dense": 0.25}
+ACCEPT_CONFIDENCE = {"network": 0.25, "network+pupils": 0.25, "dense": 0.25}
 """Of these detectors, whose brows and jaws are rightly less sure than the rest. In boxes without a face their median is
 below 0.12 in 99 of 100 cases."""
 

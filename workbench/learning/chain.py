@@ -25,6 +25,7 @@ from workbench.arrays import AnyArray
 from workbench.energies import EnergyConstants, points_head, project_landmarks
 from workbench.face import FaceParameters, LandmarkModel, contour_blend, model_landmarks, unpack
 from workbench.geometry import Camera, head_yaw, rotation_matrix
+from workbench.landmarks.scheme import POINT_COUNT
 from workbench.learning.implicit import Box, optimum
 from workbench.tracking.frame_solver import FrameInput, SolveSettings, stage_problem, within_range
 from workbench.tracking.plan import StagePlan
@@ -35,7 +36,7 @@ class Weighing(NamedTuple):
 
     omega: Float[AnyArray, "s t"]
     """Factor in front of each term, by stage."""
-    landmark_weights: Float[AnyArray, "s 68"]
+    landmark_weights: Float[AnyArray, "s points"]
     constants: EnergyConstants
     camera: Camera
 
@@ -43,14 +44,16 @@ class Weighing(NamedTuple):
 class Stretch(NamedTuple):
     """Consecutive frames with a face of one shot; the first is fitted afresh."""
 
-    points: Float[AnyArray, "n 68 2"]
+    points: Float[AnyArray, "n points 2"]
     """Pixels."""
-    counts: Float[AnyArray, "n 68"]
+    counts: Float[AnyArray, "n points"]
     """What each detection counts; 0 hides it."""
     start: FaceParameters
     """Where the first frame starts."""
     person: LandmarkModel
     settings: SolveSettings
+    whitening: Float[AnyArray, "n points 2 2"] | None = None
+    """`Observation.whitening`; None where landmarks have no covariances."""
 
 
 class FittedStretch(NamedTuple):
@@ -59,7 +62,7 @@ class FittedStretch(NamedTuple):
     parameters: FaceParameters
     """(n, …) each."""
     projected: Float[AnyArray, "n 68 2"]
-    """The model's landmarks in the picture, pixels."""
+    """The model's 68 landmarks in the picture, pixels."""
     inner_camera: Float[AnyArray, "n 51 3"]
     """Its landmarks without the jaw contour in the camera frame, millimetres."""
 
@@ -95,11 +98,12 @@ def fitted_stretch(
         last_pose = jnp.where(number == 0, pose, state.pose)
         return _State(parameters, pose, last_pose, (number > 0).astype(float)), found
 
-    seen = (jnp.arange(len(stretch.points)), jnp.asarray(stretch.points), jnp.asarray(stretch.counts))
+    seen = (jnp.arange(len(stretch.points)), stretch.points, stretch.counts, stretch.whitening)
+    seen = jax.tree.map(jnp.asarray, seen)
     return jax.lax.scan(step, _State(start, nowhere, nowhere, no), seen)[1]
 
 
-def _fitted_frame(stages, is_first, terms, weighing, stretch, state, points, counts):
+def _fitted_frame(stages, is_first, terms, weighing, stretch, state, points, counts, whitening):
     """The enabled stages of one frame, each from the result of the one before."""
     measured = jnp.concatenate([points, counts[:, None]], axis=1)
     parameters = state.parameters
@@ -110,7 +114,8 @@ def _fitted_frame(stages, is_first, terms, weighing, stretch, state, points, cou
 
         def solved(before: FaceParameters, k=k, free=stage.free):
             moves_pose = "rotation" in free or "translation" in free
-            frame = FrameInput(measured, state.pose, state.last_pose, state.history * moves_pose, before)
+            history = state.history * moves_pose
+            frame = FrameInput(measured, state.pose, state.last_pose, history, before, whitening=whitening)
             weights, omega = weighing.landmark_weights[k], weighing.omega[k]
             problem = stage_problem(weighing.camera, stretch.person, stretch.settings, weights, omega, frame, before)
             x = optimum(free, terms, problem, before, _box_of(stretch.settings, before, free))
@@ -124,8 +129,8 @@ def _fitted_frame(stages, is_first, terms, weighing, stretch, state, points, cou
     # The contour is where the last stage had it: at the yaw that this started from.
     blend = contour_blend(stretch.person.contour_yaw, head_yaw(turned), stretch.settings.sliding)
     places = model_landmarks(stretch.person, blend, parameters.identity)
-    projected = project_landmarks(weighing.camera, places, parameters)
-    inner = points_head(places, parameters)[17:] @ rotation_matrix(parameters.rotation).T
+    projected = project_landmarks(weighing.camera, places, parameters)[:POINT_COUNT]
+    inner = points_head(places, parameters)[17:POINT_COUNT] @ rotation_matrix(parameters.rotation).T
     return parameters, FittedStretch(parameters, projected, inner + parameters.translation)
 
 

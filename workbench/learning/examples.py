@@ -51,7 +51,7 @@ def _stretch_of(job: ChainJob) -> Stretch:
     frames = job.frames
     start = FaceParameters(frames.rotation[0], frames.translation[0], frames.expression[0], np.zeros(0))
     measured = frames.measured
-    return Stretch(measured[..., :2], measured[..., 2], start, job.person, job.setting.numbers)
+    return Stretch(measured[..., :2], measured[..., 2], start, job.person, job.setting.numbers, frames.whitening)
 
 
 def stretches_in(clip: SweptClip, frames: range, length: int = LENGTH) -> list[range]:

@@ -12,10 +12,12 @@ from jaxtyping import Bool, Float
 
 from workbench.arrays import AnyArray
 from workbench.config import Config
+from workbench.config.schedules import ALL_GROUPS
 from workbench.config.sections import WeightsConfig
 from workbench.energies import TABLE, stage_factors
 from workbench.errors import ConfigError
 from workbench.geometry import Camera
+from workbench.landmarks.scheme import IBUG68, POINT_COUNT, LandmarkScheme
 from workbench.learning.chain import Weighing
 from workbench.planning import plan_of
 
@@ -24,7 +26,8 @@ FOV = "camera.fov_deg"
 CONSTANTS = ("constants.delta", "constants.rotation_mm")
 OMEGAS = tuple(f"weights.{name}" for name in WeightsConfig.model_fields)
 LEARNABLE = (*OMEGAS, POINTS, *CONSTANTS, FOV)
-"""Paths of all settings with a gradient. `landmarks.weights` are 68 factors, one a landmark."""
+"""Paths of all settings with a gradient. `landmarks.weights` are 68 factors, one a landmark; further points of a scheme
+keep what they weigh."""
 DIGITS = 4
 """Significant digits of a learned value in a configuration."""
 
@@ -50,7 +53,7 @@ def start_of(config: Config, paths: Sequence[str]) -> dict[str, Float[np.ndarray
         raise ConfigError("The camera is given as a matrix, which replaces camera.fov_deg; leave the latter unlearned.")
     if not paths:
         raise ConfigError("There is nothing to learn; name settings, for example weights.tau landmarks.weights.")
-    return {path: np.zeros(68 if path == POINTS else 1) for path in dict.fromkeys(paths)}
+    return {path: np.zeros(POINT_COUNT if path == POINTS else 1) for path in dict.fromkeys(paths)}
 
 
 def check_smooth(config: Config) -> None:
@@ -68,13 +71,14 @@ def check_smooth(config: Config) -> None:
             )
 
 
-def weighing_of(config: Config, logs: Logs, camera: Camera) -> Weighing:
-    """What a configuration's fits are weighed with, at factors that may be traced; `camera` is the configuration's."""
-    plan, factors = plan_of(config), {path: jnp.exp(jnp.asarray(log)) for path, log in logs.items()}
+def weighing_of(config: Config, logs: Logs, camera: Camera, scheme: LandmarkScheme = IBUG68) -> Weighing:
+    """What a configuration's fits to a scheme's landmarks are weighed with, at factors that may be traced; `camera` is
+    the configuration's."""
+    plan, factors = plan_of(config, scheme), {path: jnp.exp(jnp.asarray(log)) for path, log in logs.items()}
     omega = jnp.asarray(_factors(config, config.omega()))
     for path in OMEGAS:
         omega = jnp.where(_below(config, path), omega * _scalar(factors, path), omega) if path in factors else omega
-    by_point = factors.get(POINTS, 1.0)
+    by_point = jnp.ones(len(scheme)).at[:POINT_COUNT].multiply(factors.get(POINTS, 1.0))
     constants = {path.split(".")[1]: _scalar(factors, path) for path in CONSTANTS}
     constants = {name: getattr(plan.constants, name) * factor for name, factor in constants.items()}
     half = 0.5 * np.radians(config.camera.fov_deg)
@@ -106,11 +110,22 @@ def learned(config: Config, logs: Logs) -> Config:
         factors = np.exp(np.asarray(log, float))
         if path == POINTS:
             values = np.array(config.point_weights()) * factors
-            found = {str(point): _rounded(value) for point, value in enumerate(values)}
+            by_point = {str(point): _rounded(value) for point, value in enumerate(values)}
+            found = {**_beyond(config), **by_point}
         else:
             found = _rounded(_value(config, path) * factors[0])
         sections.setdefault(section, {})[key] = found
     return config.changed(**sections)
+
+
+def _beyond(config: Config) -> dict[str, float]:
+    """The weights of groups and points beyond the 68, which stay."""
+    groups = {**ALL_GROUPS, **config.subsets}
+
+    def last_point(name: str) -> int:
+        return int(name) if name.isdigit() else max(groups[name], default=0)
+
+    return {name: value for name, value in config.landmarks.weights.items() if last_point(name) >= POINT_COUNT}
 
 
 def _scalar(factors: Logs, path: str):

@@ -12,6 +12,8 @@ from workbench.arrays import AnyArray, shapes_of
 from workbench.config import Config, parse_config
 from workbench.errors import ConfigError
 from workbench.geometry import Camera
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.schemes import scheme_of_count
 from workbench.learning.chain import FittedStretch, fitted_stretch
 from workbench.learning.examples import Example
 from workbench.learning.learnable import Logs, weighing_of
@@ -32,13 +34,13 @@ def check_gradient(objectives: WeightedSum) -> None:
 
 
 def example_value(
-    config: Config, objectives: WeightedSum, camera: Camera
+    config: Config, objectives: WeightedSum, camera: Camera, scheme: LandmarkScheme = IBUG68
 ) -> Callable[[Logs, Example], Float[AnyArray, ""]]:
     """The mean of a sum of objectives over the counted frames of an example, as a function of what is learned."""
-    plan, kinds = plan_of(config), folds_needed(objectives.names)
+    plan, kinds = plan_of(config, scheme), folds_needed(objectives.names)
 
     def value(logs: Logs, example: Example) -> Float[AnyArray, ""]:
-        weighing = weighing_of(config, logs, camera)
+        weighing = weighing_of(config, logs, camera, scheme)
         found = jax.vmap(lambda stretch: fitted_stretch(plan.stages, plan.terms, weighing, stretch))(example.stretches)
         fits = _as_clip(found, kinds, len(example.counted))
         values = objectives.of({name: measure(name)(example.clip, fits) for name in objectives.names})
@@ -49,10 +51,11 @@ def example_value(
 
 
 def value_and_slope(
-    config: Config, objectives: WeightedSum, camera: Camera
+    config: Config, objectives: WeightedSum, camera: Camera, scheme: LandmarkScheme = IBUG68
 ) -> Callable[[Logs, Example], tuple[Float[AnyArray, ""], Logs]]:
     """The compiled value of an example and its derivative by what is learned."""
-    return jax.jit(jax.value_and_grad(example_value(config, objectives, camera)), compiler_options=SMALL_ARRAYS)
+    value = example_value(config, objectives, camera, scheme)
+    return jax.jit(jax.value_and_grad(value), compiler_options=SMALL_ARRAYS)
 
 
 def compiled_slope(
@@ -63,13 +66,17 @@ def compiled_slope(
     It is compiled while other programs may run, so that a panel beside it goes on.
     """
     text = config.model_dump_json(exclude={"provenance"})
-    return _compiled(text, tuple(objectives.factors.items()), image_size, *shapes_of((logs, example)))
+    points = example.stretches.points.shape[-2]
+    return _compiled(text, tuple(objectives.factors.items()), image_size, points, *shapes_of((logs, example)))
 
 
 @lru_cache(maxsize=2)
-def _compiled(text: str, factors: tuple[tuple[str, float], ...], image_size: tuple[int, int], tree, shapes):
+def _compiled(
+    text: str, factors: tuple[tuple[str, float], ...], image_size: tuple[int, int], points: int, tree, shapes
+):
     config = parse_config(json.loads(text), "what is learned from")
-    slope = value_and_slope(config, WeightedSum(dict(factors)), plan_of(config).camera.of(image_size))
+    camera = plan_of(config).camera.of(image_size)
+    slope = value_and_slope(config, WeightedSum(dict(factors)), camera, scheme_of_count(points))
     return slope.lower(*jax.tree.unflatten(tree, shapes)).compile()
 
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from workbench.diagnosis.picture_evidence import carried_by_flow
 from workbench.face import Embedding, FaceModel
 from workbench.face.model import BLINKS
+from workbench.landmarks.observations import of_ibug68
 from workbench.landmarks.scheme import POINT_COUNT, face_size
 from workbench.objectives.records import FittedClip, ObservedClip, Truth
 from workbench.tracking import FrameObservation, Track
@@ -19,17 +20,18 @@ SURFACE_POINTS = 400
 
 
 def observed_clip(observations: Sequence[FrameObservation], truth: Truth = Truth()) -> ObservedClip:  # noqa: B008
-    """The observations of consecutive frames of a clip."""
+    """The 68 landmarks of consecutive frames of a clip, in whatever scheme they were seen."""
     points, confidence = np.full((len(observations), 68, 2), np.nan), np.zeros((len(observations), 68))
     follows = np.zeros(len(observations), bool)
     for k, observation in enumerate(observations):
         follows[k] = k > 0 and not observation.cut and observation.index == observations[k - 1].index + 1
         if observation.landmarks is not None:
-            points[k], confidence[k] = observation.landmarks.points, observation.landmarks.confidence
+            seen = of_ibug68(observation.landmarks)
+            points[k], confidence[k] = seen.points, seen.confidence
     return ObservedClip(points, confidence, follows, truth)
 
 
-def without_hidden(observation: FrameObservation, hidden: Bool[np.ndarray, "68"]) -> FrameObservation:
+def without_hidden(observation: FrameObservation, hidden: Bool[np.ndarray, "points"]) -> FrameObservation:
     """The observation with the hidden landmarks worth nothing to a fit."""
     if observation.landmarks is None or not hidden.any():
         return observation

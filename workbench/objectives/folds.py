@@ -10,41 +10,43 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Bool
 
-from workbench.landmarks.scheme import GROUPS
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 
 PARTS = ("jaw", "brows", "nose", "eyes", "mouth")
 POINT_FOLDS = 5
 FRAME_FOLDS = 3
 
 
-def point_folds(frames: int) -> Bool[np.ndarray, "f n 68"]:
+def point_folds(frames: int, scheme: LandmarkScheme = IBUG68) -> Bool[np.ndarray, "f n points"]:
     """Each fold hides every fifth landmark in all frames: along a lip or a brow, neighbours of a hidden point are seen.
 
     An eye corner is never hidden together with the other one of its eye.
     """
-    hidden = np.arange(68)[None, :] % POINT_FOLDS == np.arange(POINT_FOLDS)[:, None]
+    hidden = np.arange(len(scheme))[None, :] % POINT_FOLDS == np.arange(POINT_FOLDS)[:, None]
     return np.repeat(hidden[:, None], frames, axis=1)
 
 
-def part_folds(frames: int) -> Bool[np.ndarray, "f n 68"]:
-    """Each fold hides a whole part of the face in all frames: no neighbour of a hidden point is seen."""
-    hidden = np.array([np.isin(np.arange(68), GROUPS[part]) for part in PARTS])
+def part_folds(frames: int, scheme: LandmarkScheme = IBUG68) -> Bool[np.ndarray, "f n points"]:
+    """Each fold hides a whole part of the face in all frames, eyes with their irises: no neighbour of a hidden point is
+    seen, but for those of cheeks and forehead that a scheme may have."""
+    with_irises = {"eyes": ("eyes", *({"irises"} & set(scheme.groups)))}
+    hidden = np.array([scheme.group_mask(*with_irises.get(part, (part,))) for part in PARTS])
     return np.repeat(hidden[:, None], frames, axis=1)
 
 
-def frame_folds(frames: int) -> Bool[np.ndarray, "f n 68"]:
+def frame_folds(frames: int, scheme: LandmarkScheme = IBUG68) -> Bool[np.ndarray, "f n points"]:
     """Each fold hides all landmarks of every third frame: both neighbours of a hidden frame are seen."""
     hidden = np.arange(frames)[None, :] % FRAME_FOLDS == np.arange(FRAME_FOLDS)[:, None]
-    return np.repeat(hidden[:, :, None], 68, axis=2)
+    return np.repeat(hidden[:, :, None], len(scheme), axis=2)
 
 
-FOLDS: Mapping[str, Callable[[int], Bool[np.ndarray, "f n 68"]]] = MappingProxyType(
+FOLDS: Mapping[str, Callable[..., Bool[np.ndarray, "f n points"]]] = MappingProxyType(
     {"points": point_folds, "parts": part_folds, "frames": frame_folds}
 )
-"""By kind: what each fold hides in a clip of so many frames."""
+"""By kind: what each fold hides in a clip of so many frames, of the 68 or of another scheme's points."""
 
 
-def folds_of(kinds: tuple[str, ...], frames: int) -> Bool[np.ndarray, "f n 68"]:
+def folds_of(kinds: tuple[str, ...], frames: int, scheme: LandmarkScheme = IBUG68) -> Bool[np.ndarray, "f n points"]:
     """What every fit hides, the one that hides nothing first, then the folds of these kinds in turn."""
-    nothing = np.zeros((1, frames, 68), bool)
-    return np.concatenate([nothing, *(FOLDS[kind](frames) for kind in kinds)])
+    nothing = np.zeros((1, frames, len(scheme)), bool)
+    return np.concatenate([nothing, *(FOLDS[kind](frames, scheme) for kind in kinds)])

@@ -24,7 +24,6 @@ from workbench.sweeps import (
 from workbench.sweeps.results import folds_needed, objectives_of
 from workbench.sweeps.sweep import FITS
 from workbench.tracking.chain_solver import CHAINS
-from workbench.tracking.fitting import with_ibug68
 from workbench.tracking.unwatched import never
 
 Grown = Callable[[SweepResult], None]
@@ -79,7 +78,7 @@ class SessionSweeps:
     def clip(self, objectives: Sequence[str], truth: str | Path | None) -> SweptClip:
         """The material with what the objectives need. Raises `InputError` if it has no face."""
         material = self._material
-        observations = tuple(map(with_ibug68, material.observations))
+        observations = tuple(material.observations)
         if not any(observation.landmarks is not None for observation in observations):
             raise InputError(f"{material.name} has no face in any frame; there is nothing to sweep over.")
         known, flow = Truth(), None

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from workbench.errors import ConfigError
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.objectives import SecondView, Truth
 from workbench.tracking import FrameObservation
 
@@ -28,6 +29,11 @@ class SweptClip:
     flow: np.ndarray | None = None
     """As `ObservedClip.flow`, for all frames."""
     second: SecondView | None = None
+
+    @property
+    def scheme(self) -> LandmarkScheme:
+        """What its points are called."""
+        return next((seen.landmarks.scheme for seen in self.observations if seen.landmarks is not None), IBUG68)
 
     @property
     def shots(self) -> tuple[range, ...]:

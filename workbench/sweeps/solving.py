@@ -16,7 +16,7 @@ from workbench.config import Config
 from workbench.errors import ConfigError
 from workbench.face import FaceModel, FaceParameters, LandmarkModel, in_scheme, landmark_model
 from workbench.geometry import Camera
-from workbench.landmarks.scheme import IBUG68
+from workbench.landmarks.scheme import IBUG68, POINT_COUNT, LandmarkScheme
 from workbench.objectives import FOLDS, FittedClip, folds_of, inner_landmarks, surface_points, without_hidden
 from workbench.planning import plan_of
 from workbench.runtime import COMPUTING
@@ -42,7 +42,7 @@ Key, Value = TypeVar("Key", bound=Hashable), TypeVar("Value")
 
 KEPT_IDENTITIES = 256
 KEPT_WINDOWS = 64
-"""Of 240 frames they take 25 MB."""
+"""Of 240 frames they take 25 MB with 68 points, a third of a gigabyte with dense ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +62,10 @@ class Setting:
         return method, self.plan.terms, len(self.first.limit)
 
 
-def setting_of(config: Config) -> Setting:
-    """The setting of a configuration. Raises `ConfigError` for one that no batch can solve."""
+def setting_of(config: Config, scheme: LandmarkScheme = IBUG68) -> Setting:
+    """The setting of a configuration for a scheme's landmarks. Raises `ConfigError` for one that no batch can solve."""
     check_swept(config)
-    plan = plan_of(config)
+    plan = plan_of(config, scheme)
     return Setting(config, plan, solve_settings(plan), stage_program(plan, True), stage_program(plan, False))
 
 
@@ -88,20 +88,22 @@ class ChainJob:
 class SeenFrames(NamedTuple):
     """What frames in a row show: the first fields of `ChainFrames`."""
 
-    measured: Float[np.ndarray, "n 68 3"]
+    measured: Float[np.ndarray, "n points 3"]
     present: Bool[np.ndarray, "n"]
     afresh: Bool[np.ndarray, "n"]
+    whitening: Float[np.ndarray, "n points 2 2"] | None = None
 
 
 def seen_frames(
     plan: Plan,
     observations: Sequence[FrameObservation],
     moved: Sequence[Mapping[int, tuple[float, float]]],
-    mask: Bool[np.ndarray, "n 68"],
+    mask: Bool[np.ndarray, "n points"],
 ) -> SeenFrames:
     """What frames show whose detections are corrected by `moved`, without the landmarks that `mask` hides."""
-    count = len(observations)
-    seen = SeenFrames(np.zeros((count, 68, 3)), np.zeros(count, bool), np.zeros(count, bool))
+    count, points = mask.shape
+    seen = SeenFrames(np.zeros((count, points, 3)), np.zeros(count, bool), np.zeros(count, bool))
+    whitenings: list[np.ndarray | None] = [None] * count
     before = None
     for k, (observation, places, hidden) in enumerate(zip(observations, moved, mask, strict=True)):
         observation = without_hidden(corrected(observation, places), hidden)
@@ -109,19 +111,35 @@ def seen_frames(
             before = None
             continue
         points = observation.landmarks.points
-        seen.measured[k, :, :2], seen.measured[k, :, 2] = points, plan.counts(observation.landmarks.confidence)
+        seen.measured[k, :, :2] = points
+        seen.measured[k, :, 2], whitenings[k] = plan.measured(observation.landmarks)
         seen.present[k], seen.afresh[k] = True, before is None or jumped(before, points)
         before = points
-    return seen
+    if all(whitening is None for whitening in whitenings):
+        return seen
+    absent = np.zeros((mask.shape[1], 2, 2))
+    return seen._replace(whitening=np.stack([absent if each is None else each for each in whitenings]))
+
+
+class SolvedModel:
+    """A face model with the points of one scheme, and what its solves share."""
+
+    def __init__(self, model: FaceModel) -> None:
+        self.model = model
+        self.landmarks = landmark_model(model)
+        self.fitter: FaceItFitter | None = None
 
 
 class ClipSolver:
-    """Solves parts of clips for one face model by its 68 points, in this process; the latest identities are kept."""
+    """Solves parts of clips for one face model, in this process; the latest identities are kept.
+
+    Fits take all points of a clip's scheme; what is measured of them are the 68 that every scheme begins with.
+    """
 
     def __init__(self, model: FaceModel):
-        self.model = model = in_scheme(model, IBUG68)
-        self._landmarks = landmark_model(model)
-        self._fitter: FaceItFitter | None = None
+        self.model = in_scheme(model, IBUG68)
+        self._whole = model
+        self._by_scheme: dict[str, SolvedModel] = {}
         self._identities: OrderedDict[tuple, Calibrated] = OrderedDict()
         self._windows: OrderedDict[tuple, SeenFrames] = OrderedDict()
 
@@ -142,25 +160,33 @@ class ClipSolver:
             *(pair for config in configs for pair in self.jobs(config, clip, windows, kinds)), strict=True
         )
         solved = iter(zip(solve_jobs(jobs), identities, strict=True))
-        return [self._fitted(solved, windows, kinds, surface) for _ in configs]
+        model = self._solved(clip.scheme).model
+        return [_fitted(model, solved, windows, kinds, surface) for _ in configs]
 
     def jobs(
         self, config: Config, clip: SweptClip, windows: Sequence[range], kinds: tuple[str, ...] = ()
     ) -> Iterator[tuple[ChainJob, Float[np.ndarray, "i"]]]:
         """What is solved for some windows of a clip, with the identity of each: first with everything seen, then what
         the folds see; a job a window. Raises `ConfigError` for a configuration that no batch can solve."""
-        setting = setting_of(config)
+        setting = setting_of(config, clip.scheme)
         ends = np.cumsum([*map(len, windows)])
-        for fold in folds_of(kinds, int(ends[-1])):
+        for fold in folds_of(kinds, int(ends[-1]), clip.scheme):
             for window, mask in zip(windows, np.split(fold, ends[:-1]), strict=True):
                 shot = next(shot for shot in clip.shots if window.start in shot)
                 calibrated = self._calibrated(setting, clip, shot, mask)
                 yield self._job(setting, clip, window, calibrated, mask), calibrated.identity
 
-    def _calibrated(self, setting: Setting, clip: SweptClip, shot: range, mask: Bool[np.ndarray, "n 68"]) -> Calibrated:
+    def _solved(self, scheme: LandmarkScheme) -> SolvedModel:
+        if scheme.name not in self._by_scheme:
+            self._by_scheme[scheme.name] = SolvedModel(in_scheme(self._whole, scheme))
+        return self._by_scheme[scheme.name]
+
+    def _calibrated(
+        self, setting: Setting, clip: SweptClip, shot: range, mask: Bool[np.ndarray, "n points"]
+    ) -> Calibrated:
         """The identity of a shot, from landmarks that are not hidden in all frames."""
-        config, plan = setting.config, setting.plan
-        nothing = Calibrated(np.zeros(len(self.model.identity_deltas)), {})
+        config, plan, solved = setting.config, setting.plan, self._solved(clip.scheme)
+        nothing = Calibrated(np.zeros(len(solved.model.identity_deltas)), {})
         if not plan.identity.calibrate:
             return nothing
         hidden = mask.all(0) & ~mask.all()
@@ -172,23 +198,30 @@ class ClipSolver:
             return nothing
 
         def calibrate() -> Calibrated:
-            if self._fitter is None:
-                self._fitter = FaceItFitter(self.model, plan)
+            if solved.fitter is None:
+                solved.fitter = FaceItFitter(solved.model, plan)
             # Hidden landmarks are muted too, or the poses that the calibration starts from would know them.
-            self._fitter.configure(replace(plan, point_weights=np.where(hidden, 0.0, plan.point_weights)))
-            return self._fitter.calibrate(window, 1 if clip.stills else config.identity.frames)
+            solved.fitter.configure(replace(plan, point_weights=np.where(hidden, 0.0, plan.point_weights)))
+            return solved.fitter.calibrate(window, 1 if clip.stills else config.identity.frames)
 
         key = (clip.digest, shot.start, identity_key(config, window), hidden.tobytes())
         return kept(self._identities, key, KEPT_IDENTITIES, calibrate)
 
     def _job(
-        self, setting: Setting, clip: SweptClip, window: range, calibrated: Calibrated, mask: Bool[np.ndarray, "n 68"]
+        self,
+        setting: Setting,
+        clip: SweptClip,
+        window: range,
+        calibrated: Calibrated,
+        mask: Bool[np.ndarray, "n points"],
     ) -> ChainJob:
-        plan, shapes = setting.plan, len(self.model.expression_names)
-        person = self._landmarks.personal(np.asarray(calibrated.identity, float))
+        plan, solved = setting.plan, self._solved(clip.scheme)
+        shapes = len(solved.model.expression_names)
+        person = solved.landmarks.personal(np.asarray(calibrated.identity, float))
         camera = plan.camera.of(clip.observations[window.start].image_size)
         seen = self._seen(setting, clip, window, mask)
-        frames = ChainFrames(*seen, *(np.zeros((len(window), size)) for size in (3, 3, shapes)))
+        starts = (np.zeros((len(window), size)) for size in (3, 3, shapes))
+        frames = ChainFrames(*seen[:3], *starts, whitening=seen.whitening)
         for k in np.flatnonzero(seen.afresh):
             start = calibrated.starts.get(clip.observations[window[k]].index)
             if start is None:
@@ -198,7 +231,7 @@ class ClipSolver:
             frames.rotation[k], frames.translation[k], frames.expression[k] = start[:3]
         return ChainJob(setting, person, camera, frames)
 
-    def _seen(self, setting: Setting, clip: SweptClip, window: range, mask: Bool[np.ndarray, "n 68"]) -> SeenFrames:
+    def _seen(self, setting: Setting, clip: SweptClip, window: range, mask: Bool[np.ndarray, "n points"]) -> SeenFrames:
         """What the frames of a window show; the same for most settings, so the latest are kept."""
         moved = {index: setting.config.moved_points(index) for index in map(int, setting.config.landmarks.moved)}
 
@@ -209,26 +242,29 @@ class ClipSolver:
         key = (clip.digest, window, mask.tobytes(), setting.plan.confident, repr(moved))
         return kept(self._windows, key, KEPT_WINDOWS, see)
 
-    def _fitted(self, solved: Iterator, windows, kinds: tuple[str, ...], surface: bool) -> FittedClip:
-        """Takes one configuration's chains, the folds' in their order."""
 
-        def next_fold():
-            pieces = [next(solved) for _ in windows]
-            fits = SolvedFrames(*(np.concatenate(part) for part in zip(*(fits for fits, _ in pieces), strict=True)))
-            identity = np.concatenate([np.tile(found, (len(fits.iterations), 1)) for fits, found in pieces])
-            return fits, identity
+def _fitted(
+    model: FaceModel, solved: Iterator, windows: Sequence[range], kinds: tuple[str, ...], surface: bool
+) -> FittedClip:
+    """Takes one configuration's chains, the folds' in their order."""
 
-        fits, identity = next_fold()
-        folds = {kind: np.stack([next_fold()[0].projected for _ in range(len(FOLDS[kind](1)))]) for kind in kinds}
-        numbers = (fits.rotation, fits.translation, fits.expression, identity)
-        return FittedClip(
-            *numbers[:3],
-            fits.projected,
-            inner_landmarks(self.model, *numbers),
-            fits.iterations,
-            surface_points(self.model, *numbers) if surface else None,
-            folds,
-        )
+    def next_fold():
+        pieces = [next(solved) for _ in windows]
+        fits = SolvedFrames(*(np.concatenate(part) for part in zip(*(fits for fits, _ in pieces), strict=True)))
+        identity = np.concatenate([np.tile(found, (len(fits.iterations), 1)) for fits, found in pieces])
+        return fits._replace(projected=fits.projected[:, :POINT_COUNT]), identity
+
+    fits, identity = next_fold()
+    folds = {kind: np.stack([next_fold()[0].projected for _ in range(len(FOLDS[kind](1)))]) for kind in kinds}
+    numbers = (fits.rotation, fits.translation, fits.expression, identity)
+    return FittedClip(
+        *numbers[:3],
+        fits.projected,
+        inner_landmarks(model, *numbers),
+        fits.iterations,
+        surface_points(model, *numbers) if surface else None,
+        folds,
+    )
 
 
 def kept(store: OrderedDict[Key, Value], key: Key, most: int, make: Callable[[], Value]) -> Value:
@@ -256,8 +292,8 @@ def solve_jobs(jobs: Sequence[ChainJob]) -> list[SolvedFrames]:
     found: dict[int, SolvedFrames] = {}
     by_program: dict[tuple, list[int]] = {}
     for number, job in enumerate(jobs):
-        by_program.setdefault(job.setting.program, []).append(number)
-    for (method, terms, _), numbers in by_program.items():
+        by_program.setdefault((*job.setting.program, job.frames.whitening is None), []).append(number)
+    for (method, terms, *_), numbers in by_program.items():
         # Long chains together: a block runs until its longest chain ends.
         numbers = sorted(numbers, key=lambda number: -len(jobs[number].frames.present))
         for first in range(0, len(numbers), CHAINS):
@@ -296,9 +332,9 @@ def _compiled(tree, shapes: tuple[jax.ShapeDtypeStruct, ...], method: Method, te
 
 def _block_of(frames: ChainFrames, start: int, used: bool) -> ChainFrames:
     """`FRAMES` frames from `start` on; those beyond the end, and all of a chain that only fills a block, are absent."""
-    piece = ChainFrames(*(part[start : start + FRAMES] for part in frames))
+    piece = jax.tree.map(lambda part: part[start : start + FRAMES], frames)
     missing = FRAMES - len(piece.present)
-    piece = ChainFrames(*(np.pad(part, [(0, missing)] + [(0, 0)] * (part.ndim - 1)) for part in piece))
+    piece = jax.tree.map(lambda part: np.pad(part, [(0, missing)] + [(0, 0)] * (part.ndim - 1)), piece)
     return piece if used else piece._replace(present=np.zeros(FRAMES, bool))
 
 

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 from workbench import __version__
 from workbench.config import Config
 from workbench.errors import InputError
-from workbench.face import FaceModel
+from workbench.face import FaceModel, in_scheme
 from workbench.landmarks.observations import Landmarks2D
 from workbench.objectives import Truth, flow_of_pictures, lacking, objective, observed_clip, read_truth
 from workbench.pipeline import content_hash, open_source
@@ -19,9 +19,9 @@ from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.second_camera import SecondCamera, arrays_of, second_of_arrays, seen_by_second
 from workbench.sweeps.storage import Storage, local_file, packed, unpacked
 from workbench.tracking import FrameObservation
-from workbench.tracking.fitting import with_ibug68
 
 NO_FACES = "has no face in any frame; look at its pictures, or try another detector (landmarks.detector)."
+FORMAT = 2
 _TRUTHS = ("rotation", "translation", "expression", "surface", "labels")
 
 
@@ -69,6 +69,7 @@ def digest_of(source: ClipSource, config: Config, model: FaceModel) -> str:
         "detector": config.model_dump(mode="json", include={"landmarks": {"detector", "face"}}),
         "model": model.fingerprint() if source.truth else "",
         "version": __version__,
+        "format": FORMAT,
     }
     return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()
 
@@ -84,7 +85,7 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     found, pictures = [], []
     for observation in opened.observations(0, {}, stills):
         pictures.append(observation.picture)
-        found.append(_without_picture(with_ibug68(observation)))
+        found.append(_without_picture(observation))
     if not any(observation.landmarks is not None for observation in found):
         raise InputError(f"{source.clip} {NO_FACES}")
     flow = None
@@ -93,7 +94,8 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     truth = Truth()
     if source.truth:
         indices = [observation.index for observation in found]
-        truth = read_truth(local_file(source.truth), model, indices, found[0].image_size)
+        scheme = next(seen.landmarks.scheme for seen in found if seen.landmarks is not None)
+        truth = read_truth(local_file(source.truth), in_scheme(model, scheme), indices, found[0].image_size)
     second = None
     if source.second is not None:
         second = seen_by_second(source.second, config, len(found), found[0].image_size, stills)
@@ -108,17 +110,21 @@ def _without_picture(observation: FrameObservation) -> FrameObservation:
 
 def store_clip(storage: Storage, clip: SweptClip) -> None:
     """Write a clip under its digest. Raises `OutputError`."""
-    observations = clip.observations
+    observations, count = clip.observations, len(clip.scheme)
     faces = [observation.landmarks for observation in observations]
     arrays = {
         "index": np.array([observation.index for observation in observations]),
         "cut": np.array([observation.cut for observation in observations]),
         "image_size": np.array([observation.image_size for observation in observations]),
         "found": np.array([face is not None for face in faces]),
-        "points": np.stack([np.zeros((68, 2)) if face is None else face.points for face in faces]),
-        "confidence": np.stack([np.zeros(68) if face is None else face.confidence for face in faces]),
+        "points": np.stack([np.zeros((count, 2)) if face is None else face.points for face in faces]),
+        "confidence": np.stack([np.zeros(count) if face is None else face.confidence for face in faces]),
         "stills": np.array(clip.stills),
     }
+    if any(face is not None and face.covariance is not None for face in faces):
+        unknown = np.full((count, 2, 2), np.nan)
+        covariances = [None if face is None else face.covariance for face in faces]
+        arrays["covariance"] = np.stack([unknown if each is None else each for each in covariances])
     arrays |= {f"truth_{name}": part for name, part in zip(_TRUTHS, clip.truth, strict=True) if part is not None}
     if clip.flow is not None:
         arrays["flow"] = clip.flow
@@ -136,7 +142,7 @@ def stored_clip(storage: Storage, digest: str, name: str) -> SweptClip | None:
     observations = tuple(
         FrameObservation(
             int(arrays["index"][k]),
-            Landmarks2D(arrays["points"][k], arrays["confidence"][k], size) if arrays["found"][k] else None,
+            _stored_landmarks(arrays, k, size) if arrays["found"][k] else None,
             size,
             cut=bool(arrays["cut"][k]),
         )
@@ -145,6 +151,13 @@ def stored_clip(storage: Storage, digest: str, name: str) -> SweptClip | None:
     truth = Truth(*(arrays.get(f"truth_{part}") for part in _TRUTHS))
     second = second_of_arrays(arrays)
     return SweptClip(name, digest, observations, bool(arrays["stills"]), truth, arrays.get("flow"), second)
+
+
+def _stored_landmarks(arrays: Mapping[str, np.ndarray], k: int, size: tuple[int, int]) -> Landmarks2D:
+    covariance = arrays["covariance"][k] if "covariance" in arrays else None
+    if covariance is not None and np.isnan(covariance).any():
+        covariance = None
+    return Landmarks2D(arrays["points"][k], arrays["confidence"][k], size, covariance)
 
 
 def sources_of(

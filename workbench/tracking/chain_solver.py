@@ -41,6 +41,8 @@ class ChainFrames(NamedTuple):
     rotation: Float[AnyArray, "*c f 3"]
     translation: Float[AnyArray, "*c f 3"]
     expression: Float[AnyArray, "*c f k"]
+    whitening: Float[AnyArray, "*c f points 2 2"] | None = None
+    """`Observation.whitening`; None where landmarks have no covariances."""
 
 
 class ChainState(NamedTuple):
@@ -107,7 +109,7 @@ def _fitted(chain: Chain, method: Method, terms: tuple[str, ...], state: ChainSt
         chain.person,
         chain.settings,
         program,
-        FrameInput(frame.measured, last_pose, before_last, history, start),
+        FrameInput(frame.measured, last_pose, before_last, history, start, whitening=frame.whitening),
         method,
         terms=terms,
     )

@@ -239,11 +239,12 @@ def hidden_eyes(
 ) -> Float[AnyArray, ""]:
     """How far both pupils are hidden: each one's variance squared against that of a guess, 1 without weight.
 
-    Squared, so that eyes which are seen are not held at all. Where one is, the other follows it by vergence.
+    Squared, so that eyes which are seen are not held at all. Where one is, the other follows it by vergence. Without
+    covariances what confidence lacks, squared as well.
     """
     pupils = np.array(PUPILS)
     if frame.whitening is None:
-        return jnp.prod(jnp.where(weights[pupils] > 0.0, 0.0, 1.0))
+        return jnp.prod(jnp.where(weights[pupils] > 0.0, (1.0 - frame.measured[pupils, 2]) ** 2, 1.0))
     # The whitening is triangular: the product of its diagonal is one over the area of a deviation.
     variance = 1.0 / (frame.whitening[pupils, 0, 0] * frame.whitening[pupils, 1, 1])
     more = (variance / (PUPIL_GUESS * eye_distance_px) ** 2) ** 2
