@@ -20,6 +20,7 @@ from workbench.pipeline import track
 from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.session import TuningSession, material_of_track
+from workbench.session.knobs import changed_by, inert_among, value_of
 from workbench.tracker import FaceTracker
 from workbench.tracking import Track
 
@@ -156,6 +157,27 @@ class TestFit:
     def test_deep_energies_names_the_detector_it_can_use(self):
         with pytest.raises(ConfigError, match=r'the 70 of \'ibug68\+pupils\'; set landmarks\.detector = "network"'):
             plan_of(preset("deep"), IBUG68_PUPILS)
+
+
+class TestKnobs:
+    def test_the_weights_of_further_points_have_sliders_where_the_detector_sees_them(self):
+        further = {"group.irises", "group.dense"}
+        assert further & inert_among(preset("joint"), further) == further
+        assert inert_among(preset("gaze"), further) == {"group.dense"}
+        assert inert_among(preset("dense"), further) == set()
+        assert [value_of(preset("gaze"), path) for path in sorted(further)] == [1.0, 3.0]
+
+    @pytest.mark.parametrize("path", ["group.dense", "group.irises", "group.right_eye"])
+    def test_moving_one_leaves_what_the_others_weigh(self, path):
+        """Groups overlap, and later ones win: the irises keep theirs, and further points do not follow an eye's 68."""
+        before = preset("dense")
+        after = before.changed(**changed_by(before, path, 0.5))
+        group = set(DENSE.groups[path.removeprefix("group.")])
+        moved = {"group.irises": group, "group.dense": group - set(DENSE.groups["irises"])}
+        moved = moved.get(path, {point for point in group if point < 68})
+        weights = zip(before.point_weights(DENSE), after.point_weights(DENSE), strict=True)
+        for point, (old, new) in enumerate(weights):
+            assert new == (0.5 if point in moved else old)
 
 
 class TestFiles:

@@ -65,7 +65,7 @@ PRESETS: dict[str, Config] = {
     "gaze": Config(
         preset="gaze",
         weights=_preset_weights("gaze"),
-        landmarks=LandmarksConfig(detector="network+pupils", weights={"pupils": 3.0}),
+        landmarks=LandmarksConfig(detector="network+pupils", weights={"irises": 3.0}),
         stages=PRESET_STAGES["gaze"],
     ),
     # Ours after Wood et al. (ECCV 2022): the same problem on points of the whole face, each by its own covariance.

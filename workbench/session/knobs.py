@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from workbench.config import Config
 from workbench.energies.terms import NODES, TABLE, Term, factor
+from workbench.landmarks.detectors import detector_scheme
 from workbench.landmarks.scheme import GROUPS
 from workbench.session.knob_words import Words, plain_words
 
@@ -110,11 +111,19 @@ CONSTANTS = (
     ),
 )
 LANDMARK_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "right_eye", "left_eye", "outer_lips", "inner_lips")
-LANDMARKS = tuple(
-    Knob(f"group.{name}", name.replace("_", " "), f"factor of the {len(GROUPS[name])} points in every stage; 0 mutes",
-         "linear", 0.0, 3.0, 0.05)
-    for name in LANDMARK_GROUPS
+LANDMARKS = (
+    *(
+        Knob(f"group.{name}", name.replace("_", " "), f"factor of the {len(GROUPS[name])} points in every stage; "
+             "0 mutes", "linear", 0.0, 3.0, 0.05)
+        for name in LANDMARK_GROUPS
+    ),
+    Knob("group.irises", "irises", "factor of pupils and irises in every stage (detectors dense, network+pupils); "
+         "0 mutes", "linear", 0.0, 5.0, 0.05),
+    Knob("group.dense", "further points", "factor of the points beyond the 68 in every stage (detector dense), but for "
+         "the irises; 0 mutes", "linear", 0.0, 1.0, 0.01),
 )  # fmt: skip
+FURTHER_GROUPS = ("dense", "irises")
+"""Groups of points beyond the 68, in this order after all others: later entries win."""
 DEEP = (
     Knob("deep.network", "network", "N: heat-maps: 68 points; dense: 377, each with its covariance, from landmarks of "
          "the detector dense", "choice", choices=("heat-maps", "dense")),
@@ -185,6 +194,10 @@ def inert_among(config: Config, paths: Iterable[str]) -> frozenset[str]:
             return any(
                 factor(TABLE[name], without, system, pose_only) == 0.0 for name in terms for pose_only in (True, False)
             )
+        if section == "group" and key in FURTHER_GROUPS:
+            # Renders hold the gaze.
+            seen = key in detector_scheme(config.landmarks.detector).groups
+            return seen and not (key == "irises" and traits.renders)
         return traits.reads(path)
 
     return frozenset(path for path in paths if not acts(path))
@@ -212,10 +225,12 @@ def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
     section, key = path.split(".")
     if section == "group":
         weights = {name: factor for name, factor in config.landmarks.weights.items() if name != key}
-        # Groups come before single points, because later entries win.
+        # Groups come before those that are parts of them, and before single points, because later entries win.
         groups = {name: factor for name, factor in weights.items() if not name.isdigit()}
+        groups |= {} if value == 1.0 else {key: float(value)}
+        further = {name: groups.pop(name) for name in FURTHER_GROUPS if name in groups}
         singles = {name: factor for name, factor in weights.items() if name.isdigit()}
-        return {"landmarks": {"weights": groups | ({} if value == 1.0 else {key: float(value)}) | singles}}
+        return {"landmarks": {"weights": groups | further | singles}}
     changes: dict[str, Any] = {section: {key: value}}
     if path == "camera.fov_deg":
         changes["camera"]["matrix"] = None

@@ -110,10 +110,15 @@ OF_FACE_IT = (
 )
 SOME_OF_FACE_IT = "Greyed-out settings belong to <b>FACE IT!</b>; those of Deep Energies are on the page <b>deep</b>."
 SOME_OF_DEEP = "Greyed-out settings belong to <b>Deep Energies</b>, or to terms that no stage names."
+NO_SUCH_POINTS = (
+    "The detector (<i>landmarks.detector</i>) does not see the greyed-out points, or Deep Energies does not use them."
+)
 NOT_NAMED = "Greyed-out weights belong to a term that no stage names; add it to a stage's <i>terms</i>."
 
 
 def _why_inert(config: Config, title: str, every: bool) -> str:
+    if title == "points":
+        return NO_SUCH_POINTS
     if title == "deep":
         own, whole, some = config.traits.reads("deep"), OF_DEEP, SOME_OF_DEEP
     else:
