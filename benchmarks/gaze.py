@@ -38,7 +38,7 @@ def main() -> None:
     studio = FaceStudio(full, skin_painter(full), FILM_VIEW)
     rows = {name: {} for name in PRESETS}
     for kind, glasses in (("without glasses", False), ("with glasses", True)):
-        films = gaze_films(studio, glasses, asked.films, asked.frames, SEED)
+        films = list(gaze_films(studio, glasses, asked.films, asked.frames, SEED))
         for name in PRESETS:
             rows[name][kind] = mean_of([judged(film, preset(name)) for film in films])
     studio.close()
