@@ -474,10 +474,14 @@ class TestViews:
         assert len(view._scheme["names"]) == 377
         assert set(point_groups(DENSE)) >= {"irises", "pupils", "ears", "jaw", "right eye", "mouth"}
 
-    def test_the_strip_shows_the_worst_of_neighbours(self):
-        rows = [points for part in strip_rows(DENSE).values() for points in part]
+    @pytest.mark.parametrize("scheme", SCHEMES.values(), ids=lambda scheme: scheme.name)
+    def test_the_strip_shows_the_points_of_every_scheme_in_as_many_rows(self, scheme):
+        rows = [points for part in strip_rows(scheme).values() for points in part]
         assert len(rows) == ROWS
-        assert sorted(np.concatenate(rows).tolist()) == list(range(377))
+        assert all(len(points) for points in rows)
+        assert sorted(np.concatenate(rows).tolist()) == list(range(len(scheme)))
+
+    def test_the_strip_shows_the_worst_of_neighbours(self):
         values = np.zeros((2, 377), np.float32)
         values[1, 300] = 5.0
         view = TimelineView(scheme=DENSE)

@@ -23,6 +23,7 @@ from workbench.session import TuningSession, material_of_track
 from workbench.session.knobs import changed_by, inert_among, value_of
 from workbench.tracker import FaceTracker
 from workbench.tracking import Track
+from workbench.widgets import TuningPanel
 
 SIZE = (640, 480)
 FRAMES = (40, 43)
@@ -201,3 +202,15 @@ class TestFiles:
         session = TuningSession(head, material_of_track(run.track), config)
         assert np.array_equal(session.fit_clip().projected, run.track.projected)
         assert len(session.diagnose(1).fit.observed) == 68
+
+    def test_the_panel_shows_them(self, run, head):
+        config = preset("gaze").changed(identity={"window": 2, "frames": 2})
+        panel = TuningPanel(TuningSession(head, material_of_track(run.track), config))
+        assert panel.wait_idle(60)
+        panel.go(1)
+        assert panel.wait_idle(60)
+        assert panel.fit.observed.shape == (70, 2)
+        panel.turn("group.irises", 1.0)
+        assert panel.wait_idle(60)
+        assert "irises" not in panel.session.config.landmarks.weights
+        panel.close()

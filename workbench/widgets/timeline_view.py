@@ -22,10 +22,13 @@ ROWS = 68
 
 
 def strip_rows(scheme: LandmarkScheme) -> dict[str, list[Int[np.ndarray, "_"]]]:
-    """The points of each of the strip's rows, by part of the face: as many rows for each part, so that all are read."""
+    """The points of each of the strip's rows, by part of the face: as many rows for each part, so that all are read.
+
+    Where a part has too few points for that, the rows are shared out by the number of points.
+    """
     parts = scheme.parts
-    sizes = np.array([len(points) for points in parts.values()])
-    shares = sizes if len(scheme) == ROWS else np.full(len(parts), ROWS / len(parts))
+    sizes, alike = np.array([len(points) for points in parts.values()]), ROWS / len(parts)
+    shares = np.full(len(parts), alike) if sizes.min() > alike else sizes * (ROWS / len(scheme))
     counts = np.diff(np.rint(np.cumsum([0.0, *shares]))).astype(int)
     return {
         name: np.array_split(np.array(points), count)

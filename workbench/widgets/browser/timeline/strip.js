@@ -33,6 +33,9 @@ function stripPixels(track, columns, { from, to }, table) {
   return image;
 }
 
+// A part of fewer pixels, as the two pupils', has no name: it would be written over its neighbour's.
+const LEAST_NAMED_PX = 6;
+
 // Everything but the cursor. `strip`: {track, rows, table, marked, loop, span, theme}.
 export function paintStrip(canvas, { track, rows, table, marked, loop, span, theme }) {
   const context = cleared(canvas), width = span.width(), height = span.bottom() - FLAG_ROW;
@@ -61,7 +64,10 @@ function paintNames(context, rows, lines, height, { font, muted }) {
   context.textAlign = "right";
   context.fillStyle = muted;
   context.fillText("flags", GUTTER - 6, FLAG_ROW / 2);
-  rows.forEach((row, k) => context.fillText(row.name, GUTTER - 6, lines[k] + (row.count / ROWS / 2) * height));
+  rows.forEach((row, k) => {
+    const tall = (row.count / ROWS) * height;
+    if (tall >= LEAST_NAMED_PX) context.fillText(row.name, GUTTER - 6, lines[k] + tall / 2);
+  });
 }
 
 function paintMarked(context, marked, firstOfTrack, span, height) {
