@@ -17,7 +17,7 @@ from workbench.config import Config, preset
 from workbench.face import GAZE_NAMES, FaceModel, gaze_deg, in_scheme, load_default_head
 from workbench.face.gaze import angle_between_deg
 from workbench.face.model import BLINKS
-from workbench.landmarks.detectors import detector_scheme
+from workbench.landmarks.schemes import detector_scheme
 from workbench.pipeline import track
 from workbench.training.gaze_films import FILM_VIEW, GazeFilm, gaze_films
 from workbench.training.scenes import FaceStudio

@@ -52,7 +52,7 @@ def detector():
 
 def test_unknown_names_list_the_detectors():
     for function in (make_detector, chosen_detector):
-        with pytest.raises(ConfigError, match=r"'dlb'.*auto, dlib\+network, network, dense, dlib, dlib-hog, dlib-cnn"):
+        with pytest.raises(ConfigError, match=r"'dlb'.*auto, dlib\+network, network, network\+pupils, dense, dlib"):
             function("dlb")
 
 

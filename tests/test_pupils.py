@@ -9,13 +9,13 @@ from workbench.config import preset
 from workbench.errors import ConfigError, InputError
 from workbench.face import GAZE_NAMES, in_scheme, landmark_model, load_default_head
 from workbench.frames import open_frames
-from workbench.landmarks.detectors import detector_scheme, make_detector
+from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.eyes import EyeDetector, bundled_eye_network
 from workbench.landmarks.files import LandmarkRecord, read_landmark_file, write_landmark_file
 from workbench.landmarks.network_detector import NetworkDetector
 from workbench.landmarks.pupil_detector import PupilDetector
 from workbench.landmarks.scheme import IBUG68
-from workbench.landmarks.schemes import DENSE, IBUG68_PUPILS, PUPILS, scheme_named, scheme_of_count
+from workbench.landmarks.schemes import DENSE, IBUG68_PUPILS, PUPILS, detector_scheme, scheme_named, scheme_of_count
 from workbench.pipeline import track
 from workbench.planning import plan_of
 from workbench.samples import sample
@@ -84,7 +84,10 @@ class TestScheme:
 
     def test_it_is_known_by_its_count_and_its_name(self):
         assert scheme_of_count(70) is scheme_named("ibug68+pupils") is IBUG68_PUPILS
-        assert detector_scheme("network+pupils") is IBUG68_PUPILS
+
+    @pytest.mark.parametrize("name", ["network", "network+pupils", "dense"])
+    def test_a_detector_answers_the_points_of_its_scheme(self, name, picture):
+        assert make_detector(name).align(picture, found_face(picture)).scheme is detector_scheme(name)
 
     def test_a_head_has_the_pupils_of_the_dense_one_and_its_eyes_turn(self, head, seeing_head):
         dense = in_scheme(head, DENSE)

@@ -13,8 +13,6 @@ from workbench.landmarks.mediapipe_detector import MediapipeDetector
 from workbench.landmarks.mixed_detector import MixedDetector
 from workbench.landmarks.network_detector import NetworkDetector
 from workbench.landmarks.pupil_detector import PupilDetector
-from workbench.landmarks.scheme import IBUG68, LandmarkScheme
-from workbench.landmarks.schemes import DENSE, IBUG68_PUPILS
 
 AUTO = "auto"
 """Not a detector but a choice: see `chosen_detector`."""
@@ -54,11 +52,6 @@ def make_detector(name: str, face_landmarker: str | Path | None = None) -> Landm
     if name == MediapipeDetector.name:
         return MediapipeDetector(face_landmarker)
     return DETECTORS[name]()
-
-
-def detector_scheme(name: str) -> LandmarkScheme:
-    """What the points of a detector are called."""
-    return {DenseDetector.name: DENSE, PupilDetector.name: IBUG68_PUPILS}.get(name, IBUG68)
 
 
 def chosen_detector(name: str = AUTO) -> str:

@@ -112,9 +112,16 @@ SCHEMES: Mapping[str, LandmarkScheme] = MappingProxyType(
     {scheme.name: scheme for scheme in (IBUG68, IBUG68_PUPILS, DENSE)}
 )
 """By name."""
+OF_DETECTORS: Mapping[str, LandmarkScheme] = MappingProxyType({"network+pupils": IBUG68_PUPILS, "dense": DENSE})
+"""By the detector's name; all others answer the 68."""
 MOST_POINTS = max(len(scheme) for scheme in SCHEMES.values())
 _COUNTS = [f"{len(scheme)} points ({scheme.name})" for scheme in SCHEMES.values()]
 _LISTED = f"{', '.join(_COUNTS[:-1])} or {_COUNTS[-1]}"
+
+
+def detector_scheme(name: str) -> LandmarkScheme:
+    """What the points of a detector are called."""
+    return OF_DETECTORS.get(name, IBUG68)
 
 
 def scheme_of_count(count: int) -> LandmarkScheme:

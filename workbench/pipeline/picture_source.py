@@ -7,7 +7,8 @@ import numpy as np
 from workbench.config import Config
 from workbench.frames import Frame, Frames, read_ahead
 from workbench.landmarks.detection import LandmarkDetector
-from workbench.landmarks.detectors import detector_scheme, fallback_note, make_detector
+from workbench.landmarks.detectors import fallback_note, make_detector
+from workbench.landmarks.schemes import detector_scheme
 from workbench.landmarks.tracker_options import TrackerOptions, options_for
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.tracking import FrameObservation

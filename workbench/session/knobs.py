@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 from workbench.config import Config
 from workbench.energies.terms import NODES, TABLE, Term, factor
-from workbench.landmarks.detectors import detector_scheme
 from workbench.landmarks.scheme import GROUPS
+from workbench.landmarks.schemes import detector_scheme
 from workbench.session.knob_words import Words, plain_words
 
 Kind = Literal["log", "linear", "whole", "switch", "choice"]

@@ -11,8 +11,9 @@ from workbench.config import DEFAULT_PRESET, FACE_IT_PRESETS, Config, preset
 from workbench.errors import InputError
 from workbench.face import FaceModel, in_scheme
 from workbench.landmarks.detection import LandmarkDetector
-from workbench.landmarks.detectors import detector_scheme, make_detector
+from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.scheme import IBUG68, outer_eye_distance
+from workbench.landmarks.schemes import detector_scheme
 from workbench.landmarks.tracker_options import options_for
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.planning import plan_of
