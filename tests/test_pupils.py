@@ -7,7 +7,7 @@ import pytest
 
 from workbench.config import preset
 from workbench.errors import ConfigError, InputError
-from workbench.face import GAZE_NAMES, in_scheme, landmark_model, load_default_head
+from workbench.face import GAZE_NAMES, in_scheme, landmark_model
 from workbench.frames import open_frames
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.eyes import EyeDetector, bundled_eye_network
@@ -28,11 +28,6 @@ from workbench.widgets import TuningPanel
 SIZE = (640, 480)
 FRAMES = (40, 43)
 CONFIG = preset("gaze").changed(identity={"calibrate": False})
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_default_head()
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.scheme_clips import FRAMES, NOBODY, clip_for, config_of
-from workbench.face import in_scheme, load_default_head
+from workbench.face import in_scheme
 from workbench.landmarks.schemes import DENSE, IBUG68_PUPILS
 from workbench.objectives import Truth, folds_of, observed_clip
 from workbench.samples import sample
@@ -17,11 +17,6 @@ from workbench.sweeps.storage import Storage
 from workbench.sweeps.stored_clips import ClipSource, observe, store_clip, stored_clip
 
 NAMES = ("rotation", "translation", "expression")
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_default_head()
 
 
 @pytest.fixture(scope="module")

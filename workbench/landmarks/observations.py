@@ -1,12 +1,13 @@
 """The record that every detector, tracker and landmark file delivers."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Num
 
 from workbench.errors import InputError
-from workbench.landmarks.scheme import POINT_COUNT, LandmarkScheme
+from workbench.landmarks.scheme import IBUG68, POINT_COUNT, LandmarkScheme
 from workbench.landmarks.schemes import scheme_of_count
 
 
@@ -58,6 +59,11 @@ class Landmarks2D:
     def scheme(self) -> LandmarkScheme:
         """What the points are called."""
         return scheme_of_count(len(self.points))
+
+
+def scheme_of_faces(faces: Iterable[Landmarks2D | None]) -> LandmarkScheme:
+    """What the points of the first face are called; iBUG's 68 without a face."""
+    return next((face.scheme for face in faces if face is not None), IBUG68)
 
 
 def of_ibug68(landmarks: Landmarks2D) -> Landmarks2D:

@@ -57,6 +57,11 @@ FIRST_DENSE = POINT_COUNT + len(PUPILS)
 """The first of the points that `dense` chooses itself."""
 
 
+def _whole(count: int) -> dict[str, tuple[int, ...]]:
+    """The groups of a scheme of so many points that have all of them, or all but the jaw's."""
+    return {"all": tuple(range(count)), "non_jaw": tuple(range(len(GROUPS["jaw"]), count))}
+
+
 def _dense_groups(points: DensePoints) -> Mapping[str, tuple[int, ...]]:
     """The groups of the 68 with the dense points of the same part, and those that only dense points have."""
 
@@ -68,10 +73,9 @@ def _dense_groups(points: DensePoints) -> Mapping[str, tuple[int, ...]]:
     grown = {name: GROUPS[name] + of(name) for name in ("brows", "nose", "eyes", "mouth")}
     for side in ("right", "left"):
         grown |= {f"{side}_{part}": GROUPS[f"{side}_{part}"] + of(f"{part}s", side) for part in ("brow", "eye")}
-    whole = {"all": tuple(range(count)), "non_jaw": tuple(range(len(GROUPS["jaw"]), count))}
     added = {"dense": tuple(range(FIRST_DENSE, count)), "pupils": PUPILS, "irises": PUPILS + of("irises")}
     added |= {part: of(part) for part in ("ears", "face")}
-    return MappingProxyType({**GROUPS, **grown, **whole, **added})
+    return MappingProxyType({**GROUPS, **grown, **_whole(count), **added})
 
 
 def _dense_names(points: DensePoints) -> tuple[str, ...]:
@@ -82,11 +86,10 @@ def _dense_names(points: DensePoints) -> tuple[str, ...]:
 
 def _with_pupils() -> LandmarkScheme:
     count = POINT_COUNT + len(PUPILS)
-    whole = {"all": tuple(range(count)), "non_jaw": tuple(range(len(GROUPS["jaw"]), count))}
     return LandmarkScheme(
         name="ibug68+pupils",
         point_names=(*POINT_NAMES, *PUPIL_NAMES),
-        groups=MappingProxyType({**GROUPS, **whole, "pupils": PUPILS, "irises": PUPILS}),
+        groups=MappingProxyType({**GROUPS, **_whole(count), "pupils": PUPILS, "irises": PUPILS}),
         polylines=POLYLINES,
         mirror=(*MIRROR, *PUPILS[::-1]),
     )

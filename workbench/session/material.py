@@ -13,8 +13,8 @@ from jaxtyping import UInt8
 from workbench.config import Config
 from workbench.errors import InputError
 from workbench.frames import Frame, Frames
-from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
+from workbench.landmarks.scheme import LandmarkScheme
 from workbench.pipeline import content_hash, is_landmark_file, open_source
 from workbench.tracking import FrameObservation
 
@@ -105,8 +105,7 @@ class Material:
     @cached_property
     def scheme(self) -> LandmarkScheme:
         """What the landmarks are called; iBUG's 68 where no frame has a face."""
-        faces = (item.landmarks for item in self.observations if item.landmarks is not None)
-        return next((landmarks.scheme for landmarks in faces), IBUG68)
+        return scheme_of_faces(item.landmarks for item in self.observations)
 
     def check(self, frame: int) -> None:
         """Raises `InputError` for a frame outside the material."""

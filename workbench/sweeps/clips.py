@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from workbench.errors import ConfigError
-from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.observations import scheme_of_faces
+from workbench.landmarks.scheme import LandmarkScheme
 from workbench.objectives import SecondView, Truth
 from workbench.tracking import FrameObservation
 
@@ -33,7 +34,7 @@ class SweptClip:
     @property
     def scheme(self) -> LandmarkScheme:
         """What its points are called."""
-        return next((seen.landmarks.scheme for seen in self.observations if seen.landmarks is not None), IBUG68)
+        return scheme_of_faces(seen.landmarks for seen in self.observations)
 
     @property
     def shots(self) -> tuple[range, ...]:

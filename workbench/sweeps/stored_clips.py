@@ -12,7 +12,7 @@ from workbench import __version__
 from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel, in_scheme
-from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
 from workbench.objectives import Truth, flow_of_pictures, lacking, objective, observed_clip, read_truth
 from workbench.pipeline import content_hash, open_source
 from workbench.sweeps.clips import SweptClip
@@ -94,7 +94,7 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     truth = Truth()
     if source.truth:
         indices = [observation.index for observation in found]
-        scheme = next(seen.landmarks.scheme for seen in found if seen.landmarks is not None)
+        scheme = scheme_of_faces(seen.landmarks for seen in found)
         truth = read_truth(local_file(source.truth), in_scheme(model, scheme), indices, found[0].image_size)
     second = None
     if source.second is not None:

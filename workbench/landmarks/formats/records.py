@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from workbench.errors import InputError
-from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import IBUG68, LandmarkScheme, face_size
+from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
+from workbench.landmarks.scheme import LandmarkScheme, face_size
 from workbench.reading import reading, shortened
 
 LARGEST_FRAME = 2**53
@@ -68,8 +68,7 @@ def needed_size(path: Path, image_size: tuple[int, int] | None) -> tuple[int, in
 
 def scheme_of_records(records: Iterable[LandmarkRecord]) -> LandmarkScheme:
     """What the points of a file's first face are called; iBUG's 68 without a face."""
-    faces = (record.landmarks for record in records if record.landmarks is not None)
-    return next((landmarks.scheme for landmarks in faces), IBUG68)
+    return scheme_of_faces(record.landmarks for record in records)
 
 
 def largest_face(faces: Sequence[Landmarks2D]) -> Landmarks2D | None:
