@@ -34,8 +34,9 @@ def main() -> None:
     arguments.add_argument("--stream", choices=sorted(STREAMS), default="test")
     chosen = arguments.parse_args()
     config = good_config(chosen.preset)
-    fitter = FaceItFitter(clip().head, plan_of(config))
-    diagnose_frame(clip().head, case_at(30, clip().landmarks, config), fitter)  # compile before anything is timed
+    head = clip(config).head
+    fitter = FaceItFitter(head, plan_of(config, head.scheme))
+    diagnose_frame(head, case_at(30, clip(config).landmarks, config), fitter)  # compile before anything is timed
     table, seconds, ranks = Table("fault", "right reason", "ranks", "seconds"), [], {}
     for fault, (code, _) in FAULTS.items():
         found = [rank_of(fault, variant, chosen.stream, config, fitter) for variant in range(chosen.variants)]
@@ -63,25 +64,25 @@ def rank_of(fault: str, variant: int, stream: str, config: Config, fitter: FaceI
     """Rank of the right reason (0: not listed), and seconds that the diagnosis took, its shot's reference included."""
     case = planted(fault, variant, stream, config)
     began = time.perf_counter()
-    reasons = diagnose_frame(clip().head, case.case, fitter).reasons
+    reasons = diagnose_frame(fitter.model, case.case, fitter).reasons
     codes = [reason.code for reason in reasons]
     return (codes.index(case.code) + 1 if case.code in codes else 0), time.perf_counter() - began
 
 
 def clean_clip(config: Config, fitter: FaceItFitter) -> tuple[Counter, int, int]:
     """Reasons found on frames of the clip without a fault, frames flagged, and frames diagnosed."""
-    observations = observations_of(clip().noisy(np.random.default_rng(99)))
+    observations = observations_of(clip(config).noisy(np.random.default_rng(99)))
     fits = follow(observations, config)
-    names = {"expression_names": list(clip().head.expression_names)}
+    names = {"expression_names": list(fitter.model.expression_names)}
     flags = flag_frames(Track(**stack_fits([fit for fit, _ in fits]), meta=names), config)
-    reference = reference_of(clip().head, config, observations, fitter)
+    reference = reference_of(fitter.model, config, observations, fitter)
     accused, indices = Counter(), range(6, len(observations), CLEAN_STEP)
     for index in indices:
-        pictures = (clip().pictures[index], clip().pictures[index - 1])
+        pictures = (clip(config).pictures[index], clip(config).pictures[index - 1])
         case = FrameCase(
-            observations[index], fits[index][1], config, observations, *pictures, clip().pictures.__getitem__
+            observations[index], fits[index][1], config, observations, *pictures, clip(config).pictures.__getitem__
         )
-        accused.update(reason.code for reason in diagnose_frame(clip().head, case, fitter, reference).reasons)
+        accused.update(reason.code for reason in diagnose_frame(fitter.model, case, fitter, reference).reasons)
     return accused, int(flags.flagged.sum()), len(indices)
 
 

@@ -18,12 +18,21 @@ from scipy.spatial.transform import Rotation
 from workbench.config import Config, preset
 from workbench.diagnosis import FrameCase
 from workbench.energies import project_landmarks
-from workbench.face import FaceModel, FaceParameters, contour_blend, landmark_model, load_default_head, model_landmarks
+from workbench.face import (
+    FaceModel,
+    FaceParameters,
+    contour_blend,
+    in_scheme,
+    landmark_model,
+    load_default_head,
+    model_landmarks,
+)
 from workbench.frames import open_frames, read_picture
 from workbench.geometry import Camera
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import GROUPS, MIRROR, outer_eye_distance
+from workbench.landmarks.scheme import IBUG68, outer_eye_distance
+from workbench.landmarks.schemes import detector_scheme, scheme_named, scheme_of_count
 from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
@@ -47,12 +56,16 @@ class Clip:
     camera: Camera
     fov_deg: float
     parameters: list[FaceParameters]
-    landmarks: Float[np.ndarray, "n 68 2"]
+    landmarks: Float[np.ndarray, "n points 2"]
     pictures: list[UInt8[np.ndarray, "h w 3"]]
 
-    def noisy(self, rng: np.random.Generator) -> Float[np.ndarray, "n 68 2"]:
+    def noisy(self, rng: np.random.Generator) -> Float[np.ndarray, "n points 2"]:
         """The landmarks as a good detector gives them."""
         return self.landmarks + NOISE_PX * rng.standard_normal(self.landmarks.shape)
+
+    def projected(self, parameters: FaceParameters) -> Float[np.ndarray, "points 2"]:
+        """The exact landmarks of these parameters in the clip's camera."""
+        return landmarks_of(self.head, self.camera, parameters)
 
 
 @dataclass(frozen=True)
@@ -64,22 +77,39 @@ class Planted:
     case: FrameCase
 
 
+def clip(config: Config | None = None) -> Clip:
+    """The sample clip with the landmarks that a configuration's detector finds; the 68 without one."""
+    return _clip("ibug68" if config is None else detector_scheme(config.landmarks.detector).name)
+
+
 @cache
-def clip() -> Clip:
-    """The sample clip."""
+def _clip(scheme: str) -> Clip:
     truth = np.load(sample("performance-truth"), allow_pickle=False)
     camera = Camera(truth["focal_px"], truth["principal_point_px"], truth["distortion"])
     size = tuple(int(length) for length in truth["image_size"])
-    rows = zip(truth["rotation"], truth["translation"], truth["expression"], strict=True)
+    head, known = in_scheme(load_default_head(), scheme_named(scheme)), load_default_head().expression_names
+    expression = np.zeros((len(truth["expression"]), len(head.expression_names)))
+    expression[:, [head.expression_names.index(name) for name in known]] = truth["expression"]
+    rows = zip(truth["rotation"], truth["translation"], expression, strict=True)
+    parameters = [FaceParameters(*row, truth["identity"]) for row in rows]
+    plain = head.scheme is IBUG68
     return Clip(
-        head=load_default_head(),
+        head=head,
         size=size,
         camera=camera,
         fov_deg=float(np.degrees(2 * np.arctan(0.5 * size[0] / camera.focal_px[0]))),
-        parameters=[FaceParameters(*row, truth["identity"]) for row in rows],
-        landmarks=truth["landmarks"],
+        parameters=parameters,
+        landmarks=truth["landmarks"] if plain else np.stack([landmarks_of(head, camera, each) for each in parameters]),
         pictures=[frame.picture for frame in open_frames(sample("performance")).iterate()],
     )
+
+
+def landmarks_of(head: FaceModel, camera: Camera, parameters: FaceParameters) -> Float[np.ndarray, "points 2"]:
+    """The exact landmarks of a face in a camera."""
+    model = landmark_model(head)
+    blend = contour_blend(model.contour_yaw, head_yaw(np.asarray(parameters.rotation)), 1.0)
+    points = model_landmarks(model, blend, np.asarray(parameters.identity))
+    return np.asarray(project_landmarks(camera, points, parameters))
 
 
 def good_config(name: str = "joint") -> Config:
@@ -90,10 +120,12 @@ def good_config(name: str = "joint") -> Config:
     return preset(name).changed(camera={"fov_deg": clip().fov_deg})
 
 
-def observations_of(points: Float[np.ndarray, "n 68 2"]) -> list[FrameObservation]:
-    """Landmarks of the clip as the tracker takes them."""
-    size = clip().size
-    return [FrameObservation(k, Landmarks2D(row, np.ones(68), size), size) for k, row in enumerate(points)]
+def observations_of(points: Float[np.ndarray, "n points 2"]) -> list[FrameObservation]:
+    """Landmarks of the clip as the tracker takes them; dense ones with the covariance of their noise."""
+    size, sure, covariance = clip().size, np.ones(points.shape[1]), None
+    if scheme_of_count(points.shape[1]).has_covariances:
+        covariance = np.tile(NOISE_PX**2 * np.eye(2), (points.shape[1], 1, 1))
+    return [FrameObservation(k, Landmarks2D(row, sure, size, covariance), size) for k, row in enumerate(points)]
 
 
 def follow(
@@ -103,7 +135,8 @@ def follow(
     until: int | None = None,
 ) -> list[tuple[FrameFit, FrameContext]]:
     """Track the clip as `FaceTracker` does, up to and with frame `until`; `identity` replaces the calibrated one."""
-    walk = Walk(FaceItFitter(clip().head, plan_of(config)))
+    head = clip(config).head
+    walk = Walk(FaceItFitter(head, plan_of(config, head.scheme)))
     if identity is None:
         walk.begin_shot(walk.fitter.calibrate(observations[: config.identity.window], config.identity.frames))
     else:
@@ -118,7 +151,7 @@ def follow(
 
 def case_at(
     index: int,
-    points: Float[np.ndarray, "n 68 2"],
+    points: Float[np.ndarray, "n points 2"],
     config: Config,
     identity: np.ndarray | None = None,
     pictures: Sequence[np.ndarray] | None = None,
@@ -136,7 +169,7 @@ def case_at(
 
 def swapped(rng, frame, config) -> FrameCase:
     """Two points farther apart than a tenth of the eye distance carry each other's number."""
-    index, points = frame(), clip().noisy(rng)
+    index, points = frame(), clip(config).noisy(rng)
     while True:
         first, second = rng.choice(np.arange(17, 68), 2, replace=False)
         if np.linalg.norm(points[index, first] - points[index, second]) > 0.1 * outer_eye_distance(points[index]):
@@ -147,7 +180,7 @@ def swapped(rng, frame, config) -> FrameCase:
 
 def shifted_jaw(rng, frame, config) -> FrameCase:
     """The detector takes a shadow for the jaw line, from some frames before on."""
-    index, points = frame(), clip().noisy(rng)
+    index, points = frame(), clip(config).noisy(rng)
     points[index - rng.integers(0, 4) : index + 2, :17] += _direction(rng) * rng.uniform(10.0, 16.0)
     return case_at(index, points, config)
 
@@ -155,15 +188,15 @@ def shifted_jaw(rng, frame, config) -> FrameCase:
 def focal_twice_or_half(rng, frame, config) -> FrameCase:
     """The field of view is set for a focal length that is wrong by a factor of two."""
     index, factor = frame(), float(rng.choice([0.5, 2.0]))
-    fov = float(np.degrees(2 * np.arctan(np.tan(np.radians(clip().fov_deg) / 2) / factor)))
-    return case_at(index, clip().noisy(rng), config.changed(camera={"fov_deg": fov}))
+    fov = float(np.degrees(2 * np.arctan(np.tan(np.radians(clip(config).fov_deg) / 2) / factor)))
+    return case_at(index, clip(config).noisy(rng), config.changed(camera={"fov_deg": fov}))
 
 
 def occluded_mouth(rng, frame, config) -> FrameCase:
     """Something is before the mouth for a while, and a confused detector scatters its points."""
-    index, points = frame(), clip().noisy(rng)
-    start, mouth = index - int(rng.integers(0, 3)), list(GROUPS["mouth"])
-    pictures, colour = list(clip().pictures), rng.integers(20, 230, 3)
+    index, points = frame(), clip(config).noisy(rng)
+    start, mouth = index - int(rng.integers(0, 3)), list(clip(config).head.scheme.groups["mouth"])
+    pictures, colour = list(clip(config).pictures), rng.integers(20, 230, 3)
     for k in range(start, min(index + 3, len(pictures))):
         hull = points[k][mouth]
         centre, half = hull.mean(0), 0.7 * np.ptp(hull, axis=0) + 6.0
@@ -176,17 +209,17 @@ def occluded_mouth(rng, frame, config) -> FrameCase:
 
 def frozen(rng, frame, config) -> FrameCase:
     """The detector repeats the landmarks of five frames ago while the picture moves on."""
-    landmarks = clip().landmarks
+    landmarks = clip(config).landmarks
     index = frame(lambda k: np.linalg.norm(landmarks[k] - landmarks[k - 5], axis=1).mean() > 6.0)
-    points = clip().noisy(rng)
+    points = clip(config).noisy(rng)
     points[index - 5 : index + int(rng.integers(1, 4))] = points[index - 5]
     return case_at(index, points, config)
 
 
 def biased_brow(rng, frame, config) -> FrameCase:
     """All points of one brow lie 10 px off, from this frame or one or two before on."""
-    index, points = frame(), clip().noisy(rng)
-    brow = list(GROUPS[str(rng.choice(["right_brow", "left_brow"]))])
+    index, points = frame(), clip(config).noisy(rng)
+    brow = list(clip(config).head.scheme.groups[str(rng.choice(["right_brow", "left_brow"]))])
     points[index - int(rng.integers(0, 3)) : index + 5, brow] += 10.0 * _direction(rng)
     return case_at(index, points, config)
 
@@ -209,15 +242,15 @@ def heavy_tau(rng, frame, config) -> FrameCase:
 
 def mirrored(rng, frame, config) -> FrameCase:
     """The order of the points is that of the flipped picture: in this frame, or in the whole shot."""
-    index, points = frame(), clip().noisy(rng)
+    index, points = frame(), clip(config).noisy(rng)
     which = slice(index, index + 1) if rng.random() < 0.7 else slice(None)
-    points[which] = points[which][:, list(MIRROR)]
+    points[which] = points[which][:, list(clip(config).head.scheme.mirror)]
     return case_at(index, points, config)
 
 
 def leaving_the_picture(rng, frame, config) -> FrameCase:
     """The head moves out of the picture; a detector puts the points that it cannot see on the edge or beyond it."""
-    index, truth = frame(), clip()
+    index, truth = frame(), clip(config)
     axis = int(rng.integers(0, 2))
     side = rng.choice([-1.0, 1.0])
     size = np.array(truth.size, float)
@@ -227,38 +260,40 @@ def leaving_the_picture(rng, frame, config) -> FrameCase:
     reach_px = edge - np.quantile(inside, rng.uniform(0.12, 0.35) if side < 0 else rng.uniform(0.65, 0.88))
     depth = truth.parameters[index].translation[2]
     reach_mm = reach_px * depth / truth.camera.focal_px[0]
-    points = clip().noisy(rng)
+    points = clip(config).noisy(rng)
     for k in range(max(index - 15, 0), min(index + 4, len(points))):
         part = 1.0 - max(index - k, 0) / 16.0
         moved = np.array(truth.parameters[k].translation)
         moved[axis] += part * reach_mm
-        points[k] = projected(truth.parameters[k]._replace(translation=moved)) + rng.normal(0.0, NOISE_PX, (68, 2))
+        points[k] = truth.projected(truth.parameters[k]._replace(translation=moved)) + rng.normal(
+            0.0, NOISE_PX, points[k].shape
+        )
         hidden = ((points[k] < 0.0) | (points[k] > size - 1.0)).any(axis=1)
-        guess = points[k] + rng.normal(0.0, 5.0, (68, 2))
+        guess = points[k] + rng.normal(0.0, 5.0, points[k].shape)
         points[k] = np.where(hidden[:, None], np.clip(guess, -3.0, size + 2.0), points[k])
     return case_at(index, points, config, pictures=())
 
 
 def other_person(rng, frame, config) -> FrameCase:
     """The identity of someone else is fitted."""
-    identity = 0.8 * rng.standard_normal(len(clip().head.identity_deltas))
-    return case_at(frame(), clip().noisy(rng), config, identity=identity)
+    identity = 0.8 * rng.standard_normal(len(clip(config).head.identity_deltas))
+    return case_at(frame(), clip(config).noisy(rng), config, identity=identity)
 
 
 def blurred(rng, frame, config) -> FrameCase:
     """The picture is smeared along a direction, and the landmarks are uncertain along it."""
-    index, points, direction = frame(), clip().noisy(rng), _direction(rng)
+    index, points, direction = frame(), clip(config).noisy(rng), _direction(rng)
     length = rng.uniform(16.0, 26.0)
-    pictures = list(clip().pictures)
+    pictures = list(clip(config).pictures)
     pictures[index] = smeared(pictures[index], direction, length)
-    points[index] += rng.normal(0.0, 0.25 * length, (68, 1)) * direction
+    points[index] += rng.normal(0.0, 0.25 * length, (points.shape[1], 1)) * direction
     return case_at(index, points, config, pictures=pictures)
 
 
 def out_of_focus(rng, frame, config) -> FrameCase:
     """The focus is lost for two frames, in all directions, and the landmarks scatter with it."""
-    index, points = frame(), clip().noisy(rng)
-    pictures = list(clip().pictures)
+    index, points = frame(), clip(config).noisy(rng)
+    pictures = list(clip(config).pictures)
     for k in (index - 1, index):
         pictures[k] = cv2.GaussianBlur(pictures[k], (0, 0), rng.uniform(5.0, 9.0))
         points[k] += rng.normal(0.0, 2.0, points[k].shape)
@@ -267,8 +302,8 @@ def out_of_focus(rng, frame, config) -> FrameCase:
 
 def lights_out(rng, frame, config) -> FrameCase:
     """The light fails for two frames, and a detector hardly finds the points."""
-    index, points = frame(), clip().noisy(rng)
-    pictures = list(clip().pictures)
+    index, points = frame(), clip(config).noisy(rng)
+    pictures = list(clip(config).pictures)
     for k in (index - 1, index):
         pictures[k] = np.uint8(pictures[k] * rng.uniform(0.08, 0.18))
         points[k] += rng.normal(0.0, 2.5, points[k].shape)
@@ -277,9 +312,9 @@ def lights_out(rng, frame, config) -> FrameCase:
 
 def hand_before_the_mouth(rng, frame, config) -> FrameCase:
     """A hand of the face's own colour is before mouth and chin; the detector draws a mouth there, and doubts it."""
-    index, points = frame(), clip().noisy(rng)
-    lower = [*GROUPS["mouth"], *range(5, 12)]
-    pictures, confidence = list(clip().pictures), np.ones((len(points), 68))
+    index, points = frame(), clip(config).noisy(rng)
+    lower = [*clip(config).head.scheme.groups["mouth"], *range(5, 12)]
+    pictures, confidence = list(clip(config).pictures), np.ones(points.shape[:2])
     for k in range(index - int(rng.integers(0, 3)), index + 3):
         hull = points[k][lower]
         centre, half = hull.mean(0), 0.62 * np.ptp(hull, axis=0)
@@ -300,32 +335,34 @@ def hand_before_the_mouth(rng, frame, config) -> FrameCase:
 
 def jump_aside(rng, frame, config) -> FrameCase:
     """All points lie somewhere else for one frame, on another face or a poster, while the picture stays calm."""
-    index, points = frame(), clip().noisy(rng)
+    index, points = frame(), clip(config).noisy(rng)
     points[index] += rng.uniform(40.0, 70.0) * _direction(rng)
-    return case_at(index, points, config, pictures=clip().pictures)
+    return case_at(index, points, config, pictures=clip(config).pictures)
 
 
 def turned_to_profile(rng, frame, config) -> FrameCase:
     """The head turns to the side within a second; the points that it hides are guesses."""
-    index, truth = frame(), clip()
+    index, truth = frame(), clip(config)
     points, yaw_deg = truth.noisy(rng), float(rng.choice([-1.0, 1.0]) * rng.uniform(55.0, 65.0))
     for k in range(index - 18, index + 6):
         part = min(1.0, (k - index + 19) / 16.0)
         turn = Rotation.from_rotvec([0.0, np.radians(part * yaw_deg), 0.0])
         rotation = (turn * Rotation.from_rotvec(np.asarray(truth.parameters[k].rotation))).as_rotvec()
-        points[k] = projected(truth.parameters[k]._replace(rotation=rotation)) + rng.normal(0.0, NOISE_PX, (68, 2))
+        points[k] = truth.projected(truth.parameters[k]._replace(rotation=rotation)) + rng.normal(
+            0.0, NOISE_PX, points[k].shape
+        )
     return case_at(index, points, config, pictures=())
 
 
 def unseen_cut(rng, frame, config) -> FrameCase:
     """Another person in another place comes before this scene, and no cut is marked between them."""
-    index, points, pictures = frame(), clip().noisy(rng), list(clip().pictures)
+    index, points, pictures = frame(), clip(config).noisy(rng), list(clip(config).pictures)
     portrait = next(iter(read_landmark_file(sample("astronaut-landmarks")))).landmarks
-    scale = np.array(clip().size) / portrait.image_size
-    shown = cv2.resize(read_picture(sample("astronaut")), clip().size)
+    scale = np.array(clip(config).size) / portrait.image_size
+    shown = cv2.resize(read_picture(sample("astronaut")), clip(config).size)
     for k in range(index):
         pictures[k] = shown
-        points[k] = scale * portrait.points + rng.normal(0.0, NOISE_PX, (68, 2))
+        points[k] = scale * portrait.points + rng.normal(0.0, NOISE_PX, portrait.points.shape)
     return case_at(index, points, config, pictures=pictures)
 
 
@@ -357,23 +394,15 @@ UNMENDED: dict[str, tuple[str, Callable]] = {
 
 def planted(fault: str, variant: int, stream: str = "test", config: Config | None = None) -> Planted:
     """One variant of a fault, in a run with this configuration (`good_config` if not given)."""
-    known = FAULTS | UNMENDED
+    known, config = FAULTS | UNMENDED, config or good_config()
     code, plant = known[fault]
     rng = np.random.default_rng([list(known).index(fault), variant, STREAMS[stream]])
 
     def frame(suits: Callable[[int], bool] = lambda index: True) -> int:
-        allowed = range(20 + STREAMS[stream], len(clip().landmarks) - 10, 2)
+        allowed = range(20 + STREAMS[stream], len(clip(config).landmarks) - 10, 2)
         return int(rng.choice([index for index in allowed if suits(index)]))
 
-    return Planted(fault, code, plant(rng, frame, config or good_config()))
-
-
-def projected(parameters: FaceParameters) -> Float[np.ndarray, "68 2"]:
-    """The exact landmarks of these parameters in the clip's camera."""
-    model = landmark_model(clip().head)
-    blend = contour_blend(model.contour_yaw, head_yaw(np.asarray(parameters.rotation)), 1.0)
-    points = model_landmarks(model, blend, np.asarray(parameters.identity))
-    return np.asarray(project_landmarks(clip().camera, points, parameters))
+    return Planted(fault, code, plant(rng, frame, config))
 
 
 def smeared(picture: UInt8[np.ndarray, "h w 3"], direction: np.ndarray, length: float) -> UInt8[np.ndarray, "h w 3"]:
@@ -387,14 +416,14 @@ def smeared(picture: UInt8[np.ndarray, "h w 3"], direction: np.ndarray, length: 
 
 
 def _where_it_hurts(rng, frame, good: Config, config: Config, stride: int = 1) -> FrameCase:
-    points = clip().noisy(rng)
+    points = clip(config).noisy(rng)
     first = frame() % stride
     observations = observations_of(points[first::stride])
     errors = [np.array([fit.errors[2] for fit, _ in follow(observations, each)]) for each in (config, good)]
     added = errors[0] - errors[1]
     enough = np.quantile(added, 1.0 - WORST_PART)
     index = frame(lambda k: k % stride == first and added[k // stride] >= enough)
-    return case_at(index // stride, points[first::stride], config, pictures=clip().pictures[first::stride])
+    return case_at(index // stride, points[first::stride], config, pictures=clip(config).pictures[first::stride])
 
 
 def _direction(rng) -> Float[np.ndarray, "2"]:

@@ -83,7 +83,7 @@ class FaceLook:
         return np.concatenate([self.colors - np.median(self.colors[FACE], axis=0), self.slopes], axis=-1)
 
 
-def look_of(picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"]) -> FaceLook:
+def look_of(picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]) -> FaceLook:
     """The look of the face with these landmarks."""
     face, size = frame_from_points(points), CELLS * CELL_PX
     matrix = face.matrix * (2.0 * REACH / size)

@@ -74,7 +74,7 @@ def start_trial(
         raise InputError(
             f"A diagnosis needs landmarks, but frame {observation.index} has none; choose a frame with a face."
         )
-    fitter = fitter or FaceItFitter(model, plan_of(case.config))
+    fitter = fitter or FaceItFitter(model, plan_of(case.config, model.scheme))
     if reference is None:
         others = [other for other in case.shot if other.index != observation.index]
         reference = ShotReference(model, case.config, others, fitter)

@@ -121,7 +121,7 @@ def _outside(track: Track) -> _Screen:
     return _Screen(_ramp(count / FEWEST_OUTSIDE), lambda frame: f"{count[frame]} landmarks outside the picture")
 
 
-def outside_picture(points: Float[np.ndarray, "*n 68 2"], image_size) -> Bool[np.ndarray, "*n 68"]:
+def outside_picture(points: Float[np.ndarray, "*n points 2"], image_size) -> Bool[np.ndarray, "*n points"]:
     """Which points lie beyond the picture's edge pixels, or on the edge, where detectors clamp them."""
     size = np.asarray(image_size, float)
     return ((points <= 0.0) | (points >= size - 1.0)).any(axis=-1)

@@ -5,18 +5,24 @@ from scipy.spatial.transform import Rotation
 
 from workbench.diagnosis.records import Change, GroupPull
 from workbench.diagnosis.trial import Trial
-from workbench.landmarks.scheme import group_mask, outer_eye_distance
+from workbench.landmarks.scheme import GROUPS, PARTS, LandmarkScheme, outer_eye_distance
 from workbench.tracking import FrameFit
 
 PULLING_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "eyes", "mouth")
+"""Groups of every scheme; a scheme's own parts follow (`pulling_groups`)."""
 MOST_WEIGHTS = 5
 LEAST_CHANGE = 0.02
 """Change of a blendshape weight that is worth reporting."""
 
 
 def leave_one_group_out(trial: Trial) -> tuple[GroupPull, ...]:
-    """The pull of each of `PULLING_GROUPS`: pose, weights and prediction without the group."""
-    return tuple(_pull(trial, group) for group in PULLING_GROUPS)
+    """The pull of each of the `pulling_groups`: pose, weights and prediction without the group."""
+    return tuple(_pull(trial, group) for group in pulling_groups(trial.scheme))
+
+
+def pulling_groups(scheme: LandmarkScheme) -> tuple[str, ...]:
+    """The groups that are left out in turn: those of the 68, and the parts that only this scheme has."""
+    return (*PULLING_GROUPS, *(part for part in PARTS if part in scheme.groups and part not in GROUPS))
 
 
 def between_poses(first: FrameFit, second: FrameFit) -> tuple[float, float]:
@@ -26,7 +32,7 @@ def between_poses(first: FrameFit, second: FrameFit) -> tuple[float, float]:
 
 
 def _pull(trial: Trial, group: str) -> GroupPull:
-    mask = group_mask(group)
+    mask = trial.scheme.group_mask(group)
     without = trial.refit(Change("", config={"landmarks": {"weights": {group: 0.0}}}))
     degrees, millimetres = between_poses(trial.fit, without)
     difference = without.expression - trial.fit.expression

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from workbench.diagnosis.reference import ShotReference, robust_similarity
 from workbench.face import FaceModel, landmark_model
-from workbench.landmarks.scheme import GROUPS, LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER, face_size, group_mask
+from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER, LandmarkScheme, face_size
 from workbench.tracking import FrameObservation
 
 INNOVATION_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "right_eye", "left_eye", "mouth")
@@ -58,14 +58,18 @@ def offset_nats(offset_percent: Float[np.ndarray, "2"], usual: UsualOffset) -> f
 
 
 def jump_of(
-    group: str, observation: FrameObservation, shot: dict[int, FrameObservation], steps: Float[np.ndarray, "n"]
+    group: str,
+    scheme: LandmarkScheme,
+    observation: FrameObservation,
+    shot: dict[int, FrameObservation],
+    steps: Float[np.ndarray, "n"],
 ) -> tuple[Float[np.ndarray, "2"], float] | None:
     """The jump of a group within the last frames: its offset from the earlier position (pixels) and its nats.
 
     A face needs several frames to raise a brow; a detector error needs only one. `steps` are the group's usual motions
     between frames relative to the rest, %. None if nothing jumped.
     """
-    index, mask = observation.index, group_mask(group)
+    index, mask = observation.index, scheme.group_mask(group)
     usual = max(float(np.quantile(steps, STEADY_QUANTILE)) if len(steps) else 0.0, LEAST_STEP_PERCENT)
     best = None
     for k in range(index, index - JUMP_REACH, -1):
@@ -84,7 +88,7 @@ def jump_of(
 
 
 def group_step(
-    mask: np.ndarray, before: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]
+    mask: np.ndarray, before: Float[np.ndarray, "points 2"], now: Float[np.ndarray, "points 2"]
 ) -> Float[np.ndarray, "2"]:
     """Mean motion of a group relative to the face as a whole, pixels."""
     return (now - robust_similarity(before, now).to_image(before))[mask].mean(axis=0)
@@ -98,6 +102,6 @@ def _spans(model: FaceModel) -> dict[str, Float[np.ndarray, "2 2"]]:
     motions = np.concatenate([landmarks.contour_expression[0], landmarks.inner_expression], axis=1)[:, :, :2]
     spans = {}
     for group in INNOVATION_GROUPS:
-        moved = 100.0 * TYPICAL_WEIGHT / eye * motions[:, list(GROUPS[group])].mean(axis=1)
+        moved = 100.0 * TYPICAL_WEIGHT / eye * motions[:, list(model.scheme.groups[group])].mean(axis=1)
         spans[group] = np.zeros((2, 2)) if group in PREDICTED else moved.T @ moved
     return spans

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from workbench.landmarks.alignment import fit_similarity
+from workbench.landmarks.scheme import POINT_COUNT
 
 FLOW_FACE_PX = 160.0
 """Size to which faces are scaled before measuring flow, so that one window size fits all."""
@@ -20,9 +21,9 @@ MARGIN = 0.6
 def carried_by_flow(
     previous: UInt8[np.ndarray, "h w 3"],
     picture: UInt8[np.ndarray, "h w 3"],
-    points: Float[np.ndarray, "68 2"],
+    points: Float[np.ndarray, "points 2"],
     face_px: float,
-) -> Float[np.ndarray, "68 2"]:
+) -> Float[np.ndarray, "points 2"]:
     """Current positions of the content at `points` of the previous picture (Lucas–Kanade), pixels.
 
     NaN if a point tracked forward and back does not return to its start, or leaves the picture.
@@ -30,7 +31,7 @@ def carried_by_flow(
     scale = FLOW_FACE_PX / face_px
     low = np.maximum(np.floor(points.min(0) - MARGIN * face_px), 0).astype(int)
     high = np.minimum(np.ceil(points.max(0) + MARGIN * face_px) + 1, [picture.shape[1], picture.shape[0]]).astype(int)
-    missing = np.full((68, 2), np.nan)
+    missing = np.full(points.shape, np.nan)
     if previous.shape != picture.shape or (high - low < 8).any():
         return missing
     first, second = (_grey(each[low[1] : high[1], low[0] : high[0]], scale) for each in (previous, picture))
@@ -54,12 +55,13 @@ def _grey(picture: np.ndarray, scale: float) -> np.ndarray:
 
 
 def gradient_energy(
-    picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "68 2"], face_px: float
+    picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"], face_px: float
 ) -> Float[np.ndarray, "2 2"]:
-    """Structure tensor of the face region per unit of its contrast: dᵀ·E·d is the squared grey slope along d.
+    """Structure tensor of the region of the 68 per unit of its contrast: dᵀ·E·d is the squared grey slope along d.
 
     The face is first scaled to a fixed size, so that values within a shot are comparable.
     """
+    points = points[:POINT_COUNT]
     low = np.clip(np.floor(points.min(0)), 0, [picture.shape[1] - 4, picture.shape[0] - 4]).astype(int)
     high = np.maximum(np.ceil(points.max(0)).astype(int) + 1, low + 4)
     grey = _grey(picture[low[1] : high[1], low[0] : high[0]], FLOW_FACE_PX / face_px).astype(np.float32)
@@ -94,8 +96,8 @@ def directional_blur(energy: Float[np.ndarray, "2 2"], previous: Float[np.ndarra
 def change_of_patch(
     previous: UInt8[np.ndarray, "h w 3"],
     picture: UInt8[np.ndarray, "h w 3"],
-    points_before: Float[np.ndarray, "68 2"],
-    chosen: Bool[np.ndarray, "68"],
+    points_before: Float[np.ndarray, "points 2"],
+    chosen: Bool[np.ndarray, "points"],
     others: Float[np.ndarray, "n 2"],
     others_before: Float[np.ndarray, "n 2"],
 ) -> float:

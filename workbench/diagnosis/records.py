@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, UInt8
 
 from workbench.config import Config, Stage
 from workbench.diagnosis.appearance import Pictures
-from workbench.landmarks.observations import Landmarks2D
 from workbench.tracking import FrameContext, FrameFit, FrameObservation
+from workbench.tracking.fitting import corrected
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +67,12 @@ class Change:
     """The identity from that calibration, if `calibrate` is set."""
 
     def apply_to(self, config: Config) -> Config:
-        """The changed configuration; landmark factors are added to the existing ones."""
+        """The changed configuration; landmark factors come after the existing ones, for later entries win."""
         sections = dict(self.config)
         if "landmarks" in sections and "weights" in sections["landmarks"]:
-            weights = {**config.landmarks.weights, **sections["landmarks"]["weights"]}
-            sections["landmarks"] = {**sections["landmarks"], "weights": weights}
+            added = sections["landmarks"]["weights"]
+            kept = {name: factor for name, factor in config.landmarks.weights.items() if name not in added}
+            sections["landmarks"] = {**sections["landmarks"], "weights": {**kept, **added}}
         if self.limits:
             stages: Sequence[Stage] = config.stages
             sections["stages"] = [
@@ -80,13 +81,8 @@ class Change:
         return config.changed(**sections) if sections else config
 
     def moved(self, observation: FrameObservation) -> FrameObservation:
-        """The observation with this change's points at their new positions, with confidence 1."""
-        if not self.landmarks:
-            return observation
-        points, confidence = observation.landmarks.points.copy(), observation.landmarks.confidence.copy()
-        for index, place in self.landmarks.items():
-            points[index], confidence[index] = place, 1.0
-        return replace(observation, landmarks=Landmarks2D(points, confidence, observation.landmarks.image_size))
+        """The observation with this change's points at their new positions, as if corrected by hand."""
+        return corrected(observation, self.landmarks)
 
     def applied(self, context: FrameContext) -> FrameContext:
         """The context with this change's identity; a new identity or camera restarts the pose."""
@@ -97,10 +93,9 @@ class Change:
         return context
 
 
-def moved_to(observation: FrameObservation, points: Float[np.ndarray, "68 2"]) -> FrameObservation:
+def moved_to(observation: FrameObservation, points: Float[np.ndarray, "points 2"]) -> FrameObservation:
     """The observation with other points."""
-    landmarks = observation.landmarks
-    return replace(observation, landmarks=Landmarks2D(points, landmarks.confidence, landmarks.image_size))
+    return replace(observation, landmarks=replace(observation.landmarks, points=points))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,8 @@ from workbench.diagnosis.appearance import FaceLook, Pictures, look_of
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters, landmark_model
 from workbench.geometry import Camera
-from workbench.landmarks.alignment import fit_similarity
-from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import GROUPS, face_size
+from workbench.landmarks.alignment import FaceFrame, fit_similarity
+from workbench.landmarks.scheme import POINT_COUNT, face_size
 from workbench.planning import plan_of
 from workbench.runtime import COMPUTING
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
@@ -56,9 +55,9 @@ class ShotReference:
         self._shot = usable
         # A joint solve with enough iterations: usual values must not depend on the settings under suspicion.
         self._config = jointly(config)
+        self._model, self._scheme = model, model.scheme
         self._fitter = copy.copy(fitter)
-        self._fitter.configure(plan_of(self._config))
-        self._model = model
+        self._fitter.configure(plan_of(self._config, self._scheme))
         self._offsets: dict[str, np.ndarray] = {}
         self._looks: dict[int, FaceLook] = {}
 
@@ -77,7 +76,7 @@ class ShotReference:
         if not self.knows_person:
             return None
         fitter = copy.copy(self._fitter)
-        fitter.configure(plan_of(config))
+        fitter.configure(plan_of(config, self._scheme))
         return fitter.calibrate(self._sound_frames, config.identity.frames).identity
 
     def identity_of(self, frames: Sequence[FrameObservation]) -> Float[np.ndarray, "i"]:
@@ -91,9 +90,7 @@ class ShotReference:
         """The frames with mutually similar shapes: one with exchanged sides would spoil the calibration."""
         if not self.frames:
             return []
-        if not self.frames:
-            return []
-        shapes = np.stack([observation.landmarks.points for observation in self.frames])[:, 17:]
+        shapes = np.stack([observation.landmarks.points for observation in self.frames])[:, 17:POINT_COUNT]
         usual = shapes[0]
         for _ in range(2):
             usual = np.median([fit_similarity(shape, usual).to_image(shape) for shape in shapes], axis=0)
@@ -115,33 +112,33 @@ class ShotReference:
         return self.fits(self.identity) if self.identity is not None else []
 
     @cached_property
-    def residual_percent(self) -> Float[np.ndarray, "68"]:
+    def residual_percent(self) -> Float[np.ndarray, "points"]:
         """Usual distance of each landmark from the model, % of the face's size."""
         if not self.usual_fits:
-            return np.full(68, 1.0)
+            return np.full(len(self._scheme), 1.0)
         each = [100.0 * fit.residuals_px / face_size(fit.observed) for fit in self.usual_fits]
         return np.clip(1.2 * np.median(each, axis=0), *USUAL_PERCENT)
 
     def offsets_without(self, group: str) -> Float[np.ndarray, "n 2"]:
         """Mean offset of a group from a fit without it in some of the frames, % of the face's size."""
         if group not in self._offsets:
-            indices, offsets = list(GROUPS[group]), []
+            indices, offsets = list(self._scheme.groups[group]), []
             fits = {fit.index: fit for fit in self.usual_fits}
             for frame in [frame for frame in self._sound_frames if frame.index in fits][::2]:
                 points = frame.landmarks.points
                 confidence = frame.landmarks.confidence.copy()
                 confidence[indices] = 0.0
-                doubtful = replace(frame, landmarks=Landmarks2D(points, confidence, frame.image_size))
+                doubtful = replace(frame, landmarks=replace(frame.landmarks, confidence=confidence))
                 fit, _ = self._fitter.fit(doubtful, FrameContext(0, self.identity, None, None))
                 offsets.append(100.0 * (points - fit.projected)[indices].mean(axis=0) / face_size(points))
             self._offsets[group] = np.array(offsets).reshape(-1, 2)
         return self._offsets[group]
 
     @cached_property
-    def usual_confidence(self) -> Float[np.ndarray, "68"]:
+    def usual_confidence(self) -> Float[np.ndarray, "points"]:
         """Median of the detector's confidence in each point; 0 with too few frames."""
         each = [frame.landmarks.confidence for frame in self._shot]
-        return np.median(each, axis=0) if len(each) >= ENOUGH_FRAMES else np.zeros(68)
+        return np.median(each, axis=0) if len(each) >= ENOUGH_FRAMES else np.zeros(len(self._scheme))
 
     def look(self, frame: FrameObservation, pictures: Pictures) -> FaceLook:
         """How the face of a frame looks in its picture."""
@@ -151,15 +148,15 @@ class ShotReference:
 
     def steps_of(self, group: str) -> Float[np.ndarray, "n"]:
         """Motion of a group relative to the rest of the face between frames, % of the face's size."""
-        return self._steps[:, list(GROUPS[group])].mean(axis=1)
+        return self._steps[:, list(self._scheme.groups[group])].mean(axis=1)
 
     @cached_property
-    def _steps(self) -> Float[np.ndarray, "n 68"]:
+    def _steps(self) -> Float[np.ndarray, "n points"]:
         points = {observation.index: observation.landmarks.points for observation in self._shot}
         ends = [index for index in points if index - 1 in points]
         ends = ends[:: max(1, len(ends) // MOST_STEPS)]
         steps = [_steps_between(points[k - 1], points[k]) for k in ends]
-        return np.array(steps).reshape(-1, 68)
+        return np.array(steps).reshape(-1, len(self._scheme))
 
     @cached_property
     def jump_percent(self) -> float:
@@ -173,13 +170,13 @@ class ShotReference:
         return float(np.median(away)) if away else 0.0
 
     @cached_property
-    def motion_percent(self) -> Float[np.ndarray, "68"]:
+    def motion_percent(self) -> Float[np.ndarray, "points"]:
         """Usual distance of each landmark from the midpoint of the neighbouring frames, with head motion removed."""
         points = {observation.index: observation.landmarks.points for observation in self._shot}
         centres = [index for index in points if index - 1 in points and index + 1 in points]
         centres = centres[:: max(1, len(centres) // 40)]
         if len(centres) < ENOUGH_FRAMES:
-            return np.full(68, 1.2)
+            return np.full(len(self._scheme), 1.2)
         away = [
             100.0 * np.linalg.norm(points[k] - between(points[k - 1], points[k + 1], points[k]), axis=1)
             / face_size(points[k])
@@ -202,6 +199,12 @@ class ShotReference:
             costs |= {factor: self._focal_cost(factor) for factor in (best**0.5, best**2)}
         return dict(sorted(costs.items()))
 
+    def focal_error_percent(self, cost: float) -> float:
+        """The mean distance in x or y that such a cost means, % of the outer-eye distance."""
+        frames = min(self.config.identity.frames, len(self._sound_frames))
+        weights = self.config.point_weights(self._scheme)
+        return float(np.sqrt(cost / (2.0 * frames * max(sum(weights), 1e-9))))
+
     def _focal_cost(self, factor: float) -> float:
         count = self.config.identity.frames
         frames = self._sound_frames
@@ -217,10 +220,10 @@ class ShotReference:
             starts.append(
                 FaceParameters(fit.rotation, fit.translation * [1.0, 1.0, factor], fit.expression, fit.identity)
             )
-        counts = plan_of(self.config).counts
-        weights = np.stack([counts(frame.landmarks.confidence) for frame in chosen] + [np.zeros(68)] * padding)
+        counts, unseen = plan_of(self.config, self._scheme).counts, [np.zeros(len(self._scheme))]
+        weights = np.stack([counts(frame.landmarks.confidence) for frame in chosen] + unseen * padding)
         chosen, starts, cameras = (part + part[-1:] * padding for part in (chosen, starts, cameras))
-        used = np.array(self.config.point_weights())
+        used = np.array(self.config.point_weights(self._scheme))
         settings = CalibrationSettings(
             identity=1.0, size=0.0, expression=8.0, limits=(40, 15), landmark_weights=np.stack([used] * 2), sliding=1.0
         )
@@ -237,22 +240,24 @@ class ShotReference:
 
 
 def between(
-    before: Float[np.ndarray, "68 2"], after: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]
-) -> Float[np.ndarray, "68 2"]:
+    before: Float[np.ndarray, "points 2"], after: Float[np.ndarray, "points 2"], now: Float[np.ndarray, "points 2"]
+) -> Float[np.ndarray, "points 2"]:
     """The midpoints between `before` and `after`, moved to `now` by the similarity that most points follow."""
     middle = 0.5 * (before + after)
     return robust_similarity(middle, now).to_image(middle)
 
 
-def _steps_between(before: Float[np.ndarray, "68 2"], now: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68"]:
+def _steps_between(
+    before: Float[np.ndarray, "points 2"], now: Float[np.ndarray, "points 2"]
+) -> Float[np.ndarray, "points"]:
     away = np.linalg.norm(now - robust_similarity(before, now).to_image(before), axis=1)
     return 100.0 * away / face_size(now)
 
 
-def robust_similarity(source: Float[np.ndarray, "68 2"], target: Float[np.ndarray, "68 2"]):
-    """The similarity that maps most points of `source` to `target`: re-fitted on the closest half, then two thirds."""
-    chosen = np.asarray(GROUPS["all"])
-    face = fit_similarity(source[chosen], target[chosen])
+def robust_similarity(source: Float[np.ndarray, "points 2"], target: Float[np.ndarray, "points 2"]) -> FaceFrame:
+    """The similarity that maps most of the 68 from `source` to `target`: re-fitted to the closest half, then 66 %."""
+    source, target = source[:POINT_COUNT], target[:POINT_COUNT]
+    face = fit_similarity(source, target)
     for part in (0.5, 0.5, 0.66):
         away = np.linalg.norm(face.to_image(source) - target, axis=1)
         chosen = np.argsort(away, kind="stable")[: int(part * len(source))]
@@ -275,4 +280,4 @@ def reference_of(
     """Usual values of a shot, to be shared by the diagnoses of its frames. Raises `InputError` without landmarks."""
     if not any(observation.landmarks is not None for observation in shot):
         raise InputError("A shot's reference needs landmarks; none of these frames has any.")
-    return ShotReference(model, config, shot, fitter or FaceItFitter(model, plan_of(config)))
+    return ShotReference(model, config, shot, fitter or FaceItFitter(model, plan_of(config, model.scheme)))

@@ -3,7 +3,8 @@
 The measure is Σ log(1 + (d/s)²) over the landmarks, with d the distance from the model and s the usual distance in the
 shot: the logarithm of a heavy-tailed likelihood, in nats. The same is added for the distance of each landmark from its
 position predicted by the motion of the picture (or by neighbouring frames). A landmark that a hypothesis doubts costs
-at most a fixed price. All hypotheses are thus comparable: by what they explain minus what they cost.
+at most a fixed price. All hypotheses are thus comparable: by what they explain minus what they cost. Fits take all
+points of the landmark scheme as sessions do; those beyond the 68 count less in the measure (`FURTHER_SHARE`).
 """
 
 import copy
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from workbench.config import Config
 from workbench.diagnosis.appearance import FaceLook, UsualLook, look_of, near
@@ -21,7 +22,7 @@ from workbench.diagnosis.picture_evidence import Blur, carried_by_flow, directio
 from workbench.diagnosis.records import Change, FrameCase
 from workbench.diagnosis.reference import ShotReference, between
 from workbench.errors import StoppedError
-from workbench.landmarks.scheme import face_size
+from workbench.landmarks.scheme import POINT_COUNT, face_size
 from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
 from workbench.tracking.unwatched import never
@@ -36,6 +37,8 @@ SURE = 0.4
 """Usual confidence from which a lower one says something."""
 FLOW_USUAL = 1.2
 """Factor on the usual motion deviation for points predicted by optical flow."""
+FURTHER_SHARE = 0.05
+"""What a point beyond the 68 counts beside one of them, as in the preset `dense`: neighbours err together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +59,7 @@ class Finding:
     """Fixed score of conclusive evidence, whatever the fit shows."""
     numbers: dict[str, float] = field(default_factory=dict)
     measure: str = "landmark error"
-    doubted: Bool[np.ndarray, "68"] | None = None
+    doubted: Bool[np.ndarray, "points"] | None = None
     outranks: tuple[str, ...] = ()
     """Codes of less specific hypotheses with the same explanation."""
 
@@ -80,9 +83,11 @@ class Trial:
         self._afresh = afresh and case.context.last is not None
         self.reference = reference
         self.names = fitter.model.expression_names
+        self.scheme = fitter.model.scheme
         self._fitter = copy.copy(fitter)
-        self._fitter.configure(plan_of(case.config))
+        self._fitter.configure(plan_of(case.config, self.scheme))
         self.points = case.observation.landmarks.points
+        self.shares = shares_of(len(self.points))
         self.face_px = float(face_size(self.points))
         self._others: dict[bytes, tuple[Config, FaceItFitter]] = {}
         self.fit = self._best_fit(self._fitter, case.observation, case.context)
@@ -107,7 +112,7 @@ class Trial:
         if not self._afresh or context.last is None:
             return fit
         again, _ = fitter.fit(observation, context._replace(last=None))
-        return min(fit, again, key=lambda tried: self.residual_costs(tried).sum())
+        return min(fit, again, key=lambda tried: self.total(self.residual_costs(tried)))
 
     def fitter(self, config: Config, context: FrameContext) -> FaceItFitter:
         """A fitter for this configuration; one is cached per identity."""
@@ -115,13 +120,26 @@ class Trial:
         followed, fitter = self._others.get(key, (None, None))
         if followed is not config:
             fitter = copy.copy(self._fitter) if fitter is None else fitter
-            fitter.configure(plan_of(config))
+            fitter.configure(plan_of(config, self.scheme))
             self._others[key] = (config, fitter)
         return fitter
 
+    def lessened(self, group: str, factor: float) -> dict[str, float]:
+        """Entries of `landmarks.weights` for a part of a group's weight; what is in it keeps its proportions."""
+        config, chosen = self.case.config, set(self.scheme.groups[group])
+        groups = {**self.scheme.groups, **config.subsets}
+        inside = {
+            name: factor * weight
+            for name, weight in config.landmarks.weights.items()
+            if chosen.issuperset((int(name),) if name.isdigit() else groups.get(name, ()))
+        }
+        return {group: factor, **inside}
+
     # --- the measure ---
 
-    def misfit(self, fit: FrameFit, doubted: Bool[np.ndarray, "68"] | None = None, past_doubted: bool = False) -> float:
+    def misfit(
+        self, fit: FrameFit, doubted: Bool[np.ndarray, "points"] | None = None, past_doubted: bool = False
+    ) -> float:
         """Nats left unexplained by a fit; `doubted` landmarks cost at most their price, and those that the detector
         doubts less, whatever the configuration makes of its confidence.
 
@@ -134,28 +152,39 @@ class Trial:
         each = each * np.minimum(self.case.observation.landmarks.confidence * 2.0, 1.0)
         if doubted is not None:
             each = np.where(doubted, np.minimum(each, DOUBTED), each)
-        return float(each.sum())
+        return self.total(each)
 
-    def residual_costs(self, fit: FrameFit) -> Float[np.ndarray, "68"]:
+    def total(self, each: Float[np.ndarray, "points"]) -> float:
+        """The sum over the landmarks, each by its share."""
+        return float((self.shares * each).sum())
+
+    def residual_costs(self, fit: FrameFit) -> Float[np.ndarray, "points"]:
         """Nats of each landmark for its distance from the model."""
         return np.log1p((self.percent(fit.residuals_px) / self.reference.residual_percent) ** 2)
 
-    def motion_costs(self, points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68"]:
+    def motion_costs(self, points: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points"]:
         """Nats of each landmark for its distance from the position predicted by motion."""
         return np.log1p((self.motion_deviation(points) / self.reference.motion_percent) ** 2)
 
-    def motion_deviation(self, points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68"]:
+    def motion_deviation(self, points: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points"]:
         """Distance of each landmark from the position predicted by optical flow or by neighbouring frames, in %.
 
         The smaller of the two if both are known, because each fails in its own way; 0 if neither is.
         """
-        found = np.full((2, 68), np.inf)
+        found = np.full((2, len(points)), np.inf)
         if self.carried is not None:
             found[0] = np.linalg.norm(points - self.carried, axis=1) / FLOW_USUAL
         if self.case.before is not None and self.case.after is not None:
             found[1] = np.linalg.norm(points - self.middle(points), axis=1)
         least = np.nanmin(np.where(np.isnan(found), np.inf, found), axis=0)
         return np.where(np.isfinite(least), self.percent(least), 0.0)
+
+    @cached_property
+    def anchors(self) -> Int[np.ndarray, "points"]:
+        """Of each point, the nearest of the 68 on the neutral face: itself for these."""
+        model = self._fitter.model
+        neutral = model.landmarks.of(model.neutral)
+        return np.linalg.norm(neutral[:, None] - neutral[None, :POINT_COUNT], axis=2).argmin(axis=1)
 
     @cached_property
     def unexplained(self) -> float:
@@ -172,16 +201,16 @@ class Trial:
         """Nats left by an unremarkable frame of this shot: the minimum that an explanation must reach."""
         fits = self.reference.usual_fits
         if not fits:
-            return 0.35 * 68
+            return self.total(np.full(len(self.shares), 0.35))
         usual = self.reference.residual_percent
-        each = [np.log1p((100.0 * fit.residuals_px / face_size(fit.observed) / usual) ** 2).sum() for fit in fits]
-        return float(min(np.median(each), 0.6 * 68))
+        each = [np.log1p((100.0 * fit.residuals_px / face_size(fit.observed) / usual) ** 2) for fit in fits]
+        return float(min(np.median([self.total(costs) for costs in each]), 0.6 * self.shares.sum()))
 
     def gain(
         self,
         fit: FrameFit,
         parameters: float = 0.0,
-        doubted: Bool[np.ndarray, "68"] | None = None,
+        doubted: Bool[np.ndarray, "points"] | None = None,
         past_doubted: bool = False,
     ) -> float:
         """Nats that a changed fit explains beyond the fit under diagnosis, minus the price of its free parameters."""
@@ -191,10 +220,10 @@ class Trial:
         """Pixels in percent of the face's size."""
         return 100.0 * px / self.face_px
 
-    def error_percent(self, fit: FrameFit, doubted: Bool[np.ndarray, "68"] | None = None) -> float:
-        """Mean error over the landmarks that are not doubted, % of the outer-eye distance (as `FrameFit.errors`)."""
-        believed = np.ones(68, bool) if doubted is None or doubted.all() else ~doubted
-        return float(fit.residuals_percent[believed].mean())
+    def error_percent(self, fit: FrameFit, doubted: Bool[np.ndarray, "points"] | None = None) -> float:
+        """Mean error over those of the 68 that are not doubted, % of the outer-eye distance (as `FrameFit.errors`)."""
+        believed = np.ones(len(self.points), bool) if doubted is None or doubted.all() else ~doubted
+        return float(fit.residuals_percent[:POINT_COUNT][believed[:POINT_COUNT]].mean())
 
     # --- evidence besides the fit ---
 
@@ -206,10 +235,10 @@ class Trial:
     def jump(self, group: str) -> tuple[Float[np.ndarray, "2"], float] | None:
         """The jump of a group within the last frames, if there is one (`jump_of`)."""
         shot = {index: found for index, found in self.case._by_index.items() if found.landmarks is not None}
-        return jump_of(group, self.case.observation, shot, self.reference.steps_of(group))
+        return jump_of(group, self.scheme, self.case.observation, shot, self.reference.steps_of(group))
 
     @cached_property
-    def carried(self) -> Float[np.ndarray, "68 2"] | None:
+    def carried(self) -> Float[np.ndarray, "points 2"] | None:
         """The previous frame's landmarks moved by optical flow; NaN where the flow is unreliable."""
         case = self.case
         if case.picture is None or case.previous_picture is None or case.before is None:
@@ -217,12 +246,12 @@ class Trial:
         points = case.before.landmarks.points
         return carried_by_flow(case.previous_picture, case.picture, points, float(face_size(points)))
 
-    def middle(self, points: Float[np.ndarray, "68 2"]) -> Float[np.ndarray, "68 2"]:
+    def middle(self, points: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
         """Landmarks predicted from the previous and next frames, with the head's motion taken from `points`."""
         return between(self.case.before.landmarks.points, self.case.after.landmarks.points, points)
 
     @cached_property
-    def neighbours(self) -> Float[np.ndarray, "68 2"] | None:
+    def neighbours(self) -> Float[np.ndarray, "points 2"] | None:
         """Landmarks predicted from neighbouring frames without those of this frame: interpolated or copied."""
         before, after = self.case.before, self.case.after
         if before is None and after is None:
@@ -245,7 +274,7 @@ class Trial:
         return directional_blur(energy, previous)
 
     @cached_property
-    def relative_confidence(self) -> Float[np.ndarray, "68"]:
+    def relative_confidence(self) -> Float[np.ndarray, "points"]:
         """The detector's confidence in each point relative to its usual one in the shot; 1 where that is low, too."""
         usual = self.reference.usual_confidence
         now = self.case.observation.landmarks.confidence
@@ -273,7 +302,12 @@ class Trial:
         return found if found is not None and found.landmarks is not None else None
 
 
-def points_change(label: str, points: Float[np.ndarray, "68 2"], chosen: Bool[np.ndarray, "68"]) -> Change:
+def shares_of(count: int) -> Float[np.ndarray, "points"]:
+    """What each of so many points counts beside one of the 68."""
+    return np.where(np.arange(count) < POINT_COUNT, 1.0, FURTHER_SHARE)
+
+
+def points_change(label: str, points: Float[np.ndarray, "points 2"], chosen: Bool[np.ndarray, "points"]) -> Change:
     """The change that moves the chosen points to their rows of `points`."""
     places = {int(k): (float(points[k, 0]), float(points[k, 1])) for k in np.flatnonzero(chosen)}
     return Change(label, landmarks=places)

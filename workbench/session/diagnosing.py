@@ -6,25 +6,21 @@ from dataclasses import replace
 from workbench.config import Config
 from workbench.diagnosis import Diagnosis, FrameCase, ShotReference, diagnose_frame, reference_of
 from workbench.errors import InputError
-from workbench.face import FaceModel, in_scheme
-from workbench.landmarks.scheme import IBUG68
+from workbench.face import FaceModel
 from workbench.planning import plan_of
 from workbench.session.clip_run import Run
 from workbench.session.material import Cancelled, Material, Progress
 from workbench.session.observed_frames import ObservedFrames
 from workbench.tracking import FaceItFitter
-from workbench.tracking.fitting import FrameProblem, with_ibug68
+from workbench.tracking.fitting import FrameProblem
 from workbench.tracking.unwatched import never, silent
 
 
 class Diagnosing:
-    """Diagnoses frames one at a time with its own fitter, by the 68 points of any scheme. Thread-safe.
-
-    What is usual is known for those: thresholds and prices of hypotheses are theirs.
-    """
+    """Diagnoses frames one at a time with its own fitter. Thread-safe."""
 
     def __init__(self, model: FaceModel, material: Material, frames: ObservedFrames) -> None:
-        self._model, self._material, self._frames = in_scheme(model, IBUG68), material, frames
+        self._model, self._material, self._frames = model, material, frames
         self._fitter: FaceItFitter | None = None
         self._reference: tuple[tuple[int, Config], ShotReference] | None = None
         self._lock = threading.Lock()
@@ -45,12 +41,12 @@ class Diagnosing:
         frame, frames, pictures = observation.index, self._material.shots[context.shot], self._material.pictures
         shot = [self._frames.observation(k, config) for k in frames]
         previous = pictures[frame - 1] if pictures.real and frame - 1 in frames else None
-        case = FrameCase(with_ibug68(observation), context, config, [with_ibug68(seen) for seen in shot])
+        case = FrameCase(observation, context, config, shot)
         if pictures.real:
             case = replace(case, picture=pictures[frame], previous_picture=previous, pictures=pictures.__getitem__)
         with self._lock:
             if self._fitter is None:
-                self._fitter = FaceItFitter(self._model, plan_of(config))
+                self._fitter = FaceItFitter(self._model, plan_of(config, self._model.scheme))
             key = (context.shot, config)
             if self._reference is None or self._reference[0] != key:
                 self._reference = (key, reference_of(self._model, config, case.shot, self._fitter))

@@ -15,7 +15,6 @@ from workbench.arrays import AnyArray
 from workbench.errors import InputError
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera
-from workbench.landmarks.observations import of_ibug68
 from workbench.rendering import Appearance
 from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan
@@ -200,13 +199,6 @@ def with_face(observation: FrameObservation) -> FrameObservation:
     if observation.landmarks is None:
         raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
     return observation
-
-
-def with_ibug68(observation: FrameObservation) -> FrameObservation:
-    """The observation by its 68 points alone, for what knows no others."""
-    if observation.landmarks is None:
-        return observation
-    return replace(observation, landmarks=of_ibug68(observation.landmarks))
 
 
 def corrected(observation: FrameObservation, moved: Mapping[int, tuple[float, float]]) -> FrameObservation:

@@ -17,14 +17,14 @@ CLEARLY_LESS = 0.3
 def doubted_part(trial: Trial) -> Iterator[Finding]:
     """The detector is unsure of a part of which it is sure in the shot's other frames."""
     relative = np.minimum(trial.relative_confidence, 1.0)
-    named = {name: mask_of(name) for name in (*TITLES, *SIDES)}
+    named = {name: mask_of(trial, name) for name in (*TITLES, *SIDES)}
     name = max(named, key=lambda part: relative[~named[part]].mean() - relative[named[part]].mean())
     mask, title = named[name], title_of(name)
     here, elsewhere = float(relative[mask].mean()), float(relative[~mask].mean())
     if here > UNSURE:
         return
     if elsewhere - here < CLEARLY_LESS:
-        mask, title, here = np.ones(68, bool), "whole face", float(relative.mean())
+        mask, title, here = np.ones(len(relative), bool), "whole face", float(relative.mean())
     index, sure = trial.case.observation.index, trial.case.observation.landmarks.confidence[mask]
     usual = trial.reference.usual_confidence[mask]
     others = [
@@ -34,7 +34,7 @@ def doubted_part(trial: Trial) -> Iterator[Finding]:
     ]
     nearest = min(others, key=lambda frame: abs(frame.index - index), default=None)
     if nearest is None or nearest.index == index:
-        change = muted(name)
+        change = muted(trial, name)
     else:
         source = nearest.landmarks.points
         places = source if mask.all() else robust_similarity(source, trial.points).to_image(source)

@@ -12,7 +12,7 @@ from workbench.diagnosis.innovation import offset_nats
 from workbench.diagnosis.picture_evidence import change_of_patch
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial, points_change
-from workbench.landmarks.scheme import GROUPS, group_mask
+from workbench.landmarks.scheme import GROUPS, POINT_COUNT
 from workbench.tracking import FrameFit
 
 TITLES = {
@@ -43,7 +43,7 @@ COHERENT = 1.0
 
 def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
     """The jaw contour implies another pose than the other points (Deep Energies Sec. 8.2, Fig. 7)."""
-    mask = group_mask("jaw")
+    mask = trial.scheme.group_mask("jaw")
     change = Change("Give the jaw points a tenth of their weight", config={"landmarks": {"weights": {"jaw": 0.1}}})
     fit = trial.refit(change)
     shift = _best_shift(trial, "jaw")
@@ -54,7 +54,7 @@ def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
     if gain <= 0.0 or distance < LEAST_OFFSET_PERCENT:
         return
     jaw_only = trial.refit(
-        Change("", config={"landmarks": {"weights": {"non_jaw": 0.1}}, "stages": _all_points(trial)})
+        Change("", config={"landmarks": {"weights": trial.lessened("non_jaw", 0.1)}, "stages": _all_points(trial)})
     )
     degrees, millimetres = between_poses(fit, jaw_only)
     before, after = trial.error_percent(trial.fit, mask), trial.error_percent(fit, mask)
@@ -129,8 +129,8 @@ def _best_shift(trial: Trial, group: str) -> _Shift | None:
 
     None if even the best estimate cannot explain enough.
     """
-    mask = group_mask(group)
-    without = trial.refit(muted(group))
+    mask = trial.scheme.group_mask(group)
+    without = trial.refit(muted(trial, group))
     offset, scatter = _offset(trial, without, mask)
     mean = (trial.points - without.projected)[mask].mean(axis=0)
     usual = trial.usual_offsets[group]
@@ -163,7 +163,7 @@ def occluded(trial: Trial) -> Iterator[Finding]:
     if trial.excess < LEAST_EXCESS and confidence.min() > 0.5 * confidence.max():
         return
     for name in (*TITLES, *SIDES):
-        mask, change = mask_of(name), muted(name)
+        mask, change = mask_of(trial, name), muted(trial, name)
         fit = trial.refit(change)
         gain = trial.gain(fit, doubted=mask)
         offset, scatter = _offset(trial, fit, mask)
@@ -216,7 +216,7 @@ def _hardly_seen(trial: Trial) -> Iterator[Finding]:
     change, fit = None, trial.fit
     if nearest is not None:
         label = f"Use the points of frame {nearest.index}, where the detector was confident"
-        change = points_change(label, nearest.landmarks.points, group_mask("all"))
+        change = points_change(label, nearest.landmarks.points, trial.scheme.group_mask("all"))
         fit = trial.refit(change, trial.case.context._replace(last=None))
     yield Finding(
         code="occluded",
@@ -241,7 +241,7 @@ def _hardly_seen(trial: Trial) -> Iterator[Finding]:
 def face_outside(trial: Trial) -> Iterator[Finding]:
     """Points lie beyond the picture's edge, where a detector can only guess."""
     mask = outside_picture(trial.points, trial.case.observation.image_size)
-    count = int(mask.sum())
+    count = int(mask[:POINT_COUNT].sum())
     if count < FEWEST_OUTSIDE:
         return
     weights = {str(index): 0.0 for index in np.flatnonzero(mask)}
@@ -251,7 +251,7 @@ def face_outside(trial: Trial) -> Iterator[Finding]:
     yield Finding(
         code="face_outside",
         title="The face leaves the picture",
-        evidence=f"{count} of 68 points lie on or beyond the edge of the picture, where a detector can only guess; "
+        evidence=f"{count} of the 68 points lie on or beyond the edge of the picture, where a detector can only guess; "
         f"without them the error of the others goes from {before:.1f} to {after:.1f} % of the eye distance.",
         change=change,
         gain=trial.gain(fit, doubted=mask),
@@ -264,9 +264,10 @@ def face_outside(trial: Trial) -> Iterator[Finding]:
     )
 
 
-def muted(name: str) -> Change:
+def muted(trial: Trial, name: str) -> Change:
     """The change that mutes a group, or one of `SIDES` point by point."""
-    weights = {name: 0.0} if name in GROUPS else {str(index): 0.0 for index in SIDES[name]}
+    named = name in trial.scheme.groups
+    weights = {name: 0.0} if named else {str(point): 0.0 for point in np.flatnonzero(mask_of(trial, name))}
     return Change(f"Mute the points of the {title_of(name)}", config={"landmarks": {"weights": weights}})
 
 
@@ -275,9 +276,11 @@ def title_of(name: str) -> str:
     return TITLES.get(name, name.replace("_", " "))
 
 
-def mask_of(name: str) -> Bool[np.ndarray, "68"]:
-    """True for the points of a group, or of one of `SIDES`."""
-    return np.isin(np.arange(68), GROUPS[name] if name in GROUPS else SIDES[name])
+def mask_of(trial: Trial, name: str) -> Bool[np.ndarray, "points"]:
+    """True for the points of a group, or of one of `SIDES` and those beyond the 68 that are nearest to one of them."""
+    if name in trial.scheme.groups:
+        return trial.scheme.group_mask(name)
+    return np.isin(trial.anchors, SIDES[name])
 
 
 def _all_points(trial: Trial) -> list[dict]:
@@ -285,14 +288,14 @@ def _all_points(trial: Trial) -> list[dict]:
     return [{**stage.model_dump(), "landmarks": {"all": 1.0}} for stage in trial.case.config.stages]
 
 
-def _offset(trial: Trial, fit: FrameFit, mask: Bool[np.ndarray, "68"]) -> tuple[Float[np.ndarray, "2"], float]:
+def _offset(trial: Trial, fit: FrameFit, mask: Bool[np.ndarray, "points"]) -> tuple[Float[np.ndarray, "2"], float]:
     """Median offset of the masked points from a fit, and their root mean square scatter around it, pixels."""
     error = trial.points[mask] - fit.projected[mask]
     offset = np.median(error, axis=0)
     return offset, float(np.sqrt(((error - offset) ** 2).sum(1).mean()))
 
 
-def _motion_offset(trial: Trial, mask: Bool[np.ndarray, "68"]) -> Iterator[Float[np.ndarray, "2"]]:
+def _motion_offset(trial: Trial, mask: Bool[np.ndarray, "points"]) -> Iterator[Float[np.ndarray, "2"]]:
     """The group's deviation from the motion of the picture, or of neighbouring frames, relative to the other points."""
     places = [] if trial.carried is None else [trial.carried]
     if trial.case.before is not None and trial.case.after is not None:
@@ -308,19 +311,19 @@ def _long(trial: Trial, vector: Float[np.ndarray, "2"]) -> bool:
     return bool(trial.percent(np.linalg.norm(vector)) >= LEAST_OFFSET_PERCENT)
 
 
-def _shifted_back(trial: Trial, mask: Bool[np.ndarray, "68"], offset: Float[np.ndarray, "2"], title: str):
+def _shifted_back(trial: Trial, mask: Bool[np.ndarray, "points"], offset: Float[np.ndarray, "2"], title: str):
     points = trial.points - np.where(mask[:, None], offset, 0.0)
     change = points_change(f"Move the points of the {title} back", points, mask)
     return change, trial.refit(change)
 
 
-def _purity(trial: Trial, fit: FrameFit, mask: Bool[np.ndarray, "68"]) -> float:
+def _purity(trial: Trial, fit: FrameFit, mask: Bool[np.ndarray, "points"]) -> float:
     """Fraction of the doubted points that are far off: occlusion hides a whole part of the face, not single points."""
     far = trial.percent(fit.residuals_px) / trial.reference.residual_percent > 2.0
     return 0.3 + 0.7 * float(far[mask].mean())
 
 
-def _picture_changed(trial: Trial, mask: Bool[np.ndarray, "68"]) -> float:
+def _picture_changed(trial: Trial, mask: Bool[np.ndarray, "points"]) -> float:
     """Grey-level change under the group since the previous picture, relative to the other groups; 0 if unknown."""
     case = trial.case
     if case.picture is None or case.previous_picture is None or case.before is None:

@@ -7,9 +7,7 @@ from jaxtyping import Float
 
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial, points_change
-from workbench.landmarks.scheme import group_mask
 
-EVERY_POINT = group_mask("all")
 STILL_PX = 1e-3
 """Motion of every landmark below which they are frozen: no detector repeats itself so exactly."""
 MOVING_PERCENT = 0.6
@@ -46,14 +44,18 @@ def frozen_detector(trial: Trial) -> Iterator[Finding]:
     jump = 0.0 if places is None else float(trial.percent(np.linalg.norm(places - trial.points, axis=1).mean()))
     if max(flow or 0.0, 0.5 * jump) < MOVING_PERCENT:
         return
-    change = Change("") if places is None else points_change("Carry the points over the gap", places, EVERY_POINT)
+    change = (
+        Change("")
+        if places is None
+        else points_change("Carry the points over the gap", places, trial.scheme.group_mask("all"))
+    )
     fit = trial.refit(change)
     moved = f"the picture moved by {flow:.1f} % of the eye distance" if flow is not None else "the face moved"
     yield Finding(
         code="frozen_detector",
         title="The landmarks are frozen",
-        evidence=f"All 68 points are exactly those of frame {first} ({last - first + 1} equal frames) although "
-        f"{moved} since the previous frame.",
+        evidence=f"All {len(trial.points)} points are exactly those of frame {first} ({last - first + 1} equal frames) "
+        f"although {moved} since the previous frame.",
         change=change if places is not None else None,
         gain=trial.gain(fit),
         before_percent=jump if flow is None else flow,
@@ -72,8 +74,8 @@ def low_flow_consistency(trial: Trial) -> Iterator[Finding]:
     deviation = trial.motion_deviation(trial.points)
     known = np.isfinite(trial.carried[:, 0])
     surprised = known & (deviation > FLOW_SURPRISE * trial.reference.motion_percent)
-    count = int(surprised.sum())
-    if count < FEWEST_SURPRISED:
+    count, counted = int(surprised.sum()), trial.total(surprised)
+    if counted < FEWEST_SURPRISED:
         return
     change = points_change("Move these points with the picture", trial.carried, surprised)
     fit = trial.refit(change)
@@ -85,7 +87,7 @@ def low_flow_consistency(trial: Trial) -> Iterator[Finding]:
         "previous frame puts them.",
         change=change,
         # Each replaced point has a cost, because any frame agrees with the previous one if it takes its points.
-        gain=trial.gain(fit, 0.5 * count),
+        gain=trial.gain(fit, 0.5 * counted),
         before_percent=_flow_disagreement(trial, trial.points),
         after_percent=_flow_disagreement(trial, change.moved(trial.case.observation).landmarks.points),
         specificity=0.7,
@@ -139,13 +141,14 @@ def motion_blur(trial: Trial) -> Iterator[Finding]:
     )
 
 
-def interpolated(trial: Trial, places: Float[np.ndarray, "68 2"] | None) -> Change:
+def interpolated(trial: Trial, places: Float[np.ndarray, "points 2"] | None) -> Change:
     """The change that takes the points from the adjacent frames; without any, it trusts this frame's less."""
     if places is None:
-        return Change("Trust the landmarks of this frame less", config={"landmarks": {"weights": {"all": 0.2}}})
+        less = {"landmarks": {"weights": trial.lessened("all", 0.2)}}
+        return Change("Trust the landmarks of this frame less", config=less)
     both = trial.case.before is not None and trial.case.after is not None
     label = "Interpolate the points from adjacent frames" if both else "Use the points of the adjacent frame"
-    return points_change(label, places, EVERY_POINT)
+    return points_change(label, places, trial.scheme.group_mask("all"))
 
 
 def _same(trial: Trial, index: int) -> bool:
@@ -162,7 +165,7 @@ def _picture_motion(trial: Trial) -> float | None:
     return float(trial.percent(np.median(moved[known]))) if known.sum() >= 10 else None
 
 
-def _thawed(trial: Trial, first: int, last: int) -> Float[np.ndarray, "68 2"] | None:
+def _thawed(trial: Trial, first: int, last: int) -> Float[np.ndarray, "points 2"] | None:
     """The landmarks interpolated between the last valid ones (frame `first`) and the next (`last` + 1), or by flow."""
     after = trial.observation_at(last + 1)
     if after is not None:
@@ -173,7 +176,7 @@ def _thawed(trial: Trial, first: int, last: int) -> Float[np.ndarray, "68 2"] | 
     return np.where(np.isfinite(trial.carried), trial.carried, trial.points)
 
 
-def _step_disagreement(trial: Trial, places: Float[np.ndarray, "68 2"] | None, frames: int) -> float:
+def _step_disagreement(trial: Trial, places: Float[np.ndarray, "points 2"] | None, frames: int) -> float:
     """Median difference between the motion per frame over the gap and that of the picture, %."""
     after = None if places is None else trial.observation_at(trial.case.observation.index)
     if after is None:
@@ -183,7 +186,7 @@ def _step_disagreement(trial: Trial, places: Float[np.ndarray, "68 2"] | None, f
     return float(trial.percent(np.nanmedian(np.abs(moved - part))))
 
 
-def _flow_disagreement(trial: Trial, points: Float[np.ndarray, "68 2"]) -> float:
+def _flow_disagreement(trial: Trial, points: Float[np.ndarray, "points 2"]) -> float:
     if trial.carried is None:
         return float(trial.motion_deviation(points).mean())
     away = np.linalg.norm(points - trial.carried, axis=1)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from workbench.diagnosis.records import Change, moved_to
 from workbench.diagnosis.reference import robust_similarity
 from workbench.diagnosis.trial import Finding, Trial, points_change
-from workbench.landmarks.scheme import GROUPS, MIRROR, POINT_NAMES, group_mask
+from workbench.landmarks.scheme import GROUPS
 from workbench.tracking import FrameFit
 
 SUSPECT_PERCENT = 4.0
@@ -27,11 +27,12 @@ def mirrored_order(trial: Trial) -> Iterator[Finding]:
     """
     if turning(trial.points) >= 0.0:
         return
-    places = list(MIRROR)
+    places = list(trial.scheme.mirror)
     others = [frame for frame in trial.case.shot if frame.landmarks is not None]
     whole_shot = len(others) > 1 and float(np.mean([turning(frame.landmarks.points) < 0.0 for frame in others])) > 0.5
     where = "in the whole shot" if whole_shot else "in this frame"
-    change = points_change(f"Exchange the points of left and right {where}", trial.points[places], group_mask("all"))
+    every = trial.scheme.group_mask("all")
+    change = points_change(f"Exchange the points of left and right {where}", trial.points[places], every)
     if whole_shot:
         # The identity was calibrated on mirrored faces.
         mended = [moved_to(frame, frame.landmarks.points[places]) for frame in others]
@@ -57,7 +58,7 @@ def mirrored_order(trial: Trial) -> Iterator[Finding]:
     )
 
 
-def turning(points: Float[np.ndarray, "68 2"]) -> float:
+def turning(points: Float[np.ndarray, "points 2"]) -> float:
     """Sine of the angle from the eye line (right to left) to the direction of the mouth: about 1, mirrored −1."""
     right, left, mouth = (points[list(GROUPS[group])].mean(axis=0) for group in ("right_eye", "left_eye", "mouth"))
     line, down = left - right, mouth - 0.5 * (left + right)
@@ -75,8 +76,8 @@ def points_swapped(trial: Trial) -> Iterator[Finding]:
         points = trial.points.copy()
         for first, second in pairs:
             points[[first, second]] = points[[second, first]]
-        chosen = np.isin(np.arange(68), pairs)
-        change = points_change(f"Exchange {_named(pairs)}", points, chosen)
+        chosen = np.isin(np.arange(len(points)), pairs)
+        change = points_change(f"Exchange {_named(trial, pairs)}", points, chosen)
         fit = trial.refit(change)
         gain = trial.gain(fit, 0.5 * len(pairs), past_doubted=True)
         if best is None or gain > best[0]:
@@ -84,11 +85,11 @@ def points_swapped(trial: Trial) -> Iterator[Finding]:
     if best is None or best[0] <= 0.0:
         return
     gain, pairs, change, fit = best
-    before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
+    before, after, named = trial.error_percent(trial.fit), trial.error_percent(fit), _named(trial, pairs)
     yield Finding(
         code="points_swapped",
         title="Two points are exchanged" if len(pairs) == 1 else f"{len(pairs)} pairs of points are exchanged",
-        evidence=f"{_named(pairs)[0].upper()}{_named(pairs)[1:]} lie where the other one belongs; exchanged, the error "
+        evidence=f"{named[0].upper()}{named[1:]} lie where the other one belongs; exchanged, the error "
         f"falls from {before:.1f} to {after:.1f} % of the eye distance.",
         change=change,
         gain=gain,
@@ -100,7 +101,7 @@ def points_swapped(trial: Trial) -> Iterator[Finding]:
 
 
 def exchanged_pairs(
-    points: Float[np.ndarray, "68 2"], predicted: Float[np.ndarray, "68 2"], suspect_px: float
+    points: Float[np.ndarray, "points 2"], predicted: Float[np.ndarray, "points 2"], suspect_px: float
 ) -> list[tuple[int, int]]:
     """Pairs of suspect points that each lie where the other is predicted, most certain first."""
     away = np.linalg.norm(points[:, None] - predicted[None], axis=2)
@@ -120,7 +121,7 @@ def exchanged_pairs(
     return pairs
 
 
-def _predictions(trial: Trial) -> list[Float[np.ndarray, "68 2"]]:
+def _predictions(trial: Trial) -> list[Float[np.ndarray, "points 2"]]:
     """Predictions of the points: from a fit that ignores distant points, and from neighbouring frames."""
     predictions = [robust_fit(trial).projected]
     if trial.neighbours is not None:
@@ -141,6 +142,7 @@ def robust_fit(trial: Trial, rounds: int = 3) -> FrameFit:
     return fit
 
 
-def _named(pairs: list[tuple[int, int]]) -> str:
-    named = [f"{first} ({POINT_NAMES[first]}) and {second} ({POINT_NAMES[second]})" for first, second in pairs[:2]]
+def _named(trial: Trial, pairs: list[tuple[int, int]]) -> str:
+    names = trial.scheme.point_names
+    named = [f"{first} ({names[first]}) and {second} ({names[second]})" for first, second in pairs[:2]]
     return "points " + ", ".join(named) + (" and others" if len(pairs) > 2 else "")

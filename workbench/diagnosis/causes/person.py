@@ -98,8 +98,8 @@ def wrong_focal(trial: Trial) -> Iterator[Finding]:
         f"(a field of view of {fov:.0f}° instead of {config.camera.fov_deg:.0f}°).",
         change=change,
         gain=trial.gain(fit),
-        before_percent=float(np.sqrt(here / (136 * 12))),
-        after_percent=float(np.sqrt(lowest / (136 * 12))),
+        before_percent=trial.reference.focal_error_percent(here),
+        after_percent=trial.reference.focal_error_percent(lowest),
         direct=_own_part(trial, fit) * float(np.interp(ratio, [LEAST_FOCAL_RATIO, SURE_FOCAL_RATIO], [0.5, 0.95])),
         measure="shot-wide error with the face shape fitted to each lens",
         numbers={"factor": factor, "fov_deg": fov, "cost_ratio": float(ratio)},
@@ -132,4 +132,4 @@ def fov_with(fov_deg: float, factor: float) -> float:
 
 def _nats(trial: Trial, fit: FrameFit) -> float:
     percent = 100.0 * fit.residuals_px / face_size(fit.observed)
-    return float(np.log1p((percent / trial.reference.residual_percent) ** 2).sum())
+    return trial.total(np.log1p((percent / trial.reference.residual_percent) ** 2))

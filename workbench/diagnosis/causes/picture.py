@@ -51,7 +51,7 @@ def covered(trial: Trial) -> Iterator[Finding]:
     surprising = (surprise > SURPRISING) & FACE
     share = surprising.sum() / FACE.sum()
     name, overlap = max(((name, _overlap(surprising, part)) for name, part in PARTS.items()), key=lambda pair: pair[1])
-    mask, title = mask_of(name), title_of(name)
+    mask, title = mask_of(trial, name), title_of(name)
     confidence = trial.case.observation.landmarks.confidence
     sure, others = float(confidence[mask].mean()), float(confidence[~mask].mean())
     doubts = float(trial.relative_confidence[mask].mean()) < DOUBTFUL
@@ -281,7 +281,7 @@ def _of_whole_face(
     )
 
 
-def _uncovered(trial: Trial, usual: UsualLook, name: str, mask: Bool[np.ndarray, "68"], slid: bool):
+def _uncovered(trial: Trial, usual: UsualLook, name: str, mask: Bool[np.ndarray, "points"], slid: bool):
     """The hidden points from the nearest frame where nothing covers the part, moved along with the rest, and the fit.
 
     Where the rest has `slid` too, they stay where they were.
@@ -290,7 +290,7 @@ def _uncovered(trial: Trial, usual: UsualLook, name: str, mask: Bool[np.ndarray,
     clear = [k for k, look in usual.looks.items() if not _covers(usual, look, name)]
     nearest = min(clear, key=lambda k: abs(k - index), default=None)
     if nearest is None:
-        change = muted(name)
+        change = muted(trial, name)
         return change, trial.refit(change)
     source = trial.observation_at(nearest).landmarks.points
     places = source if slid else robust_similarity(source, trial.points).to_image(source)
