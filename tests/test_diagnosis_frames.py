@@ -1,6 +1,7 @@
 """Why a frame fails: planted faults and their reasons, changes that mend, group pulls, flags over a track."""
 
 import importlib.util
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -84,6 +85,9 @@ def test_the_right_reason_comes_first_and_its_change_mends(head, fitter, fault):
     assert reason.title
     assert any(character.isdigit() for character in reason.evidence)
     assert reason.after_percent < reason.before_percent
+    # The words tell the same two errors as the numbers beside them.
+    for told in re.findall(r"from ([\d.]+) to ([\d.]+) % of", reason.evidence):
+        assert told == (f"{reason.before_percent:.1f}", f"{reason.after_percent:.1f}")
     # Applied as a session would, the change leads to the error that was promised.
     if reason.measure == "landmark error" and not reason.change.config:
         context = reason.change.applied(case.context)

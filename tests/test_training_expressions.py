@@ -13,7 +13,16 @@ from workbench.face.usual_expressions import read_moments
 from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, FrameContext, Track
 from workbench.tracking.records import stack_fits
-from workbench.training.expressions import ExpressionRecipe, learn_expressions, moment_of, second_moment
+from workbench.training.expressions import (
+    AMOUNT,
+    FITTED,
+    ExpressionRecipe,
+    fitted_weights,
+    learn_expressions,
+    partly_fitted,
+    second_moment,
+    weights_of,
+)
 from workbench.training.scenes import random_expression
 
 NAMES = load_default_head().expression_names
@@ -58,7 +67,37 @@ def test_tracks_count_as_much_as_random_expressions_and_each_alike(tmp_path, hea
 def test_a_track_without_a_fit_is_named(head, tmp_path):
     track = track_of(head, [np.full(44, np.nan)])
     with pytest.raises(InputError, match=r"empty\.npz has no fitted frame"):
-        moment_of(track, tmp_path / "empty.npz", NAMES)
+        weights_of(track, tmp_path / "empty.npz", NAMES)
+
+
+def test_pictures_show_the_expressions_of_tracks_each_track_as_often_and_to_either_side(tmp_path, head):
+    (tmp_path / "tracks").mkdir()
+    smirk = np.array([0.4 * (name == "mouthSmileLeft") for name in NAMES])
+    open_mouth = np.array([0.4 * (name == "jawOpen") for name in NAMES])
+    for name, shown in (("short", [smirk]), ("long", [open_mouth] * 9)):
+        track_of(head, shown).save(tmp_path / "tracks" / f"{name}.npz")
+    names = load_default_head(gaze=True).expression_names
+    fits = fitted_weights(tmp_path, names)
+    assert [len(track) for track in fits] == [9, 1]
+
+    def gazing(names, rng):
+        return np.array([0.25 * name.startswith("eyeLook") for name in names])
+
+    rng = np.random.default_rng(4)
+    draw = partly_fitted(gazing, fits)
+    drawn = np.array([draw(names, rng) for _ in range(3000)])
+    looks = [name.startswith("eyeLook") for name in names]
+    np.testing.assert_array_equal(drawn[:, looks], 0.25)
+    amounts = {name: drawn[:, names.index(name)] for name in ("jawOpen", "mouthSmileLeft", "mouthSmileRight")}
+    shares = {name: (amount > 0.0).mean() for name, amount in amounts.items()}
+    assert sum(shares.values()) == pytest.approx(FITTED, abs=0.03)
+    assert shares["jawOpen"] == pytest.approx(FITTED / 2, abs=0.03)
+    assert shares["mouthSmileRight"] == pytest.approx(FITTED / 4, abs=0.03)
+    for amount in amounts.values():
+        shown = amount[amount > 0.0]
+        assert shown.min() >= 0.4 * AMOUNT[0]
+        assert shown.max() <= 0.4 * AMOUNT[1]
+    assert partly_fitted(gazing, []) is gazing
 
 
 def test_random_expressions_move_jaw_and_mouth_to_one_side_or_the_other():

@@ -45,10 +45,11 @@ def score(trial: Trial, finding: Finding) -> float:
 
 def reason_of(finding: Finding, value: float) -> Reason:
     """The reason made from a finding."""
+    told = {"before": f"{finding.before_percent:.1f}", "after": f"{finding.after_percent:.1f}"}
     return Reason(
         code=finding.code,
         title=finding.title,
-        evidence=finding.evidence,
+        evidence=finding.evidence.format(**told),
         score=value,
         numbers={**finding.numbers, "gain_nats": finding.gain},
         change=finding.change,

@@ -48,6 +48,7 @@ class Finding:
     code: str
     title: str
     evidence: str
+    """May name {before} and {after}: the errors that are told beside it, which depend on how the change is tried."""
     change: Change | None
     gain: float
     """Nats that it explains, minus its own price."""

@@ -1,4 +1,4 @@
-"""How expressions usually are, learned: the second moment of the weights that training pictures show, and of fits."""
+"""Expressions of fits: how expressions usually are, learned from them, and training pictures that show them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from workbench.errors import InputError
 from workbench.face import load_default_head
-from workbench.face.usual_expressions import Moments, write_moments
+from workbench.face.gaze import GAZE_NAMES
+from workbench.face.usual_expressions import Moments, other_side, write_moments
 from workbench.tracking import Track
 from workbench.training.report import write_tables
 from workbench.training.scenes import random_expression
@@ -17,6 +18,12 @@ from workbench.training.scenes import random_expression
 SEED = 3
 TRACKS = "tracks"
 """The subfolder whose tracks are learned from, too."""
+FITTED = 0.3
+"""Share of the training pictures that show the expression of a fit, where there are tracks."""
+AMOUNT = (0.7, 2.0)
+"""How much of it they show: fits make expressions weaker than they are."""
+Mien = Callable[[tuple[str, ...], np.random.Generator], Float[np.ndarray, "k"]]
+"""Draws the weights of an expression."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +52,11 @@ def learn_expressions(
     names = load_default_head(gaze=True).expression_names
     rng = np.random.default_rng(SEED)
     drawn = second_moment(np.array([random_expression(names, rng) for _ in range(recipe.drawn)]))
-    paths = sorted((folder / TRACKS).rglob("*.npz"))
-    fitted = [moment_of(Track.load(path), path, names) for path in paths]
-    report(f"learned from {recipe.drawn} random expressions and from {len(paths)} tracks")
+    fitted = [second_moment(weights) for weights in fitted_weights(folder, names)]
+    report(f"learned from {recipe.drawn} random expressions and from {len(fitted)} tracks")
     second = 0.5 * (drawn + np.mean(fitted, axis=0)) if fitted else drawn
     path = folder / "expressions.safetensors"
-    notes = {"licence": "Apache-2.0", "expressions": str(recipe.drawn), "tracks": str(len(paths))}
+    notes = {"licence": "Apache-2.0", "expressions": str(recipe.drawn), "tracks": str(len(fitted))}
     moments = Moments(names, second)
     write_moments(path, moments, notes)
     write_tables(folder, "expressions", together(moments))
@@ -62,8 +68,16 @@ def second_moment(weights: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k k"]
     return weights.T @ weights / len(weights)
 
 
-def moment_of(track: Track, path: Path, names: Sequence[str]) -> Float[np.ndarray, "k k"]:
-    """The second moment of a track's fits, 0 for blendshapes that it lacks. Raises `InputError` if there are none."""
+def fitted_weights(folder: Path, names: Sequence[str]) -> list[Float[np.ndarray, "n k"]]:
+    """The weights of the fitted frames of each track in `folder/tracks`; none without that folder.
+
+    Raises `InputError` for a track without a fitted frame.
+    """
+    return [weights_of(Track.load(path), path, names) for path in sorted((folder / TRACKS).rglob("*.npz"))]
+
+
+def weights_of(track: Track, path: Path, names: Sequence[str]) -> Float[np.ndarray, "n k"]:
+    """The weights of a track's fits, 0 for blendshapes that it lacks. Raises `InputError` if there are none."""
     fits = track.expression[track.seen]
     if len(fits) == 0:
         raise InputError(f"{path} has no fitted frame to learn expressions from; take it out of {path.parent}.")
@@ -71,7 +85,28 @@ def moment_of(track: Track, path: Path, names: Sequence[str]) -> Float[np.ndarra
     weights = np.zeros((len(fits), len(names)))
     columns = [track.expression_names.index(name) for name in known]
     weights[:, [names.index(name) for name in known]] = fits[:, columns]
-    return second_moment(weights)
+    return weights
+
+
+def partly_fitted(mien: Mien, fits: Sequence[Float[np.ndarray, "n k"]]) -> Mien:
+    """Draws as `mien` does, but for a share (`FITTED`) that are fits: more or less of one, as it is or mirrored.
+
+    Every track comes equally often, whatever its length. The eyes look where `mien` has them look.
+    """
+    if not fits:
+        return mien
+
+    def draw(names: tuple[str, ...], rng: np.random.Generator) -> Float[np.ndarray, "k"]:
+        drawn = mien(names, rng)
+        if rng.random() >= FITTED:
+            return drawn
+        track = fits[rng.integers(len(fits))]
+        fit = np.clip(rng.uniform(*AMOUNT) * track[rng.integers(len(track))], 0.0, 1.0)
+        if rng.random() < 0.5:
+            fit = fit[[names.index(other_side(name)) for name in names]]
+        return np.where([name in GAZE_NAMES for name in names], drawn, fit)
+
+    return draw
 
 
 def together(moments: Moments, most: int = 24) -> dict[str, dict[str, float]]:

@@ -1,7 +1,7 @@
 """The pool: many renders on disk, made once; every training picture is an augmentation of one of them."""
 
 import multiprocessing
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from workbench.errors import InputError
 from workbench.face import load_default_head
 from workbench.files import atomic_path, make_folder
+from workbench.training.expressions import partly_fitted
 from workbench.training.scenes import EYES_VIEW, FACE_VIEW, FaceStudio, looking_around, random_expression
 from workbench.training.skin import skin_painter
 
@@ -64,13 +65,19 @@ KINDS = {"faces": (FACE_VIEW, random_expression), "eyes": (EYES_VIEW, looking_ar
 """What a pool's pictures show, and how expressions are drawn."""
 
 
-def make_shard(folder: Path, seed: int, shard: int, kind: str = "faces") -> None:
-    """Render one shard unless it is there: the same seed gives the same people, poses and lights."""
+def make_shard(
+    folder: Path, seed: int, shard: int, kind: str = "faces", fits: Sequence[Float[np.ndarray, "n k"]] = ()
+) -> None:
+    """Render one shard unless it is there: the same seed gives the same people.
+
+    A share of them shows expressions of `fits` (`partly_fitted`), the weights of one track each.
+    """
     pictures_path, numbers_path = shard_paths(folder, shard)
     if pictures_path.is_file() and numbers_path.is_file():
         return
     model = load_default_head(gaze=True)
-    studio = FaceStudio(model, skin_painter(model), *KINDS[kind])
+    view, mien = KINDS[kind]
+    studio = FaceStudio(model, skin_painter(model), view, partly_fitted(mien, fits))
     faces = []
     try:
         for person in range(SHARD // PICTURES_OF_A_PERSON):
@@ -99,9 +106,15 @@ def make_pool(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
     kind: str = "faces",
+    fits: Sequence[Float[np.ndarray, "n k"]] = (),
 ) -> None:
-    """Render what is missing of a pool of (at least) this many pictures; may be interrupted and called again."""
-    make_shards(partial(make_shard, kind=kind), folder, -(-pictures // SHARD), seed, SHARD, workers, progress)
+    """Render what is missing of a pool of (at least) this many pictures; may be interrupted and called again.
+
+    `kind` and `fits` as in `make_shard`.
+    """
+    make_shards(
+        partial(make_shard, kind=kind, fits=fits), folder, -(-pictures // SHARD), seed, SHARD, workers, progress
+    )
 
 
 def make_shards(

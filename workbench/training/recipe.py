@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from workbench.face import load_default_head
 from workbench.files import atomic_path
 from workbench.landmarks.dense_detector import bundled_dense_network
 from workbench.landmarks.network_detector import bundled_landmark_network
@@ -25,6 +26,7 @@ from workbench.training.dense_gain import corrected_answers, fitted_gain, write_
 from workbench.training.dense_measuring import DenseAnswers, dense_answers, deviation_factor, measured_dense
 from workbench.training.dense_task import DenseTask
 from workbench.training.evaluation import CLEAN, Answers, answers_of, calibration_of, joined, unseen_pictures
+from workbench.training.expressions import FITTED, fitted_weights
 from workbench.training.eye_measuring import eye_answers, measured_eyes
 from workbench.training.eye_task import EyeTask
 from workbench.training.finder_task import FinderTask
@@ -228,9 +230,11 @@ def _largest(
 def _pools(folder: Path, recipe: Recipe, workers: int, report: Report, kind: str = "faces") -> tuple[Path, Path]:
     name = "pool" if kind == "faces" else f"pool_{kind}"
     pools = folder / name, folder / f"{name}_test"
-    sizes = (recipe.pictures, recipe.test_pictures)
-    for path, pictures, seed in zip(pools, sizes, SEEDS[kind], strict=True):
-        make_pool(path, pictures, seed, workers, _rendered(report), kind)
+    seeds, fits = SEEDS[kind], fitted_weights(folder, load_default_head(gaze=True).expression_names)
+    if fits:
+        report(f"{100 * FITTED:.0f} % of the new pictures to learn from show expressions of {len(fits)} tracks")
+    make_pool(pools[0], recipe.pictures, seeds[0], workers, _rendered(report), kind, fits)
+    make_pool(pools[1], recipe.test_pictures, seeds[1], workers, _rendered(report), kind)
     return pools
 
 

@@ -252,7 +252,7 @@ def face_outside(trial: Trial) -> Iterator[Finding]:
         code="face_outside",
         title="The face leaves the picture",
         evidence=f"{count} of the 68 points lie on or beyond the edge of the picture, where a detector can only guess; "
-        f"without them the error of the others goes from {before:.1f} to {after:.1f} % of the eye distance.",
+        f"without them the error of the others goes from {{before}} to {{after}} % of the eye distance.",
         change=change,
         gain=trial.gain(fit, doubted=mask),
         before_percent=before,

@@ -44,7 +44,7 @@ def mirrored_order(trial: Trial) -> Iterator[Finding]:
         code="mirrored_order",
         title="Left and right are exchanged in the order of the points",
         evidence=f"The points {where} are in mirrored order, as if the face were seen from behind; with every point "
-        f"renamed to its mirror partner the error goes from {before:.1f} to {after:.1f} % of the eye distance.",
+        f"renamed to its mirror partner the error goes from {{before}} to {{after}} % of the eye distance.",
         change=change,
         gain=trial.gain(fit),
         before_percent=before,
@@ -90,7 +90,7 @@ def points_swapped(trial: Trial) -> Iterator[Finding]:
         code="points_swapped",
         title="Two points are exchanged" if len(pairs) == 1 else f"{len(pairs)} pairs of points are exchanged",
         evidence=f"{named[0].upper()}{named[1:]} lie where the other one belongs; exchanged, the error "
-        f"falls from {before:.1f} to {after:.1f} % of the eye distance.",
+        f"falls from {{before}} to {{after}} % of the eye distance.",
         change=change,
         gain=gain,
         before_percent=before,

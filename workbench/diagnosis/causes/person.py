@@ -51,7 +51,7 @@ def wrong_identity(trial: Trial) -> Iterator[Finding]:
         code="wrong_identity",
         title="The face shape is not this person's",
         evidence=f"Calibrated again on {len(trial.reference.frames)} frames of the shot, the face changes the error "
-        f"here from {before:.1f} to {after:.1f} % of the eye distance, and improves the other frames as well.",
+        f"here from {{before}} to {{after}} % of the eye distance, and improves the other frames as well.",
         change=change,
         gain=gain,
         before_percent=before,
