@@ -21,6 +21,7 @@ from workbench.energies import project_landmarks
 from workbench.face import (
     FaceModel,
     FaceParameters,
+    LandmarkModel,
     contour_blend,
     in_scheme,
     landmark_model,
@@ -65,7 +66,7 @@ class Clip:
 
     def projected(self, parameters: FaceParameters) -> Float[np.ndarray, "points 2"]:
         """The exact landmarks of these parameters in the clip's camera."""
-        return landmarks_of(self.head, self.camera, parameters)
+        return landmarks_of(landmark_model(self.head), self.camera, parameters)
 
 
 @dataclass(frozen=True)
@@ -92,21 +93,22 @@ def _clip(scheme: str) -> Clip:
     expression[:, [head.expression_names.index(name) for name in known]] = truth["expression"]
     rows = zip(truth["rotation"], truth["translation"], expression, strict=True)
     parameters = [FaceParameters(*row, truth["identity"]) for row in rows]
-    plain = head.scheme is IBUG68
+    model, known_points = landmark_model(head), truth["landmarks"]
+    if head.scheme is not IBUG68:
+        known_points = np.stack([landmarks_of(model, camera, each) for each in parameters])
     return Clip(
         head=head,
         size=size,
         camera=camera,
         fov_deg=float(np.degrees(2 * np.arctan(0.5 * size[0] / camera.focal_px[0]))),
         parameters=parameters,
-        landmarks=truth["landmarks"] if plain else np.stack([landmarks_of(head, camera, each) for each in parameters]),
+        landmarks=known_points,
         pictures=[frame.picture for frame in open_frames(sample("performance")).iterate()],
     )
 
 
-def landmarks_of(head: FaceModel, camera: Camera, parameters: FaceParameters) -> Float[np.ndarray, "points 2"]:
+def landmarks_of(model: LandmarkModel, camera: Camera, parameters: FaceParameters) -> Float[np.ndarray, "points 2"]:
     """The exact landmarks of a face in a camera."""
-    model = landmark_model(head)
     blend = contour_blend(model.contour_yaw, head_yaw(np.asarray(parameters.rotation)), 1.0)
     points = model_landmarks(model, blend, np.asarray(parameters.identity))
     return np.asarray(project_landmarks(camera, points, parameters))
