@@ -32,8 +32,8 @@ from workbench.frames import open_frames, read_picture
 from workbench.geometry import Camera
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import IBUG68, outer_eye_distance
-from workbench.landmarks.schemes import detector_scheme, scheme_named, scheme_of_count
+from workbench.landmarks.scheme import GROUPS, IBUG68, outer_eye_distance
+from workbench.landmarks.schemes import PUPILS, detector_scheme, scheme_named, scheme_of_count
 from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.tracking import FaceItFitter, FrameContext, FrameFit, FrameObservation
@@ -356,6 +356,17 @@ def turned_to_profile(rng, frame, config) -> FrameCase:
     return case_at(index, points, config, pictures=())
 
 
+def pupil_on_a_reflection(rng, frame, config) -> FrameCase:
+    """The detector takes a reflection for a pupil, from this frame or one or two before on."""
+    index, points, groups = frame(), clip(config).noisy(rng), clip(config).head.scheme.groups
+    side, irises, seen = int(rng.integers(0, 2)), np.array(groups["irises"]), points[index]
+    nearest = np.linalg.norm(seen[irises, None] - seen[None, list(PUPILS)], axis=2).argmin(axis=1)
+    wide = np.ptp(seen[list(GROUPS[("right_eye", "left_eye")[side]]), 0])
+    away = rng.choice([-1.0, 1.0]) * rng.uniform(0.18, 0.28) * wide * np.array([1.0, 0.0])
+    points[index - int(rng.integers(0, 3)) : index + 3, irises[nearest == side]] += away
+    return case_at(index, points, config)
+
+
 def unseen_cut(rng, frame, config) -> FrameCase:
     """Another person in another place comes before this scene, and no cut is marked between them."""
     index, points, pictures = frame(), clip(config).noisy(rng), list(clip(config).pictures)
@@ -394,9 +405,13 @@ UNMENDED: dict[str, tuple[str, Callable]] = {
 """The same of faults for which there is a reason, but no change that mends them; the benchmark does not count them."""
 
 
+OF_PUPILS: dict[str, tuple[str, Callable]] = {"pupil on a reflection": ("stray_pupil", pupil_on_a_reflection)}
+"""The same of faults that only schemes with pupils can have."""
+
+
 def planted(fault: str, variant: int, stream: str = "test", config: Config | None = None) -> Planted:
     """One variant of a fault, in a run with this configuration (`good_config` if not given)."""
-    known, config = FAULTS | UNMENDED, config or good_config()
+    known, config = FAULTS | UNMENDED | OF_PUPILS, config or good_config()
     code, plant = known[fault]
     rng = np.random.default_rng([list(known).index(fault), variant, STREAMS[stream]])
 

@@ -1,18 +1,21 @@
 """Diagnosis with more points than the 68: fits are those of the session, hypotheses take the further points along."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from workbench.diagnosis import Change, FrameCase, diagnose_frame, leave_one_group_out, reference_of
+from workbench.diagnosis.causes.gaze import stray_pupil
 from workbench.diagnosis.causes.groups import SIDES, mask_of, muted
 from workbench.diagnosis.diagnose import start_trial
 from workbench.diagnosis.group_pull import pulling_groups
 from workbench.face import in_scheme, load_default_head
+from workbench.face.gaze import angle_between_deg, gaze_deg
 from workbench.landmarks.scheme import IBUG68, POINT_COUNT
-from workbench.landmarks.schemes import DENSE, IBUG68_PUPILS
+from workbench.landmarks.schemes import DENSE, IBUG68_PUPILS, PUPILS
 from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter
 from workbench.tracking.fitting import BY_HAND_PX, corrected
@@ -70,6 +73,33 @@ def test_the_right_reason_is_named_and_its_change_does_what_a_session_would(fitt
             truth = faults.clip(config).parameters[found.fit.index].expression
             after, before = (np.abs(fit.expression - truth).mean() for fit in (promised, found.fit))
             assert after < 0.8 * before
+
+
+@pytest.mark.parametrize("name", [pytest.param("gaze", marks=pytest.mark.long), "dense"])
+def test_a_pupil_on_a_reflection_is_named_and_the_eyes_look_where_they_do(fitters, name):
+    head, config = fitters[name].model, faults.good_config(name)
+    planted = faults.planted("pupil on a reflection", 2, config=config)
+    found = diagnose_frame(head, planted.case, fitters[name])
+    reason = found.reasons[0]
+    assert (reason.code, reason.title) == ("stray_pupil", "The right pupil is not where the other eye looks")
+    assert reason.numbers["pupil"] == PUPILS[0]
+    assert reason.after_percent < 0.2 * reason.before_percent
+    assert all(point in PRESETS[name].groups["irises"] for point in reason.change.landmarks)
+    mended, _ = fitters[name].fit(reason.change.moved(planted.case.observation), planted.case.context)
+    truth = gaze_deg(head, faults.clip(config).parameters[found.fit.index].expression)
+    before, after = (angle_between_deg(gaze_deg(head, fit.expression), truth) for fit in (found.fit, mended))
+    assert before.max() > 5.0
+    assert after.max() < 0.5 * before.max()
+
+
+def test_an_eye_that_is_not_seen_is_not_accused(fitters):
+    config = faults.good_config("dense")
+    case = faults.planted("pupil on a reflection", 2, config=config).case
+    landmarks = case.observation.landmarks
+    sure = np.where(np.arange(len(DENSE)) == PUPILS[0], 0.1, landmarks.confidence)
+    unsure = replace(case, observation=replace(case.observation, landmarks=replace(landmarks, confidence=sure)))
+    trial = start_trial(fitters["dense"].model, unsure, fitters["dense"])
+    assert list(stray_pupil(trial)) == []
 
 
 def test_the_fit_under_diagnosis_is_that_of_the_session(case, fitters, trial):

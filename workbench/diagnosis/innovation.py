@@ -41,7 +41,7 @@ def usual_offsets(model: FaceModel, reference: ShotReference) -> dict[str, Usual
     spans = _spans(model)
     found = {}
     for group in INNOVATION_GROUPS:
-        offsets = reference.offsets_without(group)
+        offsets = reference.offsets_without(model.scheme.groups[group])
         covariance = FLOOR_PERCENT**2 * np.eye(2) + spans[group]
         mean = np.zeros(2)
         if len(offsets):

@@ -58,7 +58,7 @@ class ShotReference:
         self._model, self._scheme = model, model.scheme
         self._fitter = copy.copy(fitter)
         self._fitter.configure(plan_of(self._config, self._scheme))
-        self._offsets: dict[str, np.ndarray] = {}
+        self._offsets: dict[tuple[int, ...], np.ndarray] = {}
         self._looks: dict[int, FaceLook] = {}
 
     @property
@@ -119,20 +119,20 @@ class ShotReference:
         each = [100.0 * fit.residuals_px / face_size(fit.observed) for fit in self.usual_fits]
         return np.clip(1.2 * np.median(each, axis=0), *USUAL_PERCENT)
 
-    def offsets_without(self, group: str) -> Float[np.ndarray, "n 2"]:
-        """Mean offset of a group from a fit without it in some of the frames, % of the face's size."""
-        if group not in self._offsets:
-            indices, offsets = list(self._scheme.groups[group]), []
+    def offsets_without(self, points: Sequence[int]) -> Float[np.ndarray, "n 2"]:
+        """Mean offset of these points from a fit without them in some of the frames, % of the face's size."""
+        key = tuple(points)
+        if key not in self._offsets:
+            indices, offsets = list(key), []
             fits = {fit.index: fit for fit in self.usual_fits}
             for frame in [frame for frame in self._sound_frames if frame.index in fits][::2]:
-                points = frame.landmarks.points
-                confidence = frame.landmarks.confidence.copy()
+                places, confidence = frame.landmarks.points, frame.landmarks.confidence.copy()
                 confidence[indices] = 0.0
                 doubtful = replace(frame, landmarks=replace(frame.landmarks, confidence=confidence))
                 fit, _ = self._fitter.fit(doubtful, FrameContext(0, self.identity, None, None))
-                offsets.append(100.0 * (points - fit.projected)[indices].mean(axis=0) / face_size(points))
-            self._offsets[group] = np.array(offsets).reshape(-1, 2)
-        return self._offsets[group]
+                offsets.append(100.0 * (places - fit.projected)[indices].mean(axis=0) / face_size(places))
+            self._offsets[key] = np.array(offsets).reshape(-1, 2)
+        return self._offsets[key]
 
     @cached_property
     def usual_confidence(self) -> Float[np.ndarray, "points"]:

@@ -183,9 +183,12 @@ class Trial:
     @cached_property
     def anchors(self) -> Int[np.ndarray, "points"]:
         """Of each point, the nearest of the 68 on the neutral face: itself for these."""
-        model = self._fitter.model
-        neutral = model.landmarks.of(model.neutral)
-        return np.linalg.norm(neutral[:, None] - neutral[None, :POINT_COUNT], axis=2).argmin(axis=1)
+        return np.linalg.norm(self.neutral[:, None] - self.neutral[None, :POINT_COUNT], axis=2).argmin(axis=1)
+
+    @cached_property
+    def neutral(self) -> Float[np.ndarray, "points 3"]:
+        """The landmarks of the neutral face, head frame, millimetres."""
+        return self._fitter.model.landmarks.of(self._fitter.model.neutral)
 
     @cached_property
     def unexplained(self) -> float:

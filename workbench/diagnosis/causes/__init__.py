@@ -7,6 +7,7 @@ from workbench.diagnosis.causes.configuration import (
     tau_fights_data,
     weights_at_bounds,
 )
+from workbench.diagnosis.causes.gaze import stray_pupil
 from workbench.diagnosis.causes.groups import face_outside, group_biased, jaw_disagrees, occluded
 from workbench.diagnosis.causes.motion import frozen_detector, low_flow_consistency, motion_blur
 from workbench.diagnosis.causes.order import mirrored_order, points_swapped
@@ -39,6 +40,7 @@ INPUT_CAUSES = (
     occluded,
     group_biased,
     jaw_disagrees,
+    stray_pupil,
     wrong_focal,
     wrong_identity,
 )
