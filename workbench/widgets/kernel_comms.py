@@ -8,11 +8,14 @@ from uuid import uuid4
 
 import comm
 import zmq
+from zmq.utils.monitor import parse_monitor_message
 
 UNLIMITED = 0
 """The number of messages that may wait, in ZeroMQ's words."""
-SETTLED_S = 0.02
-"""After which both ends of a connection that closes are gone; ZeroMQ's threads need some 0.1 ms."""
+LONGEST_S = 2.0
+"""How long ZeroMQ's thread is waited for; it needs some 0.1 ms where it need not wait for a processor."""
+TURNS = 6
+"""In which a connection closes: its own end is asked to, ends, asks the socket's end, hears of it, and is gone."""
 MOST_TRIES = 50
 """While connections close all the time."""
 
@@ -57,13 +60,14 @@ def keep_unlimited(publisher: zmq.Socket) -> None:
     ZeroMQ 4.3 tells both ends of each connection, and the process ends where one has lost its other end, as it has for
     a moment when it closes. So this waits until none is closing: ZeroMQ says that one does before it begins.
     """
-    told = publisher.get_monitor_socket(zmq.EVENT_DISCONNECTED, f"inproc://closed-{uuid4()}")
+    events = zmq.EVENT_DISCONNECTED | zmq.EVENT_CLOSED
+    told = publisher.get_monitor_socket(events, f"inproc://closed-{uuid4()}")
     try:
         for _ in range(MOST_TRIES):
-            publisher.getsockopt(zmq.EVENTS)  # takes in connections that have just come, or begun to close
-            time.sleep(SETTLED_S)
+            # Nothing was told of connections that began to close before: they are gone after so many turns.
+            closing = [_settled(publisher, told) for _ in range(TURNS)]
             publisher.getsockopt(zmq.EVENTS)  # lets go of those that have closed
-            if not _some_closed(told):
+            if not any(closing) and zmq.EVENT_DISCONNECTED not in _heard(told):
                 publisher.setsockopt(zmq.SNDHWM, UNLIMITED)
                 return
     finally:
@@ -71,13 +75,28 @@ def keep_unlimited(publisher: zmq.Socket) -> None:
         told.close()
 
 
-def _some_closed(told: zmq.Socket) -> bool:
-    """Whether connections have closed since this was asked last."""
-    closed = False
+def _settled(publisher: zmq.Socket, told: zmq.Socket) -> bool:
+    """Wait until ZeroMQ's thread has done all that it was asked to. Returns whether a connection closed meanwhile.
+
+    It works in turn: once it has closed an address that was opened for this alone, it has done what came before.
+    """
+    publisher.getsockopt(zmq.EVENTS)  # takes in connections that have just come, or begun to close
+    publisher.bind("tcp://127.0.0.1:*")
+    publisher.unbind(publisher.getsockopt(zmq.LAST_ENDPOINT))
+    heard: list[int] = []
+    until = time.monotonic() + LONGEST_S
+    while zmq.EVENT_CLOSED not in heard and time.monotonic() < until:
+        told.poll(100)
+        heard += _heard(told)
+    return zmq.EVENT_DISCONNECTED in heard or zmq.EVENT_CLOSED not in heard
+
+
+def _heard(told: zmq.Socket) -> list[int]:
+    """What a monitor has told since it was asked last."""
+    events = []
     while told.getsockopt(zmq.EVENTS) & zmq.POLLIN:
-        told.recv_multipart()
-        closed = True
-    return closed
+        events.append(int(parse_monitor_message(told.recv_multipart())["event"]))
+    return events
 
 
 def after_message(work: Callable[[], object], seconds: float = 0.0) -> None:
