@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial, points_change
+from workbench.landmarks.lids import EYES
 from workbench.landmarks.schemes import PUPILS
 
 STRAY_PERCENT, FAR_PERCENT = 4.5, 8.0
@@ -17,8 +18,6 @@ UNUSUAL = 2.5
 """How many times its usual distance in the shot it must be away: eyeballs are not as large as the head's."""
 SEEN = 0.3
 """Confidence of a pupil below which its eye counts as shut, or as not seen."""
-CORNERS = ((36, 39), (42, 45))
-"""Of the person's right and left eye."""
 
 
 class _Without(NamedTuple):
@@ -68,7 +67,7 @@ def _without(trial: Trial, side: int) -> _Without:
     points = trial.scheme.group_mask("irises") & (nearest == side)
     chosen = np.flatnonzero(points)
     fit = trial.refit(Change("", config={"landmarks": {"weights": {str(point): 0.0 for point in chosen}}}))
-    first, second = trial.points[list(CORNERS[side])]
+    first, second = trial.points[list(EYES[side][0])]
     along = (second - first) / max(np.linalg.norm(second - first), 1e-9)
     offset = (trial.points - fit.projected)[chosen].mean(axis=0)
     usual = np.linalg.norm(trial.reference.offsets_without(chosen), axis=1) if trial.reference.knows_person else []
