@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.dotted_pool import write_dotted_pool
 from workbench.cli.training import RESULTS, Network
 from workbench.errors import InputError
 from workbench.face import load_default_head
@@ -39,7 +40,7 @@ from workbench.training.finder_task import FinderTask, can_be_seen, crowd
 from workbench.training.landmark_task import LandmarkTask, local_soft_argmax, loss_of, target_distribution
 from workbench.training.loop import Phase, TrainingPlan, folded_arrays, train
 from workbench.training.measuring import lids_of
-from workbench.training.pool import SHARD, Pool, open_pool, shard_paths
+from workbench.training.pool import SHARD, Pool, open_pool
 from workbench.training.recipe import FURTHER_LANDMARK_PLAN, Recipe
 from workbench.training.scenes import FaceStudio, random_expression, random_lens, random_pose_deg
 from workbench.training.shading import Shader, Sky
@@ -48,30 +49,12 @@ from workbench.training.torch_network import TorchLandmarkNetwork
 from workbench.training.trainings import TRAININGS
 from workbench.training.wardrobe import open_wardrobe
 
-SIDE = 96
-"""Pixels of the renders in the made-up pool."""
 PLAN = TrainingPlan(phases=(Phase(32, 4, 3, 1e-3), Phase(64, 2, 2, 1e-3)), widths=(4, 4, 6, 6), blocks=1)
 
 
 @pytest.fixture(scope="module")
 def pool_folder(tmp_path_factory):
-    """A pool of grey discs with a dot at each landmark of a face that stands upright, in three sizes."""
-    folder = tmp_path_factory.mktemp("pool")
-    pictures = np.zeros((SHARD, SIDE, SIDE, 4), np.uint8)
-    points = np.zeros((SHARD, 70, 2), np.float32)
-    for k in range(SHARD):
-        middle, side = np.array([SIDE / 2, SIDE / 2]) + (k % 5 - 2), (36, 42, 48)[k % 3]
-        points[k, :68] = MEAN_SHAPE * side + middle
-        points[k, 68:] = points[k, 36:42].mean(0), points[k, 42:48].mean(0)
-        cv2.circle(pictures[k], tuple(np.rint(middle).astype(int).tolist()), side, (120, 110, 100, 255), -1)
-        for x, y in np.rint(points[k, :68]).astype(int):
-            pictures[k, y, x, :3] = 255
-    pictures_path, numbers_path = shard_paths(folder, 0)
-    np.save(pictures_path, pictures)
-    vertices = np.broadcast_to(points[:, :1], (SHARD, 4, 2))
-    numbers = {"angles": np.zeros((SHARD, 3)), "expressions": np.zeros((SHARD, 52)), "glasses": np.zeros(SHARD, bool)}
-    np.savez(numbers_path, points=points, vertices=vertices, **numbers)
-    return folder
+    return write_dotted_pool(tmp_path_factory.mktemp("pool"))
 
 
 @pytest.fixture(scope="module")

@@ -72,7 +72,7 @@ def train(
     from workbench.training.trainings import TRAININGS
 
     training = TRAININGS[network]
-    recipe = training.recipe(quick, start)
+    recipe = training.recipe(quick, start, device)
     with training_folder(folder, network, overwrite):
         screen.console.print(training.make(folder, recipe, workers, device, screen.console.print))
     for tables in (folder / name for name in RESULTS[network] if name.endswith(".md")):

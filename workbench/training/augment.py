@@ -51,6 +51,10 @@ MIRRORED = (*MIRROR, 69, 68)
 """Where each of the 68 landmarks and of the two pupils is in a mirrored picture."""
 EXPOSED = (60.0, 190.0)
 """Mean grey values that automatic exposure may give a face."""
+KEPT_LIGHT, MOST_GAIN = 0.2, 5.0
+"""Share of the pictures that keep the scene's light, and how much brighter the others get at most."""
+FACELESS, BYSTANDERS, BARE, OCCLUDED, SHADOWED = 0.04, 0.12, 0.15, 0.35, 0.35
+"""Shares of the pictures: without a face, with another behind, without clothes, with an occluder, partly in shadow."""
 
 
 def augmented(
@@ -69,19 +73,19 @@ def augmented(
         mirror = (*MIRRORED, *(len(MIRRORED) + dense.mirror))
     background = random_background(rng, side)
     background = _with_bystander(background, pool, rng)
-    is_face = rng.random() > 0.04 * hardness.damage
+    is_face = rng.random() > FACELESS * hardness.damage
     if is_face:
         head, points = _framed(rgba, points.astype(np.float64), mirror, rng, side, hardness)
         head = exposed(head, rng)
-        picture = _clothed(background, points[:68], rng)
+        picture = _clothed(background, frame_from_points(points[:68]), rng)
         cover = head[..., 3:].astype(np.float32) / 255
         light = rng.normal(1, 0.04, 3).astype(np.float32)
         picture = head[..., :3] * light + picture * (1 - cover)
-        if rng.random() < 0.35 * hardness.occlusion:
+        if rng.random() < OCCLUDED * hardness.occlusion:
             picture = _occluded(picture, points[:68], rng)
     else:
         picture = background
-    if rng.random() < 0.35 * hardness.damage:
+    if rng.random() < SHADOWED * hardness.damage:
         picture = shadowed(picture, rng)
     if hardness.damage > 0:
         picture = photographed(picture, rng, hardness.damage)
@@ -216,10 +220,10 @@ def _framed(rgba, points, mirror, rng, side, hardness):
 def exposed(head: UInt8[np.ndarray, "h w 4"], rng: np.random.Generator) -> UInt8[np.ndarray, "h w 4"]:
     """The head as a camera exposes it: its mean brightness where the scene's is not kept."""
     cover = head[..., 3] > 127
-    if rng.random() < 0.2 or not cover.any():
+    if rng.random() < KEPT_LIGHT or not cover.any():
         return head
     grey = max(float(head[cover, :3].mean()), 1.0)
-    gain = np.clip(rng.uniform(*EXPOSED) / grey, 0.5, 5.0)
+    gain = np.clip(rng.uniform(*EXPOSED) / grey, 0.5, MOST_GAIN)
     # Highlights roll off as they do in a camera: what would be beyond white ends close below it.
     lit = np.arange(256, dtype=np.float32) * (gain / 255)
     table = np.where(lit < 0.8, lit, 1 - 0.2 * np.exp(-(lit - 0.8) / 0.2))
@@ -229,7 +233,7 @@ def exposed(head: UInt8[np.ndarray, "h w 4"], rng: np.random.Generator) -> UInt8
 
 def _with_bystander(background, pool, rng):
     """Now and then somebody else stands behind."""
-    if rng.random() > 0.12:
+    if rng.random() > BYSTANDERS:
         return background
     rgba, _ = cut_out(pool, int(rng.integers(len(pool))))
     side = background.shape[0]
@@ -244,26 +248,37 @@ def _with_bystander(background, pool, rng):
     return background
 
 
-def _clothed(background, points, rng):
+def _clothed(background, frame, rng):
     """Shoulders below the chin."""
-    if rng.random() < 0.15:
+    if rng.random() < BARE:
         return background
-    frame = frame_from_points(points)
+    cover = shoulders(frame, len(background), rng)[..., None]
+    color = rng.uniform(0, 255, 3).astype(np.float32) * (1 + 0.1 * rng.standard_normal((len(cover), 1, 1), np.float32))
+    return background * (1 - cover) + cover * color
+
+
+def shoulders(frame: FaceFrame, side: int, rng: np.random.Generator) -> Float[np.ndarray, "s s"]:
+    """How far clothes cover each pixel, for a face that is there."""
     neck, shoulder, collar = rng.uniform(0.25, 0.4), rng.uniform(0.7, 1.3), rng.uniform(0.75, 0.95)
     lean = rng.normal(0, 0.06)
     outline = np.array([[-neck, collar], [-neck - 0.12, collar + 0.02], [-shoulder, collar + 0.3], [-shoulder - 0.2, 3],
                         [shoulder + 0.2, 3], [shoulder, collar + 0.3], [neck + 0.12, collar + 0.02], [neck, collar],
                         [0, collar + rng.uniform(0.05, 0.3)]])  # fmt: skip
     outline[:, 0] += lean
-    cover = np.zeros(background.shape[:2], np.float32)
+    cover = np.zeros((side, side), np.float32)
     cv2.fillPoly(cover, [np.rint(frame.to_image(outline)).astype(np.int32)], 1.0)
-    cover = cv2.GaussianBlur(cover, (0, 0), 1.0)[..., None]
-    color = rng.uniform(0, 255, 3).astype(np.float32) * (1 + 0.1 * rng.standard_normal((len(cover), 1, 1), np.float32))
-    return background * (1 - cover) + cover * color
+    return cv2.GaussianBlur(cover, (0, 0), 1.0)
 
 
 def _occluded(picture, points, rng):
-    """Something before the face: fingers, a microphone, a bar, a patch, a mask."""
+    layer, cover = occluder(picture, points, rng)
+    return picture * (1 - cover) + cover * layer
+
+
+def occluder(
+    picture: Float[np.ndarray, "s s 3"], points: Float[np.ndarray, "68 2"], rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "s s 3"], Float[np.ndarray, "s s 1"]]:
+    """Something before the face (fingers, a microphone, a bar, a patch, a mask), and how far it covers each pixel."""
     frame = frame_from_points(points)
     layer, cover = picture.copy(), np.zeros(picture.shape[:2], np.float32)
     kind = rng.choice(["hand", "hand", "microphone", "patch", "bar", "mask"], p=[0.25, 0.2, 0.15, 0.2, 0.12, 0.08])
@@ -306,8 +321,7 @@ def _occluded(picture, points, rng):
         corners = cv2.boxPoints((tuple(target), tuple(size), float(rng.uniform(0, 180))))
         cv2.fillPoly(cover, [np.rint(corners).astype(np.int32)], 1.0)
         layer[:] = random_background(rng, side) if rng.random() < 0.6 else rng.uniform(0, 255, 3)
-    cover = cv2.GaussianBlur(cover, (0, 0), 0.8)[..., None]
-    return picture * (1 - cover) + cover * layer
+    return layer, cv2.GaussianBlur(cover, (0, 0), 0.8)[..., None]
 
 
 def shadowed(picture: Float[np.ndarray, "s s 3"], rng: np.random.Generator) -> Float[np.ndarray, "s s 3"]:

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from workbench.landmarks.schemes import DENSE_POINTS
+from workbench.landmarks.schemes import DENSE_POINTS, DensePoints
 from workbench.networks.regression import NUMBERS
 from workbench.networks.weights import read_weights
 from workbench.training.augment import augmented
@@ -21,6 +21,7 @@ from workbench.training.torch_regression import (
     TorchRegression,
     gaussian_cost,
     regression_arrays,
+    take_regression,
     torch_places,
 )
 
@@ -35,6 +36,7 @@ class DenseTask:
     """68 landmarks, two pupils and the dense points, by regression."""
 
     architecture: str = NAME
+    dense: DensePoints = DENSE_POINTS
 
     def open(self, folder) -> Pool:
         return open_pool(folder)
@@ -43,8 +45,10 @@ class DenseTask:
         return TorchRegression(plan.widths, plan.blocks, SQUEEZED, HIDDEN, NUMBERS * (POINTS + len(DENSE_POINTS)), SIDE)
 
     def begin(self, network: TorchRegression, start: Path, pictures: Tensor) -> None:
-        """Give the network the encoder of a landmark network's file; `pictures` are some of those to come."""
-        take_convolutions(network, read_weights(start).arrays, pictures)
+        """Give the network a dense network's weights, or a landmark network's encoder, for `pictures` like these."""
+        weights = read_weights(start)
+        take = take_regression if weights.architecture == NAME else take_convolutions
+        take(network, weights.arrays, pictures)
 
     def arrays(self, network: TorchRegression) -> dict[str, np.ndarray]:
         """What is kept of a trained one."""

@@ -37,6 +37,7 @@ class LandmarkTask(MapsTask):
     outputs: int = POINTS
     output_scale: float = 1 / BETA
     """The kept heat maps are the trained logits over β, so that the soft-argmax of Deep Energies reads them."""
+    dense: None = None
 
     def arrays(self, network: nn.Module) -> dict[str, np.ndarray]:
         """As of all networks of this kind, with the pupils' maps apart from the landmarks'."""

@@ -19,9 +19,11 @@ from torch import Tensor, nn
 
 from workbench.errors import InputError
 from workbench.files import atomic_path, make_folder
+from workbench.landmarks.schemes import DensePoints
 from workbench.networks.encoder import BLOCKS, WIDTHS
 from workbench.networks.weights import ARCHITECTURE, read_weights
 from workbench.reading import checked_file
+from workbench.training.batch_studio import BatchStudio
 from workbench.training.pool import Pool, open_pool
 from workbench.training.torch_network import TorchLandmarkNetwork, conv_norms, go_on_from
 
@@ -50,6 +52,9 @@ class TrainingPlan:
     weight_decay: float = 1e-4
     start: str = ""
     """SHA-256 of the weights that it began with; empty: random ones."""
+    batched: bool = False
+    """Whether pictures are made in whole batches where the network computes (`training/batch_studio.py`), or one by
+    one by worker processes."""
 
     @property
     def steps(self) -> int:
@@ -91,6 +96,14 @@ class Task(Protocol):
     def batch(self, pool: Any, phase: Phase, rngs: list[np.random.Generator]) -> Batch: ...
 
     def loss(self, answers: Any, targets: tuple[Tensor, ...]) -> tuple[Tensor, dict[str, float]]: ...
+
+
+@runtime_checkable
+class FaceTask(Protocol):
+    """A task that learns from pictures of single faces, so that whole batches of them can be made at once."""
+
+    dense: DensePoints | None
+    """The points beyond the 68 landmarks and the pupils that it learns, too."""
 
 
 @dataclass(frozen=True)
@@ -166,8 +179,10 @@ def train(
     The folder keeps the plan, a checkpoint every `every` steps and the curves; an interrupted training goes on from
     its last checkpoint when it is called again. The training pictures depend on the plan's seed and the step alone, so
     an interruption does not change them. `start`: weights to begin with instead of random ones. Raises `InputError`
-    where the folder belongs to another plan.
+    where the folder belongs to another plan, and for a plan of whole batches that the task cannot follow.
     """
+    if plan.batched and (not isinstance(task, FaceTask) or len({phase.input_side for phase in plan.phases}) > 1):
+        raise InputError("whole batches are made of single faces at one size: choose another plan for this network")
     make_folder(folder)
     if start is not None:
         plan = replace(
@@ -178,22 +193,21 @@ def train(
     torch.manual_seed(plan.seed)
     network = task.network(plan)
     if start is not None and not (folder / "checkpoint.pt").is_file():
-        first, _ = next(_batches(task, pool_folder, plan, 0, 0))
-        task.begin(network, start, first.permute(0, 3, 1, 2).float() / 255)
+        first, _ = next(_pictures(task, pool_folder, replace(plan, batched=False), 0, 0, "cpu"))
+        task.begin(network, start, first)
     network = network.to(device).to(memory_format=torch.channels_last)
     average = {name: value.detach().clone().float() for name, value in network.state_dict().items()}
     optimiser = torch.optim.AdamW(network.parameters(), lr=1e-3, weight_decay=plan.weight_decay)
     step = _resumed(folder / "checkpoint.pt", network, optimiser, average)
     running: dict[str, float] = {}
     began, first = time.monotonic(), step
-    for pictures, targets in _batches(task, pool_folder, plan, step, workers):
+    for pictures, targets in _pictures(task, pool_folder, plan, step, workers, device):
         for group in optimiser.param_groups:
             group["lr"] = plan.rate(step)
-        x = pictures.to(device).permute(0, 3, 1, 2).float().div_(255).contiguous(memory_format=torch.channels_last)
         with torch.autocast(device, torch.bfloat16):
-            answers = network(x)
+            answers = network(pictures.contiguous(memory_format=torch.channels_last))
         answers = [part.float() for part in answers] if isinstance(answers, list) else answers.float()
-        loss, numbers = task.loss(answers, tuple(target.to(device) for target in targets))
+        loss, numbers = task.loss(answers, targets)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
@@ -267,6 +281,23 @@ def _claim(path: Path, plan: TrainingPlan) -> None:
         return
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(asdict(plan), indent=1), encoding="utf-8")
+
+
+def _pictures(
+    task: Task, pool_folder: Path, plan: TrainingPlan, step: int, workers: int, device: str
+) -> Iterator[tuple[Tensor, tuple[Tensor, ...]]]:
+    """The batches from a step on, on the device: pictures (n, channels, s, s) in 0..1, and what is known of them."""
+    if not plan.batched:
+        for pictures, targets in _batches(task, pool_folder, plan, step, workers):
+            yield (
+                pictures.to(device).permute(0, 3, 1, 2).float().div_(255),
+                tuple(target.to(device) for target in targets),
+            )
+        return
+    studio = BatchStudio(open_pool(pool_folder), plan.phases[0].input_side, task.dense, device, seed=plan.seed)
+    for later in range(step, plan.steps):
+        phase, _ = plan.at(later)
+        yield studio.shoot(phase.batch, int(np.random.SeedSequence([plan.seed, later]).generate_state(1)[0]))
 
 
 def _batches(task: Task, pool_folder: Path, plan: TrainingPlan, step: int, workers: int) -> Iterator[tuple]:

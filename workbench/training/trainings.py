@@ -9,6 +9,8 @@ from workbench.errors import InputError
 from workbench.training.expressions import QUICK_EXPRESSIONS, ExpressionRecipe, learn_expressions
 from workbench.training.flow_recipe import QUICK_FLOW, FlowRecipe, train_flow_network
 from workbench.training.recipe import (
+    BATCHED_DENSE,
+    BATCHED_LANDMARKS,
     DENSE_PLAN,
     EYES,
     FINDER_PLAN,
@@ -39,20 +41,27 @@ class Training:
     quick: AnyRecipe
     further: Recipe | None
     """For weights that are there already; None: it begins from nothing only."""
+    batched: Recipe | None = None
+    """For a GPU, from nothing or from weights; None: the same as for a processor."""
 
-    def recipe(self, quick: bool, start: Path | None) -> AnyRecipe:
+    def recipe(self, quick: bool, start: Path | None, device: str = "cpu") -> AnyRecipe:
         """The recipe to follow. Raises `InputError` for weights to start from where there is no plan for going on."""
+        on_gpu = self.batched if device != "cpu" else None
         if not start:
-            return self.quick if quick else self.whole
+            return self.quick if quick else on_gpu or self.whole
         if quick or not self.further:
             raise InputError(f"{'a quick run' if quick else 'this training'} starts from nothing: leave out --start")
-        return replace(self.further, start=start)
+        return replace(on_gpu or self.further, start=start)
 
 
 TRAININGS: Mapping[str, Training] = MappingProxyType({
-    "landmarks": Training(train_landmark_network, Recipe(), QUICK, Recipe(plan=FURTHER_LANDMARK_PLAN)),
+    "landmarks": Training(
+        train_landmark_network, Recipe(), QUICK, Recipe(plan=FURTHER_LANDMARK_PLAN), BATCHED_LANDMARKS
+    ),
     "finder": Training(train_face_finder, Recipe(plan=FINDER_PLAN), QUICK, Recipe(plan=FURTHER_FINDER_PLAN)),
-    "dense": Training(train_dense_network, Recipe(plan=DENSE_PLAN), QUICK_DENSE, Recipe(plan=DENSE_PLAN)),
+    "dense": Training(
+        train_dense_network, Recipe(plan=DENSE_PLAN), QUICK_DENSE, Recipe(plan=DENSE_PLAN), BATCHED_DENSE
+    ),
     "gain": Training(learn_dense_gain, Recipe(), QUICK, None),
     "eyes": Training(train_eye_network, EYES, QUICK_EYES, FURTHER_EYES),
     "flow": Training(train_flow_network, FlowRecipe(), QUICK_FLOW, None),

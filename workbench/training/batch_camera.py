@@ -1,0 +1,200 @@
+"""Lens, sensor and codec for whole batches, wherever PyTorch computes: the twin of `augment.photographed`."""
+
+import math
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from workbench.landmarks.network_detector import CROP_SIDE
+
+SIZES = 6
+"""Lower resolutions in one batch; the pictures that lose resolution share them."""
+LUMINANCE = (
+    (16, 11, 10, 16, 24, 40, 51, 61), (12, 12, 14, 19, 26, 58, 60, 55), (14, 13, 16, 24, 40, 57, 69, 56),
+    (14, 17, 22, 29, 51, 87, 80, 62), (18, 22, 37, 56, 68, 109, 103, 77), (24, 35, 55, 64, 81, 104, 113, 92),
+    (49, 64, 78, 87, 103, 121, 120, 101), (72, 92, 95, 98, 112, 100, 103, 99),
+)  # fmt: skip
+CHROMINANCE = (
+    (17, 18, 24, 47, 99, 99, 99, 99), (18, 21, 26, 66, 99, 99, 99, 99), (24, 26, 56, 99, 99, 99, 99, 99),
+    (47, 66, 99, 99, 99, 99, 99, 99), *((99,) * 8,) * 4,
+)  # fmt: skip
+"""JPEG's tables for quality 50 (ITU-T T.81, annex K)."""
+TO_YCC = ((0.299, 0.587, 0.114), (-0.168736, -0.331264, 0.5), (0.5, -0.418688, -0.081312))
+
+
+class Dice:
+    """Random numbers for `count` pictures: the few that decide come from the CPU, noise from the device itself."""
+
+    def __init__(self, seed: int, count: int, device: str) -> None:
+        self.count, self.device = count, device
+        self._decisions = torch.Generator().manual_seed(seed)
+        self._noise = torch.Generator(device).manual_seed(seed)
+
+    def uniform(self, low: float, high: float, *shape: int) -> Tensor:
+        """Numbers of each picture, (count, *shape)."""
+        drawn = torch.rand((self.count, *shape), generator=self._decisions)
+        return (low + (high - low) * drawn).to(self.device)
+
+    def log_uniform(self, low: float, high: float, *shape: int) -> Tensor:
+        """Numbers of each picture whose logarithms are uniform."""
+        return self.uniform(math.log(low), math.log(high), *shape).exp()
+
+    def normal(self, deviation: float, *shape: int) -> Tensor:
+        """Numbers of each picture about 0."""
+        return (deviation * torch.randn((self.count, *shape), generator=self._decisions)).to(self.device)
+
+    def chance(self, share: float) -> Bool[Tensor, "n"]:
+        """Which pictures it happens to."""
+        return (torch.rand(self.count, generator=self._decisions) < share).to(self.device)
+
+    def index(self, end: int) -> Tensor:
+        """A number below `end` for each picture."""
+        return torch.randint(end, (self.count,), generator=self._decisions).to(self.device)
+
+    def some(self, share: float) -> Tensor:
+        """The places of those pictures that it happens to."""
+        return (torch.rand(self.count, generator=self._decisions) < share).nonzero()[:, 0].to(self.device)
+
+    def among(self, places: Tensor) -> "Dice":
+        """The same dice for some of the pictures."""
+        part = object.__new__(Dice)
+        part.__dict__ = {**self.__dict__, "count": len(places)}
+        return part
+
+    def noise(self, *shape: int) -> Tensor:
+        """A standard normal field."""
+        return torch.randn(shape, generator=self._noise, device=self.device)
+
+
+def photographed(pictures: Float[Tensor, "n 3 s s"], dice: Dice) -> Float[Tensor, "n 3 s s"]:
+    """What lens, sensor and codec do to each picture (0..255): colour, contrast, blur, lost resolution, noise, JPEG."""
+    unit = pictures.shape[-1] / CROP_SIDE
+    pictures = torch.where(_each(dice.chance(0.9)), _developed(pictures.clamp(0, 255), dice), pictures).clamp(0, 255)
+    for share, change in ((0.1, _dim), (0.4, _out_of_focus), (0.15, _moved), (0.45, _coarse), (0.6, _noisy)):
+        places = dice.some(share)
+        if len(places):
+            pictures = pictures.index_copy(0, places, change(pictures[places], dice.among(places), unit))
+    places = dice.some(0.5)
+    return pictures.index_copy(0, places, _compressed(pictures[places], dice.among(places)))
+
+
+def blurred(pictures: Float[Tensor, "n c h w"], deviations: Float[Tensor, "n"]) -> Float[Tensor, "n c h w"]:
+    """Each picture with a Gaussian of its own."""
+    reach = max(1, math.ceil(3 * float(deviations.max()))) if len(deviations) else 1
+    at = torch.arange(-reach, reach + 1, device=pictures.device)
+    kernels = torch.exp(-0.5 * (at / deviations[:, None].clamp_min(1e-3)) ** 2)
+    kernels = kernels / kernels.sum(1, keepdim=True)
+    return _filtered(_filtered(pictures, kernels[:, None, :]), kernels[:, :, None])
+
+
+def jpeg(pictures: Float[Tensor, "n 3 h w"], quality: Float[Tensor, "n"]) -> Float[Tensor, "n 3 h w"]:
+    """What JPEG leaves of each picture (0..255) at its quality, colours at half the resolution."""
+    height, width = pictures.shape[-2:]
+    margin = (0, -width % 16, 0, -height % 16)
+    to_ycc = torch.tensor(TO_YCC, device=pictures.device)
+    ycc = torch.einsum("ij,njhw->nihw", to_ycc, functional.pad(pictures.clamp(0, 255), margin, "replicate"))
+    scale = torch.where(quality < 50, 5000 / quality.clamp_min(1), 200 - 2 * quality)
+    luminance, chrominance = (
+        ((torch.tensor(table, device=pictures.device) * scale[:, None, None] + 50) / 100).floor().clamp(1, 255)
+        for table in (LUMINANCE, CHROMINANCE)
+    )
+    light = _quantised(ycc[:, :1] - 128, luminance) + 128
+    colours = _quantised(functional.avg_pool2d(ycc[:, 1:], 2), chrominance)
+    colours = functional.interpolate(colours, scale_factor=2, mode="bilinear")
+    decoded = torch.einsum("ij,njhw->nihw", torch.linalg.inv(to_ycc), torch.cat([light, colours], 1))
+    return decoded[..., :height, :width].round().clamp(0, 255)
+
+
+def _quantised(channels: Float[Tensor, "n c h w"], tables: Float[Tensor, "n 8 8"]) -> Float[Tensor, "n c h w"]:
+    height, width = channels.shape[-2:]
+    k = torch.arange(8, device=channels.device)
+    cosines = 0.5 * torch.cos((2 * k + 1) * k[:, None] * math.pi / 16)
+    cosines[0] /= math.sqrt(2)
+    blocks = channels.unflatten(3, (width // 8, 8)).unflatten(2, (height // 8, 8))
+    numbers = torch.einsum("ui,ncaibj,vj->ncaubv", cosines, blocks, cosines)
+    steps = tables[:, None, None, :, None, :]
+    numbers = (numbers / steps).round() * steps
+    return torch.einsum("ui,ncaubv,vj->ncaibj", cosines, numbers, cosines).flatten(4, 5).flatten(2, 3)
+
+
+def _developed(pictures, dice):
+    """Tone curve, colour of the light, saturation, contrast."""
+    curve = (pictures / 255) ** _each(dice.normal(0.28).exp()) * _each(dice.normal(0.2).exp())
+    pictures = (curve + _each(dice.normal(0.06))) * _each(dice.normal(0.08, 3).exp())
+    grey = pictures.mean(1, keepdim=True)
+    saturation = torch.where(dice.chance(0.14), 0.0, dice.uniform(0.3, 1.5))
+    pictures = grey + _each(saturation) * (pictures - grey)
+    middle = pictures.mean((1, 2, 3), keepdim=True)
+    return 255 * (middle + _each(dice.normal(0.25).exp()) * (pictures - middle))
+
+
+def _dim(pictures, dice, _unit):
+    """Too little light: few photons, noise by their square root, and brightened again."""
+    full = _each(dice.log_uniform(30, 400))  # photons of a white pixel
+    photons = pictures * (full / 255)
+    noisy = photons + torch.sqrt(photons + 2.0) * dice.noise(*pictures.shape)
+    return noisy * (255 / full) * _each(dice.uniform(0.4, 1.1))
+
+
+def _out_of_focus(pictures, dice, unit):
+    return blurred(pictures, unit * dice.uniform(0.4, 2.6))
+
+
+def _moved(pictures, dice, unit):
+    """Motion blur."""
+    half = (dice.uniform(3, 13).floor() * unit).round().clamp_min(3) / 2 - 0.5
+    angle = dice.uniform(0, math.pi)
+    reach = math.ceil(float(half.max()))
+    at = torch.arange(-reach, reach + 1, device=pictures.device)
+    along = torch.cos(angle)[:, None, None] * at + torch.sin(angle)[:, None, None] * at[:, None]
+    across = torch.cos(angle)[:, None, None] * at[:, None] - torch.sin(angle)[:, None, None] * at
+    beyond = (along.abs() - half[:, None, None]).clamp_min(0)
+    kernels = (1 - torch.hypot(across, beyond)).clamp_min(0)
+    return _filtered(pictures, kernels / kernels.sum((1, 2), keepdim=True))
+
+
+def _coarse(pictures, dice, unit):
+    """Lost resolution; in half of the pictures with noise and compression at the lower one."""
+    side = pictures.shape[-1]
+    made = torch.empty_like(pictures)
+    for group in range(SIZES):
+        part = pictures[group::SIZES]
+        own = dice.among(part)
+        if len(part) == 0:
+            continue
+        size = int(dice.log_uniform(48, CROP_SIDE)[0] * unit)
+        small = functional.interpolate(part, size=(min(side, max(size, 4)),) * 2, mode="area")
+        worse = own.some(0.5)
+        if len(worse):
+            noise = _each(own.among(worse).uniform(0, 10)) * own.noise(len(worse), *small.shape[1:])
+            small = small.index_copy(0, worse, _compressed(small[worse] + noise, own.among(worse)))
+        way = "bilinear" if float(dice.uniform(0, 1)[0]) < 0.6 else "bicubic"
+        made[group::SIZES] = functional.interpolate(small, size=(side, side), mode=way)
+    return made
+
+
+def _noisy(pictures, dice, _unit):
+    noise = dice.noise(*pictures.shape)
+    smooth = 2 * blurred(noise, torch.full((len(noise),), 0.8, device=noise.device))
+    noise = torch.where(_each(dice.chance(0.4)), smooth, noise)
+    return pictures + _each(dice.log_uniform(1, 18)) * noise
+
+
+def _compressed(pictures, dice):
+    return jpeg(pictures, dice.uniform(12, 90).floor())
+
+
+def _filtered(pictures: Float[Tensor, "n c h w"], kernels: Float[Tensor, "n k l"]) -> Float[Tensor, "n c h w"]:
+    """Each picture with its own kernel, mirrored beyond the border."""
+    count, channels = pictures.shape[:2]
+    down, across = ((size - 1) // 2 for size in kernels.shape[1:])
+    padded = functional.pad(pictures, (across, across, down, down), "reflect").flatten(0, 1)[None]
+    weights = kernels.repeat_interleave(channels, dim=0)[:, None]
+    return functional.conv2d(padded, weights, groups=count * channels)[0].unflatten(0, (count, channels))
+
+
+def _each(numbers: Tensor) -> Tensor:
+    """Numbers of each picture (n) or of each of its channels (n, 3), to go with (n, 3, h, w)."""
+    return numbers.reshape(*numbers.shape, *(1,) * (4 - numbers.ndim))
