@@ -513,6 +513,14 @@ class TestTrainings:
         assert recipe == Recipe(plan=FURTHER_LANDMARK_PLAN, start=Path("there.safetensors"))
         assert TRAININGS["landmarks"].recipe(quick=False, start=None) == Recipe()
 
+    def test_on_a_gpu_pictures_of_faces_are_made_in_batches_and_others_as_always(self):
+        start = Path("there.safetensors")
+        for network in ("landmarks", "dense"):
+            assert TRAININGS[network].recipe(quick=False, start=None, device="cuda").plan.batched
+            assert TRAININGS[network].recipe(quick=False, start=start, device="cuda").start == start
+            assert not TRAININGS[network].recipe(quick=True, start=None, device="cuda").plan.batched
+        assert TRAININGS["finder"].recipe(False, None, "cuda") == TRAININGS["finder"].recipe(False, None)
+
     @pytest.mark.parametrize(("network", "quick"), [("flow", False), ("landmarks", True)])
     def test_what_cannot_go_on_says_so(self, network, quick):
         with pytest.raises(InputError, match="leave out --start"):

@@ -1,6 +1,7 @@
 """The dense points and the training of their network: the rule, the likelihood, the calibration."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from workbench.networks.eye_network import read_eye_network
 from workbench.networks.frozen import FrozenDenseNetwork, FrozenEyeNetwork
 from workbench.networks.regression import Places, places_of
 from workbench.training.augment import TRAINING, augmented
+from workbench.training.batch_studio import BatchStudio, Props
 from workbench.training.dense_gain import corrected_answers, fitted_gain, write_dense_gain
 from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, measured_dense
 from workbench.training.dense_points import IRIS_POINTS, SPACING_MM, dense_points, write_table
@@ -111,6 +113,15 @@ class TestPictures:
             after = np.concatenate([made.points, made.dense]).astype(float)
             ratio = pdist(after) / np.maximum(pdist(before), 1e-6)
             assert np.ptp(ratio[pdist(before) > 20]) / ratio[pdist(before) > 20].mean() < 0.05
+
+    def test_in_whole_batches_they_do_too(self, pool, points):
+        _, landmarks = pool.picture(0)
+        before = pdist(np.concatenate([landmarks, pool.surface(0, points.vertices)]).astype(float))
+        studio = BatchStudio(pool, SIDE, points, props=Props(1, 1, 1))
+        _, (placed, _) = studio.shoot(6, seed=1)
+        for after in placed.numpy().astype(float):
+            ratio = (pdist(after) / np.maximum(before, 1e-6))[before > 20]
+            assert np.ptp(ratio) / ratio.mean() < 0.05
 
     def test_without_being_asked_there_are_none(self, pool):
         assert augmented(pool, 0, np.random.default_rng(0)).dense.shape == (0, 2)
@@ -288,3 +299,12 @@ class TestTraining:
         expected, found = places_of(numbers, SIDE), FrozenDenseNetwork(read_dense_network(kept))(picture)
         np.testing.assert_allclose(found.points, expected.points, atol=1e-2)
         np.testing.assert_allclose(found.whitening, expected.whitening, rtol=1e-3, atol=1e-4)
+
+    def test_a_training_goes_on_from_a_dense_network(self, pool_path, tmp_path):
+        """One step at a rate of next to nothing leaves what it answers as it was."""
+        kept = train(DenseTask(), pool_path, tmp_path / "dense", SMALL, workers=0, report=lambda _: None)
+        still = replace(SMALL, phases=(Phase(SIDE, 1, 4, 1e-9),))
+        on = train(DenseTask(), pool_path, tmp_path / "on", still, workers=0, report=lambda _: None, start=kept)
+        picture = np.random.default_rng(5).integers(0, 256, (SIDE, SIDE, 3), dtype=np.uint8)
+        first, second = (FrozenDenseNetwork(read_dense_network(path))(picture) for path in (kept, on))
+        np.testing.assert_allclose(first.points, second.points, atol=2.0)
