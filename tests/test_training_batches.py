@@ -72,7 +72,7 @@ class TestCamera:
 
     def test_each_picture_is_blurred_by_its_own_deviation(self):
         pictures = pictures_like_photographs(3)
-        ours = blurred(as_tensor(pictures), torch.tensor([0.6, 1.1, 2.5])).permute(0, 2, 3, 1).numpy()
+        ours = blurred(as_tensor(pictures), torch.tensor([0.6, 1.1, 2.5]), 2.6).permute(0, 2, 3, 1).numpy()
         for mine, picture, deviation in zip(ours, pictures, (0.6, 1.1, 2.5), strict=True):
             picture = picture.astype(np.float32)
             theirs = cv2.GaussianBlur(picture, (17, 17), deviation, borderType=cv2.BORDER_REFLECT_101)

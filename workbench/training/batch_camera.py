@@ -1,6 +1,7 @@
 """Lens, sensor and codec for whole batches, wherever PyTorch computes: the twin of `augment.photographed`."""
 
 import math
+from functools import cache
 
 import torch
 from jaxtyping import Bool, Float
@@ -22,20 +23,28 @@ CHROMINANCE = (
 )  # fmt: skip
 """JPEG's tables for quality 50 (ITU-T T.81, annex K)."""
 TO_YCC = ((0.299, 0.587, 0.114), (-0.168736, -0.331264, 0.5), (0.5, -0.418688, -0.081312))
+TO_RGB = ((1.0, 0.0, 1.402), (1.0, -0.344136, -0.714136), (1.0, 1.772, 0.0))
 
 
 class Dice:
-    """Random numbers for `count` pictures: the few that decide come from the CPU, noise from the device itself."""
+    """Random numbers for `count` pictures: the few that decide come from the CPU, noise from the device itself.
+
+    Nothing here waits for the device.
+    """
 
     def __init__(self, seed: int, count: int, device: str) -> None:
         self.count, self.device = count, device
         self._decisions = torch.Generator().manual_seed(seed)
         self._noise = torch.Generator(device).manual_seed(seed)
 
+    def one(self, low: float, high: float) -> float:
+        """A number for all pictures."""
+        return low + (high - low) * float(torch.rand((), generator=self._decisions))
+
     def uniform(self, low: float, high: float, *shape: int) -> Tensor:
         """Numbers of each picture, (count, *shape)."""
         drawn = torch.rand((self.count, *shape), generator=self._decisions)
-        return (low + (high - low) * drawn).to(self.device)
+        return self._there(low + (high - low) * drawn)
 
     def log_uniform(self, low: float, high: float, *shape: int) -> Tensor:
         """Numbers of each picture whose logarithms are uniform."""
@@ -43,19 +52,19 @@ class Dice:
 
     def normal(self, deviation: float, *shape: int) -> Tensor:
         """Numbers of each picture about 0."""
-        return (deviation * torch.randn((self.count, *shape), generator=self._decisions)).to(self.device)
+        return self._there(deviation * torch.randn((self.count, *shape), generator=self._decisions))
 
     def chance(self, share: float) -> Bool[Tensor, "n"]:
         """Which pictures it happens to."""
-        return (torch.rand(self.count, generator=self._decisions) < share).to(self.device)
+        return self._there(torch.rand(self.count, generator=self._decisions) < share)
 
     def index(self, end: int) -> Tensor:
         """A number below `end` for each picture."""
-        return torch.randint(end, (self.count,), generator=self._decisions).to(self.device)
+        return self._there(torch.randint(end, (self.count,), generator=self._decisions))
 
     def some(self, share: float) -> Tensor:
         """The places of those pictures that it happens to."""
-        return (torch.rand(self.count, generator=self._decisions) < share).nonzero()[:, 0].to(self.device)
+        return self._there((torch.rand(self.count, generator=self._decisions) < share).nonzero()[:, 0])
 
     def among(self, places: Tensor) -> "Dice":
         """The same dice for some of the pictures."""
@@ -66,6 +75,9 @@ class Dice:
     def noise(self, *shape: int) -> Tensor:
         """A standard normal field."""
         return torch.randn(shape, generator=self._noise, device=self.device)
+
+    def _there(self, numbers: Tensor) -> Tensor:
+        return numbers if self.device == "cpu" else numbers.pin_memory().to(self.device, non_blocking=True)
 
 
 def photographed(pictures: Float[Tensor, "n 3 s s"], dice: Dice) -> Float[Tensor, "n 3 s s"]:
@@ -80,9 +92,11 @@ def photographed(pictures: Float[Tensor, "n 3 s s"], dice: Dice) -> Float[Tensor
     return pictures.index_copy(0, places, _compressed(pictures[places], dice.among(places)))
 
 
-def blurred(pictures: Float[Tensor, "n c h w"], deviations: Float[Tensor, "n"]) -> Float[Tensor, "n c h w"]:
-    """Each picture with a Gaussian of its own."""
-    reach = max(1, math.ceil(3 * float(deviations.max()))) if len(deviations) else 1
+def blurred(
+    pictures: Float[Tensor, "n c h w"], deviations: Float[Tensor, "n"], most: float
+) -> Float[Tensor, "n c h w"]:
+    """Each picture with a Gaussian of its own, of a deviation of at `most` so many pixels."""
+    reach = math.ceil(3 * most)
     at = torch.arange(-reach, reach + 1, device=pictures.device)
     kernels = torch.exp(-0.5 * (at / deviations[:, None].clamp_min(1e-3)) ** 2)
     kernels = kernels / kernels.sum(1, keepdim=True)
@@ -93,18 +107,20 @@ def jpeg(pictures: Float[Tensor, "n 3 h w"], quality: Float[Tensor, "n"]) -> Flo
     """What JPEG leaves of each picture (0..255) at its quality, colours at half the resolution."""
     height, width = pictures.shape[-2:]
     margin = (0, -width % 16, 0, -height % 16)
-    to_ycc = torch.tensor(TO_YCC, device=pictures.device)
+    to_ycc, to_rgb, *tables = _constants(pictures.device)
     ycc = torch.einsum("ij,njhw->nihw", to_ycc, functional.pad(pictures.clamp(0, 255), margin, "replicate"))
     scale = torch.where(quality < 50, 5000 / quality.clamp_min(1), 200 - 2 * quality)
-    luminance, chrominance = (
-        ((torch.tensor(table, device=pictures.device) * scale[:, None, None] + 50) / 100).floor().clamp(1, 255)
-        for table in (LUMINANCE, CHROMINANCE)
-    )
+    luminance, chrominance = (((table * scale[:, None, None] + 50) / 100).floor().clamp(1, 255) for table in tables)
     light = _quantised(ycc[:, :1] - 128, luminance) + 128
     colours = _quantised(functional.avg_pool2d(ycc[:, 1:], 2), chrominance)
     colours = functional.interpolate(colours, scale_factor=2, mode="bilinear")
-    decoded = torch.einsum("ij,njhw->nihw", torch.linalg.inv(to_ycc), torch.cat([light, colours], 1))
+    decoded = torch.einsum("ij,njhw->nihw", to_rgb, torch.cat([light, colours], 1))
     return decoded[..., :height, :width].round().clamp(0, 255)
+
+
+@cache
+def _constants(device: torch.device) -> list[Tensor]:
+    return [torch.tensor(rows, device=device) for rows in (TO_YCC, TO_RGB, LUMINANCE, CHROMINANCE)]
 
 
 def _quantised(channels: Float[Tensor, "n c h w"], tables: Float[Tensor, "n 8 8"]) -> Float[Tensor, "n c h w"]:
@@ -139,14 +155,14 @@ def _dim(pictures, dice, _unit):
 
 
 def _out_of_focus(pictures, dice, unit):
-    return blurred(pictures, unit * dice.uniform(0.4, 2.6))
+    return blurred(pictures, unit * dice.uniform(0.4, 2.6), 2.6 * unit)
 
 
 def _moved(pictures, dice, unit):
     """Motion blur."""
     half = (dice.uniform(3, 13).floor() * unit).round().clamp_min(3) / 2 - 0.5
     angle = dice.uniform(0, math.pi)
-    reach = math.ceil(float(half.max()))
+    reach = math.ceil(max(1.0, 6 * unit))
     at = torch.arange(-reach, reach + 1, device=pictures.device)
     along = torch.cos(angle)[:, None, None] * at + torch.sin(angle)[:, None, None] * at[:, None]
     across = torch.cos(angle)[:, None, None] * at[:, None] - torch.sin(angle)[:, None, None] * at
@@ -164,20 +180,20 @@ def _coarse(pictures, dice, unit):
         own = dice.among(part)
         if len(part) == 0:
             continue
-        size = int(dice.log_uniform(48, CROP_SIDE)[0] * unit)
+        size = int(math.exp(dice.one(math.log(48), math.log(CROP_SIDE))) * unit)
         small = functional.interpolate(part, size=(min(side, max(size, 4)),) * 2, mode="area")
         worse = own.some(0.5)
         if len(worse):
             noise = _each(own.among(worse).uniform(0, 10)) * own.noise(len(worse), *small.shape[1:])
             small = small.index_copy(0, worse, _compressed(small[worse] + noise, own.among(worse)))
-        way = "bilinear" if float(dice.uniform(0, 1)[0]) < 0.6 else "bicubic"
+        way = "bilinear" if dice.one(0, 1) < 0.6 else "bicubic"
         made[group::SIZES] = functional.interpolate(small, size=(side, side), mode=way)
     return made
 
 
 def _noisy(pictures, dice, _unit):
     noise = dice.noise(*pictures.shape)
-    smooth = 2 * blurred(noise, torch.full((len(noise),), 0.8, device=noise.device))
+    smooth = 2 * blurred(noise, torch.full((len(noise),), 0.8, device=noise.device), 0.8)
     noise = torch.where(_each(dice.chance(0.4)), smooth, noise)
     return pictures + _each(dice.log_uniform(1, 18)) * noise
 

@@ -45,14 +45,14 @@ SHOULDERS_BOXES = 3.0
 class Props:
     """How many of each are painted; each is used again and again, flipped, enlarged and tinted."""
 
-    backgrounds: int = 4096
-    occluders: int = 3072
-    shoulders: int = 512
+    backgrounds: int = 2048
+    occluders: int = 2048
+    shoulders: int = 256
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Of each picture, how pixels of one thing go to those of another: there = here @ matrix.T + origin."""
+    """Of each picture, the similarity from one thing's pixels to another's: there = here @ matrix.T + origin."""
 
     matrix: Float[Tensor, "n 2 2"]
     origin: Float[Tensor, "n 2"]
@@ -66,7 +66,7 @@ class Placement:
 
     def back(self) -> "Placement":
         """The other way."""
-        matrix = torch.linalg.inv(self.matrix)
+        matrix = self.matrix.mT / self.matrix.square().sum((1, 2))[:, None, None] * 2
         return Placement(matrix, -(matrix @ self.origin[..., None])[..., 0])
 
     def of(self, places: Tensor) -> "Placement":
@@ -105,6 +105,9 @@ class BatchStudio:
         edge[:FEATHER] = (torch.arange(FEATHER, device=device) + 0.5) / FEATHER
         edge = edge * edge.flip(0)
         self._fade = edge * edge[:, None]
+        self._face_of_occluders, self._face_of_shoulders = (
+            _placements([[face]], device) for face in (_wide_face(side), _face_above(side))
+        )
         with ThreadPoolExecutor() as painters:
             self._backgrounds = _painted(painters.map(_background(side, seed), range(props.backgrounds)), device)
             self._occluders = _painted(painters.map(_occluder(points, side, seed), range(props.occluders)), device)
@@ -192,28 +195,22 @@ class BatchStudio:
     def _clothed(self, picture, face, is_face, dice):
         """Shoulders below the chin."""
         cover = self._shoulders[dice.index(len(self._shoulders))].float() / 255
-        size = cover.shape[-1]
-        unit = size / SHOULDERS_BOXES
-        top = torch.tensor([(size - 1) / 2, 0.0], device=self.device)
-        turn = unit * torch.eye(2, device=self.device)
-        to_painted = Placement(turn.expand_as(face.matrix), top.expand_as(face.origin))
-        cover = _sampled(cover, to_painted.after(face.back()), self.side, "border")
+        cover = _sampled(cover, self._face_of_shoulders.of(0).after(face.back()), self.side, "border")
         cover = cover * (is_face & ~dice.chance(BARE))[:, None, None, None]
         stripes = 1 + 0.1 * dice.noise(len(picture), 1, self.side, 1)
         return picture * (1 - cover) + cover * dice.uniform(0, 255, 3)[..., None, None] * stripes
 
     def _occluded(self, picture, face, is_face, dice):
         """Something before the face, where it was painted in the face's frame."""
-        places = (dice.chance(OCCLUDED) & is_face).nonzero()[:, 0]
+        places = dice.some(OCCLUDED)
         if len(places) == 0:
             return picture
         dice, face = dice.among(places), face.of(places)
         things = self._occluders[dice.index(len(self._occluders))].float()
-        painted = _placements([[_wide_face(self.side)]], self.device)
-        painted = Placement(painted.matrix[0].expand_as(face.matrix), painted.origin[0].expand_as(face.origin))
-        things = _sampled(things, painted.after(face.back()), self.side)
+        things = _sampled(things, self._face_of_occluders.of(0).after(face.back()), self.side)
         tint = (1 + dice.normal(0.15, 3))[..., None, None]
         things = torch.cat([torch.minimum(things[:, :3] * tint, things[:, 3:]), things[:, 3:]], 1)
+        things = things * is_face[places][:, None, None, None]
         return picture.index_copy(0, places, _over(things, picture[places]))
 
 
@@ -243,8 +240,7 @@ def _occluder(points: Float[np.ndarray, "n k 2"], side: int, seed: int) -> Calla
 
 def _shoulders(side: int, seed: int) -> Callable[[int], UInt8[np.ndarray, "1 s s"]]:
     def paint(place: int) -> UInt8[np.ndarray, "1 s s"]:
-        frame = FaceFrame(np.eye(2) * side / SHOULDERS_BOXES, np.array([(side - 1) / 2, 0.0]))
-        cover = shoulders(frame, side, np.random.default_rng([seed, 3, place]))
+        cover = shoulders(_face_above(side), side, np.random.default_rng([seed, 3, place]))
         return np.rint(255 * cover).astype(np.uint8)[None]
 
     return paint
@@ -253,6 +249,11 @@ def _shoulders(side: int, seed: int) -> Callable[[int], UInt8[np.ndarray, "1 s s
 def _wide_face(side: int) -> FaceFrame:
     """Where the face's box is in the pictures that things before faces are painted into."""
     return FaceFrame(np.eye(2) * side / (CROP_BOXES * BEYOND), np.full(2, (side - 1) / 2))
+
+
+def _face_above(side: int) -> FaceFrame:
+    """Where the face's box is above the pictures that shoulders are painted into."""
+    return FaceFrame(np.eye(2) * side / SHOULDERS_BOXES, np.array([(side - 1) / 2, 0.0]))
 
 
 def _painted(pictures: Iterable[UInt8[np.ndarray, "c s s"]], device: str) -> UInt8[Tensor, "n c s s"]:
@@ -275,14 +276,14 @@ def _rolled(angle: Float[Tensor, "n"]) -> Float[Tensor, "n 2 2"]:
 
 
 def _sampled(
-    pictures: Float[Tensor, "n c h w"], to_pictures: Placement, side: int, beyond: str = "zeros"
+    pictures: Float[Tensor, "n c h h"], to_pictures: Placement, side: int, beyond: str = "zeros"
 ) -> Float[Tensor, "n c s s"]:
     """A square of each picture, bilinear."""
     at = torch.arange(side, dtype=torch.float32, device=pictures.device)
     pixels = torch.stack(torch.meshgrid(at, at, indexing="xy"), -1).reshape(1, -1, 2)
     places = to_pictures(pixels.expand(len(pictures), -1, 2)).unflatten(1, (side, side))
-    size = torch.tensor([pictures.shape[-1], pictures.shape[-2]], device=pictures.device)
-    return functional.grid_sample(pictures, (2 * places + 1) / size - 1, padding_mode=beyond, align_corners=False)
+    grid = (2 * places + 1) / pictures.shape[-1] - 1
+    return functional.grid_sample(pictures, grid, padding_mode=beyond, align_corners=False)
 
 
 def _over(rgba: Float[Tensor, "n 4 h w"], picture: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:

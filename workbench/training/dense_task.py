@@ -12,7 +12,7 @@ from workbench.landmarks.schemes import DENSE_POINTS, DensePoints
 from workbench.networks.regression import NUMBERS
 from workbench.networks.weights import read_weights
 from workbench.training.augment import augmented
-from workbench.training.landmark_task import OPENINGS, POINTS
+from workbench.training.landmark_task import POINTS, openings
 from workbench.training.loop import Batch, Phase, TrainingPlan
 from workbench.training.pool import Pool, open_pool
 from workbench.training.torch_network import take_convolutions
@@ -64,18 +64,18 @@ class DenseTask:
             pictures[place], points[place], is_face[place] = made.picture, (*made.points, *made.dense), made.is_face
         return pictures, (points, is_face)
 
-    def loss(self, answers: Float[Tensor, "n k5"], targets: tuple[Tensor, Tensor]) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, answers: Float[Tensor, "n k5"], targets: tuple[Tensor, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         points, is_face = targets
         return loss_of(answers.unflatten(1, (-1, NUMBERS)), points, is_face)
 
 
-def loss_of(answers, points, is_face) -> tuple[Tensor, dict[str, float]]:
+def loss_of(answers, points, is_face) -> tuple[Tensor, dict[str, Tensor]]:
     """Negative log-likelihood of the true places, those far outside of their covariance counted linearly."""
     read = torch_places(answers, SIDE)
     cost, squared = gaussian_cost(answers, points - read)
     face = is_face[:, None]
     likely = (face * cost).sum() / (face.sum() * points.shape[1])
-    upper, lower = (list(side) for side in zip(*OPENINGS, strict=True))
+    upper, lower = openings(read.device)
     across = ((read[:, lower] - read[:, upper]) - (points[:, lower] - points[:, upper])).abs().sum(-1)
     loss = likely + OPENING_WEIGHT * (face * across).sum() / (face.sum() * across.shape[1])
     with torch.no_grad():
@@ -86,4 +86,4 @@ def loss_of(answers, points, is_face) -> tuple[Tensor, dict[str, float]]:
         dense = share[:, 70:].sum() / ((points.shape[1] - 70) * face.sum())
         inside = ((squared < HALF_SQUARED) * face).sum() / (face.sum() * points.shape[1])
     numbers = {"loss": loss, "inner_percent": inner, "dense_percent": dense, "inside_half": inside}
-    return loss, {name: float(value.detach()) for name, value in numbers.items()}
+    return loss, {name: value.detach() for name, value in numbers.items()}

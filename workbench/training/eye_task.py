@@ -58,7 +58,7 @@ class EyeTask:
         points = np.stack([eye.points for eye in made]).astype(np.float32)
         return np.stack([eye.picture for eye in made]), (points, np.array([eye.is_open for eye in made], np.float32))
 
-    def loss(self, answers: Float[Tensor, "n out"], targets: tuple[Tensor, Tensor]) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, answers: Float[Tensor, "n out"], targets: tuple[Tensor, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """Negative log-likelihood of the true places, and the cross entropy of the open eyes."""
         points, is_open = targets
         numbers = answers[:, :-1].unflatten(1, (POINTS, NUMBERS))
@@ -73,7 +73,7 @@ class EyeTask:
             right = ((answers[:, -1] > 0) == (is_open > 0.5)).float().mean()
             inside = (squared < HALF_SQUARED).float().mean()
         numbers = {"loss": loss, "pupil_percent": pupil, "open_right": right, "inside_half": inside}
-        return loss, {name: float(value.detach()) for name, value in numbers.items()}
+        return loss, {name: value.detach() for name, value in numbers.items()}
 
 
 @lru_cache(maxsize=CROPS)

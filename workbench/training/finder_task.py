@@ -42,7 +42,7 @@ class FinderTask(MapsTask):
             pictures[place], boxes[place] = crowd(pool, rng, phase.input_side)
         return pictures, (boxes,)
 
-    def loss(self, maps: Float[Tensor, "n 4 h w"], targets: tuple[Tensor]) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, maps: Float[Tensor, "n 4 h w"], targets: tuple[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """Focal cross entropy of the score, and the errors of size and offset where a face's middle is."""
         (boxes,) = targets
         side = maps.shape[-1]
@@ -73,8 +73,7 @@ class FinderTask(MapsTask):
             found = ((probability > 0.5).float() * positive).sum() / count
             false = ((probability > 0.5) & (target < 0.1)).float().sum() / len(maps)
         loss = score + SIZE_WEIGHT * size
-        return loss, {"loss": float(loss.detach()), "size": float(size.detach()), "found": float(found),
-                      "false_cells": float(false)}  # fmt: skip
+        return loss, {"loss": loss.detach(), "size": size.detach(), "found": found, "false_cells": false}
 
 
 def crowd(pool: Pool, rng: np.random.Generator, side: int) -> tuple[np.ndarray, Float[np.ndarray, "faces 3"]]:

@@ -56,7 +56,7 @@ class FlowTask:
             weight[place] = pair.known * seen * np.where(pair.face, FACE_WEIGHT, 1.0)
         return pictures, (flow, weight, face)
 
-    def loss(self, flows: list[Tensor], targets: tuple[Tensor, ...]) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, flows: list[Tensor], targets: tuple[Tensor, ...]) -> tuple[Tensor, dict[str, Tensor]]:
         """The final flow's error and those of all levels, in pixels of the picture."""
         flow, weight, face = targets
         truth, weight = flow.permute(0, 3, 1, 2), weight[:, None]
@@ -69,9 +69,9 @@ class FlowTask:
         with torch.no_grad():
             error = torch.linalg.vector_norm(final - truth, dim=1)
             numbers = {
-                "loss": float(loss),
-                "all_px": float((error * weight[:, 0]).sum() / weight.sum().clamp_min(1.0)),
-                "face_px": float((error * face).sum() / face.sum().clamp_min(1.0)),
+                "loss": loss.detach(),
+                "all_px": (error * weight[:, 0]).sum() / weight.sum().clamp_min(1.0),
+                "face_px": (error * face).sum() / face.sum().clamp_min(1.0),
             }
         return loss, numbers
 

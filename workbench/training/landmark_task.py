@@ -1,10 +1,11 @@
 """The landmark network's task: what a batch is, what is minimised, and which weights are kept."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -24,7 +25,7 @@ OPENING_WEIGHT = 0.6
 """Weight of the error of eyes' and lips' openings in heat-map pixels: two lids that are both off show no opening."""
 OPENINGS = ((37, 41), (38, 40), (43, 47), (44, 46), (61, 67), (62, 66), (63, 65))
 """Points that face each other across an eye or the lips."""
-LIDS = tuple(range(36, 48))
+LIDS = slice(36, 48)
 POINTS = 70
 """The 68 landmarks and two pupils."""
 
@@ -57,7 +58,7 @@ class LandmarkTask(MapsTask):
             pictures[place], points[place], is_face[place] = made.picture, made.points, made.is_face
         return pictures, (points, is_face)
 
-    def loss(self, maps: Float[Tensor, "n 70 h w"], targets: tuple[Tensor, Tensor]) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, maps: Float[Tensor, "n 70 h w"], targets: tuple[Tensor, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """Cross entropy and coordinate loss of the logits, and what the curves show."""
         points, is_face = targets
         return loss_of(maps, (points + 0.5) / STRIDE - 0.5, is_face)
@@ -74,6 +75,12 @@ def target_distribution(points: Float[Tensor, "n k 2"], side: int) -> Float[Tens
     cells = (down[..., :, None] * across[..., None, :]).flatten(2)
     inside = ((points > 0) & (points < side - 1)).all(-1)
     return inside[..., None] * cells
+
+
+@cache
+def openings(device: torch.device) -> tuple[Int[Tensor, "k"], Int[Tensor, "k"]]:
+    """`OPENINGS` as indices: the upper points and the lower ones."""
+    return tuple(torch.tensor(side, device=device) for side in zip(*OPENINGS, strict=True))
 
 
 def local_soft_argmax(logits: Float[Tensor, "n k h w"]) -> Float[Tensor, "n k 2"]:
@@ -93,7 +100,7 @@ def local_soft_argmax(logits: Float[Tensor, "n k h w"]) -> Float[Tensor, "n k 2"
 
 def loss_of(
     logits: Float[Tensor, "n 70 h w"], points: Float[Tensor, "n 70 2"], is_face: Float[Tensor, "n"]
-) -> tuple[Tensor, dict[str, float]]:
+) -> tuple[Tensor, dict[str, Tensor]]:
     """Cross entropy to the points' distributions (even ones where there is no face), and the soft-argmax' errors."""
     side = logits.shape[-1]
     target = target_distribution(points, side)
@@ -102,7 +109,7 @@ def loss_of(
     even = torch.full_like(target, 1.0 / side**2)
     target = face[..., None] * target + (1 - face[..., None]) * even
     weight = torch.ones(POINTS, device=logits.device)
-    weight[:17], weight[list(LIDS)], weight[68:] = JAW_WEIGHT, EYE_WEIGHT, PUPIL_WEIGHT
+    weight[:17], weight[LIDS], weight[68:] = JAW_WEIGHT, EYE_WEIGHT, PUPIL_WEIGHT
     weight = weight * torch.where(face > 0, known, torch.full_like(known, 0.3))
     entropy = -(target * torch.log_softmax(logits.flatten(2), dim=-1)).sum(-1)
     read = local_soft_argmax(logits)
@@ -112,7 +119,7 @@ def loss_of(
         near * weight * functional.smooth_l1_loss(distance, torch.zeros_like(distance), reduction="none", beta=0.5)
     )
     count = weight.sum().clamp_min(1.0)
-    upper, lower = (torch.tensor(side, device=logits.device) for side in zip(*OPENINGS, strict=True))
+    upper, lower = openings(logits.device)
     across = (read[:, lower] - read[:, upper]) - (points[:, lower] - points[:, upper])
     opening = near[:, upper] * near[:, lower] * across.abs().sum(-1)
     loss = (weight * entropy).sum() + COORDINATE_WEIGHT * coordinate.sum() + OPENING_WEIGHT * opening.sum()
@@ -121,4 +128,4 @@ def loss_of(
         inner = (known * face)[:, 17:68]
         size = (points[:, 45] - points[:, 36]).norm(dim=-1).clamp_min(1e-3)[:, None]
         error = 100 * (distance[:, 17:68] / size * inner).sum() / inner.sum().clamp_min(1.0)
-    return loss, {"loss": float(loss.detach()), "inner_percent": float(error)}
+    return loss, {"loss": loss.detach(), "inner_percent": error}

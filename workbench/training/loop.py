@@ -95,7 +95,7 @@ class Task(Protocol):
 
     def batch(self, pool: Any, phase: Phase, rngs: list[np.random.Generator]) -> Batch: ...
 
-    def loss(self, answers: Any, targets: tuple[Tensor, ...]) -> tuple[Tensor, dict[str, float]]: ...
+    def loss(self, answers: Any, targets: tuple[Tensor, ...]) -> tuple[Tensor, dict[str, Tensor]]: ...
 
 
 @runtime_checkable
@@ -199,7 +199,7 @@ def train(
     average = {name: value.detach().clone().float() for name, value in network.state_dict().items()}
     optimiser = torch.optim.AdamW(network.parameters(), lr=1e-3, weight_decay=plan.weight_decay)
     step = _resumed(folder / "checkpoint.pt", network, optimiser, average)
-    running: dict[str, float] = {}
+    running: dict[str, Tensor] = {}
     began, first = time.monotonic(), step
     for pictures, targets in _pictures(task, pool_folder, plan, step, workers, device):
         for group in optimiser.param_groups:
@@ -216,6 +216,7 @@ def train(
         with torch.no_grad():
             for name, value in network.state_dict().items():
                 average[name].lerp_(value.float(), 1 - decay)
+        # The device is not waited for until its numbers are shown.
         for name, value in numbers.items():
             running[name] = 0.98 * running.get(name, value) + 0.02 * value
         step += 1
@@ -336,7 +337,7 @@ def _save(path: Path, network, optimiser, average, step: int) -> None:
         torch.save(state, temporary)
 
 
-def _log(path: Path, step: int, rate: float, numbers: dict[str, float]) -> None:
+def _log(path: Path, step: int, rate: float, numbers: dict[str, Tensor]) -> None:
     fresh = not path.is_file()
     with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
