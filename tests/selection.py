@@ -76,6 +76,7 @@ TRAIN = (
     "test_networks_fan.py",
     "test_networks_flow.py",
     "test_training.py",
+    "test_training_batches.py",
     "test_training_dense.py",
     "test_training_expressions.py",
     "test_training_flow.py",

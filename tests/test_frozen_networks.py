@@ -84,10 +84,11 @@ def test_an_output_in_bytes_that_is_its_bias_alone_is_that_bias():
     assert np.abs(found - exact).max() < 0.06 * np.ptp(exact)
 
 
-def test_the_largest_that_layers_pass_on_is_that_of_any_picture():
-    network, pictures = random_network(7), [noise(1, 64, 64), noise(2, 64, 64) // 3]
+def test_the_largest_that_layers_pass_on_is_that_of_three_of_four_pictures():
+    """The brightest of five pictures has no say in it."""
+    network, pictures = random_network(7), [noise(1, 64, 64), *(noise(k, 64, 64) // (3 + k) for k in range(2, 6))]
     each = [largest_passed(network, [picture]) for picture in pictures]
-    np.testing.assert_array_equal(largest_passed(network, pictures), np.maximum(*each))
+    np.testing.assert_allclose(largest_passed(network, pictures), np.sort(each, axis=0)[3], rtol=1e-6)
     lowest = network.features(jnp.moveaxis(jnp.asarray(pictures[0]), -1, 0).astype(jnp.float32) / 255)[-1]
     encoder = 4 + 2 * (1 + 2 + 2 + 2)
     assert each[0][encoder - 1] == pytest.approx(float(lowest.max()), rel=1e-4)

@@ -27,7 +27,7 @@ class FrozenNetwork:
     def __call__(self, picture: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "n h4 w4"]:
         """Heat maps of a quarter of the picture's size, which are `network(picture / 255)` up to rounding.
 
-        In bytes, where `network.largest` is known, landmarks are a tenth of a pixel from the network's in the median.
+        In bytes, where `network.largest` is known, landmarks are a fifth of a pixel from the network's in the median.
         Where the network knows pupils, the maps of the person's right and left one follow the others.
         Height and width are multiples of 32 pixels.
         """
@@ -43,7 +43,7 @@ class FrozenDenseNetwork:
     def __call__(self, picture: UInt8[np.ndarray, "256 256 3"]) -> Places:
         """Points in the picture's pixels and their whitening: `network(picture / 255)` up to rounding.
 
-        In bytes, where `network.largest` is known, points are 0.4 pixels from the network's in the median.
+        In bytes, where `network.largest` is known, points are a third of a pixel from the network's in the median.
         """
         numbers, factor = self._answer(picture)
         return places_of(numbers, SIDE, factor)

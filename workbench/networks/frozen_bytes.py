@@ -1,6 +1,6 @@
 """A network in bytes: less than half the time of single precision, points a fraction of a pixel away.
 
-What layers pass on is rounded to 256 steps up to the largest value that it had on training pictures (the network's
+What layers pass on is rounded to 256 steps up to the largest value that it had on most training pictures (the network's
 `largest`), weights to 127 steps of each output's own size; products are added as whole numbers. The operations are ONNX
 Runtime's own, because ONNX's keep channels apart, which costs as much time as bytes save.
 """

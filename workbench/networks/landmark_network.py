@@ -68,8 +68,8 @@ class LandmarkNetwork(Encoder):
     pupils: Conv | None = None
     """Beside `head`: heat maps of the person's right and left pupil."""
     largest: Float[Array, "layers"] | None = None
-    """The largest number that each layer passed on in training pictures, in the order of `network_graph.py`; with them
-    a frozen network computes in bytes."""
+    """The largest number that each layer passed on in most training pictures, in the order of `network_graph.py`; with
+    them a frozen network computes in bytes."""
 
     def __call__(self, picture: Float[AnyArray, "3 h w"]) -> Float[Array, "n h4 w4"]:
         """Heat maps (68; another network's `outputs`) of a quarter of the picture's size, RGB in 0..1.
