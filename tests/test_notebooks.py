@@ -77,15 +77,16 @@ def more_points_help_if_their_errors_are_independent(rows):
 
 
 def a_prior_shares_out_what_is_seen(rows):
-    """Notebook 20: the usual prior moves cheeks that few shapes leave at rest, but with the network's points it errs
-    more; symmetry halves how lopsided faces are at no cost."""
+    """Notebook 20: the usual prior moves cheeks that few shapes leave at rest, less so with the network's points, with
+    which it errs more; symmetry halves how lopsided faces are at no cost."""
     found = {name: np.array(cells, float) for name, cells in rows.items() if name != "truth"}
     weights, lopsided, cheeks = 0, 1, 2
     for points in ("exact", "the network's"):
         few, even, usual = (found[f"{points}, {prior}"] for prior in ("few", "few, both sides alike", "usual"))
-        assert few[cheeks] < 0.05 < 0.1 < usual[cheeks]
+        assert few[cheeks] < 0.02 < usual[cheeks]
         assert even[lopsided] < 0.7 * few[lopsided]
         assert even[weights] < 1.05 * few[weights]
+    assert found["the network's, usual"][cheeks] < 0.1 < found["exact, usual"][cheeks]
     assert found["exact, usual"][weights] < 1.05 * found["exact, few"][weights]
     assert found["the network's, usual"][weights] > 1.05 * found["the network's, few"][weights]
 
