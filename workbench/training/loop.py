@@ -288,6 +288,8 @@ def _pictures(
     task: Task, pool_folder: Path, plan: TrainingPlan, step: int, workers: int, device: str
 ) -> Iterator[tuple[Tensor, tuple[Tensor, ...]]]:
     """The batches from a step on, on the device: pictures (n, channels, s, s) in 0..1, and what is known of them."""
+    if step >= plan.steps:
+        return
     if not plan.batched:
         for pictures, targets in _batches(task, pool_folder, plan, step, workers):
             yield (
@@ -302,8 +304,6 @@ def _pictures(
 
 
 def _batches(task: Task, pool_folder: Path, plan: TrainingPlan, step: int, workers: int) -> Iterator[tuple]:
-    if step >= plan.steps:
-        return iter(())
     loader = torch.utils.data.DataLoader(
         _Batches(task, pool_folder, plan, step),
         batch_size=None,

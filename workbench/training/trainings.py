@@ -9,8 +9,7 @@ from workbench.errors import InputError
 from workbench.training.expressions import QUICK_EXPRESSIONS, ExpressionRecipe, learn_expressions
 from workbench.training.flow_recipe import QUICK_FLOW, FlowRecipe, train_flow_network
 from workbench.training.recipe import (
-    BATCHED_DENSE,
-    BATCHED_LANDMARKS,
+    BATCHED,
     DENSE_PLAN,
     EYES,
     FINDER_PLAN,
@@ -56,11 +55,11 @@ class Training:
 
 TRAININGS: Mapping[str, Training] = MappingProxyType({
     "landmarks": Training(
-        train_landmark_network, Recipe(), QUICK, Recipe(plan=FURTHER_LANDMARK_PLAN), BATCHED_LANDMARKS
+        train_landmark_network, Recipe(), QUICK, Recipe(plan=FURTHER_LANDMARK_PLAN), BATCHED
     ),
     "finder": Training(train_face_finder, Recipe(plan=FINDER_PLAN), QUICK, Recipe(plan=FURTHER_FINDER_PLAN)),
     "dense": Training(
-        train_dense_network, Recipe(plan=DENSE_PLAN), QUICK_DENSE, Recipe(plan=DENSE_PLAN), BATCHED_DENSE
+        train_dense_network, Recipe(plan=DENSE_PLAN), QUICK_DENSE, Recipe(plan=DENSE_PLAN), BATCHED
     ),
     "gain": Training(learn_dense_gain, Recipe(), QUICK, None),
     "eyes": Training(train_eye_network, EYES, QUICK_EYES, FURTHER_EYES),
