@@ -11,7 +11,7 @@ from tests.dotted_pool import write_dotted_pool
 from workbench.errors import InputError
 from workbench.landmarks.scheme import MIRROR
 from workbench.networks.weights import read_weights
-from workbench.training import augment, batch_studio, loop
+from workbench.training import augment, batch_studio, loop, variation
 from workbench.training.augment import augmented
 from workbench.training.batch_camera import Dice, blurred, jpeg, photographed
 from workbench.training.batch_studio import BatchStudio, Props
@@ -96,7 +96,7 @@ class TestStudio:
     def test_the_dots_of_the_render_stay_under_the_landmarks(self, pool, monkeypatch):
         """However the picture is framed, turned and mirrored: brightness at the landmarks, not elsewhere."""
         for share in ("OCCLUDED", "SHADOWED", "FACELESS"):
-            monkeypatch.setattr(batch_studio, share, 0.0)
+            monkeypatch.setattr(variation, share, 0.0)
         monkeypatch.setattr(batch_studio, "photographed", lambda pictures, _dice: pictures)
         pictures, (points, _) = BatchStudio(pool, 256, props=FEW).shoot(16, seed=2)
         for picture, landmarks in zip(pictures.numpy(), points[:, :68].numpy(), strict=True):

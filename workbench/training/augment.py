@@ -13,6 +13,7 @@ from workbench.landmarks.alignment import FaceFrame, frame_from_points, rolled
 from workbench.landmarks.network_detector import CROP_SIDE, crop_frame
 from workbench.landmarks.scheme import MIRROR
 from workbench.landmarks.schemes import DensePoints
+from workbench.training import variation
 from workbench.training.pool import Pool
 
 
@@ -49,12 +50,6 @@ FEATHER = 28
 """Pixels over which a render fades at its own border, where it cuts through hair and shoulders."""
 MIRRORED = (*MIRROR, 69, 68)
 """Where each of the 68 landmarks and of the two pupils is in a mirrored picture."""
-EXPOSED = (60.0, 190.0)
-"""Mean grey values that automatic exposure may give a face."""
-KEPT_LIGHT, MOST_GAIN = 0.2, 5.0
-"""Share of the pictures that keep the scene's light, and how much brighter the others get at most."""
-FACELESS, BYSTANDERS, BARE, OCCLUDED, SHADOWED = 0.04, 0.12, 0.15, 0.35, 0.35
-"""Shares of the pictures: without a face, with another behind, without clothes, with an occluder, partly in shadow."""
 
 
 def augmented(
@@ -73,19 +68,19 @@ def augmented(
         mirror = (*MIRRORED, *(len(MIRRORED) + dense.mirror))
     background = random_background(rng, side)
     background = _with_bystander(background, pool, rng)
-    is_face = rng.random() > FACELESS * hardness.damage
+    is_face = rng.random() > variation.FACELESS * hardness.damage
     if is_face:
         head, points = _framed(rgba, points.astype(np.float64), mirror, rng, side, hardness)
         head = exposed(head, rng)
         picture = _clothed(background, frame_from_points(points[:68]), rng)
         cover = head[..., 3:].astype(np.float32) / 255
-        light = rng.normal(1, 0.04, 3).astype(np.float32)
+        light = rng.normal(1, variation.HEAD_COLOUR, 3).astype(np.float32)
         picture = head[..., :3] * light + picture * (1 - cover)
-        if rng.random() < OCCLUDED * hardness.occlusion:
+        if rng.random() < variation.OCCLUDED * hardness.occlusion:
             picture = _occluded(picture, points[:68], rng)
     else:
         picture = background
-    if rng.random() < SHADOWED * hardness.damage:
+    if rng.random() < variation.SHADOWED * hardness.damage:
         picture = shadowed(picture, rng)
     if hardness.damage > 0:
         picture = photographed(picture, rng, hardness.damage)
@@ -155,53 +150,55 @@ def photographed(
     side = picture.shape[0]
     unit = side / CROP_SIDE if unit is None else unit
     picture = np.clip(picture, 0, 255).astype(np.uint8)
-    if rng.random() < 0.9 * amount:
-        curve = np.linspace(0, 1, 256)[:, None] ** np.exp(rng.normal(0, 0.28))
-        curve = curve * np.exp(rng.normal(0, 0.2)) + rng.normal(0, 0.06)
-        picture = cv2.LUT(picture, (curve * np.exp(rng.normal(0, 0.08, 3))).astype(np.float32)[None])
+    if rng.random() < variation.DEVELOPED * amount:
+        curve = np.linspace(0, 1, 256)[:, None] ** np.exp(rng.normal(0, variation.GAMMA_LOGARITHM))
+        curve = curve * np.exp(rng.normal(0, variation.GAIN_LOGARITHM)) + rng.normal(0, variation.BLACK)
+        curve = curve * np.exp(rng.normal(0, variation.COLOUR_LOGARITHM, 3))
+        picture = cv2.LUT(picture, curve.astype(np.float32)[None])
         grey = _grey(picture)
-        saturation = 0.0 if rng.random() < 0.14 else rng.uniform(0.3, 1.5)
+        saturation = 0.0 if rng.random() < variation.GREY else rng.uniform(*variation.SATURATION)
         picture = grey + np.float32(saturation) * (picture - grey)
         middle = np.float32(picture.mean())
-        picture = middle + np.float32(np.exp(rng.normal(0, 0.25))) * (picture - middle)
+        picture = middle + np.float32(np.exp(rng.normal(0, variation.CONTRAST_LOGARITHM))) * (picture - middle)
         picture = picture * np.float32(255)
     picture = np.clip(picture, 0, 255).astype(np.float32)
-    if rng.random() < 0.1 * amount:
+    if rng.random() < variation.DIM * amount:
         picture = _dim(picture, rng)
-    if rng.random() < 0.4 * amount:
-        picture = cv2.GaussianBlur(picture, (0, 0), unit * float(rng.uniform(0.4, 2.6)))
-    if rng.random() < 0.15 * amount:
+    if rng.random() < variation.OUT_OF_FOCUS * amount:
+        picture = cv2.GaussianBlur(picture, (0, 0), unit * float(rng.uniform(*variation.FOCUS_PX)))
+    if rng.random() < variation.MOVED * amount:
         picture = _moved(picture, rng, unit)
-    if rng.random() < 0.45 * amount:
-        small = int(np.exp(rng.uniform(np.log(48), np.log(CROP_SIDE))) * (side / unit / CROP_SIDE))
-        small = min(side, max(small, 4))
+    if rng.random() < variation.COARSE * amount:
+        crop_px = np.exp(rng.uniform(np.log(variation.LEAST_RESOLUTION_PX), np.log(CROP_SIDE)))
+        small = min(side, max(int(crop_px * (side / unit / CROP_SIDE)), 4))
         down = cv2.resize(picture, (small, small), interpolation=cv2.INTER_AREA)
-        if rng.random() < 0.5:
-            down = down + rng.normal(0, rng.uniform(0, 10), down.shape).astype(np.float32)
+        if rng.random() < variation.COARSE_DAMAGED:
+            down = down + rng.normal(0, rng.uniform(*variation.COARSE_NOISE), down.shape).astype(np.float32)
             down = _compressed(down, rng)
-        way = cv2.INTER_LINEAR if rng.random() < 0.6 else cv2.INTER_CUBIC
+        way = cv2.INTER_LINEAR if rng.random() < variation.SMOOTHLY_ENLARGED else cv2.INTER_CUBIC
         picture = cv2.resize(down, (side, side), interpolation=way)
-    if rng.random() < 0.6 * amount:
+    if rng.random() < variation.NOISY * amount:
         noise = rng.standard_normal(picture.shape, np.float32)
-        if rng.random() < 0.4:
-            noise = 2 * cv2.GaussianBlur(noise, (0, 0), 0.8)
-        picture = picture + np.float32(np.exp(rng.uniform(np.log(1), np.log(18)))) * noise
-    if rng.random() < 0.5 * amount:
+        if rng.random() < variation.GRAINY:
+            noise = 2 * cv2.GaussianBlur(noise, (0, 0), variation.GRAIN_PX)
+        picture = picture + np.float32(np.exp(rng.uniform(*np.log(variation.NOISE)))) * noise
+    if rng.random() < variation.COMPRESSED * amount:
         picture = _compressed(picture, rng)
     return picture
 
 
 def _framed(rgba, points, mirror, rng, side, hardness):
     """The crop a detector would ask for, more or less; half of the pictures are mirrored."""
-    if rng.random() < 0.5:
+    if rng.random() < variation.MIRRORED_SHARE:
         rgba = rgba[:, ::-1]
         points = points[list(mirror)]
         points[:, 0] = rgba.shape[1] - 1 - points[:, 0]
     view = crop_frame(frame_from_points(points[:68]), side)
-    roll = np.clip(rng.normal(0, 14), -40, 40) if rng.random() < 0.85 else rng.uniform(-60, 60)
+    upright = rng.random() < variation.NEARLY_UPRIGHT
+    roll = _cut_off(rng, variation.UPRIGHT_ROLL_DEG) if upright else rng.uniform(*variation.ANY_ROLL_DEG)
     angle = np.radians(roll) * hardness.framing
-    scale = np.exp(np.clip(rng.normal(0, 0.13), -0.35, 0.35) * hardness.framing)
-    shift = np.clip(rng.normal(0, 0.06, 2), -0.17, 0.17) * side * hardness.framing
+    scale = np.exp(_cut_off(rng, variation.SCALE_LOGARITHM) * hardness.framing)
+    shift = _cut_off(rng, variation.SHIFT, 2) * side * hardness.framing
     # The face's own roll stays in the picture, so undo the frame's before turning by a random angle.
     own = np.arctan2(view.matrix[1, 0], view.matrix[0, 0])
     matrix = view.matrix @ rolled(angle - own) * scale
@@ -220,10 +217,10 @@ def _framed(rgba, points, mirror, rng, side, hardness):
 def exposed(head: UInt8[np.ndarray, "h w 4"], rng: np.random.Generator) -> UInt8[np.ndarray, "h w 4"]:
     """The head as a camera exposes it: its mean brightness where the scene's is not kept."""
     cover = head[..., 3] > 127
-    if rng.random() < KEPT_LIGHT or not cover.any():
+    if rng.random() < variation.KEPT_LIGHT or not cover.any():
         return head
     grey = max(float(head[cover, :3].mean()), 1.0)
-    gain = np.clip(rng.uniform(*EXPOSED) / grey, 0.5, MOST_GAIN)
+    gain = np.clip(rng.uniform(*variation.EXPOSED) / grey, 0.5, variation.MOST_GAIN)
     # Highlights roll off as they do in a camera: what would be beyond white ends close below it.
     lit = np.arange(256, dtype=np.float32) * (gain / 255)
     table = np.where(lit < 0.8, lit, 1 - 0.2 * np.exp(-(lit - 0.8) / 0.2))
@@ -233,11 +230,11 @@ def exposed(head: UInt8[np.ndarray, "h w 4"], rng: np.random.Generator) -> UInt8
 
 def _with_bystander(background, pool, rng):
     """Now and then somebody else stands behind."""
-    if rng.random() > BYSTANDERS:
+    if rng.random() > variation.BYSTANDERS:
         return background
     rgba, _ = cut_out(pool, int(rng.integers(len(pool))))
     side = background.shape[0]
-    size = int(rng.uniform(70, 260) * side / CROP_SIDE)
+    size = int(rng.uniform(*variation.BYSTANDER_PX) * side / CROP_SIDE)
     small = cv2.resize(rgba, (size, size), interpolation=cv2.INTER_AREA).astype(np.float32)
     x, y = (int(rng.uniform(-0.5 * size, side - 0.5 * size)) for _ in range(2))
     left, top = max(x, 0), max(y, 0)
@@ -250,11 +247,12 @@ def _with_bystander(background, pool, rng):
 
 def _clothed(background, frame, rng):
     """Shoulders below the chin."""
-    if rng.random() < BARE:
+    if rng.random() < variation.BARE:
         return background
     cover = shoulders(frame, len(background), rng)[..., None]
-    color = rng.uniform(0, 255, 3).astype(np.float32) * (1 + 0.1 * rng.standard_normal((len(cover), 1, 1), np.float32))
-    return background * (1 - cover) + cover * color
+    color = rng.uniform(0, 255, 3).astype(np.float32)
+    grain = variation.CLOTH_GRAIN * rng.standard_normal((len(cover), 1, 1), np.float32)
+    return background * (1 - cover) + cover * color * (1 + grain)
 
 
 def shoulders(frame: FaceFrame, side: int, rng: np.random.Generator) -> Float[np.ndarray, "s s"]:
@@ -326,11 +324,17 @@ def occluder(
 
 def shadowed(picture: Float[np.ndarray, "s s 3"], rng: np.random.Generator) -> Float[np.ndarray, "s s 3"]:
     """A soft or hard edge of shadow or light across the picture."""
-    angle, place = rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5)
+    angle, place = rng.uniform(0, 2 * np.pi), rng.uniform(*variation.SHADOW_PLACE)
     x, y = np.meshgrid(*(np.linspace(-1, 1, len(picture), dtype=np.float32),) * 2)
     across = x * np.float32(np.cos(angle)) + y * np.float32(np.sin(angle)) - np.float32(place)
-    share = 1 / (1 + np.exp(np.clip(across * np.float32(np.exp(rng.uniform(0.5, 4))), -30, 30)))
-    return picture * (1 + np.float32(rng.uniform(-0.7, 0.5)) * share)[..., None]
+    steepness = np.float32(np.exp(rng.uniform(*variation.SHADOW_STEEPNESS_LOGARITHM)))
+    share = 1 / (1 + np.exp(np.clip(across * steepness, -30, 30)))
+    return picture * (1 + np.float32(rng.uniform(*variation.SHADOW_LIGHT)) * share)[..., None]
+
+
+def _cut_off(rng, spread, *shape):
+    deviation, largest = spread
+    return np.clip(rng.normal(0, deviation, *shape), -largest, largest)
 
 
 def _grey(picture):
@@ -339,15 +343,15 @@ def _grey(picture):
 
 def _dim(picture, rng):
     """Too little light: few photons, noise by their square root, and brightened again."""
-    full = np.exp(rng.uniform(np.log(30), np.log(400)))  # photons of a white pixel
+    full = np.exp(rng.uniform(*np.log(variation.WHITE_PHOTONS)))
     photons = np.clip(picture, 0, 255) * (full / 255)
     noisy = photons + np.sqrt(photons + 2.0) * rng.standard_normal(picture.shape, np.float32)
-    return (noisy * (255 / full * rng.uniform(0.4, 1.1))).astype(np.float32)
+    return (noisy * (255 / full * rng.uniform(*variation.BRIGHTENED))).astype(np.float32)
 
 
 def _moved(picture, rng, unit):
     """Motion blur."""
-    length = max(3, round(rng.integers(3, 13) * unit))
+    length = max(3, round(rng.integers(*variation.MOTION_PX) * unit))
     angle = rng.uniform(0, np.pi)
     kernel = np.zeros((length, length), np.float32)
     half = (length - 1) / 2
@@ -358,6 +362,6 @@ def _moved(picture, rng, unit):
 
 
 def _compressed(picture, rng):
-    quality = int(rng.uniform(12, 90))
+    quality = int(rng.uniform(*variation.QUALITY))
     data = cv2.imencode(".jpg", np.clip(picture, 0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return cv2.imdecode(data, cv2.IMREAD_COLOR).astype(np.float32)

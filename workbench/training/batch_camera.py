@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from workbench.landmarks.network_detector import CROP_SIDE
+from workbench.training import variation
 
 SIZES = 6
 """Lower resolutions in one batch; the pictures that lose resolution share them."""
@@ -54,6 +55,11 @@ class Dice:
         """Numbers of each picture about 0."""
         return self._there(deviation * torch.randn((self.count, *shape), generator=self._decisions))
 
+    def cut_off(self, spread: tuple[float, float], *shape: int) -> Tensor:
+        """Normal numbers of a deviation, none beyond a largest amount."""
+        deviation, largest = spread
+        return self.normal(deviation, *shape).clamp(-largest, largest)
+
     def chance(self, share: float) -> Bool[Tensor, "n"]:
         """Which pictures it happens to."""
         return self._there(torch.rand(self.count, generator=self._decisions) < share)
@@ -83,12 +89,20 @@ class Dice:
 def photographed(pictures: Float[Tensor, "n 3 s s"], dice: Dice) -> Float[Tensor, "n 3 s s"]:
     """What lens, sensor and codec do to each picture (0..255): colour, contrast, blur, lost resolution, noise, JPEG."""
     unit = pictures.shape[-1] / CROP_SIDE
-    pictures = torch.where(_each(dice.chance(0.9)), _developed(pictures.clamp(0, 255), dice), pictures).clamp(0, 255)
-    for share, change in ((0.1, _dim), (0.4, _out_of_focus), (0.15, _moved), (0.45, _coarse), (0.6, _noisy)):
+    pictures = torch.where(
+        _each(dice.chance(variation.DEVELOPED)), _developed(pictures.clamp(0, 255), dice), pictures
+    ).clamp(0, 255)
+    for share, change in (
+        (variation.DIM, _dim),
+        (variation.OUT_OF_FOCUS, _out_of_focus),
+        (variation.MOVED, _moved),
+        (variation.COARSE, _coarse),
+        (variation.NOISY, _noisy),
+    ):
         places = dice.some(share)
         if len(places):
             pictures = pictures.index_copy(0, places, change(pictures[places], dice.among(places), unit))
-    places = dice.some(0.5)
+    places = dice.some(variation.COMPRESSED)
     return pictures.index_copy(0, places, _compressed(pictures[places], dice.among(places)))
 
 
@@ -137,32 +151,33 @@ def _quantised(channels: Float[Tensor, "n c h w"], tables: Float[Tensor, "n 8 8"
 
 def _developed(pictures, dice):
     """Tone curve, colour of the light, saturation, contrast."""
-    curve = (pictures / 255) ** _each(dice.normal(0.28).exp()) * _each(dice.normal(0.2).exp())
-    pictures = (curve + _each(dice.normal(0.06))) * _each(dice.normal(0.08, 3).exp())
+    gamma, gain = (_each(dice.normal(spread).exp()) for spread in (variation.GAMMA_LOGARITHM, variation.GAIN_LOGARITHM))
+    curve = (pictures / 255) ** gamma * gain + _each(dice.normal(variation.BLACK))
+    pictures = curve * _each(dice.normal(variation.COLOUR_LOGARITHM, 3).exp())
     grey = pictures.mean(1, keepdim=True)
-    saturation = torch.where(dice.chance(0.14), 0.0, dice.uniform(0.3, 1.5))
+    saturation = torch.where(dice.chance(variation.GREY), 0.0, dice.uniform(*variation.SATURATION))
     pictures = grey + _each(saturation) * (pictures - grey)
     middle = pictures.mean((1, 2, 3), keepdim=True)
-    return 255 * (middle + _each(dice.normal(0.25).exp()) * (pictures - middle))
+    return 255 * (middle + _each(dice.normal(variation.CONTRAST_LOGARITHM).exp()) * (pictures - middle))
 
 
 def _dim(pictures, dice, _unit):
     """Too little light: few photons, noise by their square root, and brightened again."""
-    full = _each(dice.log_uniform(30, 400))  # photons of a white pixel
+    full = _each(dice.log_uniform(*variation.WHITE_PHOTONS))
     photons = pictures * (full / 255)
     noisy = photons + torch.sqrt(photons + 2.0) * dice.noise(*pictures.shape)
-    return noisy * (255 / full) * _each(dice.uniform(0.4, 1.1))
+    return noisy * (255 / full) * _each(dice.uniform(*variation.BRIGHTENED))
 
 
 def _out_of_focus(pictures, dice, unit):
-    return blurred(pictures, unit * dice.uniform(0.4, 2.6), 2.6 * unit)
+    return blurred(pictures, unit * dice.uniform(*variation.FOCUS_PX), variation.FOCUS_PX[1] * unit)
 
 
 def _moved(pictures, dice, unit):
     """Motion blur."""
-    half = (dice.uniform(3, 13).floor() * unit).round().clamp_min(3) / 2 - 0.5
+    half = (dice.uniform(*variation.MOTION_PX).floor() * unit).round().clamp_min(3) / 2 - 0.5
     angle = dice.uniform(0, math.pi)
-    reach = math.ceil(max(1.0, 6 * unit))
+    reach = math.ceil(max(1.0, variation.MOTION_PX[1] // 2 * unit))
     at = torch.arange(-reach, reach + 1, device=pictures.device)
     along = torch.cos(angle)[:, None, None] * at + torch.sin(angle)[:, None, None] * at[:, None]
     across = torch.cos(angle)[:, None, None] * at[:, None] - torch.sin(angle)[:, None, None] * at
@@ -180,26 +195,27 @@ def _coarse(pictures, dice, unit):
         own = dice.among(part)
         if len(part) == 0:
             continue
-        size = int(math.exp(dice.one(math.log(48), math.log(CROP_SIDE))) * unit)
+        size = int(math.exp(dice.one(math.log(variation.LEAST_RESOLUTION_PX), math.log(CROP_SIDE))) * unit)
         small = functional.interpolate(part, size=(min(side, max(size, 4)),) * 2, mode="area")
-        worse = own.some(0.5)
+        worse = own.some(variation.COARSE_DAMAGED)
         if len(worse):
-            noise = _each(own.among(worse).uniform(0, 10)) * own.noise(len(worse), *small.shape[1:])
+            noise = _each(own.among(worse).uniform(*variation.COARSE_NOISE)) * own.noise(len(worse), *small.shape[1:])
             small = small.index_copy(0, worse, _compressed(small[worse] + noise, own.among(worse)))
-        way = "bilinear" if dice.one(0, 1) < 0.6 else "bicubic"
+        way = "bilinear" if dice.one(0, 1) < variation.SMOOTHLY_ENLARGED else "bicubic"
         made[group::SIZES] = functional.interpolate(small, size=(side, side), mode=way)
     return made
 
 
 def _noisy(pictures, dice, _unit):
     noise = dice.noise(*pictures.shape)
-    smooth = 2 * blurred(noise, torch.full((len(noise),), 0.8, device=noise.device), 0.8)
-    noise = torch.where(_each(dice.chance(0.4)), smooth, noise)
-    return pictures + _each(dice.log_uniform(1, 18)) * noise
+    widths = torch.full((len(noise),), variation.GRAIN_PX, device=noise.device)
+    smooth = 2 * blurred(noise, widths, variation.GRAIN_PX)
+    noise = torch.where(_each(dice.chance(variation.GRAINY)), smooth, noise)
+    return pictures + _each(dice.log_uniform(*variation.NOISE)) * noise
 
 
 def _compressed(pictures, dice):
-    return jpeg(pictures, dice.uniform(12, 90).floor())
+    return jpeg(pictures, dice.uniform(*variation.QUALITY).floor())
 
 
 def _filtered(pictures: Float[Tensor, "n c h w"], kernels: Float[Tensor, "n k l"]) -> Float[Tensor, "n c h w"]:

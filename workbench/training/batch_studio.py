@@ -17,21 +17,8 @@ from torch.nn import functional
 from workbench.landmarks.alignment import FaceFrame, frame_from_points
 from workbench.landmarks.network_detector import CROP_BOXES, CROP_SIDE, crop_frame
 from workbench.landmarks.schemes import DensePoints
-from workbench.training.augment import (
-    BARE,
-    BYSTANDERS,
-    EXPOSED,
-    FACELESS,
-    FEATHER,
-    KEPT_LIGHT,
-    MIRRORED,
-    MOST_GAIN,
-    OCCLUDED,
-    SHADOWED,
-    occluder,
-    random_background,
-    shoulders,
-)
+from workbench.training import variation
+from workbench.training.augment import FEATHER, MIRRORED, occluder, random_background, shoulders
 from workbench.training.batch_camera import Dice, photographed
 from workbench.training.pool import Pool
 
@@ -118,18 +105,18 @@ class BatchStudio:
     ) -> tuple[Float[Tensor, "n 3 s s"], tuple[Float[Tensor, "n k 2"], Float[Tensor, "n"]]]:
         """Pictures (0..1), and of each its points in pixels and whether there is a face; the same for the same seed."""
         dice = Dice(seed, count, self.device)
-        which, flipped = dice.index(len(self._pictures)), dice.chance(0.5)
+        which, flipped = dice.index(len(self._pictures)), dice.chance(variation.MIRRORED_SHARE)
         to_render = self._framed(which, flipped, dice)
         face = to_render.back().after(_rows(self._faces, which, flipped))
         points = to_render.back()(self._points[which, flipped.long()])
-        is_face = ~dice.chance(FACELESS)
+        is_face = ~dice.chance(variation.FACELESS)
         head = self._lit(_sampled(self._head(which, flipped), to_render, self.side), dice)
         head = head * is_face[:, None, None, None]
         picture = self._with_bystanders(self._background(dice), dice)
         picture = self._clothed(picture, face, is_face, dice)
         picture = _over(head, picture)
         picture = self._occluded(picture, face, is_face, dice)
-        places = dice.some(SHADOWED)
+        places = dice.some(variation.SHADOWED)
         picture = picture.index_copy(0, places, _shadowed(picture[places], dice.among(places)))
         picture = photographed(picture, dice).clamp(0, 255).floor() / 255
         return picture, (points, is_face.float())
@@ -142,11 +129,12 @@ class BatchStudio:
         """From pixels of the crop that a detector would ask for, more or less, to those of the render."""
         view = _rows(self._views, which, flipped)
         own = torch.atan2(view.matrix[:, 1, 0], view.matrix[:, 0, 0])
-        mostly = dice.normal(14).clamp(-40, 40)
-        roll = torch.deg2rad(torch.where(dice.chance(0.85), mostly, dice.uniform(-60, 60)))
-        scale = dice.normal(0.13).clamp(-0.35, 0.35).exp()
+        mostly = dice.cut_off(variation.UPRIGHT_ROLL_DEG)
+        upright = dice.chance(variation.NEARLY_UPRIGHT)
+        roll = torch.deg2rad(torch.where(upright, mostly, dice.uniform(*variation.ANY_ROLL_DEG)))
+        scale = dice.cut_off(variation.SCALE_LOGARITHM).exp()
         middle = (self.side - 1) / 2
-        shift = dice.normal(0.06, 2).clamp(-0.17, 0.17) * self.side
+        shift = dice.cut_off(variation.SHIFT, 2) * self.side
         matrix = view.matrix @ _rolled(roll - own) * scale[:, None, None]
         centre = view((middle + shift)[:, None])[:, 0]
         return Placement(matrix, centre - middle * matrix.sum(2))
@@ -156,11 +144,11 @@ class BatchStudio:
         colours, cover = head[:, :3], head[:, 3:]
         covered = (cover > 127).float()
         grey = ((colours * covered).sum((1, 2, 3)) / (3 * covered.sum((1, 2, 3))).clamp_min(1)).clamp_min(1)
-        gain = (dice.uniform(*EXPOSED) / grey).clamp(0.5, MOST_GAIN)
+        gain = (dice.uniform(*variation.EXPOSED) / grey).clamp(0.5, variation.MOST_GAIN)
         bright = colours * (gain / 255)[:, None, None, None]
         bright = 255 * torch.where(bright < 0.8, bright, 1 - 0.2 * torch.exp(-(bright - 0.8) / 0.2))
-        kept = (dice.chance(KEPT_LIGHT) | (covered.sum((1, 2, 3)) == 0))[:, None, None, None]
-        light = 1 + dice.normal(0.04, 3)
+        kept = (dice.chance(variation.KEPT_LIGHT) | (covered.sum((1, 2, 3)) == 0))[:, None, None, None]
+        light = 1 + dice.normal(variation.HEAD_COLOUR, 3)
         return torch.cat([torch.where(kept, colours, torch.minimum(bright, cover)) * light[..., None, None], cover], 1)
 
     def _background(self, dice):
@@ -177,12 +165,12 @@ class BatchStudio:
 
     def _with_bystanders(self, background, dice):
         """Now and then somebody else stands behind."""
-        places = dice.some(BYSTANDERS)
+        places = dice.some(variation.BYSTANDERS)
         if len(places) == 0:
             return background
         dice = dice.among(places)
         heads = self._head(dice.index(len(self._pictures)), dice.chance(0.5))
-        size = dice.uniform(70, 260) * self.side / CROP_SIDE
+        size = dice.uniform(*variation.BYSTANDER_PX) * self.side / CROP_SIDE
         corner = torch.stack([dice.uniform(-0.5, 0.5) * size, dice.uniform(-0.5, 0.5) * size], 1)
         corner = corner + dice.uniform(0, 1, 2) * (self.side - size)[:, None].clamp_min(0)
         # Area averaging first, for renders that are drawn much smaller.
@@ -196,13 +184,13 @@ class BatchStudio:
         """Shoulders below the chin."""
         cover = self._shoulders[dice.index(len(self._shoulders))].float() / 255
         cover = _sampled(cover, self._face_of_shoulders.of(0).after(face.back()), self.side, "border")
-        cover = cover * (is_face & ~dice.chance(BARE))[:, None, None, None]
-        stripes = 1 + 0.1 * dice.noise(len(picture), 1, self.side, 1)
+        cover = cover * (is_face & ~dice.chance(variation.BARE))[:, None, None, None]
+        stripes = 1 + variation.CLOTH_GRAIN * dice.noise(len(picture), 1, self.side, 1)
         return picture * (1 - cover) + cover * dice.uniform(0, 255, 3)[..., None, None] * stripes
 
     def _occluded(self, picture, face, is_face, dice):
         """Something before the face, where it was painted in the face's frame."""
-        places = dice.some(OCCLUDED)
+        places = dice.some(variation.OCCLUDED)
         if len(places) == 0:
             return picture
         dice, face = dice.among(places), face.of(places)
@@ -293,8 +281,8 @@ def _over(rgba: Float[Tensor, "n 4 h w"], picture: Float[Tensor, "n 3 h w"]) -> 
 def _shadowed(pictures, dice):
     """A soft or hard edge of shadow or light across each picture."""
     at = torch.linspace(-1, 1, pictures.shape[-1], device=pictures.device)
-    angle, place = dice.uniform(0, 2 * np.pi), dice.uniform(-0.5, 0.5)
-    steepness = dice.uniform(0.5, 4).exp()
+    angle, place = dice.uniform(0, 2 * np.pi), dice.uniform(*variation.SHADOW_PLACE)
+    steepness = dice.uniform(*variation.SHADOW_STEEPNESS_LOGARITHM).exp()
     across = torch.cos(angle)[:, None, None] * at + torch.sin(angle)[:, None, None] * at[:, None] - place[:, None, None]
     share = torch.sigmoid(-across * steepness[:, None, None])
-    return pictures * (1 + dice.uniform(-0.7, 0.5)[:, None, None] * share)[:, None]
+    return pictures * (1 + dice.uniform(*variation.SHADOW_LIGHT)[:, None, None] * share)[:, None]
