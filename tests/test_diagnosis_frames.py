@@ -1,6 +1,5 @@
 """Why a frame fails: planted faults and their reasons, changes that mend, group pulls, flags over a track."""
 
-import importlib.util
 import re
 import sys
 from dataclasses import replace
@@ -27,18 +26,9 @@ from workbench.planning import plan_of
 from workbench.tracking import FaceItFitter, Track
 from workbench.tracking.records import stack_fits
 
-
-def _planted_faults():
-    # The benchmark's own faults: what it reports and what is tested here cannot drift apart.
-    path = Path(__file__).resolve().parent.parent / "benchmarks" / "planted_faults.py"
-    spec = importlib.util.spec_from_file_location("planted_faults", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["planted_faults"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-faults = _planted_faults()
+# The benchmark's own faults: what it reports and what is tested here cannot drift apart.
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
+import planted_faults as faults
 
 
 @pytest.fixture(scope="module")

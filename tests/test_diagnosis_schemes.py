@@ -140,7 +140,8 @@ def test_a_muted_part_has_no_weight_at_any_of_its_points(trial, case):
 
 
 def test_a_side_has_the_further_points_that_are_nearest_to_it(trial):
-    neutral = trial.neutral
+    head = in_scheme(load_default_head(), DENSE)
+    neutral = head.landmarks.of(head.neutral)
     mask = mask_of(trial, "right_side")
     assert np.flatnonzero(mask[:POINT_COUNT]).tolist() == sorted(SIDES["right_side"])
     for point in range(POINT_COUNT, len(DENSE)):

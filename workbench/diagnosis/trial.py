@@ -8,7 +8,7 @@ points of the landmark scheme as sessions do; those beyond the 68 count less in 
 """
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -180,15 +180,10 @@ class Trial:
         least = np.nanmin(np.where(np.isnan(found), np.inf, found), axis=0)
         return np.where(np.isfinite(least), self.percent(least), 0.0)
 
-    @cached_property
-    def anchors(self) -> Int[np.ndarray, "points"]:
-        """Of each point, the nearest of the 68 on the neutral face: itself for these."""
-        return np.linalg.norm(self.neutral[:, None] - self.neutral[None, :POINT_COUNT], axis=2).argmin(axis=1)
-
-    @cached_property
-    def neutral(self) -> Float[np.ndarray, "points 3"]:
-        """The landmarks of the neutral face, head frame, millimetres."""
-        return self._fitter.model.landmarks.of(self._fitter.model.neutral)
+    def nearest(self, chosen: Sequence[int]) -> Int[np.ndarray, "points"]:
+        """Of each point, the chosen one that is nearest on the neutral face, by its place among these."""
+        neutral = self._fitter.model.landmarks.of(self._fitter.model.neutral)
+        return np.linalg.norm(neutral[:, None] - neutral[None, list(chosen)], axis=2).argmin(axis=1)
 
     @cached_property
     def unexplained(self) -> float:

@@ -63,8 +63,7 @@ def stray_pupil(trial: Trial) -> Iterator[Finding]:
 
 
 def _without(trial: Trial, side: int) -> _Without:
-    nearest = np.linalg.norm(trial.neutral[:, None] - trial.neutral[None, list(PUPILS)], axis=2).argmin(axis=1)
-    points = trial.scheme.group_mask("irises") & (nearest == side)
+    points = trial.scheme.group_mask("irises") & (trial.nearest(PUPILS) == side)
     chosen = np.flatnonzero(points)
     fit = trial.refit(Change("", config={"landmarks": {"weights": {str(point): 0.0 for point in chosen}}}))
     first, second = trial.points[list(EYES[side][0])]

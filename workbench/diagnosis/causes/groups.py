@@ -280,7 +280,7 @@ def mask_of(trial: Trial, name: str) -> Bool[np.ndarray, "points"]:
     """True for the points of a group, or of one of `SIDES` and those beyond the 68 that are nearest to one of them."""
     if name in trial.scheme.groups:
         return trial.scheme.group_mask(name)
-    return np.isin(trial.anchors, SIDES[name])
+    return np.isin(trial.nearest(range(POINT_COUNT)), SIDES[name])
 
 
 def _all_points(trial: Trial) -> list[dict]:
