@@ -22,7 +22,7 @@ from workbench.networks.regression import Places, places_of
 from workbench.training.augment import TRAINING, augmented
 from workbench.training.batch_studio import BatchStudio, Props
 from workbench.training.dense_gain import corrected_answers, fitted_gain, write_dense_gain
-from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, measured_dense
+from workbench.training.dense_measuring import ELLIPSES, DenseAnswers, deviation_factor, even_factor, measured_dense
 from workbench.training.dense_points import IRIS_POINTS, SPACING_MM, dense_points, write_table
 from workbench.training.dense_task import SIDE, DenseTask, loss_of
 from workbench.training.evaluation import Answers
@@ -198,12 +198,26 @@ def looked_at(seed):
     )
 
 
+def test_ellipses_are_scaled_for_the_worst_of_several_kinds_of_pictures():
+    """Deviations of one and of one and a half claimed ones: between the two, what each ellipse misses is alike."""
+    normal = np.random.default_rng(0).normal(size=(2, 20000, 1, 2))
+    kinds = [spread * np.linalg.norm(draws, axis=-1) for spread, draws in zip((1.0, 1.5), normal, strict=True)]
+    (factor,) = even_factor(kinds)
+    assert 1.0 < factor < 1.5
+    too_many, too_few = (
+        max(sign * ((found < factor * ellipse_radius(share)).mean() - share) for share in ELLIPSES)
+        for sign, found in zip((1.0, -1.0), kinds, strict=True)
+    )
+    assert too_many == pytest.approx(too_few, abs=0.01)
+    assert even_factor(kinds[:1]) == pytest.approx(1.0, rel=0.03)
+
+
 class TestGain:
     def test_what_the_heat_maps_tell_of_other_points_is_learned(self):
         # Each of the first 68 further points errs with a landmark: mirrored, it has to err with the mirrored one.
         order = tuple(np.array([*MIRROR, *range(68, 307)]).tolist())
         points = DensePoints(np.arange(307), np.array(order), ("face",) * 307, ("middle",) * 307)
-        gain, (dense, heat_maps) = fitted_gain([looked_at(seed) for seed in range(3)], points), looked_at(3)
+        gain, (dense, heat_maps) = fitted_gain([[looked_at(seed)] for seed in range(3)], points), looked_at(3)
         corrected = corrected_answers(gain, dense, heat_maps)
         before, after = (np.linalg.norm(each.truth - each.points, axis=-1) for each in (dense, corrected))
         assert after[:, 70:138].mean() < 0.35 * before[:, 70:138].mean()

@@ -1,7 +1,8 @@
 """How the dense network's errors go with its differences from the heat maps: least squares on unseen renders."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from workbench.networks.dense_gain import MOST_PX, NAME, DenseGain, differences
 from workbench.networks.landmark_network import LANDMARKS
 from workbench.networks.regression import Places
 from workbench.networks.weights import ARCHITECTURE, write_weights
-from workbench.training.dense_measuring import DenseAnswers, deviation_factor
+from workbench.training.dense_measuring import DenseAnswers, even_factor
 from workbench.training.evaluation import Answers, joined
 from workbench.training.shipping import NOTES
 
@@ -25,20 +26,22 @@ LookedAt = tuple[DenseAnswers, Answers]
 """Both networks' answers on the same pictures."""
 
 
-def fitted_gain(sets: Sequence[LookedAt], points: DensePoints) -> DenseGain:
-    """The gain for all of these answers, each set on pictures of other people; of the points, `points` are the last.
+def fitted_gain(sets: Sequence[Sequence[LookedAt]], points: DensePoints) -> DenseGain:
+    """The gain for all of these answers: each set on other people, in the same kinds of pictures. Of the points,
+    `points` are the last.
 
     What is left of the deviations is measured on each set with the gain of the others.
     """
     left = []
     for held_out in sets:
-        gain = _least_squares([each for each in sets if each is not held_out], points)
-        corrected = corrected_answers(DenseGain(gain, np.ones(len(points))), *held_out)
-        left.append(corrected.deviations[:, -len(points) :])
-    return DenseGain(_least_squares(sets, points), deviation_factor(np.concatenate(left)))
+        gain = _least_squares(chain.from_iterable(each for each in sets if each is not held_out), points)
+        unscaled = DenseGain(gain, np.ones(len(points)))
+        left.append([corrected_answers(unscaled, *looks).deviations[:, -len(points) :] for looks in held_out])
+    kinds = [np.concatenate(kind) for kind in zip(*left, strict=True)]
+    return DenseGain(_least_squares(chain.from_iterable(sets), points), even_factor(kinds))
 
 
-def _least_squares(sets: Sequence[LookedAt], points: DensePoints) -> Float[np.ndarray, "moves differences"]:
+def _least_squares(sets: Iterable[LookedAt], points: DensePoints) -> Float[np.ndarray, "moves differences"]:
     """Mirrored pictures count as well: the gain of a mirrored face is the mirrored gain."""
     dense, heat_maps = (joined(part) for part in zip(*sets, strict=True))
     apart = differences(dense.points, heat_maps.points)

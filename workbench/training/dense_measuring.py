@@ -1,6 +1,6 @@
 """How good a dense network is: errors by part of the face, and how much of the truth its ellipses hold."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +54,18 @@ def deviation_factor(found: Float[np.ndarray, "n k"], share: float = 0.8) -> Flo
     `found`: distances from the truth in units of the claimed uncertainty.
     """
     return np.quantile(found, share, axis=0) / ellipse_radius(share)
+
+
+def even_factor(kinds: Sequence[Float[np.ndarray, "n k"]]) -> Float[np.ndarray, "k"]:
+    """As `deviation_factor`, for all of `ELLIPSES` in several kinds of pictures: what each should hold is missed least
+    in the worst case."""
+    factors = np.geomspace(0.7, 1.4, 71)[:, None] * deviation_factor(np.concatenate(kinds))
+    worst = np.zeros_like(factors)
+    for found in kinds:
+        for share in ELLIPSES:
+            held = [(found < factor * ellipse_radius(share)).mean(axis=0) for factor in factors]
+            worst = np.maximum(worst, np.abs(np.array(held) - share))
+    return np.take_along_axis(factors, worst.argmin(axis=0)[None], axis=0)[0]
 
 
 def measured_dense(clean: DenseAnswers, damaged: DenseAnswers, dense: DensePoints) -> dict[str, Mapping[str, float]]:

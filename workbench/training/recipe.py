@@ -23,9 +23,15 @@ from workbench.networks.frozen_floats import largest_passed
 from workbench.networks.landmark_network import LandmarkNetwork
 from workbench.training.augment import TRAINING, Hardness
 from workbench.training.dense_gain import corrected_answers, fitted_gain, write_dense_gain
-from workbench.training.dense_measuring import DenseAnswers, dense_answers, deviation_factor, measured_dense
+from workbench.training.dense_measuring import (
+    DenseAnswers,
+    dense_answers,
+    deviation_factor,
+    even_factor,
+    measured_dense,
+)
 from workbench.training.dense_task import DenseTask
-from workbench.training.evaluation import CLEAN, Answers, answers_of, calibration_of, joined, unseen_pictures
+from workbench.training.evaluation import CLEAN, Answers, answers_of, calibration_of, unseen_pictures
 from workbench.training.expressions import FITTED, fitted_weights
 from workbench.training.eye_measuring import eye_answers, measured_eyes
 from workbench.training.eye_task import EyeTask
@@ -149,15 +155,14 @@ def train_dense_network(
     report("calibrating the deviations")
     largest = _largest(network, known, recipe, SIDE)
     look = FrozenDenseNetwork(replace(network, largest=jnp.asarray(largest)))
-    answers = dense_answers(look, known, DENSE_POINTS, recipe.calibrated, TRAINING, seed=1)
-    factor = deviation_factor(answers.deviations)
+    kinds = (CLEAN, TRAINING)
+    answers = (dense_answers(look, known, DENSE_POINTS, recipe.calibrated // 2, kind, seed=1) for kind in kinds)
+    factor = even_factor([each.deviations for each in answers])
     path = folder / "dense.safetensors"
     write_shipped(path, read_weights(raw), recipe.plan.seed, deviation_factor=factor, largest=largest)
     report("measuring on renders that it has not seen")
     look = FrozenDenseNetwork(read_dense_network(path))
-    clean, damaged = (
-        dense_answers(look, unseen, DENSE_POINTS, recipe.evaluated, hardness) for hardness in (CLEAN, TRAINING)
-    )
+    clean, damaged = (dense_answers(look, unseen, DENSE_POINTS, recipe.evaluated, kind) for kind in kinds)
     write_regression_report(folder, "dense", measured_dense(clean, damaged, DENSE_POINTS), DENSE_CURVES)
     return path
 
@@ -181,18 +186,14 @@ def learn_dense_gain(
         )
 
     report("looking at renders with both networks")
-    sets = []
-    for people in halves(known):
-        looks = [answers(people, recipe.calibrated // 2, hardness, seed=1) for hardness in (CLEAN, TRAINING)]
-        sets.append(tuple(joined(part) for part in zip(*looks, strict=True)))
+    kinds = (CLEAN, TRAINING)
+    sets = [[answers(people, recipe.calibrated // 2, kind, seed=1) for kind in kinds] for people in halves(known)]
     gain = fitted_gain(sets, DENSE_POINTS)
     path = folder / "dense_gain.safetensors"
     write_dense_gain(path, gain)
     report("measuring on renders of other people")
     gain = read_dense_gain(path)
-    clean, damaged = (
-        corrected_answers(gain, *answers(unseen, recipe.evaluated, hardness)) for hardness in (CLEAN, TRAINING)
-    )
+    clean, damaged = (corrected_answers(gain, *answers(unseen, recipe.evaluated, kind)) for kind in kinds)
     write_tables(folder, "dense_gain", measured_dense(clean, damaged, DENSE_POINTS))
     return path
 
