@@ -26,7 +26,7 @@ from workbench.energies.deep import DEEP_TERMS, DeepView, deep_residuals, view_v
 from workbench.errors import ConfigError, InputError
 from workbench.face import typical_sizes, unpack
 from workbench.geometry import project, rotation_matrix, write_rig
-from workbench.landmarks.network_detector import landmark_crop
+from workbench.landmarks.network_detector import bundled_landmark_network, landmark_crop
 from workbench.landmarks.observations import Landmarks2D
 from workbench.networks import Fan, landmarks_of, soft_argmax, to_picture
 from workbench.networks.crop import fan_box_of
@@ -273,7 +273,14 @@ FAN = object.__new__(Fan)
 """A 3D-FAN of which only the crop is asked."""
 
 
-@pytest.mark.parametrize("network", [energy_network("heat-maps"), FAN], ids=["ours", "3D-FAN"])
+def test_the_detectors_weights_may_be_the_network_too():
+    assert energy_network("landmarks") is bundled_landmark_network()
+    assert energy_network("landmarks") is not energy_network("heat-maps")
+
+
+@pytest.mark.parametrize(
+    "network", [energy_network("heat-maps"), energy_network("landmarks"), FAN], ids=["ours", "the detector's", "3D-FAN"]
+)
 def test_a_percent_is_one_of_the_models_own_eyes(network, head):
     """As many pixels as ever for the default head and larger ones, more for a face whose eyes are farther apart."""
     neutral = head.landmarks.of(head.neutral)[:, :2]

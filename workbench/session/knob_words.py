@@ -49,7 +49,7 @@ WORDS = {
     "constants.rotation_mm": Words("turn against shift", "Higher: E_τ holds turning more than shifting."),
     "constants.weighted_edges": Words("edges by trust", "On: an edge with a doubtful end counts less."),
     "deep.energy": Words("what is compared", "deep: what the network sees in photo and render; points: as FACE IT!."),
-    "deep.network": Words("what looks at both", "dense: at 377 points of the whole face; heat-maps: at 68."),
+    "deep.network": Words("what looks at both", "dense: at 377 points of the whole face; the others: at 68."),
     "deep.derivative": Words("how it is derived", "forward is exact and slow; broyden is quicker and approximate."),
     "deep.start": Words("first pose", "landmarks: starts near the face; frontal: as the paper does."),
     "deep.edges": Words("shape of the lines", "Higher: lips and brows keep their shape better than their place."),

@@ -11,6 +11,7 @@ from workbench.energies.deep import confidence_of, crop_of
 from workbench.errors import ModelError
 from workbench.landmarks.dense_detector import bundled_dense_network
 from workbench.landmarks.network_detector import BUNDLED as BUNDLED_FOLDER
+from workbench.landmarks.network_detector import bundled_landmark_network
 from workbench.landmarks.observations import Landmarks2D, of_ibug68
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.landmarks.schemes import DENSE
@@ -37,14 +38,12 @@ LOOKS = 2
 
 @cache
 def bundled_heat_maps() -> LandmarkNetwork:
-    """The heat maps that photo and render go through: weights that learned from painted heads, like those we render.
-
-    The detector's have learned on from photographed skin. They see photographs better, but photo and render less alike.
-    """
+    """The heat maps that photo and render go through by default: weights that learned from painted heads, like those we
+    render. The detector's have learned on from photographed skin."""
     return read_landmark_network(BUNDLED_FOLDER / "heat_maps.safetensors")
 
 
-BUNDLED = {"heat-maps": bundled_heat_maps, "dense": bundled_dense_network}
+BUNDLED = {"heat-maps": bundled_heat_maps, "landmarks": bundled_landmark_network, "dense": bundled_dense_network}
 """The networks that come with the package, by what a configuration calls them."""
 
 
