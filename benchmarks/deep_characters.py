@@ -21,7 +21,7 @@ from workbench.pictures import HeadRenderer
 from workbench.planning import plan_of
 from workbench.tracking import FrameContext, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
-from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
+from workbench.tracking.deep_target import energy_network, photo_landmarks
 
 SIZE, FOV_DEG = (640, 480), 40.0
 PEOPLE = ("mei", "nora", "amara", "bruno", "leila", "thabo")
@@ -35,12 +35,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("people", nargs="*", default=PEOPLE, help="names of characters")
     parser.add_argument("--frames", type=int, default=2, help="of each")
+    parser.add_argument("--network", choices=("heat-maps", "landmarks"), default="heat-maps")
     options = parser.parse_args()
     head, camera, detector = load_default_head(), camera_from_fov(SIZE, FOV_DEG), NetworkDetector()
     errors: dict[str, list[tuple[float, float]]] = {kind: [] for kind in KINDS}
     for name in options.people:
         dressed, random = load_character(name, gaze=False), np.random.default_rng(sum(map(ord, name)))
-        fitters = {kind: DeepFitter(head, plan_of(_config(kind, name))) for kind in KINDS}
+        fitters = {kind: DeepFitter(head, plan_of(_config(kind, name, options.network))) for kind in KINDS}
         with HeadRenderer(dressed.person, SIZE, dressed=dressed) as renderer:
             for _ in range(options.frames):
                 rotation = axis_angle_from_yaw_pitch_roll(random.uniform(-1.0, 1.0, 3) * LARGEST_DEG)
@@ -53,7 +54,7 @@ def main() -> None:
                 if not faces:
                     print(f"{name}: no face is found", file=sys.stderr)
                     continue
-                seen = photo_landmarks(bundled_heat_maps(), photo, detector.align(photo, faces[0].box))
+                seen = photo_landmarks(energy_network(options.network), photo, detector.align(photo, faces[0].box))
                 observation = FrameObservation(0, seen, SIZE, picture=photo)
                 identity = np.asarray(dressed.character.identity, float)
                 for kind, fitter in fitters.items():
@@ -78,8 +79,9 @@ def main() -> None:
     )
 
 
-def _config(kind: str, name: str):
-    return preset("deep").changed(deep={"appearance": kind}, camera={"fov_deg": FOV_DEG}, head={"character": name})
+def _config(kind: str, name: str, network: str):
+    deep = {"appearance": kind, "network": network}
+    return preset("deep").changed(deep=deep, camera={"fov_deg": FOV_DEG}, head={"character": name})
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Deep Energies on photos whose truth is known (`deep_scenes.py`): does it converge, how exactly, how long it takes.
 
-Tables: `convergence` from a frontal start, `energies` (network against preselected points), `networks` (heat maps or
-dense), `jaw` stages, `derivatives`, `stereo` against one camera, `orthographic` (Appendix C.2). Each prints its own
+Tables: `convergence` from a frontal start, `energies` (network against preselected points), `networks` (the bundled
+ones), `jaw` stages, `derivatives`, `stereo` against one camera, `orthographic` (Appendix C.2). Each prints its own
 line.
 """
 
@@ -32,11 +32,10 @@ from result import print_result
 from workbench.config import Config, preset
 from workbench.face import FaceParameters, in_scheme, load_default_head
 from workbench.geometry import write_rig
-from workbench.landmarks.schemes import DENSE
 from workbench.planning import plan_of
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_solution import DeepSolution
-from workbench.tracking.deep_target import energy_network, network_scheme, photo_landmarks
+from workbench.tracking.deep_target import BUNDLED, energy_network, network_scheme, photo_landmarks
 
 CONVERGED_DEG, CONVERGED_DEPTH = 3.0, 0.05
 """A frame has converged within these errors of rotation and, as a share, of depth."""
@@ -70,7 +69,7 @@ class Bench:
                 rows.append({"found": False})
                 continue
             observation = truth.observation(k, views)
-            if scheme is DENSE:
+            if config.deep.network != "heat-maps":
                 seen = photo_landmarks(energy_network(config.deep.network), truth.pictures[0], truth.landmarks[0])
                 observation = replace(observation, landmarks=seen)
             context = truth.context(None if identity else fitter.mean_identity())
@@ -130,8 +129,8 @@ def energies(bench: Bench) -> None:
 
 
 def networks(bench: Bench) -> None:
-    """The same frames with the heat maps as N and with the dense network."""
-    tables = {name: bench.solve(_config(deep={"network": name}), bench.frames, name) for name in ("heat-maps", "dense")}
+    """The same frames with each of the bundled networks as N."""
+    tables = {name: bench.solve(_config(deep={"network": name}), bench.frames, name) for name in BUNDLED}
     both = {name: [row for row in rows if row["found"]] for name, rows in tables.items()}
     print_result(
         "deep_energies_networks",

@@ -39,7 +39,7 @@ LOOKS = 2
 @cache
 def bundled_heat_maps() -> LandmarkNetwork:
     """The heat maps that photo and render go through by default: weights that learned from painted heads, like those we
-    render. The detector's have learned on from photographed skin."""
+    render. The detector's were trained further on photographed skin."""
     return read_landmark_network(BUNDLED_FOLDER / "heat_maps.safetensors")
 
 

@@ -57,8 +57,8 @@ def deviation_factor(found: Float[np.ndarray, "n k"], share: float = 0.8) -> Flo
 
 
 def even_factor(kinds: Sequence[Float[np.ndarray, "n k"]]) -> Float[np.ndarray, "k"]:
-    """As `deviation_factor`, for all of `ELLIPSES` in several kinds of pictures: what each should hold is missed least
-    in the worst case."""
+    """As `deviation_factor`, for all of `ELLIPSES` in several kinds of pictures: the largest error of a share inside is
+    as small as it can be."""
     factors = np.geomspace(0.7, 1.4, 71)[:, None] * deviation_factor(np.concatenate(kinds))
     worst = np.zeros_like(factors)
     for found in kinds:

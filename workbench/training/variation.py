@@ -1,7 +1,7 @@
 """How far training pictures stray from clean renders: the numbers of `augment.py` and of its twins for whole batches.
 
-Shares are of all pictures, or of those to which what stands before them happens. A pair of a deviation and a largest
-amount belongs to a normal distribution that is cut off; other pairs are the ends of a uniform one.
+Shares are of all pictures, or of those to which the preceding effect applies. A deviation with a largest amount belongs
+to a normal distribution that is cut off there; other pairs are the ends of a uniform one.
 """
 
 # Framing, about the crop that a detector would ask for.
