@@ -26,7 +26,8 @@ BENCHMARKS = (
     "panel_scale",
     *("rendering", "rendering_gradient", "rendering_peers", "appearance", "landmark_network", "landmark_photos"),
     *("dense_landmarks", "dense_batch", "expression_priors", "gaze"),
-    *("blinks", "deep_energies", "deep_characters", "flow", "infill", "refinement", "temporal_memory", "stills"),
+    *("blinks", "deep_energies", "deep_characters", "deep_bundled_clips"),
+    *("flow", "infill", "refinement", "temporal_memory", "stills"),
     *("sweep_rate", "sweep_scaling", "cluster_plan", "accelerator"),
 )
 

@@ -28,7 +28,7 @@ from workbench.face import typical_sizes, unpack
 from workbench.geometry import project, rotation_matrix, write_rig
 from workbench.landmarks.network_detector import bundled_landmark_network, landmark_crop
 from workbench.landmarks.observations import Landmarks2D
-from workbench.networks import Fan, landmarks_of, soft_argmax, to_picture
+from workbench.networks import Fan, crop_and_resize, landmarks_of, soft_argmax, to_picture
 from workbench.networks.crop import fan_box_of
 from workbench.pictures.mesh import corner_sum, vertex_normals
 from workbench.planning import plan_of
@@ -179,10 +179,8 @@ def test_the_normal_equations_are_those_of_the_residuals(points, truth):
 def test_a_rendered_crop_is_seen_as_the_crop_of_a_render(deep, truth):
     """Two routes to N(F): the crop rendered at the network's size, or cut out of the whole picture and shrunk.
 
-    The whole picture is smooth by many samples instead of by its contours: a third way, whose program is small. The
-    head looks the other way than elsewhere: there, heat maps of the jaw have two maxima, on the jaw and on the neck.
+    The whole picture is smooth by many samples instead of by its contours: a third way, whose program is small.
     """
-    truth = truth._replace(rotation=truth.rotation * np.array([1.0, -1.0, -1.0]))
     scene = make_deep_scene(deep, truth)
     view, programs = deep.views(scene.observation(), scene.context())[0], deep.scene(None)
     seen = look(programs, view, truth)
@@ -195,6 +193,23 @@ def test_a_rendered_crop_is_seen_as_the_crop_of_a_render(deep, truth):
     assert float(seen.box.side) > 300.0
     assert apart.mean() < 0.4  # of a face of 300 px
     assert apart.max() < 2.0
+
+
+def test_a_face_that_the_pictures_border_cuts_is_cut_in_its_render_too(deep, truth):
+    """The crop is black beyond the picture, in the photo and in the render alike, so that the border cancels out."""
+    low = truth._replace(translation=truth.translation + np.array([0.0, 110.0, 0.0]))
+    view, programs = deep.views(make_deep_scene(deep, low).observation(), _context(low))[0], deep.scene(None)
+    seen = look(programs, view, low)
+    rows, columns = np.mgrid[:CROP_SIDE, :CROP_SIDE].reshape(2, -1).astype(float)
+    places = np.asarray(to_picture(np.stack([columns, rows], axis=-1), seen.box, CROP_SIDE))
+    y = places[:, 1].reshape(CROP_SIDE, CROP_SIDE)
+    beyond = y > IMAGE_SIZE[1]
+    assert 0.1 < beyond.mean() < 0.6
+    np.testing.assert_array_equal(np.asarray(seen.picture)[beyond], 0.0)
+    borderless = look(programs, view._replace(image_size=2.0 * view.image_size), low)
+    inside = y < IMAGE_SIZE[1] - 1
+    np.testing.assert_array_equal(np.asarray(seen.picture)[inside], np.asarray(borderless.picture)[inside])
+    assert np.abs(np.asarray(seen.points - borderless.points))[:17].max() > 1.0
 
 
 def test_the_network_sees_the_model_near_its_preselected_points(deep, truth):
@@ -226,6 +241,7 @@ def test_the_forward_derivative_is_that_of_a_crop_that_stands_still(deep, truth)
     forward = np.asarray(look_derivative(programs, view, truth, columns), float)
     assert (forward[-1] == 0.0).all()  # beyond the unknowns: padding
     vector, unravel = jax.flatten_util.ravel_pytree(truth)
+    photo = crop_and_resize(jnp.ones((*IMAGE_SIZE[::-1], 1), jnp.float32), box, CROP_SIDE)  # black beyond the picture
 
     @jax.jit
     def held(vector, tangent):
@@ -234,7 +250,7 @@ def test_the_forward_derivative_is_that_of_a_crop_that_stands_still(deep, truth)
             camera = CropCamera(view.camera, box, jnp.float32(CROP_SIDE))
             topology, size = programs.model.render.topology, (CROP_SIDE, CROP_SIDE)
             drawn = render(vertices, topology, camera, programs.albedo, view.light, view.background, size=size)
-            heat_maps = programs.network(jnp.moveaxis(drawn.color, -1, 0))
+            heat_maps = programs.network(photo * jnp.moveaxis(drawn.color, -1, 0))
             return to_picture(soft_argmax(heat_maps), box, heat_maps.shape[-1])
 
         return jax.jvp(points, (vector,), (tangent,))

@@ -24,6 +24,7 @@ from workbench.networks import (
     soft_argmax,
     to_crop,
     to_picture,
+    within_picture,
 )
 
 RNG = np.random.default_rng(7)
@@ -234,6 +235,13 @@ def test_beyond_the_picture_the_crop_is_black():
     np.testing.assert_array_equal(crop[:, :10, :], 0)
     np.testing.assert_array_equal(crop[:, :, :10], 0)
     np.testing.assert_allclose(crop[:, 10:, 10:], 1, atol=1e-12)
+
+
+@given(centre=st.tuples(st.floats(-10, 40), st.floats(-10, 30)), side=st.floats(4, 60), roll=st.floats(-np.pi, np.pi))
+def test_how_much_of_a_crop_lies_in_the_picture_is_the_crop_of_a_white_one(centre, side, roll):
+    box = CropBox(np.array(centre), np.float64(side), np.float64(roll))
+    expected = crop_and_resize(np.ones((20, 30, 1)), box, 16)[0]
+    np.testing.assert_allclose(within_picture(box, np.array([30.0, 20.0]), 16), expected, atol=1e-9)
 
 
 def test_a_box_far_outside_is_all_black_and_harmless():

@@ -21,7 +21,7 @@ from workbench.geometry import project, rotation_matrix, yaw_of
 from workbench.landmarks.dense_detector import nearness
 from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
 from workbench.networks import CropBox, DenseNetwork, EnergyNetwork, Fan, NetworkLandmarks, landmarks_in
-from workbench.networks.crop import fan_box_of
+from workbench.networks.crop import fan_box_of, within_picture
 from workbench.networks.regression import covariance_of
 from workbench.rendering import (
     Cover,
@@ -78,6 +78,9 @@ class DeepView(NamedTuple):
     """Takes an error in pixels to one of unit variance by the photo's covariances; None where N tells none."""
     crop: CropBox | None = None
     """D of the photo, for a network whose answer depends on where in D the face is; None: D follows the render."""
+    image_size: Float[AnyArray, "2"] | None = None
+    """Width and height of the photo, pixels: beyond them the render is black, as the photo's crop is. None: it has no
+    border."""
     held: Scalar = 0.0
     """1: the render is seen in the photo's `crop`; 0: D follows the render."""
 
@@ -167,6 +170,8 @@ def network_view(
     if cover is not None:
         worn = in_view(cover_vertices(cover, model.render, parameters), view)
         picture, _ = covered(seen, cover, worn, camera, view.light, size=(side, side))
+    if view.image_size is not None:
+        picture = picture * within_picture(box, view.image_size, side)[..., None].astype(picture.dtype)
     landmarks = landmarks_in(network, jnp.moveaxis(picture, -1, 0), box)
     return NetworkView(landmarks.points, confidence_of(network, landmarks), landmarks.heat_maps, picture, box)
 

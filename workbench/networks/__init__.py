@@ -9,6 +9,7 @@ from workbench.networks.crop import fan_box_from_landmarks as fan_box_from_landm
 from workbench.networks.crop import reduction_for as reduction_for
 from workbench.networks.crop import to_crop as to_crop
 from workbench.networks.crop import to_picture as to_picture
+from workbench.networks.crop import within_picture as within_picture
 from workbench.networks.dense_network import DenseNetwork as DenseNetwork
 from workbench.networks.fan import Fan as Fan
 from workbench.networks.fan import convert_fan as convert_fan

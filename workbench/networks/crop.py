@@ -113,6 +113,14 @@ def crop_and_resize(
     return _bilinear(jnp.asarray(picture), _sample_places(box, side))
 
 
+def within_picture(box: CropBox, image_size: Float[AnyArray, "2"], side: int = INPUT_SIDE) -> Float[Array, "side side"]:
+    """How much of each of the crop's samples lies in a picture of `image_size` (width, height): what `crop_and_resize`
+    makes of a white one. A render of the crop alone, times this, gets the border that the photo's crop has."""
+    places = _sample_places(box, side)
+    before, after = 1 + places, jnp.asarray(image_size) - places
+    return jnp.clip(jnp.minimum(before, after), 0.0, 1.0).prod(axis=-1)
+
+
 def to_picture(points: Float[AnyArray, "n 2"], box: CropBox, side: int) -> Float[Array, "n 2"]:
     """C⁻¹(S⁻¹(m)): from pixels of a map of `side` × `side` pixels that spans the box (the crop, or a heat map) to the
     picture's pixels."""

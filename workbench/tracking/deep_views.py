@@ -1,6 +1,7 @@
 """The views of a Deep Energies solve, one per camera: camera, landmarks with weights, and light."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import outer_eye_distance
 from workbench.networks import DenseNetwork, EnergyNetwork
 from workbench.rendering import Appearance, ambient_light, directional_light, orthographic_camera, turned_light
-from workbench.rendering.camera import OrthographicCamera
+from workbench.rendering.camera import AnyCamera, OrthographicCamera
 from workbench.runtime import COMPUTING
 from workbench.tracking.deep_programs import DeepScene, project_points
 from workbench.tracking.observation import FrameObservation
@@ -59,18 +60,20 @@ def views_of(
     """
     rig = plan.camera.rig
     if rig is None:
-        camera = _solver_camera(plan, observation.image_size)
-        return (_view(plan, network, eyes, camera, np.eye(3), np.zeros(3), observation.landmarks, light),)
+        size = observation.image_size
+        place = _Place(_solver_camera(plan, size), size, np.eye(3), np.zeros(3))
+        return (_view(plan, network, eyes, place, observation.landmarks, light),)
     seen = (observation.landmarks, *observation.others)
     if len(seen) != len(rig):
         raise InputError(
             f"The rig has {len(rig)} views ({', '.join(rig.names)}), but the frame has landmarks of {len(seen)}; "
             "give one clip for each view."
         )
-    places = zip(rig.rotation_view_reference, rig.translation_view_reference_mm, strict=True)
+    poses = zip(rig.rotation_view_reference, rig.translation_view_reference_mm, strict=True)
+    places = [_Place(view.camera, view.image_size, *pose) for view, pose in zip(rig.views, poses, strict=True)]
     return tuple(
-        _view(plan, network, eyes, view.camera, rotation, translation, landmarks, turned_light(light, rotation))
-        for view, (rotation, translation), landmarks in zip(rig.views, places, seen, strict=True)
+        _view(plan, network, eyes, place, landmarks, turned_light(light, place.rotation))
+        for place, landmarks in zip(places, seen, strict=True)
     )
 
 
@@ -130,16 +133,24 @@ def _eyes_per_crop(model: FaceModel, network: EnergyNetwork) -> float:
     return float(outer_eye_distance(points)) / float(crop_of(network, jnp.asarray(points)).side)
 
 
+class _Place(NamedTuple):
+    """A camera of a solve, and where it is in the reference camera's frame."""
+
+    camera: AnyCamera
+    image_size: tuple[int, int]
+    rotation: Float[np.ndarray, "3 3"]
+    translation: Float[np.ndarray, "3"]
+
+
 def _view(
     plan: Plan,
     network: EnergyNetwork,
     eyes: float,
-    camera,
-    rotation,
-    translation,
+    place: _Place,
     landmarks: Landmarks2D | None,
-    light,
+    light: Float[np.ndarray, "9 3"],
 ) -> DeepView:
+    camera = place.camera
     whitening = crop = None
     if landmarks is None:
         target, counts, share, unit = np.zeros((68, 2)), np.zeros(68), np.zeros(68), 1.0
@@ -153,8 +164,8 @@ def _view(
             crop = jax.tree.map(np.asarray, crop_of(network, jnp.asarray(target)))
     return DeepView(
         camera=Camera(*(jnp.asarray(part, float) for part in camera)) if isinstance(camera, Camera) else camera,
-        rotation=jnp.asarray(rotation, jnp.float32),
-        translation=jnp.asarray(translation, jnp.float32),
+        rotation=jnp.asarray(place.rotation, jnp.float32),
+        translation=jnp.asarray(place.translation, jnp.float32),
         target=jnp.asarray(target),
         weights=jnp.asarray(counts),
         share=jnp.asarray(share),
@@ -163,6 +174,7 @@ def _view(
         background=jnp.asarray(BACKGROUND, jnp.float32),
         whitening=None if whitening is None else jnp.asarray(whitening),
         crop=crop,
+        image_size=jnp.asarray(place.image_size, float),
     )
 
 
