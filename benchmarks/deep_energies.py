@@ -47,8 +47,10 @@ Row = dict[str, Any]
 class Bench:
     """Solves of the same frames under different configurations."""
 
-    def __init__(self, frames: int, log: Callable[[str], None], apart_deg: float = STEREO_DEG):
-        self.frames, self.log, self.apart_deg = frames, log, apart_deg
+    def __init__(
+        self, frames: int, log: Callable[[str], None], apart_deg: float = STEREO_DEG, network: str = "heat-maps"
+    ):
+        self.frames, self.log, self.apart_deg, self.network = frames, log, apart_deg, network
         self.scenes = DeepScenes(load_default_head())
         self._made: dict[tuple, DeepTruth] = {}
 
@@ -145,7 +147,8 @@ def networks(bench: Bench) -> None:
 
 def jaw(bench: Bench) -> None:
     """The jaw's angle, and the rigid pose before and after the jaw stages, with the mouth wide open."""
-    rows = [row for row in bench.solve(_config(), bench.frames, "jaw", jaw_deg=WIDE_OPEN_DEG) if row["found"]]
+    config = _config(deep={"network": bench.network})
+    rows = [row for row in bench.solve(config, bench.frames, "jaw", jaw_deg=WIDE_OPEN_DEG) if row["found"]]
     errors = np.abs([row["jaw_deg"] for row in rows])
     print_result(
         "deep_energies_jaw",
@@ -251,9 +254,10 @@ def main() -> None:
     arguments.add_argument("--only", choices=[*TABLES, "all"], action="append", help="default: convergence")
     arguments.add_argument("--verbose", action="store_true", help="every frame's errors, on stderr")
     arguments.add_argument("--apart", type=float, default=STEREO_DEG, help="stereo: angle between the cameras, degrees")
+    arguments.add_argument("--network", choices=[*BUNDLED], default="heat-maps", help="jaw: what looks at the mouth")
     options = arguments.parse_args()
     log = (lambda line: print(line, file=sys.stderr, flush=True)) if options.verbose else lambda _: None
-    bench = Bench(options.frames, log, options.apart)
+    bench = Bench(options.frames, log, options.apart, options.network)
     asked = options.only or ["convergence"]
     for name in TABLES if "all" in asked else asked:
         TABLES[name](bench)

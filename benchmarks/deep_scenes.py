@@ -6,7 +6,7 @@ whole and supersampled while the solver renders crops; the landmarks come from t
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import cv2
 import jax.numpy as jnp
@@ -30,6 +30,7 @@ from workbench.rendering import (
 )
 from workbench.tracking import FrameContext, FrameObservation
 from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
+from workbench.tracking.deep_views import seen_around
 
 IMAGE_SIZE = (720, 540)
 FOV_DEG = 40.0
@@ -56,7 +57,10 @@ class DeepTruth:
 
     def observation(self, index: int = 0, views: int = 1) -> FrameObservation:
         """The frame as a tracker would bring it, with the landmarks of so many views."""
-        return FrameObservation(index, self.landmarks[0], IMAGE_SIZE, others=self.landmarks[1:views])
+        around = tuple(map(partial(seen_around, bundled_heat_maps()), self.pictures[:views], self.landmarks[:views]))
+        return FrameObservation(
+            index, self.landmarks[0], IMAGE_SIZE, others=self.landmarks[1:views], surroundings=around
+        )
 
     def context(self, identity: Float[np.ndarray, "i"] | None = None) -> FrameContext:
         """What the solve is given of the person: his own identity unless another is passed."""

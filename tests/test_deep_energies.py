@@ -95,6 +95,12 @@ def solved(shared, truth):
     return scene, shared.solve(shared.problem(scene.observation(), scene.context()))
 
 
+def plain_colour(view):
+    """What is behind a render that has no photo."""
+    (colour,) = np.unique(view.surroundings.picture)
+    return jnp.full(3, colour, jnp.float32) / 255.0
+
+
 def planned(**stage) -> StagePlan:
     """A stage as the fitter takes it."""
     return plan_of(DEEP.model_copy(update={"stages": (Stage(**stage),)})).stages[0]
@@ -186,7 +192,7 @@ def test_a_rendered_crop_is_seen_as_the_crop_of_a_render(deep, truth):
     seen = look(programs, view, truth)
     vertices = view_vertices(programs.model, view, truth)
     topology = programs.model.render.topology
-    arguments = vertices, topology, view.camera, programs.albedo, view.light, view.background
+    arguments = vertices, topology, view.camera, programs.albedo, view.light, plain_colour(view)
     whole = render(*arguments, size=IMAGE_SIZE, samples=2, antialias=False)
     cut = jax.jit(landmarks_of)(programs.network, whole.color, seen.box).points
     apart = np.linalg.norm(np.asarray(cut) - np.asarray(seen.points), axis=1)
@@ -249,7 +255,7 @@ def test_the_forward_derivative_is_that_of_a_crop_that_stands_still(deep, truth)
             vertices = view_vertices(programs.model, view, unravel(vector))
             camera = CropCamera(view.camera, box, jnp.float32(CROP_SIDE))
             topology, size = programs.model.render.topology, (CROP_SIDE, CROP_SIDE)
-            drawn = render(vertices, topology, camera, programs.albedo, view.light, view.background, size=size)
+            drawn = render(vertices, topology, camera, programs.albedo, view.light, plain_colour(view), size=size)
             heat_maps = programs.network(photo * jnp.moveaxis(drawn.color, -1, 0))
             return to_picture(soft_argmax(heat_maps), box, heat_maps.shape[-1])
 

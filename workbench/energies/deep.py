@@ -21,12 +21,13 @@ from workbench.geometry import project, rotation_matrix, yaw_of
 from workbench.landmarks.dense_detector import nearness
 from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
 from workbench.networks import CropBox, DenseNetwork, EnergyNetwork, Fan, NetworkLandmarks, landmarks_in
-from workbench.networks.crop import fan_box_of, within_picture
+from workbench.networks.crop import fan_box_of, seen_in_crop, within_picture
 from workbench.networks.regression import covariance_of
 from workbench.rendering import (
     Cover,
     CropCamera,
     RenderModel,
+    Surroundings,
     Texture,
     cover_vertices,
     covered,
@@ -73,7 +74,8 @@ class DeepView(NamedTuple):
     unit_px: Scalar
     """What one unit of the landmark residuals is."""
     light: Float[AnyArray, "9 3"]
-    background: Float[AnyArray, "3"]
+    surroundings: Surroundings
+    """What is behind the render."""
     whitening: Float[AnyArray, "points 2 2"] | None = None
     """Takes an error in pixels to one of unit variance by the photo's covariances; None where N tells none."""
     crop: CropBox | None = None
@@ -156,15 +158,19 @@ def network_view(
 
     The crop D is where a detector that never fails would put it, from the projected points; constant in the
     derivative, as in the paper (Sec. 4). Rendering the crop itself replaces cutting and resizing a render. Where the
-    view holds the photo's crop, D is that. A `cover`, as hair, is drawn before the face, and has no derivative.
+    view holds the photo's crop, D is that. A `cover`, as hair, is drawn before the face, and has no derivative. Behind
+    the face are the photo's surroundings, and beyond the photo's border all is black, as in the photo's crop: what is
+    beside a face moves the network's answer, and is to move both alike.
     """
     box = jax.lax.stop_gradient(crop_of(network, preselected_points(model, view, parameters, 0.0)))
     if view.crop is not None:
         box = jax.tree.map(lambda own, photo: jnp.where(jnp.asarray(view.held) > 0.5, photo, own), box, view.crop)
     vertices = view_vertices(model, view, parameters)
     camera = CropCamera(view.camera, box, jnp.float32(side))
+    around, where = view.surroundings
+    behind = seen_in_crop(jnp.asarray(around, jnp.float32) / 255.0, where, box, side)
     seen = render(
-        vertices, model.render.topology, camera, albedo, view.light, view.background, size=(side, side), samples=samples
+        vertices, model.render.topology, camera, albedo, view.light, behind, size=(side, side), samples=samples
     )
     picture = seen.color
     if cover is not None:

@@ -7,6 +7,7 @@ from workbench.networks.crop import crop_box as crop_box
 from workbench.networks.crop import fan_box as fan_box
 from workbench.networks.crop import fan_box_from_landmarks as fan_box_from_landmarks
 from workbench.networks.crop import reduction_for as reduction_for
+from workbench.networks.crop import seen_in_crop as seen_in_crop
 from workbench.networks.crop import to_crop as to_crop
 from workbench.networks.crop import to_picture as to_picture
 from workbench.networks.crop import within_picture as within_picture

@@ -121,6 +121,15 @@ def within_picture(box: CropBox, image_size: Float[AnyArray, "2"], side: int = I
     return jnp.clip(jnp.minimum(before, after), 0.0, 1.0).prod(axis=-1)
 
 
+def seen_in_crop(
+    picture: Float[AnyArray, "n n c"], of: CropBox, box: CropBox, side: int = INPUT_SIDE
+) -> Float[Array, "side side c"]:
+    """What one crop's picture shows of another crop: bilinear; beyond its own, its border goes on."""
+    own = len(picture)
+    places = to_crop(_sample_places(box, side).reshape(-1, 2), of, own)
+    return _bilinear(jnp.asarray(picture), jnp.clip(places, 0, own - 1).reshape(side, side, 2)).transpose(1, 2, 0)
+
+
 def to_picture(points: Float[AnyArray, "n 2"], box: CropBox, side: int) -> Float[Array, "n 2"]:
     """C⁻¹(S⁻¹(m)): from pixels of a map of `side` × `side` pixels that spans the box (the crop, or a heat map) to the
     picture's pixels."""

@@ -17,6 +17,7 @@ from workbench.pipeline.picture_source import PictureSource
 from workbench.pipeline.sources import FileSource, open_source
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import energy_network, network_scheme, photo_landmarks
+from workbench.tracking.deep_views import seen_around
 from workbench.tracking.observation import PicturePair
 
 
@@ -38,7 +39,8 @@ class DeepSource:
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
         for observation in self._source.observations(start, state, stills):
             landmarks = self._target(observation.picture, observation.landmarks)
-            yield replace(observation, landmarks=landmarks)
+            around = seen_around(self._network, observation.picture, landmarks)
+            yield replace(observation, landmarks=landmarks, surroundings=(around,))
 
     def state(self) -> dict[str, np.ndarray]:
         return self._source.state()
@@ -76,7 +78,9 @@ class RigSource:
         # Not strict: the shortest clip ends the run.
         for reference, *others in zip(*streams, strict=False):
             motion = _joined([reference.motion, *(other.motion for other in others)])
-            yield replace(reference, others=tuple(other.landmarks for other in others), motion=motion)
+            around = tuple(chain(reference.surroundings, *(other.surroundings for other in others)))
+            landmarks = tuple(other.landmarks for other in others)
+            yield replace(reference, others=landmarks, surroundings=around, motion=motion)
 
     def state(self) -> dict[str, np.ndarray]:
         return {}

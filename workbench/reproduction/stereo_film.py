@@ -17,6 +17,7 @@ from workbench.reproduction.people import FilmStudio, Motion, SimulatedPerson
 from workbench.reproduction.study import Progress
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
+from workbench.tracking.deep_views import seen_around
 
 SIZE = (720, 540)
 """Of the paper's pictures."""
@@ -69,14 +70,19 @@ def film_stereo(
     """
     rig, motion = two_cameras(), talk_and_nod(head.expression_names, frames)
     seen, pictures, detector = np.empty((len(rig), frames), object), [], NetworkDetector()
+    around = np.empty((len(rig), frames), object)
     for shot in film_views(head, rig, motion, seed, made_up):
         progress(f"film of camera {shot.view + 1}", shot.frame, frames)
-        seen[shot.view, shot.frame] = network_landmarks(detector, shot.picture)
+        landmarks = network_landmarks(detector, shot.picture)
+        seen[shot.view, shot.frame] = landmarks
+        around[shot.view, shot.frame] = seen_around(bundled_heat_maps(), shot.picture, landmarks)
         identity = shot.identity
         if shot.view == 0:
             pictures.append(shot.picture)
     observations = tuple(
-        FrameObservation(k, one, SIZE, others=(other,), picture=pictures[0] if k == 0 else None)
+        FrameObservation(
+            k, one, SIZE, others=(other,), surroundings=tuple(around[:, k]), picture=pictures[0] if k == 0 else None
+        )
         for k, (one, other) in enumerate(seen.T)
     )
     return StereoFilm(rig, identity, motion, observations, tuple(pictures))

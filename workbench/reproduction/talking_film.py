@@ -5,11 +5,12 @@ For what Deep Energies Sec. 6 to 8.5 and Appendices A and B do over time. Every 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from workbench.face import FaceModel
 from workbench.files import atomic_path, make_folder
@@ -22,6 +23,8 @@ from workbench.reproduction.people import Motion
 from workbench.reproduction.stereo_film import AWAY_MM, SIZE, film_views, network_landmarks, on_stage, two_cameras
 from workbench.reproduction.study import Study
 from workbench.tracking import FrameObservation
+from workbench.tracking.deep_target import bundled_heat_maps
+from workbench.tracking.deep_views import seen_around
 
 RATE = 24
 """Frames per second, the paper's."""
@@ -77,11 +80,21 @@ class TalkingFilm:
 
     def observations(self) -> tuple[FrameObservation, ...]:
         """What the failing detector has, both views; the first frame comes with its picture."""
-        front, side = (self._failing(view) for view in self.seen)
-        first = next(self.views[0].iterate()).picture
-        return tuple(
-            FrameObservation(k, one, self.timeline.size, others=(other,), picture=first if k == 0 else None)
-            for k, (one, other) in enumerate(zip(front, side, strict=True))
+        found = zip(*(self._failing(view) for view in self.seen), strict=True)
+        shown = zip(*(view.iterate() for view in self.views), strict=True)
+        frames = enumerate(zip(found, shown, strict=True))
+        return tuple(self._observation(k, seen, [each.picture for each in views]) for k, (seen, views) in frames)
+
+    def _observation(
+        self, number: int, seen: Sequence[Landmarks2D | None], pictures: Sequence[UInt8[np.ndarray, "h w 3"]]
+    ) -> FrameObservation:
+        return FrameObservation(
+            number,
+            seen[0],
+            self.timeline.size,
+            picture=None if number else pictures[0],
+            others=tuple(seen[1:]),
+            surroundings=tuple(map(partial(seen_around, bundled_heat_maps()), pictures, seen)),
         )
 
     def _failing(self, seen: Sequence[Landmarks2D | None]) -> list[Landmarks2D | None]:

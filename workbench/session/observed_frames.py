@@ -4,19 +4,21 @@ from dataclasses import replace
 
 from workbench.config import Config
 from workbench.landmarks.observations import Landmarks2D
+from workbench.rendering import Surroundings
 from workbench.session.material import Material
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import energy_network, photo_landmarks
+from workbench.tracking.deep_views import seen_around
 from workbench.tracking.fitting import corrected
 from workbench.tracking.observation import motion_of
 
 
 class ObservedFrames:
-    """Observations by frame and configuration; landmarks from the network of Deep Energies are cached."""
+    """Observations by frame and configuration; what Deep Energies takes from a photo is cached."""
 
     def __init__(self, material: Material) -> None:
         self._material = material
-        self._targets: dict[tuple[int, str], Landmarks2D] = {}
+        self._targets: dict[tuple[int, str], tuple[Landmarks2D, Surroundings]] = {}
 
     def observation(self, frame: int, config: Config, pictured: bool = False) -> FrameObservation:
         """A frame with its moved detections. Raises `InputError` outside the material.
@@ -41,5 +43,7 @@ class ObservedFrames:
         picture, key = pictures[frame], (frame, config.deep.network)
         if key not in self._targets:
             network = energy_network(config.deep.network)
-            self._targets[key] = photo_landmarks(network, picture, observation.landmarks)
-        return replace(observation, landmarks=self._targets[key], picture=picture if pictured else None)
+            seen = photo_landmarks(network, picture, observation.landmarks)
+            self._targets[key] = seen, seen_around(network, picture, seen)
+        landmarks, around = self._targets[key]
+        return replace(observation, landmarks=landmarks, surroundings=(around,), picture=picture if pictured else None)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from workbench.energies.deep import DeepView, crop_of
 from workbench.errors import InputError
@@ -16,7 +16,16 @@ from workbench.landmarks.network_detector import CROP_BOXES
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import outer_eye_distance
 from workbench.networks import DenseNetwork, EnergyNetwork
-from workbench.rendering import Appearance, ambient_light, directional_light, orthographic_camera, turned_light
+from workbench.rendering import (
+    Appearance,
+    Surroundings,
+    ambient_light,
+    directional_light,
+    orthographic_camera,
+    photo_surroundings,
+    plain_surroundings,
+    turned_light,
+)
 from workbench.rendering.camera import AnyCamera, OrthographicCamera
 from workbench.runtime import COMPUTING
 from workbench.tracking.deep_programs import DeepScene, project_points
@@ -31,7 +40,6 @@ NEAR = 0.25
 enough to be seen in the photo's."""
 FAR_MM = 1e5
 """An orthographic view is recorded as a camera at this distance, so that every consumer of a fit can draw it."""
-BACKGROUND = (0.45, 0.45, 0.45)
 
 
 def recorded_camera(plan: Plan, image_size: tuple[int, int]) -> Camera:
@@ -56,24 +64,29 @@ def views_of(
 
     `eyes` is the model's `eyes_per_box`.
 
-    Raises `InputError` if the number of views with landmarks is not that of the rig.
+    Raises `InputError` if the number of views with landmarks or surroundings is not that of the rig.
     """
-    rig = plan.camera.rig
+    rig, around = plan.camera.rig, _surroundings(network, observation)
     if rig is None:
         size = observation.image_size
         place = _Place(_solver_camera(plan, size), size, np.eye(3), np.zeros(3))
-        return (_view(plan, network, eyes, place, observation.landmarks, light),)
+        return (_view(plan, network, eyes, place, observation.landmarks, light, around[0]),)
     seen = (observation.landmarks, *observation.others)
     if len(seen) != len(rig):
         raise InputError(
             f"The rig has {len(rig)} views ({', '.join(rig.names)}), but the frame has landmarks of {len(seen)}; "
             "give one clip for each view."
         )
+    if len(around) != len(rig):
+        raise InputError(
+            f"The rig has {len(rig)} views ({', '.join(rig.names)}), but the frame has surroundings of {len(around)}; "
+            "give those of each view, or none."
+        )
     poses = zip(rig.rotation_view_reference, rig.translation_view_reference_mm, strict=True)
     places = [_Place(view.camera, view.image_size, *pose) for view, pose in zip(rig.views, poses, strict=True)]
     return tuple(
-        _view(plan, network, eyes, place, landmarks, turned_light(light, place.rotation))
-        for place, landmarks in zip(places, seen, strict=True)
+        _view(plan, network, eyes, place, landmarks, turned_light(light, place.rotation), behind)
+        for place, landmarks, behind in zip(places, seen, around, strict=True)
     )
 
 
@@ -112,11 +125,29 @@ def percent_px(network: EnergyNetwork, eyes: float, points: Float[np.ndarray, "p
     return 0.01 * eyes / CROP_BOXES * float(crop_of(network, jnp.asarray(points)).side)
 
 
+def seen_around(
+    network: EnergyNetwork, picture: UInt8[np.ndarray, "h w 3"] | None, landmarks: Landmarks2D | None
+) -> Surroundings:
+    """What is behind the renders of a face, given its photo and N(F*); plain without either."""
+    if picture is None or landmarks is None:
+        return plain_surroundings()
+    with COMPUTING:
+        return photo_surroundings(picture, landmarks.points, crop_of(network, jnp.asarray(landmarks.points)))
+
+
 def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
     """The light of an appearance, in the reference camera's frame; plain frontal light if none was estimated."""
     if appearance is not None:
         return appearance.light
     return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
+
+
+def _surroundings(network: EnergyNetwork, observation: FrameObservation) -> tuple[Surroundings, ...]:
+    """Of every view."""
+    if observation.surroundings:
+        return observation.surroundings
+    first = seen_around(network, observation.picture, observation.landmarks)
+    return (first, *(plain_surroundings() for _ in observation.others))
 
 
 def _is_near(view: DeepView, scene: DeepScene, parameters: FaceParameters) -> bool:
@@ -149,6 +180,7 @@ def _view(
     place: _Place,
     landmarks: Landmarks2D | None,
     light: Float[np.ndarray, "9 3"],
+    around: Surroundings,
 ) -> DeepView:
     camera = place.camera
     whitening = crop = None
@@ -171,7 +203,7 @@ def _view(
         share=jnp.asarray(share),
         unit_px=jnp.asarray(unit),
         light=jnp.asarray(light, jnp.float32),
-        background=jnp.asarray(BACKGROUND, jnp.float32),
+        surroundings=jax.tree.map(jnp.asarray, around),
         whitening=None if whitening is None else jnp.asarray(whitening),
         crop=crop,
         image_size=jnp.asarray(place.image_size, float),

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from workbench.landmarks.observations import Landmarks2D
+from workbench.rendering import Surroundings
 
 Pictures = tuple[UInt8[np.ndarray, "_ _ 3"], ...]
 """The pictures of one frame, one for each view of a rig; a single one without a rig."""
@@ -38,10 +39,13 @@ class FrameObservation:
     milliseconds: tuple[float, float] = (0.0, 0.0)
     """Time taken by face detection and by landmarks."""
     picture: UInt8[np.ndarray, "h w 3"] | None = None
-    """RGB, if the fit needs it: Deep Energies estimates colours and light from it."""
+    """RGB, if the fit needs it: Deep Energies estimates colours and light from it, and what is behind its renders."""
     others: tuple[Landmarks2D | None, ...] = ()
     """Landmarks in the other views of a rig, in the rig's order; None for a view without a face."""
 
+    surroundings: tuple[Surroundings, ...] = ()
+    """What is behind the renders of Deep Energies in each view. Where it is not given, the first view's is made from
+    `picture`, and all else is plain."""
     motion: PicturePair | None = None
     """Given where a stage names the flow term; None on a clip's first frame, and without pictures."""
 

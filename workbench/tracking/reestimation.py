@@ -1,6 +1,6 @@
 """Re-fit of the expression with the pose held, after a temporal refinement (Deep Energies Appendix B.1)."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +8,9 @@ import numpy as np
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel
 from workbench.landmarks.observations import Landmarks2D
-from workbench.rendering import Appearance
+from workbench.rendering import Appearance, Surroundings
+from workbench.tracking.deep_target import energy_network
+from workbench.tracking.deep_views import seen_around
 from workbench.tracking.fitting import FrameContext
 from workbench.tracking.flow_fitter import parameters_of
 from workbench.tracking.moments import Moment
@@ -58,13 +60,15 @@ class Reestimator:
     def fit(self, moment: Moment) -> FrameFit:
         """The frame with its expression re-fitted to its landmarks and everything else unchanged."""
         before = moment.fit
+        landmarks, others = _landmarks(before.observed, before.confidence, before.image_size), self._others(moment)
         observation = FrameObservation(
             before.index,
-            _landmarks(before.observed, before.confidence, before.image_size),
+            landmarks,
             before.image_size,
             before.source,
             picture=moment.pictures[0] if moment.pictures else None,
-            others=self._others(moment),
+            others=others,
+            surroundings=self._surroundings(moment, (landmarks, *others)),
         )
         start = parameters_of(before)
         context = FrameContext(
@@ -80,6 +84,13 @@ class Reestimator:
             milliseconds=before.milliseconds,
             others=before.others,
         )
+
+    def _surroundings(self, moment: Moment, landmarks: Sequence[Landmarks2D | None]) -> tuple[Surroundings, ...]:
+        """What is behind the renders in each view; nothing where none are drawn, or without pictures."""
+        if not (self._fitter.renders and moment.pictures):
+            return ()
+        network = energy_network(self._fitter.plan.deep.network)
+        return tuple(seen_around(network, *view) for view in zip(moment.pictures, landmarks, strict=True))
 
     def _others(self, moment: Moment) -> tuple[Landmarks2D | None, ...]:
         """The other views' landmarks; none in tracks of older workbenches, which stored the reference view's alone.
