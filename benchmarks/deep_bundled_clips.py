@@ -1,6 +1,7 @@
 """Deep Energies on frames of the bundled clips, whose truth is known: rotation under both of our heat-map networks.
 
-A solve is given the person's own shape and the clip's lens; its colours come from the clip's most neutral frame.
+A solve is given the clip's lens and the person's own shape, or one that is calibrated on the same frames; its colours
+come from the clip's most neutral frame.
 """
 
 import argparse
@@ -10,9 +11,11 @@ import numpy as np
 from deep_scenes import rotation_error_deg
 from result import print_result
 
-from workbench.config import preset
+from workbench.config import Config, preset
 from workbench.face import load_default_head
 from workbench.frames import open_frames
+from workbench.geometry import Camera
+from workbench.geometry.triangulation import camera_matrix
 from workbench.landmarks.network_detector import NetworkDetector
 from workbench.planning import plan_of
 from workbench.samples import sample
@@ -30,12 +33,14 @@ def main() -> None:
     parser.add_argument("clips", nargs="*", default=CLIPS, help="names of bundled clips")
     parser.add_argument("--frames", type=int, default=14, help="of each, spread over the clip")
     parser.add_argument("--character", help="renders show this one, a ready one or a folder of `workbench character`")
+    parser.add_argument("--calibrated", action="store_true", help="calibrate the shape instead of giving it")
     options = parser.parse_args()
     worn = options.character
     look = {"deep": {"appearance": "character"}, "head": {"character": worn}} if worn else {}
-    means = {
-        clip: {name: _mean_error_deg(clip, name, options.frames, look) for name in NETWORKS} for clip in options.clips
-    }
+    means = {}
+    for name in options.clips:
+        clip = _Clip(name, options.frames)
+        means[name] = {network: clip.mean_error_deg(network, look, options.calibrated) for network in NETWORKS}
     of = {name: float(np.mean([mean[name] for mean in means.values()])) for name in NETWORKS}
     print_result(
         "deep_bundled_clips",
@@ -47,38 +52,51 @@ def main() -> None:
     )
 
 
-def _mean_error_deg(clip: str, network: str, count: int, look: dict[str, dict[str, str]]) -> float:
-    with np.load(sample(f"{clip}-truth"), allow_pickle=False) as stored:
-        truth = dict(stored)
-    neutral = int(np.abs(truth["expression"]).sum(axis=1).argmin())
-    chosen = np.linspace(3, len(truth["rotation"]) - 4, count).astype(int)
-    pictures = {frame.index: frame.picture for frame in open_frames(sample(clip)).iterate()}
-    (x, y), (across, down) = truth["focal_px"], truth["principal_point_px"]
-    matrix = [[float(x), 0.0, float(across)], [0.0, float(y), float(down)], [0.0, 0.0, 1.0]]
-    head, detector = load_default_head(), NetworkDetector()
-    camera = {"matrix": matrix, "distortion": truth["distortion"].tolist()}
-    config = preset("deep").changed(camera=camera, identity={"calibrate": False}, deep={"network": network})
-    config = config.changed(**look)
-    fitter = DeepFitter(head, plan_of(config))
+class _Clip:
+    """A bundled clip: its truth, and pictures and faces of its most neutral frame and of some others."""
 
-    def observed(index: int) -> FrameObservation | None:
-        picture = pictures[index]
-        faces = detector.detect_faces(picture)
-        if not faces:
-            print(f"{clip} {index}: no face is found", file=sys.stderr)
-            return None
-        points = photo_landmarks(energy_network(network), picture, detector.align(picture, faces[0].box))
-        return FrameObservation(index, points, points.image_size, picture=picture)
+    def __init__(self, name: str, count: int):
+        self.name = name
+        with np.load(sample(f"{name}-truth"), allow_pickle=False) as stored:
+            self.truth = dict(stored)
+        self.neutral = int(np.abs(self.truth["expression"]).sum(axis=1).argmin())
+        chosen = np.linspace(3, len(self.truth["rotation"]) - 4, count).astype(int).tolist()
+        detector, self.pictures, self.faces = NetworkDetector(), {}, {}
+        for frame in open_frames(sample(name)).iterate():
+            if frame.index not in {*chosen, self.neutral}:
+                continue
+            found = detector.detect_faces(frame.picture)
+            if not found:
+                print(f"{name} {frame.index}: no face is found", file=sys.stderr)
+                continue
+            self.pictures[frame.index] = frame.picture
+            self.faces[frame.index] = detector.align(frame.picture, found[0].box)
+        self.chosen = [number for number in chosen if number in self.faces]
 
-    calm = observed(neutral)
-    appearance = None if calm is None else fitter.appearance([calm], truth["identity"])
-    errors = []
-    for observation in filter(None, map(observed, chosen.tolist())):
-        context = FrameContext(0, truth["identity"], None, None, appearance)
-        found = fitter.solve(fitter.problem(observation, context)).parameters
-        errors.append(rotation_error_deg(found.rotation, truth["rotation"][observation.index]))
-        print(clip, network, observation.index, f"{errors[-1]:.2f}", file=sys.stderr)
-    return float(np.mean(errors))
+    def mean_error_deg(self, network: str, look: dict[str, dict[str, str]], calibrated: bool) -> float:
+        """Mean error of the rotation over the chosen frames."""
+        config = self._config(network).changed(identity={"calibrate": calibrated}, **look)
+        fitter, identity = DeepFitter(load_default_head(), plan_of(config)), self.truth["identity"]
+        seen = {number: self._observation(number, network) for number in self.faces}
+        if calibrated:
+            identity = fitter.calibrate(list(seen.values()), len(seen)).identity
+        appearance = fitter.appearance([seen[self.neutral]] if self.neutral in seen else [], identity)
+        context, errors = FrameContext(0, identity, None, None, appearance), []
+        for number in self.chosen:
+            found = fitter.solve(fitter.problem(seen[number], context)).parameters
+            errors.append(rotation_error_deg(found.rotation, self.truth["rotation"][number]))
+            print(self.name, network, number, f"{errors[-1]:.2f}", file=sys.stderr)
+        return float(np.mean(errors))
+
+    def _config(self, network: str) -> Config:
+        lens = Camera(*(self.truth[part] for part in Camera._fields))
+        camera = {"matrix": camera_matrix(lens).tolist(), "distortion": lens.distortion.tolist()}
+        return preset("deep").changed(camera=camera, deep={"network": network})
+
+    def _observation(self, number: int, network: str) -> FrameObservation:
+        picture = self.pictures[number]
+        points = photo_landmarks(energy_network(network), picture, self.faces[number])
+        return FrameObservation(number, points, points.image_size, picture=picture)
 
 
 if __name__ == "__main__":

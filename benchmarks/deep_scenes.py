@@ -6,7 +6,7 @@ whole and supersampled while the solver renders crops; the landmarks come from t
 """
 
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 
 import cv2
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera, Rig, View, camera_from_fov
 from workbench.landmarks.network_detector import NetworkDetector
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.surroundings import seen_around
 from workbench.rendering import (
     Appearance,
     RenderModel,
@@ -30,7 +31,6 @@ from workbench.rendering import (
 )
 from workbench.tracking import FrameContext, FrameObservation
 from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
-from workbench.tracking.deep_views import seen_around
 
 IMAGE_SIZE = (720, 540)
 FOV_DEG = 40.0
@@ -57,7 +57,7 @@ class DeepTruth:
 
     def observation(self, index: int = 0, views: int = 1) -> FrameObservation:
         """The frame as a tracker would bring it, with the landmarks of so many views."""
-        around = tuple(map(partial(seen_around, bundled_heat_maps()), self.pictures[:views], self.landmarks[:views]))
+        around = tuple(map(seen_around, self.pictures[:views], self.landmarks[:views]))
         return FrameObservation(
             index, self.landmarks[0], IMAGE_SIZE, others=self.landmarks[1:views], surroundings=around
         )

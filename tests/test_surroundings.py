@@ -13,15 +13,14 @@ from workbench.errors import InputError
 from workbench.geometry import write_rig
 from workbench.landmarks.network_detector import MEAN_SHAPE, landmark_crop
 from workbench.landmarks.observations import Landmarks2D
-from workbench.networks import CropBox, crop_and_resize, seen_in_crop
+from workbench.landmarks.surroundings import GREY, SIDE, photo_surroundings, plain_surroundings, seen_around
+from workbench.networks import CropBox, crop_and_resize, seen_in_crop, to_crop
 from workbench.planning import plan_of
-from workbench.rendering import photo_surroundings, plain_surroundings, render
-from workbench.rendering.surroundings import GREY, REACH, SIDE
+from workbench.rendering import render
 from workbench.tracking import FrameContext, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_programs import look
 from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
-from workbench.tracking.deep_views import seen_around
 
 SKIN, WALL_LEFT, WALL_RIGHT = (220, 150, 120), (20, 90, 160), (40, 140, 30)
 FACE_PX, MIDDLE = 120.0, (320.0, 240.0)
@@ -52,38 +51,45 @@ def near(picture, colour, within: float = 25.0) -> np.ndarray:
     return np.abs(picture.astype(float) - colour).max(axis=-1) < within
 
 
-# A crop's picture in another crop.
+# A part of a picture in a crop.
 
 
-def test_a_crop_in_itself_is_the_crop():
-    picture = np.random.default_rng(0).random((12, 12, 3))
+def part_of(box: CropBox, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """From a picture's pixels to those of a square of it, as `Surroundings` has it."""
+    corners = np.asarray(to_crop(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), box, side))
+    return (corners[1:] - corners[0]).T, corners[0]
+
+
+def test_a_square_of_a_picture_in_its_own_crop_is_that_square():
+    seen = np.random.default_rng(0).random((12, 12, 3))
     box = CropBox(np.array([40.0, 30.0]), np.float64(24.0), np.float64(0.3))
-    np.testing.assert_allclose(seen_in_crop(picture, box, box, 12), picture, atol=1e-12)
+    np.testing.assert_allclose(seen_in_crop(seen, *part_of(box, 12), box, 12), seen, atol=1e-12)
 
 
-def test_a_part_of_a_crop_is_the_part_of_the_picture_that_it_was_cut_from():
-    """Two routes, exact where the picture is linear: through a wide crop, or straight from the picture."""
+def test_a_crop_through_a_square_is_the_crop_of_the_picture():
+    """Two routes, exact where the picture is linear: through a wide square, or straight from the picture."""
     rows, columns = np.mgrid[:100, :120].astype(float)
     picture = np.stack([rows, columns, rows - 2.0 * columns], axis=-1)
     wide = CropBox(np.array([60.0, 50.0]), np.float64(60.0), np.float64(0.2))
     narrow = CropBox(np.array([57.0, 54.0]), np.float64(20.0), np.float64(-0.5))
-    through = seen_in_crop(np.moveaxis(np.asarray(crop_and_resize(picture, wide, 30)), 0, -1), wide, narrow, 16)
+    square = np.moveaxis(np.asarray(crop_and_resize(picture, wide, 30)), 0, -1)
+    through = seen_in_crop(square, *part_of(wide, 30), narrow, 16)
     np.testing.assert_allclose(np.moveaxis(through, -1, 0), crop_and_resize(picture, narrow, 16), atol=1e-9)
 
 
-def test_beyond_a_crop_its_border_goes_on():
-    picture = np.zeros((8, 8, 3))
-    picture[:, -1] = [1.0, 0.5, 0.25]
-    box = CropBox(np.array([4.0, 4.0]), np.float64(8.0), np.float64(0.0))
+def test_beyond_a_square_its_border_goes_on():
+    seen = np.zeros((8, 8, 3))
+    seen[:, -1] = [1.0, 0.5, 0.25]
     right = CropBox(np.array([40.0, 4.0]), np.float64(8.0), np.float64(0.0))
-    np.testing.assert_allclose(seen_in_crop(picture, box, right, 4), np.full((4, 4, 3), [1.0, 0.5, 0.25]))
+    shown = seen_in_crop(seen, np.eye(2), np.zeros(2), right, 4)
+    np.testing.assert_allclose(shown, np.full((4, 4, 3), [1.0, 0.5, 0.25]))
 
 
 # What a photo shows around a face.
 
 
 def test_the_face_is_not_in_its_surroundings_and_what_is_around_it_is(points):
-    around = photo_surroundings(make_photo(points), points, landmark_crop(points))
+    around = photo_surroundings(make_photo(points), points)
     assert not near(around.picture, SKIN).any()
     columns = np.arange(SIDE)
     left, right = columns < SIDE // 2 - 16, columns > SIDE // 2 + 16
@@ -91,39 +97,36 @@ def test_the_face_is_not_in_its_surroundings_and_what_is_around_it_is(points):
     assert near(around.picture, WALL_RIGHT)[:, right].all()
 
 
-def test_surroundings_lie_about_the_networks_crop_and_turn_with_it(points):
-    angle = 0.4
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+def test_surroundings_are_twice_the_networks_crop_and_turn_with_it(points):
+    turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
     rolled = (points - MIDDLE) @ turn.T + MIDDLE
-    crop = landmark_crop(rolled)
-    around = photo_surroundings(make_photo(rolled), rolled, crop)
-    assert float(around.box.side) == pytest.approx(REACH * float(crop.side))
-    assert float(around.box.roll) == pytest.approx(angle)
+    around, crop = photo_surroundings(make_photo(rolled), rolled), landmark_crop(rolled)
+    square = CropBox(crop.centre, 2.0 * crop.side, crop.roll)
+    np.testing.assert_allclose(rolled @ around.matrix.T + around.origin, to_crop(rolled, square, SIDE), atol=1e-9)
     # Seen upright again, the wall's border runs straight down through the picture.
-    upright = CropBox(np.array(MIDDLE), around.box.side / 2.0, np.float64(0.0))
-    seen = np.asarray(seen_in_crop(around.picture.astype(float), around.box, upright, 32))
+    upright = CropBox(np.array(MIDDLE), crop.side, np.float64(0.0))
+    seen = np.asarray(seen_in_crop(around.picture.astype(float), around.matrix, around.origin, upright, 32))
     assert near(seen, WALL_LEFT)[:, :4].all()
     assert near(seen, WALL_RIGHT)[:, -4:].all()
 
 
 def test_beyond_the_photo_its_border_goes_on(points):
-    photo = make_photo(points)
-    around = photo_surroundings(photo[:, 200:440], points - [200.0, 0.0], landmark_crop(points - [200.0, 0.0]))
+    around = photo_surroundings(make_photo(points)[:, 200:440], points - [200.0, 0.0])
     assert near(around.picture, WALL_LEFT)[:, 0].all()
     assert near(around.picture, WALL_RIGHT)[:, -1].all()
 
 
-def test_surroundings_are_plain_where_the_face_is_all_there_is(points):
-    """A crop that lies within the face, as that of wrong landmarks may."""
-    crop = CropBox(np.array(MIDDLE), np.float64(10.0), np.float64(0.0))
-    around = photo_surroundings(make_photo(points), points, crop)
-    assert np.unique(around.picture).tolist() == [GREY]
+def test_a_face_that_is_larger_than_the_photo_leaves_something_to_show(points):
+    """Nothing but skin: what is around it is of that colour, too."""
+    photo = np.full((60, 60, 3), SKIN, np.uint8)
+    assert near(photo_surroundings(photo, points - np.array(MIDDLE) + 30.0).picture, SKIN).all()
 
 
 def test_without_a_photo_or_a_face_surroundings_are_plain(points):
-    network = bundled_heat_maps()
-    for picture, landmarks in ((None, _landmarks(points)), (make_photo(points), None)):
-        assert np.unique(seen_around(network, picture, landmarks).picture).tolist() == [GREY]
+    """No face, too, is where landmarks coincide."""
+    photo = make_photo(points)
+    for picture, landmarks in ((None, _landmarks(points)), (photo, None), (photo, _landmarks(0.0 * points))):
+        assert np.unique(seen_around(picture, landmarks).picture).tolist() == [GREY]
 
 
 # Behind a render.
@@ -151,7 +154,7 @@ def test_a_render_shows_the_surroundings_beside_the_face_and_not_in_it(deep, hea
 
 def test_given_surroundings_are_taken_for_those_of_the_picture(deep, points):
     photo, landmarks = make_photo(points), _landmarks(points)
-    around = seen_around(bundled_heat_maps(), photo, landmarks)
+    around = seen_around(photo, landmarks)
     observation = FrameObservation(0, landmarks, (640, 480), picture=photo)
     context = FrameContext(0, deep.mean_identity(), None, None)
     made = deep.views(observation, context)[0].surroundings.picture

@@ -20,6 +20,7 @@ from workbench.face import FaceModel, FaceParameters, contour_blend
 from workbench.geometry import project, rotation_matrix, yaw_of
 from workbench.landmarks.dense_detector import nearness
 from workbench.landmarks.network_detector import CROP_SIDE, landmark_crop
+from workbench.landmarks.surroundings import Surroundings
 from workbench.networks import CropBox, DenseNetwork, EnergyNetwork, Fan, NetworkLandmarks, landmarks_in
 from workbench.networks.crop import fan_box_of, seen_in_crop, within_picture
 from workbench.networks.regression import covariance_of
@@ -27,7 +28,6 @@ from workbench.rendering import (
     Cover,
     CropCamera,
     RenderModel,
-    Surroundings,
     Texture,
     cover_vertices,
     covered,
@@ -167,8 +167,8 @@ def network_view(
         box = jax.tree.map(lambda own, photo: jnp.where(jnp.asarray(view.held) > 0.5, photo, own), box, view.crop)
     vertices = view_vertices(model, view, parameters)
     camera = CropCamera(view.camera, box, jnp.float32(side))
-    around, where = view.surroundings
-    behind = seen_in_crop(jnp.asarray(around, jnp.float32) / 255.0, where, box, side)
+    around = view.surroundings
+    behind = seen_in_crop(jnp.asarray(around.picture, jnp.float32) / 255.0, around.matrix, around.origin, box, side)
     seen = render(
         vertices, model.render.topology, camera, albedo, view.light, behind, size=(side, side), samples=samples
     )

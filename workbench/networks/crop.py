@@ -122,12 +122,18 @@ def within_picture(box: CropBox, image_size: Float[AnyArray, "2"], side: int = I
 
 
 def seen_in_crop(
-    picture: Float[AnyArray, "n n c"], of: CropBox, box: CropBox, side: int = INPUT_SIDE
+    seen: Float[AnyArray, "n n c"],
+    matrix: Float[AnyArray, "2 2"],
+    origin: Float[AnyArray, "2"],
+    box: CropBox,
+    side: int = INPUT_SIDE,
 ) -> Float[Array, "side side c"]:
-    """What one crop's picture shows of another crop: bilinear; beyond its own, its border goes on."""
-    own = len(picture)
-    places = to_crop(_sample_places(box, side).reshape(-1, 2), of, own)
-    return _bilinear(jnp.asarray(picture), jnp.clip(places, 0, own - 1).reshape(side, side, 2)).transpose(1, 2, 0)
+    """What a square part of a picture shows of a crop: bilinear; beyond the part, its border goes on.
+
+    The picture's pixels lie in the part at points @ matrix.T + origin.
+    """
+    places = _sample_places(box, side) @ jnp.asarray(matrix).T + jnp.asarray(origin)
+    return _bilinear(jnp.asarray(seen), jnp.clip(places, 0, len(seen) - 1)).transpose(1, 2, 0)
 
 
 def to_picture(points: Float[AnyArray, "n 2"], box: CropBox, side: int) -> Float[Array, "n 2"]:

@@ -13,11 +13,11 @@ from workbench.errors import InputError
 from workbench.geometry import read_rig
 from workbench.landmarks.observations import Landmarks2D, of_ibug68
 from workbench.landmarks.scheme import IBUG68
+from workbench.landmarks.surroundings import seen_around
 from workbench.pipeline.picture_source import PictureSource
 from workbench.pipeline.sources import FileSource, open_source
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import energy_network, network_scheme, photo_landmarks
-from workbench.tracking.deep_views import seen_around
 from workbench.tracking.observation import PicturePair
 
 
@@ -39,7 +39,7 @@ class DeepSource:
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
         for observation in self._source.observations(start, state, stills):
             landmarks = self._target(observation.picture, observation.landmarks)
-            around = seen_around(self._network, observation.picture, landmarks)
+            around = seen_around(observation.picture, landmarks)
             yield replace(observation, landmarks=landmarks, surroundings=(around,))
 
     def state(self) -> dict[str, np.ndarray]:

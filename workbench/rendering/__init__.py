@@ -27,9 +27,6 @@ from workbench.rendering.lighting import spherical_harmonics as spherical_harmon
 from workbench.rendering.lighting import turned_light as turned_light
 from workbench.rendering.renderer import Rendering as Rendering
 from workbench.rendering.renderer import render as render
-from workbench.rendering.surroundings import Surroundings as Surroundings
-from workbench.rendering.surroundings import photo_surroundings as photo_surroundings
-from workbench.rendering.surroundings import plain_surroundings as plain_surroundings
 from workbench.rendering.texture import Texture as Texture
 from workbench.rendering.topology import MeshTopology as MeshTopology
 from workbench.rendering.topology import mesh_topology as mesh_topology

@@ -12,12 +12,12 @@ from workbench.face import FaceModel
 from workbench.geometry import Rig, View, axis_angle_from_yaw_pitch_roll, camera_from_fov
 from workbench.landmarks.network_detector import NetworkDetector
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.surroundings import seen_around
 from workbench.pictures.lighting import STUDIO, Lighting
 from workbench.reproduction.people import FilmStudio, Motion, SimulatedPerson
 from workbench.reproduction.study import Progress
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
-from workbench.tracking.deep_views import seen_around
 
 SIZE = (720, 540)
 """Of the paper's pictures."""
@@ -75,7 +75,7 @@ def film_stereo(
         progress(f"film of camera {shot.view + 1}", shot.frame, frames)
         landmarks = network_landmarks(detector, shot.picture)
         seen[shot.view, shot.frame] = landmarks
-        around[shot.view, shot.frame] = seen_around(bundled_heat_maps(), shot.picture, landmarks)
+        around[shot.view, shot.frame] = seen_around(shot.picture, landmarks)
         identity = shot.identity
         if shot.view == 0:
             pictures.append(shot.picture)

@@ -5,7 +5,6 @@ For what Deep Energies Sec. 6 to 8.5 and Appendices A and B do over time. Every 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,13 +17,12 @@ from workbench.frames import Frames, open_frames, write_picture
 from workbench.geometry import Rig, axis_angle_from_yaw_pitch_roll, write_rig
 from workbench.landmarks.network_detector import NetworkDetector
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.surroundings import seen_around
 from workbench.reading import checked_arrays, reading
 from workbench.reproduction.people import Motion
 from workbench.reproduction.stereo_film import AWAY_MM, SIZE, film_views, network_landmarks, on_stage, two_cameras
 from workbench.reproduction.study import Study
 from workbench.tracking import FrameObservation
-from workbench.tracking.deep_target import bundled_heat_maps
-from workbench.tracking.deep_views import seen_around
 
 RATE = 24
 """Frames per second, the paper's."""
@@ -94,7 +92,7 @@ class TalkingFilm:
             self.timeline.size,
             picture=None if number else pictures[0],
             others=tuple(seen[1:]),
-            surroundings=tuple(map(partial(seen_around, bundled_heat_maps()), pictures, seen)),
+            surroundings=tuple(map(seen_around, pictures, seen)),
         )
 
     def _failing(self, seen: Sequence[Landmarks2D | None]) -> list[Landmarks2D | None]:

@@ -4,11 +4,10 @@ from dataclasses import replace
 
 from workbench.config import Config
 from workbench.landmarks.observations import Landmarks2D
-from workbench.rendering import Surroundings
+from workbench.landmarks.surroundings import Surroundings, seen_around
 from workbench.session.material import Material
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import energy_network, photo_landmarks
-from workbench.tracking.deep_views import seen_around
 from workbench.tracking.fitting import corrected
 from workbench.tracking.observation import motion_of
 
@@ -44,6 +43,6 @@ class ObservedFrames:
         if key not in self._targets:
             network = energy_network(config.deep.network)
             seen = photo_landmarks(network, picture, observation.landmarks)
-            self._targets[key] = seen, seen_around(network, picture, seen)
+            self._targets[key] = seen, seen_around(picture, seen)
         landmarks, around = self._targets[key]
         return replace(observation, landmarks=landmarks, surroundings=(around,), picture=picture if pictured else None)

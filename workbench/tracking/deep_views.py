@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from workbench.energies.deep import DeepView, crop_of
 from workbench.errors import InputError
@@ -15,17 +15,9 @@ from workbench.geometry import Camera
 from workbench.landmarks.network_detector import CROP_BOXES
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.surroundings import Surroundings, plain_surroundings, seen_around
 from workbench.networks import DenseNetwork, EnergyNetwork
-from workbench.rendering import (
-    Appearance,
-    Surroundings,
-    ambient_light,
-    directional_light,
-    orthographic_camera,
-    photo_surroundings,
-    plain_surroundings,
-    turned_light,
-)
+from workbench.rendering import Appearance, ambient_light, directional_light, orthographic_camera, turned_light
 from workbench.rendering.camera import AnyCamera, OrthographicCamera
 from workbench.runtime import COMPUTING
 from workbench.tracking.deep_programs import DeepScene, project_points
@@ -66,7 +58,7 @@ def views_of(
 
     Raises `InputError` if the number of views with landmarks or surroundings is not that of the rig.
     """
-    rig, around = plan.camera.rig, _surroundings(network, observation)
+    rig, around = plan.camera.rig, observation.surroundings or _surroundings(observation)
     if rig is None:
         size = observation.image_size
         place = _Place(_solver_camera(plan, size), size, np.eye(3), np.zeros(3))
@@ -125,16 +117,6 @@ def percent_px(network: EnergyNetwork, eyes: float, points: Float[np.ndarray, "p
     return 0.01 * eyes / CROP_BOXES * float(crop_of(network, jnp.asarray(points)).side)
 
 
-def seen_around(
-    network: EnergyNetwork, picture: UInt8[np.ndarray, "h w 3"] | None, landmarks: Landmarks2D | None
-) -> Surroundings:
-    """What is behind the renders of a face, given its photo and N(F*); plain without either."""
-    if picture is None or landmarks is None:
-        return plain_surroundings()
-    with COMPUTING:
-        return photo_surroundings(picture, landmarks.points, crop_of(network, jnp.asarray(landmarks.points)))
-
-
 def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
     """The light of an appearance, in the reference camera's frame; plain frontal light if none was estimated."""
     if appearance is not None:
@@ -142,11 +124,9 @@ def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
     return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
 
 
-def _surroundings(network: EnergyNetwork, observation: FrameObservation) -> tuple[Surroundings, ...]:
-    """Of every view."""
-    if observation.surroundings:
-        return observation.surroundings
-    first = seen_around(network, observation.picture, observation.landmarks)
+def _surroundings(observation: FrameObservation) -> tuple[Surroundings, ...]:
+    """Of the first view by its picture, of the others plain."""
+    first = seen_around(observation.picture, observation.landmarks)
     return (first, *(plain_surroundings() for _ in observation.others))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from workbench.landmarks.observations import Landmarks2D
-from workbench.rendering import Surroundings
+from workbench.landmarks.surroundings import Surroundings
 
 Pictures = tuple[UInt8[np.ndarray, "_ _ 3"], ...]
 """The pictures of one frame, one for each view of a rig; a single one without a rig."""

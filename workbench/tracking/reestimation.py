@@ -8,9 +8,8 @@ import numpy as np
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel
 from workbench.landmarks.observations import Landmarks2D
-from workbench.rendering import Appearance, Surroundings
-from workbench.tracking.deep_target import energy_network
-from workbench.tracking.deep_views import seen_around
+from workbench.landmarks.surroundings import Surroundings, seen_around
+from workbench.rendering import Appearance
 from workbench.tracking.fitting import FrameContext
 from workbench.tracking.flow_fitter import parameters_of
 from workbench.tracking.moments import Moment
@@ -89,8 +88,7 @@ class Reestimator:
         """What is behind the renders in each view; nothing where none are drawn, or without pictures."""
         if not (self._fitter.renders and moment.pictures):
             return ()
-        network = energy_network(self._fitter.plan.deep.network)
-        return tuple(seen_around(network, *view) for view in zip(moment.pictures, landmarks, strict=True))
+        return tuple(seen_around(*view) for view in zip(moment.pictures, landmarks, strict=True))
 
     def _others(self, moment: Moment) -> tuple[Landmarks2D | None, ...]:
         """The other views' landmarks; none in tracks of older workbenches, which stored the reference view's alone.
