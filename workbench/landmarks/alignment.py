@@ -67,6 +67,11 @@ class FaceFrame:
         """The frame moved by (x, y) box sides and scaled about its middle."""
         return FaceFrame(self.matrix * scale, self.to_image(np.array([[x, y]]))[0])
 
+    def crop(self, side: int) -> "FaceFrame":
+        """The similarity from the pixels of a crop of the box, `side` of them wide and high, to the picture's."""
+        matrix = self.matrix / side
+        return FaceFrame(matrix, self.origin - matrix @ np.full(2, (side - 1) / 2))
+
     def box(self) -> tuple[float, float, float, float]:
         """The upright square (left, top, right, bottom) of the same middle and side, in pixels."""
         half, (x, y) = self.side / 2, (float(value) for value in self.origin)

@@ -67,9 +67,8 @@ class EyeDetector:
 
 def eye_frame(points: Float[np.ndarray, "points 2"], eye: int, side: int = SIDE) -> FaceFrame:
     """The similarity from the pixels of an eye's crop to the picture's: about its corners, upright as the face is."""
-    face = frame_from_points(points)
-    matrix = face.matrix * EYE_BOXES / side
-    return FaceFrame(matrix, points[list(CORNERS[eye])].mean(axis=0) - matrix @ np.full(2, (side - 1) / 2))
+    matrix = frame_from_points(points).matrix * EYE_BOXES
+    return FaceFrame(matrix, points[list(CORNERS[eye])].mean(axis=0)).crop(side)
 
 
 def eye_crop(

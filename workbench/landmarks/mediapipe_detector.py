@@ -80,9 +80,7 @@ class MediapipeDetector:
 
     def _near(self, picture: np.ndarray, face: FaceFrame, otherwise: np.ndarray) -> Landmarks2D:
         """The face that is nearest to the middle of an upright crop."""
-        middle = face.to_image(np.array([[0.0, CROP_DROP]]))[0]
-        matrix = face.matrix * CROP_BOXES / CROP_SIDE
-        to_image = FaceFrame(matrix, middle - matrix @ np.full(2, (CROP_SIDE - 1) / 2))
+        to_image = face.moved(y=CROP_DROP, scale=CROP_BOXES).crop(CROP_SIDE)
         found = self._faces(sampled(picture, to_image, CROP_SIDE, cv2.BORDER_CONSTANT))
         size = (picture.shape[1], picture.shape[0])
         if not found:

@@ -173,16 +173,13 @@ def sampled_crop(
 
 def crop_frame(face: FaceFrame, side: int = CROP_SIDE) -> FaceFrame:
     """The similarity from the pixels of the network's input to the picture's, for this face."""
-    middle = face.to_image(np.array([[0.0, CROP_DROP]]))[0]
-    matrix = face.matrix * CROP_BOXES / side
-    return FaceFrame(matrix, middle - matrix @ np.full(2, (side - 1) / 2))
+    return face.moved(y=CROP_DROP, scale=CROP_BOXES).crop(side)
 
 
 def network_box(face: FaceFrame) -> CropBox:
     """The same view of a face for the differentiable chain (`networks.landmarks_of`)."""
-    middle = face.to_image(np.array([[0.0, CROP_DROP]]))[0]
-    roll = np.arctan2(face.matrix[1, 0], face.matrix[0, 0])
-    return CropBox(middle, np.float64(CROP_BOXES * face.side), np.float64(roll))
+    square = face.moved(y=CROP_DROP, scale=CROP_BOXES)
+    return CropBox(square.origin, np.float64(square.side), np.arctan2(face.matrix[1, 0], face.matrix[0, 0]))
 
 
 def landmark_crop(points: Float[AnyArray, "points 2"]) -> CropBox:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.errors import InputError
-from workbench.landmarks.alignment import FaceFrame, frame_from_points, sampled
+from workbench.landmarks.alignment import frame_from_points, sampled
 from workbench.landmarks.observations import Landmarks2D
 
 SIDE = 64
@@ -53,7 +53,7 @@ def photo_surroundings(picture: UInt8[np.ndarray, "h w 3"], points: Float[np.nda
         face = frame_from_points(points)
     except InputError:
         return plain_surroundings()
-    to_photo = _corner(face)
+    to_photo = face.moved(y=DROP, scale=REACH).crop(SIDE)
     matrix = np.linalg.inv(to_photo.matrix)
     hidden = _face(to_photo.to_face(points[:27]))
     painted = cv2.inpaint(sampled(picture, to_photo, SIDE), hidden, AROUND_INPAINTED, cv2.INPAINT_TELEA)
@@ -65,12 +65,6 @@ def seen_around(picture: UInt8[np.ndarray, "h w 3"] | None, landmarks: Landmarks
     if picture is None or landmarks is None:
         return plain_surroundings()
     return photo_surroundings(picture, landmarks.points)
-
-
-def _corner(face: FaceFrame) -> FaceFrame:
-    """From the surroundings' pixels to the photo's."""
-    matrix = face.matrix * REACH / SIDE
-    return FaceFrame(matrix, face.to_image(np.array([[0.0, DROP]]))[0] - matrix @ np.full(2, (SIDE - 1) / 2))
 
 
 def _face(outline: Float[np.ndarray, "27 2"]) -> UInt8[np.ndarray, "64 64"]:

@@ -30,7 +30,7 @@ class DeepSource:
         self.frames, self.image_size, self.detector = source.frames, source.image_size, source.detector
         self.count, self.single_picture = source.count, source.single_picture
         self.views, self.scheme = source.views, network_scheme(config.deep.network)
-        self._without_pictures = False
+        self._without_pictures, self._renders = False, config.deep.energy != "points"
 
     def notes(self) -> list[str]:
         given = "Without pictures the given landmarks stand for what the network would see in them."
@@ -39,7 +39,7 @@ class DeepSource:
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
         for observation in self._source.observations(start, state, stills):
             landmarks = self._target(observation.picture, observation.landmarks)
-            around = seen_around(observation.picture, landmarks)
+            around = seen_around(observation.picture if self._renders else None, landmarks)
             yield replace(observation, landmarks=landmarks, surroundings=(around,))
 
     def state(self) -> dict[str, np.ndarray]:

@@ -58,7 +58,7 @@ def views_of(
 
     Raises `InputError` if the number of views with landmarks or surroundings is not that of the rig.
     """
-    rig, around = plan.camera.rig, observation.surroundings or _surroundings(observation)
+    rig, around = plan.camera.rig, observation.surroundings or _surroundings(plan, observation)
     if rig is None:
         size = observation.image_size
         place = _Place(_solver_camera(plan, size), size, np.eye(3), np.zeros(3))
@@ -124,9 +124,10 @@ def light_of(appearance: Appearance | None) -> Float[np.ndarray, "9 3"]:
     return ambient_light(0.6) + directional_light((0.2, -0.5, -1.0), 0.4)
 
 
-def _surroundings(observation: FrameObservation) -> tuple[Surroundings, ...]:
-    """Of the first view by its picture, of the others plain."""
-    first = seen_around(observation.picture, observation.landmarks)
+def _surroundings(plan: Plan, observation: FrameObservation) -> tuple[Surroundings, ...]:
+    """Of the first view by its picture, of the others plain; all plain where no render is looked at."""
+    picture = None if plan.deep.energy == "points" else observation.picture
+    first = seen_around(picture, observation.landmarks)
     return (first, *(plain_surroundings() for _ in observation.others))
 
 
