@@ -29,12 +29,13 @@ from workbench.face import (
 )
 from workbench.face.usual_expressions import usual_expressions
 from workbench.geometry import Camera
+from workbench.networks import EnergyNetwork
 from workbench.rendering import Appearance
 from workbench.tracking.deep_appearance import most_neutral_appearance
 from workbench.tracking.deep_programs import DeepScene
 from workbench.tracking.deep_solution import DeepProblem, DeepSolution, record_of
 from workbench.tracking.deep_solver import StageProblem, solve_stage
-from workbench.tracking.deep_target import energy_network
+from workbench.tracking.deep_target import energy_network, steadied
 from workbench.tracking.deep_views import FAR_MM, eyes_per_box, holding, light_of, recorded_camera, views_of, weighed
 from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.fitting import (
@@ -103,14 +104,15 @@ class DeepFitter(Fitter):
         self.fit(observation, FrameContext(0, self.mean_identity(), None, None))
 
     def calibrate(self, observations: Sequence[FrameObservation], frames: int) -> Calibrated:
-        """The identity, calibrated as under FACE IT!, and the appearance of the most neutral frame with a picture.
+        """The identity, calibrated as under FACE IT! but on several looks at each picture (`steadied`), and the
+        appearance of the most neutral frame with a picture.
 
         Raises `InputError` if none has landmarks.
         """
+        calibrated = Calibrated(self.mean_identity(), {})
         if self.plan.identity.calibrate:
-            calibrated = self._points.calibrate(observations, frames)
-        else:
-            calibrated = Calibrated(self.mean_identity(), {})
+            chosen = self._points.calibration_frames(observations, frames)
+            calibrated = self._points.calibrate([_steadied(item, self._network) for item in chosen], frames)
         return calibrated._replace(starts={}, appearance=self.appearance(observations, calibrated.identity))
 
     def appearance(
@@ -278,6 +280,13 @@ class DeepFitter(Fitter):
             iterations=np.zeros(rows, int),
             jaw=np.full(6, np.nan),
         )
+
+
+def _steadied(observation: FrameObservation, network: EnergyNetwork) -> FrameObservation:
+    """A frame with the landmarks of several looks at its picture, if it has one."""
+    if observation.picture is None or observation.landmarks is None:
+        return observation
+    return replace(observation, landmarks=steadied(network, observation.picture, observation.landmarks))
 
 
 def _check_look(model: FaceModel, plan: Plan) -> None:

@@ -1,21 +1,23 @@
 """N(F*): the network's landmarks in the photo, in the same crop that a render of this face would get."""
 
+from dataclasses import replace
 from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from workbench.energies.deep import confidence_of, crop_of
 from workbench.errors import ModelError
 from workbench.landmarks.dense_detector import bundled_dense_network
 from workbench.landmarks.network_detector import BUNDLED as BUNDLED_FOLDER
-from workbench.landmarks.network_detector import bundled_landmark_network
+from workbench.landmarks.network_detector import CROP_BOXES, STILL_MOVES, bundled_landmark_network
 from workbench.landmarks.observations import Landmarks2D, of_ibug68
-from workbench.landmarks.scheme import IBUG68, LandmarkScheme
+from workbench.landmarks.scheme import IBUG68, MIRROR, LandmarkScheme
 from workbench.landmarks.schemes import DENSE
 from workbench.networks import (
+    CropBox,
     DenseNetwork,
     EnergyNetwork,
     LandmarkNetwork,
@@ -23,6 +25,7 @@ from workbench.networks import (
     read_landmark_network,
     read_weights,
     reduction_for,
+    to_picture,
 )
 from workbench.networks.dense_network import NAME as DENSE_NETWORK
 from workbench.networks.dense_network import dense_network_from
@@ -87,6 +90,36 @@ def photo_landmarks(network: EnergyNetwork, picture: UInt8[np.ndarray, "h w 3"],
             points = np.asarray(seen.points, float)
     covariance = None if seen.whitening is None else covariance_of(np.asarray(seen.whitening, float))
     return Landmarks2D(points, np.clip(np.asarray(confidence, float), 0.0, 1.0), detected.image_size, covariance)
+
+
+def steadied(network: EnergyNetwork, picture: UInt8[np.ndarray, "h w 3"], seen: Landmarks2D) -> Landmarks2D:
+    """`photo_landmarks`, moved by what the mean of several looks differs from the one.
+
+    The looks are at crops that lie somewhat higher, lower, closer and farther, and at the mirrored picture: a network
+    does not err alike in them. For what is learned of a person once; N(F) is one look, and so is its N(F*).
+    """
+    looks = []
+    with COMPUTING:
+        box = crop_of(network, jnp.asarray(seen.points))
+        for x, y, scale in STILL_MOVES:
+            centre = to_picture(np.array([[x, y]]) / CROP_BOXES, box, 1)[0]
+            moved = CropBox(centre, box.side * scale, box.roll)
+            looks += [_points(network, picture, moved), _mirrored_points(network, picture, moved)]
+    return replace(seen, points=seen.points + np.mean(looks, axis=0) - looks[0])
+
+
+def _points(network: EnergyNetwork, picture: UInt8[np.ndarray, "h w 3"], box: CropBox) -> Float[np.ndarray, "points 2"]:
+    return np.asarray(_look(network, picture, box, reduction_for(box))[0].points, float)
+
+
+def _mirrored_points(
+    network: EnergyNetwork, picture: UInt8[np.ndarray, "h w 3"], box: CropBox
+) -> Float[np.ndarray, "points 2"]:
+    """What the network sees in the mirrored picture, back in this one."""
+    flip, shift = np.array([-1.0, 1.0]), np.array([picture.shape[1] - 1.0, 0.0])
+    mirrored = CropBox(box.centre * flip + shift, box.side, -box.roll)
+    swapped = DENSE.mirror if isinstance(network, DenseNetwork) else MIRROR
+    return _points(network, np.ascontiguousarray(picture[:, ::-1]), mirrored)[list(swapped)] * flip + shift
 
 
 @partial(jax.jit, static_argnames=("reduction",))

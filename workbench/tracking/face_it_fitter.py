@@ -93,24 +93,24 @@ class FaceItFitter(Fitter):
 
         Raises `InputError` if none has landmarks.
         """
+        chosen = self.calibration_frames(observations, frames)
+        result = self._calibrate_on(chosen, [self._initial_pose(observation) for observation in chosen], frames)
+        # On the host: JAX would compile a small program for every array that it takes a row of.
+        starts, frames_found = {}, jax.tree.map(np.asarray, result.frames)
+        for row, observation in enumerate(chosen):
+            start = jax.tree.map(lambda stacked, row=row: stacked[row], frames_found)
+            starts[observation.index] = start._replace(identity=jnp.zeros(0))
+        return Calibrated(np.asarray(result.identity), starts)
+
+    def calibration_frames(self, observations: Sequence[FrameObservation], frames: int) -> list[FrameObservation]:
+        """The frames that `calibrate` takes of these, in ascending order of time. Raises as that does."""
         usable = [observation for observation in observations if observation.landmarks is not None]
         if not usable:
             raise InputError("Calibrating an identity needs frames with a face; none of these frames has landmarks.")
         for observation in usable:
             check_scheme(observation, self.model)
-        neutral = self._landmarks.frontal_neutral()
-        poses = [
-            initial_pose(self.camera(observation.image_size), neutral, observation.landmarks.points, self._used)
-            for observation in usable
-        ]
-        chosen = spread_over_yaw(yaw_pitch_roll_deg(np.array([rotation for rotation, _ in poses]))[:, 0], frames)
-        result = self._calibrate_on([usable[k] for k in chosen], [poses[k] for k in chosen], frames)
-        # On the host: JAX would compile a small program for every array that it takes a row of.
-        starts, frames_found = {}, jax.tree.map(np.asarray, result.frames)
-        for row, k in enumerate(chosen):
-            start = jax.tree.map(lambda stacked, row=row: stacked[row], frames_found)
-            starts[usable[k].index] = start._replace(identity=jnp.zeros(0))
-        return Calibrated(np.asarray(result.identity), starts)
+        rotations = np.array([self._initial_pose(observation)[0] for observation in usable])
+        return [usable[k] for k in spread_over_yaw(yaw_pitch_roll_deg(rotations)[:, 0], frames)]
 
     def problem(self, observation: FrameObservation, context: FrameContext) -> FaceItProblem:
         """The solver's input for a frame: camera, person, stages and start."""
@@ -180,6 +180,11 @@ class FaceItFitter(Fitter):
         points = np.asarray(project(self.camera(image_size), neutral + np.array([0.0, 0.0, 600.0])))
         motion = blank_motion(image_size) if self.plan.compares_pictures else None
         return FrameObservation(0, self._perfect(points, image_size), image_size, motion=motion)
+
+    def _initial_pose(self, observation: FrameObservation) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Rotation and translation of the average face that fit best."""
+        camera, neutral = self.camera(observation.image_size), self._landmarks.frontal_neutral()
+        return initial_pose(camera, neutral, observation.landmarks.points, self._used)
 
     def _perfect(self, points: Float[np.ndarray, "points 2"], image_size: tuple[int, int]) -> Landmarks2D:
         scheme = self.model.scheme
