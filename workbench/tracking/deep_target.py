@@ -93,10 +93,11 @@ def photo_landmarks(network: EnergyNetwork, picture: UInt8[np.ndarray, "h w 3"],
 
 
 def steadied(network: EnergyNetwork, picture: UInt8[np.ndarray, "h w 3"], seen: Landmarks2D) -> Landmarks2D:
-    """`photo_landmarks`, moved by what the mean of several looks differs from the one.
+    """`photo_landmarks`, moved by the difference between the mean of several looks and a single one.
 
-    The looks are at crops that lie somewhat higher, lower, closer and farther, and at the mirrored picture: a network
-    does not err alike in them. For what is learned of a person once; N(F) is one look, and so is its N(F*).
+    The looks are at crops somewhat higher, lower, closer and farther, each of the picture and of its mirror image,
+    because the network errs differently in each. For what is learned of a person once: a solve's N(F) is one look, and
+    so is its N(F*). A point that was moved by hand stays moved.
     """
     looks = []
     with COMPUTING:
