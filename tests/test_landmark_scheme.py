@@ -76,11 +76,25 @@ def test_lip_distance_is_the_distance_of_62_and_66_in_plane_and_space():
 
 
 @pytest.mark.parametrize(
-    ("shape", "message"), [((67, 2), "68 points, got 67"), ((68, 3), r"\(68, 3\)"), ((136,), r"\(136,\)")]
+    ("shape", "message"),
+    [
+        ((67, 2), "68 points, got 67"),
+        ((69, 2), "68 points, got 69"),
+        ((68, 3), r"\(68, 3\)"),
+        ((136,), r"\(136,\)"),
+    ],
 )
 def test_other_counts_and_shapes_are_refused_with_what_came(shape, message):
     with pytest.raises(InputError, match=message):
-        scheme.check_68(np.zeros(shape))
+        scheme.mirror_points(np.zeros(shape), width=640)
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"), [((67, 2), "68 points, got 67"), ((68, 3), r"\(68, 3\)"), ((136,), r"\(136,\)")]
+)
+def test_there_are_no_68_among_fewer_points(shape, message):
+    with pytest.raises(InputError, match=message):
+        scheme.first_68(np.zeros(shape))
 
 
 # --- the record ---

@@ -178,25 +178,14 @@ IBUG68 = LandmarkScheme("ibug68", POINT_NAMES, GROUPS, POLYLINES, MIRROR)
 """The scheme of dlib, of the network detector, and of files that name none."""
 
 
-def check_68(points: Num[np.ndarray, "..."]) -> Float[np.ndarray, "68 2"]:
-    """Return `points` as float64 (68, 2); raise `InputError` that says how many there are instead."""
-    if np.ndim(points) == 2 and len(points) > POINT_COUNT:
-        raise _not_68(len(points))
-    return first_68(points)
-
-
 def first_68(points: Num[np.ndarray, "..."]) -> Float[np.ndarray, "68 2"]:
     """The 68 points of iBUG among those of any scheme, as float64; raises `InputError` where there are fewer."""
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 2:
         raise InputError(f"landmarks are an array of shape (68, 2), x and y in pixels; got shape {points.shape}")
     if len(points) < POINT_COUNT:
-        raise _not_68(len(points))
+        raise InputError(f"the iBUG scheme has 68 points, got {len(points)}: convert other schemes first")
     return points[:POINT_COUNT].astype(np.float64)
-
-
-def _not_68(count: int) -> InputError:
-    return InputError(f"the iBUG scheme has 68 points, got {count}: convert other schemes first")
 
 
 def group_indices(name: str) -> tuple[int, ...]:
@@ -215,9 +204,18 @@ def group_mask(*names: str) -> Bool[np.ndarray, "68"]:
     return IBUG68.group_mask(*names)
 
 
-def mirror_points(points: Float[np.ndarray, "68 2"], width: int) -> Float[np.ndarray, "68 2"]:
-    """The landmarks of the horizontally flipped picture of `width` pixels (pixel centres: x becomes width - 1 - x)."""
-    mirrored = check_68(points)[list(MIRROR)]
+def mirror_points(
+    points: Num[np.ndarray, "..."], width: int, scheme: LandmarkScheme = IBUG68
+) -> Float[np.ndarray, "points 2"]:
+    """The landmarks of the horizontally flipped picture of `width` pixels (pixel centres: x becomes width - 1 - x).
+
+    Raises `InputError` if there are not as many points as in the scheme.
+    """
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError(f"landmarks are an array of shape ({len(scheme)}, 2), x and y in pixels; got {points.shape}")
+    if len(points) != len(scheme):
+        raise InputError(f"the scheme {scheme.name!r} has {len(scheme)} points, got {len(points)}")
+    mirrored = np.asarray(points, np.float64)[list(scheme.mirror)]
     mirrored[:, 0] = width - 1 - mirrored[:, 0]
     return mirrored
 

@@ -14,7 +14,7 @@ from workbench.landmarks.dense_detector import bundled_dense_network
 from workbench.landmarks.network_detector import BUNDLED as BUNDLED_FOLDER
 from workbench.landmarks.network_detector import CROP_BOXES, STILL_MOVES, bundled_landmark_network
 from workbench.landmarks.observations import Landmarks2D, of_ibug68
-from workbench.landmarks.scheme import IBUG68, MIRROR, LandmarkScheme
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme, mirror_points
 from workbench.landmarks.schemes import DENSE
 from workbench.networks import (
     CropBox,
@@ -117,10 +117,10 @@ def _mirrored_points(
     network: EnergyNetwork, picture: UInt8[np.ndarray, "h w 3"], box: CropBox
 ) -> Float[np.ndarray, "points 2"]:
     """What the network sees in the mirrored picture, back in this one."""
-    flip, shift = np.array([-1.0, 1.0]), np.array([picture.shape[1] - 1.0, 0.0])
-    mirrored = CropBox(box.centre * flip + shift, box.side, -box.roll)
-    swapped = DENSE.mirror if isinstance(network, DenseNetwork) else MIRROR
-    return _points(network, np.ascontiguousarray(picture[:, ::-1]), mirrored)[list(swapped)] * flip + shift
+    width, (x, y) = picture.shape[1], box.centre
+    mirrored = CropBox(np.array([width - 1 - x, y]), box.side, -box.roll)
+    points = _points(network, np.ascontiguousarray(picture[:, ::-1]), mirrored)
+    return mirror_points(points, width, DENSE if isinstance(network, DenseNetwork) else IBUG68)
 
 
 @partial(jax.jit, static_argnames=("reduction",))
