@@ -362,8 +362,7 @@ def test_find_out_why(small, actions, screenshots):
     small.page.wait_for_function(
         "() => document.querySelector('.fw-diagnosis').innerText.includes('flagged, ')", timeout=120_000
     )
-    shown = small.page.locator(".fw-diagnosis .fw-reason, .fw-diagnosis table").first
-    assert shown.is_visible()
+    small.page.locator(".fw-diagnosis .fw-reason, .fw-diagnosis table").first.wait_for(timeout=60_000)
     small.page.screenshot(path=screenshots / "design-why.png")
     fold(small)
 

@@ -46,11 +46,11 @@ class DiagnosisView:
     def show(self, frame: int, diagnosis: Diagnosis) -> None:
         """Show the diagnosis of a frame."""
         reasons = diagnosis.reasons[:MOST_REASONS]
-        self.say(f"Frame {frame}: {found_text(len(reasons), diagnosis.flag)}")
         self.apply_buttons = []
         self.reasons.layout.display = None if reasons else "none"
         self.reasons.children = tuple(self._row(k, reason) for k, reason in enumerate(reasons, 1))
         self.tables.value = pulls_table(diagnosis) + uncertainty_table(diagnosis)
+        self.say(f"Frame {frame}: {found_text(len(reasons), diagnosis.flag)}")
 
     def _row(self, number: int, reason: Reason) -> widgets.Widget:
         text = widgets.HTML(
