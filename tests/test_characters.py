@@ -26,7 +26,7 @@ from workbench.face import (
 )
 from workbench.face.parts import open_parts
 from workbench.landmarks.schemes import DENSE
-from workbench.pictures import HeadRenderer, gl_available, portrait_view
+from workbench.pictures import HeadRenderer, gl_available, head_scene, portrait_view, worn_parts
 from workbench.pictures.extras import NOTHING, Extras
 from workbench.pictures.neck import bent, neck_of
 from workbench.samples import sample
@@ -361,6 +361,17 @@ def test_hair_is_drawn_over_the_crown():
     assert np.abs(with_hair[crown] - without[crown]).mean() > 10
     below = (slice(100, 120), slice(70, 90))
     assert np.abs(with_hair[below] - without[below]).mean() < 2
+
+
+@needs_gl
+@pytest.mark.parametrize("name", ["amara", "mei"])
+def test_a_few_layers_of_strands_look_like_all_of_them(monkeypatch, name):
+    """What is dense in the hair is drawn as solid, so that little is left to blend; all of it blended is the same."""
+    quick = drawn(dressed(name))
+    monkeypatch.setattr(head_scene, "PEELS", 16)
+    monkeypatch.setattr(worn_parts, "DENSE_ALONE", "//VTK::TCoord::Impl\n  discard;\n")
+    apart = np.abs(quick - drawn(dressed(name))).max(axis=-1)
+    assert np.mean(apart > 8) < 0.002
 
 
 @needs_gl

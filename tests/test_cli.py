@@ -135,7 +135,8 @@ def test_the_demo_finds_the_faces_itself_and_says_what_to_open_next(run, monkeyp
     monkeypatch.setattr(workbench.pipeline, "track", beginning)
     code, out, err = run("demo", "--no-pictures")
     assert code == 0, err
-    for name, frames in (("astronaut", 1), ("laugh", 6)):
+    for name, frames, character in (("astronaut", 1, "sofia"), ("laugh", 6, "ravi")):
+        assert read_config(tmp_path / "demo_out" / name / "config.toml").head.character == character
         summary = json.loads((tmp_path / "demo_out" / name / "summary.json").read_text(encoding="utf-8"))
         assert summary["detector"] == chosen_detector()
         tracked = Track.load(tmp_path / "demo_out" / name / "track.npz")

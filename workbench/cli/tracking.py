@@ -14,8 +14,11 @@ from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset, read_confi
 from workbench.errors import ConfigError, LostSchedulerError, OutputError
 from workbench.samples import sample
 
-DEMO = {"astronaut": {}, "laugh": {"camera": {"fov_deg": 33.0}}}
-"""The bundled pictures; the clip's camera is known, the portrait's is guessed."""
+DEMO = {
+    "astronaut": {"head": {"character": "sofia"}},
+    "laugh": {"head": {"character": "ravi"}, "camera": {"fov_deg": 33.0}},
+}
+"""The bundled pictures; the clip's camera is known, the portrait's is guessed. Each head is drawn as somebody alike."""
 
 TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weights for every frame.
 
@@ -142,7 +145,7 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo_out"),
     pictures: Annotated[bool, typer.Option(help="Write the overlay video and picture.")] = True,
 ) -> None:
-    """Find and track the faces of the bundled portrait and clip: about a minute."""
+    """Find and track the faces of the bundled portrait and clip: a minute or two."""
     for name, changes in DEMO.items():
         screen.console.print(f"[bold]{name}[/bold]")
         config = preset(DEFAULT_PRESET).changed(**changes)

@@ -32,8 +32,8 @@ from workbench.pictures.lighting import SKIN_SHINE, WET_SHINE, Light, Lighting
 from workbench.pictures.mesh import corner_sum, neck_opacity, split_seams, to_camera, to_pixels, vertex_normals
 from workbench.pictures.worn_parts import WornActor
 
-PEELS = 8
-"""Layers of strands and cards that are blended one behind the other."""
+PEELS = 2
+"""Passes over strands and cards; each blends the nearest and the farthest layer that the ones before have left."""
 COLORS = "colors"
 """RGBA of the points."""
 VTK_AXES = np.array([1.0, -1.0, -1.0])
@@ -149,18 +149,18 @@ class HeadScene:
         self.drawn_size = (math.ceil(size[0] * supersampling), math.ceil(size[1] * supersampling))
         self.window.SetSize(*self.drawn_size)
 
-    def wear(self, parts: Sequence[WornPart], peels: int = PEELS) -> None:
-        """Other parts on a head that was made for a dressed one; `peels` layers of translucent ones are told apart."""
-        for worn in self.worn:
-            self.renderer.RemoveActor(worn.actor)
+    def wear(self, parts: Sequence[WornPart]) -> None:
+        """Other parts on a head that was made for a dressed one."""
+        for actor in (actor for worn in self.worn for actor in worn.actors):
+            self.renderer.RemoveActor(actor)
         self.worn = [_worn_actor(part) for part in parts]
-        for worn in self.worn:
-            self.renderer.AddActor(worn.actor)
+        for actor in (actor for worn in self.worn for actor in worn.actors):
+            self.renderer.AddActor(actor)
             if self.lighting is not None:
-                worn.actor.prop.ambient = self.lighting.ambient
+                actor.prop.ambient = self.lighting.ambient
         self.shown_light = None
         self.renderer.SetUseDepthPeeling(bool(self.worn))
-        self.renderer.SetMaximumNumberOfPeels(peels)
+        self.renderer.SetMaximumNumberOfPeels(PEELS)
         self.renderer.SetOcclusionRatio(0.0)
 
     def set_texture(self, texture: UInt8[np.ndarray, "th tw 3"]) -> None:

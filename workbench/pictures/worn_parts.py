@@ -14,10 +14,19 @@ HIGHLIGHT_IS_OPAQUE = """//VTK::Light::Impl
   fragOutput0 = mix(fragOutput0, vec4(1.0), glint);
 """
 CORNEA_OPACITY = 0.03
+DENSE = 0.95
+"""Opacity of a strand from which on nothing shows through that anyone would see."""
+DENSE_ALONE = f"""//VTK::TCoord::Impl
+  if (fragOutput0.a < {DENSE}) discard;
+"""
 
 
 class WornActor:
-    """One part in the scene."""
+    """One part in the scene: its actor, and where it is translucent a second one for what is dense in it.
+
+    The second one is drawn with the solid things. It hides what lies behind it, so that only the few layers before it
+    are left to be blended, each of which costs a software GL as much as a plain head.
+    """
 
     def __init__(self, worn: WornPart, mesh_of, actor_of, texture_of, colors: str) -> None:
         self.part = part = worn.part
@@ -28,19 +37,26 @@ class WornActor:
         self.mesh: pyvista.PolyData = mesh_of(np.zeros((len(self.order), 3)), triangles)
         self.mesh.point_data[colors] = self.lit(None)
         self.mesh.active_texture_coordinates = part.uv[uv_of_point].astype(np.float32)
-        self.actor: pyvista.Actor = actor_of(self.mesh, self.finish.shine)
+        actor: pyvista.Actor = actor_of(self.mesh, self.finish.shine)
+        self.actors = [actor]
         if part.kind == "corneas":
-            self.actor.prop.opacity = CORNEA_OPACITY
-            self.actor.GetShaderProperty().AddFragmentShaderReplacement(
+            actor.prop.opacity = CORNEA_OPACITY
+            actor.GetShaderProperty().AddFragmentShaderReplacement(
                 "//VTK::Light::Impl", True, HIGHLIGHT_IS_OPAQUE, False
             )
         else:
-            self.actor.texture = texture_of(worn.picture if worn.translucent else worn.picture[..., :3])
-        if worn.translucent:
-            self.actor.ForceOpaqueOff()
-            self.actor.ForceTranslucentOn()
-        else:
-            self.actor.ForceOpaqueOn()
+            actor.texture = texture_of(worn.picture if worn.translucent else worn.picture[..., :3])
+        if not worn.translucent:
+            actor.ForceOpaqueOn()
+            return
+        actor.ForceOpaqueOff()
+        actor.ForceTranslucentOn()
+        if actor.texture is not None:
+            dense: pyvista.Actor = actor_of(self.mesh, self.finish.shine)
+            dense.texture = actor.texture
+            dense.GetShaderProperty().AddFragmentShaderReplacement("//VTK::TCoord::Impl", True, DENSE_ALONE, False)
+            dense.ForceOpaqueOn()
+            self.actors.append(dense)
 
     def lit(self, light: UInt8[np.ndarray, "v 3"] | None) -> UInt8[np.ndarray, "s 4"]:
         """RGBA of its points where this share of the light, of 255, reaches the head's vertices; None: all of it."""

@@ -36,7 +36,6 @@ BOX_MM = 165.0
 PAINTED = 0.2
 """Share of people whose skin, eyes and teeth are painted, not photographed."""
 MOST_YAW_DEG = 90.0
-PEELS = 3
 LIGHTS = 3
 """Lights of every picture, some of them off: VTK compiles its shaders for a number of lights."""
 PAIRS = 0.75
@@ -191,7 +190,7 @@ class FaceStudio:
             scene = self.dressed
             worn = [to_camera(part, rotation, translation) for part in worn_head]
             if self.wearing is not who.worn:
-                scene.wear(who.worn, PEELS)
+                scene.wear(who.worn)
                 self.wearing = who.worn
         scene.set_texture(who.albedo)
         scene.set_shine(rng.uniform(0.0, 0.35), rng.uniform(6, 40))
