@@ -66,7 +66,7 @@ demo: $(STAMP)
 	$(BIN)/workbench demo --out $(OUT)
 
 test: lint
-	$(PYTEST) -m "not train and not notebook and not long and not browser"
+	$(PYTEST) --durations 40 --durations-min 5 -m "not train and not notebook and not long and not browser"
 
 test-fast: $(TEST_STAMP)
 	$(PYTEST) -m "not train and not notebook and not long and not browser and not slow"

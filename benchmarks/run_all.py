@@ -27,7 +27,7 @@ BENCHMARKS = (
     *("rendering", "rendering_gradient", "rendering_peers", "appearance", "landmark_network", "landmark_photos"),
     *("dense_landmarks", "dense_batch", "expression_priors", "gaze"),
     *("blinks", "deep_energies", "deep_characters", "deep_bundled_clips"),
-    *("flow", "infill", "refinement", "temporal_memory", "stills"),
+    *("flow", "infill", "refinement", "temporal_memory", "stills", "characters_drawn"),
     *("sweep_rate", "sweep_scaling", "cluster_plan", "accelerator"),
 )
 
