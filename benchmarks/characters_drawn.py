@@ -21,7 +21,7 @@ def main() -> None:
 
 
 def drawn_ms(name: str | None) -> float:
-    """Processor milliseconds of the quickest picture of some, after one that compiles the shaders."""
+    """Processor milliseconds of the quickest of some pictures, after one that compiles the shaders."""
     dressed = None if name is None else load_character(name)
     person = load_default_head() if dressed is None else dressed.person
     camera, translation = portrait_view(person, SIZE)

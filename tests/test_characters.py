@@ -366,7 +366,7 @@ def test_hair_is_drawn_over_the_crown():
 @needs_gl
 @pytest.mark.parametrize("name", ["amara", "mei"])
 def test_a_few_layers_of_strands_look_like_all_of_them(monkeypatch, name):
-    """What is dense in the hair is drawn as solid, so that little is left to blend; all of it blended is the same."""
+    """Dense strands are drawn as opaque, which leaves few layers to blend; blending all of them looks the same."""
     quick = drawn(dressed(name))
     monkeypatch.setattr(head_scene, "PEELS", 16)
     monkeypatch.setattr(worn_parts, "DENSE_ALONE", "//VTK::TCoord::Impl\n  discard;\n")

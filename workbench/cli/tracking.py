@@ -18,7 +18,7 @@ DEMO = {
     "astronaut": {"head": {"character": "sofia"}},
     "laugh": {"head": {"character": "ravi"}, "camera": {"fov_deg": 33.0}},
 }
-"""The bundled pictures; the clip's camera is known, the portrait's is guessed. Each head is drawn as somebody alike."""
+"""The bundled pictures; the clip's camera is known, the portrait's is guessed. Heads are drawn as similar people."""
 
 TRACK_HELP = """Track faces: 68 landmarks, then head pose and 44 expression weights for every frame.
 

@@ -33,7 +33,7 @@ from workbench.pictures.mesh import corner_sum, neck_opacity, split_seams, to_ca
 from workbench.pictures.worn_parts import WornActor
 
 PEELS = 2
-"""Passes over strands and cards; each blends the nearest and the farthest layer that the ones before have left."""
+"""Passes over strands and cards; each blends the nearest and the farthest of the remaining layers."""
 COLORS = "colors"
 """RGBA of the points."""
 VTK_AXES = np.array([1.0, -1.0, -1.0])

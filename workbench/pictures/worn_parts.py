@@ -15,17 +15,17 @@ HIGHLIGHT_IS_OPAQUE = """//VTK::Light::Impl
 """
 CORNEA_OPACITY = 0.03
 DENSE = 0.95
-"""Opacity of a strand from which on nothing shows through that anyone would see."""
+"""Opacity above which a strand is drawn as opaque; what would show through is too faint to see."""
 DENSE_ALONE = f"""//VTK::TCoord::Impl
   if (fragOutput0.a < {DENSE}) discard;
 """
 
 
 class WornActor:
-    """One part in the scene: its actor, and where it is translucent a second one for what is dense in it.
+    """One part in the scene: its actor and, if it is translucent, a second one for its dense strands.
 
-    The second one is drawn with the solid things. It hides what lies behind it, so that only the few layers before it
-    are left to be blended, each of which costs a software GL as much as a plain head.
+    The second one is drawn with the opaque meshes and hides what is behind it. That leaves few layers to blend, each of
+    which is expensive in a software GL.
     """
 
     def __init__(self, worn: WornPart, mesh_of, actor_of, texture_of, colors: str) -> None:
