@@ -17,6 +17,9 @@ OUT ?= demo_out
 # and the Khronos validator with its own Node.
 VALIDATORS := .cache/validators
 
+# Containers often set it, and then every start compiles all modules that it imports, a second and more.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help lab demo test test-fast test-browser test-long test-train docs validators notebooks lint types format bench head clip clean
 
 help:
@@ -25,7 +28,7 @@ help:
 	@echo "make test   lint and run all tests but for the notebooks and those of test-browser, test-long and test-train"
 	@echo "make test-fast   without the slow ones"
 	@echo "make test-browser  tests of the panels in JupyterLab and Chromium"
-	@echo "make test-long   tests that take renders through networks, differentiate fits, or kill processes"
+	@echo "make test-long   the longest: renders through networks, derivatives of fits, whole runs, processes that are killed"
 	@echo "make notebooks   run every notebook from top to bottom"
 	@echo "make test-train  the tests of training and of PyTorch's models; installs PyTorch"
 	@echo "make docs   the documentation as pages, in docs/_build/html; runs the notebooks"

@@ -14,7 +14,6 @@ SLOW = (
     "test_diagnosis_frames.py",
     "test_deep_energies.py",
     NOTEBOOKS,
-    "test_deep_pipeline.py",
     "test_face_formats.py",
     "test_nothing_lost.py",
     "test_cli_diagnose.py",
@@ -62,6 +61,8 @@ BROWSER = (
 )
 """Files that need Chromium as a whole."""
 LONG = (
+    "test_deep_dense.py",
+    "test_deep_pipeline.py",
     "test_learning.py",
     "test_learning_schemes.py",
     "test_rendered_flow.py",
@@ -69,8 +70,8 @@ LONG = (
     "test_through_time.py",
     "test_workers.py",
 )
-"""Files that take renders through networks, differentiate whole fits, or kill and restart the processes of pools and
-clusters."""
+"""Files that take renders through networks, differentiate whole fits, run whole systems, or kill and restart the
+processes of pools and clusters; single tests elsewhere have the mark themselves."""
 TRAIN = (
     "test_networks_checkpoints.py",
     "test_networks_fan.py",
@@ -86,7 +87,7 @@ MARKS = {"slow": SLOW, "browser": BROWSER, "long": LONG, "train": TRAIN}
 LEFT_OUT = {
     "slow": "long tests (make test)",
     "browser": "tests in a browser (make test-browser)",
-    "long": "renders through networks, derivatives of fits, and worker processes that are killed (make test-long)",
+    "long": "renders through networks, derivatives of fits, whole runs, and processes that are killed (make test-long)",
     "notebook": "notebooks from top to bottom (make notebooks)",
     "train": "tests of training and of PyTorch's models (make test-train)",
 }

@@ -114,6 +114,7 @@ def test_without_the_token_there_is_a_login_page_only(address):
         urllib.request.urlopen(f"{plain}voila/files/picture.png")
 
 
+@pytest.mark.long
 @pytest.mark.skipif(bool(browser.missing()) and os.environ.get("CI") != "true", reason=str(browser.missing()))
 def test_widgets_work_a_file_is_sent_and_a_page_that_is_left_ends_its_process(server):
     from playwright.sync_api import sync_playwright

@@ -189,6 +189,7 @@ def test_a_track_of_a_part_of_a_clip_is_shown_with_the_pictures_of_that_part(sto
     assert len(list(pictures_of(track).iterate())) == FRAMES
 
 
+@pytest.mark.long
 def test_a_ready_character_plays_in_gltf_and_in_the_film(run, stored, tmp_path):
     code, _, err = run("export", "talk", "--to", "mei.glb", "--to", "mei.mp4", "--character", "mei")
     assert (code, err) == (0, "")

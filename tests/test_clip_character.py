@@ -205,6 +205,7 @@ def test_a_blurred_face_is_less_sharp(tracked):
     assert sharpness(cv2.GaussianBlur(picture, (0, 0), 3.0), tracked[0]) < 0.2 * sharpness(picture, tracked[0])
 
 
+@pytest.mark.long
 def test_the_person_in_a_clip_becomes_a_character(tracked, run, monkeypatch, tmp_path):
     """By the command, whose work is that of `character_of_clip`."""
     tracked.save(tmp_path / "run" / "track.npz")

@@ -182,6 +182,7 @@ def test_the_normal_equations_are_those_of_the_residuals(points, truth):
 # What the network sees.
 
 
+@pytest.mark.long
 def test_a_rendered_crop_is_seen_as_the_crop_of_a_render(deep, truth):
     """Two routes to N(F): the crop rendered at the network's size, or cut out of the whole picture and shrunk.
 
@@ -239,6 +240,7 @@ def test_the_points_derivative_is_that_of_finite_differences(points, truth, colu
     np.testing.assert_allclose(near[moves], exact[moves], atol=0.02 * np.abs(exact).max() + 0.02)
 
 
+@pytest.mark.long
 def test_the_forward_derivative_is_that_of_a_crop_that_stands_still(deep, truth):
     """D is constant in the derivative (Sec. 4); and it points to where a real step leads, if not exactly there."""
     view, programs = deep.views(make_deep_scene(deep, truth).observation(), _context(truth))[0], deep.scene(None)

@@ -87,7 +87,6 @@ def whole(head, quick, tmp_path_factory):
     return track(sample("performance"), tmp_path_factory.mktemp("whole"), head, config, **options).track
 
 
-@pytest.mark.long
 def test_two_workers_find_the_same_numbers_though_one_is_killed(head, quick, whole, tmp_path):
     config, options = quick
     workers, killed = workers_for(2, kind="dask"), []

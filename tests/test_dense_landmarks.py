@@ -430,6 +430,7 @@ class TestRun:
 
         assert len(groups(dense_head)) < len(groups(head))
 
+    @pytest.mark.long
     def test_a_session_fits_and_diagnoses_it(self, run, head):
         config = preset("dense").changed(identity={"window": 2, "frames": 2})
         session = TuningSession(head, material_of_track(run.track), config)

@@ -51,6 +51,7 @@ def refits(small, scene):
     return np.array(rows)
 
 
+@pytest.mark.long
 def test_the_scatter_of_weighted_landmarks_is_that_of_noisy_refits(small, scene):
     """Weights that do not mirror the noise: the fit is no longer the best one, and theory must say by how much."""
     weighted = CONFIG.changed(landmarks={"weights": {"jaw": 0.1, "mouth": 3.0}})

@@ -172,6 +172,7 @@ class TestFilm:
         assert off < 5.0
         assert off < 0.5 * idle
 
+    @pytest.mark.long
     def test_two_pupils_beside_the_68_say_as_much(self, film):
         observed = seen_by("network+pupils", film)
         off, idle = errors_and_those_of_still_eyes(film, *fitted(film, observed, {}, "gaze"))

@@ -72,6 +72,7 @@ def by_flow(blink):
     return blink.filled("flow")
 
 
+@pytest.mark.long
 def test_a_blink_inside_a_gap_is_seen_and_nothing_else_is_changed(blink, by_flow):
     path = blink.filled("network")
     truth = blink.weights(parameters_of(moment.fit) for moment in blink.moments[1:-1])

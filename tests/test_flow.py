@@ -296,6 +296,7 @@ class TestBundledNetwork:
     def test_what_does_not_move_has_hardly_any_flow(self, network):
         assert np.median(np.linalg.norm(network(texture(96, 128), texture(96, 128)), axis=-1)) < 0.2
 
+    @pytest.mark.long
     def test_renders_go_through_it_with_a_derivative(self, network, head, model, camera):
         """A head that moves to the right: the network sees it, and that it would see more if it moved on."""
         light = ambient_light(0.4) + directional_light((-0.5, -0.6, -1.0), 0.7)

@@ -99,6 +99,7 @@ def same(first, second) -> bool:
 # What it does to tracks.
 
 
+@pytest.mark.long
 def test_noisy_landmarks_of_face_it_jitter_less_and_err_less(film_maker, film):
     seen = observations(film, noise_px=1.0)
     alone, flowing = (tracked(film_maker.head, config, seen) for config in (FACE_IT, linked(FACE_IT)))
@@ -204,6 +205,7 @@ def test_a_disabled_stage_needs_no_pictures(film_maker, film):
 # Runs, sessions, processes.
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("config", [FACE_IT, ONE_STAGE], ids=["face-it", "deep-energies"])
 def test_a_run_that_is_cut_goes_on_with_the_same_numbers(head, tmp_path, config):
     config, whole, cut = linked(config), tmp_path / "whole", tmp_path / "cut"

@@ -151,6 +151,7 @@ def test_frames_are_asked_for_as_they_are_needed(film_maker, film):
     assert asked == [0, 1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.long
 def test_renders_may_go_through_the_estimator_of_the_photos(film_maker, film):
     config = film_config(infill={"method": "flow"}, flow={"renders": "estimated"})
     gap = (4, 5)
@@ -200,6 +201,7 @@ def test_each_view_brings_one_picture(film_maker, film):
         by_network.between((known, None), film.pictures[:2], known.parameters, known.parameters, views)
 
 
+@pytest.mark.long
 def test_two_cameras_fill_a_gap_together(head, tmp_path):
     """The second camera sees depth; the first alone hardly does."""
     rig = make_rig((0.0, 35.0), distance_mm=480.0, image_size=SIZE, fov_deg=FOV_DEG)

@@ -115,6 +115,7 @@ class TestFlowNet2:
         picture = jax.ShapeDtypeStruct((3, 64, 192), np.float32)
         assert eqx.filter_eval_shape(network, picture, picture).shape == (2, 64, 192)
 
+    @pytest.mark.long
     def test_the_flow_has_the_pictures_size(self, answer, pair):
         flow = answer(pair)
         assert flow.shape == (2, 64, 128)

@@ -58,6 +58,7 @@ def content(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+@pytest.mark.long
 def test_a_run_killed_at_any_write_resumes_to_the_same_numbers_and_leaves_nothing_behind(points, tmp_path):
     command = [sys.executable, "-m", "tests.killed_runs", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)

@@ -201,6 +201,7 @@ class TestFiles:
         assert np.array_equal(session.fit_clip().projected, run.track.projected)
         assert np.array_equal(session.diagnose(1).fit.projected, session.track[1].projected)
 
+    @pytest.mark.long
     def test_the_panel_shows_them(self, run, head):
         config = preset("gaze").changed(identity={"window": 2, "frames": 2})
         panel = TuningPanel(TuningSession(head, material_of_track(run.track), config))

@@ -176,6 +176,7 @@ def test_triangles_larger_than_the_picture_fill_it():
     assert np.asarray(rendering.coverage) == pytest.approx(np.ones((12, 16)), abs=1e-5)
 
 
+@pytest.mark.long
 def test_shared_edges_leave_no_gap_and_no_seam(model, parameters):
     """A close-up of the cheek, triangles many pixels wide: every pixel is covered."""
     camera = Camera(np.full(2, 1600.0, np.float32), np.full(2, 50.0, np.float32), np.zeros(8, np.float32))
@@ -253,6 +254,7 @@ def test_a_pixel_at_a_border_has_the_share_that_is_covered():
     assert coverage.sum() == pytest.approx(5.8 * 4.6, abs=0.15)
 
 
+@pytest.mark.long
 def test_smooth_pictures_come_close_to_supersampled_ones(model, parameters, camera):
     truth = supersampled(model, parameters, camera)
     parts = traced(parameters, camera, model.colors, LIGHT, WHITE)
@@ -283,6 +285,7 @@ def test_where_many_edges_meet_no_colour_leaves_the_range_of_what_meets(model, c
     assert color.max() <= float(model.colors.max()) + 1e-4
 
 
+@pytest.mark.long
 def test_a_moving_border_changes_coverage_by_its_length():
     """Widening a 6 mm high rectangle to the right covers 6 pixels per pixel of motion, wherever the border lies."""
     way = np.zeros((8, 3))

@@ -123,6 +123,7 @@ def test_a_face_is_found_by_its_texture_where_plain_colours_miss_it(model):
     assert rest > 10.0 * least
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not gl_available(), reason="no GL here")
 def test_hair_hides_what_it_hides_in_the_pictures(model):
     """Against VTK's picture of the same character: what changes as the hair is taken off."""

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -71,6 +72,16 @@ def test_slow_files_come_first_then_browsers():
     names = ["test_arrays.py", selection.BROWSER[0], selection.SLOW[1], selection.SLOW[0]]
     paths = sorted(map(Path, names), key=selection.turn)
     assert [path.name for path in paths] == names[::-1]
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+def test_programs_that_make_starts_keep_what_python_compiled_where_a_container_says_not_to():
+    command = ["make", "--silent", "--eval", "told: ; @env", "told"]
+    told = subprocess.run(
+        command, cwd=ROOT, env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}, capture_output=True, text=True
+    )
+    assert "PATH=" in told.stdout
+    assert "PYTHONDONTWRITEBYTECODE" not in told.stdout
 
 
 @pytest.mark.parametrize(("cores", "processes"), [(2, 2), (8, 3), (5, 2), (3, 3)])

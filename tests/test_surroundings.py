@@ -177,6 +177,7 @@ def test_each_view_of_a_rig_has_its_own_and_their_number_is_checked(head, tmp_pa
         fitter.views(replace(observation, surroundings=(wall,)), context)
 
 
+@pytest.mark.long
 def test_before_its_surroundings_the_jaw_is_read_as_in_the_photo(deep, head):
     """A photo with a wall of two colours, else as the solver believes: before plain grey the jaw's points lie elsewhere
     than in the photo, before its surroundings hardly."""

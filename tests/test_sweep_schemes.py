@@ -24,7 +24,7 @@ def solver(head):
     return ClipSolver(head)
 
 
-@pytest.fixture(scope="module", params=["dense", "gaze"])
+@pytest.fixture(scope="module", params=["dense", pytest.param("gaze", marks=pytest.mark.long)])
 def seen(request):
     """The name of a preset, and the clip as its detector sees it."""
     return request.param, clip_for(request.param)

@@ -111,12 +111,14 @@ def test_e_tau_steadies_a_clip_of_deep_energies(head):
     assert jitter[1] < 0.5 * jitter[0]
 
 
+@pytest.mark.long
 def test_frames_that_a_term_links_are_not_spread_over_processes(head, tmp_path):
     clip, points = ROOT / "data_samples/performance.mp4", ROOT / "data_samples/performance_landmarks.csv"
     with pytest.raises(InputError, match="--workers 1"):
         track([clip], tmp_path, head, linked(POINTS, 1.0), landmarks=points, frames=(0, 3), workers=2)
 
 
+@pytest.mark.long
 def test_a_linked_run_that_is_cut_goes_on_with_the_same_numbers(head, tmp_path):
     clip, points = ROOT / "data_samples/performance.mp4", ROOT / "data_samples/performance_landmarks.csv"
     config, whole, cut = linked(POINTS, 1.0), tmp_path / "whole", tmp_path / "cut"

@@ -256,6 +256,7 @@ def test_a_photo_is_told_that_it_needs_a_clip(head, material):  # noqa: F811 - f
     made.close()
 
 
+@pytest.mark.long
 def test_deep_energies_says_that_it_works_on_a_short_part(panel):
     panel.session.use(preset("deep"))
     assert "Deep Energies takes seconds per frame" in panel.time.note.value

@@ -83,6 +83,7 @@ def test_every_sample_is_there_and_notebooks_open_no_other(python, environment, 
     assert min(json.loads(done.stdout)) > 0
 
 
+@pytest.mark.long
 def test_the_demo_tracks_both_inputs_with_faces_that_it_finds(python, environment, tmp_path):
     done = subprocess.run(
         workbench(python, "demo"), cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=500

@@ -32,6 +32,7 @@ def test_the_true_parameters_of_a_frame_have_its_pose(frame):
     assert max(rotation, across, depth) < 1e-9
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_solve_overfits_to_wrong_markers_and_flow_repairs_it(tmp_path):
     result = worked_failure(Study(tmp_path, quick=True))
