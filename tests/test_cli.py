@@ -82,6 +82,8 @@ def test_an_exported_configuration_gives_the_same_numbers_and_an_edited_one_does
         (["track", "points.csv", "--fov", "200"], "camera.fov_deg"),
         (["track", "points.csv", "--detector", "magic"], "landmarks.detector"),
         (["track", "points.csv", "--face", "left"], "X,Y"),
+        (["track", "points.csv", "--workers", "2"], "--workers and --scheduler belong to Deep Energies"),
+        (["track", "points.csv", "--frames", "500-600"], "points.csv holds no frame from 500 to 600"),
     ],
 )
 def test_mistakes_are_one_sentence_and_exit_code_2(arguments, message, run, points):
@@ -115,6 +117,10 @@ def test_the_help_lists_every_command(run):
 
 def test_brackets_in_a_message_are_printed_as_they_are(run):
     assert "no[bold]where.mp4" in run("track", "no[bold]where.mp4")[2]
+
+
+def test_the_version_is_told_without_a_command(run):
+    assert run("--version")[:2] == (0, f"{workbench.__version__}\n")
 
 
 def test_info_names_versions_and_places(run):

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import MIRROR
 from workbench.pipeline import track
+from workbench.tracking import Track
 
 COUNT, BROKEN, EMPTY = 24, 13, 20
 
@@ -118,6 +120,15 @@ def test_an_unremarkable_frame_says_so(run, runs):
     out = run("diagnose", str(runs / "clean"), "--frame", "5")[1]
     assert "No reason found: the frame is unremarkable" in out
     assert "1. " not in out.split("The fit without")[0]
+
+
+def test_a_track_of_another_model_asks_for_it(run, runs, tmp_path):
+    """Another face would be fitted in its place, and its faults explained."""
+    stored = Track.load(runs / "clean" / "track.npz")
+    replace(stored, meta={**stored.meta, "model": {"name": "flame", "sha256": "1"}}).save(tmp_path / "track.npz")
+    code, _, err = run("diagnose", str(tmp_path), "--frame", "5")
+    assert code == 2
+    assert "fitted with the model flame; name its file with --model" in err
 
 
 @pytest.mark.parametrize(

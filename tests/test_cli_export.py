@@ -137,6 +137,7 @@ def test_the_example_of_the_documentation_runs(stored, head, tmp_path, monkeypat
         (["talk", "--to", "x.csv", "--fps", "0"], "a rate between 0 and 1000"),
         (["talk", "--to", "x.csv", "--map", "m.toml"], "name it with --character"),
         (["talk", "--to", "talk/track.npz"], "is the track itself"),
+        (["talk", "--to", "x.glb", "--character", "meii"], "meii is neither a ready character"),
         (["talk", "--to", "talk.ply"], "already exists"),
     ],
 )

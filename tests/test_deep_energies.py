@@ -661,6 +661,18 @@ def test_the_parallel_view_finds_rotation_scale_place_and_shape(shared, head):
 
 
 @pytest.mark.filterwarnings("ignore:The stages free first")
+def test_a_fit_that_starts_from_parameters_starts_from_their_scale(shared, head):
+    """As a re-estimation does, which holds the pose: in a parallel view the scale is a part of it."""
+    fitter = fitter_with(shared, preset("deep-parallel").changed(camera={"fov_deg": 40.0}, deep={"energy": "points"}))
+    truth = make_parameters(head, (14.0, -6.0, 5.0), (12.0, -9.0, 650.0))._replace(scale=jnp.array([1.3]))
+    scene = make_deep_scene(fitter, truth)
+    begun = fitter.problem(scene.observation(), scene.context()._replace(start=truth)).start
+    assert np.asarray(begun.scale).tolist() == [1.3]
+    without = truth._replace(scale=np.zeros(0))
+    assert np.asarray(fitter.problem(scene.observation(), scene.context()._replace(start=without)).start.scale) == 1.0
+
+
+@pytest.mark.filterwarnings("ignore:The stages free first")
 def test_a_parallel_view_is_recorded_as_a_camera_far_away(shared, head):
     config = preset("deep-parallel").changed(camera={"fov_deg": 40.0}, deep={"energy": "points"})
     fitter = fitter_with(shared, config)

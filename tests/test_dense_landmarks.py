@@ -44,8 +44,10 @@ from workbench.samples import sample
 from workbench.session import FittedHead, TuningSession, material_of_photo, material_of_track
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
+from workbench.tracking.moments import Moment
 from workbench.tracking.plan import whitening_of
 from workbench.tracking.records import stack_fits
+from workbench.tracking.reestimation import Reestimator
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.overlay_view import OverlayView, point_groups
 from workbench.widgets.timeline_view import ROWS, TimelineView, strip_rows
@@ -402,6 +404,16 @@ class TestRun:
         assert fit.errors[1] < 5.0
         row = next(read_landmark_file(run.folder / "landmarks.csv"))
         assert row.landmarks.scheme is DENSE
+
+    def test_reestimation_weighs_the_points_as_the_fit_did_and_keeps_their_covariances(self, run, dense_head):
+        """A stage without the pose, from a finished fit and from a neutral expression: the fit's again."""
+        fitted = run.track[1]
+        config = preset("dense").changed(identity={"window": 2, "frames": 2})
+        again = Reestimator(dense_head, plan_of(config, DENSE))
+        for start in (fitted, replace(fitted, expression=np.zeros_like(fitted.expression))):
+            found = again.fit(Moment(start, ()))
+            np.testing.assert_array_equal(found.covariance, fitted.covariance)
+            np.testing.assert_allclose(found.expression, fitted.expression, atol=0.02)
 
     def test_a_track_of_the_68_names_none(self, head, perfect, tmp_path):
         observation = replace(perfect, landmarks=of_ibug68(perfect.landmarks))

@@ -244,6 +244,15 @@ def test_flags_name_what_stands_out(head, config):
     assert set(np.flatnonzero(flags.flagged)) <= {*range(60, 66), *range(98, 104), *range(148, 154)}
 
 
+def test_filled_frames_that_stand_still_are_no_frozen_detector(head, config, clean):
+    """As infill leaves them at the end of a shot without flow: all are like the last good one."""
+    fits = list(clean[1][:20])
+    for index in range(15, 20):
+        filled = replace(fits[14][0], index=index, source="filled", confidence=np.zeros(68))
+        fits[index] = replace(filled, observed=filled.projected), fits[index][1]
+    assert not flag_frames(track_of(fits, head), config).flagged.any()
+
+
 def test_frames_without_a_face_are_not_flagged(head, config, clean):
     observations = [replace(found, landmarks=None) if found.index in (5, 6) else found for found in clean[0][:20]]
     fitter, fits, last = FaceItFitter(head, plan_of(config)), [], None

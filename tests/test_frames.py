@@ -5,6 +5,7 @@ import resource
 import struct
 import threading
 import zlib
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -131,6 +132,23 @@ def test_every_format_of_pictures_is_read(suffix, tmp_path):
     assert read_picture(tmp_path / f"p{suffix}").shape == (48, 64, 3)
 
 
+@pytest.mark.parametrize("white", [100, 1023, 4095])
+@pytest.mark.parametrize("kind", ["P2", "P3", "P5", "P6"])
+def test_white_is_white_whatever_number_a_netpbm_file_has_for_it(kind, white, tmp_path):
+    """Cameras of machine vision write 10 and 12 bits."""
+    colour = np.array([white, white // 2, 0]) if kind in ("P3", "P6") else np.array([white // 2])
+    values = np.stack([np.full(len(colour), white), colour])
+    if kind in ("P2", "P3"):
+        body = " ".join(map(str, values.ravel())).encode()
+    else:
+        body = values.astype(np.uint8 if white < 256 else ">u2").tobytes()
+    (tmp_path / "p.ppm").write_bytes(f"{kind}\n# a camera\n2 1\n{white}\n".encode() + body)
+    read = read_picture(tmp_path / "p.ppm")
+    expected = np.broadcast_to(np.floor(255.999 * values / white), (2, 3))
+    assert np.abs(read[0] - expected).max() <= 1.0
+    assert read[0, 0].tolist() == [255, 255, 255]
+
+
 def test_a_format_that_is_not_offered_is_not_decoded_under_another_name(tmp_path):
     (tmp_path / "p.png").write_bytes(cv2.imencode(".hdr", np.ones((8, 8, 3), np.float32))[1].tobytes())
     with pytest.raises(InputError, match="does not contain a readable picture"):
@@ -164,6 +182,27 @@ def test_video_delivers_frames_with_index_time_and_colour(tmp_path):
     assert delivered[4].name == "clip#4"
     assert np.abs(delivered[4].picture.astype(int) - picture_with_number(4)).mean() < 4
     assert frames.notes == []
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_frames_at_uneven_times_are_told_with_the_way_to_even_ones(suffix, tmp_path):
+    """As phones and screen recorders write them: here 30 frames at 33 ms and 30 at 100 ms."""
+    path = tmp_path / f"phone{suffix}"
+    milliseconds = np.cumsum([0, *[33] * 30, *[100] * 29])
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=30)
+        stream.width, stream.height, stream.codec_context.time_base = 64, 48, Fraction(1, 1000)
+        for index, time_ms in enumerate(milliseconds):
+            picture = av.VideoFrame.from_ndarray(picture_with_number(index % 12), format="rgb24")
+            picture.pts, picture.time_base = int(time_ms), Fraction(1, 1000)
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())
+    frames = open_frames(path)
+    delivered = list(frames.iterate())
+    np.testing.assert_allclose([frame.time_s for frame in delivered], milliseconds / 1000, atol=2e-3)
+    assert [("uneven times" in note, "-fps_mode cfr" in note) for note in frames.notes] == [(True, True)]
+    list(frames.iterate())
+    assert len(frames.notes) == 1
 
 
 def test_a_video_of_pictures_beyond_the_limit_is_refused(tmp_path, monkeypatch):

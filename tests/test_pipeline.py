@@ -12,10 +12,14 @@ from tests.scenes import make_scene
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError
 from workbench.frames import VideoWriter, open_frames
-from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file, write_landmark_file
+from workbench.landmarks.formats.own_json import json_text
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.tracking import LandmarkTracker
 from workbench.pipeline import OUTPUTS, track
+from workbench.pipeline.sources import open_source
 from workbench.samples import sample
+from workbench.tracker import FaceTracker
 from workbench.tracking import Track
 from workbench.tracking.track_writer import TrackWriter
 
@@ -147,6 +151,68 @@ def test_parts_of_another_configuration_are_not_resumed(head, clip, quick, tmp_p
     seen = []
     track(clip, tmp_path, head, quick, progress=lambda *a: seen.append(a[1]), pictures=False, resume=True)
     assert seen[0] == 1
+
+
+@pytest.mark.parametrize("begun", ["landmarks", "fit"])
+def test_a_run_interrupted_in_the_middle_of_a_frame_resumes_with_the_same_numbers(begun, head, tmp_path, monkeypatch):
+    """Ctrl-C hardly ever comes between two frames: what a frame has begun is not taken for what is done."""
+    config = preset("joint").changed(landmarks={"detector": "network"}, identity={"calibrate": False})
+    options = {"frames": (20, 31), "pictures": False}
+    whole = track(sample("laugh"), tmp_path / "whole", head, config, **options).track
+    owner, name = {"landmarks": (LandmarkTracker, "step"), "fit": (FaceTracker, "push")}[begun]
+    work, calls = getattr(owner, name), []
+
+    def interrupted(self, *given):
+        calls.append(given)
+        # The landmarks of the eighth frame are found; the run does not get to see them.
+        done = work(self, *given) if begun == "landmarks" or len(calls) < 8 else None
+        if len(calls) == 8:
+            raise KeyboardInterrupt
+        return done
+
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, name, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            track(sample("laugh"), tmp_path / "cut", head, config, **options)
+    seen = []
+    resumed = track(
+        sample("laugh"), tmp_path / "cut", head, config, progress=lambda *a: seen.append(a[1]), resume=True, **options
+    ).track
+    assert seen[0] == 8  # the seven whole frames are kept
+    for name in ("observed", "confidence", "rotation", "expression", "projected", "shot", "source"):
+        np.testing.assert_array_equal(getattr(resumed, name), getattr(whole, name))
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json"])
+def test_frames_that_a_landmark_file_leaves_out_have_no_face_and_the_others_keep_their_pictures(suffix, clip, tmp_path):
+    records = [record for record in read_landmark_file(clip) if record.frame not in (0, 3, 4)]
+    write_landmark_file(tmp_path / f"some{suffix}", records)
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for index in range(20):
+        cv2.imwrite(str(pictures / f"{index:02d}.png"), np.full((480, 640, 3), index, np.uint8))
+
+    def read(frames=None):
+        source = open_source([pictures], preset("joint"), tmp_path / f"some{suffix}", frames, keep_pictures=True)
+        return list(source.observations(0, {}, False))
+
+    given = {record.frame: record.landmarks for record in records}
+    for seen, first in ((read(), 0), (read((2, 6)), 2)):
+        assert len(seen) == (20 if first == 0 else 5)
+        for observation in seen:
+            frame = observation.index + first
+            assert int(observation.picture[0, 0, 0]) == frame
+            if given.get(frame) is None:
+                assert observation.landmarks is None
+            else:
+                np.testing.assert_array_equal(observation.landmarks.points, given[frame].points)
+
+
+def test_landmarks_in_disorder_are_refused(clip, tmp_path):
+    entries = json_text(read_landmark_file(clip))
+    (tmp_path / "a.json").write_text(entries.replace('"frame": 3,', '"frame": 8,'))
+    with pytest.raises(InputError, match=r"a\.json: frame indices must ascend, got 4 after 8: sort the frames"):
+        list(open_source([tmp_path / "a.json"], preset("joint"), None).observations(0, {}, False))
 
 
 def test_a_run_on_other_landmarks_is_not_resumed(head, clip, quick, tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ from tests.films import film_config, landmark_error_px, lost
 from workbench.config import Stage
 from workbench.errors import ConfigError
 from workbench.planning import plan_of
-from workbench.tracking.flow_fitter import FlowFitter
+from workbench.tracking.flow_fitter import FlowFitter, parameters_of
 from workbench.tracking.reestimation import Reestimator, reestimation_stage
 from workbench.tracking.refinement import averaging_pass, passes, plate_flow_pass, refined, self_flow_pass
 
@@ -152,6 +152,16 @@ def test_methods_are_passes_in_order():
     assert named(method="self") == [self_flow_pass]
     assert named(method="plate", sweeps=3) == [plate_flow_pass] * 3
     assert named(method="hybrid", sweeps=2) == [averaging_pass, plate_flow_pass, plate_flow_pass]
+
+
+def test_a_fit_that_is_moved_takes_the_scale_along(film_maker, film):
+    """What stands for the distance in parallel projection: twice the scale, twice the picture."""
+    fitter = fitter_with(film_maker, method="averaging")
+    like, centre = film.truth[0], np.asarray(film.truth[0].camera.principal_point_px)
+    where = fitter.placed(like, parameters_of(replace(like, translation=np.array([0.0, 0.0, 6e5]))))
+    twice = fitter.placed(where, parameters_of(replace(where, scale=2.0)))
+    assert (where.scale, twice.scale) == (1.0, 2.0)
+    np.testing.assert_allclose(twice.projected - centre, 2.0 * (where.projected - centre), rtol=1e-3, atol=1e-3)
 
 
 def test_reestimation_holds_the_pose_and_finds_the_expression(film_maker, film):

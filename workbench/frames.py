@@ -6,6 +6,7 @@ is called again.
 """
 
 import os
+import re
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -52,6 +53,8 @@ HEADERS = (
     Jpeg2KImagePlugin.Jpeg2KImageFile,
 )
 """Readers of the headers of these formats; OpenCV decodes."""
+NETPBM = re.compile(rb"P[2356](?:(?:\s|#[^\n]*\n)+(\d+)){3}\s")
+"""The beginning of a .pgm or .ppm; the last number is the value that stands for white."""
 DECODER_LIMITS = {"max_pixels": str(MOST_PIXELS)}
 """FFmpeg's own: frames may also grow in the middle of a video."""
 
@@ -59,6 +62,8 @@ AS_VIDEO = ("a video", "convert it to MP4 (H.264)")
 
 FRAMES_AHEAD = 3
 """Read while the frame before them is worked on: enough for a decoder that hands over several at once."""
+UNEVEN_S = 0.1
+"""How far a frame may be from its time at an even rate without a note: more is seen in lips beside the sound."""
 KEY_FRAME_SPACING = 100
 """Frames between remembered seek points: a few numbers per four seconds of video, instead of one per key frame."""
 
@@ -148,8 +153,9 @@ def read_picture(path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
     """Read one image file as upright 8-bit RGB.
 
     Grey becomes three equal channels. Transparency is dropped, and the stored colours are kept. 16 bits are scaled to
-    8 (the high byte). The EXIF orientation is applied. A colour profile is not: the values are taken as sRGB.
-    Raises `InputError` for a missing, empty or undecodable file, and beyond `MOST_PIXELS`.
+    8 (the high byte), and so is what lies between in .pgm and .ppm. The EXIF orientation is applied. A colour profile
+    is not: the values are taken as sRGB. Raises `InputError` for a missing, empty or undecodable file, and beyond
+    `MOST_PIXELS`.
     """
     return decoded_picture(checked_content(path, "a picture"), path)
 
@@ -165,6 +171,8 @@ def decoded_picture(content: bytes, name: object) -> UInt8[np.ndarray, "h w 3"]:
             raise InputError(
                 f"{name} has {width}×{height} pixels, the limit is {MOST_PIXELS / 1e6:.0f} megapixels; reduce it first"
             )
+        if (header := NETPBM.match(content)) is not None and int(header[1]) not in (255, 65535):
+            return _scaled_netpbm(content)
         # A header that Pillow does not know is none of the formats above.
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR_RGB) if width else None
     if picture is None:
@@ -172,6 +180,14 @@ def decoded_picture(content: bytes, name: object) -> UInt8[np.ndarray, "h w 3"]:
             f"{name} does not contain a readable picture: it may be damaged, or another kind of file renamed"
         )
     return picture
+
+
+def _scaled_netpbm(content: bytes) -> UInt8[np.ndarray, "h w 3"]:
+    """A .pgm or .ppm whose white is not that of 8 or 16 bits, as of cameras with 10 or 12: OpenCV does not scale it."""
+    with PpmImagePlugin.PpmImageFile(BytesIO(content)) as stored:
+        values = np.asarray(stored)
+    picture = (values >> 8).astype(np.uint8) if stored.mode == "I" else values
+    return np.repeat(picture[..., None], 3, axis=2) if picture.ndim == 2 else picture
 
 
 def _declared_size(content: bytes) -> tuple[int, int]:
@@ -270,7 +286,7 @@ class VideoFrames:
         self.name = self.path.stem
         self.notes: list[str] = []
         self._key_frames: dict[int, int] = {}  # frame index -> presentation time stamp
-        self._damaged = False
+        self._damaged = self._uneven = False
         with reading(self.path, *AS_VIDEO), self._open() as container:
             stream = container.streams.video[0]
             rate = stream.average_rate or stream.guessed_rate
@@ -298,9 +314,10 @@ class VideoFrames:
             index, reformatter = origin - 1, VideoReformatter()
             for index, frame in enumerate(decoded, origin):
                 self._remember(index, frame)
+                time_s = self._time(index, frame.pts)
+                self._note_uneven(index, time_s)
                 if index >= start:
-                    picture = _upright_rgb(frame, reformatter)
-                    yield Frame(index, picture, self._time(index, frame.pts), f"{self.name}#{index}")
+                    yield Frame(index, _upright_rgb(frame, reformatter), time_s, f"{self.name}#{index}")
             if index >= 0 and self.announced_count and index + 1 < self.announced_count:
                 announced = f"the header announces {self.announced_count} frames"
                 self._note(f"{self.path.name}: {announced}, {index + 1} could be decoded")
@@ -370,6 +387,17 @@ class VideoFrames:
         if pts is not None and self._first_pts is not None:
             return (pts - self._first_pts) * self._time_base
         return index / self.rate if self.rate else 0.0
+
+    def _note_uneven(self, index: int, time_s: float) -> None:
+        """Say once where a frame is shown at another time than at the even rate that results are written with."""
+        if self._uneven or not self.rate or abs(time_s - index / self.rate) <= UNEVEN_S:
+            return
+        self._uneven = True
+        self._note(
+            f"{self.path.name}: its frames come at uneven times (frame {index} at {time_s:.2f} s, by an even rate of "
+            f"{self.rate:.2f} frames/s at {index / self.rate:.2f} s); films and exports are written at that rate. To "
+            f"keep them in time, convert the clip first: ffmpeg -i {self.path.name} -fps_mode cfr even.mp4"
+        )
 
     def _note(self, sentence: str) -> None:
         if sentence not in self.notes:

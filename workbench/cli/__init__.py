@@ -9,7 +9,7 @@ from workbench.cli.characters import CHARACTER_HELP, character
 from workbench.cli.configuration import config_app
 from workbench.cli.diagnosing import DIAGNOSE_HELP, diagnose
 from workbench.cli.exporting import EXPORT_HELP, export
-from workbench.cli.installation import info
+from workbench.cli.installation import info, of_the_program
 from workbench.cli.landmarking import LANDMARKS_HELP, landmarks
 from workbench.cli.models import model_app
 from workbench.cli.over_time import INFILL_HELP, REESTIMATE_HELP, REFINE_HELP, infill, reestimate, refine
@@ -32,6 +32,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     help="Face Energy Workbench: facial performance capture by optimisation.",
 )
+app.callback()(of_the_program)
 app.command(help=TRACK_HELP)(track)
 app.command(help=LANDMARKS_HELP)(landmarks)
 app.command()(demo)

@@ -26,7 +26,8 @@ CHARACTER_HELP = """Make the person in a tracked clip a character: the fitted fa
 
 Several frames are looked at from all sides; what none of them shows is taken from the most alike of \
 the bundled skins. \
-Hair, eyes and clothes are styles of data_samples/head/people/characters.toml.
+Hair, eyes and clothes are those of the ready characters (data_samples/head/people/characters.toml); a style that \
+is not there is answered with the list of those that are.
 """
 NO_STYLE = "none"
 

@@ -9,6 +9,7 @@ from rich.padding import Padding
 
 import workbench
 from workbench.cli import diagnosis_files, screen
+from workbench.cli.exporting import model_of_track
 from workbench.cli.tracking import track_file
 from workbench.config import parse_config
 from workbench.errors import InputError
@@ -42,6 +43,7 @@ def diagnose(
     every: Annotated[bool, typer.Option("--all", help=f"List all frames that stand out, not {MOST_FRAMES}.")] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write everything to this file.")] = None,
     csv_file: Annotated[Path | None, typer.Option("--csv", help="Write the frames or reasons as a table.")] = None,
+    model: Annotated[Path | None, typer.Option(help="The face model of the track, if not the default head.")] = None,
 ) -> None:
     """Frames of a track that stand out, or the reasons for one."""
     if frame is not None and every:
@@ -53,7 +55,7 @@ def diagnose(
         _print_flags(record, run, every)
         rows = record["flagged"]
     else:
-        record = _diagnosis(track, frame)
+        record = _diagnosis(track, frame, model)
         _print_diagnosis(record)
         rows = diagnosis_files.reason_rows(record)
     if json_file is not None:
@@ -72,8 +74,11 @@ def _flags(track: "workbench.Track") -> dict:
     return diagnosis_files.flags_record(track, flags)
 
 
-def _diagnosis(track: "workbench.Track", frame: int) -> dict:
-    session = workbench.open_session(track)
+def _diagnosis(track: "workbench.Track", frame: int, path: Path | None) -> dict:
+    model, notes = model_of_track(track, path)
+    for note in notes:
+        screen.console.print(f"[yellow]note:[/yellow] {escape(note)}")
+    session = workbench.open_session(track, model=model)
     session.observation(frame)  # refused before the whole clip is fitted
     with screen.progress_bar() as progress:
         session.fit_clip(progress)

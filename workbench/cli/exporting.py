@@ -11,7 +11,7 @@ from workbench.cli import screen
 from workbench.cli.tracking import track_file
 from workbench.errors import InputError
 from workbench.export.suffixes import FORMATS, format_of
-from workbench.face.characters import is_character
+from workbench.face.characters import character_names, is_character
 from workbench.files import check_not_inputs
 
 EXPORT_HELP = (
@@ -38,7 +38,9 @@ EXPORT_HELP = (
     + "\n"
 )
 
-CHARACTER_HELP = "A ready character such as mei (.glb, .mp4), or another face model that plays the performance."
+CHARACTER_HELP = (
+    "A ready character such as mei (.glb, .usd, .mp4, .html), or another face model that plays the performance."
+)
 MOST_NAMES = 6
 """Blendshapes that are named where some have no counterpart."""
 
@@ -64,6 +66,9 @@ def export(
             raise InputError(f"{path} is the track itself; name another file.")
     dress = character if character is not None and is_character(character) else None
     player = None if dress or character is None else Path(character)
+    if player is not None and not player.exists():
+        ready = ", ".join(character_names())
+        raise InputError(f"{character} is neither a ready character ({ready}) nor the path of a face model.")
     given = [path for path in (model, player, mapping) if path is not None]
     track = workbench.Track.load(stored)
     check_not_inputs(to, [stored, *given, *workbench.export.input_files(track.meta)])

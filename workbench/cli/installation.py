@@ -1,11 +1,13 @@
-"""`workbench info`."""
+"""`workbench info` and `workbench --version`."""
 
 import hashlib
 import importlib.metadata
 import importlib.util
 import platform
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.markup import escape
 from rich.table import Table
 
@@ -27,6 +29,20 @@ PACKAGES = (
     "jupyterlab",
     "voila",
 )
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        screen.console.print(workbench.__version__)
+        raise typer.Exit
+
+
+def of_the_program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """The options that stand before a command."""
 
 
 def info() -> None:

@@ -96,7 +96,9 @@ def refine(
     method: Annotated[str, typer.Option(help=f"One of: {', '.join(REFINEMENT_METHODS)}.")] = "hybrid",
     sweeps: Annotated[int | None, typer.Option(min=1, max=20, help="How often every frame is solved.")] = None,
     order: Annotated[str | None, typer.Option(help="jacobi or gauss-seidel.")] = None,
-    prior: Annotated[float | None, typer.Option(min=0.0, help="Weight of staying at the previous pose.")] = None,
+    prior: Annotated[
+        float | None, typer.Option(min=0.0, help="Weight of keeping each pose near its value before the pass.")
+    ] = None,
     reestimate: Annotated[int, typer.Option(min=0, max=10, help="Number of expression re-fits.")] = 0,
     estimator: Estimator = None,
     renders: Renders = None,

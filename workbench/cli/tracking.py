@@ -11,7 +11,7 @@ from rich.table import Table
 import workbench
 from workbench.cli import screen
 from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset, read_config
-from workbench.errors import ConfigError, LostSchedulerError, OutputError
+from workbench.errors import ConfigError, InputError, LostSchedulerError, OutputError
 from workbench.samples import sample
 
 DEMO = {
@@ -59,7 +59,7 @@ OUT_HELP = "Folder for the results (default: out/NAME)."
 STILLS_HELP = "Unrelated photos: nothing links one to the next."
 GIVEN_HELP = "Take the landmarks of a file (or a folder of .pts) instead of a detector's."
 FOV_HELP = "Field of view over the longer side, degrees."
-PRESET_HELP = f"One of: {', '.join(PRESETS)}."
+PRESET_HELP = f"One of: {', '.join(PRESETS)} (default: {DEFAULT_PRESET})."
 IDENTITY_HELP = "Calibrate the subject's face shape first."
 PICTURES_HELP = "Write the overlay video or pictures."
 RESUME_HELP = "Continue an interrupted run."
@@ -124,6 +124,8 @@ def track(
         settings = settings.changed(landmarks={"face_landmarker": str(face_landmarker)})
     folder = out or Path("out") / (inputs[0].stem or "run")
     workbench.pipeline.check_inputs_kept(folder, [path for path in (config, model) if path is not None])
+    if not settings.traits.renders and (workers > 1 or scheduler):
+        raise InputError("--workers and --scheduler belong to Deep Energies; add --preset deep.")
     with screen.at_work(workers, scheduler) as staff:
         _run(
             inputs,

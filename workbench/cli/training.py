@@ -30,7 +30,7 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
   workbench train finder training                 the face finder, from the same pool
 
   workbench train dense training --start training/landmarks.safetensors
-                                                  some 300 points with their uncertainty, on the landmark
+                                                  377 points with their uncertainty, on the landmark
                                                   network's encoder
 
   workbench train gain training                   how to correct the dense network's points by the landmark

@@ -48,7 +48,9 @@ def tune(
     truth: Annotated[str, typer.Option(help="What is known of the clip.", rich_help_panel=INPUT)] = "",
     rig: Annotated[str, typer.Option(help=RIG_HELP, rich_help_panel=INPUT)] = "",
     view: Annotated[str | None, typer.Option(help=VIEW_HELP, rich_help_panel=INPUT)] = None,
-    train: Annotated[str | None, typer.Option(help="Frames to learn on, FIRST:END.", rich_help_panel=INPUT)] = None,
+    train: Annotated[
+        str | None, typer.Option(help="Frames to learn on, FIRST:END; needs --held-out.", rich_help_panel=INPUT)
+    ] = None,
     watch: Annotated[str | None, typer.Option(help="Frames that choose the step.", rich_help_panel=INPUT)] = None,
     held_out: Annotated[str | None, typer.Option(help="Frames that only report.", rich_help_panel=INPUT)] = None,
     preset_name: Annotated[str | None, typer.Option("--preset", help="Preset to start from.")] = None,

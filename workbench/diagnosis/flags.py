@@ -90,7 +90,8 @@ def _jump(track: Track) -> _Screen:
 def _frozen(track: Track) -> _Screen:
     same = np.zeros(len(track), bool)
     moved = np.linalg.norm(np.diff(track.observed, axis=0), axis=2).max(axis=1)
-    beside = (np.diff(track.shot) == 0) & track.found[1:] & track.found[:-1]
+    seen = track.found & track.seen
+    beside = (np.diff(track.shot) == 0) & (np.diff(track.index) == 1) & seen[1:] & seen[:-1]
     same[1:] = beside & (moved < STILL_PX)
     return _Screen(0.6 * same, lambda frame: "the landmarks repeat the previous frame")
 

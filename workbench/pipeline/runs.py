@@ -30,7 +30,7 @@ from workbench.pipeline.still_pictures import StillPictures
 from workbench.pipeline.temporal_run import Step, over_time, views_of, wanted_steps, worked_meta
 from workbench.planning import plan_of
 from workbench.tracker import FaceTracker
-from workbench.tracking import FrameFit, Track
+from workbench.tracking import FrameFit, FrameObservation, Track
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.track_layout import model_record, scheme_of, scheme_record
 from workbench.tracking.track_reader import TrackReader
@@ -292,32 +292,39 @@ def _track_frames(
     if len(writer):
         tracker.restore(_prefixed(state, "tracker/"))
     observations = source.observations(len(writer), _prefixed(state, "landmarks/"), stills)
-    done = len(writer)
+    done = added = len(writer)
+    whole: tuple[int, dict[str, np.ndarray]] | None = None
 
-    def store() -> None:
+    def take(fits: list[FrameFit], observation: FrameObservation | None = None) -> None:
         # Only between frames that are all fitted do tracker, landmarks and written frames stand at one place.
+        nonlocal added, whole
+        for fit in fits:
+            if drawn is not None and observation is not None:
+                drawn.add(observation, fit)  # a still is fitted as soon as it comes
+            writer.add(fit)
+            added += 1
         of_tracker = tracker.state()
-        if drawn is not None:
-            drawn.flush()  # the frames of a part have their pictures
         if of_tracker is not None:
             of_landmarks = {f"landmarks/{name}": value for name, value in source.state().items()}
-            writer.write_part({f"tracker/{name}": value for name, value in of_tracker.items()} | of_landmarks)
+            whole = added, {f"tracker/{name}": value for name, value in of_tracker.items()} | of_landmarks
+
+    def store() -> None:
+        if whole is not None and whole[0] == added:
+            if drawn is not None:
+                drawn.flush()  # the frames of a part have their pictures
+            writer.write_part(whole[1])
 
     try:
         for observation in observations:
-            for fit in tracker.push(observation):
-                if drawn is not None:
-                    drawn.add(observation, fit)  # a still is fitted as soon as it comes
-                writer.add(fit)
+            take(list(tracker.push(observation)), observation)
             done += 1
             progress("track", done, source.count)
             if writer.wants_part():
                 store()
     except KeyboardInterrupt:
-        store()
+        store()  # the state is that after the last whole frame: the next one may be begun
         raise
-    for fit in tracker.finish():
-        writer.add(fit)
+    take(list(tracker.finish()))
     store()
 
 

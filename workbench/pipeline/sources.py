@@ -12,7 +12,7 @@ from workbench.config import Config
 from workbench.errors import InputError
 from workbench.frames import Frame, FrameRange, Frames, open_frames, range_notes
 from workbench.landmarks.files import SUFFIXES, LandmarkRecord, read_landmark_file, states_size
-from workbench.landmarks.formats.records import scheme_of_records
+from workbench.landmarks.formats.records import scheme_of_records, without_gaps
 from workbench.tracking import FrameObservation
 from workbench.tracking.observation import motion_of
 
@@ -46,7 +46,8 @@ class FileSource:
         self._given_size = None if frames is None else _given_size(paths, frames)
         first = next(iter(self._records()), None)
         if first is None:
-            raise InputError(f"{paths[0]} holds no frame; a landmark file has one row or entry per frame.")
+            selected = "" if rows is None else f" from {rows.start} to {rows.stop - 1}"
+            raise InputError(f"{paths[0]} holds no frame{selected}; a landmark file has one row or entry per frame.")
         self.image_size = _size(first)
         self.scheme = scheme_of_records(self._records())
         self.frames = frames or _Canvas(self)
@@ -75,7 +76,8 @@ class FileSource:
         return {}
 
     def _records(self) -> Iterator[LandmarkRecord]:
-        records = chain.from_iterable(read_landmark_file(path, self._given_size) for path in self._paths)
+        files = (without_gaps(path, read_landmark_file(path, self._given_size)) for path in self._paths)
+        records = chain.from_iterable(files)
         if self._rows is None:
             yield from records
             return

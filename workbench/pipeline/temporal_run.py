@@ -45,7 +45,9 @@ def over_time(
     alternate as often as the configuration says. Raises `InputError` for methods that need the pictures.
     """
     if not views and (need := needs_pictures(config, steps)):
-        raise InputError(f"The method {need!r} needs the pictures, and there are none; name them, or choose another.")
+        raise InputError(
+            f"The method {need!r} needs the pictures, and there are none; name them (--clip), or choose another."
+        )
     plan = plan_of(config, model.scheme)
     fitter = FlowFitter(model, plan)
     done = dict.fromkeys(STEPS, 0)

@@ -209,13 +209,13 @@ class DeepFitter(Fitter):
     def _start(self, observation: FrameObservation, context: FrameContext) -> FaceParameters:
         start = self.start(context.identity)
         if context.start is not None:
-            given = context.start
-            count = len(self.model.expression_names)
+            given, count = context.start, len(self.model.expression_names)
             return start._replace(
                 rotation=jnp.asarray(given.rotation, float),
                 translation=jnp.asarray(given.translation, float),
                 expression=self._seen * given.expression if len(given.expression) == count else start.expression,
                 jaw=jnp.asarray(given.jaw, float) if len(given.jaw) else start.jaw,
+                scale=jnp.asarray(given.scale, float) if len(given.scale) else start.scale,
             )
         if self.plan.deep.start == "frontal" or observation.landmarks is None:
             return start

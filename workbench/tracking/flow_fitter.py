@@ -179,6 +179,7 @@ class FlowFitter:
             energies=np.full_like(like.energies, np.nan),
             status=np.full_like(like.status, -1),
             iterations=np.zeros_like(like.iterations),
+            scale=float(np.asarray(parameters.scale).item()),
             **parts,
         )
 

@@ -15,14 +15,16 @@ from workbench.face import FaceParameters
 
 SPLINE_FRAMES = 4
 """Number of known frames on each side that a spline passes through."""
+PARTS = ("translation", "expression", "jaw", "scale")
+"""What is interpolated and averaged number by number. The scale stands for the distance in parallel projection."""
 
 
 def between(before: FaceParameters, after: FaceParameters, share: float | int) -> FaceParameters:
-    """Interpolation by a fraction `share`: t, w and jaw linear, θ spherical (Deep Energies Appendix A)."""
+    """Interpolation by a fraction `share`: t, w, jaw and scale linear, θ spherical (Deep Energies Appendix A)."""
     turned = Slerp([0.0, 1.0], _rotations([before, after]))(float(share))
     mixed = {
         name: (1.0 - share) * np.asarray(getattr(before, name)) + share * np.asarray(getattr(after, name))
-        for name in ("translation", "expression", "jaw")
+        for name in PARTS
     }
     return before._replace(rotation=turned.as_rotvec(), **mixed)
 
@@ -30,7 +32,7 @@ def between(before: FaceParameters, after: FaceParameters, share: float | int) -
 def splined(
     times: Sequence[float | int], known: Sequence[FaceParameters], wanted: Sequence[float | int]
 ) -> list[FaceParameters]:
-    """Parameters at the wanted times between known frames: θ and t by cubic splines, w and jaw by monotone splines.
+    """Parameters at the wanted times between known frames: θ and t by cubic splines, the rest by monotone splines.
 
     Monotone splines stay within the range of the known frames. With two known frames everything is linear. Raises
     `InputError` for fewer than two.
@@ -50,9 +52,6 @@ def splined(
         known[0]._replace(rotation=turned[k], **{name: values[k] for name, values in found.items()})
         for k in range(len(wanted))
     ]
-
-
-PARTS = ("translation", "expression", "jaw")
 
 
 def averaged(frames: Sequence[FaceParameters], weights: Sequence[float]) -> FaceParameters:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel
@@ -59,7 +60,7 @@ class Reestimator:
     def fit(self, moment: Moment) -> FrameFit:
         """The frame with its expression re-fitted to its landmarks and everything else unchanged."""
         before = moment.fit
-        landmarks, others = _landmarks(before.observed, before.confidence, before.image_size), self._others(moment)
+        landmarks, others = _landmarks(before), self._others(moment)
         observation = FrameObservation(
             before.index,
             landmarks,
@@ -82,6 +83,7 @@ class Reestimator:
             iterations=np.zeros(rows, before.iterations.dtype),
             milliseconds=before.milliseconds,
             others=before.others,
+            covariance=before.covariance,
         )
 
     def _surroundings(self, moment: Moment, landmarks: Sequence[Landmarks2D | None]) -> tuple[Surroundings, ...]:
@@ -104,7 +106,7 @@ class Reestimator:
                 "that the track was made with."
             )
         pairs = zip(stored, views, strict=True)
-        return tuple(_landmarks(each[:, :2], each[:, 2], view.image_size) for each, view in pairs)
+        return tuple(_of_view(each, view.image_size) for each, view in pairs)
 
     def _appearance(self, moment: Moment, observation: FrameObservation) -> Appearance | None:
         if moment.fit.shot not in self._appearances:
@@ -113,6 +115,11 @@ class Reestimator:
         return self._appearances[moment.fit.shot]
 
 
-def _landmarks(points, confidence, size: tuple[int, int]) -> Landmarks2D | None:
-    """Stored landmarks; None of a view that saw no face."""
-    return Landmarks2D(points, confidence, size) if np.nan_to_num(confidence).max() > 0.0 else None
+def _landmarks(fit: FrameFit) -> Landmarks2D | None:
+    """The reference view's landmarks as they were fitted; None where it saw no face."""
+    return fit.landmarks if np.nan_to_num(fit.confidence).max() > 0.0 else None
+
+
+def _of_view(stored: Float[np.ndarray, "points 3"], size: tuple[int, int]) -> Landmarks2D | None:
+    """Another view's stored landmarks, which have no covariances; None where it saw no face."""
+    return Landmarks2D(stored[:, :2], stored[:, 2], size) if np.nan_to_num(stored[:, 2]).max() > 0.0 else None

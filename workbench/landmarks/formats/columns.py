@@ -23,13 +23,11 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.landmarks.formats.points import COUNTS, face_landmarks
-from workbench.landmarks.formats.records import LandmarkRecord, cell_numbers, door, largest_face
+from workbench.landmarks.formats.records import LandmarkRecord, cell_numbers, door, largest_face, without_gaps
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import POINT_COUNT
 from workbench.reading import shortened
 
-MOST_MISSING = 100_000
-"""Frames in a row that have no row: an hour of video; more is a damaged number."""
 _COORDINATE = re.compile(r"[xy]_?(?:0|[1-9]\d{0,3})")
 _UNDERSCORED = re.compile(r"x_\d+")
 
@@ -62,7 +60,7 @@ def is_of_another_program(header: Sequence[str]) -> bool:
 
 def read_columns(path: Path, header: Sequence[str], image_size: tuple[int, int]) -> Iterator[LandmarkRecord]:
     """Records frame by frame. Raises `InputError` for the header at once, for a row when it is reached."""
-    return _records(path, _layout(path, header), image_size)
+    return without_gaps(path, _records(path, _layout(path, header), image_size))
 
 
 def _layout(path: Path, header: Sequence[str]) -> Layout:
@@ -94,14 +92,8 @@ def _records(path: Path, layout: Layout, size: tuple[int, int]) -> Iterator[Land
         for frame, rows in groupby(_rows(path, file, layout), key=lambda row: row[0]):
             if frame < following:
                 raise InputError(f"{path}: frame numbers must ascend, got {frame + layout.first_frame}: sort the rows")
-            if frame - following > MOST_MISSING:
-                raise InputError(
-                    f"{path}: no rows for {frame - following} frames before frame {frame}: mend the number"
-                )
-            for absent in range(following, frame):
-                yield _record(path, absent, None, size)
             faces = [face for where, cells in _of(rows) if (face := _face(where, cells, layout, size)) is not None]
-            yield _record(path, frame, largest_face(faces), size)
+            yield LandmarkRecord(frame, f"{path.stem}#{frame}", largest_face(faces), size)
             following = frame + 1
 
 
@@ -152,7 +144,3 @@ def _face(where: str, cells: list[str], layout: Layout, size: tuple[int, int]) -
 
 def _number(where: str, cells: list[str], column: int, name: str) -> float:
     return cell_numbers(where, [cells[column]], [name])[0]
-
-
-def _record(path: Path, frame: int, landmarks: Landmarks2D | None, size: tuple[int, int]) -> LandmarkRecord:
-    return LandmarkRecord(frame, f"{path.stem}#{frame}", landmarks, size)

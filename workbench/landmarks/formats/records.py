@@ -1,6 +1,6 @@
 """What every landmark file is read into, and the checks that all layouts share."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,8 @@ from workbench.landmarks.scheme import LandmarkScheme, face_size
 from workbench.reading import reading, shortened
 
 LARGEST_FRAME = 2**53
+MOST_MISSING = 100_000
+"""Frames in a row that a file leaves out: an hour of video; more is a damaged number."""
 LARGEST_SIDE = 10**6
 """Pixels of a picture's side; more is a damaged number."""
 
@@ -69,6 +71,27 @@ def needed_size(path: Path, image_size: tuple[int, int] | None) -> tuple[int, in
 def scheme_of_records(records: Iterable[LandmarkRecord]) -> LandmarkScheme:
     """What the points of a file's first face are called; iBUG's 68 without a face."""
     return scheme_of_faces(record.landmarks for record in records)
+
+
+def without_gaps(path: Path, records: Iterable[LandmarkRecord]) -> Iterator[LandmarkRecord]:
+    """Records of a file with one for every frame from 0: frames that it leaves out have no face.
+
+    Raises `InputError` where frames do not ascend, and where far too many are left out.
+    """
+    following = 0
+    for record in records:
+        absent = record.frame - following
+        if absent < 0:
+            raise InputError(
+                f"{path}: frame indices must ascend, got {record.frame} after {following - 1}: sort the frames"
+            )
+        if absent > MOST_MISSING:
+            raise InputError(f"{path}: {absent} frames are left out before frame {record.frame}: mend the number")
+        size = record.landmarks.image_size if record.landmarks is not None else record.image_size
+        for frame in range(following, record.frame):
+            yield LandmarkRecord(frame, f"{path.stem}#{frame}", None, size)
+        yield record
+        following = record.frame + 1
 
 
 def largest_face(faces: Sequence[Landmarks2D]) -> Landmarks2D | None:
