@@ -41,7 +41,7 @@ class Clip:
 
     @property
     def times_s(self) -> Float[np.ndarray, "n"]:
-        """Seconds from the first frame of the input."""
+        """Seconds from the run's first frame."""
         return self.track.index / self.rate
 
     @property

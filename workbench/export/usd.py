@@ -21,7 +21,7 @@ def write_usd(clip: Clip, path: str | Path, dressed: DressedHead | None = None) 
 
     With `dressed` the character plays: its skin as a material, a mesh for each part beside the face, and their pictures
     in the folder `STEM_textures`; `clip.person` should have its identity. One unit of length is a metre, +y is up. Time
-    codes are the input's frame numbers. Raises `MissingDependencyError` without usd-core.
+    codes are the run's frame numbers. Raises `MissingDependencyError` without usd-core.
     """
     with needs("usd"):
         from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel

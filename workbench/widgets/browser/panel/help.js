@@ -5,7 +5,7 @@ export const KEYS = [
   ["space", " ", "play or pause", "play"],
   [",  .", ",.", "one frame back, forth", "back forth"],
   ["N  P", "np", "next, previous flagged frame", "next previous"],
-  ["I  O", "io", "first, last frame of the loop: here", "in out"],
+  ["I  O", "io", "first, last frame of the part: here", "in out"],
   ["F", "f", "fill this frame from its neighbours", "fill"],
   ["H", "h", "hide or show everything over the picture", "bare"],
   ["V", "v", "the head: as the camera sees it, from the front, free", "view"],
