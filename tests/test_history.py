@@ -51,10 +51,8 @@ def test_only_the_last_steps_can_be_taken_back():
     assert history.present == 2
 
 
-def test_what_is_amended_is_no_step():
+def test_what_undo_would_bring_back_can_be_looked_at():
     history = History("a", longest=10)
+    assert history.previous is None
     history.change("b", "to b")
-    history.amend("c")
-    assert history.present == "c"
-    assert history.undo() == "to b"
-    assert history.present == "a"
+    assert (history.previous, history.present) == ("a", "b")

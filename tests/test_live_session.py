@@ -114,6 +114,35 @@ def test_a_neutral_face_becomes_identity_and_undo_takes_it_back(seen, frames):
     assert neutral < np.abs(fit.expression).sum()
 
 
+def test_undo_of_a_setting_leaves_the_shape_of_the_first_second(session, frames):
+    """Whether the setting was changed before that second was over or after it."""
+    session.use(session.config.changed(weights={"tau": 3.0}))
+    for frame in frames[:5]:
+        session.step(frame)
+    assert session.undo()
+    for frame in frames[5 : FIRST_FRAMES + 1]:
+        session.step(frame)
+    assert session.calibrated == "first second"
+    shape = session.identity
+    session.use(session.config.changed(weights={"tau": 4.0}))
+    session.step(frames[FIRST_FRAMES + 1])
+    assert session.undo()
+    session.step(frames[FIRST_FRAMES + 2])
+    assert session.calibrated == "first second"
+    assert np.array_equal(session.identity, shape)
+
+
+def test_undo_does_not_bring_the_person_before_back(session, frames):
+    for frame in frames[: FIRST_FRAMES + 1]:
+        session.step(frame)
+    session.use(session.config.changed(weights={"tau": 3.0}))
+    session.start_anew()
+    session.step(frames[0])
+    assert session.undo()
+    session.step(frames[1])
+    assert session.calibrated == "mean face"
+
+
 def test_frames_in_which_the_face_moves_are_no_neutral_ones(session, frames):
     session.step(frames[0])
     session.calibrate_neutral()
@@ -256,8 +285,23 @@ def test_while_recording_the_stages_stay(session, frames):
     session.start_recording()
     session.step(frames[0])
     session.use(session.config.changed(weights={"tau": 1.0}))
+    # `gaze` has the stages of `joint`, and more terms.
+    for name in ("face-it", "gaze"):
+        with pytest.raises(InputError, match="stop the recording first"):
+            session.use(preset(name))
+    assert session.config.preset == "joint"
+
+
+def test_while_recording_undo_brings_no_other_stages_or_terms_back(session, frames):
+    session.use(preset("gaze"))
+    session.start_recording()
+    for frame in frames[:3]:
+        session.step(frame)
     with pytest.raises(InputError, match="stop the recording first"):
-        session.use(preset("face-it"))
+        session.undo()
+    assert session.config.preset == "gaze"
+    assert len(session.stop_recording()) == 3
+    assert session.undo()
     assert session.config.preset == "joint"
 
 

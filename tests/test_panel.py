@@ -533,6 +533,10 @@ def test_undo_redo_presets_and_snapshots(fresh_panel):
     fresh_panel.head.compare.value = "mine"
     assert fresh_panel.wait_idle()
     assert fresh_panel.head.view.canvas._ghost["vertices"]
+    fresh_panel.session.set(head={"character": "mei"})  # drawn by another view
+    assert fresh_panel.wait_idle()
+    assert fresh_panel.head.view.canvas._mesh["worn"]
+    assert fresh_panel.head.view.canvas._ghost["vertices"]
 
 
 def test_landmarks_are_muted_weighed_moved_put_back_and_named_in_the_picture(panel):
@@ -889,10 +893,21 @@ def test_a_diagnosis_is_shown_and_its_change_applied_and_taken_back(panel):
     assert "Frame 0" in panel.diagnosis.status.value
     assert "Pull of each group" in panel.diagnosis.tables.value
     before = panel.session.config
-    panel._diagnosing.apply(Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}}))
+    applied = panel._diagnosing.apply(Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}}))
     assert panel.session.config.point_weights()[0] == 0.0
     assert panel.session.undo_label == "Mute the jaw"
-    panel._diagnosing.take_back()
+    panel.session.set(weights={"tau": 7.0})
+    assert not panel._diagnosing.take_back(applied)
+    assert "Other changes came after this one" in panel.status.value
+    assert panel.session.config.weights.tau == 7.0
+    panel.session.undo()
+    assert panel._diagnosing.take_back(applied)
+    assert panel.session.config == before
+
+
+def test_a_change_that_the_session_refuses_is_not_taken_for_applied(panel):
+    before = panel.session.config
+    assert panel._diagnosing.apply(Change("Impossible", config={"weights": {"tau": -1.0}})) is None
     assert panel.session.config == before
 
 

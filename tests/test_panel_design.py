@@ -15,7 +15,7 @@ from tests.scenes import turning_clip
 from workbench.config import Config, differences, preset
 from workbench.errors import InputError
 from workbench.export import export_track
-from workbench.session import TuningSession
+from workbench.session import TuningSession, material_of_track
 from workbench.session.comparing import surface
 from workbench.session.knob_words import WORDS, plain_words
 from workbench.session.knobs import KNOBS
@@ -663,6 +663,17 @@ def test_the_commands_name_the_same_run(clip):
     assert words[words.index("--out") + 1] == "out/clip"
     assert words[words.index("--config") + 1] == "my tuned.toml"
     assert shlex.split(export) == ["workbench", "export", "out/clip", "--to", "a b.glb", "--shot", "1"]
+
+
+def test_a_part_of_a_clip_stays_one_in_commands_and_exports(panel, tmp_path):
+    """Its frames are counted from 0 in a session, and drawn over the pictures of that part."""
+    stored = replace(performance_track(panel.session), meta=performance_track(panel.session).meta | {"frames": [7, 9]})
+    material = replace(panel.session.material, part=material_of_track(stored).part)
+    assert material.part == (7, 9)
+    assert "--frames 7-9" in performance_commands(material, "a.toml", "b.mp4").splitlines()[0]
+    session = TuningSession(panel.session.model, material, panel.session.config)
+    assert performance_track(session).meta["frames"] == [7, 9]
+    assert performance_track(panel.session).meta["frames"] is None
 
 
 def test_what_was_written_can_be_downloaded(export, panel, tmp_path, monkeypatch):

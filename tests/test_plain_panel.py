@@ -51,6 +51,15 @@ def test_a_slider_fits_again_and_undo_goes_back(panel):
     np.testing.assert_allclose(picture(panel), before, atol=2)
 
 
+def test_a_drag_of_a_slider_is_one_step_of_undo(panel):
+    before = panel.session.config
+    for value in (50.0, 55.0, 60.0, 65.0):
+        panel.controls.by_path["camera.fov_deg"].turn(value)
+    assert panel.session.config.camera.fov_deg == 65.0
+    panel.session.undo()
+    assert panel.session.config == before
+
+
 def test_a_frame_is_chosen_and_one_without_a_face_says_so(panel):
     panel.frame.value = 1
     shown = picture(panel)

@@ -16,11 +16,13 @@ from workbench.errors import ConfigError, InputError
 from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.scheme import IBUG68
 from workbench.pipeline import track as run_track
 from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.session import Material, TuningSession, material_of_photo, material_of_track, open_session
 from workbench.session.exports import free_file
+from workbench.session.landmark_edits import LEAST_FACTOR, rescaled, unmuted, weighed
 from workbench.session.material import PictureStore
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
@@ -181,6 +183,22 @@ def test_a_moved_point_makes_only_its_shot_stale(session):
     np.testing.assert_array_equal(np.flatnonzero(session.stale), np.arange(10))
 
 
+def test_an_export_that_is_cancelled_while_the_start_is_fitted_writes_nothing(session, tmp_path):
+    """The metrics of the start are written beside those of the present configuration."""
+    session.set(weights={"tau": 9.0})
+    session.fit_clip()
+    asked = []
+
+    def cancelled():
+        asked.append(True)
+        return True
+
+    with pytest.raises(InputError, match="The export was cancelled"):
+        session.export(tmp_path / "tuned.toml", cancelled=cancelled)
+    assert asked
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_cancelled_run_leaves_the_last_one(session):
     session.fit_clip()
     before = session.run
@@ -274,6 +292,21 @@ def test_a_muted_point_of_a_weighted_group_comes_back_to_one(session):
     session.weigh([8], 0.0)
     session.weigh([8], 1.0)
     assert session.config.point_weights()[7:10] == [0.2, 1.0, 0.2]
+
+
+def test_unmuted_points_are_weighed_as_their_group_and_those_of_a_muted_group_fully():
+    grouped = QUICK.changed(landmarks={"weights": {"jaw": 0.2, "nose": 0.0}})
+    muted = weighed(grouped, [8, 30, 48], 0.0)
+    found = unmuted(muted, [8, 30, 48], IBUG68)
+    assert [found.point_weights()[point] for point in (8, 30, 48)] == [0.2, 1.0, 1.0]
+    assert found.landmarks.weights == {"jaw": 0.2, "nose": 0.0, "30": 1.0}
+    assert unmuted(weighed(QUICK, [8], 0.0), [8], IBUG68) == QUICK
+
+
+def test_the_weight_of_each_point_is_multiplied_for_itself():
+    config = weighed(weighed(QUICK, [30], 0.0), [31], 3.0)
+    found = rescaled(config, [30, 31, 32], 2.0, IBUG68).point_weights()
+    assert [found[point] for point in (30, 31, 32)] == [2.0 * LEAST_FACTOR, 6.0, 2.0]
 
 
 def test_a_moved_detection_is_fitted_and_put_back(session):

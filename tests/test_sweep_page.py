@@ -1,6 +1,7 @@
 """The panel's page of sweeps without a browser: choosing settings in words, what grows, and taking a point."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -189,6 +190,30 @@ def test_refused_requests_are_said_in_a_sentence_and_leave_the_curve(page):
             assert page.wait_idle(60)
             assert said in page.said.value
     assert page.result is before
+
+
+def test_looking_at_another_page_and_back_takes_nothing_from_a_sweep_that_is_asked_for(head, clip):
+    """The page warms up once; a second time it would take the place of the sweep, which waits for the first."""
+    page = SweepPage(TuningSession(head, clip, CONFIG), lambda seconds: True, 170)
+    page.turned(True)
+    page.first.choose(found_setting(sweep_settings(CONFIG), "steady head"))
+    page.first.count.value = 3
+    page.run()
+    page.turned(False)
+    page.turned(True)
+    assert page.wait_idle(300)
+    assert page.result is not None
+    assert len(page.result.values) == 3
+    page.close()
+
+
+def test_a_curve_keeps_its_names_while_the_next_sweep_has_no_point_yet(page):
+    before, sent = page._asked, page.view._sent
+    page._asked = replace(before, names=("another", "and one more"))
+    page.objective.value = "jitter"
+    page.objective.value = "error"
+    assert page.view._sent == sent
+    page._asked = before
 
 
 def test_a_stopped_sweep_keeps_what_is_known(head, clip):

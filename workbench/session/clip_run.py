@@ -95,9 +95,13 @@ class ClipRuns:
                 self._keep(run)
         return run
 
-    def base_metrics(self, progress: Progress | None = None) -> dict[str, float]:
-        """Errors and jitter under the configuration that the session started from; fits all frames the first time."""
-        return self.aside(self._base, progress).metrics
+    def base_metrics(self, progress: Progress | None, cancelled: Cancelled) -> dict[str, float] | None:
+        """Errors and jitter under the configuration that the session started from; None if cancelled.
+
+        Fits all frames the first time.
+        """
+        run = self.aside(self._base, progress, cancelled)
+        return None if run is None else run.metrics
 
     def continued_from(self, frame: int) -> Continuation | None:
         """The state that a frame was continued from in the last run, in the form that needs no recompilation."""

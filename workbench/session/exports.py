@@ -50,6 +50,8 @@ def track_command(material: Material, path: str | Path) -> str:
     words = ["workbench", "track", *(material.inputs or ["INPUT"]), "--config", path]
     if material.landmark_file is not None:
         words += ["--landmarks", material.landmark_file]
+    if material.part is not None:
+        words += ["--frames", "{}-{}".format(*material.part)]
     if material.stills and len(material.observations) > 1:
         words.append("--stills")
     return shlex.join(str(word) for word in words)

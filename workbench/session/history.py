@@ -34,6 +34,11 @@ class History(Generic[State]):
         return self._present
 
     @property
+    def previous(self) -> State | None:
+        """The state that `undo` would bring back; None if there is none."""
+        return self._undo[-1].state if self._undo else None
+
+    @property
     def undo_label(self) -> str | None:
         """Label of the change that `undo` would revert."""
         return self._undo[-1].label if self._undo else None
@@ -56,11 +61,6 @@ class History(Generic[State]):
             self._redo = []
             self._present = state
         return True
-
-    def amend(self, state: State) -> None:
-        """Make this the current state without an undo step, for changes that the user did not make."""
-        with self._lock:
-            self._present = state
 
     def undo(self) -> str | None:
         """Undo the last change. Returns its label, None if there is none."""

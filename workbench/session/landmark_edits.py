@@ -4,6 +4,10 @@ from collections.abc import Iterable, Mapping
 
 from workbench.config import Config
 from workbench.errors import ConfigError
+from workbench.landmarks.scheme import LandmarkScheme
+
+LEAST_FACTOR = 1.0 / 64
+"""What doubling the weight of a muted landmark starts from."""
 
 
 def weighed(config: Config, points: Iterable[int], factor: float | int) -> Config:
@@ -16,6 +20,23 @@ def weighed(config: Config, points: Iterable[int], factor: float | int) -> Confi
     groups = {name: value for name, value in stored.items() if not name.isdigit()}
     singles = {name: value for name, value in stored.items() if name.isdigit() and (value != 1.0 or groups)}
     return _with_landmarks(config, "weights", groups | singles)
+
+
+def unmuted(config: Config, points: Iterable[int], scheme: LandmarkScheme) -> Config:
+    """The configuration with single landmarks as their groups have them; at full weight where these are muted."""
+    points = tuple(points)
+    stored = {name: value for name, value in config.landmarks.weights.items() if name not in map(str, points)}
+    grouped = _with_landmarks(config, "weights", stored)
+    factors = grouped.point_weights(scheme)
+    return weighed(grouped, [point for point in points if factors[point] == 0.0], 1.0)
+
+
+def rescaled(config: Config, points: Iterable[int], step: float, scheme: LandmarkScheme) -> Config:
+    """The configuration with the factor of each of these landmarks multiplied; a muted one begins at `LEAST_FACTOR`."""
+    factors = config.point_weights(scheme)
+    for point in points:
+        config = weighed(config, (point,), max(factors[point], LEAST_FACTOR) * step)
+    return config
 
 
 def moved(config: Config, frame: int, places: Mapping[int, tuple[float, float]]) -> Config:

@@ -53,7 +53,7 @@ class LiveState:
 
     config: Config
     calibration: Calibration | None
-    """None: the model's mean face."""
+    """On a neutral face; None: on the first second, which is no change that the user made."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,7 @@ class LiveSession:
         model = in_scheme(model, IBUG68 if detector is not None else detector_scheme(config.landmarks.detector))
         self.model, self.base = model, config
         self._history = History(LiveState(config, None), HISTORY)
+        self._first: Calibration | None = None
         self._lock = threading.RLock()
         self._detector = detector
         self._landmarks: LandmarkTracker | None = None
@@ -128,24 +129,34 @@ class LiveSession:
     def use(self, config: Config, gesture: Gesture | str | None = None) -> None:
         """Change the configuration: a new undo step, or part of the last one within a drag or shortly after it.
 
-        Raises `InputError` for Deep Energies, and for other stages while recording.
+        Raises `InputError` for Deep Energies, and for other stages or terms while recording.
         """
         _check_live(config)
         with self._lock:
             if config == self.config:
                 return
-            names = [stage.name for stage in config.stages]
-            if self._recorder is not None and names != [stage.name for stage in self.config.stages]:
-                raise InputError("Another preset has other stages; stop the recording first.")
+            self._check_recording(config)
             self._history.change(replace(self._history.present, config=config), gesture=gesture)
 
     def undo(self) -> bool:
-        """Undo the last change of settings or the last calibration; False if there is none."""
+        """Undo the last change of settings or the last neutral calibration; False if there is none.
+
+        Raises `InputError` where that brings other stages or terms back while recording.
+        """
         with self._lock:
-            if self._history.undo() is None:
+            before = self._history.previous
+            if before is None:
                 return False
-            self._gathering = ""
+            self._check_recording(before.config)
+            self._history.undo()
+            if self._gathering == "neutral":
+                self._gathering = ""
             return True
+
+    def _check_recording(self, config: Config) -> None:
+        """The frames of a recording have the same stages, and energies of the same terms."""
+        if self._recorder is not None and _layout(config) != _layout(self.config):
+            raise InputError("Another preset has other stages or terms; stop the recording first.")
 
     def calibrate_neutral(self) -> None:
         """Treat the next frames with a steady face as neutral: the whole shape seen in them becomes identity."""
@@ -155,11 +166,8 @@ class LiveSession:
     def start_anew(self) -> None:
         """Forget the face being tracked; settings and a neutral calibration are kept."""
         with self._lock:
-            state = self._history.present
-            if state.calibration is not None and not state.calibration.neutral:
-                state = replace(state, calibration=None)
-                self._history.amend(state)
-            wanted = self.config.identity.calibrate and state.calibration is None
+            self._first = None
+            wanted = self.config.identity.calibrate and self._history.present.calibration is None
             self._gathering, self._gathered = ("first" if wanted else ""), []
             self._fresh = True
         self._frames = 0
@@ -245,40 +253,40 @@ class LiveSession:
             self._gathered.append(observation)
             if len(self._gathered) < (NEUTRAL_FRAMES if neutral else FIRST_FRAMES):
                 return
-            calibrated = replace(self._history.present, calibration=Calibration(tuple(self._gathered), neutral))
+            calibration = Calibration(tuple(self._gathered), neutral)
             if neutral:
-                self._history.change(calibrated)
+                self._history.change(replace(self._history.present, calibration=calibration))
             else:
-                self._history.amend(calibrated)
+                self._first = calibration
             self._gathering, self._gathered = "", []
 
     def _follow_state(self) -> None:
         """Bring fitter and identity in line with the current state."""
         state = self._history.present
+        calibration = state.calibration or self._first
         if state.config is not self._fitter_config:
             self._fitter.configure(plan_of(state.config, self.model.scheme))
             self._fitter_config = state.config
-        elif state.calibration is self._identity_of[1]:
+        elif calibration is self._identity_of[1]:
             return
-        key = (_identity_key(state.config), state.calibration)
+        key = (_identity_key(state.config), calibration)
         if key[0] == self._identity_of[0] and key[1] is self._identity_of[1]:
             return
-        self._identity = self._identity_from(state)
+        self._identity = self._identity_from(state.config, calibration)
         self._identity_of = key
 
-    def _identity_from(self, state: LiveState) -> Float[np.ndarray, "i"]:
-        calibration = state.calibration
-        if calibration is None or not state.config.identity.calibrate:
+    def _identity_from(self, config: Config, calibration: Calibration | None) -> Float[np.ndarray, "i"]:
+        if calibration is None or not config.identity.calibrate:
             return self._fitter.mean_identity()
         observations = list(calibration.observations)
         if not calibration.neutral:
-            return self._fitter.calibrate(observations, state.config.identity.frames).identity
-        shy = state.config.changed(identity={"expression": NEUTRAL_EXPRESSION})
+            return self._fitter.calibrate(observations, config.identity.frames).identity
+        shy = config.changed(identity={"expression": NEUTRAL_EXPRESSION})
         self._fitter.configure(plan_of(shy, self.model.scheme))
         try:
-            return self._fitter.calibrate(observations, state.config.identity.frames).identity
+            return self._fitter.calibrate(observations, config.identity.frames).identity
         finally:
-            self._fitter.configure(plan_of(state.config, self.model.scheme))
+            self._fitter.configure(plan_of(config, self.model.scheme))
 
     def _record(self, fit: FrameFit, frame: LiveFrame) -> None:
         with self._lock:
@@ -292,6 +300,11 @@ def _check_live(config: Config) -> None:
             f"{config.traits.title} takes seconds per frame and cannot follow a camera; use one of "
             f"{', '.join(FACE_IT_PRESETS)}."
         )
+
+
+def _layout(config: Config) -> tuple[list[str], tuple[str, ...]]:
+    """The stages that run, and the terms of their energies."""
+    return [stage.name for stage in config.stages if stage.enabled], config.terms
 
 
 def _identity_key(config: Config) -> str:

@@ -95,6 +95,8 @@ class Material:
     """Whether the frames are unrelated photos."""
     inputs: tuple[Path, ...] = ()
     landmark_file: Path | None = None
+    part: tuple[int, int] | None = None
+    """First and last frame of the inputs that these are, where not all of them; counted from 0 here all the same."""
 
     @cached_property
     def shots(self) -> tuple[range, ...]:

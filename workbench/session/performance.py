@@ -29,6 +29,7 @@ def performance_track(
     meta = {
         "inputs": [_named(path) for path in material.inputs if path.exists()],
         "landmarks": None if file is None or not file.exists() else _named(file),
+        "frames": None if material.part is None else list(material.part),
         "rate": getattr(material.pictures.frames, "rate", None),
         "versions": software_versions(),
     }

@@ -59,6 +59,15 @@ class SessionWork:
         """A run as a track with its metadata."""
         return described_track(run, self.model, self._material.stills)
 
-    def export(self, path: Path, config: Config, base: Config, fits: Any, progress: Progress | None) -> None:
-        """Write a configuration with the metrics of these fits and of the configuration it was tuned from."""
-        self.exports.write(path, config, base, self.runs.base_metrics(progress), metrics_of(fits))
+    def export(
+        self, path: Path, config: Config, base: Config, fits: Any, progress: Progress | None, cancelled: Cancelled
+    ) -> bool:
+        """Write a configuration with the metrics of these fits and of the configuration it was tuned from.
+
+        False, and nothing is written, if cancelled.
+        """
+        before = self.runs.base_metrics(progress, cancelled)
+        if before is None or cancelled():
+            return False
+        self.exports.write(path, config, base, before, metrics_of(fits))
+        return True

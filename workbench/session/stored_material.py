@@ -31,4 +31,6 @@ def material_of_track(track: Track) -> Material:
     name = inputs[0].stem if inputs else "track"
     file = None if stored is None else Path(stored["path"])
     stills = bool(track.meta.get("stills", False))
-    return Material(name, tuple(observations), PictureStore(frames, sizes), stills, inputs, file)
+    part = track.meta.get("frames")
+    pictures = PictureStore(frames, sizes)
+    return Material(name, tuple(observations), pictures, stills, inputs, file, None if part is None else tuple(part))

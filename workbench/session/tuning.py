@@ -289,9 +289,8 @@ class TuningSession:
         path, config = Path(path), self.config
         self._work.exports.check(path, overwrite)
         fits = self.temporal.fits_by(config, progress, cancelled)
-        if fits is None:
+        if fits is None or not self._work.export(path, config, self.base, fits, progress, cancelled):
             raise InputError(f"The export was cancelled; {path} was not written.")
-        self._work.export(path, config, self.base, fits, progress)
         self._tuned.exported = config
         self.tell("export")
         return path

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import ipywidgets as widgets
 
+from workbench.config import Config
 from workbench.diagnosis.records import Change, Diagnosis, Reason
 
 MOST_REASONS = 5
@@ -14,8 +15,14 @@ class DiagnosisView:
     """Reasons, the pull of each landmark group, and the uncertainty of the fit."""
 
     def __init__(
-        self, ask: Callable[[], None], apply: Callable[[Change], None], take_back: Callable[[], None], height_px: int
+        self,
+        ask: Callable[[], None],
+        apply: Callable[[Change], Config | None],
+        take_back: Callable[[Config], bool],
+        height_px: int,
     ) -> None:
+        """`apply` returns the configuration with a change, or None if it was refused; `take_back` gets that one and
+        returns whether the change was undone."""
         self._apply, self._take_back = apply, take_back
         self.ask = widgets.Button(
             description="Why this frame?", tooltip="look for reasons in the current frame", button_style="primary",
@@ -73,13 +80,15 @@ class DiagnosisView:
             description="undo", tooltip="undo this change", disabled=True, layout=widgets.Layout(width="auto")
         )
 
+        applied: list[Config] = []
+
         def on_apply(_button) -> None:
-            self._apply(reason.change)
-            apply.disabled, back.disabled = True, False
+            applied[:] = filter(None, [self._apply(reason.change)])
+            apply.disabled, back.disabled = bool(applied), not applied
 
         def on_back(_button) -> None:
-            self._take_back()
-            apply.disabled, back.disabled = False, True
+            if self._take_back(*applied):
+                apply.disabled, back.disabled = False, True
 
         apply.on_click(on_apply)
         back.on_click(on_back)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from workbench.config import Config
 from workbench.diagnosis import Change, vertex_uncertainty
 from workbench.errors import WorkbenchError
 from workbench.session import TuningSession
@@ -30,13 +31,17 @@ class FrameDiagnosis:
         self._session, self._status, self._later, self._frame = session, status, later, frame
         self.view = DiagnosisView(self._on_ask, self.apply, self.take_back, height_px)
 
-    def apply(self, change: Change) -> None:
-        """Apply the change proposed by a reason."""
-        self._status.guarded(self._session.apply, change, self._frame())
+    def apply(self, change: Change) -> Config | None:
+        """Apply the change proposed by a reason: the configuration with it; None if the session refuses it."""
+        return self._session.config if self._status.guarded(self._session.apply, change, self._frame()) else None
 
-    def take_back(self) -> None:
-        """Undo the last change."""
+    def take_back(self, applied: Config) -> bool:
+        """Undo the change that led to this configuration; False if other changes came after it."""
+        if self._session.config != applied:
+            self._status.say("Other changes came after this one; undo them first (Ctrl Z).")
+            return False
         self._session.undo()
+        return True
 
     def uncertainty(self, fit: FrameFit) -> np.ndarray:
         """Standard deviation of every vertex of a fit, mm."""

@@ -119,6 +119,7 @@ class HeadColumn:
         old, self.view = self.view, make_head_view(self._head.model, self._size, self._backend, dressed, fills=True)
         self.view.set_view(self.look.value)
         self._holder.children = (classed(self.view.widget, "fw-grow"),)
+        self._compared = None  # the new view has no outline yet
         old.close()
 
     def refresh_comparisons(self) -> None:

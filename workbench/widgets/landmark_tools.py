@@ -9,6 +9,7 @@ from workbench.errors import WorkbenchError
 from workbench.landmarks.uncertainty import ellipses
 from workbench.session import FittedHead, TuningSession
 from workbench.session.gesture import Gesture
+from workbench.session.landmark_edits import rescaled, unmuted
 from workbench.tracking import FrameFit
 from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.overlay_view import OverlayEvent, OverlayView
@@ -181,13 +182,15 @@ class LandmarkTools:
             return
         if event.kind in ("select", "lasso") and self.layers["heat"].value:
             self._redraw()
-        factors = session.config.point_weights(session.material.scheme)
+        config, scheme = session.config, session.material.scheme
         if event.kind == "mute":
-            muted = all(factors[point] == 0.0 for point in points)
-            session.weigh(points, 1.0 if muted else 0.0, "unmute" if muted else "mute")
+            if config.point_weights(scheme)[list(points)].any():
+                session.weigh(points, 0.0, "mute")
+            else:
+                session.use(unmuted(config, points, scheme), "unmute")
         elif event.kind in ("weight_up", "weight_down"):
             step = WEIGHT_STEP if event.kind == "weight_up" else 1.0 / WEIGHT_STEP
-            session.weigh(points, max(factors[points[0]], 1.0 / 64) * step, "landmark weight")
+            session.use(rescaled(config, points, step, scheme), "landmark weight")
         elif event.kind in ("drag", "drop"):
             session.move(self.frame, points[0], (event.x, event.y), self._gesture(event))
         elif event.kind == "reset":

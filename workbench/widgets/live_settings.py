@@ -33,8 +33,8 @@ class LiveSettings:
         self._session, self._page, self._guarded, self._write, self._quiet = session, page, guarded, write, False
         self.preset = menu(FACE_IT_PRESETS, "96px", "preset", session.config.preset)
         self.preset.observe(self._on_preset, "value")
-        self.undo = small_button("↶ undo", "undo the last change or calibration")
-        self.undo.on_click(lambda _button: self._on_undo())
+        self.undo = small_button("↶ undo", "undo the last change or neutral calibration")
+        self.undo.on_click(lambda _button: self._guarded(self._on_undo))
         self.defaults = small_button("defaults", "back to the initial settings; undo brings yours back")
         self.defaults.on_click(lambda _button: guarded(self._use, session.base))
         self.controls = Controls(session.config, self._on_knob, height_px, PAGES)

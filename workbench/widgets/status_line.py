@@ -43,12 +43,14 @@ class StatusLine(widgets.HTML):
         """Show an error, for example from a thread that cannot raise it to a caller; what was cancelled is none."""
         self.say(error_text(error), wrong=not isinstance(error, StoppedError))
 
-    def guarded(self, act: Callable[..., object], *arguments: object) -> None:
-        """Run an action requested by the user; if it is refused, show why."""
+    def guarded(self, act: Callable[..., object], *arguments: object) -> bool:
+        """Run an action requested by the user; False if it is refused, and the line shows why."""
         try:
             act(*arguments)
         except WorkbenchError as error:
             self.failed(error)
+            return False
+        return True
 
 
 class LineAbout(StatusLine):

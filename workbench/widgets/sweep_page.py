@@ -50,7 +50,8 @@ class SweepPage(widgets.HBox):
         self._settings: tuple[SweepSetting, ...] = ()
         self.result: SweepResult | None = None
         self._asked: Asked | None = None
-        self._began, self._chosen = 0.0, False
+        self._names: tuple[str, ...] = ()
+        self._began, self._chosen, self._warmed = 0.0, False, False
         self.said, self.note = StatusLine(), widgets.HTML()
         self._jobs: PageWork[Asked | str] = PageWork(
             self._work, self.said, give_way, "panel-sweep", "stop; what is known stays", "Stopped; what is known stays."
@@ -96,7 +97,8 @@ class SweepPage(widgets.HBox):
 
     def turned(self, is_front: bool) -> None:
         """Once the page is looked at, compile what a sweep needs."""
-        if is_front and self.result is None:
+        if is_front and not self._warmed:
+            self._warmed = True
             self._jobs.submit(WARM)
 
     def moved(self, path: str) -> None:
@@ -175,6 +177,7 @@ class SweepPage(widgets.HBox):
         if not chosen:
             raise ConfigError("Choose a setting first: type words such as steady, lens or jaw.")
         names = tuple(choice.setting.words for choice, _ in chosen)
+        self._warmed = True  # what a sweep needs, the first one compiles; warming up would take its place
         self._jobs.submit(Asked(tuple(axis for _, axis in chosen), names, self.objective.value, self.frames.value))
 
     def _take(self, number: int) -> None:
@@ -208,12 +211,12 @@ class SweepPage(widgets.HBox):
         self.said.say(progress_text(done, total or done, time.monotonic() - self._began))
 
     def _grown(self, result: SweepResult) -> None:
-        self.result = result
+        self.result, self._names = result, self._asked.names
         self._draw(result)
 
     def _draw(self, result: SweepResult) -> None:
         if self.objective.value in result.objectives:
-            self.view.show(result, self.objective.value, self._asked.names, self._now())
+            self.view.show(result, self.objective.value, self._names, self._now())
 
     def _now(self) -> float | None:
         """Where the session's value lies on the curve."""

@@ -47,7 +47,9 @@ function sendFrame(live, grab, bytes) {
   waiting.set(grab.number, grab);
   while (waiting.size > KEPT) waiting.delete(waiting.keys().next().value);
   live.silence.onFrame(performance.now());
-  live.tell({ kind: "frame", number: grab.number, time: grab.grabbed, shown: live.shown }, [bytes]);
+  // Pages of one camera count their milliseconds from different moments; another page may go on with a recording.
+  const time = performance.timeOrigin + grab.grabbed;
+  live.tell({ kind: "frame", number: grab.number, time, shown: live.shown }, [bytes]);
   live.shown = null;
 }
 
