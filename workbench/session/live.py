@@ -135,7 +135,7 @@ class LiveSession:
         with self._lock:
             if config == self.config:
                 return
-            self._check_recording(config)
+            _check_recording(self._recorder, self.config, config)
             self._history.change(replace(self._history.present, config=config), gesture=gesture)
 
     def undo(self) -> bool:
@@ -147,16 +147,11 @@ class LiveSession:
             before = self._history.previous
             if before is None:
                 return False
-            self._check_recording(before.config)
+            _check_recording(self._recorder, self.config, before.config)
             self._history.undo()
             if self._gathering == "neutral":
                 self._gathering = ""
             return True
-
-    def _check_recording(self, config: Config) -> None:
-        """The frames of a recording have the same stages, and energies of the same terms."""
-        if self._recorder is not None and _layout(config) != _layout(self.config):
-            raise InputError("Another preset has other stages or terms; stop the recording first.")
 
     def calibrate_neutral(self) -> None:
         """Treat the next frames with a steady face as neutral: the whole shape seen in them becomes identity."""
@@ -300,6 +295,12 @@ def _check_live(config: Config) -> None:
             f"{config.traits.title} takes seconds per frame and cannot follow a camera; use one of "
             f"{', '.join(FACE_IT_PRESETS)}."
         )
+
+
+def _check_recording(recorder: Recorder | None, present: Config, config: Config) -> None:
+    """The frames of a recording have the same stages, and energies of the same terms."""
+    if recorder is not None and _layout(config) != _layout(present):
+        raise InputError("Another preset has other stages or terms; stop the recording first.")
 
 
 def _layout(config: Config) -> tuple[list[str], tuple[str, ...]]:

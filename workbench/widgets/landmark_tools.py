@@ -9,7 +9,7 @@ from workbench.errors import WorkbenchError
 from workbench.landmarks.uncertainty import ellipses
 from workbench.session import FittedHead, TuningSession
 from workbench.session.gesture import Gesture
-from workbench.session.landmark_edits import rescaled, unmuted
+from workbench.session.landmark_edits import rescaled, unmuted, weighed
 from workbench.tracking import FrameFit
 from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.overlay_view import OverlayEvent, OverlayView
@@ -18,7 +18,7 @@ from workbench.widgets.picture_layers import PictureLayers
 from workbench.widgets.waiting import Waiting
 
 UNITS = {"%": "% of eye distance", "px": "px"}
-WEIGHT_STEP = 2.0
+WEIGHT_STEPS = {"weight_up": 2.0, "weight_down": 0.5}
 POINTS = ("observed", "model", "residuals")
 """Layers that the button for points switches together."""
 LAYERS = {
@@ -184,13 +184,11 @@ class LandmarkTools:
             self._redraw()
         config, scheme = session.config, session.material.scheme
         if event.kind == "mute":
-            if config.point_weights(scheme)[list(points)].any():
-                session.weigh(points, 0.0, "mute")
-            else:
-                session.use(unmuted(config, points, scheme), "unmute")
-        elif event.kind in ("weight_up", "weight_down"):
-            step = WEIGHT_STEP if event.kind == "weight_up" else 1.0 / WEIGHT_STEP
-            session.use(rescaled(config, points, step, scheme), "landmark weight")
+            heard = any(config.point_weights(scheme)[point] for point in points)
+            changed = weighed(config, points, 0.0) if heard else unmuted(config, points, scheme)
+            session.use(changed, "mute" if heard else "unmute")
+        elif event.kind in WEIGHT_STEPS:
+            session.use(rescaled(config, points, WEIGHT_STEPS[event.kind], scheme), "landmark weight")
         elif event.kind in ("drag", "drop"):
             session.move(self.frame, points[0], (event.x, event.y), self._gesture(event))
         elif event.kind == "reset":
