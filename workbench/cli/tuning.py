@@ -12,7 +12,8 @@ from workbench.config import DEFAULT_PRESET, differences, preset, read_config, w
 from workbench.errors import ConfigError, OutputError
 from workbench.files import check_not_inputs
 
-TUNE_HELP = """Let a clip choose settings: by gradients through the solver (--learn) or by search (--search).
+TUNE_HELP = """Let a clip choose settings: by gradients through the solver (--learn), by search (--search), or
+by both: the search comes first, and the gradient goes on from its best.
 
 A part of the clip is learned on, one chooses the step to stop at, and one that nothing was chosen by reports.
 

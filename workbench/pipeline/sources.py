@@ -48,7 +48,7 @@ class FileSource:
         if first is None:
             selected = "" if rows is None else f" from {rows.start} to {rows.stop - 1}"
             raise InputError(f"{paths[0]} holds no frame{selected}; a landmark file has one row or entry per frame.")
-        self.image_size = _size(first)
+        self.image_size = first.size
         self.scheme = scheme_of_records(self._records())
         self.frames = frames or _Canvas(self)
         self.count = self.frames.announced_count
@@ -69,7 +69,7 @@ class FileSource:
             picture = next(pictures)
             motion = motion_of(before, picture) if self._compares else None
             kept = picture if self._keep else None
-            yield FrameObservation(index, record.landmarks, _size(record), "given", stills, picture=kept, motion=motion)
+            yield FrameObservation(index, record.landmarks, record.size, "given", stills, picture=kept, motion=motion)
             before = picture
 
     def state(self) -> dict[str, np.ndarray]:
@@ -120,10 +120,6 @@ def _given_size(paths: list[Path], frames: Frames) -> tuple[int, int]:
                 "them one by one."
             )
     return frames.image_size
-
-
-def _size(record: LandmarkRecord) -> tuple[int, int]:
-    return record.landmarks.image_size if record.landmarks is not None else record.image_size
 
 
 def open_source(

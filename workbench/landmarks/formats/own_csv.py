@@ -55,8 +55,7 @@ class LandmarkCsvWriter:
 
     def write(self, record: LandmarkRecord) -> None:
         """Append one frame. Coordinates keep 3 decimals, confidence 4. Raises `InputError` if indices do not ascend."""
-        size = record.landmarks.image_size if record.landmarks else record.image_size
-        if size is None:
+        if record.size is None:
             raise InputError(f"frame {record.frame} has no image size: a CSV row needs width and height")
         if record.frame <= self._last:
             raise InputError(f"frames are written in ascending order, got {record.frame} after {self._last}")
@@ -73,7 +72,7 @@ class LandmarkCsvWriter:
             cells = [f"{value:.3f}" for value in record.landmarks.points.ravel()]
             if self._confidence:
                 cells += [f"{value:.4f}" for value in record.landmarks.confidence]
-        self._rows.writerow([record.frame, *size, *cells])
+        self._rows.writerow([record.frame, *record.size, *cells])
 
 
 def csv_header(path: Path) -> list[str]:

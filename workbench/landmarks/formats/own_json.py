@@ -42,10 +42,10 @@ def read_json(path: Path, content: Any) -> list[LandmarkRecord]:
 
 
 def _json_frame(record: LandmarkRecord) -> dict[str, object]:
-    size = record.landmarks.image_size if record.landmarks else record.image_size
-    if size is None:
+    if record.size is None:
         raise InputError(f"frame {record.frame} has no image size: JSON needs width and height")
-    frame: dict[str, object] = {"frame": record.frame, "name": record.name, "width": size[0], "height": size[1]}
+    width, height = record.size
+    frame: dict[str, object] = {"frame": record.frame, "name": record.name, "width": width, "height": height}
     if record.landmarks is None:
         return {**frame, "points": None}
     points, confidence = record.landmarks.points, record.landmarks.confidence

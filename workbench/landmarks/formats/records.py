@@ -32,6 +32,11 @@ class LandmarkRecord:
     image_size: tuple[int, int] | None
     """(width, height), or None where the file does not say (.pts without its picture)."""
 
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """(width, height) in pixels of the frame's picture: what its landmarks say, if it has any."""
+        return self.image_size if self.landmarks is None else self.landmarks.image_size
+
 
 def door(path: Path) -> AbstractContextManager[None]:
     """What goes wrong while landmarks are read becomes one `InputError`."""
@@ -87,9 +92,8 @@ def without_gaps(path: Path, records: Iterable[LandmarkRecord]) -> Iterator[Land
             )
         if absent > MOST_MISSING:
             raise InputError(f"{path}: {absent} frames are left out before frame {record.frame}: mend the number")
-        size = record.landmarks.image_size if record.landmarks is not None else record.image_size
         for frame in range(following, record.frame):
-            yield LandmarkRecord(frame, f"{path.stem}#{frame}", None, size)
+            yield LandmarkRecord(frame, f"{path.stem}#{frame}", None, record.size)
         yield record
         following = record.frame + 1
 
