@@ -172,6 +172,20 @@ def test_where_nothing_was_filled_it_says_what_to_try(run, talk):
     assert "--longest" in err
 
 
+def test_where_all_frames_are_named_it_says_so(run, talk):
+    code, _, err = run("infill", "talk", "--method", "linear", "--frames", "0-11", *QUICK)
+    assert code == 1
+    assert "the frames named have no usable fit beside them to fill from; name fewer" in " ".join(err.split())
+
+
+@pytest.mark.parametrize("named", [".", "track.npz", "../talk", "sub/.."])
+def test_a_track_named_from_inside_its_folder_has_its_result_beside_it(run, talk, tmp_path, monkeypatch, named):
+    (talk / "sub").mkdir()
+    monkeypatch.chdir(talk)
+    assert run("refine", named, "--method", "averaging", *QUICK)[0] == 0
+    assert (tmp_path / "talk-refine" / "track.npz").is_file()
+
+
 def test_another_face_model_is_noticed(run, talk):
     track = Track.load(talk / "track.npz")
     meta = {**track.meta, "model": {"name": "other head", "sha256": "0" * 64}}

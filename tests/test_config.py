@@ -18,6 +18,7 @@ from workbench.config import (
     write_config,
 )
 from workbench.errors import ConfigError
+from workbench.session.history import History
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -198,6 +199,29 @@ def test_differences_name_every_changed_value_by_its_path():
         "stages.expression.limit: 15 → 3",
     ]
     assert differences(before, before) == []
+
+
+def test_tables_in_which_later_entries_count_differ_by_their_order():
+    stages = [stage.model_dump() for stage in preset("joint").stages]
+    stages[-1]["landmarks"] = {"all": 1.0, "jaw": 0.5}
+    before = preset("joint").changed(landmarks={"weights": {"all": 1.0, "jaw": 0.1}}, stages=stages)
+    stages[-1]["landmarks"] = {"jaw": 0.5, "all": 1.0}
+    after = before.changed(landmarks={"weights": {"jaw": 0.1, "all": 1.0}}, stages=stages)
+    assert before != after
+    assert before == before.changed(landmarks={"weights": {"all": 1.0, "jaw": 0.1}})
+    assert [str(item) for item in differences(before, after)] == [
+        f"stages.{before.stages[-1].name}.landmarks: {{all: 1, jaw: 0.5}} → {{jaw: 0.5, all: 1}}",
+        "landmarks.weights: {all: 1, jaw: 0.1} → {jaw: 0.1, all: 1}",
+    ]
+    history = History(before, longest=3)
+    assert history.change(after)
+    assert history.present is after
+
+
+def test_two_stages_of_one_name_are_refused():
+    stages = [stage.model_dump() | {"name": "pose"} for stage in preset("calibrated").stages]
+    with pytest.raises(ConfigError, match="two stages are called 'pose': give each a name of its own"):
+        preset("calibrated").changed(stages=stages)
 
 
 def test_moved_points_are_counted_not_printed():

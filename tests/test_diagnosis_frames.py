@@ -97,6 +97,25 @@ def test_the_right_reason_comes_first_where_no_change_mends(head, fitter, fault)
     assert any(character.isdigit() for character in reason.evidence)
 
 
+@pytest.mark.parametrize("place", [1, 4, 7], ids="{} frames after the freeze began".format)
+def test_thawed_landmarks_move_with_the_picture_wherever_the_frame_is_in_the_freeze(head, config, fitter, place):
+    landmarks = faults.clip().landmarks
+    steps = np.linalg.norm(np.diff(landmarks, axis=0), axis=2).mean(axis=1)
+    first = 20 + int(np.argmax(np.convolve(steps[20:-10], np.ones(9), "valid")))
+    points = faults.clip().noisy(np.random.default_rng(9))
+    points[first : first + 9] = points[first]
+    found = diagnose_frame(head, faults.case_at(first + place, points, config), fitter)
+    reason = next(reason for reason in found.reasons if reason.code == "frozen_detector")
+    assert reason.after_percent < 0.65 * reason.before_percent
+
+
+def test_black_pictures_say_nothing_of_blur(head, config, clean, fitter):
+    case = clean_case(clean, config, 104)
+    black = np.zeros_like(case.picture)
+    blank = replace(case, picture=black, previous_picture=black, pictures=lambda index: black)
+    assert "blurred_face" not in [reason.code for reason in diagnose_frame(head, blank, fitter).reasons]
+
+
 @pytest.mark.parametrize("index", [40, 104, 170, 214])
 def test_a_clean_frame_has_no_reason(head, config, clean, fitter, reference, index):
     found = diagnose_frame(head, clean_case(clean, config, index), fitter, reference)

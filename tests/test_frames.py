@@ -423,6 +423,13 @@ def test_a_range_of_a_stream_of_unknown_length_says_so_when_it_has_ended(tmp_pat
     assert part.notes == ["Frames 8 to 20 were asked for; talk ends with frame 11, and the run with it."]
 
 
+def test_a_range_behind_the_end_of_a_stream_of_unknown_length_is_refused(tmp_path):
+    clip = open_frames(write_clip(tmp_path / "talk.mp4", 12))
+    clip.announced_count = None
+    with pytest.raises(InputError, match="Frames 100 to 200 were asked for; talk ends before frame 100"):
+        indices(FrameRange(clip, 100, 200))
+
+
 # --- reading ahead ---
 
 

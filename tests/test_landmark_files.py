@@ -37,6 +37,16 @@ def test_frames_with_and_without_a_face_are_read_back(tmp_path, suffix):
     assert again[2].name == "clip#7"
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".json"])
+def test_points_that_all_coincide_mean_that_there_is_no_face(tmp_path, suffix):
+    """Some programs write zeros where they find none."""
+    path, nothing = tmp_path / f"clip{suffix}", Landmarks2D(np.zeros((68, 2)), np.zeros(68), (640, 360))
+    write_landmark_file(path, [record(0), LandmarkRecord(1, "clip#1", nothing, (640, 360)), record(2)])
+    again = list(read_landmark_file(path))
+    assert [one.landmarks is None for one in again] == [False, True, False]
+    assert again[1].size == (640, 360)
+
+
 @given(st.integers(0, 2**31))
 def test_csv_keeps_three_decimals_of_any_point(tmp_path_factory, seed):
     path = tmp_path_factory.mktemp("landmarks") / "clip.csv"

@@ -119,6 +119,29 @@ def test_detector_and_solver_are_made_once(portrait, points, monkeypatch):
     one_picture._tracker.cache_clear()
 
 
+def test_a_fit_that_failed_does_not_spoil_the_next(portrait, points, monkeypatch):
+    expected = workbench.fit(portrait, landmarks=points)
+
+    def broken(*_):
+        raise InputError("broken")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(one_picture.FaceTracker, "_calibrate", broken)
+        with pytest.raises(InputError, match="broken"):
+            workbench.fit(portrait, landmarks=points)
+    assert_the_same(workbench.fit(portrait, landmarks=points).frame, expected.frame)
+
+
+def test_the_order_of_landmark_weights_counts(portrait, points):
+    """Later entries overrule earlier ones, so that these two configurations are not equal."""
+    widely_last, jaw_last = (
+        workbench.preset("joint").changed(landmarks={"weights": weights})
+        for weights in ({"jaw": 0.1, "all": 1.0}, {"all": 1.0, "jaw": 0.1})
+    )
+    fits = [workbench.fit(portrait, landmarks=points, config=config) for config in (widely_last, jaw_last)]
+    assert fits[0].frame.expression != pytest.approx(fits[1].frame.expression, abs=1e-6)
+
+
 class Blind:
     """A detector that sees no face."""
 

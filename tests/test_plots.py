@@ -123,6 +123,19 @@ def test_lines_of_one_figure_differ_in_more_than_colour():
     assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
 
 
+def test_no_line_is_left_out_however_many_there_are():
+    x = np.array([1.0, 10.0, 100.0])
+    names = [f"series {k}" for k in range(8)]
+    assert len(plots.curves(x, dict.fromkeys(names, x), "x", "y").axes[0].lines) == 8
+    assert len(plots.energy_over_iterations(dict.fromkeys(names, x)).axes[0].lines) == 8
+    assert len(plots.errors_per_stage(["one", "two"], {"error": dict.fromkeys(names, x[:2])}).axes[0].lines) == 8
+    assert len(plots.error_boxes({"error": dict.fromkeys(names, x)}).axes[0].get_xticklabels()) == 8
+    swept = plots.sweep_figure(x, {"error": dict.fromkeys(names, x)}, "x").axes[0]
+    assert len(swept.get_legend_handles_labels()[0]) == 8
+    bars = plots.strongest_weights(["jawOpen", "mouthFunnel"], dict.fromkeys(names, np.array([0.2, 0.7]))).axes[0]
+    assert len(bars.containers) == 8
+
+
 def test_curves_over_frames_have_no_ticks_between_frames():
     axis = plots.curves(np.arange(222, 240), {"one": np.arange(18.0)}, "frame", "y").axes[0]
     assert all(tick == int(tick) for tick in axis.get_xticks())

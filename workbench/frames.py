@@ -245,6 +245,10 @@ class FrameRange:
         stream = self._frames.iterate(self._first + _checked_start(start))
         for index in range(start, self.announced_count):
             frame = next(stream, None)
+            if frame is None and index == 0:
+                raise InputError(
+                    f"Frames {self._first} to {self._last} were asked for; {self.name} ends before frame {self._first}."
+                )
             if frame is None:
                 self._count = self._first + index
                 return

@@ -132,7 +132,11 @@ def fit(
     with _ONE_AT_A_TIME:
         observation = _observation(picture, landmarks, config, detector)
         seen = cast("Landmarks2D", observation.landmarks)  # given, or else found: no face is an error
-        frame = _tracker(_Task(model, config, seen.scheme)).push(observation)[-1]
+        try:
+            frame = _tracker(_Task(model, config, seen.scheme)).push(observation)[-1]
+        except BaseException:
+            _tracker.cache_clear()  # it still holds the picture that could not be fitted
+            raise
     return PictureFit(picture, model, replace(frame, shot=0))
 
 

@@ -44,6 +44,7 @@ def _choices(section: type, key: str) -> list[str]:
 
 
 NO_GAP = "every frame has a usable fit; --frames A-B names frames that look wrong."
+NO_NEIGHBOUR = "the frames named have no usable fit beside them to fill from; name fewer."
 TOO_LONG = "there is no gap, or none is short enough; try a larger --longest, or name frames by --frames A-B."
 INFILL_METHODS, REFINEMENT_METHODS = _choices(InfillConfig, "method"), _choices(RefinementConfig, "method")
 
@@ -86,7 +87,7 @@ def infill(
     options = {"clip": clip, "pictures": pictures, "overwrite": overwrite}
     result = _work(run, out, "infill", changes, ["infill"], model, view, **options)
     if not result.summary["frames_filled"]:
-        screen.print_error("Nothing was filled: " + (TOO_LONG if longest else NO_GAP))
+        screen.print_error("Nothing was filled: " + (TOO_LONG if longest else NO_NEIGHBOUR if wanted else NO_GAP))
         raise typer.Exit(1)
 
 
@@ -156,7 +157,8 @@ def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, vi
     stored = track_file(run)
     config = workbench.pipeline.config_of(workbench.tracking.TrackReader(stored).meta).changed(**changes)
     model = face_model(model_path)
-    folder = out or stored.parent.with_name(f"{stored.resolve().parent.name}-{name}")
+    home = stored.parent if stored.parent.name not in ("", "..") else stored.resolve().parent
+    folder = out or home.with_name(f"{home.name}-{name}")
     workbench.pipeline.check_inputs_kept(folder, [] if model_path is None else [model_path])
     with screen.progress_bar() as progress:
         result = workbench.pipeline.retrack(

@@ -28,8 +28,6 @@ class Difference:
         if not self.path.startswith(MOVED):
             return ""
         frame, points = self.path.removeprefix(MOVED).strip("."), self.after or self.before or {}
-        if not frame:
-            return f"{sum(map(len, points.values()))} points moved in {len(points)} frames"
         count = f"{len(points)} point{'s' if len(points) > 1 else ''}"
         return f"frame {frame}: {count} " + ("moved" if self.after else "back at their detections")
 
@@ -38,7 +36,16 @@ def differences(before: Config, after: Config) -> list[Difference]:
     """The settings that differ, in the order of the file; `provenance` and `preset` are not settings."""
     old, new = _flat(before), _flat(after)
     paths = [*new, *(path for path in old if path not in new)]
-    return [Difference(path, old.get(path), new.get(path)) for path in paths if old.get(path) != new.get(path)]
+    found = [Difference(path, old.get(path), new.get(path)) for path in paths if _differ(old.get(path), new.get(path))]
+    weights = before.landmarks.weights, after.landmarks.weights
+    if weights[0] == weights[1] and _differ(*weights):
+        found.append(Difference("landmarks.weights", *weights))
+    return found
+
+
+def _differ(before: Any, after: Any) -> bool:
+    """Whether two values differ; of tables of weights, whose later entries overrule earlier ones, also in order."""
+    return before != after or (isinstance(before, dict) and list(before) != list(after))
 
 
 def _flat(config: Config) -> dict[str, Any]:

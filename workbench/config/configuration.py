@@ -144,6 +144,10 @@ class Config(Section):
             for name in table:
                 if problem := unknown_group(name, self.subsets):
                     raise ValueError(f"{place} {problem}")
+        names = [stage.name for stage in self.stages]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two stages are called {name!r}: give each a name of its own")
         for stage in self.stages:
             foreign = [name for name in stage.free if name not in self.traits.blocks]
             if foreign:

@@ -20,6 +20,8 @@ NAMED_TERMS = tuple(name for name in TABLE if name not in ("landmarks", "identit
 class Stage(Section):
     """One solve: its free parameters, the weight of each landmark, and the number of iterations."""
 
+    in_turn = ("landmarks",)
+
     name: str = Field(min_length=1, description="Name in tables and plots.")
     free: tuple[Literal[PARAMETER_BLOCKS], ...] = Field(
         min_length=1, description="What the stage solves for; the rest is held."

@@ -1,6 +1,6 @@
 """The sections of a configuration: each value with its default, its range and its comment in a file."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator
 
@@ -21,6 +21,13 @@ class Section(BaseModel):
     """A part of a configuration: unknown keys and non-finite numbers are rejected."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    in_turn: ClassVar[tuple[str, ...]] = ()
+    """The tables in which later entries overrule earlier ones, so that their order counts."""
+
+    def __eq__(self, other: Any) -> bool:
+        return super().__eq__(other) and all(
+            list(getattr(self, name)) == list(getattr(other, name)) for name in self.in_turn
+        )
 
 
 class CameraConfig(Section):
@@ -138,6 +145,8 @@ class HeadConfig(Section):
 
 class LandmarksConfig(Section):
     """Detection and tracking of the points."""
+
+    in_turn = ("weights",)
 
     detector: Detector = Field(
         "auto",

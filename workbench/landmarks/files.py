@@ -14,7 +14,10 @@ All become what `Landmarks2D` holds: 0-based pixel-centre coordinates, (0, 0) th
 
 import os
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from workbench.errors import InputError
 from workbench.files import atomic_path
@@ -33,10 +36,14 @@ def read_landmark_file(path: str | Path, image_size: tuple[int, int] | None = No
     """Read a landmark file of the workbench or another program, or a folder of .pts, see above; CSV is streamed.
 
     `image_size`, (width, height) in pixels, counts for files that do not say it (`states_size`). Only for one .pts it
-    may be left out: the smallest size that contains all points stands in. Raises `InputError` that names the line (or
-    entry) and what to mend, for the header of a CSV at this call, for its rows while iterating.
+    may be left out: the smallest size that contains all points stands in. Points that all coincide mean that there is
+    no face: some programs write zeros then. Raises `InputError` that names the line (or entry) and what to mend, for
+    the header of a CSV at this call, for its rows while iterating.
     """
-    path = Path(path)
+    return map(_with_extent, _records(Path(path), image_size))
+
+
+def _records(path: Path, image_size: tuple[int, int] | None) -> Iterator[LandmarkRecord]:
     if os.path.isdir(path):
         return pts.read_folder(path, needed_size(path, image_size))
     path = _checked(path)
@@ -57,6 +64,13 @@ def read_landmark_file(path: str | Path, image_size: tuple[int, int] | None = No
         if suffix == ".xml":
             return iter(dlib_xml.read_dlib_xml(path, image_size))
         return iter([pts.read_pts(path, image_size)])
+
+
+def _with_extent(record: LandmarkRecord) -> LandmarkRecord:
+    """The record, without its face if all points of that coincide."""
+    if record.landmarks is None or np.ptp(record.landmarks.points, axis=0).any():
+        return record
+    return replace(record, landmarks=None, image_size=record.size)
 
 
 def states_size(path: str | Path) -> bool:

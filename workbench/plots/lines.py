@@ -1,7 +1,7 @@
 """Line plots over frames, iterations, stages and settings, and related figures."""
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import cycle, pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -40,7 +40,7 @@ def track_curves(
     rows = -(-len(quantities) // columns)
     figure, axes = subplots(rows, columns, (PAGE_WIDTH, 0.35 + 1.75 * rows))
     for axis, quantity in zip(axes, quantities, strict=False):
-        styles = iter(LINES)
+        styles = cycle(LINES)
         for label, track in tracks.items():
             behind = label == "truth"
             color, dash = (GREY, "-") if behind else next(styles)
@@ -74,7 +74,7 @@ def track_curves(
 def energy_over_iterations(curves: dict[str, np.ndarray], y_label: str = "energy") -> Figure:
     """A number after each iteration, one curve per label; logarithmic if it falls by more than a factor of ten."""
     figure, axis = one_axis(6.4, 3.0)
-    for (label, energies), (color, dash) in zip(curves.items(), LINES, strict=False):
+    for (label, energies), (color, dash) in zip(curves.items(), cycle(LINES), strict=False):
         axis.plot(np.asarray(energies), dash, marker="o", markersize=3, color=color, label=label)
     log_where_wide(axis, np.concatenate([np.asarray(energies, float) for energies in curves.values()]))
     axis.set_xlabel("iteration")
@@ -97,7 +97,7 @@ def curves(
     `log` names the logarithmic axes: "x", "y" or "xy". If all `x` are integers, ticks are at integers.
     """
     figure, axis = one_axis(*size)
-    styles = iter(LINES)
+    styles = cycle(LINES)
     for label, values in series.items():
         behind = label == "truth"
         color, dash = (GREY, "-") if behind else next(styles)
@@ -164,7 +164,7 @@ def errors_per_stage(
     figure, axes = subplots(1, len(errors), (PAGE_WIDTH, 3.3))
     place = np.arange(len(stages))
     for axis, (title, lines) in zip(axes, errors.items(), strict=True):
-        for (label, values), (color, dash) in zip(lines.items(), LINES, strict=False):
+        for (label, values), (color, dash) in zip(lines.items(), cycle(LINES), strict=False):
             axis.plot(place, values, dash, marker="o", markersize=4, color=color, linewidth=1.4, label=label)
         axis.set_xticks(place, stages, rotation=55, ha="right", rotation_mode="anchor", fontsize=8)
         axis.set_title(title)
@@ -188,7 +188,7 @@ def error_boxes(errors: dict[str, dict[str, Float[np.ndarray, "_"]]]) -> Figure:
     figure, axes = subplots(1, len(errors), (min(2.8 * len(errors), PAGE_WIDTH), 3.0))
     rng = np.random.default_rng(0)
     for axis, (title, groups) in zip(axes, errors.items(), strict=True):
-        for k, ((label, values), (color, _)) in enumerate(zip(groups.items(), LINES, strict=False)):
+        for k, ((label, values), (color, _)) in enumerate(zip(groups.items(), cycle(LINES), strict=False)):
             drawn = axis.boxplot(
                 np.asarray(values), positions=[k], widths=0.5, whis=(0, 100), showfliers=False, patch_artist=True,
                 tick_labels=[_wrapped(label)], medianprops={"color": color, "linewidth": 1.8},
@@ -236,7 +236,7 @@ def sweep_figure(
     if places[0] == 0.0:
         places[0] = places[1] ** 2 / places[2]
     for axis, (title, lines) in zip(axes, series.items(), strict=True):
-        for (label, values), (color, dash) in zip(lines.items(), LINES, strict=False):
+        for (label, values), (color, dash) in zip(lines.items(), cycle(LINES), strict=False):
             least = int(np.nanargmin(values))
             axis.plot(places, values, dash, marker="o", color=color, markersize=3.5, linewidth=1.2, label=label)
             axis.plot(places[least], values[least], "o", color=color, markersize=9, fillstyle="none")

@@ -1,6 +1,7 @@
 """Named numbers: bars, matrices, heat maps, the residual strip, Markdown tables."""
 
 from collections.abc import Sequence
+from itertools import cycle
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from workbench.landmarks.scheme import IBUG68
 from workbench.pictures.overlay import WORST_PERCENT
 from workbench.plots.figures import PAGE_WIDTH, one_axis
-from workbench.plots.style import BLUE, GREEN, GREY, RED, page, styled
+from workbench.plots.style import LINES, RED, page, styled
 from workbench.tracking import FrameFit
 
 
@@ -31,9 +32,9 @@ def strongest_weights(
     order = np.argsort(-np.abs(values).max(axis=0), kind="stable")[:count][::-1]
     figure, axis = one_axis(6.4, 0.7 + 0.25 * count * (0.5 + 0.5 * len(series)))
     thick = 0.8 / len(series)
-    for k, (label, row) in enumerate(zip(series, values, strict=True)):
+    for k, (label, row, (color, _)) in enumerate(zip(series, values, cycle(LINES), strict=False)):
         place = np.arange(len(order)) + thick * ((len(series) - 1) / 2 - k)
-        axis.barh(place, row[order], thick, color=(BLUE, RED, GREEN, GREY)[k], label=label)
+        axis.barh(place, row[order], thick, color=color, label=label)
     axis.set_yticks(np.arange(len(order)), [names[k] for k in order], fontsize=9)
     axis.set_xlabel(x_label)
     if in_range is not None:

@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from workbench.geometry import Camera
+from workbench.geometry.triangulation import camera_matrix
 from workbench.landmarks.scheme import GROUPS
 
 FEWEST_POINTS = 6
@@ -20,33 +21,34 @@ def initial_pose(
     """Axis-angle and translation (mm) that best explain eye corners and nose with the neutral face, by SQPnP.
 
     SQPnP is globally optimal and needs no initial guess, while iterations from a zero rotation can end in a wrong
-    minimum. A solution behind the camera or facing away is replaced by a frontal pose at the right distance.
+    minimum. It refuses faces that take up less than about half a degree of the view, small ones in large pictures;
+    there, where there is next to no perspective, iterations from a frontal pose find theirs. A solution behind the
+    camera or facing away, and one of points that all coincide, is replaced by a frontal pose at the right distance.
     `used` excludes muted points, as long as enough remain.
     """
     subset = [index for index in GROUPS["robust"] if used is None or used[index]]
     if len(subset) < FEWEST_POINTS:
         subset = list(GROUPS["robust"])
-    matrix = np.array(
-        [
-            [float(camera.focal_px[0]), 0.0, float(camera.principal_point_px[0])],
-            [0.0, float(camera.focal_px[1]), float(camera.principal_point_px[1])],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    distortion = np.asarray(camera.distortion, float)
-    found, rotation, translation = cv2.solvePnP(
+    frontal = frontal_pose(camera, neutral_head, points)
+    if not np.ptp(points[subset], axis=0).any():
+        return frontal
+    given = (
         np.ascontiguousarray(neutral_head[subset]),
         np.ascontiguousarray(points[subset]),
-        matrix,
-        distortion,
-        flags=cv2.SOLVEPNP_SQPNP,
+        camera_matrix(camera),
+        np.asarray(camera.distortion, float),
     )
+    try:
+        found, rotation, translation = cv2.solvePnP(*given, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error:
+        rotation, translation = (value[:, None].copy() for value in frontal)
+        found, rotation, translation = cv2.solvePnP(*given, rotation, translation, useExtrinsicGuess=True)
     if found:
         rotation, translation = rotation.ravel(), translation.ravel()
         facing = cv2.Rodrigues(rotation)[0][2, 2] > 0.0
         if facing and translation[2] > 0.0 and np.isfinite(np.concatenate([rotation, translation])).all():
             return rotation, translation
-    return frontal_pose(camera, neutral_head, points)
+    return frontal
 
 
 def frontal_pose(

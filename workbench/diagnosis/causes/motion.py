@@ -59,7 +59,7 @@ def frozen_detector(trial: Trial) -> Iterator[Finding]:
         change=change if places is not None else None,
         gain=trial.gain(fit),
         before_percent=jump if flow is None else flow,
-        after_percent=_step_disagreement(trial, places, last + 1 - first) if flow is not None else 0.0,
+        after_percent=_step_disagreement(trial, places, first, last) if flow is not None else 0.0,
         direct=0.97 if flow is not None else 0.8,
         numbers={"frames": float(last - first + 1), "picture_motion_percent": flow or 0.0, "jump_percent": jump},
         measure="distance from the motion of the picture",
@@ -176,12 +176,15 @@ def _thawed(trial: Trial, first: int, last: int) -> Float[np.ndarray, "points 2"
     return np.where(np.isfinite(trial.carried), trial.carried, trial.points)
 
 
-def _step_disagreement(trial: Trial, places: Float[np.ndarray, "points 2"] | None, frames: int) -> float:
-    """Median difference between the motion per frame over the gap and that of the picture, %."""
-    after = None if places is None else trial.observation_at(trial.case.observation.index)
-    if after is None:
+def _step_disagreement(trial: Trial, places: Float[np.ndarray, "points 2"] | None, first: int, last: int) -> float:
+    """Median difference between the motion per frame up to these places and that of the picture, %.
+
+    The places of `_thawed` are as many frames of motion away as the frame is from `first`, those by flow one.
+    """
+    if places is None:
         return 0.0
-    part = np.linalg.norm((places - trial.points) / max(frames, 1), axis=1)
+    frames = 1 if trial.observation_at(last + 1) is None else trial.case.observation.index - first
+    part = np.linalg.norm((places - trial.points) / frames, axis=1)
     moved = np.linalg.norm(trial.carried - trial.case.before.landmarks.points, axis=1)
     return float(trial.percent(np.nanmedian(np.abs(moved - part))))
 

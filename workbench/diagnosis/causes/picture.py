@@ -99,7 +99,7 @@ def covered(trial: Trial) -> Iterator[Finding]:
 def blurred_face(trial: Trial) -> Iterator[Finding]:
     """The face has less detail than in the frames near it, in every direction: out of focus, or moved."""
     look, usual = trial.look, trial.usual_look
-    if look is None or usual is None:
+    if look is None or usual is None or usual.sharpness <= 0.0:
         return
     sharpness = look.sharpness / usual.sharpness
     if sharpness > SOFT or look.sharpness > SOFTER * usual.least_sharpness:
