@@ -214,6 +214,13 @@ def test_dlibs_licence_is_told_where_dlib_ran_and_only_there(run, command, name,
 
 
 @pytest.mark.usefixtures("detector", "photos")
+def test_a_run_on_a_folder_has_the_folders_whole_name(run, tmp_path):
+    (tmp_path / "photos").rename(tmp_path / "shoot.2024")
+    assert run("track", "shoot.2024", "--stills", "--no-pictures", "--no-identity")[0] == 0
+    assert (tmp_path / "out" / "shoot.2024" / "track.npz").is_file()
+
+
+@pytest.mark.usefixtures("detector", "photos")
 def test_the_command_that_it_names_next_tracks_from_the_table(run, tmp_path):
     out = run("landmarks", "photos")[1]
     command = next(line for line in out.splitlines() if line.strip().startswith("next")).split()[1:]

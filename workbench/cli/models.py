@@ -10,7 +10,7 @@ import workbench
 from workbench.cli import screen
 from workbench.files import check_not_inputs
 
-GROUP_HELP = """Face models of other people: FLAME, Basel, GNM Head, ICT-FaceKit, glTF, OBJ folders.
+GROUP_HELP = """Face models from other sources: FLAME, Basel, GNM Head, ICT-FaceKit, glTF, OBJ folders.
 
 [bold]Examples[/bold]
 

@@ -135,7 +135,7 @@ def _print_report(report: "workbench.geometry.RigReport") -> None:
     screen.console.print(table)
     screen.console.print("[dim]distortion: by how much it moves the worst corner[/dim]")
     if len(report.views) > 1:
-        places = ("baseline", "angle", "roll", "axes meet", "and pass by")
+        places = ("baseline", "angle", "roll", "axes meet", "closest approach")
         table = screen.table("view", *places, right=places)
         for view in report.views[1:]:
             table.add_row(escape(view.name), *_place_cells(view))

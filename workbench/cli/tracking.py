@@ -122,7 +122,7 @@ def track(
         settings = settings.changed(head={"character": character})
     if face_landmarker is not None:
         settings = settings.changed(landmarks={"face_landmarker": str(face_landmarker)})
-    folder = out or Path("out") / (inputs[0].stem or "run")
+    folder = out or Path("out") / (_name(inputs[0]) or "run")
     workbench.pipeline.check_inputs_kept(folder, [path for path in (config, model) if path is not None])
     if not settings.traits.renders and (workers > 1 or scheduler):
         raise InputError("--workers and --scheduler belong to Deep Energies; add --preset deep.")
@@ -160,6 +160,11 @@ def _next_steps(out: Path, pictures: bool) -> str:
     clip, portrait = out / "laugh", out / "astronaut"
     look = f"Look at {clip / 'overlay.mp4'} and {portrait / 'overlay.png'}. " if pictures else ""
     return escape(f"{look}Why a frame is bad: workbench diagnose {clip}. To tune it in the browser: workbench lab.")
+
+
+def _name(given: Path) -> str:
+    """What a run is called: a folder has no suffix, and `..` a name of its own."""
+    return given.resolve().name if given.is_dir() else given.stem
 
 
 def _configuration(config, preset_name, detector, fov, face, identity, energy, network, rig, infill, refine) -> Config:
