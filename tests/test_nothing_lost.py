@@ -28,6 +28,7 @@ from workbench.pipeline import track
 from workbench.samples import sample
 from workbench.session.recording import Recording
 from workbench.tracking.track_writer import TrackWriter
+from workbench.training import PLAN_FILE
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -432,9 +433,13 @@ class TestTrainings:
     @pytest.fixture
     def begun(self, tmp_path):
         """A folder with the checkpoints of an interrupted training."""
-        (tmp_path / "nets" / "landmarks").mkdir(parents=True)
-        (tmp_path / "nets" / "landmarks" / "checkpoint.pt").write_text("half way")
+        self.begin(tmp_path / "nets", "half way")
         return tmp_path / "nets"
+
+    def begin(self, folder, checkpoint):
+        (folder / "landmarks").mkdir(parents=True)
+        (folder / "landmarks" / PLAN_FILE).write_text("the plan")
+        (folder / "landmarks" / "checkpoint.pt").write_text(checkpoint)
 
     def finish(self, folder):
         for name in ("landmarks.safetensors", "tables.md"):
@@ -452,7 +457,40 @@ class TestTrainings:
             training_folder(begun, "landmarks").__enter__()
         assert (begun / "landmarks" / "checkpoint.pt").exists()
         with training_folder(begun, "landmarks", overwrite=True):
-            assert not (begun / "landmarks").exists()
+            assert content(begun).keys() == {"run.lock"}
+
+    def test_one_that_is_repeated_can_be_interrupted_and_goes_on(self, begun):
+        self.finish(begun)
+        with training_folder(begun, "landmarks", overwrite=True):
+            self.begin(begun, "half way again")
+        with training_folder(begun, "landmarks"):
+            assert (begun / "landmarks" / "checkpoint.pt").read_text() == "half way again"
+
+    @pytest.mark.parametrize("name", ["landmarks.safetensors", "landmarks/weights.safetensors"])
+    def test_weights_to_start_from_are_not_replaced(self, begun, name):
+        self.finish(begun)
+        (begun / "landmarks" / "weights.safetensors").write_text("hours of work")
+        with pytest.raises(OutputError, match=f"{name} is an input and would be written over"):
+            training_folder(begun, "landmarks", overwrite=True, start=begun / name).__enter__()
+        assert (begun / name).read_text() == "hours of work"
+
+    @pytest.mark.parametrize("network", ["landmarks", "expressions"])
+    def test_a_folder_of_somebody_else_is_kept_whatever_its_name(self, tmp_path, network):
+        notes = tmp_path / network / "notes.csv"
+        notes.parent.mkdir()
+        notes.write_text("mine")
+        with training_folder(tmp_path, network, overwrite=True):
+            assert notes.read_text() == "mine"
+        (tmp_path / "tables.md").write_text("mine")
+        with pytest.raises(OutputError, match=r"already holds a file tables.md"):
+            training_folder(tmp_path, "landmarks").__enter__()
+
+    def test_what_is_learned_in_one_go_is_repeated_where_it_was_interrupted(self, tmp_path):
+        (tmp_path / "dense_gain.safetensors").write_text("not measured yet")
+        with training_folder(tmp_path, "gain"):
+            (tmp_path / "dense_gain_tables.md").write_text("all done")
+        with pytest.raises(OutputError, match="already holds a finished training"):
+            training_folder(tmp_path, "gain").__enter__()
 
     def test_weights_of_somebody_else_are_not_replaced_unasked(self, tmp_path):
         (tmp_path / "finder.safetensors").write_text("mine")

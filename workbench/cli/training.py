@@ -11,11 +11,13 @@ import typer
 
 from workbench.cli import screen
 from workbench.extras import check_installed
+from workbench.files import check_not_inputs, writing
+from workbench.training import PLAN_FILE
 
 TRAIN_HELP = """Train the networks that come with the package, from nothing but the default head.
 
-Renders a pool of heads, trains, measures, calibrates, and writes weights with a report. Ctrl-C stops it; the same \
-command goes on. A finished training is kept, unless you --overwrite it. \
+Renders a pool of heads, trains, measures, calibrates, and writes weights with a report. Ctrl-C stops it; \
+run the command again, without --overwrite, to continue. A finished training is kept, unless you --overwrite it. \
 Needs PyTorch: pip install "face-energy-workbench\\[train]".
 
 [bold]Examples[/bold]
@@ -54,6 +56,8 @@ RESULTS: Mapping[str, tuple[str, ...]] = {
     Network.expressions: ("expressions.safetensors", "expressions_tables.md"),
 }
 """What each training leaves at its end, tables last. Its checkpoints are in a folder of its name."""
+WITHOUT_CHECKPOINTS = (Network.gain, Network.expressions)
+"""Learned in one go, which is repeated where it was interrupted."""
 
 
 def train(
@@ -73,26 +77,36 @@ def train(
 
     training = TRAININGS[network]
     recipe = training.recipe(quick, start, device)
-    with training_folder(folder, network, overwrite):
+    with training_folder(folder, network, overwrite, start):
         screen.console.print(training.make(folder, recipe, workers, device, screen.console.print))
     for tables in (folder / name for name in RESULTS[network] if name.endswith(".md")):
         screen.console.print(tables.read_text(encoding="utf-8"), markup=False)
 
 
 @contextmanager
-def training_folder(folder: Path, network: str, overwrite: bool = False) -> Iterator[None]:
+def training_folder(folder: Path, network: str, overwrite: bool = False, start: Path | None = None) -> Iterator[None]:
     """Keep a folder for one training, which may be an interrupted one that goes on.
 
-    Raises `OutputError` where another one is at work, and for a finished training or files of somebody else, unless
-    told to `overwrite` them.
+    To `overwrite` one removes its checkpoints and results, so that the new one can be interrupted, too. Raises
+    `OutputError` where `start`, the weights to start from, would be written over, where another training is at work,
+    and for a finished one or files of somebody else, unless told to `overwrite` them.
     """
     from workbench.pipeline.output_folder import check_no_results, locked
 
+    checkpoints, results = folder / network, RESULTS[network]
+    if start is not None:
+        written = checkpoints.iterdir() if checkpoints.is_dir() else ()
+        check_not_inputs([*(folder / result for result in results), *written], [start])
     with locked(folder):
-        begun = (folder / network).is_dir()
-        there = [result for result in RESULTS[network] if (folder / result).exists()]
+        begun = (checkpoints / PLAN_FILE).is_file()
+        there = [result for result in results if (folder / result).exists()]
+        own = begun or network in WITHOUT_CHECKPOINTS
         if overwrite:
-            shutil.rmtree(folder / network, ignore_errors=True)
-        elif not begun or len(there) == len(RESULTS[network]):
-            check_no_results(folder, there, "a finished training" if begun else f"a file {there[0]}" if there else "")
+            with writing(folder):
+                if begun:
+                    shutil.rmtree(checkpoints)
+                for result in there:
+                    (folder / result).unlink()
+        elif there and not (own and len(there) < len(results)):
+            check_no_results(folder, there, "a finished training" if own else f"a file {there[0]}")
         yield
