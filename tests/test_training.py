@@ -1,7 +1,9 @@
 """Training the networks: pictures show what their landmarks say, and the same seed gives the same weights."""
 
 import hashlib
-from dataclasses import replace
+import json
+import shutil
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import cv2
@@ -21,12 +23,14 @@ from workbench.landmarks.network_detector import crop_frame
 from workbench.landmarks.scheme import MIRROR
 from workbench.networks import read_landmark_network, soft_argmax
 from workbench.networks.face_finder import UNIT_SIDE, boxes_of
-from workbench.networks.landmark_network import empty_landmark_network
-from workbench.networks.weights import fill, read_weights
+from workbench.networks.landmark_network import NAME, empty_landmark_network
+from workbench.networks.weights import fill, read_weights, write_weights
 from workbench.pictures.gl_probe import gl_available
 from workbench.pictures.lighting import Light, Lighting
+from workbench.training import PLAN_FILE
 from workbench.training.augment import Hardness, augmented, cut_out
 from workbench.training.brows import BrowPlace, brow_landmarks, brows_at, denser, random_brow_place
+from workbench.training.dense_task import DenseTask
 from workbench.training.evaluation import (
     Answers,
     calibration_of,
@@ -36,6 +40,7 @@ from workbench.training.evaluation import (
     rank_correlation,
     reliability,
 )
+from workbench.training.eye_task import EyeTask
 from workbench.training.finder_task import FinderTask, can_be_seen, crowd
 from workbench.training.landmark_task import LandmarkTask, local_soft_argmax, loss_of, target_distribution
 from workbench.training.loop import Phase, TrainingPlan, folded_arrays, train
@@ -64,6 +69,12 @@ def pool(pool_folder) -> Pool:
 
 def quiet(_line: str) -> None:
     """No report."""
+
+
+def weights_of_size(path: Path, **held: str) -> Path:
+    """A file that says it holds a landmark network of the plan's size, but for what else it is said to hold."""
+    write_weights(path, {}, {"architecture": NAME, "widths": "[4, 4, 6, 6]", "blocks": "1", **held})
+    return path
 
 
 def answers(errors_percent, mass, truth=None) -> Answers:
@@ -382,7 +393,9 @@ class TestFinderTask:
 
 
 class TestLoop:
-    def test_an_interrupted_training_ends_with_the_same_weights(self, pool_folder, tmp_path, monkeypatch):
+    def test_an_interrupted_training_ends_with_the_same_weights_and_tells_each_step_once(
+        self, pool_folder, tmp_path, monkeypatch
+    ):
         whole = train(LandmarkTask(), pool_folder, tmp_path / "whole", PLAN, 0, every=2, report=quiet)
         batch = LandmarkTask.batch
 
@@ -395,16 +408,62 @@ class TestLoop:
         with pytest.raises(KeyboardInterrupt):
             train(LandmarkTask(), pool_folder, tmp_path / "parts", PLAN, 0, every=2, report=quiet)
         monkeypatch.undo()
+        # What it had told of steps after its last checkpoint, which are repeated.
+        shutil.copy(tmp_path / "whole" / "curves.csv", tmp_path / "parts" / "curves.csv")
         lines = []
         resumed = train(LandmarkTask(), pool_folder, tmp_path / "parts", PLAN, 0, every=2, report=lines.append)
         assert [line for line in lines if line.startswith("step 6 of 6")] == lines
         first, second = read_weights(whole).arrays, read_weights(resumed).arrays
         assert max(np.abs(first[name] - second[name]).max() for name in first) < 1e-5
+        rows = (tmp_path / "parts" / "curves.csv").read_text().splitlines()
+        assert [row.split(",")[0] for row in rows] == ["step", "6"]
 
     def test_a_folder_of_another_plan_is_refused(self, pool_folder, tmp_path):
         train(LandmarkTask(), pool_folder, tmp_path, PLAN, workers=0, report=quiet)
-        with pytest.raises(InputError, match="another plan"):
+        with pytest.raises(InputError, match=r"a training with other options \(--quick, --start, --device\); repeat"):
             train(LandmarkTask(), pool_folder, tmp_path, replace(PLAN, seed=2), workers=0, report=quiet)
+
+    @pytest.mark.parametrize(
+        ("task", "held", "said"),
+        [
+            (
+                LandmarkTask(),
+                {"architecture": "face-energy-1"},
+                "holds face-energy-1, expected face-energy-landmarks-1",
+            ),
+            (EyeTask(), {}, "holds face-energy-landmarks-1, expected face-energy-eye-1: start from another"),
+            (
+                DenseTask(),
+                {"architecture": "fan"},
+                "holds fan, expected face-energy-dense-1 or face-energy-landmarks-1",
+            ),
+            (
+                LandmarkTask(),
+                {"widths": "[8, 8, 8, 8]"},
+                r"widths \[8, 8, 8, 8\] and blocks 1, expected \[4, 4, 6, 6\]",
+            ),
+            (DenseTask(), {"blocks": "2"}, r"widths \[4, 4, 6, 6\] and blocks 2, expected \[4, 4, 6, 6\] and 1: start"),
+        ],
+    )
+    def test_weights_of_another_network_or_size_are_refused_before_anything_is_written(
+        self, tmp_path, task, held, said
+    ):
+        start = weights_of_size(tmp_path / "start.safetensors", **held)
+        with pytest.raises(InputError, match=said):
+            train(task, tmp_path / "pool", tmp_path / "nets", PLAN, 0, report=quiet, start=start)
+        assert not (tmp_path / "nets").exists()
+
+    @pytest.mark.parametrize(
+        ("device", "said"),
+        [("cuda", "no CUDA device here; leave out --device"), ("cuda:0", "on cpu or cuda, got cuda:0")],
+    )
+    def test_a_device_that_is_not_there_is_refused_before_anything_is_written(
+        self, tmp_path, monkeypatch, device, said
+    ):
+        monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+        with pytest.raises(InputError, match=said):
+            train(LandmarkTask(), tmp_path / "pool", tmp_path / "nets", PLAN, 0, device, report=quiet)
+        assert not (tmp_path / "nets").exists()
 
     def test_a_training_goes_on_from_weights_and_says_from_which(self, pool_folder, tmp_path):
         """One step at a rate of next to nothing leaves what they answer as it was."""
@@ -520,6 +579,42 @@ class TestTrainings:
             assert TRAININGS[network].recipe(quick=False, start=start, device="cuda").start == start
             assert not TRAININGS[network].recipe(quick=True, start=None, device="cuda").plan.batched
         assert TRAININGS["finder"].recipe(False, None, "cuda") == TRAININGS["finder"].recipe(False, None)
+
+    @pytest.mark.parametrize("network", ["landmarks", "finder", "dense", "eyes"])
+    def test_weights_that_do_not_fit_are_refused_before_anything_is_rendered(self, tmp_path, monkeypatch, network):
+        monkeypatch.setattr("workbench.training.recipe.make_pool", None)
+        training, start = TRAININGS[network], weights_of_size(tmp_path / "start.safetensors")
+        with pytest.raises(InputError, match=r"start from another"):
+            training.make(tmp_path, training.recipe(False, start), 1, "cpu", quiet)
+
+    def test_a_flow_training_of_another_plan_is_refused_before_anything_is_rendered(self, tmp_path, monkeypatch):
+        monkeypatch.setattr("workbench.training.flow_recipe.make_pair_pool", None)
+        (tmp_path / "flow").mkdir()
+        (tmp_path / "flow" / PLAN_FILE).write_text(json.dumps(asdict(PLAN)))
+        with pytest.raises(InputError, match="other options"):
+            TRAININGS["flow"].make(tmp_path, TRAININGS["flow"].quick, 1, "cpu", quiet)
+
+    @pytest.mark.parametrize(
+        ("options", "said"),
+        [
+            (["--device", "cuda"], "PyTorch finds no CUDA device here"),
+            (["--device", "gpu"], "'gpu' is not one of"),
+            (["--start", "typo.safetensors"], "there is no weights file typo.safetensors"),
+            (["--start", "small.safetensors"], "expected [32, 64, 128, 192] and 2: start from another"),
+        ],
+    )
+    def test_mistakes_in_the_options_are_noticed_before_anything_is_deleted(
+        self, tmp_path, monkeypatch, run, options, said
+    ):
+        monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+        weights_of_size(tmp_path / "small.safetensors")
+        begun = tmp_path / "nets" / "landmarks"
+        begun.mkdir(parents=True)
+        (begun / PLAN_FILE).write_text("the plan")
+        code, _, err = run("train", "landmarks", "nets", "--overwrite", *options)
+        assert code == 2
+        assert said in err
+        assert (begun / PLAN_FILE).exists()
 
     @pytest.mark.parametrize(("network", "quick"), [("flow", False), ("landmarks", True)])
     def test_what_cannot_go_on_says_so(self, network, quick):

@@ -27,7 +27,7 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
   workbench train landmarks training --quick      everything at a tiny size, to see it work
 
   workbench train landmarks training --start landmarks.safetensors
-                                                  go on from weights that are there
+                                                  start from weights that are there
 
   workbench train finder training                 the face finder, from the same pool
 
@@ -35,8 +35,8 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
                                                   377 points with their uncertainty, on the landmark
                                                   network's encoder
 
-  workbench train gain training                   how to correct the dense network's points by the landmark
-                                                  network's; repeat when either network changes
+  workbench train gain training                   how to correct the bundled dense network's points by the
+                                                  bundled landmark network's; repeat when either changes
 
   workbench train eyes training                   pupils, irises and lids, from crops of single eyes
 
@@ -46,6 +46,7 @@ Needs PyTorch: pip install "face-energy-workbench\\[train]".
                                                   random expressions and the tracks in training/tracks
 """
 Network = StrEnum("Network", ["landmarks", "finder", "dense", "gain", "eyes", "flow", "expressions"])
+Device = StrEnum("Device", ["cpu", "cuda"])
 RESULTS: Mapping[str, tuple[str, ...]] = {
     Network.landmarks: ("landmarks.safetensors", "tables.md"),
     Network.finder: ("finder.safetensors",),
@@ -65,9 +66,9 @@ def train(
     folder: Annotated[Path, typer.Argument(help="Folder for the pool, the checkpoints, the weights and the report.")],
     quick: Annotated[bool, typer.Option("--quick", help="A tiny run, to check that everything works.")] = False,
     workers: Annotated[int, typer.Option(min=1, help="Processes that render and augment.")] = 1,
-    device: Annotated[str, typer.Option(help="Where PyTorch computes: cpu or cuda.")] = "cpu",
+    device: Annotated[Device, typer.Option(help="Where PyTorch computes.")] = Device.cpu,
     start: Annotated[
-        Path | None, typer.Option(help="Weights to go on from, by a shorter plan; else from nothing.")
+        Path | None, typer.Option(help="Weights to start from; without it, training starts from scratch.")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Train again; the pool is kept.")] = False,
 ) -> None:
@@ -77,6 +78,7 @@ def train(
 
     training = TRAININGS[network]
     recipe = training.recipe(quick, start, device)
+    training.check(recipe, device)
     with training_folder(folder, network, overwrite, start):
         screen.console.print(training.make(folder, recipe, workers, device, screen.console.print))
     for tables in (folder / name for name in RESULTS[network] if name.endswith(".md")):

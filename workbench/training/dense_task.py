@@ -9,6 +9,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from workbench.landmarks.schemes import DENSE_POINTS, DensePoints
+from workbench.networks import landmark_network
+from workbench.networks.dense_network import NAME, SIDE
 from workbench.networks.regression import NUMBERS
 from workbench.networks.weights import read_weights
 from workbench.training.augment import augmented
@@ -25,8 +27,6 @@ from workbench.training.torch_regression import (
     torch_places,
 )
 
-NAME = "face-energy-dense-1"
-SIDE = 256
 HIDDEN, SQUEEZED = 512, 64
 OPENING_WEIGHT = 0.1
 
@@ -36,6 +36,7 @@ class DenseTask:
     """68 landmarks, two pupils and the dense points, by regression."""
 
     architecture: str = NAME
+    starts: tuple[str, ...] = (NAME, landmark_network.NAME)
     dense: DensePoints = DENSE_POINTS
 
     def open(self, folder) -> Pool:

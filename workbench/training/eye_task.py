@@ -37,6 +37,7 @@ class EyeTask:
     """Pupil, iris and open or shut."""
 
     architecture: str = NAME
+    starts: tuple[str, ...] = (NAME,)
 
     def open(self, folder) -> Pool:
         return open_pool(folder)

@@ -11,7 +11,7 @@ from workbench.networks import read_flow_network, read_weights
 from workbench.training.flow_measuring import flow_tables, measured_flow
 from workbench.training.flow_pool import make_pair_pool, open_pair_pool
 from workbench.training.flow_task import FlowTask
-from workbench.training.loop import Phase, TrainingPlan, train
+from workbench.training.loop import Phase, TrainingPlan, checked_plan, train
 from workbench.training.report import curves_figure
 from workbench.training.shipping import write_shipped
 
@@ -64,6 +64,7 @@ def train_flow_network(
     Called again after an interruption it goes on where it stopped. Raises `InputError` where the folder belongs to
     another plan.
     """
+    checked_plan(FlowTask(), folder / "flow", recipe.plan, device)
     pool, test = folder / "pairs", folder / "pairs_test"
     for path, pairs, seed in ((pool, recipe.pairs, PAIR_SEED), (test, recipe.test_pairs, PAIR_TEST_SEED)):
         make_pair_pool(path, pairs, seed, workers, lambda done, total: report(f"rendered {done} of {total} pairs"))

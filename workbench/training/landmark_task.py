@@ -10,12 +10,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from workbench.networks.landmark_network import LANDMARKS, NAME
+from workbench.networks.soft_argmax import BETA
 from workbench.training.augment import augmented
 from workbench.training.loop import Batch, MapsTask, Phase
 from workbench.training.pool import Pool
 
-BETA = 50.0
-"""The soft-argmax factor that the heat maps are trained for (Deep Energies Eq. 3)."""
 STRIDE = 4
 COORDINATE_WEIGHT = 0.25
 """Weight of the soft-argmax' error in heat-map pixels beside the cross entropy."""

@@ -18,11 +18,12 @@ from safetensors.numpy import save_file
 from torch import Tensor, nn
 
 from workbench.errors import InputError
-from workbench.files import atomic_path, make_folder
+from workbench.files import atomic_path
 from workbench.landmarks.schemes import DensePoints
-from workbench.networks.encoder import BLOCKS, WIDTHS
+from workbench.networks.encoder import BLOCKS, WIDTHS, network_size
 from workbench.networks.weights import ARCHITECTURE, read_weights
-from workbench.reading import checked_file
+from workbench.reading import shortened
+from workbench.training import PLAN_FILE
 from workbench.training.batch_studio import BatchStudio
 from workbench.training.pool import Pool, open_pool
 from workbench.training.torch_network import TorchLandmarkNetwork, conv_norms, go_on_from
@@ -99,6 +100,17 @@ class Task(Protocol):
 
 
 @runtime_checkable
+class FurtherTask(Task, Protocol):
+    """A task that can start from weights."""
+
+    @property
+    def starts(self) -> tuple[str, ...]:
+        """The architectures whose weights it can start from."""
+
+    def begin(self, network: nn.Module, start: Path, pictures: Tensor) -> None: ...
+
+
+@runtime_checkable
 class FaceTask(Protocol):
     """A task that learns from pictures of single faces, so that whole batches of them can be made at once."""
 
@@ -114,6 +126,11 @@ class MapsTask:
     outputs: int
     output_scale: float = 1.0
 
+    @property
+    def starts(self) -> tuple[str, ...]:
+        """Only those of the same kind."""
+        return (self.architecture,)
+
     def open(self, folder: Path) -> Pool:
         """The pool that batches are made of."""
         return open_pool(folder)
@@ -124,10 +141,7 @@ class MapsTask:
 
     def begin(self, network: nn.Module, start: Path, pictures: Tensor) -> None:
         """Give the network the weights of a file; `pictures` are some of those to come."""
-        weights = read_weights(start)
-        if weights.architecture != self.architecture:
-            raise InputError(f"{start} holds {weights.architecture}, expected {self.architecture}: start from another")
-        go_on_from(network, weights.arrays, pictures, self.output_scale)
+        go_on_from(network, read_weights(start).arrays, pictures, self.output_scale)
 
     def arrays(self, network: nn.Module) -> dict[str, np.ndarray]:
         """What is kept of a trained one."""
@@ -178,18 +192,11 @@ def train(
 
     The folder keeps the plan, a checkpoint every `every` steps and the curves; an interrupted training goes on from
     its last checkpoint when it is called again. The training pictures depend on the plan's seed and the step alone, so
-    an interruption does not change them. `start`: weights to begin with instead of random ones. Raises `InputError`
-    where the folder belongs to another plan, and for a plan of whole batches that the task cannot follow.
+    an interruption does not change them. `start`: weights to begin with instead of random ones. Raises as
+    `checked_plan` does, before anything is written.
     """
-    if plan.batched and (not isinstance(task, FaceTask) or len({phase.input_side for phase in plan.phases}) > 1):
-        raise InputError("whole batches are made of single faces at one size: choose another plan for this network")
-    make_folder(folder)
-    if start is not None:
-        plan = replace(
-            plan,
-            start=hashlib.sha256(checked_file(start, "weights to go on from", InputError).read_bytes()).hexdigest(),
-        )
-    _claim(folder / "plan.json", plan)
+    plan = checked_plan(task, folder, plan, device, start)
+    _write_plan(folder / PLAN_FILE, plan)
     torch.manual_seed(plan.seed)
     network = task.network(plan)
     if start is not None and not (folder / "checkpoint.pt").is_file():
@@ -199,6 +206,7 @@ def train(
     average = {name: value.detach().clone().float() for name, value in network.state_dict().items()}
     optimiser = torch.optim.AdamW(network.parameters(), lr=1e-3, weight_decay=plan.weight_decay)
     step = _resumed(folder / "checkpoint.pt", network, optimiser, average)
+    _forget_later_rows(folder / "curves.csv", step)
     running: dict[str, Tensor] = {}
     began, first = time.monotonic(), step
     for pictures, targets in _pictures(task, pool_folder, plan, step, workers, device):
@@ -230,9 +238,56 @@ def train(
     return export_weights(task, folder)
 
 
+def checked_plan(
+    task: Task, folder: Path, plan: TrainingPlan, device: str = "cpu", start: Path | None = None
+) -> TrainingPlan:
+    """The plan with what it starts from, once it is clear that the task can follow it there; nothing is written.
+
+    Raises `InputError` for a device that is not there, weights that the task cannot start from, a plan of whole batches
+    that it cannot follow, and where the folder belongs to another plan.
+    """
+    check_device(device)
+    if plan.batched and (not isinstance(task, FaceTask) or len({phase.input_side for phase in plan.phases}) > 1):
+        raise InputError("whole batches are made of single faces at one size: choose another plan for this network")
+    if start is not None:
+        check_start(task, plan, start)
+        plan = replace(plan, start=hashlib.sha256(start.read_bytes()).hexdigest())
+    if (folder / PLAN_FILE).is_file() and read_plan(folder / PLAN_FILE) != plan:
+        raise InputError(
+            f"{folder} holds a training with other options (--quick, --start, --device); repeat those, name another "
+            "folder, or discard it by --overwrite."
+        )
+    return plan
+
+
+def check_device(device: str) -> None:
+    """Raise `InputError` unless PyTorch can compute there: "cpu", or "cuda" where it finds a GPU."""
+    if device not in ("cpu", "cuda"):
+        raise InputError(f"a training computes on cpu or cuda, got {shortened(device)}: name one of these")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError(
+            "PyTorch finds no CUDA device here; leave out --device, or install a build of PyTorch for CUDA."
+        )
+
+
+def check_start(task: FurtherTask, plan: TrainingPlan, start: Path) -> None:
+    """Raise `InputError` for weights of an architecture or a size that this training cannot start from."""
+    weights = read_weights(start)
+    if weights.architecture not in task.starts:
+        raise InputError(
+            f"{start} holds {shortened(weights.architecture)}, expected {' or '.join(task.starts)}: start from another"
+        )
+    widths, blocks = network_size(weights)
+    if (widths, blocks) != (plan.widths, plan.blocks):
+        raise InputError(
+            f"{start} holds a network of {WIDTHS} {list(widths)} and {BLOCKS} {blocks}, expected {list(plan.widths)} "
+            f"and {plan.blocks}: start from another"
+        )
+
+
 def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = None) -> Path:
     """Fold the averaged weights of a training folder's checkpoint and write `weights.safetensors` beside it."""
-    plan = read_plan(folder / "plan.json")
+    plan = read_plan(folder / PLAN_FILE)
     network = task.network(plan)
     state = torch.load(folder / "checkpoint.pt", map_location="cpu", weights_only=True)
     network.load_state_dict(state["average"])
@@ -275,11 +330,7 @@ def read_plan(path: Path) -> TrainingPlan:
     return TrainingPlan(phases=phases, widths=tuple(record.pop("widths")), **record)
 
 
-def _claim(path: Path, plan: TrainingPlan) -> None:
-    if path.is_file():
-        if read_plan(path) != plan:
-            raise InputError(f"{path.parent} holds a training by another plan: choose an empty folder, or its plan")
-        return
+def _write_plan(path: Path, plan: TrainingPlan) -> None:
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(asdict(plan), indent=1), encoding="utf-8")
 
@@ -335,6 +386,16 @@ def _save(path: Path, network, optimiser, average, step: int) -> None:
     state = {"network": network.state_dict(), "optimiser": optimiser.state_dict(), "average": average, "step": step}
     with atomic_path(path) as temporary:
         torch.save(state, temporary)
+
+
+def _forget_later_rows(path: Path, step: int) -> None:
+    """Leave what is known up to a step: an interrupted training repeats those after its last checkpoint."""
+    if not path.is_file():
+        return
+    with path.open(newline="", encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([header, *(row for row in rows if int(row[0]) <= step)])
 
 
 def _log(path: Path, step: int, rate: float, numbers: dict[str, Tensor]) -> None:

@@ -37,7 +37,7 @@ from workbench.training.eye_measuring import eye_answers, measured_eyes
 from workbench.training.eye_task import EyeTask
 from workbench.training.finder_task import FinderTask
 from workbench.training.landmark_task import LandmarkTask
-from workbench.training.loop import Phase, TrainingPlan, train
+from workbench.training.loop import Phase, Task, TrainingPlan, checked_plan, train
 from workbench.training.measuring import looker, measured
 from workbench.training.pool import Pool, halves, make_pool, open_pool
 from workbench.training.report import DENSE_CURVES, EYE_CURVES, write_regression_report, write_report, write_tables
@@ -102,10 +102,7 @@ def train_landmark_network(
     Called again after an interruption it goes on where it stopped. Raises `InputError` where the folder belongs to
     another plan.
     """
-    pool, test = _pools(folder, recipe, workers, report)
-    raw = train(
-        LandmarkTask(), pool, folder / "landmarks", recipe.plan, workers, device, report=report, start=recipe.start
-    )
+    raw, test = _trained(LandmarkTask(), folder, "landmarks", recipe, workers, device, report)
     side = recipe.plan.phases[-1].input_side
     network, held_out = read_landmark_network(raw), open_pool(test)
     report("calibrating the confidence")
@@ -130,8 +127,7 @@ def train_face_finder(
     report: Report = print,
 ) -> Path:
     """Make the face finder from the same pool: `folder/finder.safetensors`; resumes like the landmark network."""
-    pool, _ = _pools(folder, recipe, workers, report)
-    raw = train(FinderTask(), pool, folder / "finder", recipe.plan, workers, device, report=report, start=recipe.start)
+    raw, _ = _trained(FinderTask(), folder, "finder", recipe, workers, device, report)
     path = folder / "finder.safetensors"
     write_shipped(path, read_weights(raw), recipe.plan.seed)
     return path
@@ -148,9 +144,7 @@ def train_dense_network(
 
     Its deviations are calibrated on half of the held-out renders; the tables are of the other half.
     """
-    task = DenseTask()
-    pool, test = _pools(folder, recipe, workers, report)
-    raw = train(task, pool, folder / "dense", recipe.plan, workers, device, report=report, start=recipe.start)
+    raw, test = _trained(DenseTask(), folder, "dense", recipe, workers, device, report)
     network, (known, unseen) = read_dense_network(raw), halves(open_pool(test))
     report("calibrating the deviations")
     largest = _largest(network, known, recipe, SIDE)
@@ -209,8 +203,7 @@ def train_eye_network(
 
     Its deviations are calibrated on half of the held-out renders; the tables are of the other half.
     """
-    pool, test = _pools(folder, recipe, workers, report, "eyes")
-    raw = train(EyeTask(), pool, folder / "eyes", recipe.plan, workers, device, report=report, start=recipe.start)
+    raw, test = _trained(EyeTask(), folder, "eyes", recipe, workers, device, report, "eyes")
     look, (known, unseen) = FrozenEyeNetwork(read_eye_network(raw)), halves(open_pool(test))
     report("calibrating the deviations")
     factor = deviation_factor(eye_answers(look, known, recipe.calibrated, TRAINING, seed=1).deviations)
@@ -229,6 +222,23 @@ def _largest(
     """A network's `largest`, measured on pictures like those of the training."""
     count = min(recipe.calibrated, LOOKED_AT_FOR_BYTES)
     return largest_passed(network, (made.picture for made, _ in unseen_pictures(pool, count, side, TRAINING, seed=1)))
+
+
+def _trained(
+    task: Task,
+    folder: Path,
+    name: str,
+    recipe: Recipe,
+    workers: int,
+    device: str,
+    report: Report,
+    kind: str = "faces",
+) -> tuple[Path, Path]:
+    """The trained weights, and the pool to measure them on; what cannot be followed is refused before any render."""
+    plan, start = recipe.plan, recipe.start
+    checked_plan(task, folder / name, plan, device, start)
+    pool, test = _pools(folder, recipe, workers, report, kind)
+    return train(task, pool, folder / name, plan, workers, device, report=report, start=start), test
 
 
 def _pools(folder: Path, recipe: Recipe, workers: int, report: Report, kind: str = "faces") -> tuple[Path, Path]:
