@@ -100,7 +100,10 @@ def error_table(answers: Answers) -> dict[str, dict[str, float]]:
 def calibration_of(
     answers: Answers, percent: float = CONFIDENT_PERCENT
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Probability mass to confidence: how often a landmark with that mass lies within `percent`, never falling."""
+    """Probability mass to confidence: how often a landmark with that mass lies within `percent`, never falling.
+
+    The masses ascend strictly within 0..1, however many landmarks have the same.
+    """
     mass, found = answers.mass[:, 17:].ravel(), (answers.errors_percent[:, 17:] < percent).ravel()
     edges = np.quantile(mass, np.linspace(0, 1, KNOTS + 1))
     knots, shares, weights = [], [], []
@@ -109,8 +112,10 @@ def calibration_of(
         knots.append(mass[inside].mean())
         shares.append(found[inside].mean())
         weights.append(inside.sum())
-    knots = np.maximum.accumulate(np.asarray(knots) + LEAST_MASS_STEP * np.arange(KNOTS))
-    return np.clip(knots, 0, 1), _never_falling(np.asarray(shares), np.asarray(weights, float))
+    place = np.arange(KNOTS)
+    knots = np.maximum.accumulate(np.asarray(knots) + LEAST_MASS_STEP * place)
+    knots = np.minimum(knots, 1 - LEAST_MASS_STEP * place[::-1])
+    return knots, _never_falling(np.asarray(shares), np.asarray(weights, float))
 
 
 def reliability(
