@@ -70,6 +70,26 @@ def test_a_track_without_a_fit_is_named(head, tmp_path):
         weights_of(track, tmp_path / "empty.npz", NAMES)
 
 
+def test_a_track_of_other_blendshapes_is_named(head, tmp_path):
+    track = track_of(head, [smiling(1.0)])
+    track = replace(track, meta={"expression_names": [f"expression_{k}" for k in range(44)]})
+    with pytest.raises(InputError, match=r"flame\.npz has none of the head's blendshapes \(its first are expr"):
+        weights_of(track, tmp_path / "flame.npz", NAMES)
+
+
+def test_of_a_runs_folder_the_track_alone_counts_and_one_track_is_no_plural(tmp_path, head):
+    run, interrupted = tmp_path / "tracks" / "talk", tmp_path / "tracks" / "begun" / "track.npz.parts"
+    run.mkdir(parents=True)
+    interrupted.mkdir(parents=True)
+    track = track_of(head, [smiling(1.0)])
+    for path in (run / "track.npz", run / "unrefined.npz", interrupted / "000000.npz"):
+        track.save(path)
+    assert len(fitted_weights(tmp_path, NAMES)) == 1
+    said = []
+    learn_expressions(tmp_path, ExpressionRecipe(drawn=4), report=said.append)
+    assert said == ["learned from 4 random expressions and from 1 track"]
+
+
 def test_pictures_show_the_expressions_of_tracks_each_track_as_often_and_to_either_side(tmp_path, head):
     (tmp_path / "tracks").mkdir()
     smirk = np.array([0.4 * (name == "mouthSmileLeft") for name in NAMES])

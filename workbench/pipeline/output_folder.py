@@ -11,6 +11,7 @@ from typing import IO
 
 from workbench.errors import OutputError
 from workbench.files import check_not_inputs, check_target, make_folder, remove_partial_files, writing
+from workbench.tracking.track_writer import PARTS_SUFFIX, UNREFINED
 
 try:
     import fcntl
@@ -26,7 +27,6 @@ OUTPUTS = {
     "config.toml": "the configuration used",
     "overlay.mp4": "the landmarks on the picture, the 3D face beside it (overlay/ with pictures for stills)",
 }
-UNREFINED = "unrefined.npz"
 DEEP_OUTPUTS = {"stages": "what each stage made of some frames, and of those that failed"}
 """What a Deep Energies run writes in addition."""
 TIME_OUTPUTS = {UNREFINED: "the fits of single frames, before infill and refinement"}
@@ -34,7 +34,7 @@ TIME_OUTPUTS = {UNREFINED: "the fits of single frames, before infill and refinem
 LOCK = "run.lock"
 FILES = (*OUTPUTS, *TIME_OUTPUTS, "overlay.png")
 PICTURE_FOLDERS = ("overlay", *DEEP_OUTPUTS)
-PARTS = tuple(f"{name}.parts" for name in ("track.npz", UNREFINED))
+PARTS = tuple(f"{name}{PARTS_SUFFIX}" for name in ("track.npz", UNREFINED))
 LOCKED_BYTE = 4096
 """Windows locks single bytes, which then cannot be read: one behind the owner's name."""
 

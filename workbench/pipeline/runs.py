@@ -23,7 +23,7 @@ from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.pictures.overlay_files import write_overlay_video
 from workbench.pipeline.deep_run import track_deep_frames, write_strips
 from workbench.pipeline.deep_sources import open_deep_source
-from workbench.pipeline.output_folder import FILES, PARTS, PICTURE_FOLDERS, UNREFINED, run_folder
+from workbench.pipeline.output_folder import FILES, PARTS, PICTURE_FOLDERS, run_folder
 from workbench.pipeline.provenance import content_hash, software_versions
 from workbench.pipeline.sources import open_source
 from workbench.pipeline.still_pictures import StillPictures
@@ -34,7 +34,7 @@ from workbench.tracking import FrameFit, FrameObservation, Track
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.track_layout import model_record, scheme_of, scheme_record
 from workbench.tracking.track_reader import TrackReader
-from workbench.tracking.track_writer import TrackWriter, has_parts
+from workbench.tracking.track_writer import UNREFINED, TrackWriter, has_parts
 from workbench.tracking.unwatched import silent
 from workbench.workers import ThisProcess, Workers, working
 

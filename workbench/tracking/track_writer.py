@@ -17,6 +17,10 @@ from workbench.errors import InputError
 from workbench.files import atomic_path, make_folder
 from workbench.tracking.records import ARRAYS, FrameFit, Track, meta_array, stack_fits
 
+UNREFINED = "unrefined.npz"
+"""The fits of single frames of a run with infill or refinement, beside its track."""
+PARTS_SUFFIX = ".parts"
+"""Behind a track's name: the folder of its parts, while it grows."""
 FINGERPRINT = "fingerprint"
 PART_FRAMES = 256
 PART_SECONDS = 10.0
@@ -161,7 +165,7 @@ def has_parts(path: Path, fingerprint: str) -> bool:
 
 
 def _parts_folder(path: Path) -> Path:
-    return path.with_name(path.name + ".parts")
+    return path.with_name(path.name + PARTS_SUFFIX)
 
 
 def _frames_of(part: Path, first: int) -> int:

@@ -11,7 +11,9 @@ from workbench.errors import InputError
 from workbench.face import load_default_head
 from workbench.face.gaze import GAZE_NAMES
 from workbench.face.usual_expressions import Moments, other_side, write_moments
+from workbench.reading import shortened
 from workbench.tracking import Track
+from workbench.tracking.track_writer import PARTS_SUFFIX, UNREFINED
 from workbench.training.report import write_tables
 from workbench.training.scenes import random_expression
 
@@ -47,13 +49,13 @@ def learn_expressions(
     """Learn `folder/expressions.safetensors`: half of random expressions, half of the tracks in `folder/tracks`.
 
     Without tracks, of random expressions alone. Each track counts alike, whatever its length. It takes seconds, by one
-    process, whatever `workers` and `device` are. Raises `InputError` for a track without a fitted frame.
+    process, whatever `workers` and `device` are. Raises as `fitted_weights` does.
     """
     names = load_default_head(gaze=True).expression_names
     rng = np.random.default_rng(SEED)
     drawn = second_moment(np.array([random_expression(names, rng) for _ in range(recipe.drawn)]))
     fitted = [second_moment(weights) for weights in fitted_weights(folder, names)]
-    report(f"learned from {recipe.drawn} random expressions and from {len(fitted)} tracks")
+    report(f"learned from {recipe.drawn} random expressions and from {counted_tracks(fitted)}")
     second = 0.5 * (drawn + np.mean(fitted, axis=0)) if fitted else drawn
     path = folder / "expressions.safetensors"
     notes = {"licence": "Apache-2.0", "expressions": str(recipe.drawn), "tracks": str(len(fitted))}
@@ -71,17 +73,32 @@ def second_moment(weights: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k k"]
 def fitted_weights(folder: Path, names: Sequence[str]) -> list[Float[np.ndarray, "n k"]]:
     """The weights of the fitted frames of each track in `folder/tracks`; none without that folder.
 
-    Raises `InputError` for a track without a fitted frame.
+    Of a run's folder its track alone counts. Raises `InputError` for a track without a fitted frame or without any of
+    the blendshapes.
     """
-    return [weights_of(Track.load(path), path, names) for path in sorted((folder / TRACKS).rglob("*.npz"))]
+    found = sorted((folder / TRACKS).rglob("*.npz"))
+    tracks = [path for path in found if path.name != UNREFINED and not path.parent.name.endswith(PARTS_SUFFIX)]
+    return [weights_of(Track.load(path), path, names) for path in tracks]
+
+
+def counted_tracks(fits: Sequence[Float[np.ndarray, "n k"]]) -> str:
+    """How many tracks these are the weights of, in words."""
+    return f"{len(fits)} track{'' if len(fits) == 1 else 's'}"
 
 
 def weights_of(track: Track, path: Path, names: Sequence[str]) -> Float[np.ndarray, "n k"]:
-    """The weights of a track's fits, 0 for blendshapes that it lacks. Raises `InputError` if there are none."""
+    """The weights of a track's fits, 0 for blendshapes that it lacks. Raises `InputError` if it has no fits or none
+    of the blendshapes.
+    """
     fits = track.expression[track.seen]
     if len(fits) == 0:
         raise InputError(f"{path} has no fitted frame to learn expressions from; take it out of {path.parent}.")
     known = [name for name in names if name in track.expression_names]
+    if not known:
+        first = shortened(", ".join(track.expression_names[:3]))
+        raise InputError(
+            f"{path} has none of the head's blendshapes (its first are {first}); take it out of {path.parent}."
+        )
     weights = np.zeros((len(fits), len(names)))
     columns = [track.expression_names.index(name) for name in known]
     weights[:, [names.index(name) for name in known]] = fits[:, columns]

@@ -32,7 +32,7 @@ from workbench.training.dense_measuring import (
 )
 from workbench.training.dense_task import DenseTask
 from workbench.training.evaluation import CLEAN, Answers, answers_of, calibration_of, unseen_pictures
-from workbench.training.expressions import FITTED, fitted_weights
+from workbench.training.expressions import FITTED, counted_tracks, fitted_weights
 from workbench.training.eye_measuring import eye_answers, measured_eyes
 from workbench.training.eye_task import EyeTask
 from workbench.training.finder_task import FinderTask
@@ -246,7 +246,7 @@ def _pools(folder: Path, recipe: Recipe, workers: int, report: Report, kind: str
     pools = folder / name, folder / f"{name}_test"
     seeds, fits = SEEDS[kind], fitted_weights(folder, load_default_head(gaze=True).expression_names)
     if fits:
-        report(f"{100 * FITTED:.0f} % of the new pictures to learn from show expressions of {len(fits)} tracks")
+        report(f"{100 * FITTED:.0f} % of the new pictures to learn from show expressions of {counted_tracks(fits)}")
     make_pool(pools[0], recipe.pictures, seeds[0], workers, _rendered(report), kind, fits)
     make_pool(pools[1], recipe.test_pictures, seeds[1], workers, _rendered(report), kind)
     return pools
