@@ -478,7 +478,7 @@ class TestLoop:
             train(FinderTask(), pool_folder, tmp_path / "other", still, 0, report=quiet, start=start)
 
     def test_no_pool_is_a_clear_error(self, tmp_path):
-        with pytest.raises(InputError, match="no pool of rendered heads"):
+        with pytest.raises(InputError, match="no pool of rendered heads: `workbench train landmarks FOLDER` makes"):
             open_pool(tmp_path)
 
     def test_the_rate_rises_then_falls_in_each_phase(self):
@@ -527,6 +527,13 @@ class TestEvaluation:
         assert (np.diff(knots) > 0).all()
         assert (np.diff(confidence) >= 0).all()
         assert confidence == pytest.approx(knots**2, abs=0.05)
+
+    def test_the_calibration_of_a_network_that_is_often_sure_ascends_within_its_range(self):
+        mass = np.random.default_rng(0).uniform(0.2, 1, (60, 68))
+        mass[42:] = 0.9999
+        knots, _ = calibration_of(answers(np.zeros_like(mass), mass))
+        assert (np.diff(knots) > 0).all()
+        assert 0 <= knots[0] < knots[-1] <= 1
 
     def test_reliability_of_honest_confidence_lies_on_the_diagonal(self):
         rng = np.random.default_rng(1)

@@ -86,7 +86,7 @@ def open_pair_pool(folder: Path) -> PairPool:
     files = [shard_files(folder, shard) for shard in shards]
     files = [paths for paths in files if all(path.is_file() for path in paths.values())]
     if not files:
-        raise InputError(f"there is no pool of rendered pairs in {folder}: make one with `workbench train flow`")
+        raise InputError(f"{folder} holds no pool of rendered pairs: `workbench train flow FOLDER` makes one")
     return PairPool(**{
         name: [np.load(paths[name], mmap_mode="r", allow_pickle=False) for paths in files] for name in PARTS
     })  # fmt: skip

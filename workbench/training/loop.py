@@ -30,6 +30,8 @@ from workbench.training.torch_network import TorchLandmarkNetwork, conv_norms, g
 
 AVERAGING = 0.998
 """Decay per step of the moving average of the weights, which is what is kept."""
+STEP = "step"
+"""The first column of the curves."""
 
 
 @dataclass(frozen=True)
@@ -393,9 +395,9 @@ def _forget_later_rows(path: Path, step: int) -> None:
     if not path.is_file():
         return
     with path.open(newline="", encoding="utf-8") as file:
-        header, *rows = csv.reader(file)
+        rows = [row for row in csv.reader(file) if row[0] == STEP or int(row[0]) <= step]
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([header, *(row for row in rows if int(row[0]) <= step)])
+        csv.writer(file).writerows(rows)
 
 
 def _log(path: Path, step: int, rate: float, numbers: dict[str, Tensor]) -> None:
@@ -403,5 +405,5 @@ def _log(path: Path, step: int, rate: float, numbers: dict[str, Tensor]) -> None
     with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         if fresh:
-            writer.writerow(["step", "rate", *numbers])
+            writer.writerow([STEP, "rate", *numbers])
         writer.writerow([step, f"{rate:.3e}", *(f"{value:.4f}" for value in numbers.values())])

@@ -142,7 +142,7 @@ def open_pool(folder: Path) -> Pool:
     ]
     shards = [(numbers, pictures) for numbers, pictures in shards if numbers.is_file()]
     if not shards:
-        raise InputError(f"there is no pool of rendered heads in {folder}: make one with `workbench train pool`")
+        raise InputError(f"{folder} holds no pool of rendered heads: `workbench train landmarks FOLDER` makes one")
     numbers = [np.load(path, allow_pickle=False) for path, _ in shards]
     return Pool(
         pictures=[np.load(path, mmap_mode="r", allow_pickle=False) for _, path in shards],
