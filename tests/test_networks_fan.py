@@ -15,6 +15,7 @@ from workbench.errors import InputError, ModelError
 from workbench.networks import (
     Fan,
     Weights,
+    convert_checkpoint,
     crop_box,
     named_arrays,
     read_checkpoint,
@@ -24,7 +25,7 @@ from workbench.networks import (
     to_picture,
     write_weights,
 )
-from workbench.networks.fan import convert_fan, empty_fan, fan_from
+from workbench.networks.fan import empty_fan, fan_from
 
 torch = pytest.importorskip("torch", reason="the network that ours is compared with is PyTorch's")
 RNG = np.random.default_rng(3)
@@ -196,8 +197,8 @@ def test_convert_writes_once_what_is_read_without_pytorch(one_stack_file, fan, t
 
 
 def test_convert_of_a_converted_file_keeps_its_source(one_stack_file, tmp_path):
-    first = convert_fan(one_stack_file, tmp_path / "fan.safetensors")
-    convert_fan(tmp_path / "fan.safetensors", tmp_path / "again.safetensors")
+    first = convert_checkpoint(one_stack_file, tmp_path / "fan.safetensors")
+    convert_checkpoint(tmp_path / "fan.safetensors", tmp_path / "again.safetensors")
     assert read_weights(tmp_path / "again.safetensors").metadata == first.metadata
 
 

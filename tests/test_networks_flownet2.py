@@ -1,6 +1,7 @@
 """FlowNet2: what its parts compute, what it must do whatever its weights are, and its files. PyTorch is not needed."""
 
 import tarfile
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -16,7 +17,7 @@ from workbench.cli import app
 from workbench.errors import InputError, ModelError
 from workbench.flow import flow_estimator, read_flow
 from workbench.flow.network_flow import seen_size
-from workbench.networks import named_arrays, read_checkpoint, read_flownet2, write_weights
+from workbench.networks import convert_checkpoint, named_arrays, read_checkpoint, read_flownet2, write_weights
 from workbench.networks.flownet2 import (
     FlowNet2,
     correlation,
@@ -157,6 +158,12 @@ class TestFiles:
         assert weights.metadata["source"] == "FlowNet2_checkpoint.pth.tar"
         again = named_arrays(read_flownet2(tmp_path / "flownet2.safetensors"))
         assert all(np.array_equal(again[name], arrays[name]) for name in arrays)
+
+    def test_a_file_of_hundreds_of_megabytes_is_read_once_to_convert_it(self, checkpoint, tmp_path, monkeypatch):
+        read, read_bytes = [], Path.read_bytes
+        monkeypatch.setattr(Path, "read_bytes", lambda path: (read.append(path), read_bytes(path))[1])
+        convert_checkpoint(checkpoint, tmp_path / "flownet2.safetensors")
+        assert read == [checkpoint]
 
     def test_estimators_take_the_file_as_published(self, checkpoint, arrays):
         estimator = flow_estimator(str(checkpoint), side=128)

@@ -13,13 +13,11 @@ from workbench.networks.crop import to_picture as to_picture
 from workbench.networks.crop import within_picture as within_picture
 from workbench.networks.dense_network import DenseNetwork as DenseNetwork
 from workbench.networks.fan import Fan as Fan
-from workbench.networks.fan import convert_fan as convert_fan
 from workbench.networks.fan import read_fan as read_fan
 from workbench.networks.flow_network import FlowNetwork as FlowNetwork
 from workbench.networks.flow_network import read_flow_network as read_flow_network
 from workbench.networks.flow_network import save_flow_network as save_flow_network
 from workbench.networks.flownet2 import FlowNet2 as FlowNet2
-from workbench.networks.flownet2 import convert_flownet2 as convert_flownet2
 from workbench.networks.flownet2 import read_flownet2 as read_flownet2
 from workbench.networks.landmark_chain import EnergyNetwork as EnergyNetwork
 from workbench.networks.landmark_chain import HeatMapNetwork as HeatMapNetwork
@@ -32,7 +30,6 @@ from workbench.networks.landmark_network import read_landmark_network as read_la
 from workbench.networks.landmark_network import save_landmark_network as save_landmark_network
 from workbench.networks.published import convert_checkpoint as convert_checkpoint
 from workbench.networks.raft import RaftSmall as RaftSmall
-from workbench.networks.raft import convert_raft as convert_raft
 from workbench.networks.raft import read_raft as read_raft
 from workbench.networks.soft_argmax import BETA as BETA
 from workbench.networks.soft_argmax import patch_mass as patch_mass

@@ -17,7 +17,7 @@ from workbench.arrays import AnyArray
 from workbench.errors import ModelError
 from workbench.networks.layers import BatchNorm, Conv, empty_batch_norm, empty_conv, enlarge, halve
 from workbench.networks.torch_checkpoints import read_checkpoint
-from workbench.networks.weights import ARCHITECTURE, Weights, fill, write_weights
+from workbench.networks.weights import Weights, fill
 
 NAME = "fan"
 """Value of the metadata key `architecture`."""
@@ -169,23 +169,6 @@ def fan_from(weights: Weights) -> Fan:
             "the checkpoint of the landmark network (3DFAN4-….pth.tar or .zip), not that of a face detector or of depth"
         )
     return fill(lambda: empty_fan(count), Weights(arrays, weights.metadata, weights.origin))
-
-
-def convert_fan(source: str | Path, out: str | Path) -> Weights:
-    """Check a published checkpoint and write its weights as safetensors; PyTorch is not needed.
-
-    Returns what was written; its metadata names the source and its SHA-256. Raises as `read_fan` does.
-    """
-    checkpoint = read_checkpoint(source)
-    network = fan_from(checkpoint)
-    metadata = {**checkpoint.metadata, ARCHITECTURE: NAME, "stacks": str(network.count)}
-    arrays = {
-        name: array.astype("float32")
-        for name, array in checkpoint.arrays.items()
-        if not name.endswith("num_batches_tracked")
-    }
-    write_weights(out, arrays, metadata)
-    return Weights(arrays, metadata, str(out))
 
 
 def _some(arrays: dict) -> str:

@@ -22,7 +22,7 @@ from workbench.errors import InputError, ModelError
 from workbench.networks.flow_network import enlarged, similarities
 from workbench.networks.layers import Conv, TransposedConv, empty_conv, empty_transposed_conv, enlarge
 from workbench.networks.torch_checkpoints import read_checkpoint
-from workbench.networks.weights import ARCHITECTURE, Weights, fill, write_weights
+from workbench.networks.weights import Weights, fill
 
 NAME = "flownet2"
 """Value of the metadata key `architecture`."""
@@ -299,19 +299,6 @@ def flownet2_from(weights: Weights) -> FlowNet2:
 def looks_like_flownet2(weights: Weights) -> bool:
     """Whether these are of FlowNet2, or of one of its parts."""
     return any("predict_flow" in name for name in weights.arrays)
-
-
-def convert_flownet2(source: str | Path, out: str | Path) -> Weights:
-    """Check a published checkpoint and write its weights as safetensors; PyTorch is not needed.
-
-    Returns what was written; its metadata names the source and its SHA-256. Raises as `read_flownet2` does.
-    """
-    checkpoint = read_checkpoint(source)
-    flownet2_from(checkpoint)
-    metadata = {**checkpoint.metadata, ARCHITECTURE: NAME}
-    arrays = {name: array.astype("float32", copy=False) for name, array in checkpoint.arrays.items()}
-    write_weights(out, arrays, metadata)
-    return Weights(arrays, metadata, str(out))
 
 
 def _repeated(field: Float[Array, "h w c"]) -> Float[Array, "h4 w4 c"]:

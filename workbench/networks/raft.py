@@ -16,7 +16,7 @@ from workbench.arrays import AnyArray
 from workbench.errors import InputError, ModelError
 from workbench.networks.layers import Conv, empty_conv, halve
 from workbench.networks.torch_checkpoints import read_checkpoint
-from workbench.networks.weights import ARCHITECTURE, Weights, fill, write_weights
+from workbench.networks.weights import Weights, fill
 
 NAME = "raft-small"
 """Value of the metadata key `architecture`."""
@@ -288,19 +288,6 @@ def raft_from(weights: Weights, updates: int = UPDATES) -> RaftSmall:
 def looks_like_raft(weights: Weights) -> bool:
     """Whether these are of a RAFT of torchvision, small or large."""
     return "update_block.flow_head.conv1.weight" in weights.arrays
-
-
-def convert_raft(source: str | Path, out: str | Path) -> Weights:
-    """Check a published checkpoint and write its weights as safetensors; PyTorch is not needed.
-
-    Returns what was written; its metadata names the source and its SHA-256. Raises as `read_raft` does.
-    """
-    checkpoint = read_checkpoint(source)
-    raft_from(checkpoint)
-    metadata = {**checkpoint.metadata, ARCHITECTURE: NAME}
-    arrays = {name: array.astype("float32") for name, array in checkpoint.arrays.items()}
-    write_weights(out, arrays, metadata)
-    return Weights(arrays, metadata, str(out))
 
 
 def _enlarged(field: Float[Array, "h w c"], factor: int) -> Float[Array, "h2 w2 c"]:
