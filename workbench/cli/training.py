@@ -70,7 +70,9 @@ def train(
     start: Annotated[
         Path | None, typer.Option(help="Weights to start from; without it, training starts from scratch.")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Train again; the pool is kept.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Train again; old checkpoints and weights go, the pool stays.")
+    ] = False,
 ) -> None:
     """Train one of the bundled networks."""
     check_installed("train", "torch")
