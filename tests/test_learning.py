@@ -10,12 +10,14 @@ import pytest
 from workbench.config import config_toml, preset
 from workbench.errors import ConfigError, InputError
 from workbench.face import load_default_head
+from workbench.learning import objective
 from workbench.learning.chain import fitted_stretch
 from workbench.learning.descent import begin, store, stored
-from workbench.learning.examples import example_of, stretches_in
+from workbench.learning.examples import Example, example_of, stretches_in
 from workbench.learning.learnable import learned, start_of, weighing_of
 from workbench.learning.parts import parts_of_clip, read_frames
 from workbench.learning.report import change_of
+from workbench.objectives import read_sum
 from workbench.planning import plan_of
 from workbench.runtime import SMALL_ARRAYS
 from workbench.samples import sample
@@ -88,6 +90,8 @@ def test_parts_of_a_clip_do_not_overlap():
         parts_of_clip(100, range(50))
     with pytest.raises(ConfigError, match="FIRST:END"):
         read_frames("5:5")
+    with pytest.raises(InputError, match=r"too short to tune on: 1 frame\(s\)"):
+        parts_of_clip(1)
 
 
 def test_the_interval_of_a_change_holds_it():
@@ -97,6 +101,23 @@ def test_the_interval_of_a_change_holds_it():
     assert change.low <= change.percent <= change.high
     nothing = change_of(before, np.random.default_rng(1).permutation(before))
     assert nothing.low < 0.0 < nothing.high
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_change_that_is_not_known_is_said_in_words():
+    for before, after in ((np.zeros(5), np.ones(5)), (np.full(5, np.nan), np.ones(5))):
+        assert str(change_of(before, after)).startswith("not known, as no frame has a value before and after, or")
+    rarely = np.array([1.0, *np.zeros(60)])
+    assert np.isfinite(change_of(rarely, rarely)).all()
+
+
+def test_an_objective_without_a_value_on_a_stretch_is_not_perfect_there(monkeypatch):
+    monkeypatch.setattr(objective, "fitted_stretch", lambda stages, terms, weighing, stretch: stretch)
+    monkeypatch.setattr(objective, "_as_clip", lambda *given: None)
+    monkeypatch.setattr(objective, "measure", lambda name: lambda clip, fits: jnp.array([1.0, 3.0, *[jnp.nan] * 10]))
+    value = objective.example_value(CONFIG, read_sum("labels"), plan_of(CONFIG).camera.of((640, 480)))
+    assert value({}, Example(np.zeros(1), None, np.arange(12) < 2)) == 2.0
+    assert np.isnan(value({}, Example(np.zeros(1), None, np.arange(12) >= 2)))
 
 
 def test_stretches_neither_cross_cuts_nor_gaps(clip):

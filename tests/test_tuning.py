@@ -1,16 +1,26 @@
 """Tuning from its start to its file: interrupted, gone on with, by search and by gradient, in a session and outside."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.short_clips import write_clip
+from tests.short_clips import observations, write_clip
 from workbench.cli import app
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError
-from workbench.learning.descent import begin, descended, stored
-from workbench.session import open_session
+from workbench.face import FaceModel, load_default_head
+from workbench.learning import Wanted, parts_of_clip, search, tuned, tuning
+from workbench.learning.descent import begin, descended, store, stored
+from workbench.learning.learnable import FARTHEST, limits_of, start_of
+from workbench.learning.learnable import FOV as FOV_PATH
+from workbench.learning.learnable import learned as scaled
+from workbench.learning.search import Searched
+from workbench.objectives import Truth, read_sum
+from workbench.session import learning, open_session
+from workbench.sweeps import SweptClip, read_axis
 
 FOV = {"camera": {"fov_deg": 33.0}}
 AXIS = "weights.tau=log(1e-3,10)"
@@ -109,6 +119,170 @@ def test_a_search_finds_better_values_keeps_its_best_and_goes_on(session, tmp_pa
         session.tune("labels", place=tmp_path / "none.toml", truth=tmp_path / "labels.npz", **options)
 
 
+class ByTau:
+    """Stands in for fits: a value is how far log ω_τ is from that of 0.3, plus 1; counts what was measured."""
+
+    model = load_default_head()
+    clip = SweptClip("clip", "digest", (), False)
+    stretches = (range(0, 12), range(12, 24), range(24, 36))
+
+    def __init__(self, monkeypatch, folder):
+        monkeypatch.setattr(search, "value_of", self.value_of)
+        self.journal, self.asked = folder / "a.study.log", []
+
+    def value_of(self, solver, config, clip, windows, objectives):
+        self.asked.append(config.weights.tau)
+        return 1.0 + abs(float(np.log(config.weights.tau / 0.3)))
+
+    def searched(self, *axes, base=0.3, objective="error", clip=clip, trials=3, tell=lambda *told: None):
+        config = preset("joint").changed(weights={"tau": base})
+        return search.searched(
+            self,
+            config,
+            tuple(map(read_axis, axes)),
+            read_sum(objective),
+            clip,
+            self.stretches,
+            trials,
+            self.journal,
+            tell,
+        )
+
+
+@pytest.fixture
+def by_tau(monkeypatch, tmp_path):
+    return ByTau(monkeypatch, tmp_path)
+
+
+def test_a_search_keeps_the_start_unless_a_trial_is_better(by_tau):
+    told = []
+    found = by_tau.searched("weights.tau=log(5,100)", tell=lambda done, total, best: told.append(best))
+    assert found.config.weights.tau == 0.3
+    assert told == [1.0, 1.0, 1.0]
+    assert by_tau.asked[:3] == [0.3, 0.3, 0.3]
+    by_tau.searched("weights.tau=log(5,100)", trials=4)
+    assert by_tau.asked.count(0.3) == 3  # the study knows what the start is worth
+    by_tau.journal.unlink()
+    assert by_tau.searched("weights.tau=0.1,0.3", base=50.0).config.weights.tau in (0.1, 0.3)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"objective": "jitter"},
+        {"base": 0.4},
+        {"clip": SweptClip("clip", "another", (), False)},
+        {"axes": ["weights.range=log(1,2)"]},
+        {"axes": ["weights.tau=5,10"]},
+    ],
+    ids=lambda other: next(iter(other)),
+)
+def test_a_search_of_something_else_is_not_gone_on_with(by_tau, other):
+    by_tau.searched("weights.tau=log(5,100)")
+    before = len(by_tau.asked)
+    axes = other.pop("axes", ["weights.tau=log(5,100)"])
+    with pytest.raises(
+        InputError, match="was searched with another configuration, clip, objective, part or space; leave"
+    ):
+        by_tau.searched(*axes, **other)
+    assert len(by_tau.asked) == before
+
+
+def test_a_journal_that_is_torn_or_none_is_one_sentence(by_tau):
+    by_tau.searched("weights.tau=log(5,100)")
+    for content in (by_tau.journal.read_text()[:-20], "hello\n", "[1]\n", "{}\n"):
+        by_tau.journal.write_text(content)
+        with pytest.raises(InputError, match=r"a.study.log is not a stored search .*leave out --resume"):
+            by_tau.searched("weights.tau=log(5,100)")
+
+
+@pytest.mark.parametrize(
+    ("axis", "said"),
+    [
+        ("landmarks.detector=dlib,network", "landmarks are found once per clip"),
+        ("infill.longest=1..9", "has no effect here"),
+        ("preset=joint,dense", "start from it by --preset dense"),
+    ],
+)
+def test_what_has_no_effect_is_not_searched(by_tau, axis, said):
+    with pytest.raises(ConfigError, match=said):
+        by_tau.searched(axis)
+
+
+class TestASearchBeforeAGradient:
+    """`learn_on` keeps what it began from; the search finds the start that it is told to."""
+
+    @pytest.fixture(autouse=True)
+    def stand_ins(self, monkeypatch, tmp_path):
+        self.found, self.begun, self.place = Searched(preset("joint"), False), [], tmp_path / "a.toml"
+        monkeypatch.setattr(tuning, "searched", lambda *given: self.found)
+        monkeypatch.setattr(tuning, "measured", lambda *given: [{"held_out": np.ones(9)}] * 2)
+        monkeypatch.setattr(tuning, "stretches_in", lambda clip, part: [range(0, 12)])
+        monkeypatch.setattr(tuning, "example_of", lambda *given: 1.0)
+        monkeypatch.setattr(tuning, "watched_on", lambda *given: lambda logs: 1.0)
+        monkeypatch.setattr(tuning, "compiled_slope", lambda *given: valley)
+
+        def descended_once(slope, begun, *rest):
+            self.begun.append(begun)
+            found = replace(begun, values=[*begun.values, 1.0])
+            store(found, self.place.with_suffix(".learning.json"))
+            return found
+
+        monkeypatch.setattr(tuning, "descended", descended_once)
+
+    def tuned(self, resume=False):
+        clip = SweptClip("clip", "digest", tuple(observations(range(2))), False)
+        axes, parts = (read_axis(AXIS),), parts_of_clip(60)
+        wanted = Wanted(read_sum("jitter"), parts, ("weights.sigma_smooth",), axes)
+        return tuned(load_default_head(), preset("joint"), clip, wanted, place=self.place, resume=resume)
+
+    def test_the_gradient_waits_for_a_search_that_was_interrupted(self):
+        self.found = Searched(preset("joint"), True)
+        result = self.tuned()
+        assert (self.begun, result.learning) == ([], None)
+        assert result.config.provenance.learned == ["weights.tau"]
+
+    def test_the_gradient_goes_on_from_the_same_start_and_begins_anew_from_another(self):
+        self.tuned()
+        self.tuned(resume=True)
+        assert [len(begun.values) for begun in self.begun] == [0, 1]
+        self.found = Searched(preset("joint").changed(weights={"tau": 0.7}), False)
+        self.tuned(resume=True)
+        assert len(self.begun[-1].values) == 0
+
+    def test_a_learning_belongs_to_its_face_model(self, monkeypatch):
+        self.tuned()
+        monkeypatch.setattr(FaceModel, "fingerprint", lambda model: "another")
+        self.tuned(resume=True)
+        assert len(self.begun[-1].values) == 0
+
+
+def test_a_field_of_view_is_learned_within_what_a_camera_can_have():
+    config, seen = preset("joint"), []
+
+    def wider(logs, example):
+        return jnp.asarray(1.0), {path: -jnp.ones_like(log) for path, log in logs.items()}
+
+    def watched(logs):
+        seen.append(scaled(config, logs).camera.fov_deg)
+        return 1.0
+
+    begun, limits = begin("key", start_of(config, [FOV_PATH]), None), limits_of(config, [FOV_PATH])
+    descended(wider, begun, [1.0], watched, 24, lambda *told: None, limits=limits)
+    assert max(seen) == 170.0
+    assert limits_of(config, ["weights.tau"]) == {"weights.tau": (-FARTHEST, FARTHEST)}
+
+
+def test_a_session_goes_on_only_with_the_same_truth_and_confidences():
+    clip = SweptClip("clip", "session", tuple(observations(range(3))), False)
+    faces = [seen.landmarks for seen in clip.observations]
+    surer = [replace(seen, landmarks=replace(face, confidence=0.5 * face.confidence))
+             for seen, face in zip(clip.observations, faces, strict=True)]  # fmt: skip
+    others = [replace(clip, observations=tuple(surer)), replace(clip, truth=Truth(rotation=np.zeros((3, 3))))]
+    assert len({learning._digest(each) for each in (clip, *others)}) == 3
+    assert learning._digest(clip) == learning._digest(replace(clip, name="another name"))
+
+
 def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_path):
     out = tmp_path / "found.toml"
     parts = [f"--{name.replace('_', '-')}={frames}" for name, frames in PARTS.items()]
@@ -116,6 +290,7 @@ def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_
     told = CliRunner().invoke(app, [*asked, *parts])
     assert told.exit_code == 0, told.output
     assert "held-out" in told.output
+    assert ("No trial was better than the start." in told.output) == ("weights.tau" not in told.output)
     found = read_config(out)
     assert found.provenance.objective == "jitter + error"
     assert found.provenance.parts["held_out"] == "36:48"

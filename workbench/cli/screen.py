@@ -64,16 +64,17 @@ def table(*columns: str, right: tuple[str, ...] = (), whole: tuple[str, ...] = (
 
 
 @contextmanager
-def progress_bar(unit: str = "frames/s") -> Iterator[Callable[[str, int, int | None], None]]:
-    """A bar for one step after the other; yields what tells it `(step, done, total)`. It vanishes at the end.
+def progress_bar(unit: str = "frames/s") -> Iterator[Callable[..., None]]:
+    """A bar for one step after the other; yields what tells it `(step, done, total, note="")`. It vanishes at the end.
 
-    `unit` is that of its speed.
+    `unit` is that of its speed; a note stands beside it.
     """
     bar = Progress(
         SpinnerColumn(),
         TextColumn("{task.description:8}"),
         BarColumn(),
         MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
         console=console,
@@ -81,14 +82,15 @@ def progress_bar(unit: str = "frames/s") -> Iterator[Callable[[str, int, int | N
         disable=not console.is_terminal,
     )
     with bar:
-        tasks = {"warm-up": bar.add_task("warm-up", total=None, rate="")}
+        tasks = {"warm-up": bar.add_task("warm-up", total=None, rate="", note="")}
 
-        def progress(step: str, done: int, total: int | None) -> None:
+        def progress(step: str, done: int, total: int | None, note: str = "") -> None:
             if step not in tasks:
                 bar.update(tasks.popitem()[1], visible=False)
-                tasks[step] = bar.add_task(step, total=total, rate="")
+                tasks[step] = bar.add_task(step, total=total, rate="", note="")
             speed = bar.tasks[tasks[step]].speed
-            bar.update(tasks[step], completed=done, total=total, rate=f"{speed:.0f} {unit}" if speed else "")
+            rate = f"{speed:.{0 if speed >= 10.0 else 1}f} {unit}" if speed else ""
+            bar.update(tasks[step], completed=done, total=total, rate=rate, note=note)
 
         yield progress
 

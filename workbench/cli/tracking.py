@@ -168,9 +168,7 @@ def _name(given: Path) -> str:
 
 
 def _configuration(config, preset_name, detector, fov, face, identity, energy, network, rig, infill, refine) -> Config:
-    if config is not None and preset_name is not None:
-        raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
-    base = read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
+    base = base_config(config, preset_name)
     landmarks, camera = {}, {}
     if detector is not None:
         landmarks["detector"] = detector
@@ -192,6 +190,13 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
         "refinement": {} if refine is None else {"method": refine},
     }
     return base.changed(**changes)
+
+
+def base_config(config: Path | None, preset_name: str | None) -> Config:
+    """The configuration of --config or --preset, else the default one; raises `ConfigError` for both."""
+    if config is not None and preset_name is not None:
+        raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
+    return read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
 
 
 def frame_range(text: str | None) -> tuple[int, int] | None:

@@ -7,9 +7,9 @@ import typer
 
 import workbench
 from workbench.cli import screen
-from workbench.cli.tracking import named_view
-from workbench.config import DEFAULT_PRESET, differences, preset, read_config, write_config
-from workbench.errors import ConfigError, OutputError
+from workbench.cli.tracking import base_config, face_model, named_view
+from workbench.config import differences, write_config
+from workbench.errors import OutputError
 from workbench.files import check_not_inputs
 
 TUNE_HELP = """Let a clip choose settings: by gradients through the solver (--learn), by search (--search), or
@@ -38,7 +38,7 @@ INPUT, TUNING, RESULTS = "Input", "Tuning", "Results"
 
 def tune(
     clip: Annotated[str, typer.Argument(help="A video or a landmark file.")],
-    objective: Annotated[str, typer.Option(help="What to make least (`workbench sweep --objective list`), or a sum.")],
+    objective: Annotated[str, typer.Option(help="What to minimise (`workbench sweep --objective list`), or a sum.")],
     learn: Annotated[
         list[str] | None, typer.Option(help="Setting with a gradient; may be repeated.", rich_help_panel=TUNING)
     ] = None,
@@ -64,10 +64,8 @@ def tune(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier result.")] = False,
 ) -> None:
     """Tune settings on a clip."""
-    if config is not None and preset_name is not None:
-        raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
     learning, sweeps = workbench.learning, workbench.sweeps
-    base = read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
+    base = base_config(config, preset_name)
     base = sweeps.in_first_view(base, rig) if rig else base
     views = [named_view(view)] if view else []
     sums = workbench.objectives.read_sum(objective)
@@ -76,7 +74,7 @@ def tune(
     check_not_inputs([path], [Path(name) for name in inputs if name])
     if path.exists() and not (overwrite or resume):
         raise OutputError(f"{path} exists already; name another (--out), or add --overwrite.")
-    head = workbench.load_default_head() if model is None else workbench.load_face_model(model)
+    head = face_model(model)
     parts = [None if text is None else learning.read_frames(text) for text in (train, watch, held_out)]
     (source,) = sweeps.sources_of(
         [clip],
@@ -99,19 +97,23 @@ def tune(
     with screen.progress_bar("steps/s") as progress:
 
         def tell(what: str, done: int, total: int, value: float, watched: float | None) -> None:
-            progress(f"{what}: {value if watched is None else watched:.4g}", done, total)
+            progress(what, done, total, f"{value if watched is None else watched:.4g}")
 
         found = learning.tuned(head, base, seen, wanted, tell, path, resume, learning.inputs_of(source))
     write_config(found.config, path)
-    _print(found, path)
+    _print(found, path, bool(learn))
 
 
-def _print(found, path: Path) -> None:
+def _print(found, path: Path, learns: bool) -> None:
     table = screen.table("frames", "before", "after", right=("before", "after"))
     for name, before in found.config.provenance.before.items():
         table.add_row(name.replace("_", "-"), f"{before:.4g}", f"{found.config.provenance.after[name]:.4g}")
     screen.console.print(table)
     screen.console.print(f"held-out change, with its 95 % interval: {found.change}")
+    if found.search is not None and found.search.config == found.base:
+        screen.console.print("No trial was better than the start.")
+    if learns and found.learning is None:
+        screen.console.print("The search was interrupted, so nothing was learned yet; --resume goes on with it.")
     if found.learning is not None and found.learning.best and found.learning.best_step == 0:
         screen.console.print("No step was better than the start on the frames that choose it: nothing was learned.")
     shown = [str(item) for item in differences(found.base, found.config)]

@@ -8,6 +8,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ from workbench.errors import InputError
 from workbench.extras import needs
 from workbench.files import atomic_path
 from workbench.learning.examples import Example
-from workbench.learning.learnable import POINTS, Logs
+from workbench.learning.learnable import FARTHEST, POINTS, Logs
 from workbench.reading import checked_content, checked_json
 from workbench.runtime import COMPUTING
 from workbench.tracking.unwatched import never
@@ -31,13 +32,13 @@ AT_A_TIME = 2
 WATCH_EVERY = 3
 FAR_POINTS = 0.1
 """What the mean square of the landmarks' logarithms costs: without it, they wander to fit the noise of a few frames."""
-FARTHEST = float(np.log(100.0))
-"""No factor goes farther from 1 than 100."""
 FORMAT = 2
 
 Slope = Callable[[Logs, Example], tuple[Float[jax.Array, ""], Logs]]
 Watched = Callable[[Mapping[str, Float[np.ndarray, "m"]]], float]
 """What some logarithms are worth on frames that are not learned on."""
+Limits = Mapping[str, tuple[float, float]]
+"""By path: the least and the most logarithm."""
 
 
 @dataclass(frozen=True)
@@ -88,15 +89,17 @@ def descended(
     tell: Tell,
     stored: Path | None = None,
     stopped: Callable[[], bool] = never,
+    limits: Limits = MappingProxyType({}),
 ) -> Learning:
     """The learning after `steps` steps in all, or as far as it had come when it was `stopped` or interrupted (Ctrl-C).
 
-    The values kept are the best `watched` ones; without it, the last. `stored` is written after each step.
+    The values kept are the best `watched` ones; without it, the last. `stored` is written after each step. Settings
+    without `limits` go as far as `FARTHEST`.
     """
     found, chain = begun, optimiser(steps)
     try:
         while len(found.values) < steps and not stopped():
-            found = _stepped(slope, chain, found, _turn(train, len(found.values)), watched, steps)
+            found = _stepped(slope, chain, found, _turn(train, len(found.values)), watched, steps, limits)
             if stored is not None:
                 store(found, stored)
             tell(found, steps)
@@ -112,7 +115,9 @@ def _turn(train: Sequence[Example], step: int) -> list[Example]:
     return [train[(step + k * apart) % len(train)] for k in range(count)]
 
 
-def _stepped(slope: Slope, chain, before: Learning, examples, watched: Watched | None, steps: int) -> Learning:
+def _stepped(
+    slope: Slope, chain, before: Learning, examples, watched: Watched | None, steps: int, limits: Limits
+) -> Learning:
     logs = {path: jnp.array(log) for path, log in before.logs.items()}
     number = len(before.values)
     value, slopes = _mean(slope, logs, examples)
@@ -122,7 +127,7 @@ def _stepped(slope: Slope, chain, before: Learning, examples, watched: Watched |
     momentum = {path: jnp.array(log) for path, log in before.momentum.items()}
     state = (state[0]._replace(trace=momentum), state[1], state[2]._replace(count=jnp.asarray(number)))
     moves, state = chain.update(slopes, state)
-    logs = {path: _kept_in(path, log + moves[path]) for path, log in logs.items()}
+    logs = {path: _kept_in(path, log + moves[path], limits) for path, log in logs.items()}
     after = replace(
         before,
         logs=_listed(logs),
@@ -139,9 +144,9 @@ def _stepped(slope: Slope, chain, before: Learning, examples, watched: Watched |
     return replace(after, best=after.logs, best_step=number + 1, best_value=seen) if better else after
 
 
-def _kept_in(path: str, log):
+def _kept_in(path: str, log, limits: Limits):
     """The geometric mean of the landmarks' factors stays: one factor for all belongs to ω_sparse."""
-    log = jnp.clip(log, -FARTHEST, FARTHEST)
+    log = jnp.clip(log, *limits.get(path, (-FARTHEST, FARTHEST)))
     return log - jnp.mean(log) if path == POINTS else log
 
 
@@ -178,18 +183,25 @@ def store(learning: Learning, path: Path) -> None:
         temporary.write_text(json.dumps({"format": FORMAT, **asdict(learning)}, indent=1), encoding="utf-8")
 
 
-def stored(path: Path, key: str) -> Learning:
-    """A learning to go on with. Raises `InputError` if the file is not one, or of something else."""
+def read_learning(path: Path) -> Learning:
+    """What `store` wrote. Raises `InputError` for any other file."""
     content = checked_content(path, "a stored learning")
     try:
         held = dict(checked_json(content))
         if held.pop("format") != FORMAT:
             raise ValueError("another format")
         found = Learning(**held)
-        logs_fit = all(len(found.logs[name]) == len(log) for name, log in found.momentum.items())
+        if any(len(found.logs[name]) != len(log) for name, log in found.momentum.items()):
+            raise ValueError("another number of factors")
     except (ValueError, TypeError, KeyError) as error:
         raise InputError(f"{path} is not a stored learning ({error}); leave out --resume to begin anew.") from error
-    if found.key != key or not logs_fit:
+    return found
+
+
+def stored(path: Path, key: str) -> Learning:
+    """A learning to go on with. Raises `InputError` if the file is not one, or of something else."""
+    found = read_learning(path)
+    if found.key != key:
         raise InputError(
             f"{path} was learned from another configuration, clip, objective or part; leave out --resume to begin anew."
         )

@@ -28,6 +28,10 @@ OMEGAS = tuple(f"weights.{name}" for name in WeightsConfig.model_fields)
 LEARNABLE = (*OMEGAS, POINTS, *CONSTANTS, FOV)
 """Paths of all settings with a gradient. `landmarks.weights` are 68 factors, one a landmark; further points of a scheme
 keep what they weigh."""
+WIDEST_FOV_DEG = 170.0
+"""Learning goes no farther: at 180° the focal length is 0."""
+FARTHEST = float(np.log(100.0))
+"""No factor goes farther from 1 than 100."""
 DIGITS = 4
 """Significant digits of a learned value in a configuration."""
 
@@ -54,6 +58,12 @@ def start_of(config: Config, paths: Sequence[str]) -> dict[str, Float[np.ndarray
     if not paths:
         raise ConfigError("There is nothing to learn; name settings, for example weights.tau landmarks.weights.")
     return {path: np.zeros(POINT_COUNT if path == POINTS else 1) for path in dict.fromkeys(paths)}
+
+
+def limits_of(config: Config, paths: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """The least and the most logarithm that each setting may have, so that its value stays one that it can have."""
+    widest = max(float(np.log(WIDEST_FOV_DEG / config.camera.fov_deg)), 0.0)
+    return {path: (-FARTHEST, min(widest, FARTHEST) if path == FOV else FARTHEST) for path in paths}
 
 
 def check_smooth(config: Config) -> None:

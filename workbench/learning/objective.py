@@ -36,7 +36,10 @@ def check_gradient(objectives: WeightedSum) -> None:
 def example_value(
     config: Config, objectives: WeightedSum, camera: Camera, scheme: LandmarkScheme = IBUG68
 ) -> Callable[[Logs, Example], Float[AnyArray, ""]]:
-    """The mean of a sum of objectives over the counted frames of an example, as a function of what is learned."""
+    """The mean of a sum of objectives over the counted frames of an example, as a function of what is learned.
+
+    NaN where no counted frame has a value.
+    """
     plan, kinds = plan_of(config, scheme), folds_needed(objectives.names)
 
     def value(logs: Logs, example: Example) -> Float[AnyArray, ""]:
@@ -45,7 +48,8 @@ def example_value(
         fits = _as_clip(found, kinds, len(example.counted))
         values = objectives.of({name: measure(name)(example.clip, fits) for name in objectives.names})
         known = example.counted & ~jnp.isnan(values)
-        return jnp.sum(jnp.where(known, values, 0.0)) / jnp.maximum(jnp.sum(known), 1)
+        mean = jnp.sum(jnp.where(known, values, 0.0)) / jnp.maximum(jnp.sum(known), 1)
+        return jnp.where(known.any(), mean, jnp.nan)
 
     return value
 

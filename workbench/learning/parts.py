@@ -41,11 +41,14 @@ def parts_of_clip(
 ) -> Parts:
     """The parts of a clip of so many frames: three fifths, one and one if none is given.
 
-    Raises `InputError` for parts outside the clip, that overlap, or of which only one of train and held-out is given.
+    Raises `InputError` for a clip that is too short for three parts, for parts outside the clip or that overlap, and
+    where only one of train and held-out is given.
     """
     if train is None and held_out is None and watch is None:
         first, second = (round(share * frames) for share in SHARES)
         train, watch, held_out = range(first), range(first, second), range(second, frames)
+        if not (train and watch and held_out):
+            raise InputError(f"The clip is too short to tune on: {frames} frame(s); choose a longer one.")
     if train is None or held_out is None:
         raise InputError("A part to learn on needs a part that reports: give --train and --held-out, or neither.")
     parts = Parts(train, held_out, watch)

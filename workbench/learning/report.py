@@ -9,7 +9,7 @@ from workbench.objectives import drawn_means, interval_of
 
 
 class Change(NamedTuple):
-    """The relative change of a mean, in percent; below 0 is better."""
+    """The relative change of a mean, in percent; below 0 is better. NaN where there is none."""
 
     percent: float
     low: float
@@ -17,16 +17,22 @@ class Change(NamedTuple):
     """Of the interval that holds 95 % of the bootstrap's draws."""
 
     def __str__(self) -> str:
+        if np.isnan(self.percent):
+            return "not known, as no frame has a value before and after, or the mean before is 0"
         return f"{self.percent:+.1f} % ({self.low:+.1f} to {self.high:+.1f})"
 
 
 def change_of(before: Float[np.ndarray, "n"], after: Float[np.ndarray, "n"], seed: int = 0) -> Change:
-    """The change from one value a frame to another; frames without both do not count."""
+    """The change from one value a frame to another; frames without both do not count.
+
+    NaN without such a frame, and where the mean before is 0.
+    """
     known = ~np.isnan(before) & ~np.isnan(after)
     before, after = before[known], after[known]
-    if not len(before):
+    if not len(before) or before.mean() == 0.0:
         return Change(np.nan, np.nan, np.nan)
     means = drawn_means(np.stack([before, after]), seed)
+    means = means[means[:, 0] != 0.0]
     low, high = interval_of(means[:, 1] / means[:, 0])
     whole = after.mean() / before.mean()
     return Change(*(round(100.0 * (float(share) - 1.0), 2) for share in (whole, low, high)))

@@ -6,7 +6,7 @@ are worse than the median of the earlier trials' is given up (pruning).
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,10 @@ from workbench.config import Config
 from workbench.errors import ConfigError, InputError
 from workbench.extras import needs
 from workbench.files import make_folder
+from workbench.learning.keys import key_of
 from workbench.objectives import WeightedSum
+from workbench.reading import checked_content, checked_json
+from workbench.sweeps.acting import check_axis
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import objectives_of
 from workbench.sweeps.solving import ClipSolver, check_swept
@@ -25,9 +28,20 @@ STUDY = "tune"
 SEED = 0
 PIECES = 3
 """Parts of a trial, after each of which it may be given up."""
+KEY, START = "key", "start"
+"""What a study keeps besides its trials: what it is of, and the value of the configuration that it starts from."""
 
 Tell = Callable[[int, int, float], None]
 """Called after each trial with their number, that of all, and the best value."""
+
+
+class Searched(NamedTuple):
+    """What a search found."""
+
+    config: Config
+    """The best; the one that it started from where no trial was better."""
+    interrupted: bool
+    """Whether trials are left (Ctrl-C)."""
 
 
 def searched(
@@ -40,29 +54,28 @@ def searched(
     trials: int,
     journal: Path,
     tell: Tell,
-) -> Config:
+) -> Searched:
     """The best configuration of a study, which goes on to `trials` trials in all or until an interrupt (Ctrl-C).
 
-    The configuration itself is the first trial where its values lie on the axes. Values that no configuration allows,
-    such as an unknown landmark group, end the search with a `ConfigError`.
+    The configuration itself is measured before the first trial, and stays unless a trial is better. Values that no
+    configuration allows, such as an unknown landmark group, end the search with a `ConfigError`; a journal of another
+    search, or that is none, with an `InputError`.
     """
-    with needs("learn"):
-        import optuna
-        from optuna.storages import JournalStorage
-        from optuna.storages.journal import JournalFileBackend
-    check_axes(axes)
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    make_folder(journal.parent)
-    study = optuna.create_study(
-        storage=JournalStorage(JournalFileBackend(str(journal))),
-        study_name=STUDY,
-        sampler=optuna.samplers.TPESampler(seed=SEED),
-        pruner=optuna.pruners.MedianPruner(n_startup_trials=5),
-        load_if_exists=True,
-    )
+    check_axes(axes, config)
+    spaces, parts = [str(axis) for axis in axes], [[part.start, part.stop] for part in stretches]
+    key = key_of(config, clip, solver.model, objectives, axes=spaces, stretches=parts)
+    study = _study(journal, key)
     pieces = [list(stretches[k::PIECES]) for k in range(min(PIECES, len(stretches)))]
 
+    def start() -> float:
+        if START not in study.user_attrs:
+            found = [value_of(solver, config, clip, windows, objectives) for windows in pieces]
+            study.set_user_attr(START, mean_of(np.array(found)))
+        return study.user_attrs[START]
+
     def value(trial) -> float:
+        import optuna
+
         chosen = config_at(config, _suggested(trial, axes))
         check_swept(chosen)
         found: list[float] = []
@@ -74,21 +87,63 @@ def searched(
                 raise optuna.TrialPruned
         if np.isfinite(so_far):
             return so_far
-        if not _complete(study):
+        if not (_complete(study) or np.isfinite(start())):
             raise InputError(f"The objective {objectives} has no value on these frames; choose other ones (--train).")
         raise optuna.TrialPruned
 
+    interrupted = False
     try:
+        start()
         # A trial that was interrupted is in the study, but not done.
         while (done := len(_ended(study))) < trials:
             study.optimize(value, n_trials=1)
-            tell(done + 1, trials, _best_value(study))
+            tell(done + 1, trials, _least(study))
     except KeyboardInterrupt:
-        pass
-    if not _complete(study):
-        return config
-    best = min(_complete(study), key=lambda trial: trial.value)
-    return config_at(config, _point({axis.path: _value_of(axis, best.params[axis.path]) for axis in axes}))
+        interrupted = True
+    best = _best(study)
+    if best is None:
+        return Searched(config, interrupted)
+    point = _point({axis.path: _value_of(axis, best.params[axis.path]) for axis in axes})
+    return Searched(config_at(config, point), interrupted)
+
+
+def _study(journal: Path, key: str):
+    """The study of a journal, a new one where there is none. Raises `InputError` for one of something else."""
+    with needs("learn"):
+        import optuna
+        from optuna.storages import JournalStorage
+        from optuna.storages.journal import JournalFileBackend
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    make_folder(journal.parent)
+    try:
+        _check_lines(journal)
+        study = optuna.create_study(
+            storage=JournalStorage(JournalFileBackend(str(journal))),
+            study_name=STUDY,
+            sampler=optuna.samplers.TPESampler(seed=SEED),
+            pruner=optuna.pruners.MedianPruner(n_startup_trials=5),
+            load_if_exists=True,
+        )
+    except (ValueError, TypeError, LookupError, AttributeError) as error:
+        raise InputError(f"{journal} is not a stored search ({error}); leave out --resume to begin anew.") from error
+    if not (study.user_attrs or study.trials):
+        study.set_user_attr(KEY, key)
+    if study.user_attrs.get(KEY) != key:
+        raise InputError(
+            f"{journal} was searched with another configuration, clip, objective, part or space; leave out --resume to "
+            "begin anew."
+        )
+    return study
+
+
+def _check_lines(journal: Path) -> None:
+    """Raise `ValueError` unless each line is JSON to its end: Optuna notices one that was torn only after it has added
+    more."""
+    lines = checked_content(journal, "a stored search").splitlines(True) if journal.exists() else []
+    for line in lines:
+        checked_json(line)
+    if lines and not lines[-1].endswith(b"\n"):
+        raise ValueError("the last line is torn")
 
 
 def value_of(
@@ -104,10 +159,12 @@ def mean_of(values: Float[np.ndarray, "n"]) -> float:
     return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
 
 
-def check_axes(axes: Sequence[Axis]) -> None:
-    """Raise `ConfigError` unless there is something to search."""
+def check_axes(axes: Sequence[Axis], config: Config) -> None:
+    """Raise `ConfigError` unless there is something to search, and all of it acts on fits to landmarks."""
     if not axes:
         raise ConfigError("There is nothing to search; name settings with their values, as stages.pose.limit=1..30.")
+    for axis in axes:
+        check_axis(axis, config)
 
 
 def _suggested(trial, axes: Sequence[Axis]) -> Point:
@@ -141,5 +198,12 @@ def _complete(study) -> list:
     return [trial for trial in study.trials if trial.state.name == "COMPLETE"]
 
 
-def _best_value(study) -> float:
-    return min((trial.value for trial in _complete(study)), default=float("nan"))
+def _best(study):
+    """The trial with the least value; None unless one is below that of the start."""
+    best = min(_complete(study), key=lambda trial: trial.value, default=None)
+    return None if best is None or study.user_attrs.get(START, np.inf) <= best.value else best
+
+
+def _least(study) -> float:
+    best = _best(study)
+    return study.user_attrs[START] if best is None else best.value

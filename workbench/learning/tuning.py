@@ -1,9 +1,7 @@
 """Tuning as a whole: what is learned or searched, on which part of a clip, and the configuration that comes of it."""
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,13 +11,14 @@ from jaxtyping import Float
 from workbench.config import Config, differences
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel
-from workbench.learning.descent import Learning, Watched, begin, descended, stored
+from workbench.learning.descent import Learning, Watched, begin, descended, read_learning, stored
 from workbench.learning.examples import example_of, spread, stretches_in
-from workbench.learning.learnable import Logs, learned, start_of
+from workbench.learning.keys import key_of
+from workbench.learning.learnable import Logs, learned, limits_of, start_of
 from workbench.learning.objective import check_gradient, compiled_slope
 from workbench.learning.parts import Parts
 from workbench.learning.report import Change, change_of
-from workbench.learning.search import mean_of, searched, value_of
+from workbench.learning.search import Searched, mean_of, searched, value_of
 from workbench.objectives import WeightedSum
 from workbench.pipeline import content_hash, software_versions
 from workbench.sweeps.clips import SweptClip
@@ -66,6 +65,7 @@ class Tuned:
     """By part: the objective of each frame under `base`, fitted as `workbench track` does."""
     after: dict[str, Float[np.ndarray, "n"]]
     learning: Learning | None = None
+    search: Searched | None = None
 
     @property
     def change(self) -> Change:
@@ -92,25 +92,27 @@ def tuned(
 
     `place`: files of what was learned (`.learning.json`) and searched (`.study.log`) begin so, and `resume` goes on
     with them. An interrupt (Ctrl-C) keeps what was found, and so does `stopped`, which is asked before each step of a
-    gradient. Raises `ConfigError` for settings that cannot be learned or searched, and `InputError` for a clip without
-    frames to learn on.
+    gradient; after a search that was interrupted no gradient is begun, for the search may yet find a better start.
+    Raises `ConfigError` for settings that cannot be learned or searched, and `InputError` for a clip without frames to
+    learn on and for files of another tuning.
     """
     if not (wanted.learn or wanted.search):
         raise ConfigError("There is nothing to tune; name settings to learn (--learn) or to search (--search).")
-    solver, found, learning = ClipSolver(model), config, None
+    solver, found, search, learning = ClipSolver(model), config, None, None
     if wanted.search:
         stretches = spread(stretches_in(clip, wanted.parts.train), TRAINED)
         journal = _study_file(place, resume)
-        found = searched(
-            solver, found, wanted.search, wanted.objectives, clip, stretches, wanted.trials, journal,
+        search = searched(
+            solver, config, wanted.search, wanted.objectives, clip, stretches, wanted.trials, journal,
             lambda done, total, value: tell("search", done, total, value, None),
         )  # fmt: skip
-    if wanted.learn:
+        found = search.config
+    if wanted.learn and not (search and search.interrupted):
         learning = learn_on(solver, found, clip, wanted, tell, place, resume, stopped)
         found = learned(found, learning.kept)
     before, after = measured(solver, (config, found), clip, wanted)
-    result = Tuned(found, config, before, after, learning)
-    return Tuned(found.changed(provenance=_provenance(result, model, wanted, inputs)), config, before, after, learning)
+    result = Tuned(found, config, before, after, learning, search)
+    return replace(result, config=found.changed(provenance=_provenance(result, model, wanted, inputs)))
 
 
 def observed(source: ClipSource, config: Config, model: FaceModel) -> SweptClip:
@@ -145,9 +147,12 @@ def learn_on(
     ]
     watched = None if wanted.parts.watch is None else watched_on(solver, config, clip, wanted)
     slope = compiled_slope(config, wanted.objectives, clip.observations[0].image_size, start, train[0])
-    key = _key_of(config, clip, wanted)
+    parts = {name: [frames.start, frames.stop] for name, frames in wanted.parts.named.items()}
+    key = key_of(config, clip, solver.model, wanted.objectives, learn=list(wanted.learn), parts=parts)
     file = None if place is None else place.with_suffix(".learning.json")
-    if resume and file is not None and file.exists():
+    goes_on = resume and file is not None and file.exists()
+    # A search that went on may have found another start.
+    if goes_on and not (wanted.search and read_learning(file).key != key):
         begun = stored(file, key)
     else:
         begun = begin(key, start, None if watched is None else watched(start))
@@ -157,7 +162,8 @@ def learn_on(
         seen += [value for value in learning.watched if value is not None]
         tell("learn", len(learning.values), steps, learning.values[-1], seen[-1] if seen else None)
 
-    return descended(slope, begun, train, watched, wanted.steps, told, file, stopped)
+    limits = limits_of(config, wanted.learn)
+    return descended(slope, begun, train, watched, wanted.steps, told, file, stopped, limits)
 
 
 def watched_on(solver: ClipSolver, config: Config, clip: SweptClip, wanted: Wanted) -> Watched:
@@ -200,20 +206,8 @@ def _study_file(place: Path | None, resume: bool) -> Path:
     return journal
 
 
-def _key_of(config: Config, clip: SweptClip, wanted: Wanted) -> str:
-    """SHA-256 of all that a learning goes on from, besides its number of steps."""
-    read = {
-        "config": config.model_dump(mode="json", exclude={"provenance"}),
-        "clip": clip.digest,
-        "objective": str(wanted.objectives),
-        "learn": list(wanted.learn),
-        "parts": {name: [frames.start, frames.stop] for name, frames in wanted.parts.named.items()},
-    }
-    return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()
-
-
 def _provenance(result: Tuned, model: FaceModel, wanted: Wanted, inputs: Sequence[str]) -> dict:
-    change = result.change
+    change, learned_paths = result.change, () if result.learning is None else wanted.learn
     return {
         "exported": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": software_versions(),
@@ -223,7 +217,7 @@ def _provenance(result: Tuned, model: FaceModel, wanted: Wanted, inputs: Sequenc
         "before": {name: round(mean_of(values), 5) for name, values in result.before.items()},
         "after": {name: round(mean_of(values), 5) for name, values in result.after.items()},
         "objective": str(wanted.objectives),
-        "learned": [*wanted.learn, *(axis.path for axis in wanted.search)],
+        "learned": [*learned_paths, *(axis.path for axis in wanted.search)],
         "parts": {name: f"{frames.start}:{frames.stop}" for name, frames in wanted.parts.named.items()},
         "change_percent": {"held_out": change.percent, "low": change.low, "high": change.high},
     }

@@ -13,6 +13,7 @@ from workbench.objectives import read_sum
 from workbench.session.material import Cancelled
 from workbench.session.sweeping import SessionSweeps
 from workbench.sweeps import SweptClip, read_axis
+from workbench.sweeps.stored_clips import packed_clip
 from workbench.tracking.unwatched import never
 
 
@@ -51,9 +52,5 @@ def tune_material(
 
 
 def _digest(clip: SweptClip) -> str:
-    """SHA-256 of a clip's landmarks, so that only a tuning on the same ones is gone on with."""
-    found = hashlib.sha256()
-    for observation in clip.observations:
-        if observation.landmarks is not None:
-            found.update(observation.landmarks.points.tobytes())
-    return found.hexdigest()
+    """SHA-256 of what is known of a clip, so that only a tuning on the same is gone on with."""
+    return hashlib.sha256(packed_clip(clip)).hexdigest()

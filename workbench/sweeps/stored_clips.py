@@ -59,6 +59,7 @@ def digest_of(source: ClipSource, config: Config, model: FaceModel) -> str:
     for file in files:
         if not file.exists():
             raise InputError(f"{file} does not exist; check the name and the folder.")
+    landmarker = Path(config.landmarks.face_landmarker)
     read = {
         **asdict(source),
         "clip": "",
@@ -67,6 +68,7 @@ def digest_of(source: ClipSource, config: Config, model: FaceModel) -> str:
         "second": source.second and source.second.view,
         "files": [content_hash(file) for file in files],
         "detector": config.model_dump(mode="json", include={"landmarks": {"detector", "face"}}),
+        "landmarker": content_hash(landmarker) if landmarker.is_file() else "",
         "model": model.fingerprint() if source.truth else "",
         "version": __version__,
         "format": FORMAT,
@@ -110,6 +112,11 @@ def _without_picture(observation: FrameObservation) -> FrameObservation:
 
 def store_clip(storage: Storage, clip: SweptClip) -> None:
     """Write a clip under its digest. Raises `OutputError`."""
+    storage.write(_name(clip.digest), packed_clip(clip))
+
+
+def packed_clip(clip: SweptClip) -> bytes:
+    """All that is known of a clip but its name and digest; the same bytes for the same clip."""
     observations, count = clip.observations, len(clip.scheme)
     faces = [observation.landmarks for observation in observations]
     arrays = {
@@ -130,7 +137,7 @@ def store_clip(storage: Storage, clip: SweptClip) -> None:
         arrays["flow"] = clip.flow
     if clip.second is not None:
         arrays |= arrays_of(clip.second)
-    storage.write(_name(clip.digest), packed(arrays))
+    return packed(arrays)
 
 
 def stored_clip(storage: Storage, digest: str, name: str) -> SweptClip | None:

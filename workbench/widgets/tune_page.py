@@ -233,9 +233,9 @@ def conclusion(tuned: Tuned) -> str:
     change = tuned.change
     verdict = "better" if change.high < 0.0 else "worse" if change.low > 0.0 else "not surely better or worse"
     frames = read_frames(tuned.config.provenance.parts["held_out"])
-    told = str(change).replace("-", "−")
+    told = str(change) if np.isnan(change.percent) else f"{change}, {verdict}".replace("-", "−")
     where = f"On frames {frames.start}-{frames.stop - 1}, held out"
-    return f"{where}: {told}, {verdict}. {'; '.join(_found(tuned))}. Take it or leave it."
+    return f"{where}: {told}. {'; '.join(_found(tuned))}. Take it or leave it."
 
 
 def _found(tuned: Tuned) -> Iterator[str]:

@@ -1,0 +1,22 @@
+"""Keys of what is kept between two runs: whether a stored search or learning belongs to what is asked for."""
+
+import hashlib
+import json
+from typing import Any
+
+from workbench.config import Config
+from workbench.face import FaceModel
+from workbench.objectives import WeightedSum
+from workbench.sweeps.clips import SweptClip
+
+
+def key_of(config: Config, clip: SweptClip, model: FaceModel, objectives: WeightedSum, **more: Any) -> str:
+    """SHA-256 of all that a search or a learning goes on from; `more`, plain values, is what they differ in."""
+    read = {
+        "config": config.model_dump(mode="json", exclude={"provenance"}),
+        "clip": clip.digest,
+        "model": model.fingerprint(),
+        "objectives": dict(objectives.factors),
+        **more,
+    }
+    return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()
