@@ -6,6 +6,7 @@ import pytest
 from workbench.config import preset
 from workbench.errors import ConfigError
 from workbench.sweeps import Sampling, config_at, points_of, read_axis, read_sampling
+from workbench.sweeps.acting import check_axis
 from workbench.sweeps.clips import chosen_windows, parts_of
 
 JOINT = preset("joint")
@@ -41,6 +42,9 @@ def test_ranges_are_read_as_they_are_written(text, values):
         "weights.tau=lin(5,5,3)",
         "weights.tau=lin(a,5,3)",
         "weights.tau=lin(1,nan,3)",
+        "weights.tau=log(1,2,inf)",
+        "weights.tau=lin(1,2,3.7)",
+        "weights.tau=lin(1,2,3,4)",
         "stages.0.limit=9..1",
         "stages.0.limit=1..9..0",
         "weights.tau=0.5..3/6",
@@ -134,6 +138,35 @@ def test_a_preset_is_taken_with_the_clips_camera():
 def test_an_unknown_setting_or_a_value_out_of_range_is_one_sentence(text, said):
     with pytest.raises(ConfigError, match="(?i)" + said.replace(".", r"\.")):
         at(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("landmarks.detector=dlib,network", "landmarks are found once per clip, before all fits; start from another"),
+        ("landmarks.face_landmarker=a.task,b.task", "landmarks are found once per clip"),
+        ("landmarks=[{confidence=true}, {detector='dlib'}]", "'landmarks.detector' cannot be varied"),
+        ("deep.edges=1,2", "'deep.edges' has no effect here: fits to landmarks do not read 'deep'; leave it out."),
+        ("flow.side=64,128", "do not read 'flow'"),
+        ("infill.method=none,flow", "do not read 'infill'"),
+        ("refinement.sweeps=1..3", "do not read 'refinement'"),
+        (
+            "preset=joint,dense",
+            "'dense' takes the landmarks of 'dense', .* here by 'auto'; start from it by --preset dense",
+        ),
+        ("camera.fov_deg=30,40", "no effect beside a camera's matrix"),
+    ],
+)
+def test_a_setting_without_effect_is_said(text, said):
+    base = JOINT.changed(camera={"matrix": [[900, 0, 9], [0, 900, 9], [0, 0, 1]]})
+    with pytest.raises(ConfigError, match=said):
+        check_axis(read_axis(text), base)
+
+
+def test_presets_and_parts_of_the_landmarks_that_act_are_not_refused():
+    for text in ("preset=joint,face-it", "landmarks=[{weights={mouth=2.0}}]", "landmarks.confidence=true,false"):
+        check_axis(read_axis(text), JOINT)
+    check_axis(read_axis("preset=joint,dense"), preset("dense"))
 
 
 def test_a_budget_picks_runs_spread_over_the_clip_inside_shots():

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from tests.short_clips import observations, write_clip
 from tests.test_nothing_lost import small_disk
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, OutputError
-from workbench.objectives import folds_of
+from workbench.objectives import WeightedSum, drawn_means, folds_of
 from workbench.session import Material, TuningSession, sweeping
 from workbench.session.material import PictureStore
 from workbench.sweeps import (
@@ -23,18 +24,22 @@ from workbench.sweeps import (
     SweptClip,
     chosen_windows,
     least,
+    maps_figure,
     nearest,
+    outcome,
     points_of,
     read_axis,
     run_sweep,
     solving,
     sources_of,
+    write_figures,
     write_outcome,
 )
 from workbench.sweeps import sweep as sweep_module
 from workbench.sweeps.storage import Storage
+from workbench.sweeps.stored_clips import digest_of
 from workbench.sweeps.tasks import FitTask
-from workbench.workers import ThisProcess
+from workbench.workers import Failed, ThisProcess
 
 FOV = {"camera": {"fov_deg": 33.0}}
 FACE_IT = preset("face-it").changed(**FOV)
@@ -189,9 +194,96 @@ def test_a_choice_is_as_sure_as_the_frames_agree():
     assert found.interval(read_axis("preset=joint,face-it"), least("error")) is None
 
 
+def made_up(values, objectives=("error",), failures=None, axis="weights.tau=1,2"):
+    axes = (read_axis(axis),)
+    rows = {place: np.atleast_2d(np.asarray(row, float)) for place, row in values.items()}
+    return SweepResult(preset("joint"), axes, points_of(axes), objectives, rows, failures or {})
+
+
+def test_a_point_without_the_hard_clip_does_not_win():
+    found = made_up({(0, "easy"): np.ones(5), (1, "easy"): np.full(5, 2.0), (1, "hard"): np.full(5, 9.0)})
+    assert np.isnan(found.means("error")).tolist() == [True, False]
+    assert np.isnan(found.bands("error")[0]).all()
+    assert found.best("error") == 1
+
+
+def test_the_failure_of_a_clip_says_how_many_points_are_without_it(clips, tmp_path, monkeypatch):
+    class Losing(Counting):
+        """The first fits of the second clip are lost."""
+
+        def results(self, tasks, **how):
+            of_second = [k for k, task in enumerate(tasks) if isinstance(task, FitTask) and task.name == "two"]
+            kept = [k for k in range(len(tasks)) if k not in of_second[:1]]
+            yield from ((k, Failed("It died.")) for k in of_second[:1])
+            for number, result in super().results([tasks[k] for k in kept], **how):
+                yield kept[number], result
+
+    monkeypatch.setattr(sweep_module, "FITS", 12)
+    wanted = plan(*clips, axes=["weights.tau=1,2"], objectives=("error",))
+    result = run_sweep(wanted, tmp_path / "s", Losing())
+    assert result.failures == {"two": "It died. 1 of 2 points are without this clip, and are compared with no other."}
+    assert np.isnan(result.means("error")).tolist() == [True, False]
+
+
+def test_what_was_not_measured_is_said():
+    found = made_up({(0, "a"): np.ones(5), (1, "a"): np.ones(5)})
+    with pytest.raises(InputError, match="did not measure 'jitter'; it has error"):
+        found.best(WeightedSum({"error": 1.0, "jitter": 0.5}))
+
+
+def test_an_objective_that_is_named_twice_counts_once(clips):
+    assert plan(clips[0], objectives=("error", "jitter", "error")).objectives == ("error", "jitter")
+
+
+def test_frames_are_drawn_once_however_many_choices_are_judged(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(outcome, "drawn_means", lambda *given, **how: drawn.append(1) or drawn_means(*given, **how))
+    found = made_up({(k, "a"): np.arange(10.0) + k for k in range(2)})
+    for _ in range(3):
+        assert found.interval(found.axes[0], least("error")) == (1.0, 1.0)
+    assert len(drawn) == 1
+
+
+def test_a_map_of_samples_is_refused():
+    axes = (read_axis("weights.tau=log(1,2)"), read_axis("weights.range=log(1,2)"))
+    points = points_of(axes, Sampling("random", 4))
+    found = SweepResult(preset("joint"), axes, points, ("error",), {(k, "a"): np.ones((1, 4)) for k in range(4)})
+    with pytest.raises(InputError, match=r"those of 'weights\.tau' are samples; draw curves"):
+        maps_figure(found)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_photo_has_figures_of_what_it_has_values_of(clips, tmp_path):
+    photo = write_clip(tmp_path / "photo.csv", [40])
+    result, _ = do(plan(photo, axes=["weights.tau=0.01,1.0", "weights.range=0.1,1"]), tmp_path / "s")
+    assert np.isnan(result.means("jitter")).all()
+    assert set(write_figures(result, tmp_path)) == {
+        "curve-weights.tau.png", "curve-weights.range.png", "map.png", "parallel.png"
+    }  # fmt: skip
+    nothing = replace(result, values={place: np.full_like(rows, np.nan) for place, rows in result.values.items()})
+    assert write_figures(nothing, tmp_path) == ()
+
+
+def test_a_sweep_that_never_began_leaves_its_folder_free(clips, tmp_path):
+    with pytest.raises(InputError, match="None of the clips can be used"):
+        do(plan(tmp_path / "misspelt.csv"), tmp_path / "s")
+    assert do(plan(clips[0], axes=["weights.tau=1"]), tmp_path / "s")[1] == 12
+
+
+def test_landmarks_belong_to_the_file_that_found_them(head, clips, tmp_path):
+    (source,) = sources_of([str(clips[0])])
+    file, digests = tmp_path / "face_landmarker.task", set()
+    config = preset("joint").changed(landmarks={"detector": "mediapipe", "face_landmarker": str(file)})
+    for content in (None, "one", "other"):
+        if content:
+            file.write_text(content)
+        digests.add(digest_of(source, config, head))
+    assert len(digests) == 3
+
+
 def test_nothing_is_done_twice_and_points_can_be_added(done, clips, tmp_path):
     result, folder = done
-    with pytest.raises(OutputError, match="holds a sweep; go on with it by --resume"):
+    with pytest.raises(OutputError, match=r"holds a sweep; go on with it by --resume \(.*name all values, old and new"):
         do(plan(*clips), folder)
     again, fits = do(plan(*clips), folder, resume=True)
     assert fits == 0
@@ -373,6 +465,16 @@ class TestTheCommand:
         assert "weights.tau = 10 (10 to 10)" in out
         assert "table.csv" in out
         assert json.loads(Storage(str(tmp_path / "s")).read("sweep.json"))["objectives"] == ["error", "jitter"]
+
+    def test_what_the_best_is_chosen_by_is_measured_too_and_a_folder_may_be_called_anything(self, run, clips, tmp_path):
+        measured = ["--objective", "error", "--objective", "error", "--best", "jitter"]
+        code, out, err = run(
+            "sweep", str(clips[0]), "--set", "landmarks.weights=[{}, {nose=2.0}]", *measured, "--out", "out/[x]"
+        )
+        assert (code, err) == (0, "")
+        assert "in out/[x]" in out
+        stored = Storage(str(tmp_path / "out" / "[x]")).read("sweep.json")
+        assert json.loads(stored)["objectives"] == ["error", "jitter"]
 
     @pytest.mark.parametrize(
         ("arguments", "said"),

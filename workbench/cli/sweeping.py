@@ -1,14 +1,15 @@
 """`workbench sweep`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 import workbench
 from workbench.cli import screen
-from workbench.cli.tracking import named_view
-from workbench.config import DEFAULT_PRESET, preset, read_config
+from workbench.cli.tracking import base_config, named_view
 from workbench.errors import ConfigError
 
 SWEEP_HELP = """Try many settings on many clips at once, and see which are best.
@@ -44,8 +45,8 @@ WORKERS_HELP = "Processes on this machine: a Dask cluster where it is installed,
 SCHEDULER_HELP = "Address of a Dask scheduler, as tcp://host:8786; paths must be the same on its workers."
 BACKEND_HELP = "Who runs the processes: auto, pool or dask."
 OUT_HELP = "Folder or URL for the results (default: out/sweep-NAME)."
-RESUME_HELP = "Go on with an interrupted sweep, or add points to one."
-BEST_HELP = "Objective or sum that the best point has least of, as 'jitter + 0.5*error' (default: the first objective)."
+RESUME_HELP = "Go on with an interrupted sweep, or add points to one: name all values, old and new."
+BEST_HELP = "Objective or weighted sum that best.toml minimises, as 'jitter + 0.5*error' (default: first objective)."
 
 
 def sweep(
@@ -73,27 +74,24 @@ def sweep(
     backend: Annotated[str, typer.Option(help=BACKEND_HELP, rich_help_panel=RUNNING)] = "auto",
 ) -> None:  # fmt: skip
     """Sweep settings over clips."""
-    objectives = tuple(objective or ())
-    if "list" in objectives:
+    if "list" in (objective or ()):
         _list_objectives()
         return
-    if config is not None and preset_name is not None:
-        raise ConfigError("Give --config or --preset, not both; a configuration file names its preset itself.")
     if backend not in ("auto", "pool", "dask"):
         raise ConfigError(f"--backend is auto, pool or dask, got {backend!r}.")
     sweeps = workbench.sweeps
-    base = read_config(config) if config is not None else preset(preset_name or DEFAULT_PRESET)
+    base = base_config(config, preset_name)
+    least = workbench.objectives.read_sum(best) if best else None
     views = [named_view(text) for text in view or []]
     wanted = sweeps.Sweep(
         sources=sweeps.sources_of(clips or [], landmarks or [], truth or [], stills, views=views, rig=rig),
         axes=tuple(sweeps.read_axis(text) for text in settings or []),
         base=sweeps.in_first_view(base, rig) if rig else base,
         sampling=sweeps.read_sampling(sample, seed),
-        objectives=objectives or sweeps.USUAL_OBJECTIVES,
+        objectives=_measured(objective or sweeps.USUAL_OBJECTIVES, least),
         frames=frames,
         model=model,
     )
-    least = workbench.objectives.read_sum(best) if best else None
     wanted.checked()
     place = out or str(Path("out") / f"sweep-{wanted.names[0]}")
     with screen.at_work(workers, scheduler, backend) as staff:
@@ -106,11 +104,16 @@ def sweep(
             screen.errors.print(message)
             raise typer.Exit(130) from None
     _print(result, least)
-    screen.console.print(f"\n{', '.join(written)} in {place}", soft_wrap=True)
+    screen.console.print(f"\n{', '.join(written)} in {place}", markup=False, soft_wrap=True)
     for clip, reason in result.failures.items():
         screen.print_error(f"{clip}: {reason}")
     if result.failures:
         raise typer.Exit(1)
+
+
+def _measured(objectives: Sequence[str], least) -> tuple[str, ...]:
+    """Each objective once, and those of the sum that the best point is chosen by."""
+    return tuple(dict.fromkeys([*objectives, *(() if least is None else least.names)]))
 
 
 def _list_objectives() -> None:
@@ -126,7 +129,7 @@ def _print(result, wanted) -> None:
     table = screen.table("least", "is", "point", settings, right=("is", "point"))
 
     def add(label: str, value: str, number: int, rule) -> None:
-        table.add_row(label, value, str(number), _settings(result, number, rule))
+        table.add_row(label, value, str(number), escape(_settings(result, number, rule)))
 
     rules = workbench.sweeps
     for name in result.objectives:

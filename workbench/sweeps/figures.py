@@ -4,6 +4,7 @@ All are as wide as a notebook's outputs.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,11 +74,15 @@ def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Seq
 def maps_figure(result: SweepResult, axes: tuple[Axis, Axis] | None = None, objectives: Sequence[str] = ()) -> Figure:
     """Each objective over two settings of a grid, as a map; a ring at the least mean.
 
-    With further settings, a cell has the least mean over them. Raises `InputError` for fewer than two settings.
+    With further settings, a cell has the least mean over them. Raises `InputError` for fewer than two settings, and for
+    samples, which have no values in common.
     """
     if len(result.axes) < 2:
         raise InputError(f"A map takes two settings, the sweep has {len(result.axes)}.")
     across, up = axes or result.axes[:2]
+    for axis in (across, up):
+        if not on_grid(result, axis):
+            raise InputError(f"A map takes the points of a grid, and those of {axis.path!r} are samples; draw curves.")
     names = tuple(objectives) or result.objectives
     rows, columns = -(-len(names) // 2), min(2, len(names))
     figure, areas = subplots(rows, columns, (WIDTH, 3.1 * rows + 0.2))
@@ -189,8 +194,13 @@ def pareto_figure(
 
 @on_page(LIGHT)
 def write_figures(result: SweepResult, folder: str | Path) -> tuple[str, ...]:
-    """Draw what a sweep can show into a folder as PNG; returns the names of the files."""
-    made = {}
+    """Draw what a sweep can show into a folder as PNG; returns the names of the files.
+
+    Objectives without a value at any point, such as the jitter of a photo, are left out.
+    """
+    made, result = {}, _with_values(result)
+    if not result.objectives:
+        return ()
     varied = [
         axis for axis in result.axes if len({str(_value(result, k, axis)) for k in range(len(result.points))}) > 1
     ]
@@ -202,11 +212,19 @@ def write_figures(result: SweepResult, folder: str | Path) -> tuple[str, ...]:
         made["map.png"] = maps_figure(result, (ordered[0], ordered[1]))
     if len(result.points) > 1 and len(result.axes) + len(result.objectives) > 2:
         made["parallel.png"] = parallel_figure(result)
-    if len(result.points) > 1 and {"error", "jitter"} <= set(result.objectives):
+    both = {"error", "jitter"} <= set(result.objectives)
+    if len(result.points) > 1 and both and np.isfinite(result.means("error") + result.means("jitter")).any():
         made["pareto.png"] = pareto_figure(result)
     for name, figure in made.items():
         figure.savefig(Path(folder) / name, dpi=100)
     return tuple(made)
+
+
+def _with_values(result: SweepResult) -> SweepResult:
+    """A result with those of its objectives alone that have a mean at some point."""
+    kept = [k for k, name in enumerate(result.objectives) if np.isfinite(result.means(name)).any()]
+    values = {place: rows[kept] for place, rows in result.values.items()}
+    return replace(result, objectives=tuple(result.objectives[k] for k in kept), values=values)
 
 
 def on_grid(result: SweepResult, axis: Axis) -> bool:

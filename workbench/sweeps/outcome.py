@@ -1,8 +1,9 @@
 """What a sweep found: a number a frame for every objective, point and clip, and the tables of them."""
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -60,13 +61,32 @@ class SweepResult:
         row = self._row(objective)
         return np.concatenate([self.values[number, clip][row] for clip in self.clips])
 
+    @cached_property
+    def _whole(self) -> tuple[Point, ...]:
+        """The points with numbers of all clips that have any: only these can be compared."""
+        clips = self.clips
+        found = [point for point in self.points if all((point.number, clip) in self.values for clip in clips)]
+        return tuple(found) if clips else ()
+
+    def _compared(self, objective: str) -> list[Float[np.ndarray, "n"]]:
+        """The known frames of an objective at each point; none at one that lacks a clip which others have."""
+        whole, nothing = {point.number for point in self._whole}, np.zeros(0)
+        return [self.frames(objective, each.number) if each.number in whole else nothing for each in self.points]
+
+    @cached_property
+    def _drawn(self) -> dict[str, Float[np.ndarray, "d p"]]:
+        """By objective: the means of the points in `_whole` over each of the bootstrap's draws of frames."""
+        rows = {name: np.stack([self._in_a_row(name, each.number) for each in self._whole]) for name in self.objectives}
+        return {name: drawn_means(values, draws=SURE_DRAWS) for name, values in rows.items()}
+
     def means(self, objective: str) -> Float[np.ndarray, "p"]:
-        """The mean of an objective over all frames at each point; NaN where none is known."""
-        return np.array([_mean(self.frames(objective, point.number)) for point in self.points])
+        """The mean of an objective over all frames at each point; NaN where none is known, and at a point that lacks a
+        clip which others have."""
+        return np.array([_mean(frames) for frames in self._compared(objective)])
 
     def bands(self, objective: str) -> Float[np.ndarray, "p 2"]:
-        """The quartiles of an objective over all frames at each point."""
-        found = [self.frames(objective, point.number) for point in self.points]
+        """The quartiles of an objective over all frames at each point; NaN where `means` is."""
+        found = self._compared(objective)
         return np.array([np.percentile(each, BAND) if len(each) else (np.nan, np.nan) for each in found])
 
     def best(self, wanted: WeightedSum | str) -> int | None:
@@ -82,13 +102,10 @@ class SweepResult:
 
         None without a choice, and for settings that are not numbers.
         """
-        points = [point for point in self.points if all((point.number, clip) in self.values for clip in self.clips)]
-        if not (axis.numeric and points):
+        if not (axis.numeric and self._whole):
             return None
-        rows = {name: np.stack([self._in_a_row(name, point.number) for point in points]) for name in self.objectives}
-        means = {name: drawn_means(values, draws=SURE_DRAWS) for name, values in rows.items()}
-        drawn = (rule({name: found[k] for name, found in means.items()}) for k in range(SURE_DRAWS))
-        values = np.array([dict(points[best].values)[axis.path] for best in drawn if best is not None], float)
+        drawn = (rule({name: found[k] for name, found in self._drawn.items()}) for k in range(SURE_DRAWS))
+        values = np.array([dict(self._whole[best].values)[axis.path] for best in drawn if best is not None], float)
         return interval_of(values, of_drawn=True) if len(values) else None
 
     def pareto(self, objectives: Sequence[str] | None = None) -> tuple[int, ...]:
@@ -139,16 +156,17 @@ class SweepResult:
             parquet.write_table(pyarrow.table(columns), temporary)
 
     def _row(self, objective: str) -> int:
-        if objective not in self.objectives:
-            raise InputError(f"The sweep did not measure {objective!r}; it has {', '.join(self.objectives)}.")
+        _check_measured(objective, self.objectives)
         return self.objectives.index(objective)
 
 
 def least(wanted: WeightedSum | str) -> Rule:
-    """The least mean of an objective or a sum."""
+    """The least mean of an objective or a sum. The rule raises `InputError` where one of them was not measured."""
     wanted = WeightedSum({wanted: 1.0}) if isinstance(wanted, str) else wanted
 
     def rule(means: Means) -> int | None:
+        for name in wanted.names:
+            _check_measured(name, means)
         values = wanted.of(means)
         return None if np.isnan(values).all() else int(np.nanargmin(values))
 
@@ -169,6 +187,11 @@ def nearest(distances: Float[np.ndarray, "p"], wanted: str, slack: float = SLACK
     """The point at the least distance among those within `slack` of the least `wanted`: with distances from present
     values, a change goes as far as it pays."""
     return lambda means: least_at_equal(distances, means[wanted], slack)
+
+
+def _check_measured(objective: str, measured: Collection[str]) -> None:
+    if objective not in measured:
+        raise InputError(f"The sweep did not measure {objective!r}; it has {', '.join(measured)}.")
 
 
 def _mean(values: Float[np.ndarray, "n"]) -> float:

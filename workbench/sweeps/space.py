@@ -104,10 +104,11 @@ def read_axis(text: str) -> Axis:
 def _scale(path: str, scale: str, numbers: str, text: str) -> Axis:
     try:
         first, last, *rest = (float(part) for part in numbers.split(","))
-        count = int(rest[0]) if rest else None
+        count = _whole_number(*rest) if rest else None
     except ValueError:
         raise ConfigError(
-            f"{text}: a scale is {scale}(FIRST,LAST,COUNT) with numbers, for example log(1e-3,10,13)."
+            f"{text}: a scale is {scale}(FIRST,LAST,COUNT) with numbers, COUNT a whole one, for example "
+            "log(1e-3,10,13)."
         ) from None
     if not (np.isfinite([first, last]).all() and first < last) or (count is not None and not 1 < count <= MOST_VALUES):
         raise ConfigError(
@@ -118,6 +119,13 @@ def _scale(path: str, scale: str, numbers: str, text: str) -> Axis:
     spaced = np.geomspace if scale == "log" else np.linspace
     values = () if count is None else tuple(float(value) for value in spaced(first, last, count))
     return Axis(path, values, scale, (first, last))
+
+
+def _whole_number(number: float, *more: float) -> int:
+    """Raises `ValueError` for another number, and for more than one."""
+    if more or not number.is_integer():
+        raise ValueError("not one whole number")
+    return int(number)
 
 
 def _listed(values: str, text: str) -> tuple[Any, ...]:

@@ -1,7 +1,7 @@
 """A whole sweep: the plan of its points, the tasks, who does them, and what comes of it."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -9,8 +9,9 @@ from typing import TypeVar
 import numpy as np
 
 from workbench.config import DEFAULT_PRESET, Config, preset
-from workbench.errors import ConfigError, InputError, OutputError
+from workbench.errors import InputError, OutputError
 from workbench.objectives import TABLE, folds_of
+from workbench.sweeps.acting import check_axis
 from workbench.sweeps.clips import chosen_windows, parts_of
 from workbench.sweeps.outcome import SweepResult
 from workbench.sweeps.results import folds_needed, result_key, stored_result
@@ -25,8 +26,6 @@ from workbench.workers import Failed, Workers
 USUAL_OBJECTIVES = ("error", "left-out-points", "jitter", "iterations")
 FITS = 1000
 """Fits of a task at most, folds included: about a second."""
-BEFORE_LANDMARKS = ("landmarks.detector", "landmarks.face", "camera.rig", "head", "system", "provenance", "version")
-"""Settings that are not swept: landmarks are found once, before them."""
 DEFINITION = "sweep.json"
 
 Item = TypeVar("Item")
@@ -42,10 +41,14 @@ class Sweep:
     base: Config = field(default_factory=lambda: preset(DEFAULT_PRESET))
     sampling: Sampling = field(default_factory=Sampling)
     objectives: tuple[str, ...] = USUAL_OBJECTIVES
+    """Each counts once."""
     frames: int | None = None
     """Budget of frames in each clip; None: all."""
     model: str = ""
     """Path or URL of the face model; empty: the default head."""
+
+    def __post_init__(self):
+        object.__setattr__(self, "objectives", tuple(dict.fromkeys(self.objectives)))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -64,10 +67,7 @@ class Sweep:
         """
         check_second(self.sources, self.objectives)
         for axis in self.axes:
-            if any(axis.path == path or axis.path.startswith(f"{path}.") for path in BEFORE_LANDMARKS):
-                raise ConfigError(f"{axis.path!r} cannot be swept: landmarks are found once, before all fits.")
-            if axis.path == "camera.fov_deg" and self.base.camera.matrix is not None:
-                raise ConfigError("'camera.fov_deg' has no effect beside a camera's matrix (camera.matrix, --rig).")
+            check_axis(axis, self.base)
         points = points_of(self.axes, self.sampling)
         configs = tuple(config_at(self.base, point) for point in points)
         for config in configs:
@@ -99,10 +99,13 @@ def run_sweep(
     points, configs = sweep.checked()
     place = str(place) if is_url(str(place)) else str(Path(place).absolute())
     storage, progress = Storage(place), progress or silent
-    _claim(storage, sweep, resume)
+    if not resume:
+        _check_free(storage)
     observed, failures = _observed(sweep, storage, workers, progress)
     if not observed:
         raise InputError(f"None of the clips can be used: {next(iter(failures.values()))}")
+    # Not before: a name that was misspelt leaves the place free for the same command without the slip.
+    _claim(storage, sweep)
     parts = {
         name: parts_of(chosen_windows([range(*shot) for shot in clip.shots], sweep.frames))
         for name, clip in observed.items()
@@ -133,15 +136,29 @@ def run_sweep(
         done += sizes[number]
         progress("fits", done, total)
     values = _gathered(sweep, storage, configs, observed, parts)
+    failures = {name: f"{reason}{_gaps(name, points, values)}" for name, reason in failures.items()}
     return SweepResult(sweep.base, sweep.axes, points, sweep.objectives, values, failures)
 
 
-def _claim(storage: Storage, sweep: Sweep, resume: bool) -> None:
-    """Write down what the place is for. Raises `OutputError` where it holds a sweep already, unless it goes on."""
-    if storage.holds(DEFINITION) and not resume:
+def _gaps(name: str, points: Sequence[Point], values: Mapping[tuple[int, str], np.ndarray]) -> str:
+    """What it means for a comparison that a clip has numbers at some points only."""
+    without = sum((point.number, name) not in values for point in points)
+    if without in (0, len(points)):
+        return ""
+    return f" {without} of {len(points)} points are without this clip, and are compared with no other."
+
+
+def _check_free(storage: Storage) -> None:
+    """Raise `OutputError` for a place that holds a sweep already."""
+    if storage.holds(DEFINITION):
         raise OutputError(
-            f"{storage.place} holds a sweep; go on with it by --resume (points may be added), or name another folder."
+            f"{storage.place} holds a sweep; go on with it by --resume (to add points, name all values, old and new), "
+            "or name another folder."
         )
+
+
+def _claim(storage: Storage, sweep: Sweep) -> None:
+    """Write down what the place is for."""
     storage.write(DEFINITION, json.dumps(sweep.definition(), indent=1).encode())
 
 
