@@ -16,7 +16,17 @@ from workbench.face import FaceParameters
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, project, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures.lighting import Light, Lighting
-from workbench.reproduction import Item, Result, Study, Table, boston_camera, clip_solves, notebook, pose_errors
+from workbench.reproduction import (
+    Item,
+    Result,
+    Study,
+    Table,
+    boston_camera,
+    clip_solves,
+    face_it,
+    notebook,
+    pose_errors,
+)
 from workbench.reproduction import study as studies
 from workbench.reproduction.boston import INCH_MM, NAMES, BostonSequence, read_set
 from workbench.reproduction.differences import FEW_FRAMES, deep_configs, deep_rows, face_it_configs
@@ -275,8 +285,9 @@ def test_poses_of_another_program_are_read_and_frames_left_out_count_as_missed(t
         (rows_of("tom,0,0,0,0,0,0,0"), "has frame 0 of 'tom' in line 2, which the set does not have."),
         (rows_of("jam1,0,nan,0,0,0,0,0"), "has numbers in line 2 that are not finite; leave such rows out."),
         (rows_of("jam1,first,0,0,0,0,0,0"), "cannot be read as a table of head poses"),
+        (rows_of(), "other.csv has no rows; give a row for each frame with a pose."),
     ],
-    ids=["columns", "frame", "name", "not finite", "words"],
+    ids=["columns", "frame", "name", "not finite", "words", "empty"],
 )
 def test_poses_that_do_not_fit_the_set_are_refused_in_one_sentence(tmp_path, text, words):
     path = tmp_path / "other.csv"
@@ -284,6 +295,37 @@ def test_poses_that_do_not_fit_the_set_are_refused_in_one_sentence(tmp_path, tex
     with pytest.raises(InputError) as refused:
         read_poses(path, [sequence()])
     assert words in str(refused.value)
+
+
+class TestTheTableOfHeadPoses:
+    """On a set of three sequences of which `quick` uses the first; presets and PnP find nothing."""
+
+    @pytest.fixture(autouse=True)
+    def small_set(self, monkeypatch):
+        self.solved = []
+        whole = [replace(sequence(), name=name) for name in ("jam1", "jam2", "jam3")]
+        still = pose_errors(sequence(), np.zeros((3, 3)), np.zeros((3, 3)))
+        monkeypatch.setattr(face_it, "read_set", lambda folder: (whole, ()))
+        monkeypatch.setattr(face_it, "landmarks_of_sequence", lambda one, store: self.solved.append(one.name))
+        monkeypatch.setattr(face_it, "errors_of", lambda sequences, way, store: [still])
+
+    def made(self, tmp_path, *rows):
+        path = tmp_path / "other.csv"
+        path.write_text(rows_of(*rows))
+        return face_it.head_pose(Study(tmp_path, quick=True, boston=tmp_path, poses=(path,)))
+
+    def test_a_table_of_the_whole_set_serves_a_quick_run_and_the_page_says_how_much_was_used(self, tmp_path):
+        found = self.made(tmp_path, "jam1,0,0,0,0,0,0,700", "jam3,0,0,0,0,0,0,700")
+        assert found.data == "Boston University's set, 1 of its 45 sequences of uniform light."
+        (row,) = [row for row in found.tables[0].rows if row[0] == "other.csv"]
+        assert row[-2:] == ("1", "2")
+
+    def test_a_row_that_the_set_does_not_have_is_told_before_anything_is_solved(self, tmp_path):
+        with pytest.raises(InputError, match="frame 3 of 'jam3' in line 2, which the set does not have"):
+            self.made(tmp_path, "jam3,3,0,0,0,0,0,700")
+        with pytest.raises(InputError, match=r"other.csv has no pose in the sequences that are used \(jam1\)"):
+            self.made(tmp_path, "jam3,0,0,0,0,0,0,700")
+        assert self.solved == []
 
 
 def test_poses_are_computed_once(tmp_path):
@@ -314,6 +356,7 @@ def test_the_command_remakes_a_figure_and_says_what_to_open(run, tmp_path):
     assert stored["tables"][0]["rows"][5][0] == "1.002"
     code, out, _ = run("reproduce", "beta-curve", "--out", "made")
     assert "made before; --overwrite remakes it" in out
+    assert "Open [made]/index.html" in run("reproduce", "beta-curve", "--out", "[made]")[1]
 
 
 def test_the_command_refuses_an_unknown_item(run):
@@ -342,7 +385,7 @@ def test_the_command_refuses_data_that_no_chosen_item_reads(run, tmp_path, optio
     (tmp_path / "data").mkdir()
     code, _, err = run("reproduce", "beta-curve", option, "data")
     assert code == 2
-    assert f"None of these items reads {option[2:]}; choose {reader} as well." in err
+    assert f"None of these items reads {option}; choose {reader} as well." in err
 
 
 # Deep Energies.

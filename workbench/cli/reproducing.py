@@ -51,7 +51,9 @@ def reproduce(
                 [item], out, quick=quick, overwrite=overwrite, progress=progress, **data
             )
         state = "" if fresh else " (made before; --overwrite remakes it)"
-        screen.console.print(f"{item.name}: {item.paper} {item.place}, {item.title}{state}", soft_wrap=True)
+        screen.console.print(
+            f"{item.name}: {item.paper} {item.place}, {item.title}{state}", markup=False, soft_wrap=True
+        )
         # After every item: a run that is stopped leaves a page of what there is.
         page = workbench.reproduction.write_page(out)
-    screen.console.print(f"Open {page}", soft_wrap=True)
+    screen.console.print(f"Open {page}", markup=False, soft_wrap=True)

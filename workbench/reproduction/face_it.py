@@ -1,9 +1,10 @@
 """The figures, the table and the experiments of FACE IT! that can be remade."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import cycle, islice
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from workbench import plots
 from workbench.config import Config, preset
 from workbench.energies import EnergyConstants, beta_slope
 from workbench.energies import beta_curve as range_curve
+from workbench.errors import InputError
 from workbench.face import FaceModel, load_default_head
 from workbench.frames import open_frames
 from workbench.landmarks.detectors import chosen_detector, make_detector
@@ -20,6 +22,7 @@ from workbench.reproduction.boston import (
     NAMES,
     PRINTED_DEG,
     PRINTED_INCHES,
+    BostonSequence,
     MeanErrors,
     mean_errors,
     pose_errors,
@@ -27,6 +30,7 @@ from workbench.reproduction.boston import (
 )
 from workbench.reproduction.head_pose import (
     PNP,
+    Poses,
     errors_of,
     landmarks_of_sequence,
     poses_by_pnp,
@@ -222,15 +226,16 @@ def head_pose(study: Study) -> Result:
         names, frames = (QUICK_NAMES, QUICK_FRAMES) if study.quick else (NAMES, FRAMES)
         simulate_set(study.folder / "set", head, names, frames, study.progress)
         sequences, problems = read_set(study.folder / "set")[0], ()
+        given = _poses_of_others(study.poses, sequences, sequences)
         data = (
             f"a simulated set in the layout of Boston University's: {len(sequences)} sequences of {frames} frames, "
             "320 × 240, rendered people with exact poses (`reproduction/simulated_boston.py`)."
         )
     else:
-        sequences, problems = read_set(study.boston)
+        whole, problems = read_set(study.boston)
+        sequences = whole[:1] if study.quick else whole
         data = f"Boston University's set, {len(sequences)} of its 45 sequences of uniform light."
-        if study.quick:
-            sequences = sequences[:1]
+        given = _poses_of_others(study.poses, whole, sequences)
     landmarks: dict[str, tuple[Landmarks2D | None, ...]] = {}
     for done, sequence in enumerate(sequences):
         study.progress("landmarks", done, len(sequences))
@@ -242,10 +247,8 @@ def head_pose(study: Study) -> Result:
         store = study.folder / "poses" / label.replace("ours, ", "").replace(" ", "-")
         errors = errors_of(sequences, lambda one, way=way: way(landmarks[one.name]), store)
         rows.append(_table_row(label, mean_errors(errors)))
-    for path in study.poses:
-        given = read_poses(path, sequences)
-        chosen = [one for one in sequences if one.name in given]
-        errors = [pose_errors(one, *given[one.name]) for one in chosen]
+    for path, poses in given.items():
+        errors = [pose_errors(one, *poses[one.name]) for one in sequences if one.name in poses]
         rows.append(_table_row(path.name, mean_errors(errors)))
     printed = [
         (f"printed: {name}", *(f"{value:.2f}" for value in degrees), *_inches(name), "", "")
@@ -267,6 +270,21 @@ def head_pose(study: Study) -> Result:
         tables=(Table("Mean absolute errors", header, (*rows, *printed)),),
         notes=(*notes, sensor, *problems),
     )
+
+
+def _poses_of_others(
+    paths: Iterable[Path], known: Sequence[BostonSequence], used: Sequence[BostonSequence]
+) -> dict[Path, dict[str, Poses]]:
+    """By table: the poses of the sequences in use; rows of other known ones are checked and left out.
+
+    Raises `InputError` for a table without any, besides what `read_poses` raises.
+    """
+    names, found = [one.name for one in used], {}
+    for path in paths:
+        found[path] = {name: poses for name, poses in read_poses(path, known).items() if name in names}
+        if not found[path]:
+            raise InputError(f"{path} has no pose in the sequences that are used ({', '.join(names)}).")
+    return found
 
 
 def _limited(rho: int, epsilon: int, tolerance: float = 1e-6) -> Config:

@@ -91,7 +91,8 @@ def read_poses(path: str | Path, sequences: Sequence[BostonSequence]) -> dict[st
 
     A row is a frame (counted from 0) of a sequence: yaw, pitch and roll in degrees with the signs of
     `workbench.geometry`, and the head's place in the camera's frame in millimetres. Frames without a row count as
-    missed. Raises `InputError` for missing columns, unknown sequences and frames that a sequence does not have.
+    missed. Raises `InputError` for missing columns, a table without rows, unknown sequences and frames that a sequence
+    does not have.
     """
     content = checked_content(path, AS_POSES[0])
     counts = {one.name: len(one.angles_deg) for one in sequences}
@@ -110,6 +111,8 @@ def read_poses(path: str | Path, sequences: Sequence[BostonSequence]) -> dict[st
             if not np.isfinite(numbers).all():
                 raise InputError(f"{path} has numbers in line {line} that are not finite; leave such rows out.")
             rotations[frame], translations[frame] = axis_angle_from_yaw_pitch_roll(numbers[:3]), numbers[3:]
+    if not found:
+        raise InputError(f"{path} has no rows; give a row for each frame with a pose.")
     return found
 
 

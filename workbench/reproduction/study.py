@@ -89,7 +89,7 @@ def check_data(
             raise InputError(f"{path} does not exist; check the name and the folder.")
         if not any(getattr(item, reads) for item in items):
             readers = ", ".join(item.name for item in ITEMS if getattr(item, reads))
-            raise InputError(f"None of these items reads {name}; choose {readers} as well.")
+            raise InputError(f"None of these items reads --{name}; choose {readers} as well.")
 
 
 @on_page(LIGHT)
