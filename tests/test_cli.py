@@ -9,6 +9,9 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
+from functools import partial
+from io import StringIO
+from itertools import count
 
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ import pytest
 import workbench
 from tests.scenes import make_scene
 from workbench import cli
-from workbench.cli import servers
+from workbench.cli import screen, servers
 from workbench.config import PRESETS, preset, read_config
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks import chosen_detector
@@ -117,6 +120,18 @@ def test_the_help_lists_every_command(run):
 
 def test_brackets_in_a_message_are_printed_as_they_are(run):
     assert "no[bold]where.mp4" in run("track", "no[bold]where.mp4")[2]
+
+
+def test_a_step_whose_note_changes_stays_one_step_and_shows_how_fast_it_goes(monkeypatch):
+    console = screen.Console(width=200, force_terminal=True, file=StringIO(), color_system=None)
+    monkeypatch.setattr(screen, "console", console)
+    # A clock by which each look takes a second.
+    monkeypatch.setattr(screen, "Progress", partial(screen.Progress, get_time=count().__next__, auto_refresh=False))
+    with screen.progress_bar("steps/s") as progress:
+        for done in range(1, 4):
+            progress("learn", done, 4, f"{1.0 / done:.4g}")
+    shown = console.file.getvalue()
+    assert "3/4 0.3333 1.0 steps/s 0:00:01" in shown
 
 
 def test_the_version_is_told_without_a_command(run):

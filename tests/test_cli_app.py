@@ -200,6 +200,23 @@ def test_the_app_is_for_this_machine_and_its_token_is_on_no_command_line(noteboo
     assert not any("secret" in word for word in servers.app_command(notebook, 8866))
 
 
+@pytest.mark.parametrize("command", ["lab", "app"])
+def test_a_port_that_no_machine_has_is_refused_in_words(run, command):
+    for port, end in (("0", "1"), ("99999", "65535")):
+        code, _, err = run(command, "--no-browser", "--port", port)
+        assert code == 2
+        assert re.search(rf"--port.*equal to {end}\b|range 1<=x<=65535", " ".join(err.split()))
+
+
+def test_the_last_ports_are_tried_too(run, monkeypatch):
+    pytest.importorskip("jupyterlab")
+    said = []
+    monkeypatch.setattr(servers, "answers", lambda port: said.append(port) or True)
+    monkeypatch.setattr(servers, "serve", lambda *given: 0)
+    assert run("lab", "--no-browser", "--port", "65534")[0] == 0
+    assert said == [65534, 65535]
+
+
 def test_both_servers_hand_a_kernels_messages_on_at_once(notebook, run, monkeypatch):
     channels = pytest.importorskip("jupyter_server.services.kernels.connection.channels")
     said = [servers.app_command(notebook, 8866)]

@@ -248,7 +248,7 @@ def test_a_file_that_is_no_truth_says_what_it_should_be(tmp_path, head):
     with pytest.raises(InputError, match=r"rotation has shape \(4, 2\), expected \(4, 3\)"):
         read_truth(tmp_path / "other.npz", head, [0])
     np.savez(tmp_path / "nothing.npz", colours=np.zeros(3))
-    with pytest.raises(InputError, match="tells nothing of a face"):
+    with pytest.raises(InputError, match="says nothing about a face"):
         read_truth(tmp_path / "nothing.npz", head, [0])
 
 

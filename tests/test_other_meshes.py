@@ -100,7 +100,7 @@ def write_npy(path, array) -> None:
 @pytest.mark.parametrize(
     ("name", "write", "words"),
     [
-        ("face.ply", lambda path: path.write_text("ply"), "face.ply is no OBJ, MAT or NPY file"),
+        ("face.ply", lambda path: path.write_text("ply"), "face.ply is not an OBJ, MAT or NPY file"),
         ("face.obj", lambda path: path.write_text("v 1 2 3\nv 1 2 4\n"), "face.obj holds no mesh"),
         ("face.mat", lambda path: path.write_bytes(b"MATLAB"), "face.mat cannot be read as a mesh"),
         ("face.mat", lambda path: savemat(path, {"depth": CORNERS}), "face.mat has neither vertices nor vertex among"),

@@ -40,6 +40,7 @@ LOCALHOST = "127.0.0.1"
 PROMPT = "workbench.widgets.prompt_channels.PromptChannels"
 """How both servers hand a kernel's messages to the browser: at once. By name, because only they import it."""
 PORTS_TRIED = 50
+LAST_PORT = 65_535
 
 APP_HELP = """Tune in the browser without seeing code: the workbench as an app, served by Voilà on this machine only.
 
@@ -55,14 +56,15 @@ Voilà is an extra: pip install "face-energy-workbench\\[app]".
 
 
 def lab(
-    port: Annotated[int, typer.Option(help="Port of the server.")] = 8888,
+    port: Annotated[int, typer.Option(min=1, max=LAST_PORT, help="Port of the server.")] = 8888,
     browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
 ) -> None:
     """Open JupyterLab on the first notebook; prints its address. Ctrl-C ends it."""
     check_installed("lab", "jupyterlab", "ipywidgets", "anywidget")
     folder = working_copies(notebooks_folder())
     page = sorted(folder.glob("*.ipynb"))[0].name
-    port = next((free for free in range(port, port + PORTS_TRIED) if not answers(free)), port)
+    ports = range(port, min(port + PORTS_TRIED, LAST_PORT + 1))
+    port = next((free for free in ports if not answers(free)), port)
     command = [sys.executable, "-m", "jupyterlab", f"--notebook-dir={folder}", f"--port={port}"]
     # Its many lines on starting have several addresses and hide the one to open; what goes wrong is still printed.
     command += [
@@ -82,7 +84,7 @@ def lab(
 
 
 def serve_app(
-    port: Annotated[int, typer.Option(help="Port of the server.")] = 8866,
+    port: Annotated[int, typer.Option(min=1, max=LAST_PORT, help="Port of the server.")] = 8866,
     browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
 ) -> None:
     """Serve the app's notebook through Voilà; prints its address."""

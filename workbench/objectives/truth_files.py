@@ -49,7 +49,7 @@ _KNOWN = ("rotation", "translation", "expression", "expression_names", "identity
 
 def _of_arrays(path: Path, arrays: dict[str, np.ndarray], model: FaceModel, frames: Sequence[int]) -> Truth:
     if not {"rotation", "translation", "expression", "landmarks"} & set(arrays):
-        raise InputError(f"{path} tells nothing of a face; expected one of rotation, expression, landmarks.")
+        raise InputError(f"{path} says nothing about a face; expected one of rotation, expression, landmarks.")
     rows = next(len(arrays[name]) for name in ("rotation", "translation", "expression", "landmarks") if name in arrays)
     row_of = {int(frame): row for row, frame in enumerate(arrays.get("index", range(rows)))}
 

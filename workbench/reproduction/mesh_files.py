@@ -56,7 +56,7 @@ def read_mesh(path: str | Path) -> OtherMesh:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(f"{path} is no OBJ, MAT or NPY file; other kinds of meshes are not read.")
+        raise InputError(f"{path} is not an OBJ, MAT or NPY file; other kinds of meshes are not read.")
     checked_file(path, KIND, ModelError)
     with reading(path, KIND, "write it again", ModelError):
         if suffix == ".obj":

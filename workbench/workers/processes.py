@@ -55,7 +55,8 @@ class Pool:
                 self.close()
                 for number in [number for number in left if deaths[number] >= MOST_DEATHS]:
                     clip = left.pop(number).clip
-                    yield number, Failed(f"{clip} ended the process that worked on it, {MOST_DEATHS} times.")
+                    died = f"died {MOST_DEATHS} times, perhaps for lack of memory"
+                    yield number, Failed(f"The process that worked on {clip} {died}.")
 
     def _round(self, left: dict[int, Task], deaths: list[int]) -> Iterator[tuple[int, Any]]:
         """The results of those that were at no death; then of the others, one at a time, to see whose they are.
