@@ -397,6 +397,14 @@ def test_knobs_presets_undo_and_defaults(panel):
     assert "nothing to undo" in panel.status.value
 
 
+def test_a_refused_number_leaves_the_slider_at_the_old_value(panel):
+    knob = panel.controls.by_path["weights.tau"]
+    old, shown = knob.value, knob.readout.value
+    knob.readout.value = "-3"
+    assert "tau" in panel.view.message
+    assert (panel.session.config.weights.tau, knob.value, knob.readout.value) == (old, old, shown)
+
+
 def test_another_preset_while_recording_is_refused_and_the_menu_goes_back(panel, camera, frames):
     panel.start()
     play(panel, camera, frames[:1])

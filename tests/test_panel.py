@@ -340,6 +340,14 @@ def test_a_typed_number_is_taken_as_it_is_and_nonsense_is_put_back():
     assert turned == [0.1234]
 
 
+def test_a_refused_number_leaves_the_slider_at_the_old_value(panel):
+    knob = panel.controls.by_path["weights.tau"]
+    old, shown = knob.value, knob.readout.value
+    knob.readout.value = "-3"
+    assert "tau" in panel.status.value
+    assert (panel.session.config.weights.tau, knob.value, knob.readout.value) == (old, old, shown)
+
+
 def test_landmark_weights_are_read_as_they_are_written():
     table = {"all": 1.0, "upper lip": 0.25, "30": 2.0}
     assert read_landmarks(landmarks_text(table)) == table

@@ -84,10 +84,12 @@ def test_the_head_is_the_sessions_character(panel):
 
 
 def test_a_value_that_cannot_be_is_told_and_changes_nothing(panel):
-    config = panel.session.config
-    panel.controls.by_path["camera.fov_deg"].turn(400.0)
+    config, knob = panel.session.config, panel.controls.by_path["camera.fov_deg"]
+    shown = knob.readout.value
+    knob.readout.value = "400"
     assert "fov_deg" in panel.status.value
     assert panel.session.config == config
+    assert (knob.value, knob.readout.value) == (config.camera.fov_deg, shown)
 
 
 def test_a_closed_panel_follows_no_longer():

@@ -6,6 +6,7 @@ from typing import Any
 import ipywidgets as widgets
 
 from workbench.config import FACE_IT_PRESETS, Config, preset
+from workbench.errors import WorkbenchError
 from workbench.session.gesture import Gesture
 from workbench.session.knobs import changed_by
 from workbench.session.live import LiveSession
@@ -45,8 +46,12 @@ class LiveSettings:
         self._guarded(self._turn, path, value)
 
     def _turn(self, path: str, value: Any) -> None:
-        config = self._session.config.changed(**changed_by(self._session.config, path, value))
-        self._session.use(config, Gesture(path, self._page.drag))
+        try:
+            config = self._session.config.changed(**changed_by(self._session.config, path, value))
+            self._session.use(config, Gesture(path, self._page.drag))
+        except WorkbenchError:
+            self._show()
+            raise
         self._show(but=path)
 
     def _on_preset(self, change) -> None:

@@ -68,7 +68,8 @@ class PlainPanel(widgets.VBox):
 
     def _on_knob(self, path: str, value: object) -> None:
         changes = changed_by(self.session.config, path, value)
-        self.status.guarded(lambda: self.session.set(label_of(path), path, **changes))
+        if not self.status.guarded(lambda: self.session.set(label_of(path), path, **changes)):
+            self.controls.show(self.session.config)
 
     def _on_session(self, what: str) -> None:
         if what == "snapshots":

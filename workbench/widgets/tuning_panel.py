@@ -164,12 +164,14 @@ class TuningPanel(LateParts):
     # --- what the user does ---
 
     def _on_knob(self, path: str, value: Any) -> None:
+        changes, gesture = changed_by(self.session.config, path, value), Gesture(path, self.page.drag)
         self._held = path
         try:
-            changes = changed_by(self.session.config, path, value)
-            self.status.guarded(lambda: self.session.set(label_of(path), Gesture(path, self.page.drag), **changes))
+            taken = self.status.guarded(lambda: self.session.set(label_of(path), gesture, **changes))
         finally:
             self._held = ""
+        if not taken:
+            self.controls.show(self.session.config)
         self.sweep.moved(path)
 
     # --- what the session reports ---
