@@ -7,12 +7,17 @@ import pytest
 
 from tests.test_session_temporal import COUNT, QUICK, fitted, material  # noqa: F401 - fixtures
 from workbench.config import preset, read_config
+from workbench.errors import InputError
 from workbench.session import Material, TuningSession
 from workbench.session.knobs import METHODS, TIME, value_of
 from workbench.session.material import PictureStore
 from workbench.widgets import TuningPanel
+from workbench.widgets.clip_bar import ClipBar
+from workbench.widgets.clip_views import ClipViews
 from workbench.widgets.failed_frames import failed_html
 from workbench.widgets.methods_page import chosen, colors_of, gaps, numbers_html
+from workbench.widgets.time_page import TimePage
+from workbench.widgets.transport import SPEEDS, Transport
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +40,16 @@ def panel(shared_panel, fitted):  # noqa: F811 - fixture
     session.use(session.base)
     page.part.value, page.sides.value, page.methods.shown.value = "", "before", "all"
     assert shared_panel.wait_idle(60)
+
+
+@pytest.fixture
+def alone(head, material):  # noqa: F811 - fixture
+    """The page without a panel, the views of its clip, and the session of both."""
+    session = TuningSession(head, material, QUICK)
+    views = ClipViews(session, lambda frame: None)
+    page = TimePage(session, lambda path, value: None, lambda frame: None, lambda: None, views)
+    yield page, views, session
+    page.close()
 
 
 def press(panel, button):
@@ -254,6 +269,45 @@ def test_a_photo_is_told_that_it_needs_a_clip(head, material):  # noqa: F811 - f
     assert "these are 3 unrelated photos" in made.time.widget.children[0].value
     assert made.time.knobs == {}
     made.close()
+
+
+def test_a_frame_outside_the_chosen_part_is_refused_and_not_marked(alone):
+    page, _, session = alone
+    page.part.value = "0-9"
+    page.show_frame(15)
+    with pytest.raises(InputError, match="Frame 15 is outside frames 0-9; widen them first"):
+        page.fill()
+    assert session.config == QUICK
+
+
+def test_under_deep_energies_the_whole_clip_can_be_chosen_and_the_short_part_goes_with_the_preset(alone):
+    page, _, session = alone
+    session.use(preset("deep"))
+    page.show_config()
+    assert page.part.value == f"0-{COUNT - 1}"
+    page.part.value = ""
+    page.show_config()
+    assert page.part.value == ""
+    for typed, left in (("", ""), ("3-7", "3-7")):
+        page.part.value = typed
+        for config in (QUICK, preset("deep"), QUICK):
+            session.use(config)
+            page.show_config()
+        assert page.part.value == left
+
+
+@pytest.mark.parametrize("rate", [24.0, 25.0, 30.0, 50.0, 60.0])
+def test_every_speed_plays_at_the_rate_of_the_clip(rate, alone):
+    page, views, session = alone
+    page.played.rate = rate
+    bar = ClipBar(session, views, *[lambda *_: None] * 4)
+    transport = Transport(bar, lambda by: None, lambda: 0, page.played)
+    play = page.play
+    assert play.step * 1000 / play.interval == pytest.approx(rate, rel=0.03)
+    for speed in SPEEDS.values():
+        transport.speed.value = speed
+        assert play.step * 1000 / play.interval == pytest.approx(rate * speed, rel=0.03)
+    bar.close()
 
 
 @pytest.mark.long

@@ -19,6 +19,11 @@ def parts_of(frames: Iterable[int]) -> tuple[Part, ...]:
     return tuple(parts)
 
 
+def frames_of(parts: Iterable[Part]) -> set[int]:
+    """The frames of parts."""
+    return {frame for first, last in parts for frame in range(first, last + 1)}
+
+
 def parts_text(parts: Sequence[Part], most: int = 6) -> str:
     """Parts as text such as "40-52, 60"; beyond `most` only their number is given."""
     words = [f"{first}-{last}" if last > first else str(first) for first, last in parts]

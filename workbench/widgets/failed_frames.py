@@ -6,7 +6,7 @@ from collections.abc import Callable
 import ipywidgets as widgets
 
 from workbench.session import TuningSession
-from workbench.session.parts import parts_text, read_parts
+from workbench.session.parts import frames_of, parts_text, read_parts
 from workbench.widgets.controls import narrow, small_button
 from workbench.widgets.status_line import StatusLine
 
@@ -53,21 +53,20 @@ class FailedFrames:
         if not parts:
             self._status.say("Type frames first, such as 40-52 or 60.", wrong=True)
             return
-        act(frame for first, last in parts for frame in range(first, last + 1))
+        act(frames_of(parts))
 
     def _clear(self) -> None:
-        marked = self._session.temporal.marked
-        self._session.temporal.unmark(frame for first, last in marked for frame in range(first, last + 1))
+        temporal = self._session.temporal
+        temporal.unmark(frames_of(temporal.marked))
 
 
 def failed_html(session: TuningSession, part: tuple[int, int] | None) -> str:
     """The marked frames and the number of other failed frames, in one line."""
     temporal = session.temporal
     marked = temporal.marked
-    count = sum(last - first + 1 for first, last in marked)
-    inside = {frame for first, last in marked for frame in range(first, last + 1)}
+    inside = frames_of(marked)
     others = len([frame for frame in temporal.failed(part) if frame not in inside])
-    text = f"marked: {html.escape(parts_text(marked, 4))}" if count else "none marked"
-    if count > 1:
-        text += f" ({count} frames)"
+    text = f"marked: {html.escape(parts_text(marked, 4))}" if inside else "none marked"
+    if len(inside) > 1:
+        text += f" ({len(inside)} frames)"
     return text + (f"; {others} more without a good fit" if others else "")

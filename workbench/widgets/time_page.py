@@ -8,7 +8,7 @@ import ipywidgets as widgets
 from workbench.config import Config
 from workbench.session import TuningSession
 from workbench.session.knobs import METHODS, TIME
-from workbench.session.parts import Part, parts_of
+from workbench.session.parts import Part, frames_of, parts_of
 from workbench.session.worked import Worked
 from workbench.tracking import FrameFit
 from workbench.widgets.clip_views import ClipViews
@@ -90,14 +90,14 @@ class TimePage:
     def fill(self) -> None:
         """Mark the shown frame as failed and fill it and those marked before; one undo step.
 
-        By the chosen method, on straight lines if none is chosen.
+        By the chosen method, on straight lines if none is chosen. Raises `InputError` outside the chosen part.
         """
         if not self.is_clip:
             return
+        self.played.check(self.frame)
         infill, temporal = self._session.config.infill, self._session.temporal
-        marked = {frame for first, last in temporal.marked for frame in range(first, last + 1)}
         method = "linear" if infill.method == "none" else infill.method
-        frames = parts_of(marked | {self.frame})
+        frames = parts_of(frames_of(temporal.marked) | {self.frame})
         self._session.set(f"fill frame {self.frame}", infill={"frames": frames, "method": method})
         self.run()
 
@@ -144,8 +144,7 @@ class TimePage:
         notes += [] if self._session.material.pictures.real else [POINTS_NOTE]
         self.note.value = "<br>".join(notes)
         self.note.layout.display = None if notes else "none"
-        if slow:
-            self.played.begin_short(self.frame, DEEP_FRAMES)
+        self.played.shorten(slow, self.frame, DEEP_FRAMES)
         self._marks.show(self.played.usable)
         self.played.limit_play()
         self._views.timeline.loop = list(self.played.usable or ())

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import ipywidgets as widgets
 
-from workbench.errors import WorkbenchError
+from workbench.errors import InputError, WorkbenchError
 from workbench.session import TuningSession
 from workbench.session.parts import read_parts
 from workbench.widgets.controls import narrow, small_button
@@ -30,6 +30,7 @@ class TimePart:
         in_view: Callable[[], tuple[int, int]],
     ) -> None:
         self._session, self._go, self._in_view, self._quiet = session, go, in_view, False
+        self._slow, self._short = False, ""
         self.part = widgets.Text(
             placeholder="whole clip", tooltip="first and last frame to work on; empty: the whole clip",
             layout=narrow(), continuous_update=False,
@@ -40,11 +41,9 @@ class TimePart:
         self.sides = widgets.ToggleButtons(options=[BEFORE, AFTER], style={"button_width": "auto"})
         self.sides.add_class("fw-sides")
         self.sides.observe(lambda _change: redraw(), "value")
-        rate = getattr(session.material.pictures.frames, "rate", None) or RATE
-        self.play = widgets.Play(
-            min=0, max=len(session) - 1, interval=max(40, round(1000.0 / rate)), show_repeat=True,
-            layout=widgets.Layout(width="auto"),
-        )  # fmt: skip
+        self.rate = getattr(session.material.pictures.frames, "rate", None) or RATE
+        """Frames per second of the clip."""
+        self.play = widgets.Play(min=0, max=len(session) - 1, show_repeat=True, layout=widgets.Layout(width="auto"))
         self.play.observe(self._on_play, "value")
         label = widgets.HTML("<b>frames</b>", layout=widgets.Layout(width="44px", flex="0 0 auto"))
         self.named = (label, self.part, self.view)
@@ -70,12 +69,26 @@ class TimePart:
         """First and last frame, typed or of the whole clip."""
         return self.usable or (0, len(self._session) - 1)
 
-    def begin_short(self, frame: int, length: int) -> None:
-        """Fill in a short part around a frame, if none is typed."""
-        if not self.part.value.strip():
+    def shorten(self, slow: bool, frame: int, length: int) -> None:
+        """Fill in a short part around a frame once fits are slow, if none is typed; clear it once they are quick."""
+        if slow == self._slow:
+            return
+        self._slow = slow
+        if slow and not self.part.value.strip():
             last = len(self._session) - 1
             first = max(min(frame, last - length + 1), 0)
-            self.part.value = f"{first}-{min(first + length - 1, last)}"
+            self._short = f"{first}-{min(first + length - 1, last)}"
+            self.part.value = self._short
+        elif not slow:
+            filled_in, self._short = self._short, ""
+            if self.part.value == filled_in:
+                self.part.value = ""
+
+    def check(self, frame: int) -> None:
+        """Raise `InputError` for a frame outside the chosen part."""
+        first, last = self.whole
+        if not first <= frame <= last:
+            raise InputError(f"Frame {frame} is outside frames {first}-{last}; widen them first.")
 
     def show_frame(self, frame: int) -> None:
         """Update for the shown frame."""

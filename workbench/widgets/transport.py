@@ -11,7 +11,7 @@ from workbench.widgets.time_part import TimePart
 
 SPEEDS = {"¼×": 0.25, "½×": 0.5, "1×": 1.0, "2×": 2.0}
 FASTEST_MS = 40
-"""Shortest time between two frames: the browser skips frames rather than ask for more."""
+"""About the shortest time between two frames: rather than ask for more, the browser skips frames."""
 
 
 class Transport:
@@ -31,9 +31,9 @@ class Transport:
             button.on_click(lambda _button, by=by: step(by))
         parts = [group(*self.steps.values(), name="fw-steps")]
         if part is not None:
-            self._interval_ms = part.play.interval
             self.speed = menu(SPEEDS, "58px", "speed of playing", 1.0)
-            self.speed.observe(self._on_speed, "value")
+            self.speed.observe(lambda _change: self._show_speed(), "value")
+            self._show_speed()
             self.first = small_button("[", "first frame to play and to work on: this one (I)")
             self.last = small_button("]", "last frame to play and to work on: this one (O)")
             self.whole = small_button("[ ]", "play and work on the whole clip")
@@ -63,7 +63,13 @@ class Transport:
         else:
             self._part.part.value = f"{min(first, frame)}-{frame}"
 
-    def _on_speed(self, change) -> None:
-        wanted = self._interval_ms / change["new"]
-        self._part.play.interval = max(FASTEST_MS, round(wanted))
-        self._part.play.step = max(1, round(FASTEST_MS / wanted))
+    def _show_speed(self) -> None:
+        play = self._part.play
+        play.interval, play.step = paced(self._part.rate * self.speed.value)
+
+
+def paced(rate: float) -> tuple[int, int]:
+    """The milliseconds between two shown frames, and how many frames further the second is, for frames per second."""
+    wanted = 1000.0 / rate
+    step = max(1, round(FASTEST_MS / wanted))
+    return round(step * wanted), step

@@ -233,8 +233,7 @@ class TuningPanel(LateParts):
         self._catch_up()
         self.status.show_fit(fit, len(session), self.time.side == AFTER, self.clip.why(frame))
         self._iterations.show(fit, session.explain_frame(frame)[1] if fit.found else (), request.steps)
-        if fit.found:
-            self.strip.show_frame(frame)
+        self.strip.show_frame(frame)
         self.compare.show_frame(frame)
 
     def _show(self, fit: "workbench.tracking.FrameFit") -> None:
