@@ -235,6 +235,15 @@ def test_a_sent_file_opens_and_is_removed_with_the_chooser(opener, landmark_file
     assert not path.exists()
 
 
+def test_the_same_file_may_be_sent_again():
+    opened = []
+    made = Upload(opened.append, pytest.fail)
+    for _ in range(2):
+        made.set_state({"value": [sent("face.png", b"abc") | {"last_modified": 1_700_000_000_000}]})
+    assert [path.name for path in opened] == ["face.png", "face.png"]
+    made.close()
+
+
 def test_what_cannot_be_opened_or_is_too_large_is_refused(opener, tmp_path, monkeypatch):
     opener.upload.value = (sent("notes.docx", b"abc"),)
     assert "notes.docx is not a picture, a video or a landmark file" in opener.message.value

@@ -43,6 +43,8 @@ class Upload(widgets.FileUpload):
                 self._opened(stored(Path(self._folder.name), sent["name"], bytes(sent["content"])))
         except (InputError, OSError) as error:
             self._failed(error)
+        finally:
+            self.value = ()  # otherwise the same file, sent again, would be no change
 
 
 def stored(folder: Path, name: str, content: bytes) -> Path:
