@@ -29,6 +29,7 @@ from workbench.widgets.viewpoint import (
     panned,
     zoomed,
 )
+from workbench.widgets.webgl_head_view import viewpoint_numbers
 
 SIZE = (240, 200)
 ROTATION = axis_angle_from_yaw_pitch_roll(np.array([18.0, -7.0, 12.0]))
@@ -187,6 +188,19 @@ def test_the_camera_view_follows_the_pose_and_the_other_views_do_not(view, head)
     assert np.allclose(pixels_of(view, head.neutral), followed)
     view.set_view("front")
     assert np.allclose(pixels_of(view, head.neutral), start)
+
+
+def test_a_reset_of_the_browser_leads_to_what_the_view_shows(webgl, head):
+    """Under the photo's lens the portrait's viewpoint would have no head in view."""
+    front = viewpoint_numbers(front_viewpoint(head, SIZE))
+    webgl.set_view("camera")
+    assert webgl.canvas._front == front
+    for shift in (0.0, 30.0):
+        webgl.set_pose(ROTATION, TRANSLATION + np.array([shift, 0.0, 0.0]), CAMERA, IMAGE_SIZE)
+        assert webgl.canvas._front == webgl.canvas._viewpoint != front
+    for view in ("free", "front"):
+        webgl.set_view(view)
+        assert webgl.canvas._front == front
 
 
 @pytest.mark.parametrize("start", [0.0, 35.0, -120.0])

@@ -104,10 +104,10 @@ class WebGLHeadView:
         self._lens: list[float] = []
         self._lock = threading.RLock()
         self._shown = Shown(model.neutral.astype(np.float32))
-        front = viewpoint_numbers(front_viewpoint(model, size))
+        self._front = viewpoint_numbers(front_viewpoint(model, size))
         self.canvas = WebGLCanvas(
             _size=list(size), _mesh=surface_message(model, dressed), _vertices=_packed(model.neutral),
-            _person=self._person(model.neutral), _viewpoint=front, _front=front, _fills=fills,
+            _person=self._person(model.neutral), _viewpoint=self._front, _front=self._front, _fills=fills,
         )  # fmt: skip
         self.canvas.layout = widgets.Layout(width="auto" if fills else f"{size[0]}px", max_width="100%")
         self._legend = Legend(size[0])
@@ -225,9 +225,13 @@ class WebGLHeadView:
         return NOTHING if self._dressed is None else person_message(self._dressed, rest)
 
     def _look_through(self) -> None:
-        lens = self._lens if self._shown.view == "camera" else []
+        # A reset must not lead to the portrait's viewpoint under the photo's lens, which would have no head in view.
+        pose = self._shown.pose if self._shown.view == "camera" else None
+        lens, front = ([], self._front) if pose is None else (self._lens, viewpoint_numbers(pose))
         if lens != self.canvas._lens:
             self.canvas._lens = lens
+        if front != self.canvas._front:
+            self.canvas._front = front
 
     def _look_from(self, viewpoint: Viewpoint) -> None:
         numbers = viewpoint_numbers(viewpoint)
