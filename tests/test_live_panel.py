@@ -3,6 +3,7 @@
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -422,6 +423,26 @@ def test_calibration_tells_what_to_do_and_when_it_is_done(panel, camera, frames)
     play(panel, camera, [LiveFrame(number, number / 25, frames[0].picture) for number in range(20)])
     assert panel.view.message == ""
     assert panel.session.calibrated == "neutral face"
+
+
+def test_a_recording_names_the_camera_that_it_was_begun_with(panel, camera, frames):
+    panel.start()
+    play(panel, camera, frames[:1])
+    panel.record()
+    play(panel, camera, frames[1:4])
+    panel.camera.value = "sample clip"
+    assert panel.track.meta["live"]["camera"] == camera.name
+
+
+def test_a_recording_that_cannot_be_written_is_no_longer_being_saved(panel, monkeypatch):
+    def denied(folder, overwrite=False):
+        raise PermissionError(13, "Permission denied", str(folder))
+
+    panel._recording.recording = SimpleNamespace(jpegs=(), save=denied)
+    panel.save_button.click()
+    assert panel.wait_idle()
+    assert "Writing failed" in panel.view.message
+    assert panel.saved.value == ""
 
 
 def test_another_camera_in_the_menu_takes_over(panel, camera, frames):

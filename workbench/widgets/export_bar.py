@@ -75,7 +75,7 @@ class ExportBar:
 
         try:
             self._session.export(path, progress, self._stop.is_set, overwrite=True)
-        except WorkbenchError:
+        except (WorkbenchError, OSError):
             self.exported.value = ""
             raise
         self.download.offer(path)

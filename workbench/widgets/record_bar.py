@@ -34,6 +34,8 @@ class RecordBar:
     ) -> None:
         self._session, self._running, self._camera, self._messages = session, running, camera, messages
         self.recording: Recording | None = None
+        self._recorded_from = ""
+        """The camera of the recording in progress; the menu may show another one when it ends."""
         self.record = widgets.ToggleButton(
             value=False, description="● record", tooltip="keep every frame from now on",
             layout=widgets.Layout(width="auto", flex="0 0 auto"),
@@ -62,17 +64,18 @@ class RecordBar:
         """Stop a recording in progress, if any, and keep it."""
         if self._session.recording is None:
             return
-        self._messages.guarded(self._keep, self._camera())
+        self._messages.guarded(self._keep)
         self.record.value, self.record.button_style = False, ""
 
-    def _keep(self, camera: str) -> None:
-        self.recording = self._session.stop_recording(camera)
+    def _keep(self) -> None:
+        self.recording = self._session.stop_recording(self._recorded_from)
         self.saved.value = f"recorded {len(self.recording)} frames, {self.recording.seconds:.1f} s; not saved yet"
 
     def _on_record(self, change) -> None:
         if not change["new"]:
             self.end()
         elif self._running():
+            self._recorded_from = self._camera()
             self._session.start_recording(self.pictures.value)
             self.record.button_style = "danger"
         else:
@@ -84,7 +87,7 @@ class RecordBar:
         self.saved.value = "saving …"
         try:
             self.last.save(folder)
-        except WorkbenchError:
+        except (WorkbenchError, OSError):
             self.saved.value = ""
             raise
         files = "track.npz, clip.mp4" if self.recording.jpegs else "track.npz"
