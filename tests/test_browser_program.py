@@ -298,7 +298,7 @@ class TestTimeline:
 
 @needs_node
 class TestOverlay:
-    LANDMARKS, PLACES = (BROWSER / "overlay" / name for name in ("landmarks.js", "places.js"))
+    LANDMARKS, PLACES, TOOLS = (BROWSER / "overlay" / name for name in ("landmarks.js", "places.js", "tools.js"))
     READ = (
         "(() => { const landmarks = makeLandmarks(() => {});"
         " const rows = [[10, 10, 14, 10], [50, 10, NaN, NaN]].flatMap((row) => [...row, 3, 4, 1, 1]);"
@@ -321,6 +321,16 @@ class TestOverlay:
         }})({self.READ})"""
         found = asked_of_node(self.LANDMARKS, "makeLandmarks", ask)
         assert found == [[20, 30], [50, 10], [10, 10], [10, 10]]
+
+    @pytest.mark.parametrize(("sent", "told"), [(0, []), (7, [["drop", [3], 10, 20]])], ids=["before", "after"])
+    def test_a_cancelled_drag_puts_back_what_python_has_moved(self, sent, told):
+        ask = f"""(() => {{
+            const told = [], landmarks = {{ release() {{}}, drop() {{}} }};
+            const gesture = {{ kind: "drag", index: 3, held: [10, 20], sent: {sent} }};
+            cancelGesture({{ gesture, landmarks, draw() {{}} }}, {{ event: (...event) => told.push(event) }});
+            return told;
+        }})()"""
+        assert asked_of_node(self.TOOLS, "cancelGesture", ask) == told
 
     def test_a_lasso_holds_what_lies_inside_even_if_it_is_bent(self):
         bent = "[[0, 0], [10, 0], [10, 10], [5, 2], [0, 10]]"

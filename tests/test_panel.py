@@ -39,11 +39,13 @@ from workbench.widgets.chart_view import ChartView
 from workbench.widgets.diagnosis_view import found_text
 from workbench.widgets.film_strip import FilmStrip
 from workbench.widgets.knob_control import CHANGED, KnobControl, place_of, value_at
+from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.light_panel import LightPanel
 from workbench.widgets.overlay_view import OverlayEvent
 from workbench.widgets.stage_editor import StageEditor, landmarks_text, read_landmarks
 from workbench.widgets.tuning_panel import Show
+from workbench.widgets.waiting import Waiting
 from workbench.widgets.webgl_head_view import WebGLCanvas
 
 BY_PATH = {knob.path: knob for knob in KNOBS}
@@ -750,6 +752,17 @@ def test_a_drag_of_a_landmark_is_one_step_and_an_arrow_key_after_it_another(pane
     while panel.session.undo() and panel.session.config.landmarks.moved:
         found.append(panel.session.config.landmarks.moved["0"]["30"][0])
     assert found == [263.0, 262.0]
+
+
+def test_arrow_keys_that_follow_each_other_move_all_selected_landmarks_in_one_step(head, photo):
+    session = TuningSession(head, photo)
+    tools = LandmarkTools(session, FittedHead(head), lambda said: None, Waiting(), lambda: None)
+    for press in range(3):
+        for point in (30, 31, 32):
+            tools._on_event(OverlayEvent("drop", (point,), 260.0 + press, 140.0))
+    session.undo()
+    assert session.config == session.base
+    tools.close()
 
 
 NAMED_BY_NO_STAGE = {

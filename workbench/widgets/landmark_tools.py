@@ -195,11 +195,10 @@ class LandmarkTools:
             session.put_back(self.frame, points)
 
     def _gesture(self, event: OverlayEvent) -> Gesture:
-        """A drop after a drag ends the drag; a drop alone is an arrow key."""
-        name = f"move {self.frame} {event.points[0]}"
+        """A drop after a drag ends the drag; a drop alone is an arrow key, which moves all selected landmarks."""
         if event.kind == "drag" and not self._dragging:
             self._drags, self._dragging = self._drags + 1, True
-        gesture = Gesture(name, self._drags if self._dragging else 0)
+        gesture = Gesture(f"move {self.frame}", self._drags if self._dragging else 0)
         self._dragging = event.kind == "drag"
         return gesture
 

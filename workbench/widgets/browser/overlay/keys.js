@@ -24,7 +24,7 @@ export function listenToKeys(overlay, model, send) {
     if (event.key.toLowerCase() === "h") {
       overlay.bare = !overlay.bare;
     } else if (event.key === "Escape") {
-      cancelGesture(overlay);
+      cancelGesture(overlay, send);
       if (selection.length) send.selection([]);
     } else if (kind && selection.length) {
       if (kind === "reset") selection.forEach(landmarks.release);

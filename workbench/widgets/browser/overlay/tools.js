@@ -67,7 +67,7 @@ export function listenToPointer(overlay, model, send) {
   }
 
   listen(marks, {
-    pointerdown: onDown, pointermove: onMove, pointerup: onUp, pointercancel: () => cancelGesture(overlay),
+    pointerdown: onDown, pointermove: onMove, pointerup: onUp, pointercancel: () => cancelGesture(overlay, send),
     pointerleave: () => { overlay.hovered = -1; draw(); },
     dblclick: onDouble,
     contextmenu: (event) => { event.preventDefault(); event.stopPropagation(); }, // the right button pans
@@ -93,7 +93,7 @@ function begun(overlay, tool, event, [x, y]) {
   if (index < 0) return gesture;
   const [px, py] = landmarks.observed(index), [cx, cy] = view.toPicture(x, y);
   // The ring keeps its offset from the pointer, so that grabbing does not move it.
-  return { ...gesture, kind: "drag", index, offset: [px - cx, py - cy], sent: 0 };
+  return { ...gesture, kind: "drag", index, offset: [px - cx, py - cy], held: [px, py], sent: 0 };
 }
 
 function pan({ view, gesture, draw }, [x, y]) {
@@ -113,8 +113,16 @@ function drag({ view, landmarks, gesture, draw }, place, kind, send) {
   send.event(kind, [gesture.index], px + dx, py + dy);
 }
 
-export function cancelGesture(overlay) {
-  if (overlay.gesture?.kind === "drag") overlay.landmarks.release(overlay.gesture.index);
+// Leaves a gesture; a landmark that Python has already moved goes back to where it was grabbed.
+export function cancelGesture(overlay, send) {
+  const { gesture, landmarks } = overlay;
+  if (gesture?.kind === "drag") {
+    landmarks.release(gesture.index);
+    if (gesture.sent) {
+      landmarks.drop(gesture.index, ...gesture.held);
+      send.event("drop", [gesture.index], ...gesture.held);
+    }
+  }
   overlay.gesture = null;
   overlay.draw();
 }
