@@ -26,9 +26,12 @@ from workbench.widgets.changes_page import change_words, comparison_html
 from workbench.widgets.controls import Controls
 from workbench.widgets.head_column import FACELESS
 from workbench.widgets.knob_control import CHANGED, KnobControl
+from workbench.widgets.overlay_view import OverlayView
 from workbench.widgets.panel_page import packed
 from workbench.widgets.performance_export import PerformanceExport
+from workbench.widgets.shared_scale import SharedScale
 from workbench.widgets.status_line import degrees, status_of
+from workbench.widgets.timeline_view import TimelineView
 from workbench.widgets.waiting import OLD, PATIENCE_S, Job, Waiting, text_of
 
 BY_PATH = {knob.path: knob for knob in KNOBS}
@@ -316,6 +319,27 @@ def test_a_flagged_frame_says_why_in_the_status_line(panel):
     assert panel.clip.why(0) == panel.session.run.flags.text[0] == ""
 
 
+def test_in_pixels_the_picture_has_a_scale_of_its_own_and_in_percent_that_of_the_strip():
+    picture, strip, percent = OverlayView(), TimelineView(), [True]
+    scale = SharedScale(picture, strip, lambda: percent[0], lambda: None)
+    points = np.zeros((68, 2))
+    strip.set_track(np.full((5, 68), 8.0))
+    scale.show_run()
+
+    def shown(unit, residual):
+        percent[0], picture.unit = unit == "%", unit
+        picture.set_fit(points, points + 1, np.full(68, residual))
+        return picture.scale
+
+    assert shown("%", 3.0) == 8.0
+    assert shown("px", 0.9) == 1.0
+    assert shown("%", 3.0) == 8.0
+    strip.scale_max = 5.0
+    assert (shown("px", 0.9), strip.scale) == (1.0, 5.0)
+    picture.scale_max = 2.0
+    assert (shown("%", 3.0), strip.scale) == (5.0, 5.0)
+
+
 # --- comparison ---
 
 
@@ -355,6 +379,29 @@ def test_configurations_stand_side_by_side_with_their_distance_from_the_first_in
     comparison.color.value = True
 
 
+def test_a_snapshot_that_is_kept_again_is_compared_anew(comparison, panel):
+    panel.head.compare.value = "without smoothness"
+    assert panel.wait_idle(60)
+    outline = panel.head.view.canvas._ghost["vertices"]
+    assert "up to 0.0 mm" not in comparison.captions[2].value
+    panel.session.take_snapshot("without smoothness")
+    assert panel.wait_idle(60)
+    assert "up to 0.0 mm" in comparison.captions[2].value
+    assert panel.head.view.canvas._ghost["vertices"] != outline
+    panel.head.compare.value = ""
+
+
+def test_the_changes_follow_snapshots_and_saving(panel, tmp_path):
+    assert "not saved yet" not in panel.changes.value
+    panel.turn("weights.sigma_smooth", 0.5)
+    assert panel.wait_idle(120)
+    assert "1 of them not saved yet" in panel.changes.value
+    panel.session.take_snapshot("half as smooth")
+    assert "half as smooth" in panel.changes.value
+    panel.session.export(tmp_path / "tuned.toml")
+    assert "not saved yet" not in panel.changes.value
+
+
 def test_another_frame_is_compared_as_soon_as_it_is_shown(comparison, panel):
     before = comparison.captions[1].value
     panel.go(6)
@@ -368,8 +415,11 @@ def test_on_a_frame_without_a_face_nothing_of_another_one_is_left(comparison, pa
         panel.session, "fit_frame", lambda *args, **named: replace(fit_frame(*args, **named), found=False)
     )
     monkeypatch.setattr(panel.session.runs, "known", lambda config: None)
+    asked = []
+    monkeypatch.setattr(panel.strip, "show_frame", asked.append)
     panel.go(2)
     assert panel.wait_idle(60)
+    assert asked == [2]
     assert panel.status.value.endswith("no face</span>")
     assert panel.energy._series["count"] == 0
     assert {row.result.value for row in panel.stages._rows} == {""}

@@ -126,6 +126,18 @@ def test_snapshots_are_kept_by_name_and_restored_as_a_step(session):
         session.restore_snapshot("x")
     with pytest.raises(ConfigError, match="needs a name"):
         session.take_snapshot(" ")
+    for name in ("now", " the start"):
+        with pytest.raises(ConfigError, match="choose another one"):
+            session.take_snapshot(name)
+
+
+def test_going_back_to_a_snapshot_is_named_by_the_word_once(session):
+    for name, label in {"mine": "snapshot mine", "snapshot 1": "snapshot 1"}.items():
+        session.set(weights={"tau": 0.5})
+        session.take_snapshot(name)
+        session.set(weights={"tau": 0.0})
+        session.restore_snapshot(name)
+        assert session.undo_label == label
 
 
 def test_listeners_hear_of_changes_until_they_leave(session):

@@ -149,11 +149,14 @@ def test_playing_goes_through_the_frames_of_the_chosen_side(panel):
 
 def test_a_moved_setting_shows_the_frames_as_fitted_until_it_runs_again(panel):
     page = panel.time
+    panel.go(9)
     panel.turn("refinement.method", "averaging")
     press(panel, page.go)
     result = panel.fit
+    assert " · after · " in panel.status.value
     panel.turn("refinement.sweeps", 3)
     assert panel.wait_idle(60)
+    assert " · after · " not in panel.status.value
     assert "not run with these settings yet" in page.result.value
     assert not np.array_equal(panel.fit.rotation, result.rotation)
     panel.undo.click()

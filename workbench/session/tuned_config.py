@@ -10,6 +10,13 @@ from workbench.session.history import History
 
 HISTORY = 200
 """Maximum number of undo steps."""
+START, NOW = "the start", "now"
+"""Names of the first and of the current configuration, which no snapshot may have."""
+
+
+def snapshot_title(name: str) -> str:
+    """The name of a snapshot after this word, unless it begins with it."""
+    return name if name.startswith("snapshot") else f"snapshot {name}"
 
 
 class TunedConfig:
@@ -48,10 +55,13 @@ class TunedConfig:
         return self._travelled(self.history.redo())
 
     def take_snapshot(self, name: str) -> None:
-        """Store the current configuration under a name. Raises `ConfigError` for an empty name."""
-        if not name.strip():
+        """Store the current configuration under a name. Raises `ConfigError` for an empty or reserved name."""
+        name = name.strip()
+        if not name:
             raise ConfigError("A snapshot needs a name.")
-        self._snapshots[name.strip()] = self.present
+        if name in (START, NOW):
+            raise ConfigError(f"{name!r} is not free as the name of a snapshot; choose another one.")
+        self._snapshots[name] = self.present
         self._tell("snapshots")
 
     @property

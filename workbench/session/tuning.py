@@ -14,7 +14,7 @@ from workbench.errors import InputError
 from workbench.session.gesture import Gesture
 from workbench.session.landmark_edits import moved, put_back, weighed, with_subset
 from workbench.session.material import Cancelled, Material, Progress, load_material
-from workbench.session.tuned_config import TunedConfig
+from workbench.session.tuned_config import TunedConfig, snapshot_title
 from workbench.tracking import FrameObservation
 from workbench.tracking.unwatched import never
 
@@ -112,12 +112,12 @@ class TuningSession:
         return self._tuned.history.redo_label
 
     def take_snapshot(self, name: str) -> None:
-        """Store the current configuration under a name. Raises `ConfigError` for an empty name."""
+        """Store the current configuration under a name. Raises `ConfigError` for an empty or reserved name."""
         self._tuned.take_snapshot(name)
 
     def restore_snapshot(self, name: str) -> Config:
         """Return to a snapshot; one undo step. Raises `ConfigError` for an unknown name."""
-        return self.use(self._tuned.snapshot(name), f"snapshot {name}")
+        return self.use(self._tuned.snapshot(name), snapshot_title(name))
 
     @property
     def snapshots(self) -> Mapping[str, Config]:

@@ -8,6 +8,7 @@ from workbench.config import Config, Difference
 from workbench.session import TuningSession
 from workbench.session.knobs import KNOBS
 from workbench.session.parts import parts_text
+from workbench.session.tuned_config import NOW, START
 
 COLUMNS = {
     "all_68_percent_mean": "error, %",
@@ -17,7 +18,6 @@ COLUMNS = {
 }
 """Metrics of a run, all better when lower, and what they are called."""
 MARKED, SHOWN_PARTS = "infill.frames", 4
-START, NOW = "the start", "now"
 BY_PATH = {knob.path: knob for knob in KNOBS}
 
 
@@ -52,9 +52,10 @@ def metrics_under(session: TuningSession, config: Config) -> dict[str, float]:
 def changes_html(session: TuningSession) -> str:
     """The changes since the start as HTML."""
     rows = "".join(f"<li>{html.escape(change_words(item))}</li>" for item in session.changes())
+    unsaved = len(session.unexported) if rows else 0
     return (
         f"<b>Changed since the start</b><ul style='margin:2px 0;padding-left:18px'>{rows or '<li>nothing</li>'}</ul>"
-        f"{len(session.unexported)} of them not saved yet."
+        f"{f'{unsaved} of them not saved yet.' if unsaved else ''}"
     )
 
 

@@ -7,7 +7,8 @@ import ipywidgets as widgets
 from workbench.config import Config
 from workbench.session import TuningSession
 from workbench.session.comparing import Compared, against, compared
-from workbench.widgets.changes_page import NOW, START, comparison_html, configurations, metrics_under
+from workbench.session.tuned_config import NOW, START
+from workbench.widgets.changes_page import comparison_html, configurations, metrics_under
 from workbench.widgets.controls import small_button, toggle
 from workbench.widgets.head_backends import make_head_view
 from workbench.widgets.head_view import HeadView, legend
@@ -80,13 +81,14 @@ class ComparePage(widgets.VBox):
         self._ask()
 
     def refresh(self) -> None:
-        """Update the menus after snapshots have changed."""
+        """Update the menus and the heads after snapshots have changed."""
         names = list(configurations(self._session))
         for number, choice in enumerate(self.choices):
             options, chosen = [*names, NONE][: None if number else -1], choice.value
             if list(choice.options) != options:
                 choice.options = options
                 choice.value = chosen if chosen in options else options[-1]
+        self._ask()
 
     def wait_idle(self, timeout_s: float | int) -> bool:
         """Wait until the heads are shown; False if that takes longer."""

@@ -11,6 +11,7 @@ from workbench.errors import WorkbenchError
 from workbench.face import posed_vertices
 from workbench.pictures.overlay import residual_colors
 from workbench.session import FittedHead, TuningSession
+from workbench.session.tuned_config import START
 from workbench.tracking import FrameFit
 from workbench.widgets.character_choice import CharacterChoice
 from workbench.widgets.controls import toggle
@@ -22,7 +23,6 @@ from workbench.widgets.waiting import Waiting
 
 COLORINGS = ("skin", "residual", "difference", "blendshape", "uncertainty")
 LOOKS = ("camera", "front", "free")
-START = "the start"
 FIRST_S = 5.0
 """What the first uncertainty takes, its program included."""
 WORKING = "computing the uncertainty of frame {frame} …"
@@ -123,7 +123,9 @@ class HeadColumn:
         old.close()
 
     def refresh_comparisons(self) -> None:
-        """Update the list of snapshots."""
+        """Update the list of snapshots, and the outline of one that was kept again."""
+        if self._compared and self._compared[2] != id(self._session.snapshots.get(self._compared[0])):
+            self._redraw()
         if list(self.compare.options) != (options := self._comparisons()):
             chosen = self.compare.value
             self.compare.options = options

@@ -4,6 +4,7 @@ import ipywidgets as widgets
 
 from workbench.config import PRESETS, preset
 from workbench.session import TuningSession
+from workbench.session.tuned_config import snapshot_title
 from workbench.widgets.controls import small_button
 from workbench.widgets.panel_layout import classed, group, in_line
 from workbench.widgets.status_line import StatusLine
@@ -65,5 +66,5 @@ class HistoryBar:
 
     def _places(self) -> list[tuple[str, str]]:
         presets = [(f"preset {name}", f"preset:{name}") for name in PRESETS]
-        snapshots = [(f"snapshot {name}", f"snapshot:{name}") for name in self._session.snapshots]
+        snapshots = [(snapshot_title(name), f"snapshot:{name}") for name in self._session.snapshots]
         return [("go to…", ""), ("the start", "start:"), *presets, *snapshots]

@@ -195,9 +195,9 @@ class TuningPanel(LateParts):
             self.time.show_result()
             self._redraw()
         elif what == "snapshots":
-            self.history.show_snapshots()
-            self.head.refresh_comparisons()
-            self.compare.refresh()
+            show_snapshots(self)
+        elif what == "export":
+            self.changes.show()
 
     def _catch_up(self) -> None:
         """Show in the rest of the panel what a slider has changed, once its pictures are there or take long."""
@@ -231,7 +231,8 @@ class TuningPanel(LateParts):
         if self._worker.wait_newer(PAUSE_S):
             return
         self._catch_up()
-        self.status.show_fit(fit, len(session), self.time.side == AFTER, self.clip.why(frame))
+        after = self.time.side == AFTER and fit is self.time.fit(frame)
+        self.status.show_fit(fit, len(session), after, self.clip.why(frame))
         self._iterations.show(fit, session.explain_frame(frame)[1] if fit.found else (), request.steps)
         self.strip.show_frame(frame)
         self.compare.show_frame(frame)
@@ -287,6 +288,14 @@ def show_session(panel: TuningPanel, held: str = "") -> None:
     panel.tune.show_config()
     panel.clip.timeline.marked = [list(part) for part in config.infill.frames]
     panel.history.show()
+
+
+def show_snapshots(panel: TuningPanel) -> None:
+    """Show the session's snapshots in the parts of a panel."""
+    panel.history.show_snapshots()
+    panel.head.refresh_comparisons()
+    panel.compare.refresh()
+    panel.changes.show()
 
 
 def pages_of(panel: TuningPanel) -> dict[str, widgets.Widget | None]:
