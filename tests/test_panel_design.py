@@ -6,6 +6,7 @@ import threading
 import time
 import zipfile
 from dataclasses import replace
+from pathlib import Path
 
 import ipywidgets as widgets
 import numpy as np
@@ -24,6 +25,8 @@ from workbench.widgets import TuningPanel, panel_page
 from workbench.widgets.alarms import ALARMS, Alarm, Alarms
 from workbench.widgets.changes_page import change_words, comparison_html
 from workbench.widgets.controls import Controls
+from workbench.widgets.export_bar import ExportBar
+from workbench.widgets.export_dialog import ExportDialog
 from workbench.widgets.head_column import FACELESS
 from workbench.widgets.knob_control import CHANGED, KnobControl
 from workbench.widgets.overlay_view import OverlayView
@@ -646,7 +649,7 @@ def test_a_clip_that_is_fitted_says_how_long_it_takes_and_marks_the_old_result(p
 
 @pytest.fixture
 def export(panel, tmp_path):
-    made = PerformanceExport(panel.session, lambda job: job(), lambda: "tuned.toml", panel.page.download)
+    made = PerformanceExport(panel.session, lambda job: job(), lambda: Path("tuned.toml"), panel.page.download)
     made.file.value = str(tmp_path / "talk.glb")
     return made
 
@@ -705,6 +708,50 @@ def test_a_cancelled_export_writes_nothing(export, tmp_path, monkeypatch):
     export.go.click()
     assert "Cancelled" in export.said.value
     assert list(tmp_path.iterdir()) == []
+
+
+def test_files_and_commands_have_the_same_names_with_the_users_folder_and_the_suffix(panel, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    dialog = ExportDialog(panel.session, lambda job: job(), panel.page.download)
+    dialog.settings.file.value, dialog.performance.file.value = "~/plain", "~/talk.glb"
+    dialog.settings.export.click()
+    dialog.performance.go.click()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plain.toml", "talk.glb"]
+    for file in ("plain.toml", "talk.glb"):
+        assert f" {tmp_path / file}" in dialog.performance.command.value
+
+
+def test_what_cannot_be_written_is_no_longer_in_progress(panel, monkeypatch):
+    def denied(path, progress, *_, **__):
+        progress("fitting frame", 10, 20)
+        raise PermissionError(13, "Permission denied", str(path))
+
+    failed = []
+    monkeypatch.setattr(panel.session, "export", denied)
+    bar = ExportBar(panel.session, lambda job: refused(job, failed), panel.page.download)
+    bar.export.click()
+    assert failed
+    assert bar.exported.value == ""
+
+
+def refused(job, failed):
+    try:
+        job()
+    except OSError as error:
+        failed.append(error)
+
+
+def test_the_character_of_the_session_plays_it_unless_another_one_is_chosen(head, clip):
+    session = TuningSession(head, clip)
+    export = PerformanceExport(session, lambda job: job(), lambda: Path("tuned.toml"), lambda path: None)
+    session.set(head={"character": "mei"})
+    export.show_options()
+    assert export.character.value == "mei"
+    assert "--character mei" in export.command.value
+    export.character.value = "kofi"
+    session.set(head={"character": "plain"})
+    export.show_options()
+    assert export.character.value == "kofi"
 
 
 def test_the_commands_name_the_same_run(clip):

@@ -1,6 +1,7 @@
 """Export of the configuration: its file name, the choice if the file exists, and the result."""
 
 import html
+import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -36,14 +37,18 @@ class ExportBar:
         self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
         self.widgets = (self.file, self.export, self.overwrite, self.download, self.exported)
 
+    @property
+    def path(self) -> Path:
+        """The file that is named, with its suffix."""
+        path = typed_path(self.file.value.strip() or "tuned.toml")
+        return path if path.suffix == ".toml" else path.parent / f"{path.name}.toml"
+
     def stop(self) -> None:
         """Stop a running export."""
         self._stop.set()
 
     def _on_export(self) -> None:
-        path = Path(self.file.value.strip() or "tuned.toml")
-        if path.suffix != ".toml":
-            path = path.with_name(path.name + ".toml")
+        path = self.path
         if self._session.may_write(path):
             self._write(path)
         else:
@@ -81,3 +86,8 @@ class ExportBar:
         self.download.offer(path)
         command = html.escape(self._session.command(path))
         self.exported.value = f"wrote {html.escape(str(path))}; to reproduce the numbers: <code>{command}</code>"
+
+
+def typed_path(text: str) -> Path:
+    """The path that is typed into a field, where ~ is the user's folder."""
+    return Path(os.path.expanduser(text.strip()))

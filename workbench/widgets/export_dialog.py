@@ -23,9 +23,7 @@ class ExportDialog:
         self, session: TuningSession, later: Callable[[Callable[[], None]], None], download: Callable[[Path], None]
     ) -> None:
         self.settings = ExportBar(session, later, download)
-        self.performance = PerformanceExport(
-            session, later, lambda: self.settings.file.value.strip() or "tuned.toml", download
-        )
+        self.performance = PerformanceExport(session, later, lambda: self.settings.path, download)
         self.settings.file.observe(lambda _change: self.performance.show_command(), "value")
         self.open = small_button("Save · Export", "save the settings, export the animation, a film or a report (E)",
                                  "primary")  # fmt: skip

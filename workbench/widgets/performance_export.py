@@ -16,6 +16,7 @@ from workbench.session import TuningSession
 from workbench.session.performance import performance_commands, performance_track
 from workbench.widgets.controls import menu, small_button
 from workbench.widgets.download import Download
+from workbench.widgets.export_bar import typed_path
 from workbench.widgets.panel_layout import classed
 from workbench.widgets.status_line import StatusLine
 
@@ -36,7 +37,7 @@ class PerformanceExport:
         self,
         session: TuningSession,
         later: Callable[[Callable[[], None]], None],
-        settings: Callable[[], str],
+        settings: Callable[[], Path],
         download: Callable[[Path], None],
     ) -> None:
         self._session, self._settings, self._cancelled = session, settings, threading.Event()
@@ -45,9 +46,10 @@ class PerformanceExport:
             f"{session.material.name}.glb", tooltip="file or folder to write", layout=widgets.Layout(width="180px")
         )
         people = character_names() if session.model.name == "default-head" else ()
-        chosen = session.config.head.character
+        self._followed = session.config.head.character
+        """The session's character as it was shown last."""
         self.character = menu(
-            list(dict.fromkeys([PLAIN, *people, chosen])), "110px", "who plays it (--character)", chosen
+            list(dict.fromkeys([PLAIN, *people, self._followed])), "110px", "who plays it (--character)", self._followed
         )
         shots = {"all shots": ALL_SHOTS} | {f"shot {k}": k for k in range(len(session.material.shots))}
         self.shot = menu(shots, "92px", "frames of one shot only (--shot)")
@@ -72,6 +74,7 @@ class PerformanceExport:
 
     def show_options(self) -> None:
         """Show the options that the format has, and the command."""
+        self._follow_character()
         self.character.layout.display = None if self.format.value in DRESSED else "none"
         self.shot.layout.display = None if len(self._session.material.shots) > 1 else "none"
         self.fps.layout.display = "none" if self.format.value in (".mp4", ".html") else None
@@ -83,8 +86,16 @@ class PerformanceExport:
         options += ["--fps", self.fps.value.strip()] if self.fps.value.strip() and self._takes_rate else []
         options += ["--character", self.character.value] if self._dressed else []
         material = self._session.material
-        text = performance_commands(material, self._settings(), self.file.value.strip(), options)
+        text = performance_commands(material, self._settings(), typed_path(self.file.value), options)
         self.command.value = f"<code>{html.escape(text)}</code>"
+
+    def _follow_character(self) -> None:
+        """Let the session's character play it, unless another one was chosen here."""
+        if self.character.value == self._followed:
+            self._followed = self._session.config.head.character
+            if self._followed not in self.character.options:
+                self.character.options = (*self.character.options, self._followed)
+            self.character.value = self._followed
 
     @property
     def _takes_rate(self) -> bool:
@@ -116,7 +127,7 @@ class PerformanceExport:
             self.cancel.layout.display = self.progress.layout.display = "none"
 
     def _write(self) -> str:
-        path, session = Path(self.file.value.strip()), self._session
+        path, session = typed_path(self.file.value), self._session
         if format_of(path) != self.format.value:
             raise InputError(f"{path} ends otherwise than the chosen format {self.format.value}; change one of them.")
         if path.exists():
