@@ -194,10 +194,8 @@ class TuningPanel(LateParts):
         elif what == "time":
             self.time.show_result()
             self._redraw()
-        elif what == "snapshots":
-            show_snapshots(self)
-        elif what == "export":
-            self.changes.show()
+        elif what in ("snapshots", "export"):
+            show_kept(self, what)
 
     def _catch_up(self) -> None:
         """Show in the rest of the panel what a slider has changed, once its pictures are there or take long."""
@@ -290,12 +288,13 @@ def show_session(panel: TuningPanel, held: str = "") -> None:
     panel.history.show()
 
 
-def show_snapshots(panel: TuningPanel) -> None:
-    """Show the session's snapshots in the parts of a panel."""
-    panel.history.show_snapshots()
-    panel.head.refresh_comparisons()
-    panel.compare.refresh()
+def show_kept(panel: TuningPanel, what: str) -> None:
+    """Show in the parts of a panel which "snapshots" were kept, or that settings were saved ("export")."""
     panel.changes.show()
+    if what == "snapshots":
+        panel.history.show_snapshots()
+        panel.head.refresh_comparisons()
+        panel.compare.refresh()
 
 
 def pages_of(panel: TuningPanel) -> dict[str, widgets.Widget | None]:
