@@ -248,7 +248,7 @@ def test_what_cannot_be_opened_or_is_too_large_is_refused(opener, tmp_path, monk
     opener.upload.value = (sent("notes.docx", b"abc"),)
     assert "notes.docx is not a picture, a video or a landmark file" in opener.message.value
     monkeypatch.setattr(upload_module, "LARGEST_MB", 1e-6)
-    with pytest.raises(InputError, match=r"face.png has .* send at most"):
+    with pytest.raises(InputError, match=r"face.png is .*; uploads are limited to"):
         stored(tmp_path, "face.png", b"abcdef")
     assert list(tmp_path.iterdir()) == []
 

@@ -679,7 +679,7 @@ def test_another_format_brings_its_suffix_and_options(export, tmp_path):
     ("name", "said"),
     [
         ("talk.mp3", "A track is exported as"),
-        ("talk.csv", "ends otherwise than the chosen format"),
+        ("talk.csv", "does not end in the chosen format"),
         ("there.glb", "exists already"),
     ],
 )
@@ -795,7 +795,7 @@ def test_a_folder_is_downloaded_as_an_archive_and_what_is_too_large_is_refused(t
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         assert archive.read("0001.obj") == b"v 0 0 0"
     monkeypatch.setattr(panel_page, "LARGEST_MB", 1e-6)
-    with pytest.raises(InputError, match="a download at most"):
+    with pytest.raises(InputError, match="downloads are limited to"):
         packed(tmp_path / "meshes")
 
 

@@ -105,7 +105,7 @@ def test_a_curve_shows_means_quartiles_and_the_present_value(page):
     np.testing.assert_allclose(rows[0], page.result.means("error"), rtol=1e-6)
     np.testing.assert_allclose(rows[1:].T, page.result.bands("error"), rtol=1e-6)
     assert page.view._sent["now"] == pytest.approx(1.0)  # ω_τ = 0.1 between 0.01 and 100
-    assert "Least error" in page.said.value
+    assert "Lowest error" in page.said.value
     page.objective.value = "jitter"
     rows = np.frombuffer(page.view._sent["data"], np.float32).reshape(3, 5)
     np.testing.assert_allclose(rows[0], page.result.means("jitter"), rtol=1e-6)

@@ -126,7 +126,7 @@ def test_a_sweep_grows_into_a_curve_whose_points_are_told_and_taken(page, screen
     setting.fill("steady head")
     setting.press("Enter")
     pressed(page, "run", ".fw-sweeps")
-    says(page, "Least error:")
+    says(page, "Lowest error:")
 
     def drawn():
         return page.page.locator(".fw-sweep").evaluate("(e) => JSON.parse(e.dataset.state)")

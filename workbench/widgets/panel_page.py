@@ -76,5 +76,7 @@ def packed(path: Path) -> tuple[str, bytes]:
 def _content(path: Path) -> bytes:
     megabytes = path.stat().st_size / 1e6
     if megabytes > LARGEST_MB:
-        raise InputError(f"{path} has {megabytes:.0f} MB, and a download at most {LARGEST_MB}; copy the file itself.")
+        raise InputError(
+            f"{path} is {megabytes:.0f} MB; downloads are limited to {LARGEST_MB} MB. Copy the file itself."
+        )
     return path.read_bytes()

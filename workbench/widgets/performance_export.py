@@ -129,7 +129,9 @@ class PerformanceExport:
     def _write(self) -> str:
         path, session = typed_path(self.file.value), self._session
         if format_of(path) != self.format.value:
-            raise InputError(f"{path} ends otherwise than the chosen format {self.format.value}; change one of them.")
+            raise InputError(
+                f"{path} does not end in the chosen format's suffix {self.format.value}; change one of them."
+            )
         if path.exists():
             raise InputError(f"{path} exists already; name another file, or move that one away.")
         rate = _rate(self.fps.value) if self._takes_rate else None

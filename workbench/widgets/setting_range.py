@@ -24,7 +24,7 @@ class SettingRange:
             continuous_update=False,
             layout=widgets.Layout(width="212px", flex="1 1 212px"),
         )
-        self.low, self.high = (_field(f"{end} value of its range") for end in ("least", "most"))
+        self.low, self.high = (_field(f"{end} value of its range") for end in ("lowest", "highest"))
         self.count = widgets.BoundedIntText(
             count, min=2, max=MOST_VALUES, tooltip="number of values", layout=widgets.Layout(width="52px")
         )

@@ -234,12 +234,12 @@ def progress_text(done: int, total: int, seconds: float) -> str:
 
 
 def conclusion(result: SweepResult, objective: str, settings: tuple[SweepSetting, ...]) -> str:
-    """The least of an objective and where it is, in a sentence."""
+    """The lowest value of an objective and where it is, in a sentence."""
     best, row = result.best(objective), TABLE[objective]
     if best is None:
         return f"Nothing is known of {objective} on these frames; take more of them."
-    least = f"{result.means(objective)[best]:.3g} {row.unit}".strip()
-    return f"Least {objective}: {least}, at {point_words(result.points[best], settings)}. Click a point to take it."
+    lowest = f"{result.means(objective)[best]:.3g} {row.unit}".strip()
+    return f"Lowest {objective}: {lowest}, at {point_words(result.points[best], settings)}. Click a point to take it."
 
 
 def point_words(point: Point, settings: tuple[SweepSetting, ...]) -> str:

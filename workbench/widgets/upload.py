@@ -54,7 +54,9 @@ def stored(folder: Path, name: str, content: bytes) -> Path:
         raise InputError(f"{path.name} is not a picture, a video or a landmark file; send one of those.")
     if len(content) > LARGEST_MB * 1e6:
         megabytes = len(content) / 1e6
-        raise InputError(f"{path.name} has {megabytes:.0f} MB; send at most {LARGEST_MB}, or open it by its path.")
+        raise InputError(
+            f"{path.name} is {megabytes:.0f} MB; uploads are limited to {LARGEST_MB} MB. Open it by its path instead."
+        )
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
     return path

@@ -21,7 +21,7 @@ const MORE = [
   ["Delete", "on a slider: back to the start (or double click)"],
   ["M  +  −  R", "selected landmarks: mute, weigh more or less, back to the detection"],
   ["arrows", "slider, strip, head or moved landmark, whichever has the focus"],
-  ["Esc", "selects nothing, closes this list"],
+  ["Esc", "clears the selection, closes this list"],
 ];
 
 // What a key does; undefined for others.
