@@ -15,7 +15,7 @@ import pytest
 from tests.scenes import turning_clip
 from workbench.config import FACE_IT_PRESETS, PRESETS, differences, preset, read_config
 from workbench.diagnosis import Change
-from workbench.errors import StoppedError
+from workbench.errors import ConfigError, StoppedError
 from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.samples import sample
@@ -354,6 +354,9 @@ def test_landmark_weights_are_read_as_they_are_written():
     table = {"all": 1.0, "upper lip": 0.25, "30": 2.0}
     assert read_landmarks(landmarks_text(table)) == table
     assert read_landmarks("jaw") == {"jaw": 1.0}
+    assert read_landmarks("30 2, 31 2") == {"30": 2.0, "31": 2.0}
+    with pytest.raises(ConfigError, match="Write weights with a point"):
+        read_landmarks("jaw 0,25")
 
 
 # --- the panel ---

@@ -12,10 +12,11 @@ from workbench.session import Material, TuningSession
 from workbench.session.knobs import METHODS, TIME, value_of
 from workbench.session.material import PictureStore
 from workbench.widgets import TuningPanel
+from workbench.widgets.chart_view import gaps
 from workbench.widgets.clip_bar import ClipBar
 from workbench.widgets.clip_views import ClipViews
 from workbench.widgets.failed_frames import failed_html
-from workbench.widgets.methods_page import chosen, colors_of, gaps, numbers_html
+from workbench.widgets.methods_page import chosen, colors_of, numbers_html
 from workbench.widgets.time_page import TimePage
 from workbench.widgets.transport import SPEEDS, Transport
 
@@ -333,7 +334,7 @@ def test_a_method_keeps_its_colour_whatever_is_shown(panel):
     assert chosen(results, "refinement") == {}
     assert colors_of(results)["before"] == "ink"
     assert len(set(colors_of(results).values())) == 3
-    assert gaps(results["linear"]) == [(4.5, 5.5)]
+    assert gaps(results["linear"].filled) == [(4.5, 5.5)]
     table = numbers_html(results, colors_of(results))
     for name in ("linear", "spline"):  # rows have the colours of the curves
         assert re.search(rf"border-top:3px solid {colors_of(results)[name]}[^<]*></i>{name}</td><td>1</td>", table)

@@ -1,4 +1,4 @@
-"""The panel's page of tuning without a browser: what is asked, what grows, and taking or leaving a result."""
+"""The panel's page of tuning without a browser: what is asked, what grows, and taking or discarding a result."""
 
 import inspect
 
@@ -132,9 +132,15 @@ def test_take_is_one_undo_step_that_changes_what_was_learned_alone(page):
     assert session.config == CONFIG.changed(camera={"fov_deg": 50.0})
 
 
-def test_leave_changes_nothing(page):
+def test_the_curve_is_of_the_objective_that_runs_whatever_the_menu_shows_meanwhile(page):
+    page._session.tune = Tuning(page._session, lambda step: setattr(page.objective, "value", "jitter"))
     done(page)
-    page.leave.click()
+    assert page.chart._series["y_label"] == "left-out-parts"
+
+
+def test_discard_changes_nothing(page):
+    done(page)
+    page.discard.click()
     assert page._session.config == CONFIG
     assert page.take.disabled
     assert "nothing has changed" in page.said.value

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import anywidget
 import numpy as np
@@ -10,6 +10,7 @@ import traitlets
 from jaxtyping import Num
 
 from workbench.errors import InputError
+from workbench.session.parts import parts_of
 from workbench.widgets.browser_program import BROWSER, browser_program
 from workbench.widgets.overlay_view import float_bytes
 
@@ -49,6 +50,11 @@ def pack_series(
     with np.errstate(over="ignore"):
         data = float_bytes(np.stack(rows))
     return {"names": list(series), "colors": [chosen[name] for name in series], "count": len(x), "data": data}
+
+
+def gaps(frames: Iterable[int]) -> list[tuple[float, float]]:
+    """Ends of each part that these frames make, half a frame beyond its first and last one, to be shaded."""
+    return [(first - 0.5, last + 0.5) for first, last in parts_of(frames)]
 
 
 class ChartView(anywidget.AnyWidget):

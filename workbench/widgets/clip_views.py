@@ -4,12 +4,10 @@ from collections.abc import Callable
 
 import ipywidgets as widgets
 import numpy as np
-from jaxtyping import Bool
 
 from workbench.geometry import yaw_pitch_roll_deg
 from workbench.session import TuningSession
-from workbench.session.parts import parts_of
-from workbench.widgets.chart_view import ChartView
+from workbench.widgets.chart_view import ChartView, gaps
 from workbench.widgets.controls import menu
 from workbench.widgets.timeline_view import TimelineView
 
@@ -81,7 +79,7 @@ class ClipViews:
         angles = yaw_pitch_roll_deg(track.rotation)
         self.pose.set_series(
             frames, dict(zip(("yaw", "pitch", "roll"), angles.T, strict=True)), y_label="degrees", x_label="frame",
-            shaded=gaps(track.found),
+            shaded=gaps(np.flatnonzero(~track.found)),
         )  # fmt: skip
         self._show_weights()
 
@@ -97,10 +95,5 @@ class ClipViews:
             {names[k]: track.expression[:, k] for k in most},
             y_label="weight",
             x_label="frame",
-            shaded=gaps(track.found),
+            shaded=gaps(np.flatnonzero(~track.found)),
         )
-
-
-def gaps(found: Bool[np.ndarray, "n"]) -> list[tuple[float, float]]:
-    """Ends of each part of a clip without a face, half a frame beyond its first and last frame."""
-    return [(first - 0.5, last + 0.5) for first, last in parts_of(np.flatnonzero(~found).tolist())]

@@ -21,7 +21,7 @@ class FilmStrip(widgets.VBox):
     """A sentence, or the strip of a frame, drawn by `show_frame` from any thread."""
 
     def __init__(self, session: TuningSession) -> None:
-        self._session, self._config = session, None
+        self._session = session
         self.note = widgets.HTML()
         self.image = widgets.Image(
             format="jpeg", layout=widgets.Layout(max_width="100%", object_fit="contain", display="none")

@@ -8,9 +8,8 @@ import numpy as np
 
 from workbench.session import TuningSession
 from workbench.session.curves import ANGLES, PLACES, curve, moving_weights
-from workbench.session.parts import parts_of
 from workbench.session.worked import AS_FITTED, Worked
-from workbench.widgets.chart_view import COLORS, INK, YELLOW, ChartView
+from workbench.widgets.chart_view import COLORS, INK, YELLOW, ChartView, gaps
 from workbench.widgets.time_part import BEFORE
 
 ONE_LEGEND = "<style>.fw-methods .fw-chart .fw-top { display: none; }</style>"
@@ -88,7 +87,7 @@ class Methods(widgets.VBox):
             lines = {BEFORE: curve(worked.before, quantity.value, names)}
             lines |= {name: curve(item.after, quantity.value, names) for name, item in shown.items()}
             chart.set_series(
-                frames, lines, colors=colors_of(results), y_label=unit, x_label="frame", shaded=gaps(worked)
+                frames, lines, colors=colors_of(results), y_label=unit, x_label="frame", shaded=gaps(worked.filled)
             )
 
 
@@ -115,11 +114,6 @@ def legend_html(names: Iterable[str], colors: dict[str, str]) -> str:
     inks = {name: "currentColor" if color == INK else color for name, color in colors.items()}
     keys = [line.format(inks[name], html.escape(name)) for name in (BEFORE, *names)]
     return "".join(f"<span style='white-space:nowrap'>{key}</span> " for key in keys)
-
-
-def gaps(worked: Worked) -> list[tuple[float, float]]:
-    """First and last frame of each filled part, extended by half a frame on each side."""
-    return [(first - 0.5, last + 0.5) for first, last in parts_of(worked.filled)]
 
 
 def numbers_html(results: dict[str, Worked], colors: dict[str, str]) -> str:

@@ -1,8 +1,9 @@
-"""Tuning in the panel: the clip chooses settings by an objective; its result is taken as one undo step, or left."""
+"""Tuning in the panel: the clip chooses settings by an objective; its result is taken in one undo step or discarded."""
 
 import html
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import ipywidgets as widgets
 import numpy as np
@@ -59,12 +60,12 @@ class TunePage(widgets.HBox):
         self.chart = ChartView(height_px=height_px - 38, title="")
         self._build_controls()
         rows = [
-            widgets.HBox([widgets.Label("make least"), self.objective], layout=one_row()),
+            widgets.HBox([widgets.Label("minimise"), self.objective], layout=one_row()),
             self.words,
             widgets.HBox([widgets.Label("learn"), *self.learn.values()], layout=wrapped()),
             widgets.HBox(
                 [widgets.Label("learn on"), self.train, widgets.Label("hold out"), self.held_out,
-                 widgets.Label("steps"), self.steps, self.go, self.stop, self.take, self.leave],
+                 widgets.Label("steps"), self.steps, self.go, self.stop, self.take, self.discard],
                 layout=wrapped(),
             ),
             self.progress, self.said,
@@ -101,7 +102,7 @@ class TunePage(widgets.HBox):
     def _build_controls(self) -> None:
         self.objective = widgets.Combobox(
             value=OBJECTIVES[0], options=OBJECTIVES, continuous_update=False, layout=widgets.Layout(width="150px"),
-            tooltip="what the clip makes least; sums too, as jitter + 0.5*error",
+            tooltip="what the clip minimises; sums too, as jitter + 0.5*error",
         )  # fmt: skip
         self.objective.observe(lambda _change: self.said.guarded(self._explain), "value")
         self.learn = {
@@ -119,8 +120,8 @@ class TunePage(widgets.HBox):
         self.go.on_click(lambda _button: self.run())
         self.take = small_button("take", "use what was learned; undo brings back what was there", "success")
         self.take.on_click(lambda _button: self.said.guarded(self._take))
-        self.leave = small_button("leave", "forget it; nothing changes")
-        self.leave.on_click(lambda _button: self._leave())
+        self.discard = small_button("discard", "forget it; nothing changes")
+        self.discard.on_click(lambda _button: self._discard())
 
     def _explain(self) -> None:
         rows = [TABLE[name] for name in read_sum(self.objective.value).names]
@@ -148,13 +149,13 @@ class TunePage(widgets.HBox):
         self.said.say("Taken; undo brings back what was there.")
         self._show_result(None)
 
-    def _leave(self) -> None:
-        self.said.say("Left; nothing has changed.")
+    def _discard(self) -> None:
+        self.said.say("Discarded; nothing has changed.")
         self._show_result(None)
 
     def _show_result(self, result: Tuned | None) -> None:
         self.result = result
-        self.take.disabled = self.leave.disabled = result is None
+        self.take.disabled = self.discard.disabled = result is None
 
     # --- work, in the thread of the page ---
 
@@ -166,18 +167,18 @@ class TunePage(widgets.HBox):
         with self._jobs.shown(asked.steps):
             found = self._session.tune(
                 asked.objective, asked.learn, **asked.parts, steps=asked.steps,
-                progress=self._told, cancelled=self._jobs.stopping,
+                progress=partial(self._told, asked.objective), cancelled=self._jobs.stopping,
             )  # fmt: skip
         self._show_result(found)
         self.said.say(conclusion(found))
 
-    def _told(self, _what: str, done: int, total: int, value: float, watched: float | None) -> None:
+    def _told(
+        self, objective: str, _what: str, done: int, total: int, value: float, watched: float | None
+    ) -> None:  # fmt: skip
         self._values.append((value, np.nan if watched is None else watched))
         learned_on, held_out = np.array(self._values).T
         steps = np.arange(1, len(learned_on) + 1, dtype=float)
-        self.chart.set_series(
-            steps, {LEARNED_ON: learned_on, HELD_OUT: held_out}, x_label="step", y_label=self.objective.value
-        )
+        self.chart.set_series(steps, {LEARNED_ON: learned_on, HELD_OUT: held_out}, x_label="step", y_label=objective)
         self.progress.value = done
         last = ", judging it on all frames …" if done == total else ""
         self.said.say(f"step {done} of {total}{last}")
@@ -235,7 +236,7 @@ def conclusion(tuned: Tuned) -> str:
     frames = read_frames(tuned.config.provenance.parts["held_out"])
     told = str(change) if np.isnan(change.percent) else f"{change}, {verdict}".replace("-", "−")
     where = f"On frames {frames.start}-{frames.stop - 1}, held out"
-    return f"{where}: {told}. {'; '.join(_found(tuned))}. Take it or leave it."
+    return f"{where}: {told}. {'; '.join(_found(tuned))}. Take it or discard it."
 
 
 def _found(tuned: Tuned) -> Iterator[str]:
