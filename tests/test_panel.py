@@ -219,7 +219,7 @@ def test_a_slider_is_answered_by_one_message_for_head_and_picture(panel, told, m
     assert slider is control.input
     assert picture == (panel.overlay.view, {"_fit", "_fits", "_carried"}, 68 * 8 * 4)
     head, carried = panel.head.view.canvas, panel.overlay.view._carried
-    assert carried == {"to": head.model_id, "state": head.get_state(("_vertices", "_viewpoint"))}
+    assert carried == {"to": head.model_id, "state": head.get_state(("_vertices", "_viewpoint", "_front"))}
     assert len(head._vertices) == panel.session.model.neutral.size * 4
     later = {widget for widget, *_ in rest}
     assert later >= {control.readout, panel.history.undo, panel.status}
