@@ -8,10 +8,12 @@ import trimesh
 
 from tests.pages import code_blocks, snippet
 from tests.performances import FRAMES, performance
+from workbench.config import preset
 from workbench.errors import InputError
 from workbench.export import FORMATS, export_track, format_of, read_mapping
 from workbench.export.sources import pictures_of
-from workbench.frames import VideoWriter, open_frames
+from workbench.frames import VideoWriter, open_frames, write_picture
+from workbench.pipeline.temporal_run import views_of
 from workbench.tracking import Track
 
 
@@ -188,6 +190,42 @@ def test_a_track_of_a_part_of_a_clip_is_shown_with_the_pictures_of_that_part(sto
     shades = [float(frame.picture.mean()) for frame in pictures_of(part).iterate()]
     assert shades == pytest.approx([80, 90, 100], abs=3)
     assert len(list(pictures_of(track).iterate())) == FRAMES
+
+
+@pytest.mark.parametrize(
+    "command", [("export", "--to", "x.mp4"), ("export", "--to", "x.html"), ("character", "--out", "x")]
+)
+def test_pictures_of_another_size_than_the_tracked_ones_are_refused(command, run, stored, tmp_path):
+    with VideoWriter(tmp_path / "half.mp4") as writer:
+        for _ in range(FRAMES):
+            writer.write(np.full((240, 320, 3), 90, np.uint8))
+    before = sorted(tmp_path.rglob("*"))
+    name, *options = command
+    code, _, err = run(name, "talk", *options, "--pictures", "half.mp4")
+    assert code == 2
+    assert "The pictures of half.mp4 are 320x240, those that were tracked 640x480" in " ".join(err.split())
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_in_a_folder_each_picture_is_compared_with_the_one_that_was_tracked(stored, tmp_path):
+    track = Track.load(stored / "track.npz")
+    (tmp_path / "shoot.2024").mkdir()
+    for k, width in enumerate((640, 640, 320)):
+        write_picture(tmp_path / "shoot.2024" / f"{k}.png", np.zeros((480, width, 3), np.uint8))
+    track.meta["inputs"] = [{"path": str(tmp_path / "shoot.2024"), "sha256": "0" * 64}]
+    stream = pictures_of(track).iterate()
+    assert [next(stream).index for _ in range(2)] == [0, 1]
+    with pytest.raises(InputError, match="are 320x480, those that were tracked 640x480"):
+        next(stream)
+
+
+def test_a_folder_with_a_dot_in_its_name_holds_pictures(stored, tmp_path):
+    track = Track.load(stored / "track.npz")
+    (tmp_path / "shoot.2024").mkdir()
+    write_picture(tmp_path / "shoot.2024" / "0.png", np.zeros((480, 640, 3), np.uint8))
+    track.meta["inputs"] = [{"path": str(tmp_path / "shoot.2024"), "sha256": "0" * 64}]
+    assert pictures_of(track).name == "shoot.2024"
+    assert [frames.name for frames in views_of(track.meta, preset("joint"))] == ["shoot.2024"]
 
 
 @pytest.mark.long

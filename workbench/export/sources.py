@@ -1,28 +1,30 @@
 """The pictures that a track was made from."""
 
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any
 
 from workbench.errors import InputError
-from workbench.frames import IMAGE_SUFFIXES, VIDEO_SUFFIXES, FrameRange, Frames, open_frames
+from workbench.frames import Frame, FrameRange, Frames, open_frames
+from workbench.landmarks.files import is_landmark_file
 from workbench.tracking import Track
 
 
 def pictures_of(track: Track, pictures: str | Path | None = None) -> Frames:
     """The frames of the track's input, or of `pictures` in its place; of a part of a clip where it holds one.
 
-    Raises `InputError` where they are not where they were, and for a track of landmarks alone.
+    Raises `InputError` where they are not where they were, for a track of landmarks alone, and, as it is read, for a
+    frame of another size than the one that was tracked.
     """
     if pictures is not None:
-        return tracked_part(open_frames(pictures), track.meta)
+        return TrackedFrames(tracked_part(open_frames(pictures), track.meta), track, pictures)
     paths = [Path(item["path"]) for item in track.meta.get("inputs", [])]
-    if not paths or any(path.suffix.lower() not in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES, "") for path in paths):
+    if not paths or any(map(is_landmark_file, paths)):
         raise InputError("This track was made from landmarks without pictures; name the pictures with --pictures.")
     missing = [path for path in paths if not path.exists()]
     if missing:
         raise InputError(f"The pictures of this track are no longer at {missing[0]}; name them with --pictures.")
-    return tracked_part(open_frames(paths if len(paths) > 1 else paths[0]), track.meta)
+    return TrackedFrames(tracked_part(open_frames(paths if len(paths) > 1 else paths[0]), track.meta), track, paths[0])
 
 
 def input_files(meta: Mapping[str, Any]) -> list[Path]:
@@ -35,3 +37,31 @@ def tracked_part(frames: Frames, meta: Mapping[str, Any]) -> Frames:
     """The frames of an input that a track holds, by its metadata: all of them, or those of `track --frames`."""
     part = meta.get("frames")
     return frames if part is None else FrameRange(frames, *part)
+
+
+class TrackedFrames:
+    """Pictures of a track, each as large as the one that was tracked: fits are pixels of those."""
+
+    def __init__(self, frames: Frames, track: Track, path: str | Path) -> None:
+        """`path` is what an error names."""
+        self._frames, self._path = frames, path
+        self._sizes = dict(zip(track.index.tolist(), map(tuple, track.image_size.tolist()), strict=True))
+        self.kind, self.name, self.rate, self.image_size = frames.kind, frames.name, frames.rate, frames.image_size
+        self.announced_count = frames.announced_count
+
+    @property
+    def notes(self) -> list[str]:
+        """Those of the stream."""
+        return self._frames.notes
+
+    def iterate(self, start: int = 0) -> Generator[Frame]:
+        """Yield the frames from index `start` on. Raises `InputError` for one of another size."""
+        for frame in self._frames.iterate(start):
+            height, width = frame.picture.shape[:2]
+            tracked_width, tracked_height = self._sizes.get(frame.index, (width, height))
+            if (width, height) != (tracked_width, tracked_height):
+                raise InputError(
+                    f"The pictures of {self._path} are {width}x{height}, those that were tracked "
+                    f"{tracked_width}x{tracked_height}; name the tracked ones."
+                )
+            yield frame

@@ -32,6 +32,11 @@ SUFFIXES = (".csv", ".json", ".npy", ".pts", ".xml")
 _LISTED = f"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
 
 
+def is_landmark_file(path: Path) -> bool:
+    """Whether a path names a landmark file and not a picture or a video."""
+    return path.suffix.lower() in SUFFIXES
+
+
 def read_landmark_file(path: str | Path, image_size: tuple[int, int] | None = None) -> Iterator[LandmarkRecord]:
     """Read a landmark file of the workbench or another program, or a folder of .pts, see above; CSV is streamed.
 

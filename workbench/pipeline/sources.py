@@ -11,18 +11,13 @@ import workbench
 from workbench.config import Config
 from workbench.errors import InputError
 from workbench.frames import Frame, FrameRange, Frames, open_frames, range_notes
-from workbench.landmarks.files import SUFFIXES, LandmarkRecord, read_landmark_file, states_size
+from workbench.landmarks.files import LandmarkRecord, is_landmark_file, read_landmark_file, states_size
 from workbench.landmarks.formats.records import scheme_of_records, without_gaps
 from workbench.tracking import FrameObservation
 from workbench.tracking.observation import motion_of
 
 CANVAS = 235
 """Grey level behind the landmarks of a file that comes without its pictures."""
-
-
-def is_landmark_file(path: Path) -> bool:
-    """Whether a path names a landmark file and not a picture or a video."""
-    return path.suffix.lower() in SUFFIXES
 
 
 class FileSource:

@@ -9,8 +9,9 @@ from workbench.config import Config, parse_config
 from workbench.errors import InputError
 from workbench.export.sources import tracked_part
 from workbench.face import FaceModel
-from workbench.frames import IMAGE_SUFFIXES, VIDEO_SUFFIXES, Frames, open_frames
+from workbench.frames import Frames, open_frames
 from workbench.geometry import read_rig
+from workbench.landmarks.files import is_landmark_file
 from workbench.planning import plan_of
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.infill import infilled
@@ -109,7 +110,7 @@ def views_of(
     for name, path in others.items():
         paths[names.index(name)] = [path]
     looked_at = [path for group in paths for path in group]
-    if any(path.suffix.lower() not in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES, "") for path in looked_at):
+    if any(map(is_landmark_file, looked_at)):
         return []
     missing = [path for path in looked_at if not path.exists()]
     if missing:
