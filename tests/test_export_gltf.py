@@ -196,6 +196,19 @@ def test_a_character_without_jaw_and_texture_has_colours_and_no_skin(head, tmp_p
     assert document.images == []
 
 
+def test_a_model_without_expressions_has_no_weights_and_no_empty_accessor(head, tmp_path):
+    track = performance(head, frames=3, gap=None)
+    track = replace(track, expression=np.zeros((3, 0)), meta={**track.meta, "expression_names": []})
+    write_gltf(make_clip(track, head.with_expressions(())), tmp_path / "stiff.glb")
+    document = pygltflib.GLTF2().load(str(tmp_path / "stiff.glb"))
+    assert {channel.target.path for channel in document.animations[0].channels} == {"translation", "rotation"}
+    assert min(accessor.count for accessor in document.accessors) > 0
+    assert min(view.byteLength for view in document.bufferViews) > 0
+    stored = json.loads(document.gltf_to_json())["meshes"][0]
+    assert "weights" not in stored
+    assert "targets" not in stored["primitives"][0]
+
+
 def matrix(node, **moved) -> np.ndarray:
     """Local transform of a node, with animated values in place of its own."""
     made = np.eye(4)

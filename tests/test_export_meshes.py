@@ -197,6 +197,26 @@ def test_usd_without_its_package_says_what_to_install(clip, tmp_path, monkeypatc
         write_usd(clip, tmp_path / "face.usd")
 
 
+def test_usd_keeps_every_blendshape_also_where_names_differ_in_punctuation_alone(head, tmp_path):
+    pytest.importorskip("pxr.Usd")
+    from pxr import Usd, UsdSkel
+
+    names = ("あ", "い", "smile-L", "smile_L", "smile.L")
+    shown = head.expression_names[: len(names)]
+    model = replace(head.with_expressions(shown), expression_names=names)
+    track = performance(head, frames=2, gap=None)
+    write_usd(make_clip(replace(track, expression=track.expression[:, :5], meta={**track.meta,
+              "expression_names": list(names)}), model), tmp_path / "face.usda")  # fmt: skip
+    stage = Usd.Stage.Open(str(tmp_path / "face.usda"))
+    binding = UsdSkel.BindingAPI(stage.GetPrimAtPath("/performance/face"))
+    assert tuple(binding.GetBlendShapesAttr().Get()) == names
+    targets = binding.GetBlendShapeTargetsRel().GetTargets()
+    assert len(set(targets)) == len(names)
+    for target, delta in zip(targets, model.expression_deltas, strict=True):
+        moved = len(UsdSkel.BlendShape(stage.GetPrimAtPath(target)).GetOffsetsAttr().Get())
+        assert moved == np.count_nonzero(delta.any(axis=1))
+
+
 def test_a_usd_character_without_a_jaw_is_a_stage_too(head, tmp_path):
     pytest.importorskip("pxr.Usd")
     from pxr import Usd, UsdGeom

@@ -79,6 +79,19 @@ def test_projection_is_opencvs(count):
     np.testing.assert_allclose(project_with_derivative(camera, jnp.asarray(points))[0], expected[:, 0], atol=1e-9)
 
 
+@pytest.mark.parametrize("count", [12, 14])
+def test_the_rational_model_is_read_as_opencv_stores_it(count):
+    camera = camera_from_matrix(MATRIX, np.array(COEFFICIENTS + [0.0] * (count - 8)))
+    np.testing.assert_array_equal(camera.distortion, COEFFICIENTS)
+    with pytest.raises(InputError, match=r"thin-prism and tilt terms .* are not supported"):
+        camera_from_matrix(MATRIX, np.array(COEFFICIENTS + [0.0] * (count - 9) + [0.001]))
+
+
+def test_another_number_of_coefficients_is_refused():
+    with pytest.raises(InputError, match="has 0, 4, 5 or 8 coefficients, got 6"):
+        camera_from_matrix(MATRIX, np.zeros(6))
+
+
 def test_projection_derivative_agrees_with_automatic_differentiation():
     rng = np.random.default_rng(1)
     points = jnp.asarray(rng.normal([0.0, 0.0, 600.0], 80.0, (40, 3)))

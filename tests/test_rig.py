@@ -477,6 +477,16 @@ def test_a_file_a_camera_of_opencv_is_read(tmp_path, as_matrix):
     assert_same(read_rig(paths), rig, atol=1e-9)
 
 
+def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    paths = []
+    for view in make_rig().views[:2]:
+        (tmp_path / view.name).mkdir()
+        pose = {"R": view.rotation_view_world, "tvec": view.translation_view_world_mm}
+        path = tmp_path / view.name / "calib.yml"
+        paths.append(save_opencv(path, camera_matrix=MATRIX, **WIDTH_HEIGHT, **pose))
+    assert read_rig(paths).names == make_rig().names[:2]
+
+
 def test_lists_of_plain_json_are_read_as_matrices(tmp_path):
     text = """{"K1": %s, "K2": %s, "R": %s, "T": %s, "image_size": [640, 480]}"""
     parts = [np.asarray(value).tolist() for value in (MATRIX, MATRIX, ROTATION, TRANSLATION)]
@@ -587,7 +597,8 @@ LONE = {"K1": None, "K2": None, "K": MATRIX}
         (opencv(K2=None), "no matrix of camera 2"),
         (opencv(R=-ROTATION), "camera 2: The rotation of view 'camera2' mirrors"),
         (opencv(R=np.eye(2)), "rotation has 4 entries, expected 3 or 9"),
-        (opencv(D1=np.zeros((1, 14))), "camera 1: .*coefficients, got 14"),
+        (opencv(D1=np.zeros((1, 6))), "camera 1: .*coefficients, got 6"),
+        (opencv(D1=np.full((1, 14), 0.1)), "camera 1: .*thin-prism and tilt terms"),
         (opencv(K1=np.diag([-1.0, 1.0, 1.0])), "positive focal"),
         (opencv(unit="feet"), "unit is 'feet'"),
         (opencv(T=TRANSLATION / 1000), "mm apart.*unit"),

@@ -151,7 +151,7 @@ def _mesh(
         name="face",
         primitives=[pygltflib.Primitive(attributes=attributes, indices=indices, material=0, targets=targets)],
         weights=_numbers(weights),
-        extras={"targetNames": list(shapes.names)},
+        extras={"targetNames": list(shapes.names)} if shapes.names else {},
     )
 
 
@@ -164,8 +164,9 @@ def _animation(
     curves = {
         (1, "translation"): to_world(track.translation[found]),
         (1, "rotation"): quaternions(track.rotation[found]),
-        (2, "weights"): shapes.weights[found].ravel(),
     }
+    if shapes.names:
+        curves[2, "weights"] = shapes.weights[found].ravel()
     if clip.moves_scale:
         curves[1, "scale"] = np.repeat(track.scale[found, None], 3, axis=1)
     for node, joint in enumerate(joints, 3):

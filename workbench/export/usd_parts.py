@@ -1,6 +1,8 @@
 """Meshes and materials of a USD stage: the face, and what a character wears on it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import cv2
@@ -114,21 +116,33 @@ def define_mesh(stage, mesh: SkinnedMesh, skeleton) -> None:
         uv.Set(Vt.Vec2fArray.FromNumpy(mesh.uv[mesh.triangles_uv.ravel()].astype(np.float32)))
     binding = UsdSkel.BindingAPI.Apply(made.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-    count = mesh.shares.shape[1]
-    joints = np.tile(np.arange(count, dtype=np.int32), len(points))
-    binding.CreateJointIndicesPrimvar(False, count).Set(Vt.IntArray.FromNumpy(joints))
-    binding.CreateJointWeightsPrimvar(False, count).Set(Vt.FloatArray.FromNumpy(mesh.shares.astype(np.float32).ravel()))
+    influences = mesh.shares.shape[1]
+    joints = np.tile(np.arange(influences, dtype=np.int32), len(points))
+    binding.CreateJointIndicesPrimvar(False, influences).Set(Vt.IntArray.FromNumpy(joints))
+    binding.CreateJointWeightsPrimvar(False, influences).Set(
+        Vt.FloatArray.FromNumpy(mesh.shares.astype(np.float32).ravel())
+    )
     if not mesh.names:
         return
     binding.CreateBlendShapesAttr(Vt.TokenArray(mesh.names))
     targets = []
-    for name, delta in zip(mesh.names, mesh.deltas, strict=True):
+    prims = distinct([Tf.MakeValidIdentifier(name) for name in mesh.names])
+    for prim, delta in zip(prims, mesh.deltas, strict=True):
         moving = np.flatnonzero(np.abs(delta).max(1) > 0.0)
-        shape = UsdSkel.BlendShape.Define(stage, made.GetPath().AppendChild(Tf.MakeValidIdentifier(name)))
+        shape = UsdSkel.BlendShape.Define(stage, made.GetPath().AppendChild(prim))
         shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(to_world(delta[moving]).astype(np.float32)))
         shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
         targets.append(shape.GetPath())
     binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+
+
+def distinct(names: Sequence[str]) -> list[str]:
+    """The names, with _1, _2, … after those that came before."""
+    made: list[str] = []
+    for name in names:
+        numbered = (f"{name}_{k}" for k in count(1))
+        made.append(name if name not in made else next(other for other in numbered if other not in {*names, *made}))
+    return made
 
 
 def dress_stage(

@@ -10,6 +10,8 @@ from workbench.arrays import AnyArray
 from workbench.errors import InputError
 
 DISTORTION_COUNTS = (0, 4, 5, 8)
+PADDED_COUNTS = (12, 14)
+"""OpenCV fills the rational model's eight coefficients up with zeros for thin prisms and a tilted sensor."""
 
 
 class Camera(NamedTuple):
@@ -39,7 +41,8 @@ def camera_from_fov(image_size: tuple[int, int], fov_deg: float) -> Camera:
 def camera_from_matrix(matrix: Float[np.ndarray, "_ _"], distortion: Float[np.ndarray, "n"] | None = None) -> Camera:
     """Camera of an OpenCV calibration: 3 × 3 matrix in pixels and 0, 4, 5 or 8 distortion coefficients.
 
-    Raises `InputError` for another shape, skew, or a focal length that is not positive.
+    Of 12 or 14, as OpenCV stores its rational model, those after the eighth are 0. Raises `InputError` for another
+    shape, skew, a focal length that is not positive, and thin-prism or tilt terms.
     """
     matrix = np.asarray(matrix, float)
     coefficients = np.zeros(0) if distortion is None else np.asarray(distortion, float).ravel()
@@ -47,9 +50,16 @@ def camera_from_matrix(matrix: Float[np.ndarray, "_ _"], distortion: Float[np.nd
         raise InputError(f"A camera matrix is 3 × 3, got shape {matrix.shape}; pass OpenCV's camera matrix.")
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0) or abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
         raise InputError("A camera matrix has positive focal lengths and no skew; check the order of its entries.")
+    if len(coefficients) in PADDED_COUNTS:
+        if coefficients[8:].any():
+            raise InputError(
+                "The thin-prism and tilt terms of OpenCV's distortion are not supported; calibrate with "
+                "cv2.calibrateCamera's default or rational model."
+            )
+        coefficients = coefficients[:8]
     if len(coefficients) not in DISTORTION_COUNTS:
         raise InputError(
-            f"OpenCV's distortion has {DISTORTION_COUNTS} coefficients, got {len(coefficients)}; "
+            f"OpenCV's distortion has 0, 4, 5 or 8 coefficients, got {len(coefficients)}; "
             "calibrate with cv2.calibrateCamera's default or rational model."
         )
     padded = np.zeros(8)

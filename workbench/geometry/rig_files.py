@@ -18,7 +18,9 @@ extrinsics: matrices `K1 K2` (or `M1`, `cameraMatrix1`, `camera_matrix1`), `D1 D
 `R T`, the second camera seen from the first, as `cv2.stereoCalibrate` returns them; or as a file a camera with
 `camera_matrix` (`K`, `M`, `cameraMatrix`), `distortion_coefficients` (`D`, `distCoeffs`, `dist_coeffs`), `rvec` or `R`,
 `tvec` or `T`. They may say `image_width` and `image_height` (or `image_size`), `unit` and `pose` as above. What a file
-does not say is OpenCV's: its pose convention, and `unit` and picture size must then be known by who reads it.
+does not say is OpenCV's: its pose convention, and `unit` and picture size must then be known by who reads it. The
+rational model may have 12 or 14 coefficients, as OpenCV writes it, if those after the eighth are 0. A file a camera is
+named by `name`, else by the file; files of one name by their folders.
 """
 
 import difflib
@@ -179,7 +181,7 @@ def _read_opencv(paths: Sequence[Path], unit: str | None, image_size: tuple[int,
     if _named(merged, MATRIX_NAMES, "1") is not None:
         return _stereo(where, merged, unit, image_size)
     views = []
-    for path, file in zip(paths, files, strict=True):
+    for path, name, file in zip(paths, _file_names(paths), files, strict=True):
         fields = {"matrix": _named(file, MATRIX_NAMES), "distortion": _named(file, DISTORTION_NAMES)}
         if fields["matrix"] is None:
             raise InputError(f"{path} holds no camera matrix (camera_matrix, or K1 and K2); its keys: {_keys(file)}.")
@@ -189,8 +191,14 @@ def _read_opencv(paths: Sequence[Path], unit: str | None, image_size: tuple[int,
                 raise InputError(f"{path} does not say where its camera stands: no {key} ({names}) is in it.")
         size = _opencv_size(path, file, image_size)
         mm, pose = _opencv_unit(path, file, unit), _pose(path, file.get("pose", POSES[0]))
-        views.append(_view(str(path), str(file.get("name", path.stem)), size, fields, mm, pose))
+        views.append(_view(str(path), str(file.get("name", name)), size, fields, mm, pose))
     return _built(where, views)
+
+
+def _file_names(paths: Sequence[Path]) -> list[str]:
+    """What cameras are called after their files: the stems, or where stems are alike the folders."""
+    stems = [path.stem for path in paths]
+    return [path.absolute().parent.name if stems.count(path.stem) > 1 else path.stem for path in paths]
 
 
 def _stereo(where: str, file: Mapping[str, Any], unit: str | None, image_size: tuple[int, int] | None) -> Rig:
