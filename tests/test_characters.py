@@ -213,7 +213,7 @@ def test_upper_incisors_are_inside_the_closed_lips():
 def test_unknown_names_are_answered_with_those_there_are():
     with pytest.raises(ModelError, match=r"no character 'nobody'; there are amara, bruno"):
         load_character("nobody")
-    with pytest.raises(ModelError, match=r"no hair 'mohawk'; there are afro01"):
+    with pytest.raises(ModelError, match=r"no style 'mohawk' for hair; the styles are afro01"):
         open_parts(sample("parts")).read("hair", "mohawk", 4823)
 
 
@@ -260,9 +260,9 @@ def test_the_scalp_takes_the_colour_of_the_hair(tmp_path):
         (("", ""), None),
         (('eyes = "blue"\n', ""), "eyes is missing"),
         (('eyes = "blue"', "eyes = 3"), "eyes needs a text"),
-        (('eyes = "blue"', 'eyes = "violet"'), "no eyes 'violet'; there are blue"),
-        (('skin = "young_lightskinned_male"', 'skin = "../head"'), "no skins '../head'"),
-        (('brows = "eyebrow001"', 'brows = "eyebrow999"'), "no brows 'eyebrow999'"),
+        (('eyes = "blue"', 'eyes = "violet"'), "no style 'violet' for eyes; the styles are blue"),
+        (('skin = "young_lightskinned_male"', 'skin = "../head"'), "no skin '../head'; the skins are"),
+        (('brows = "eyebrow001"', 'brows = "eyebrow999"'), "no style 'eyebrow999' for brows"),
         (('words = "me"', 'words = "me"\nhat = "top"'), "no setting 'hat'"),
         (('words = "me"', 'words = "me"\nhair_color = [300, 0, 0]'), "3 numbers from 0 to 255"),
         (('words = "me"', 'words = "me"\nhair_color = [3, 0]'), "3 numbers from 0 to 255"),

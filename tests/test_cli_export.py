@@ -51,6 +51,11 @@ def test_every_format_is_written_by_its_suffix(kind, run, stored, tmp_path):
     assert "note:" not in out
 
 
+def test_the_plain_head_is_no_character(run, stored, tmp_path):
+    assert run("export", "talk", "--to", "a.csv", "--character", "plain")[0] == 0
+    assert (tmp_path / "a.csv").is_file()
+
+
 def test_several_files_in_one_go(run, stored, tmp_path):
     assert run("export", "talk/track.npz", "--to", "a.csv", "--to", "b.arkit.csv", "--to", "c.usdc")[0] == 0
     assert {path.name for path in tmp_path.iterdir()} >= {"a.csv", "b.arkit.csv", "c.usdc"}
@@ -79,6 +84,12 @@ def test_moved_pictures_are_named(run, stored, tmp_path):
 def test_a_rate_of_ones_own(run, stored, tmp_path):
     assert run("export", "talk", "--to", "a.arkit.csv", "--fps", "60")[0] == 0
     assert (tmp_path / "a.arkit.csv").read_text().splitlines()[-1].startswith("00:00:00:11.000,61,")
+
+
+def test_a_rate_of_ones_own_is_that_of_the_film_and_the_report_too(run, stored, tmp_path):
+    assert run("export", "talk", "--to", "film.mp4", "--to", "report.html", "--fps", "5")[0] == 0
+    assert open_frames(tmp_path / "film.mp4").rate == 5.0
+    assert "12 frames, 2.4 s at 5 frames per second" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 # --- characters ---
@@ -138,9 +149,13 @@ def test_the_example_of_the_documentation_runs(stored, head, tmp_path, monkeypat
         (["talk", "--to", "x.glb", "--shot", "4"], "the shots 0 to 0"),
         (["talk", "--to", "x.csv", "--fps", "0"], "a rate between 0 and 1000"),
         (["talk", "--to", "x.csv", "--map", "m.toml"], "name it with --character"),
-        (["talk", "--to", "talk/track.npz"], "is the track itself"),
+        (["talk", "--to", "talk/track.npz"], "would be written over"),
         (["talk", "--to", "x.glb", "--character", "meii"], "meii is neither a ready character"),
-        (["talk", "--to", "talk.ply"], "already exists"),
+        (["talk", "--to", "talk.ply"], "talk already exists; name another folder for the meshes."),
+        (["talk", "--to", "m.obj", "--to", "m.ply"], "m.obj and m.ply would both be written to m;"),
+        (["talk", "--to", "x.npz", "--to", "x.glb", "--character", "mei"], "x.npz cannot show the character mei"),
+        (["talk", "--to", "x.glb", "--to", "x.npz", "--character", "mei"], "x.npz cannot show the character mei"),
+        (["talk", "--to", "x.glb", "--character", "mei", "--surface"], "another face model, mei is a ready character"),
     ],
 )
 def test_mistakes_are_one_sentence_and_write_nothing(arguments, message, run, stored, tmp_path):

@@ -239,9 +239,9 @@ def test_the_person_in_a_clip_becomes_a_character(tracked, run, monkeypatch, tmp
 
 def test_what_is_not_there_is_said_before_the_work(tracked, tmp_path):
     frames = open_frames(sample("laugh"))
-    with pytest.raises(ModelError, match="no hair 'mohawk'"):
+    with pytest.raises(ModelError, match="no style 'mohawk' for hair"):
         character_of_clip(tracked, frames, tmp_path / "me", Wardrobe(hair="mohawk"))
-    with pytest.raises(ModelError, match="no eyes 'violet'"):
+    with pytest.raises(ModelError, match="no style 'violet' for eyes"):
         character_of_clip(tracked, frames, tmp_path / "me", Wardrobe(eyes="violet"))
     other = replace(tracked, meta=tracked.meta | {"model": {"name": "flame"}})
     with pytest.raises(InputError, match="fitted with flame"):
@@ -257,6 +257,16 @@ def test_a_colour_is_three_numbers(tracked, run, tmp_path):
     code, _, err = run("character", "run", "--out", "me", "--hair-color", "red")
     assert code == 2
     assert "three numbers from 0 to 255" in err
+
+
+@pytest.mark.parametrize("color", ["300,0,0", "-1,0,0", "nan,0,0"])
+def test_a_colour_that_no_character_can_have_is_refused_before_the_work(color, tracked, run, tmp_path):
+    tracked.save(tmp_path / "run" / "track.npz")
+    options = ["--pictures", str(sample("laugh")), "--hair", "short02", "--hair-color", color]
+    code, _, err = run("character", "run", "--out", "me", *options)
+    assert code == 2
+    assert "three numbers from 0 to 255" in err
+    assert not (tmp_path / "me").exists()
 
 
 def test_a_folder_without_a_character_is_none(tmp_path):

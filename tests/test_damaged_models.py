@@ -191,13 +191,13 @@ def test_a_crash_of_the_hdf5_library_is_a_sentence(tmp_path, monkeypatch):
     crashing = tmp_path / "program.py"
     crashing.write_text("import os\nos.abort()\n")
     monkeypatch.setattr("workbench.face.formats.hdf5_process.__file__", str(crashing))
-    refused(lambda path: read_basel_h5(path, None, None), path, "does not come to an end")
+    refused(lambda path: read_basel_h5(path, None, None), path, "crashed on it or did not finish")
 
 
 def test_a_read_that_never_ends_is_ended(tmp_path, monkeypatch):
     path = write_basel_2019(tmp_path / "m.h5", SUBJECT, {})
     monkeypatch.setattr("workbench.face.formats.hdf5.LEAST_S", 1e-6)
-    refused(lambda path: read_basel_h5(path, None, None), path, "does not come to an end")
+    refused(lambda path: read_basel_h5(path, None, None), path, "crashed on it or did not finish")
 
 
 # --- .npz -------------------------------------------------------------------------------------------------------------

@@ -89,7 +89,7 @@ def test_several_lenses_in_one_file_are_told(head):
     ("change", "options", "message"),
     [
         ({}, {"shot": 3}, "the shots 0 to 0, got 3"),
-        ({}, {"rate": 0.0}, "a rate above 0"),
+        ({}, {"rate": 0.0}, "a rate between 0 and 1000"),
         ({"found": np.zeros(FRAMES, bool)}, {}, "No frame of this track has a face"),
         ({"expression": np.zeros((FRAMES, 2)), "meta": {"expression_names": ["a", "b"]}}, {}, "2 blendshapes that are"),
         ({"identity": np.zeros((FRAMES, 3))}, {}, "3 identity coefficients"),

@@ -60,6 +60,8 @@ DECODER_LIMITS = {"max_pixels": str(MOST_PIXELS)}
 
 AS_VIDEO = ("a video", "convert it to MP4 (H.264)")
 
+RATE_OF_IMAGES = 25.0
+"""Frames per second of what has no rate of its own."""
 FRAMES_AHEAD = 3
 """Read while the frame before them is worked on: enough for a decoder that hands over several at once."""
 UNEVEN_S = 0.1

@@ -10,8 +10,8 @@ import workbench
 from workbench.cli import screen
 from workbench.cli.tracking import track_file
 from workbench.errors import InputError
-from workbench.export.suffixes import FORMATS, format_of
-from workbench.face.characters import character_names, is_character
+from workbench.export.suffixes import FORMATS, check_shows_character, format_of, place_of
+from workbench.face.characters import PLAIN, character_names, is_character
 from workbench.files import check_not_inputs
 
 EXPORT_HELP = (
@@ -60,15 +60,17 @@ def export(
 ) -> None:
     """Write a track as what other programs read."""
     stored = track_file(run)
-    for path in to:
-        format_of(path)  # a wrong suffix is refused before anything is written
-        if path.exists() and stored.exists() and path.samefile(stored):
-            raise InputError(f"{path} is the track itself; name another file.")
+    character = None if character == PLAIN else character
     dress = character if character is not None and is_character(character) else None
+    _check_targets(to, dress)
     player = None if dress or character is None else Path(character)
     if player is not None and not player.exists():
         ready = ", ".join(character_names())
         raise InputError(f"{character} is neither a ready character ({ready}) nor the path of a face model.")
+    if player is None and (mapping is not None or surface):
+        if dress:
+            raise InputError(f"--map and --surface are for another face model, {dress} is a ready character.")
+        raise InputError("--map and --surface say how a character is moved; name it with --character.")
     given = [path for path in (model, player, mapping) if path is not None]
     track = workbench.Track.load(stored)
     check_not_inputs(to, [stored, *given, *workbench.export.input_files(track.meta)])
@@ -78,8 +80,6 @@ def export(
         other = workbench.load_face_model(player)
         track, more = _played(track, head, other, mapping, surface)
         head, notes = other, [*notes, *more]
-    elif mapping is not None or surface:
-        raise InputError("--map and --surface say how a character is moved; name it with --character.")
     with screen.progress_bar() as progress:
         for path in to:
             try:
@@ -94,6 +94,18 @@ def export(
             notes += [note for note in done.notes if note not in notes]
     for note in notes:
         screen.console.print(f"[yellow]note:[/yellow] {escape(note)}", soft_wrap=True)
+
+
+def _check_targets(to: list[Path], character: str | None) -> None:
+    """Raise `InputError`, before anything is written, for a suffix, a character or a place that one cannot have."""
+    taken: dict[Path, Path] = {}
+    for path in to:
+        place = place_of(path)
+        other = taken.setdefault(place.absolute(), path)
+        if other is not path:
+            raise InputError(f"{other} and {path} would both be written to {place}; give each a name of its own.")
+        if character is not None:
+            check_shows_character(path, character)
 
 
 def model_of_track(track: "workbench.Track", path: Path | None) -> tuple["workbench.FaceModel", list[str]]:

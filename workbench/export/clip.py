@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
 from workbench.face import FaceModel, JawJoint, jaw_joint, posed_vertices, weights_with_jaw
+from workbench.frames import RATE_OF_IMAGES
 from workbench.geometry import Camera
 from workbench.pictures.mesh import to_camera
 from workbench.tracking import Track
@@ -20,8 +21,7 @@ from workbench.tracking.failures import failures_of
 from workbench.tracking.records import ARRAYS
 from workbench.tracking.track_layout import jaw_unit_of
 
-RATE_OF_IMAGES = 25.0
-"""Frames per second of inputs that have no rate of their own."""
+MOST_RATE = 1000.0
 METRES = 1e-3
 FLIP = np.array([1.0, -1.0, -1.0])
 """Half a turn about x: from +y down, +z away to +y up, +z towards the viewer."""
@@ -88,11 +88,11 @@ def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: flo
 
     A file holds one face. Where the shots of a track have faces of their own, all are played by the one with the most
     frames, unless `shot` takes one shot alone. `rate` replaces the track's frames per second. Raises `InputError` for
-    a track without a face, for a shot that it does not have and for another model than the track's.
+    a track without a face, for a shot that it does not have, for another model than the track's and for a rate that
+    is not between 0 and 1000.
     """
     check_model(track, model)
-    if rate is not None and not rate > 0.0:
-        raise InputError(f"A clip needs a rate above 0 frames per second, got {rate:g}.")
+    check_rate(rate)
     if shot is not None:
         track = track_of_shot(track, shot)
     if not track.found.any():
@@ -134,6 +134,12 @@ def track_of_shot(track: Track, shot: int) -> Track:
     if not chosen.any():
         raise InputError(f"This track has the shots 0 to {int(track.shot.max())}, got {shot}.")
     return replace(track, **{name: getattr(track, name)[chosen] for name in ARRAYS})
+
+
+def check_rate(rate: float | None) -> None:
+    """Raise `InputError` for frames per second that no clip has; None is the track's own."""
+    if rate is not None and not 0.0 < rate <= MOST_RATE:
+        raise InputError(f"A clip needs a rate between 0 and {MOST_RATE:g} frames per second, got {rate:g}.")
 
 
 def check_model(track: Track, model: FaceModel) -> None:

@@ -5,17 +5,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from workbench.errors import InputError
-from workbench.export.clip import RATE_OF_IMAGES, check_model, make_clip, track_of_shot
+from workbench.export.clip import check_model, check_rate, make_clip, track_of_shot
 from workbench.export.live_link import write_live_link_csv
 from workbench.export.meshes import write_arrays, write_meshes
 from workbench.export.report import write_report
 from workbench.export.sources import input_files, pictures_of
-from workbench.export.suffixes import DRESSED, format_of
+from workbench.export.suffixes import MESHES, check_shows_character, format_of, place_of
 from workbench.export.tables import write_curves, write_parquet
 from workbench.export.usd import write_usd
 from workbench.face import DressedHead, FaceModel
 from workbench.files import check_not_inputs
-from workbench.frames import Frames
+from workbench.frames import RATE_OF_IMAGES, Frames
 from workbench.pictures.overlay_files import write_overlay_video
 from workbench.tracking import Track
 from workbench.tracking.unwatched import silent
@@ -58,15 +58,14 @@ def export_track(
     given = [] if pictures is None else [Path(pictures)]
     check_not_inputs([path], [*given, *input_files(track.meta)])
     check_model(track, model)
-    if dressed is not None and kind not in DRESSED:
-        raise InputError(
-            f"{path} cannot show the character {dressed.character.name}; name a file ending in {', '.join(DRESSED)}."
-        )
+    if dressed is not None:
+        check_shows_character(path, dressed.character.name)
     if shot is not None:
         track = track_of_shot(track, shot)
-    if rate is not None and not 0.0 < rate <= 1000.0:
-        raise InputError(f"A clip needs a rate between 0 and 1000 frames per second, got {rate:g}.")
-    fps = float(rate or track.meta.get("rate") or RATE_OF_IMAGES)
+    check_rate(rate)
+    if rate is not None:
+        track = replace(track, meta={**track.meta, "rate": float(rate)})
+    fps = float(track.meta.get("rate") or RATE_OF_IMAGES)
     if kind == ".arkit.csv":
         write_live_link_csv(track, path, fps)
     elif kind == ".csv":
@@ -74,20 +73,20 @@ def export_track(
     elif kind == ".parquet":
         write_parquet(track, path, fps)
     elif kind == ".mp4":
-        return _film(track, model, path, pictures, dressed, progress)
+        return _film(track, model, path, pictures, rate, dressed, progress)
     elif kind == ".html":
         return _report(track, model, path, pictures, dressed, progress)
     else:
-        return _in_3d(track, model, path, kind, fps if rate else None, dressed, progress)
+        return _in_3d(track, model, path, kind, dressed, progress)
     return Exported(path)
 
 
-def _in_3d(track, model, path: Path, kind: str, rate: float | None, dressed, progress: Progress) -> Exported:
-    clip = make_clip(track, model, rate=rate)
+def _in_3d(track, model, path: Path, kind: str, dressed: DressedHead | None, progress: Progress) -> Exported:
+    clip = make_clip(track, model)
     if dressed is not None:
         clip = replace(clip, person=model.personal(dressed.character.identity))
-    if kind in (".obj", ".ply"):
-        folder = path.with_suffix("")
+    if kind in MESHES:
+        folder = place_of(path)
         write_meshes(clip, folder, kind[1:], lambda done, total: progress("meshes", done, total))
         return Exported(folder, clip.notes)
     if kind == ".npz":
@@ -101,13 +100,13 @@ def _in_3d(track, model, path: Path, kind: str, rate: float | None, dressed, pro
     return Exported(path, clip.notes)
 
 
-def _film(track, model, path: Path, pictures, dressed: DressedHead | None, progress: Progress) -> Exported:
+def _film(track, model, path: Path, pictures, rate, dressed: DressedHead | None, progress: Progress) -> Exported:
     frames = pictures_of(track, pictures)
 
     def drawn(done: int, total: int) -> None:
         progress("film", done, total)
 
-    note = write_overlay_video(frames, track, model, path, drawn, dressed=dressed)
+    note = write_overlay_video(frames, track, model, path, drawn, dressed=dressed, rate=rate)
     return Exported(path, (note,) if note else ())
 
 

@@ -13,10 +13,11 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
-from workbench.export.clip import FLIP, RATE_OF_IMAGES, without_failures, without_jaw
+from workbench.export.clip import FLIP, without_failures, without_jaw
 from workbench.face import in_scheme, load_default_head
 from workbench.face.gaze import eye_turns
 from workbench.files import atomic_path
+from workbench.frames import RATE_OF_IMAGES
 from workbench.landmarks.schemes import DENSE
 from workbench.tracking import Track
 

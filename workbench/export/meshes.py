@@ -30,7 +30,7 @@ def write_meshes(
     if kind not in KINDS:
         raise InputError(f"Meshes are written as {' or '.join(KINDS)}, got {kind!r}.")
     if folder.exists():
-        raise InputError(f"{folder} already exists; name another folder for the meshes or remove it.")
+        raise InputError(f"{folder} already exists; name another folder for the meshes.")
     make_folder(folder.parent)
     found = np.flatnonzero(clip.track.found).tolist()
     names = [f"{clip.track.index[position]:06d}.{kind}" for position in found]

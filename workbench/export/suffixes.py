@@ -19,6 +19,8 @@ FORMATS = {
 """Suffixes and what is written under them."""
 DRESSED = (".glb", ".usd", ".mp4", ".html")
 """Formats that show a character."""
+MESHES = (".obj", ".ply")
+"""Formats that are a folder."""
 SAME = {".usda": ".usd", ".usdc": ".usd", ".htm": ".html"}
 
 
@@ -29,3 +31,14 @@ def format_of(path: str | Path) -> str:
         if name.endswith(suffix) and len(name) > len(suffix):
             return SAME.get(suffix, suffix)
     raise InputError(f"A track is exported as {', '.join(FORMATS)}, got {Path(path).name}.")
+
+
+def place_of(path: str | Path) -> Path:
+    """The file that an export writes, or the folder of its meshes. Raises `InputError` as `format_of`."""
+    return Path(path).with_suffix("") if format_of(path) in MESHES else Path(path)
+
+
+def check_shows_character(path: str | Path, name: str) -> None:
+    """Raise `InputError` where the format of `path` cannot show a character."""
+    if format_of(path) not in DRESSED:
+        raise InputError(f"{path} cannot show the character {name}; name a file ending in {', '.join(DRESSED)}.")

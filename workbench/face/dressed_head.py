@@ -185,7 +185,9 @@ def _picture_path(kind: str, style: str) -> Path:
     folder = sample("characters").parent / kind
     known = sorted(path.stem for path in folder.glob("*.webp"))
     if style not in known:
-        raise ModelError(f"There are no {kind} {shortened(style)!r}; there are {', '.join(known)}.")
+        named = repr(shortened(style))
+        told = f"skin {named}; the skins" if kind == "skins" else f"style {named} for {kind}; the styles"
+        raise ModelError(f"There is no {told} are {', '.join(known)}.")
     return folder / f"{style}.webp"
 
 

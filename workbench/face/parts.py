@@ -68,7 +68,7 @@ class PartStore:
         """One part for a head of so many vertices. Raises `ModelError` for one that is not there, and for damage."""
         if style not in self.styles.get(kind, ()):
             known = ", ".join(self.styles.get(kind, ())) or "none"
-            raise ModelError(f"There are no {kind} {style!r}; there are {known}.")
+            raise ModelError(f"There is no style {style!r} for {kind}; the styles are {known}.")
         with (
             reading(self.path, "parts of a head", REMEDY, ModelError),
             self.path.open("rb") as stream,

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 
 from workbench.errors import InputError
 from workbench.face import DressedHead, FaceModel, posed_vertices
-from workbench.frames import Frame, Frames, VideoWriter, write_picture
+from workbench.frames import RATE_OF_IMAGES, Frame, Frames, VideoWriter, write_picture
 from workbench.pictures.background import background_picture
 from workbench.pictures.extras import Extras
 from workbench.pictures.head_picture import HeadRenderer, PlainPainter, head_painter, portrait_view
@@ -25,8 +25,6 @@ LARGEST_HEAD_PX = 480
 """Longest side of the 3D picture as rendered; next to larger frames it is enlarged."""
 VIDEO_SUPERSAMPLING = 1.5
 """Edges a little less smooth than in stills, for half of the time."""
-RATE_OF_IMAGES = 25.0
-"""Frames per second for inputs that have no rate of their own."""
 
 
 @runtime_checkable
@@ -47,21 +45,22 @@ def write_overlay_video(
     view: str = "pose",
     parts: OverlayParts = ALL_BUT_MESH,
     dressed: DressedHead | None = None,
+    rate: float | None = None,
 ) -> str | None:
     """Write an H.264 video of a tracked input: the frames of `track` with their fits, beside the head in 3D.
 
     A second, streaming pass over the frames that holds two of them at a time; the head is rendered in its own thread
-    while the previous frame is encoded. `dressed` shows the head as a character with the fitted face. `progress` is
-    called with (frames done, frames of the track). Returns a note where the head had to be drawn without GL, else None.
-    Raises `InputError` for an empty track, and if none of its frames is in the input; after any error there is nothing
-    under `path`.
+    while the previous frame is encoded. `dressed` shows the head as a character with the fitted face, `rate` replaces
+    the input's frames per second. `progress` is called with (frames done, frames of the track). Returns a note where
+    the head had to be drawn without GL, else None. Raises `InputError` for an empty track, and if none of its frames is
+    in the input; after any error there is nothing under `path`.
     """
     if len(track) == 0:
         raise InputError("The track has no frames, so there is nothing to draw; track the input first.")
     first_width, first_height = displayed_size(frames.image_size)
     with (
         HeadPanel(model, (first_width, first_height), view, VIDEO_SUPERSAMPLING, dressed) as panel,
-        VideoWriter(path, rate=frames.rate or RATE_OF_IMAGES) as writer,
+        VideoWriter(path, rate=rate or frames.rate or RATE_OF_IMAGES) as writer,
     ):
         waiting: tuple[np.ndarray, Future] | None = None
         for frame, fit in _matched(frames, track):

@@ -83,8 +83,8 @@ def character_of_clip(
     """Write the tracked person as a character: a folder with `character.toml` and the skin.
 
     The identity is that of the longest shot. Brows come with the skin. Raises `InputError` for a track of another model
-    than the default head, without usable frames, or whose faces are too small, and `ModelError` for styles that are
-    not there.
+    than the default head, without usable frames, or whose faces are too small, and for a colour beyond 0 to 255,
+    `ModelError` for styles that are not there.
     """
     folder, progress = Path(folder), progress or silent
     model = _model(track)
@@ -106,7 +106,10 @@ def character_of_clip(
 
 
 def _check_styles(wardrobe: Wardrobe, identity: np.ndarray) -> None:
-    """Raise `ModelError` for a style that is not there, before minutes are spent."""
+    """Raise `ModelError` for a style and `InputError` for a colour that cannot be, before minutes are spent."""
+    color = wardrobe.hair_color
+    if color is not None and not (len(color) == 3 and all(0.0 <= value <= 255.0 for value in color)):
+        raise InputError(f"A colour is three numbers from 0 to 255, as 82,62,46; got {', '.join(map(str, color))}.")
     styles = {name: getattr(wardrobe, name) for name in ("hair", "eyes", "clothes", "teeth", "lashes")}
     dress(Character("person", "", skin=skin_names()[0], brows="", identity=identity, **styles))
 

@@ -8,9 +8,9 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.errors import InputError
-from workbench.export.clip import RATE_OF_IMAGES, check_model
+from workbench.export.clip import check_model
 from workbench.face import DressedHead, FaceModel
-from workbench.frames import Frames
+from workbench.frames import RATE_OF_IMAGES, Frames
 from workbench.pictures.overlay import draw_overlay
 from workbench.session import FittedHead
 from workbench.session.material import PictureStore

@@ -41,6 +41,6 @@ def hdf5_arrays(path: Path, wanted: Collection[str]) -> dict[str, np.ndarray]:
     if ended.returncode == hdf5_process.REFUSED:
         raise ValueError(ended.stderr.decode(errors="replace").strip())
     if ended.returncode:
-        raise ValueError("the HDF5 library does not come to an end with it")
+        raise ValueError("the HDF5 library crashed on it or did not finish")
     with checked_arrays(BytesIO(ended.stdout)) as stored:
         return {key: stored[key] for key in stored.files}
