@@ -24,7 +24,9 @@ from workbench.face import (
     load_default_head,
     posed_vertices,
 )
+from workbench.face.dressed_head import dress
 from workbench.face.parts import open_parts
+from workbench.frames import write_picture
 from workbench.landmarks.schemes import DENSE
 from workbench.pictures import HeadRenderer, gl_available, head_scene, portrait_view, worn_parts
 from workbench.pictures.extras import NOTHING, Extras
@@ -289,6 +291,19 @@ def test_a_file_without_a_character_is_refused(tmp_path):
     path.write_text("me = 3\n")
     with pytest.raises(ModelError, match="expected a table of settings"):
         load_character(path)
+
+
+def test_a_skin_may_be_wider_than_high_and_its_scalp_takes_the_colour_of_the_hair(tmp_path):
+    whole = np.full((256, 256, 3), 200, np.uint8)
+    found = []
+    for name, picture in (("square", whole), ("wide", np.full((256, 512, 3), 200, np.uint8))):
+        write_picture(tmp_path / f"{name}.png", picture)
+        person = replace(find_character("mei"), skin=str(tmp_path / f"{name}.png"), hair_color=(40.0, 20.0, 10.0))
+        found.append(dress(person).skin)
+        assert found[-1].shape == picture.shape
+    halved = cv2.resize(found[1], (256, 256), interpolation=cv2.INTER_AREA).astype(int)
+    assert found[0].min() < 120
+    assert np.abs(halved - found[0]).mean() < 1.0
 
 
 def test_damaged_parts_are_refused(tmp_path):

@@ -168,6 +168,26 @@ def test_a_curve_is_broken_where_it_has_no_number():
     assert "nan" not in path
 
 
+def test_a_number_between_gaps_is_a_dot():
+    values = np.array([np.nan, 1.0, np.nan, 2.0, 3.0])
+    path = re.search(r'class="curve c0" d="([^"]*)"', line_chart(np.arange(5.0), {"x": values}, "mm")).group(1)
+    assert re.findall("[MLh]", path) == ["M", "h", "M", "L"]
+
+
+def test_frames_are_counted_in_whole_numbers():
+    chart = line_chart(np.arange(4.0), {"x": np.arange(4.0)}, "mm")
+    assert re.findall(r'text-anchor="middle">([^<]*)<', chart) == ["0", "1", "2", "3"]
+
+
+def test_a_single_photo_has_numbers_and_no_charts(head, tmp_path):
+    photo = performance(head, frames=1, gap=None)
+    write_report(photo, head, tmp_path / "report.html", None)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<svg" not in text
+    assert f"{photo.translation[0, 2]:.2f}" in text
+    assert "All 44 weights" in text
+
+
 def test_long_curves_are_thinned():
     chart = line_chart(np.arange(100_000.0), {"x": np.zeros(100_000)}, "mm")
     assert chart.count("L") < 1600

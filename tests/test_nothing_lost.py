@@ -319,6 +319,16 @@ class TestPlacesThatCannotBeWritten:
             pass
         assert Path("/dev/null").is_char_device()
 
+    def test_a_link_stays_and_what_it_points_to_is_new(self, tmp_path):
+        (tmp_path / "disk").mkdir()
+        (tmp_path / "disk" / "real.txt").write_text("old")
+        (tmp_path / "link.txt").symlink_to("disk/real.txt")
+        with atomic_path(tmp_path / "link.txt") as temporary:
+            temporary.write_text("new")
+        assert (tmp_path / "link.txt").is_symlink()
+        assert (tmp_path / "disk" / "real.txt").read_text() == "new"
+        assert [path.name for path in (tmp_path / "disk").iterdir()] == ["real.txt"]
+
     def test_errors_of_what_is_read_meanwhile_are_not_laid_to_the_file(self, tmp_path):
         with pytest.raises(FileNotFoundError, match="another"), atomic_path(tmp_path / "a.txt"):
             (tmp_path / "another").read_text()

@@ -9,7 +9,7 @@ from tests.deep_scenes import POINTS, make_deep_scene, make_parameters
 from tests.films import film_config
 from tests.scenes import make_scene
 from workbench.config import FACE_IT_PRESETS, PRESETS, Stage, preset
-from workbench.face import FaceParameters, landmark_model, load_default_head, seen_shapes
+from workbench.face import FaceParameters, free_parameters, landmark_model, load_default_head, seen_shapes
 from workbench.landmarks.files import read_landmark_file
 from workbench.planning import plan_of
 from workbench.samples import sample
@@ -110,6 +110,17 @@ def test_deep_energies_frees_it_in_no_stage(head, tongue, name):
     for stage in plan.stages:
         assert not fitter.free(stage)[6 + tongue], stage.name
     assert fitter.free(plan.stages[-1])[6:][: len(head.expression_names)].sum() == len(head.expression_names) - 1
+
+
+def test_names_choose_blendshapes_and_numbers_components_of_the_identity_too(head):
+    both = ("expression", "identity")
+    named = free_parameters(head, both, ("jaw",), stage="shape")
+    assert [name for name, free in zip(head.expression_names, named.expression, strict=True) if free] == [
+        name for name in head.expression_names if name.startswith("jaw")
+    ]
+    assert named.identity.all()
+    first = free_parameters(head, both, ("jaw", "first:3"), stage="shape")
+    assert np.flatnonzero(first.identity).tolist() == [0, 1, 2]
 
 
 def test_deep_energies_starts_with_the_tongue_in(head, tongue):

@@ -39,14 +39,16 @@ _REMEDIES = {
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` (same suffix); rename it to `path` on success, delete it on any error.
 
-    Raises `OutputError` for what cannot be written, also where a write inside the block fails.
+    A symbolic link stays, and what it points to is written. Raises `OutputError` for what cannot be written, also where
+    a write inside the block fails.
     """
     target = Path(path)
     check_target(target)
     make_folder(target.parent)
     with writing(target):
-        prefix = f".{target.stem[:_LONGEST_STEM]}{PARTIAL}"
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=prefix, suffix=target.suffix)
+        place = Path(os.path.realpath(target)) if target.is_symlink() else target
+        prefix = f".{place.stem[:_LONGEST_STEM]}{PARTIAL}"
+        handle, name = tempfile.mkstemp(dir=place.parent, prefix=prefix, suffix=target.suffix)
         os.close(handle)
     temporary = Path(name)
     try:
@@ -57,7 +59,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             umask = os.umask(0)
             os.umask(umask)
             temporary.chmod(0o666 & ~umask)
-            temporary.replace(target)
+            temporary.replace(place)
     finally:
         temporary.unlink(missing_ok=True)
 

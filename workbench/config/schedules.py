@@ -27,7 +27,8 @@ class Stage(Section):
         min_length=1, description="What the stage solves for; the rest is held."
     )
     shapes: tuple[str, ...] = Field(
-        (), description="Deep Energies: free blendshapes by name or prefix, or first:N; empty: all."
+        (),
+        description="Deep Energies: free blendshapes by name or prefix, or first:N (of the identity too); empty: all.",
     )
     terms: tuple[Literal[NAMED_TERMS], ...] = Field(
         (), description="Terms in addition to those that the system always has."

@@ -231,6 +231,10 @@ def _pose(track: Track, flags: FrameFlags) -> str:
     frames = track.index.astype(float)
     angles = dict(zip(("yaw", "pitch", "roll"), track.angles_deg.T, strict=True))
     names = ("right", "down", "depth")
+    if len(track) == 1:
+        rows = [(f"{name}, degrees", _number(value)) for name, (value,) in angles.items()]
+        rows += [(f"{name}, mm", _number(value)) for name, value in zip(names, track.translation[0], strict=True)]
+        return _table(("", ""), rows)
     middle = np.nanmedian(track.translation, axis=0) if track.found.any() else np.zeros(3)
     places = {
         f"{name} − {value:.0f} mm": column - value

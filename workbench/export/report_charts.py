@@ -28,7 +28,12 @@ def line_chart(
     unit: str,
     marked: Mapping[int, str] = MappingProxyType({}),
 ) -> str:
-    """Curves over frames with a legend; gaps where there is no number, ticks at the `marked` frames that say why."""
+    """Curves over frames with a legend; gaps where there is no number, ticks at the `marked` frames that say why.
+
+    Empty for a single frame, over which nothing changes.
+    """
+    if len(frames) == 1:
+        return ""
     step = -(-len(frames) // MOST_POINTS)
     values = np.stack([np.asarray(curve, float) for curve in series.values()])
     finite = values[np.isfinite(values)]
@@ -49,7 +54,7 @@ def line_chart(
         parts.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
         parts.append(f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>')
     for tick in nice_ticks(first, last, 8):
-        if first <= tick <= last:
+        if first <= tick <= last and tick.is_integer():
             parts.append(f'<text x="{x_of(tick):.1f}" y="{HEIGHT - 6}" text-anchor="middle">{tick:g}</text>')
     for frame, why in marked.items():
         x, title = x_of(float(frame)), html.escape(f"frame {frame}: {why}")
@@ -104,5 +109,9 @@ def nice_ticks(low: float, high: float, most: int = 5) -> list[float]:
 
 def _path(x: Float[np.ndarray, "n"], y: Float[np.ndarray, "n"]) -> str:
     here: Bool[np.ndarray, n] = np.isfinite(y)
-    commands = np.where(here & ~np.concatenate([[False], here[:-1]]), "M", "L")
-    return "".join(f"{c}{a:.1f} {b:.1f}" for c, a, b, shown in zip(commands, x, y, here, strict=True) if shown)
+    begins = here & ~np.concatenate([[False], here[:-1]])
+    commands = np.where(begins, "M", "L")
+    # A line of no length shows a number between two gaps as a dot.
+    ends = np.where(begins & ~np.concatenate([here[1:], [False]]), "h0", "")
+    points = zip(commands, x, y, ends, here, strict=True)
+    return "".join(f"{command}{a:.1f} {b:.1f}{end}" for command, a, b, end, shown in points if shown)

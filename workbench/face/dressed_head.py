@@ -24,7 +24,7 @@ REPLACED_REGIONS = ("eyeL", "eyeR", "teethU", "teethL", "tongue")
 """What the plain head has of its own and a dressed one does not show."""
 EYES, TONGUE, TEETH_PICTURE = "high-poly", "tongue01", "teeth"
 SCALP_EDGE = 0.008
-"""Softness of the hairline in widths of the texture."""
+"""Softness of the hairline in widths and heights of the texture."""
 CORNEA_ALPHA = 10
 """A cornea is all but invisible: its highlight is seen."""
 
@@ -126,7 +126,7 @@ def dress(character: Character, gaze: bool = True) -> DressedHead:
         )
     skin = shifted(_skin(character.skin), character.skin_shift)
     if character.hair and character.hair_color is not None:
-        skin = with_scalp(skin, _scalp(len(skin)), character.hair_color)
+        skin = with_scalp(skin, _scalp(*skin.shape[:2]), character.hair_color)
     store = open_parts(sample("parts"))
     worn = [
         ("tongue", TONGUE, _rgba("tongue", TONGUE)),
@@ -192,16 +192,16 @@ def _picture_path(kind: str, style: str) -> Path:
 
 
 @lru_cache(maxsize=2)
-def _scalp(size: int) -> Float[np.ndarray, "s s"]:
+def _scalp(height: int, width: int) -> Float[np.ndarray, "h w"]:
     """Where the scalp is in a texture of the head, 0 to 1 with a soft edge."""
     model = load_default_head(gaze=True)
     inside = np.zeros(len(model.neutral), bool)
     inside[model.regions["scalp"]] = True
     corners = model.uv[model.triangles_uv[inside[model.triangles].all(axis=1)]] * [1.0, -1.0] + [0.0, 1.0]
-    mask = np.zeros((size, size), np.uint8)
-    for corner in np.rint(corners * size).astype(np.int32):
+    mask = np.zeros((height, width), np.uint8)
+    for corner in np.rint(corners * [width, height]).astype(np.int32):
         cv2.fillConvexPoly(mask, corner, 255)
-    return cv2.GaussianBlur(mask, (0, 0), SCALP_EDGE * size) / 255.0
+    return cv2.GaussianBlur(mask, (0, 0), sigmaX=SCALP_EDGE * width, sigmaY=SCALP_EDGE * height) / 255.0
 
 
 @lru_cache(maxsize=16)

@@ -39,6 +39,8 @@ UNKNOWNS = {
     "scale": Unknown("1", (0.05,)),
 }
 BLOCKS = tuple(UNKNOWNS)
+FIRST = "first:"
+"""What begins the number of a stage's shapes, as in first:10."""
 MOUTH_OPENS_MM = 3.0
 """A mouth that opens parts its lips farther than this."""
 
@@ -111,9 +113,9 @@ def free_parameters(
     """True for what a stage moves, shaped like the parameters; never a blendshape that no landmark sees, nor the
     distance of a head that is seen in `parallel` projection.
 
-    `free` names blocks, or `jaw_open` for the joint's opening alone. `shapes` chooses blendshapes and components of
-    the identity by name, start of name, or first:N; empty: all. Raises `ConfigError`, which names the `stage`, for
-    shapes that the model lacks.
+    `free` names blocks, or `jaw_open` for the joint's opening alone. `shapes` chooses blendshapes by name, start of
+    name, or first:N, which also holds for the components of the identity; empty: all. Raises `ConfigError`, which names
+    the `stage`, for shapes that the model lacks.
     """
     freed = FaceParameters(
         rotation=np.full(3, "rotation" in free),
@@ -126,7 +128,8 @@ def free_parameters(
     if "expression" in free:
         freed.expression[:] = _chosen(model.expression_names, shapes, stage) & seen_shapes(model)
     if "identity" in free:
-        freed.identity[:] = _chosen([""] * len(model.identity_deltas), shapes, stage)
+        counted = [shape for shape in shapes if shape.startswith(FIRST)]  # components have no names
+        freed.identity[:] = _chosen([""] * len(model.identity_deltas), counted, stage)
     freed.jaw[0] |= "jaw_open" in free
     freed.translation[2] &= not parallel
     return freed
@@ -145,8 +148,8 @@ def _chosen(names: Sequence[str], shapes: Sequence[str], stage: str) -> Bool[np.
         return np.ones(len(names), bool)
     chosen = np.zeros(len(names), bool)
     for shape in shapes:
-        if shape.startswith("first:"):
-            chosen[: int(shape.removeprefix("first:"))] = True
+        if shape.startswith(FIRST):
+            chosen[: int(shape.removeprefix(FIRST))] = True
             continue
         found = np.array([name.startswith(shape) for name in names])
         if not found.any():
