@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.pages import code_blocks, snippet
-from workbench.config import preset
+from workbench.config import config_of_track, preset
 from workbench.errors import ConfigError, InputError, ModelError
 from workbench.face import (
     DressedHead,
@@ -24,6 +24,7 @@ from workbench.face import (
     load_default_head,
     posed_vertices,
 )
+from workbench.face.characters import lasting_name
 from workbench.face.dressed_head import dress
 from workbench.face.parts import open_parts
 from workbench.frames import write_picture
@@ -331,8 +332,25 @@ def test_a_configuration_names_a_character_that_is_there():
     assert preset("joint").head.character == "plain"
     assert preset("joint").changed(head={"character": "mei"}).head.character == "mei"
     assert preset("joint").changed(head={"character": "own.toml"}).head.character == "own.toml"
-    with pytest.raises(ConfigError, match="no character 'nobody'; there are plain, amara"):
+    with pytest.raises(ConfigError, match=r"no character or file 'nobody'; name a ready one \(plain, amara"):
         preset("joint").changed(head={"character": "nobody"})
+
+
+def test_a_character_of_ones_own_is_stored_under_a_name_that_holds_everywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "me").mkdir()
+    (tmp_path / "mei").mkdir()
+    assert lasting_name("me") == str(tmp_path / "me")
+    assert [lasting_name(name) for name in ("plain", "mei", "gone.toml")] == ["plain", "mei", "gone.toml"]
+
+
+def test_a_stored_character_that_is_gone_is_plain_unless_fits_depend_on_it():
+    stored = preset("joint").model_dump(mode="json") | {"head": {"character": "gone"}}
+    assert config_of_track({"config": stored}).head.character == "plain"
+    assert config_of_track({}) is None
+    deep = preset("deep").changed(deep={"appearance": "character"}, head={"character": "mei"}).model_dump(mode="json")
+    with pytest.raises(ConfigError, match="no character or file 'gone'"):
+        config_of_track({"config": deep | {"head": {"character": "gone"}}})
 
 
 def test_another_model_cannot_be_dressed():

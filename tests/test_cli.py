@@ -64,6 +64,13 @@ def test_options_end_up_in_the_stored_configuration(run, points, tmp_path):
     assert summary["camera"]["guessed"] is False
 
 
+def test_a_character_of_ones_own_is_stored_where_every_folder_finds_it(run, points, tmp_path):
+    (tmp_path / "me").mkdir()
+    (tmp_path / "me" / "character.toml").write_text("")
+    assert run("track", "points.csv", "--no-pictures", "--character", "me", "--out", "here")[0] == 0
+    assert read_config(tmp_path / "here" / "config.toml").head.character == str(tmp_path / "me")
+
+
 def test_an_exported_configuration_gives_the_same_numbers_and_an_edited_one_does_not(run, points, tmp_path):
     run("track", "points.csv", "--no-pictures", "--out", "first")
     run("track", "points.csv", "--no-pictures", "--out", "second", "--config", "first/config.toml")

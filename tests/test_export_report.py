@@ -132,6 +132,12 @@ def test_the_mark_of_a_flagged_frame_says_why(page, track):
     assert f"<title>frame 9: {why}</title>" in page.read_text(encoding="utf-8")
 
 
+def test_a_track_whose_character_is_elsewhere_is_reported_all_the_same(track, head, tmp_path):
+    config = {**track.meta["config"], "head": {"character": "me"}}
+    write_report(replace(track, meta={**track.meta, "config": config}), head, tmp_path / "report.html", None)
+    assert "Worst frames" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_a_track_without_pictures_gets_grey_ones(track, head, tmp_path):
     write_report(track, head, tmp_path / "report.html", None)
     assert (tmp_path / "report.html").read_text(encoding="utf-8").count("data:image/jpeg") >= 6

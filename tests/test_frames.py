@@ -414,6 +414,13 @@ def test_a_range_says_where_the_stream_ends_before_it_does(tmp_path):
     assert FrameRange(clip, 8, 11).notes == []
 
 
+def test_a_range_counts_from_zero_and_keeps_the_clock_of_the_stream(tmp_path):
+    clip = open_frames(write_clip(tmp_path / "talk.mp4", 12))
+    whole, part = list(clip.iterate()), list(FrameRange(clip, 8, 11).iterate())
+    assert [frame.index for frame in part] == [0, 1, 2, 3]
+    assert [frame.time_s for frame in part] == [frame.time_s for frame in whole[8:]]
+
+
 def test_a_range_of_a_stream_of_unknown_length_says_so_when_it_has_ended(tmp_path):
     clip = open_frames(write_clip(tmp_path / "talk.mp4", 12))
     clip.announced_count = None

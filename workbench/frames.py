@@ -79,7 +79,7 @@ class Frame:
     picture: UInt8[np.ndarray, "h w 3"]
     """RGB, upright."""
     time_s: float
-    """Seconds since the first frame of a video; 0 for images, which have no time."""
+    """Seconds since the first frame of a video, also in a part of it; 0 for images, which have no time."""
     name: str
     """File name of an image; file stem and frame index of a video frame."""
 
@@ -224,7 +224,7 @@ class ImageFrames:
 
 
 class FrameRange:
-    """Consecutive frames of a stream as a stream of their own, counted from 0."""
+    """Consecutive frames of a stream as a stream of their own, counted from 0; their times are those of the stream."""
 
     def __init__(self, frames: Frames, first: int, last: int) -> None:
         """Frames `first` to `last`, both included. Raises `InputError` for a range that the stream does not have."""

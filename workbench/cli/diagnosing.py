@@ -11,7 +11,7 @@ import workbench
 from workbench.cli import diagnosis_files, screen
 from workbench.cli.exporting import model_of_track
 from workbench.cli.tracking import track_file
-from workbench.config import parse_config
+from workbench.config import config_of_track
 from workbench.errors import InputError
 from workbench.files import check_not_inputs
 
@@ -68,9 +68,7 @@ def diagnose(
 
 
 def _flags(track: "workbench.Track") -> dict:
-    stored = track.meta.get("config")
-    config = parse_config(stored, "The track's configuration") if stored else None
-    flags = workbench.diagnosis.flag_frames(track, config)
+    flags = workbench.diagnosis.flag_frames(track, config_of_track(track.meta))
     return diagnosis_files.flags_record(track, flags)
 
 

@@ -12,6 +12,7 @@ import workbench
 from workbench.cli import screen
 from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset, read_config
 from workbench.errors import ConfigError, InputError, LostSchedulerError, OutputError
+from workbench.face.characters import lasting_name
 from workbench.samples import sample
 
 DEMO = {
@@ -119,7 +120,7 @@ def track(
     """Track faces in pictures, a video or landmark files."""
     settings = _configuration(config, preset_name, detector, fov, face, identity, energy, network, rig, infill, refine)
     if character is not None:
-        settings = settings.changed(head={"character": character})
+        settings = settings.changed(head={"character": lasting_name(character)})
     if face_landmarker is not None:
         settings = settings.changed(landmarks={"face_landmarker": str(face_landmarker)})
     folder = out or Path("out") / (_name(inputs[0]) or "run")

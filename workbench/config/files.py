@@ -11,6 +11,7 @@ from workbench.config.configuration import DEFAULT_PRESET, VERSION, Config, quot
 from workbench.config.presets import preset
 from workbench.config.schedules import PARALLEL_STAGES, Stage
 from workbench.errors import ConfigError
+from workbench.face.characters import PLAIN, is_character
 from workbench.files import atomic_path
 from workbench.reading import checked_file, reading, toml_tables
 
@@ -36,6 +37,23 @@ def parse_config(stored: Mapping[str, Any], origin: str) -> Config:
     for key, value in stored.items():
         base[key] = {**base[key], **value} if isinstance(value, dict) and isinstance(base.get(key), dict) else value
     return validated(base, origin)
+
+
+def config_of_track(meta: Mapping[str, Any]) -> Config | None:
+    """The configuration that a track was made with, by its metadata; None where it holds none.
+
+    A character that is no longer there is the plain head, unless fits depend on it. Raises `ConfigError` like
+    `parse_config`.
+    """
+    stored, origin = meta.get("config"), "The track's configuration"
+    if not stored:
+        return None
+    head = stored.get("head")
+    if isinstance(head, dict) and isinstance(name := head.get("character"), str) and not is_character(name):
+        plain = parse_config({**stored, "head": {**head, "character": PLAIN}}, origin)
+        if not plain.renders_character:
+            return plain
+    return parse_config(stored, origin)
 
 
 def _migrated(stored: dict[str, Any], origin: str) -> dict[str, Any]:

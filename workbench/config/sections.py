@@ -139,7 +139,10 @@ class HeadConfig(Section):
     @classmethod
     def _is_there(cls, name: str) -> str:
         if name != PLAIN and not is_character(name):
-            raise ValueError(f"there is no character {name!r}; there are {PLAIN}, {', '.join(character_names())}")
+            raise ValueError(
+                f"there is no character or file {name!r}; name a ready one ({PLAIN}, {', '.join(character_names())}) "
+                "or the path of your own"
+            )
         return name
 
 

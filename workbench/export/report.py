@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from workbench.config import Config, config_toml, differences, parse_config, preset
+from workbench.config import Config, config_of_track, config_toml, differences, preset
 from workbench.diagnosis import flag_frames
 from workbench.diagnosis.records import FrameFlags
 from workbench.export.report_charts import (
@@ -57,8 +57,7 @@ def write_report(
 
     The page needs no other file and no network, and follows the reader's light or dark setting.
     """
-    stored = track.meta.get("config")
-    config = parse_config(stored, "the track's configuration") if stored else None
+    config = config_of_track(track.meta)
     flags = flag_frames(track, config)
     worst = worst_frames(track, flags)
     shown = _spread(track)

@@ -66,6 +66,12 @@ def is_character(name: str) -> bool:
     return name.endswith(".toml") or name in _bundled() or (Path(name) / CHARACTER_FILE).is_file()
 
 
+def lasting_name(name: str) -> str:
+    """The name of a character that holds from every folder: a ready one's as it is, one's own as an absolute path."""
+    ready = name == PLAIN or name in _bundled() or not Path(name).exists()
+    return name if ready else str(Path(name).resolve())
+
+
 def find_character(name: str | Path) -> Character:
     """A ready character by name, or the first one of a TOML file, or of the one in a folder.
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
-from workbench.config import Config, parse_config
+from workbench.config import Config, config_of_track
 from workbench.errors import InputError
 from workbench.export.sources import tracked_part
 from workbench.face import FaceModel
@@ -83,8 +83,11 @@ def needs_pictures(config: Config, steps: Sequence[Step]) -> str:
 
 
 def config_of(track_meta: Mapping[str, Any]) -> Config:
-    """The configuration that a track was made with."""
-    return parse_config(track_meta["config"], "The track's configuration")
+    """The configuration that a track was made with. Raises `InputError` for a track without one."""
+    config = config_of_track(track_meta)
+    if config is None:
+        raise InputError("This track does not say how it was made; track its input again.")
+    return config
 
 
 def views_of(

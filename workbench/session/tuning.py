@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 import workbench
-from workbench.config import DEFAULT_PRESET, Config, Difference, parse_config, preset
+from workbench.config import DEFAULT_PRESET, Config, Difference, config_of_track, preset
 from workbench.errors import InputError
 from workbench.session.gesture import Gesture
 from workbench.session.landmark_edits import moved, put_back, weighed, with_subset
@@ -343,6 +343,4 @@ def open_session(
     if isinstance(inputs, str | Path | Sequence):
         config = config or preset(DEFAULT_PRESET)
         return TuningSession(model, load_material(inputs, config, landmarks, stills, progress, seen), config)
-    stored = inputs.meta.get("config")
-    config = config or (parse_config(stored, "the track's configuration") if stored else None)
-    return TuningSession(model, workbench.session.material_of_track(inputs), config)
+    return TuningSession(model, workbench.session.material_of_track(inputs), config or config_of_track(inputs.meta))
