@@ -309,6 +309,19 @@ def test_an_embedding_may_be_named(flame_file, subject, tmp_path):
     np.testing.assert_allclose(points - points.mean(0), truth - truth.mean(0), atol=0.01)
 
 
+@pytest.mark.parametrize("write", [as_gnm, as_glb, as_obj_folder])
+def test_an_embedding_for_another_model_than_flame_is_refused(write, subject, tmp_path):
+    np.save(tmp_path / "mine.npy", np.array(flame_embedding(subject), object), allow_pickle=True)
+    with pytest.raises(ModelError, match=r"is no landmarks\.toml: embeddings are read for FLAME alone"):
+        load_face_model(write(tmp_path, subject), landmarks=tmp_path / "mine.npy")
+
+
+@pytest.mark.parametrize("options", [{"landmarks": "points.toml"}, {"unit": "cm"}])
+def test_the_workbenchs_own_head_takes_no_landmarks_and_no_unit(options):
+    with pytest.raises(ModelError, match="is the workbench's own head: leave landmarks and unit out"):
+        load_face_model(sample("head"), **options)
+
+
 def test_the_workbenchs_own_head_is_read(head):
     assert load_face_model(sample("head")).fingerprint() == load_default_head(sample("head")).fingerprint()
 

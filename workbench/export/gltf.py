@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from workbench.export.clip import FLIP, Clip, quaternions, to_world
 from workbench.export.gltf_buffer import INDICES, VERTICES, Buffer
 from workbench.export.gltf_parts import AddedParts, add_parts, add_skin, embedded
+from workbench.export.looks import SKIN
 from workbench.export.skinning import Joint, Shapes, beside_joints, clip_joints, clip_shapes, joint_shares
 from workbench.extras import needs
 from workbench.face import DressedHead, FaceModel
@@ -205,7 +206,7 @@ def _camera(camera: Camera, image_size: tuple[int, int]) -> pygltflib.Camera:
 
 
 def _material(texture: bool) -> pygltflib.Material:
-    surface = pygltflib.PbrMetallicRoughness(metallicFactor=0.0, roughnessFactor=0.65)
+    surface = pygltflib.PbrMetallicRoughness(metallicFactor=0.0, roughnessFactor=SKIN.roughness)
     if texture:
         surface.baseColorTexture = pygltflib.TextureInfo(index=0)
     return pygltflib.Material(name="skin", pbrMetallicRoughness=surface, alphaMode=pygltflib.OPAQUE, alphaCutoff=None)

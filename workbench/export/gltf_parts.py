@@ -8,6 +8,7 @@ from jaxtyping import Float, UInt8
 
 from workbench.export.clip import FLIP, Clip, to_world
 from workbench.export.gltf_buffer import INDICES, VERTICES, Buffer
+from workbench.export.looks import LOOKS, STILL_MM, Look
 from workbench.export.skinning import Joint, Shapes, joint_shares, part_joints
 from workbench.extras import needs
 from workbench.face import DressedHead, Part, WornPart
@@ -18,31 +19,6 @@ with needs("formats"):
 
 JPEG_QUALITY = 92
 GAMMA = 2.2
-CORNEA = (1.0, 1.0, 1.0, 0.08)
-STILL_MM = 0.005
-"""Parts that a blendshape moves less have no bytes for it."""
-
-
-@dataclass(frozen=True)
-class Look:
-    """A material. Cards whose order nobody sorts are cut out (MASK); what is thin or clear is blended."""
-
-    alpha: str
-    roughness: float
-    both_sides: bool = False
-    cutoff: float | None = None
-
-
-LOOKS = {
-    "tongue": Look(pygltflib.OPAQUE, 0.45),
-    "teeth": Look(pygltflib.OPAQUE, 0.3),
-    "eyes": Look(pygltflib.OPAQUE, 0.5),
-    "corneas": Look(pygltflib.BLEND, 0.05),
-    "brows": Look(pygltflib.BLEND, 0.9, both_sides=True),
-    "lashes": Look(pygltflib.BLEND, 0.9, both_sides=True),
-    "clothes": Look(pygltflib.MASK, 0.9, both_sides=True, cutoff=0.5),
-    "hair": Look(pygltflib.MASK, 0.7, both_sides=True, cutoff=0.35),
-}
 
 
 @dataclass
@@ -107,16 +83,22 @@ def _material(worn: WornPart, image: int | None) -> pygltflib.Material:
     look = LOOKS[worn.part.kind]
     surface = pygltflib.PbrMetallicRoughness(metallicFactor=0.0, roughnessFactor=look.roughness)
     if image is None:
-        surface.baseColorFactor = list(CORNEA)
+        surface.baseColorFactor = [1.0, 1.0, 1.0, look.opacity]
     else:
         surface.baseColorTexture = pygltflib.TextureInfo(index=image)
     return pygltflib.Material(
         name=worn.part.kind,
         pbrMetallicRoughness=surface,
-        alphaMode=look.alpha,
-        alphaCutoff=look.cutoff,
+        alphaMode=_alpha_mode(look),
+        alphaCutoff=look.cutoff or None,
         doubleSided=look.both_sides,
     )
+
+
+def _alpha_mode(look: Look) -> str:
+    if look.cutoff:
+        return pygltflib.MASK
+    return pygltflib.BLEND if look.alpha or look.opacity < 1.0 else pygltflib.OPAQUE
 
 
 def _mesh(

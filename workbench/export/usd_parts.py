@@ -10,36 +10,10 @@ import numpy as np
 from jaxtyping import Float, Integer, UInt8
 
 from workbench.export.clip import Clip, to_world
+from workbench.export.looks import LOOKS, SKIN, STILL_MM, Look
 from workbench.export.skinning import Joint, Shapes, joint_shares, part_joints
 from workbench.face import DressedHead, WornPart
 from workbench.files import atomic_path
-
-STILL_MM = 0.005
-"""Parts that a blendshape moves less do not have it."""
-CORNEA_OPACITY, CORNEA_ROUGHNESS = 0.08, 0.05
-
-
-@dataclass(frozen=True)
-class Look:
-    """A material. Where a picture's alpha counts, a threshold cuts out what is less opaque; without, it is blended."""
-
-    roughness: float
-    alpha: bool = False
-    threshold: float = 0.0
-    both_sides: bool = False
-
-
-SKIN = Look(0.65)
-LOOKS = {
-    "tongue": Look(0.45),
-    "teeth": Look(0.3),
-    "eyes": Look(0.5),
-    "corneas": Look(CORNEA_ROUGHNESS),
-    "brows": Look(0.9, alpha=True, both_sides=True),
-    "lashes": Look(0.9, alpha=True, both_sides=True),
-    "clothes": Look(0.9, alpha=True, threshold=0.5, both_sides=True),
-    "hair": Look(0.7, alpha=True, threshold=0.35, both_sides=True),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,13 +129,11 @@ def dress_stage(
     for worn, points in zip(dressed.worn, dressed.parts_on(rest, rest), strict=True):
         define_mesh(stage, part_mesh(shapes, joints, worn, points), skeleton)
         kind = worn.part.kind
-        if kind == "corneas":
-            define_material(stage, kind, LOOKS[kind], None, CORNEA_OPACITY)
-        else:
-            define_material(stage, kind, LOOKS[kind], _picture(folder, kind, worn.picture))
+        picture = None if kind == "corneas" else _picture(folder, kind, worn.picture)
+        define_material(stage, kind, LOOKS[kind], picture)
 
 
-def define_material(stage, name: str, look: Look, picture: str | None, opacity: float = 1.0) -> None:
+def define_material(stage, name: str, look: Look, picture: str | None) -> None:
     """A preview surface for `/performance/NAME`; `picture` is a file's name beside the stage."""
     from pxr import Gf, Sdf, UsdShade
 
@@ -170,8 +142,8 @@ def define_material(stage, name: str, look: Look, picture: str | None, opacity: 
     surface.CreateIdAttr("UsdPreviewSurface")
     surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(look.roughness)
     surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
-    surface.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(opacity)
-    surface.CreateInput("opacityThreshold", Sdf.ValueTypeNames.Float).Set(look.threshold)
+    surface.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(look.opacity)
+    surface.CreateInput("opacityThreshold", Sdf.ValueTypeNames.Float).Set(look.cutoff)
     color = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     if picture is None:
         color.Set(Gf.Vec3f(1.0))

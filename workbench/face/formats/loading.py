@@ -58,11 +58,14 @@ def load_face_model(
     `landmarks` is a `landmarks.toml`, or for FLAME a published embedding; without it, the format's own landmarks are
     taken (for FLAME from the embeddings beside the model), and what is missing is fitted (`landmark_fit`). `unit` ("m",
     "cm", "mm", …) is for heads of no human size. Of statistical bases the first `identity` and `expressions` components
-    are kept, all with None. Raises `ModelError` where parts are missing or do not belong together.
+    are kept, all with None. Raises `ModelError` where parts are missing or do not belong together, and for `landmarks`
+    or a `unit` that the format has no use for.
     """
     path = Path(path)
     with reading(shortened(path), "a face model", REMEDY, ModelError):
         if _is_own(path):
+            if landmarks is not None or unit is not None:
+                raise ModelError(f"{path} is the workbench's own head: leave landmarks and unit out, it has them.")
             return load_default_head(path)
         raw = read_raw_model(path, landmarks=landmarks, identity=identity, expressions=expressions)
         return check_face_model(path, _placed(raw, unit, path))
@@ -102,9 +105,11 @@ def _is_own(path: Path) -> bool:
 
 
 def _read(path: Path, landmarks: Path | None, identity: int | None, expressions: int | None) -> RawModel:
+    suffix = path.suffix.lower()
+    if path.is_dir() or suffix not in (".pkl", ".npz"):
+        _check_no_embedding(path, landmarks)
     if path.is_dir():
         return read_ict_facekit(path, identity) if is_ict_facekit(path) else read_obj_targets(path)
-    suffix = path.suffix.lower()
     if suffix in CONVERTED:
         raise ModelError(f"{path} is not read: {CONVERTED[suffix]}.")
     readers: dict[str, Callable[[], RawModel]] = {
@@ -128,12 +133,20 @@ def _read_named_arrays(path: Path, landmarks: Path | None, identity: int | None,
     if is_flame(arrays):
         own = landmarks is not None and landmarks.suffix != ".toml"
         return flame_model(path, arrays, identity, expressions, [landmarks] if own else companions(path))
+    _check_no_embedding(path, landmarks)
     if is_gnm(arrays):
         return gnm_model(path, arrays, identity, expressions)
     held = shortened(", ".join(sorted(map(str, arrays))[:8]))
     raise ModelError(
         f"{path} is neither FLAME (v_template, shapedirs) nor GNM Head (template_vertex_positions); it holds {held}."
     )
+
+
+def _check_no_embedding(path: Path, landmarks: Path | None) -> None:
+    if landmarks is not None and landmarks.suffix != ".toml":
+        raise ModelError(
+            f"{landmarks} is no landmarks.toml: embeddings are read for FLAME alone; give those of {path} in one."
+        )
 
 
 def _placed(raw: RawModel, unit: str | None, path: Path) -> FaceModel:
