@@ -148,6 +148,7 @@ def test_the_example_of_the_documentation_runs(stored, head, tmp_path, monkeypat
         (["nowhere", "--to", "x.glb"], "does not exist"),
         (["talk", "--to", "x.glb", "--shot", "4"], "the shots 0 to 0"),
         (["talk", "--to", "x.csv", "--fps", "0"], "a rate between 0 and 1000"),
+        (["talk", "--to", "x.mp4", "--fps", "0.0003"], "a rate between 0.001 and 1000"),
         (["talk", "--to", "x.csv", "--map", "m.toml"], "name it with --character"),
         (["talk", "--to", "talk/track.npz"], "would be written over"),
         (["talk", "--to", "x.glb", "--character", "meii"], "meii is neither a ready character"),
@@ -155,7 +156,10 @@ def test_the_example_of_the_documentation_runs(stored, head, tmp_path, monkeypat
         (["talk", "--to", "m.obj", "--to", "m.ply"], "m.obj and m.ply would both be written to m;"),
         (["talk", "--to", "x.npz", "--to", "x.glb", "--character", "mei"], "x.npz cannot show the character mei"),
         (["talk", "--to", "x.glb", "--to", "x.npz", "--character", "mei"], "x.npz cannot show the character mei"),
-        (["talk", "--to", "x.glb", "--character", "mei", "--surface"], "another face model, mei is a ready character"),
+        (
+            ["talk", "--to", "x.glb", "--character", "mei", "--surface"],
+            "another face model, mei is a character of the default head",
+        ),
     ],
 )
 def test_mistakes_are_one_sentence_and_write_nothing(arguments, message, run, stored, tmp_path):

@@ -435,8 +435,8 @@ class VideoWriter:
     """
 
     def __init__(self, path: str | Path, rate: float | int = 25.0, quality: int = 20) -> None:
-        if not 0 < rate <= 1000:
-            raise InputError(f"a video needs a rate between 0 and 1000 frames per second, got {rate}")
+        if not 0.001 <= rate <= 1000:
+            raise InputError(f"a video needs a rate between 0.001 and 1000 frames per second, got {rate:g}")
         self.path = Path(path)
         if self.path.suffix.lower() not in (".mp4", ".m4v", ".mov", ".mkv"):
             raise InputError(f"H.264 video is written as .mp4, .m4v, .mov or .mkv, got {self.path.name}")

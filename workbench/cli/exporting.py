@@ -69,7 +69,9 @@ def export(
         raise InputError(f"{character} is neither a ready character ({ready}) nor the path of a face model.")
     if player is None and (mapping is not None or surface):
         if dress:
-            raise InputError(f"--map and --surface are for another face model, {dress} is a ready character.")
+            raise InputError(
+                f"--map and --surface are for another face model, {dress} is a character of the default head."
+            )
         raise InputError("--map and --surface say how a character is moved; name it with --character.")
     given = [path for path in (model, player, mapping) if path is not None]
     track = workbench.Track.load(stored)
