@@ -143,6 +143,67 @@ def test_undo_does_not_bring_the_person_before_back(session, frames):
     assert session.calibrated == "mean face"
 
 
+def hold(session, frame):
+    """Hold a face still for a neutral calibration."""
+    session.calibrate_neutral()
+    for number in range(NEUTRAL_FRAMES + 2):
+        session.step(LiveFrame(number, number / RATE, frame.picture))
+    assert session.calibrated == "neutral face"
+
+
+def first_second(session, frames):
+    for frame in frames[: FIRST_FRAMES + 1]:
+        session.step(frame)
+
+
+def test_the_first_second_begins_when_the_settings_want_a_shape(head, seen, frames):
+    session = LiveSession(head, preset("face-it"), detector=seen[0]._landmarks.detector)
+    session.step(frames[0])
+    assert session.calibrated == "mean face"
+    session.use(preset("joint"))
+    first_second(session, frames)
+    assert session.calibrated == "first second"
+    assert session.identity.any()
+
+
+def test_without_calibration_the_shape_is_called_the_mean_face(session, frames):
+    first_second(session, frames)
+    session.use(preset("face-it"))
+    session.step(frames[0])
+    assert session.calibrated == "mean face"
+    assert not session.identity.any()
+    assert session.undo()
+    session.step(frames[0])
+    assert session.calibrated == "first second"
+
+
+def test_a_neutral_shape_taken_back_after_a_new_start_gives_way_to_the_first_second(session, frames):
+    session.step(frames[0])
+    hold(session, frames[0])
+    session.start_anew()
+    session.step(frames[0])
+    assert session.calibrated == "neutral face"
+    assert session.undo()
+    first_second(session, frames)
+    assert session.calibrated == "first second"
+
+
+def test_undo_of_a_neutral_face_in_progress_is_undo_of_nothing_else(session, frames):
+    """Within the first second, which then begins anew, and with a setting changed before."""
+    changed = session.config.changed(weights={"tau": 3.0})
+    session.calibrate_neutral()
+    assert session.undo()
+    assert session.gathering is None
+    assert not session.undo()
+    session.use(changed)
+    session.calibrate_neutral()
+    session.step(frames[0])
+    assert session.undo()
+    assert session.config == changed
+    first_second(session, frames)
+    assert session.calibrated == "first second"
+
+
 def test_frames_in_which_the_face_moves_are_no_neutral_ones(session, frames):
     session.step(frames[0])
     session.calibrate_neutral()

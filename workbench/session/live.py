@@ -86,6 +86,7 @@ class LiveSession:
         self.model, self.base = model, config
         self._history = History(LiveState(config, None), HISTORY)
         self._first: Calibration | None = None
+        self._gathered: list[FrameObservation] = []
         self._lock = threading.RLock()
         self._detector = detector
         self._landmarks: LandmarkTracker | None = None
@@ -116,7 +117,7 @@ class LiveSession:
     def calibrated(self) -> str:
         """Where the identity comes from: "mean face", "first second" or "neutral face"."""
         calibration = self._identity_of[1]
-        if calibration is None:
+        if calibration is None or not self.config.identity.calibrate:
             return "mean face"
         return "neutral face" if calibration.neutral else "first second"
 
@@ -141,16 +142,18 @@ class LiveSession:
     def undo(self) -> bool:
         """Undo the last change of settings or the last neutral calibration; False if there is none.
 
-        Raises `InputError` where that brings other stages or terms back while recording.
+        A neutral calibration in progress is the last change. Raises `InputError` where that brings other stages or
+        terms back while recording.
         """
         with self._lock:
+            if self._gathering == "neutral":
+                self._gathering = ""
+                return True
             before = self._history.previous
             if before is None:
                 return False
             _check_recording(self._recorder, self.config, before.config)
             self._history.undo()
-            if self._gathering == "neutral":
-                self._gathering = ""
             return True
 
     def calibrate_neutral(self) -> None:
@@ -161,10 +164,7 @@ class LiveSession:
     def start_anew(self) -> None:
         """Forget the face being tracked; settings and a neutral calibration are kept."""
         with self._lock:
-            self._first = None
-            wanted = self.config.identity.calibrate and self._history.present.calibration is None
-            self._gathering, self._gathered = ("first" if wanted else ""), []
-            self._fresh = True
+            self._first, self._gathering, self._fresh = None, "", True
         self._frames = 0
 
     # --- recording, from any thread ---
@@ -239,6 +239,9 @@ class LiveSession:
     def _gather(self, observation: FrameObservation) -> None:
         """Add a frame to the calibration in progress; once complete, it becomes part of the state."""
         with self._lock:
+            state = self._history.present
+            if not self._gathering and self._first is None and _wants_first_second(state):
+                self._gathering, self._gathered = "first", []
             if not self._gathering or observation.landmarks is None:
                 return
             neutral = self._gathering == "neutral"
@@ -250,7 +253,7 @@ class LiveSession:
                 return
             calibration = Calibration(tuple(self._gathered), neutral)
             if neutral:
-                self._history.change(replace(self._history.present, calibration=calibration))
+                self._history.change(replace(state, calibration=calibration))
             else:
                 self._first = calibration
             self._gathering, self._gathered = "", []
@@ -287,6 +290,11 @@ class LiveSession:
         with self._lock:
             if self._recorder is not None:
                 self._recorder.add(fit, frame)
+
+
+def _wants_first_second(state: LiveState) -> bool:
+    """Whether the identity of a state is calibrated on the first second."""
+    return state.config.identity.calibrate and state.calibration is None
 
 
 def _check_live(config: Config) -> None:
