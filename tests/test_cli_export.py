@@ -8,12 +8,15 @@ import trimesh
 
 from tests.pages import code_blocks, snippet
 from tests.performances import FRAMES, performance
+from tests.stereo_scenes import make_rig
 from workbench.config import preset
 from workbench.errors import InputError
 from workbench.export import FORMATS, export_track, format_of, read_mapping
 from workbench.export.sources import pictures_of
 from workbench.frames import VideoWriter, open_frames, write_picture
+from workbench.geometry import write_rig
 from workbench.pipeline.temporal_run import views_of
+from workbench.session import open_session
 from workbench.tracking import Track
 
 
@@ -245,6 +248,29 @@ def test_a_folder_with_a_dot_in_its_name_holds_pictures(stored, tmp_path):
     track.meta["inputs"] = [{"path": str(tmp_path / "shoot.2024"), "sha256": "0" * 64}]
     assert pictures_of(track).name == "shoot.2024"
     assert [frames.name for frames in views_of(track.meta, preset("joint"))] == ["shoot.2024"]
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_track_of_several_cameras_is_shown_and_tuned_with_the_pictures_of_the_first(named, stored, tmp_path):
+    """Older tracks do not name the clips of the other views: the rig tells how many of the inputs they are."""
+    with VideoWriter(tmp_path / "right.mp4") as writer:
+        writer.write(np.zeros((480, 640, 3), np.uint8))
+    rig = make_rig((0.0, 30.0), 600.0, (640, 480), 40.0)
+    write_rig(rig, tmp_path / "rig.toml")
+    track, right = Track.load(stored / "track.npz"), str(tmp_path / "right.mp4")
+    config = preset("deep-points").changed(camera={"rig": str(tmp_path / "rig.toml")})
+    inputs = [*track.meta["inputs"], {"path": right, "sha256": ""}]
+    meta = {**track.meta, "inputs": inputs, "config": config.model_dump(mode="json")}
+    name = rig.names[1]
+    meta |= {"views": {name: right}} if named else {}
+    track = replace(track, meta=meta)
+    shades = [float(frame.picture.mean()) for frame in pictures_of(track).iterate()]
+    assert shades == pytest.approx([60 + 10 * k for k in range(FRAMES)], abs=3)
+    session = open_session(track)
+    assert session.picture(2).mean() == pytest.approx(80, abs=3)
+    assert f"clip.mp4 --config a.toml --view {name}={right}" in session.command("a.toml")
+    session.use(preset("joint"))
+    assert "--view" not in session.command("a.toml")  # FACE IT! takes one
 
 
 @pytest.mark.long

@@ -144,6 +144,25 @@ def test_a_track_of_landmarks_alone_needs_methods_that_look_at_none(run, clip, h
     assert run("refine", "points-infill", "--method", "self", *QUICK)[0] == 0
 
 
+def test_a_track_without_inputs_needs_methods_that_look_at_no_pictures(run, talk):
+    """As a live recording that was saved without its pictures."""
+    track = Track.load(talk / "track.npz")
+    type(track)(**{**vars(track), "meta": {**track.meta, "inputs": []}}).save(talk / "track.npz")
+    code, _, err = run("refine", "talk", "--method", "plate", *QUICK)
+    assert code == 2
+    assert "The method 'plate' needs the pictures, and there are none" in " ".join(err.split())
+    assert run("infill", "talk", "--method", "spline", *QUICK)[0] == 0
+
+
+def test_a_track_without_its_configuration_is_refused(run, talk):
+    track = Track.load(talk / "track.npz")
+    meta = {name: value for name, value in track.meta.items() if name != "config"}
+    type(track)(**{**vars(track), "meta": meta}).save(talk / "track.npz")
+    code, _, err = run("infill", "talk", *QUICK)
+    assert code == 2
+    assert "does not hold the configuration it was made with; run the tracking again" in " ".join(err.split())
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

@@ -754,12 +754,18 @@ def test_the_character_of_the_session_plays_it_unless_another_one_is_chosen(head
     assert export.character.value == "kofi"
 
 
-def test_the_commands_name_the_same_run(clip):
-    track, export = performance_commands(clip, "my tuned.toml", "a b.glb", ["--shot", "1"]).splitlines()
+def test_the_commands_name_the_same_run(head, clip):
+    session = TuningSession(head, clip)
+    track, export = performance_commands(session, "my tuned.toml", "a b.glb", ["--shot", "1"]).splitlines()
     words = shlex.split(track)
     assert words[words.index("--out") + 1] == "out/clip"
     assert words[words.index("--config") + 1] == "my tuned.toml"
     assert shlex.split(export) == ["workbench", "export", "out/clip", "--to", "a b.glb", "--shot", "1"]
+
+
+def test_the_commands_ask_for_the_file_of_another_model(head, clip):
+    lines = performance_commands(TuningSession(replace(head, name="flame"), clip), "a.toml", "b.glb").splitlines()
+    assert all("--model MODEL" in line for line in lines)
 
 
 def test_a_part_of_a_clip_stays_one_in_commands_and_exports(panel, tmp_path):
@@ -767,8 +773,8 @@ def test_a_part_of_a_clip_stays_one_in_commands_and_exports(panel, tmp_path):
     stored = replace(performance_track(panel.session), meta=performance_track(panel.session).meta | {"frames": [7, 9]})
     material = replace(panel.session.material, part=material_of_track(stored).part)
     assert material.part == (7, 9)
-    assert "--frames 7-9" in performance_commands(material, "a.toml", "b.mp4").splitlines()[0]
     session = TuningSession(panel.session.model, material, panel.session.config)
+    assert "--frames 7-9" in performance_commands(session, "a.toml", "b.mp4").splitlines()[0]
     assert performance_track(session).meta["frames"] == [7, 9]
     assert performance_track(panel.session).meta["frames"] is None
 

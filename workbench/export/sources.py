@@ -6,6 +6,7 @@ from typing import Any
 
 from workbench.errors import InputError
 from workbench.frames import Frame, FrameRange, Frames, open_frames
+from workbench.geometry import read_rig
 from workbench.landmarks.files import is_landmark_file
 from workbench.tracking import Track
 
@@ -13,18 +14,43 @@ from workbench.tracking import Track
 def pictures_of(track: Track, pictures: str | Path | None = None) -> Frames:
     """The frames of the track's input, or of `pictures` in its place; of a part of a clip where it holds one.
 
-    Raises `InputError` where they are not where they were, for a track of landmarks alone, and, as it is read, for a
-    frame of another size than the one that was tracked.
+    Of several cameras those of the rig's first view. Raises `InputError` where they are not where they were, for a
+    track of landmarks alone, and, as it is read, for a frame of another size than the one that was tracked.
     """
     if pictures is not None:
         return TrackedFrames(tracked_part(open_frames(pictures), track.meta), track, pictures)
-    paths = [Path(item["path"]) for item in track.meta.get("inputs", [])]
+    paths = reference_inputs(track.meta)
     if not paths or any(map(is_landmark_file, paths)):
         raise InputError("This track was made from landmarks without pictures; name the pictures with --pictures.")
     missing = [path for path in paths if not path.exists()]
     if missing:
         raise InputError(f"The pictures of this track are no longer at {missing[0]}; name them with --pictures.")
     return TrackedFrames(tracked_part(open_frames(paths if len(paths) > 1 else paths[0]), track.meta), track, paths[0])
+
+
+def reference_inputs(meta: Mapping[str, Any]) -> list[Path]:
+    """What a track's own frames come from, by its metadata: its inputs without the clips of a rig's other cameras.
+
+    Raises `InputError` as `view_clips` does.
+    """
+    paths = _inputs(meta)
+    return paths[: len(paths) - len(view_clips(meta))]
+
+
+def view_clips(meta: Mapping[str, Any]) -> dict[str, Path]:
+    """The clips of a rig's other cameras by the views' names, from a track's metadata; they are its last inputs.
+
+    Older tracks do not name them: theirs are in the order of the rig. Raises `InputError` if that rig cannot be read.
+    """
+    if meta.get("views") is not None:
+        return {name: Path(path) for name, path in meta["views"].items()}
+    rig, paths = (meta.get("config") or {}).get("camera", {}).get("rig"), _inputs(meta)
+    names = read_rig(rig).names[1:] if rig else ()
+    return dict(zip(names, paths[-len(names) :], strict=True)) if len(paths) > len(names) > 0 else {}
+
+
+def _inputs(meta: Mapping[str, Any]) -> list[Path]:
+    return [Path(item["path"]) for item in meta.get("inputs", [])]
 
 
 def input_files(meta: Mapping[str, Any]) -> list[Path]:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from workbench.config import Config, config_of_track
 from workbench.errors import InputError
-from workbench.export.sources import tracked_part
+from workbench.export.sources import reference_inputs, tracked_part, view_clips
 from workbench.face import FaceModel
 from workbench.frames import Frames, open_frames
 from workbench.geometry import read_rig
@@ -86,7 +86,7 @@ def config_of(track_meta: Mapping[str, Any]) -> Config:
     """The configuration that a track was made with. Raises `InputError` for a track without one."""
     config = config_of_track(track_meta)
     if config is None:
-        raise InputError("This track does not say how it was made; track its input again.")
+        raise InputError("The track does not hold the configuration it was made with; run the tracking again.")
     return config
 
 
@@ -96,7 +96,7 @@ def views_of(
     pictures: Path | None = None,
     others: Mapping[str, Path] = MappingProxyType({}),
 ) -> list[Frames]:
-    """The pictures that a track was made from, in each view; empty for a track of landmarks alone.
+    """The pictures that a track was made from, in each view; empty for a track without those of every view.
 
     `pictures` and `others` (by the views' names) say where they are now. Raises `InputError` for pictures that are no
     longer there, for views the rig does not have, and for a track of unrelated photos.
@@ -113,7 +113,7 @@ def views_of(
     for name, path in others.items():
         paths[names.index(name)] = [path]
     looked_at = [path for group in paths for path in group]
-    if any(map(is_landmark_file, looked_at)):
+    if not all(paths) or any(map(is_landmark_file, looked_at)):
         return []
     missing = [path for path in looked_at if not path.exists()]
     if missing:
@@ -122,12 +122,9 @@ def views_of(
 
 
 def _view_paths(meta: Mapping[str, Any], names: Sequence[str]) -> list[list[Path]]:
-    """The input files of each view."""
-    paths = [Path(item["path"]) for item in meta.get("inputs", [])]
-    if len(names) == 1:
-        return [paths]
-    others = meta.get("views") or dict(zip(names[1:], (str(path) for path in paths[1 - len(names) :]), strict=False))
-    return [paths[: 1 - len(names)], *([Path(others[name])] for name in names[1:])]
+    """The input files of each view; none where a track has none of it."""
+    clips = view_clips(meta)
+    return [reference_inputs(meta), *([clips[name]] if name in clips else [] for name in names[1:])]
 
 
 def work_over(

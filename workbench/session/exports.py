@@ -45,9 +45,12 @@ class Exports:
         self._written.add(path.absolute())
 
 
-def track_command(material: Material, path: str | Path) -> str:
-    """The command line that runs an exported configuration on a material."""
+def track_command(material: Material, path: str | Path, config: Config, model: FaceModel | None = None) -> str:
+    """The command line that runs the configuration `config`, exported to `path`, on a material; see `model_words`."""
     words = ["workbench", "track", *(material.inputs or ["INPUT"]), "--config", path]
+    words += model_words(model)
+    if config.traits.renders:  # other systems look at one camera
+        words += [word for name, clip in material.views.items() for word in ("--view", f"{name}={clip}")]
     if material.landmark_file is not None:
         words += ["--landmarks", material.landmark_file]
     if material.part is not None:
@@ -55,6 +58,14 @@ def track_command(material: Material, path: str | Path) -> str:
     if material.stills and len(material.observations) > 1:
         words.append("--stills")
     return shlex.join(str(word) for word in words)
+
+
+def model_words(model: FaceModel | None) -> list[str]:
+    """What a command line says of the model; a model does not know its file, for which MODEL stands.
+
+    Nothing of the default head, which is also meant by None.
+    """
+    return [] if model is None or model.name == "default-head" else ["--model", "MODEL"]
 
 
 def exported_for(path: Path) -> str:

@@ -2,8 +2,8 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -97,6 +97,8 @@ class Material:
     landmark_file: Path | None = None
     part: tuple[int, int] | None = None
     """First and last frame of the inputs that these are, where not all of them; counted from 0 here all the same."""
+    views: Mapping[str, Path] = field(default_factory=dict)
+    """Clips of a rig's other cameras by the views' names."""
 
     @cached_property
     def shots(self) -> tuple[range, ...]:

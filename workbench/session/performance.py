@@ -7,8 +7,8 @@ from pathlib import Path
 
 from workbench.pipeline import content_hash, software_versions
 from workbench.session.clip_run import Run, described_track
-from workbench.session.exports import track_command
-from workbench.session.material import Cancelled, Material, Progress
+from workbench.session.exports import model_words
+from workbench.session.material import Cancelled, Progress
 from workbench.session.tuning import TuningSession
 from workbench.tracking import Track
 from workbench.tracking.records import stack_fits
@@ -25,9 +25,10 @@ def performance_track(
         return None
     run = Run(config, Track(meta={}, **stack_fits(list(fits))), ())
     track = described_track(run, session.model, material.stills)
-    file = material.landmark_file
+    file, views = material.landmark_file, {name: path for name, path in material.views.items() if path.exists()}
     meta = {
-        "inputs": [_named(path) for path in material.inputs if path.exists()],
+        "inputs": [_named(path) for path in (*material.inputs, *views.values()) if path.exists()],
+        "views": {name: str(path) for name, path in views.items()},
         "landmarks": None if file is None or not file.exists() else _named(file),
         "frames": None if material.part is None else list(material.part),
         "rate": getattr(material.pictures.frames, "rate", None),
@@ -37,12 +38,12 @@ def performance_track(
 
 
 def performance_commands(
-    material: Material, settings: str | Path, file: str | Path, options: Sequence[str] = ()
+    session: TuningSession, settings: str | Path, file: str | Path, options: Sequence[str] = ()
 ) -> str:
-    """The two command lines that track a material by saved settings, and export the track to a file."""
-    run = Path("out") / material.name
-    export = ["workbench", "export", run, "--to", file, *options]
-    return f"{track_command(material, settings)} --out {shlex.quote(str(run))}\n{shlex.join(map(str, export))}"
+    """The two command lines that track a session's material by saved settings, and export the track to a file."""
+    run = Path("out") / session.material.name
+    export = ["workbench", "export", run, "--to", file, *options, *model_words(session.model)]
+    return f"{session.command(settings)} --out {shlex.quote(str(run))}\n{shlex.join(map(str, export))}"
 
 
 def _named(path: Path) -> dict[str, str]:

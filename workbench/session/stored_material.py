@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from workbench.export.sources import tracked_part
+from workbench.export.sources import reference_inputs, tracked_part, view_clips
 from workbench.frames import open_frames
 from workbench.pipeline import is_landmark_file
 from workbench.session.material import Material, PictureStore
@@ -13,9 +13,10 @@ from workbench.tracking.records import SOURCES
 def material_of_track(track: Track) -> Material:
     """The landmarks of a stored run, with its pictures if the files still exist.
 
-    Points that the run's configuration moved by hand keep those positions.
+    Of several cameras the frames are those of the rig's first view. Points that the run's configuration moved by hand
+    keep those positions.
     """
-    inputs = tuple(Path(item["path"]) for item in track.meta.get("inputs", []))
+    inputs = tuple(reference_inputs(track.meta))
     stored = track.meta.get("landmarks")
     observations = []
     for k in range(len(track)):
@@ -32,5 +33,6 @@ def material_of_track(track: Track) -> Material:
     file = None if stored is None else Path(stored["path"])
     stills = bool(track.meta.get("stills", False))
     part = track.meta.get("frames")
-    pictures = PictureStore(frames, sizes)
-    return Material(name, tuple(observations), pictures, stills, inputs, file, None if part is None else tuple(part))
+    part = None if part is None else tuple(part)
+    pictures, views = PictureStore(frames, sizes), view_clips(track.meta)
+    return Material(name, tuple(observations), pictures, stills, inputs, file, part, views)

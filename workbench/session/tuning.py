@@ -303,7 +303,8 @@ class TuningSession:
         """The command line that runs an exported configuration on this material."""
         from workbench.session.exports import track_command  # here: see `_make`
 
-        return track_command(self.material, path)
+        model = None if self._made is None else self._made.model  # None: the default head, which may wait
+        return track_command(self.material, path, self.config, model)
 
     # --- listeners ---
 

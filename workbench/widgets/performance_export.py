@@ -85,8 +85,7 @@ class PerformanceExport:
         options = [*(["--shot", str(self.shot.value)] if self.shot.value != ALL_SHOTS else [])]
         options += ["--fps", self.fps.value.strip()] if self.fps.value.strip() and self._takes_rate else []
         options += ["--character", self.character.value] if self._dressed else []
-        material = self._session.material
-        text = performance_commands(material, self._settings(), typed_path(self.file.value), options)
+        text = performance_commands(self._session, self._settings(), typed_path(self.file.value), options)
         self.command.value = f"<code>{html.escape(text)}</code>"
 
     def _follow_character(self) -> None:
