@@ -79,6 +79,14 @@ def test_infill_writes_a_new_track_with_its_tables(run, talk, tmp_path):
     assert json.loads((made / "summary.json").read_text())["frames_filled"] == 2
 
 
+def test_a_track_that_is_replaced_leaves_no_film_behind(run, talk, tmp_path):
+    assert run("infill", "talk", *QUICK)[0] == 0
+    before = sorted(path.name for path in (tmp_path / "talk-infill").iterdir())
+    (tmp_path / "talk-infill" / "overlay.mp4").write_text("of an earlier track")
+    assert run("infill", "talk", "--method", "linear", "--overwrite", *QUICK)[0] == 0
+    assert sorted(path.name for path in (tmp_path / "talk-infill").iterdir()) == before
+
+
 def test_filled_frames_lie_on_the_way(run, talk, tmp_path, film_maker):
     assert run("infill", "talk", "--out", "made", *QUICK)[0] == 0
     track = Track.load(tmp_path / "made" / "track.npz")

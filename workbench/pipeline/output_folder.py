@@ -71,6 +71,17 @@ def check_no_results(folder: Path, names: Iterable[str], what: str, remedy: str 
         raise OutputError(f"{folder} already holds {what}; name another folder, or replace it by {remedy}.")
 
 
+def remove_earlier(folder: Path, made: Iterable[Path]) -> None:
+    """Remove what an earlier run left in a folder, but for the files that a run `made`."""
+    drawn = [path for name in PICTURE_FOLDERS for path in (folder / name).glob("*.jpg")]
+    for path in {*map(folder.joinpath, FILES), *drawn} - set(made):
+        with writing(path):
+            path.unlink(missing_ok=True)
+    for subfolder in {path.parent for path in drawn}:
+        with suppress(OSError):  # not empty
+            subfolder.rmdir()
+
+
 def holds_parts(folder: Path) -> bool:
     """Whether an interrupted run left parts in a folder."""
     return any((folder / name).is_dir() for name in PARTS)

@@ -23,7 +23,7 @@ from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.pictures.overlay_files import write_overlay_video
 from workbench.pipeline.deep_run import track_deep_frames, write_strips
 from workbench.pipeline.deep_sources import open_deep_source
-from workbench.pipeline.output_folder import FILES, PARTS, PICTURE_FOLDERS, run_folder
+from workbench.pipeline.output_folder import FILES, PARTS, PICTURE_FOLDERS, remove_earlier, run_folder
 from workbench.pipeline.provenance import content_hash, software_versions
 from workbench.pipeline.sources import open_source
 from workbench.pipeline.still_pictures import StillPictures
@@ -202,10 +202,12 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
         files += write_strips(strips, tracker.fitter, folder, progress)
     if job.pictures and not stills:
         files += _write_film(source.frames, written, model, dressed, folder, progress, notes)
+    files = (folder / "track.npz", *((folder / UNREFINED,) if steps else ()), *files)
+    if job.overwrite:
+        remove_earlier(folder, files)
     for finished in dict.fromkeys((writer, written)):  # track.npz comes last: with it a run is finished
         finished.close()
-    kept = (folder / UNREFINED,) if steps else ()
-    return RunResult(folder, summary, (folder / "track.npz", *kept, *files), tuple(notes))
+    return RunResult(folder, summary, files, tuple(notes))
 
 
 def retrack(
@@ -246,8 +248,11 @@ def retrack(
         notes = [note for frames in opened for note in frames.notes]
         if pictures and opened:
             files += _write_film(opened[0], writer, model, dressed, folder, progress, notes)
+        files = (folder / "track.npz", *files)
+        if overwrite:
+            remove_earlier(folder, files)
         writer.close()
-        return RunResult(folder, summary, (folder / "track.npz", *files), tuple(notes))
+        return RunResult(folder, summary, files, tuple(notes))
 
 
 def check_model(meta: Mapping[str, Any], model: FaceModel) -> None:
