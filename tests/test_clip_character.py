@@ -26,6 +26,7 @@ from workbench.rendering.skin_texture import (
 from workbench.rendering.uv_map import drawn_triangles, uv_map
 from workbench.samples import sample
 from workbench.session import open_session
+from workbench.tracking.records import SOURCES
 
 SIZE = 256
 IMAGE = (320, 240)
@@ -198,6 +199,15 @@ def test_calm_frames_of_every_side_are_chosen(tracked):
     chosen = [fit for group in groups for fit in group]
     assert np.mean([fit.expression[jaw] for fit in chosen]) < tracked.expression[:, jaw].mean()
     assert len({fit.index for fit in chosen}) == len(chosen)
+
+
+def test_filled_frames_tell_nothing_of_the_skin(tracked):
+    """Nobody saw a face in them, and what stands for its landmarks fits perfectly."""
+    confidence, observed, source = (getattr(tracked, name).copy() for name in ("confidence", "observed", "source"))
+    filled = slice(2, 9)
+    confidence[filled], observed[filled], source[filled] = 0.0, tracked.projected[filled], SOURCES.index("filled")
+    track = replace(tracked, confidence=confidence, observed=observed, source=source)
+    assert not {fit.source for fit in usable_fits(track)} & {"filled"}
 
 
 def test_a_blurred_face_is_less_sharp(tracked):

@@ -609,6 +609,7 @@ def test_a_view_without_a_detection_drops_out(shared, head, rig_file):
     other = fitter.fit(replace(scene.observation(), landmarks=None), scene.context())[0]
     assert other.found
     assert not other.confidence.any()
+    assert other.landmarks is None  # what stands for them is the model's own
     np.testing.assert_allclose(other.rotation, np.asarray(scene.parameters.rotation), atol=0.03)
 
 

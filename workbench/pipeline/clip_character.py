@@ -115,8 +115,8 @@ def _check_styles(wardrobe: Wardrobe, identity: np.ndarray) -> None:
 
 
 def usable_fits(track: Track) -> list[FrameFit]:
-    """The fits of the longest shot that have a face and no failure. Raises `InputError` if there are none."""
-    usable = np.asarray(track.found, bool) & (np.asarray(track.failure) == 0)
+    """The fits of the longest shot to a face that was seen, without failure. Raises `InputError` if there are none."""
+    usable = np.asarray(track.found, bool) & (np.asarray(track.failure) == 0) & track.seen
     if not usable.any():
         raise InputError("No frame of this track has a usable face, so there is no person to take over.")
     shots, counts = np.unique(track.shot[usable], return_counts=True)

@@ -46,7 +46,7 @@ class Worked:
         hidden = [
             replace(after, observed=before.observed).errors[2]
             for before, after in zip(self.before, self.after, strict=True)
-            if after.source == "filled" and before.found and np.nan_to_num(before.confidence).max() > 0.0
+            if after.source == "filled" and before.seen
         ]
         if hidden:
             numbers["hidden_percent"] = float(np.mean(hidden))

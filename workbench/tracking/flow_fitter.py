@@ -171,11 +171,10 @@ class FlowFitter:
         """
         parts = {name: np.asarray(getattr(parameters, name), float) for name in MOVING}
         projected = self.landmarks(like, parameters)
-        seen = np.nan_to_num(like.confidence).max() > 0.0
         return replace(
             like,
             projected=projected,
-            observed=like.observed if seen else projected,
+            observed=like.observed if like.seen else projected,
             energies=np.full_like(like.energies, np.nan),
             status=np.full_like(like.status, -1),
             iterations=np.zeros_like(like.iterations),

@@ -74,9 +74,14 @@ class FrameFit:
         return tuple(_errors(self.projected[None], self.observed[None])[0, 1:].tolist())
 
     @property
+    def seen(self) -> bool:
+        """Whether landmarks were observed in this view: neither without a face nor filled."""
+        return bool(np.nan_to_num(self.confidence).max(initial=0.0) > 0.0)
+
+    @property
     def landmarks(self) -> Landmarks2D | None:
-        """The detector's landmarks; None if it found no face, and in frames made by infill."""
-        if not self.found or self.source == "filled":
+        """The detector's landmarks; None if it found no face in this view, and in frames made by infill."""
+        if not self.seen:
             return None
         told = len(self.covariance) > 0 and bool(np.isfinite(self.covariance).all())
         return Landmarks2D(self.observed, self.confidence, self.image_size, self.covariance if told else None)
@@ -157,7 +162,7 @@ class Track:
 
     @property
     def seen(self) -> Bool[np.ndarray, "n"]:
-        """Frames with landmarks observed in this view: neither without a face nor filled."""
+        """`FrameFit.seen` of each frame."""
         return np.nan_to_num(self.confidence).max(axis=1, initial=0.0) > 0.0
 
     @property

@@ -60,7 +60,7 @@ class Reestimator:
     def fit(self, moment: Moment) -> FrameFit:
         """The frame with its expression re-fitted to its landmarks and everything else unchanged."""
         before = moment.fit
-        landmarks, others = _landmarks(before), self._others(moment)
+        landmarks, others = before.landmarks, self._others(moment)
         observation = FrameObservation(
             before.index,
             landmarks,
@@ -113,11 +113,6 @@ class Reestimator:
             identity = np.asarray(moment.fit.identity, float)
             self._appearances[moment.fit.shot] = self._fitter.appearance([observation], identity)
         return self._appearances[moment.fit.shot]
-
-
-def _landmarks(fit: FrameFit) -> Landmarks2D | None:
-    """The reference view's landmarks as they were fitted; None where it saw no face."""
-    return fit.landmarks if np.nan_to_num(fit.confidence).max() > 0.0 else None
 
 
 def _of_view(stored: Float[np.ndarray, "points 3"], size: tuple[int, int]) -> Landmarks2D | None:
