@@ -22,6 +22,7 @@ from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.session import Material, TuningSession, material_of_photo, material_of_track, open_session
 from workbench.session.exports import free_file
+from workbench.session.knobs import changed_by, value_of
 from workbench.session.landmark_edits import LEAST_FACTOR, rescaled, unmuted, weighed
 from workbench.session.material import PictureStore
 from workbench.tracker import FaceTracker
@@ -313,6 +314,16 @@ def test_unmuted_points_are_weighed_as_their_group_and_those_of_a_muted_group_fu
     assert [found.point_weights()[point] for point in (8, 30, 48)] == [0.2, 1.0, 1.0]
     assert found.landmarks.weights == {"jaw": 0.2, "nose": 0.0, "30": 1.0}
     assert unmuted(weighed(QUICK, [8], 0.0), [8], IBUG68) == QUICK
+
+
+def test_the_slider_of_a_group_shows_and_changes_what_wider_groups_weigh_it():
+    config = QUICK.changed(landmarks={"weights": {"mouth": 2.0, "brows": 0.0, "17": 3.0}})
+    assert [value_of(config, f"group.{name}") for name in ("outer_lips", "right_brow", "jaw")] == [2.0, 0.0, 1.0]
+    back = config.changed(**changed_by(config, "group.right_brow", 1.0))
+    assert value_of(back, "group.right_brow") == 1.0
+    assert back.point_weights()[17:23] == [3.0, 1.0, 1.0, 1.0, 1.0, 0.0]  # single points keep their own
+    jaw = config.changed(**changed_by(config, "group.jaw", 0.5))
+    assert jaw.changed(**changed_by(jaw, "group.jaw", 1.0)) == config
 
 
 def test_the_weight_of_each_point_is_multiplied_for_itself():

@@ -1,13 +1,14 @@
 """The configuration values that have a control in the panel: path, range and meaning of each."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from workbench.config import Config
+from workbench.config.schedules import weights_in_turn
 from workbench.energies.terms import NODES, TABLE, Term, factor
-from workbench.landmarks.scheme import GROUPS
-from workbench.landmarks.schemes import detector_scheme
+from workbench.landmarks.scheme import GROUPS, POINT_COUNT
+from workbench.landmarks.schemes import DENSE, detector_scheme
 from workbench.session.knob_words import Words, plain_words
 
 Kind = Literal["log", "linear", "whole", "switch", "choice"]
@@ -211,7 +212,8 @@ def value_of(config: Config, path: str) -> Value:
         return limits[-1] if limits else 15
     section, key = path.split(".")
     if section == "group":
-        return config.landmarks.weights.get(key, 1.0)
+        factor = _group_factor(config, config.landmarks.weights, key)
+        return config.landmarks.weights.get(key, 1.0) if factor is None else factor
     return getattr(getattr(config, section), key)
 
 
@@ -226,9 +228,10 @@ def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
     section, key = path.split(".")
     if section == "group":
         weights = {name: factor for name, factor in config.landmarks.weights.items() if name != key}
+        unset = value == 1.0 and _group_factor(config, weights, key) == 1.0
         # Groups come before those that are parts of them, and before single points, because later entries win.
         groups = {name: factor for name, factor in weights.items() if not name.isdigit()}
-        groups |= {} if value == 1.0 else {key: float(value)}
+        groups |= {} if unset else {key: float(value)}
         further = {name: groups.pop(name) for name in FURTHER_GROUPS if name in groups}
         singles = {name: factor for name, factor in weights.items() if name.isdigit()}
         return {"landmarks": {"weights": groups | further | singles}}
@@ -236,6 +239,18 @@ def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
     if path == "camera.fov_deg":
         changes["camera"]["matrix"] = None
     return changes
+
+
+def _group_factor(config: Config, weights: Mapping[str, float], group: str) -> float | None:
+    """The factor that entries of groups give all points of a group; None where these differ.
+
+    Of parts of the 68 these count alone: the points beyond them have sliders of their own.
+    """
+    entries = {name: factor for name, factor in weights.items() if not name.isdigit()}
+    factors = weights_in_turn(entries, config.subsets, 1.0, DENSE)
+    points = DENSE.groups[group]
+    found = {factors[point] for point in ([point for point in points if point < POINT_COUNT] or points)}
+    return found.pop() if len(found) == 1 else None
 
 
 def effective_weights(config: Config) -> dict[str, float]:
