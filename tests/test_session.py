@@ -340,6 +340,29 @@ def test_a_moved_detection_is_fitted_and_put_back(session):
     assert session.config == QUICK
 
 
+def test_a_point_that_is_not_there_is_not_moved(session):
+    with pytest.raises(InputError, match="Frame 15 has no landmarks to move"):
+        session.move(15, 30, (310.0, 222.0))
+    for point in (-1, 68, 500):
+        with pytest.raises(InputError, match=f"There is no landmark {point}; this clip has 0 to 67"):
+            session.move(4, point, (310.0, 222.0))
+    with pytest.raises(InputError, match="There is no frame 22"):
+        session.move(22, 30, (310.0, 222.0))
+    assert session.config == QUICK
+
+
+def test_what_a_track_holds_where_it_was_moved_is_not_put_back(session, head):
+    """Where it was detected, the track does not say."""
+    session.move(4, 30, (310.0, 222.0))
+    session.fit_clip()
+    again = open_session(session.track, model=head)
+    with pytest.raises(InputError, match=r"landmark 30 of frame 4 where it was moved, .*; open the clip itself"):
+        again.put_back(4, [30])
+    again.move(4, 31, (320.0, 222.0))
+    again.put_back(4, [31])
+    assert again.config == session.config
+
+
 def test_a_subset_is_saved_for_stages(session):
     session.save_subset("upper lip", [50, 51, 52, 51])
     assert session.config.subsets == {"upper lip": (50, 51, 52)}

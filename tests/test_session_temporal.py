@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from workbench.cli import app
 from workbench.config import preset, read_config
-from workbench.errors import InputError
+from workbench.errors import InputError, StoppedError
 from workbench.frames import FrameRange, open_frames
 from workbench.pipeline.temporal_run import work_over
 from workbench.samples import sample
@@ -20,6 +20,7 @@ from workbench.session.worked import name_of
 from workbench.tracking import Track
 from workbench.tracking.flow_solver import solve_flow
 from workbench.tracking.records import stack_fits
+from workbench.tracking.unwatched import never
 
 QUICK = preset("calibrated").changed(identity={"window": 6, "frames": 6}, flow={"side": 128, "points": 64})
 COUNT, GAP = 24, (10, 13)
@@ -283,6 +284,30 @@ def test_nothing_chosen_and_nothing_to_look_at_are_said(head, material, session)
         blind.temporal.run()
     names = [name_of(variant) for variant in blind.temporal.variants(blind.config, (0, 9))]
     assert names == ["averaging", "self"]
+
+
+def test_the_fits_of_a_clip_are_those_of_its_configuration_whatever_is_run_meanwhile(head, material):
+    session, other = TuningSession(head, material, QUICK), QUICK.changed(weights={"tau": 9.0})
+    stop = session.listen(lambda what: (stop(), session.fit_clip(config=other)) if what == "run" else None)
+    fits = session.temporal.fits_by(QUICK)
+    assert session.run.config == other
+    assert same(fits, TuningSession(head, material, QUICK).track_fits())
+
+
+def test_cancelling_where_a_fit_takes_seconds_does_not_wait_for_its_end(head, material, monkeypatch):
+    session, asked = TuningSession(head, material, preset("deep-points")), []
+
+    def cancelled():
+        asked.append(True)
+        return len(asked) > 1
+
+    def slow(frame, coarse=False, config=None, cancelled=never):
+        assert cancelled()
+        raise StoppedError("The fit was cancelled.")
+
+    monkeypatch.setattr(session, "fit_frame", slow)
+    session.set(infill={"method": "linear"})
+    assert session.temporal.run((0, 5), cancelled=cancelled) is None
 
 
 # --- export ---

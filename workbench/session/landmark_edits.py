@@ -1,10 +1,11 @@
 """Configurations with edited landmarks: other weights, or positions set by the user."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 
 from workbench.config import Config
-from workbench.errors import ConfigError
+from workbench.errors import ConfigError, InputError
 from workbench.landmarks.scheme import LandmarkScheme
+from workbench.tracking import FrameObservation
 
 LEAST_FACTOR = 1.0 / 64
 """What doubling the weight of a muted landmark starts from."""
@@ -46,10 +47,29 @@ def moved(config: Config, frame: int, places: Mapping[int, tuple[float, float]])
     return _with_landmarks(config, "moved", stored)
 
 
-def put_back(config: Config, frame: int, points: Iterable[int]) -> Config:
-    """The configuration with points of a frame back at their detected positions."""
+def check_movable(observation: FrameObservation, point: int) -> None:
+    """Raise `InputError` unless a frame has this landmark."""
+    if observation.landmarks is None:
+        raise InputError(f"Frame {observation.index} has no landmarks to move.")
+    count = len(observation.landmarks.points)
+    if not 0 <= point < count:
+        raise InputError(f"There is no landmark {point}; this clip has 0 to {count - 1}.")
+
+
+def put_back(
+    config: Config, frame: int, points: Iterable[int], undetected: Set[tuple[int, int]] = frozenset()
+) -> Config:
+    """The configuration with points of a frame back at their detected positions.
+
+    Raises `InputError` for one that is among the `undetected`, (frame, point).
+    """
     stored = {key: dict(places) for key, places in config.landmarks.moved.items()}
     for point in points:
+        if (frame, point) in undetected:
+            raise InputError(
+                f"The track holds landmark {point} of frame {frame} where it was moved, not where it was detected; "
+                "open the clip itself to put it back."
+            )
         stored.get(str(frame), {}).pop(str(point), None)
     return _with_landmarks(config, "moved", {key: places for key, places in stored.items() if places})
 

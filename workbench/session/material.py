@@ -99,6 +99,8 @@ class Material:
     """First and last frame of the inputs that these are, where not all of them; counted from 0 here all the same."""
     views: Mapping[str, Path] = field(default_factory=dict)
     """Clips of a rig's other cameras by the views' names."""
+    undetected: frozenset[tuple[int, int]] = frozenset()
+    """(frame, point) of landmarks that are known only where a user moved them."""
 
     @cached_property
     def shots(self) -> tuple[range, ...]:

@@ -5,7 +5,8 @@ from collections import OrderedDict
 from collections.abc import Sequence
 
 from workbench.config import Config
-from workbench.errors import InputError
+from workbench.errors import InputError, StoppedError
+from workbench.session.clip_run import Run
 from workbench.session.dependence import fits_key
 from workbench.session.material import Cancelled, Progress
 from workbench.session.parts import Part
@@ -46,7 +47,10 @@ class PartFits:
                 if cancelled():
                     return None
                 if frame not in single:
-                    single[frame] = self._session.fit_frame(frame, config=config)
+                    try:
+                        single[frame] = self._session.fit_frame(frame, config=config, cancelled=cancelled)
+                    except StoppedError:
+                        return None
                 progress("fit", frame - first + 1, last - first + 1)
             return tuple(single[frame] for frame in range(first, last + 1))
         fits = self.whole(config, progress, cancelled)
@@ -54,14 +58,22 @@ class PartFits:
 
     def whole(self, config: Config, progress: Progress, cancelled: Cancelled) -> Sequence[FrameFit] | None:
         """The fits of the last complete run if it used this configuration, else of a new run. None if cancelled."""
-        if not self.ran(config) and self._session.fit_clip(progress, cancelled, config) is None:
-            return None
-        return self._session.run.fits
+        run = self._last(config)
+        if run is None:
+            run = self._session.runs.fit(config, progress, cancelled)
+            if run is None:
+                return None
+            self._session.tell("run")
+        return run.fits
 
     def ran(self, config: Config) -> bool:
         """Whether the last complete run has the fits of a configuration."""
+        return self._last(config) is not None
+
+    def _last(self, config: Config) -> Run | None:
+        """The last complete run, if it has the fits of a configuration; another thread may replace it meanwhile."""
         run = self._session.run
-        return run is not None and fits_key(run.config) == fits_key(config)
+        return run if run is not None and fits_key(run.config) == fits_key(config) else None
 
     def singles(self, config: Config) -> dict[int, FrameFit]:
         """The fits computed one by one under a configuration, by frame."""

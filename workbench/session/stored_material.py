@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from workbench.config import parse_config
 from workbench.export.sources import reference_inputs, tracked_part, view_clips
 from workbench.frames import open_frames
 from workbench.pipeline import is_landmark_file
@@ -33,6 +34,21 @@ def material_of_track(track: Track) -> Material:
     file = None if stored is None else Path(stored["path"])
     stills = bool(track.meta.get("stills", False))
     part = track.meta.get("frames")
-    part = None if part is None else tuple(part)
-    pictures, views = PictureStore(frames, sizes), view_clips(track.meta)
-    return Material(name, tuple(observations), pictures, stills, inputs, file, part, views)
+    return Material(
+        name,
+        tuple(observations),
+        PictureStore(frames, sizes),
+        stills,
+        inputs,
+        file,
+        None if part is None else tuple(part),
+        view_clips(track.meta),
+        _moved(track),
+    )
+
+
+def _moved(track: Track) -> frozenset[tuple[int, int]]:
+    """(frame, point) of the landmarks that the run's configuration moved."""
+    stored = track.meta.get("config")
+    moved = parse_config(stored, "The track's configuration").landmarks.moved if stored else {}
+    return frozenset((int(frame), int(point)) for frame, places in moved.items() for point in places)

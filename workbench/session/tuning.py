@@ -12,7 +12,7 @@ import workbench
 from workbench.config import DEFAULT_PRESET, Config, Difference, config_of_track, preset
 from workbench.errors import InputError
 from workbench.session.gesture import Gesture
-from workbench.session.landmark_edits import moved, put_back, weighed, with_subset
+from workbench.session.landmark_edits import check_movable, moved, put_back, weighed, with_subset
 from workbench.session.material import Cancelled, Material, Progress, load_material
 from workbench.session.tuned_config import TunedConfig, snapshot_title
 from workbench.tracking import FrameObservation
@@ -140,13 +140,14 @@ class TuningSession:
         return self.use(weighed(self.config, points, factor), label or "landmark weight")
 
     def move(self, frame: int, point: int, place: tuple[float, float], gesture: Gesture | str | None = None) -> Config:
-        """Move a detection of one frame to its correct position, pixels."""
-        self.material.check(frame)
+        """Move a detection of one frame to its correct position, pixels. Raises `InputError` where there is none."""
+        check_movable(self.observation(frame), point)
         return self.use(moved(self.config, frame, {point: place}), f"landmark {point} of frame {frame}", gesture)
 
     def put_back(self, frame: int, points: Iterable[int]) -> Config:
-        """Return points of a frame to their detected positions."""
-        return self.use(put_back(self.config, frame, points), f"detections of frame {frame}")
+        """Return points of a frame to their detected positions. Raises `InputError` where the material has none."""
+        found = put_back(self.config, frame, points, self.material.undetected)
+        return self.use(found, f"detections of frame {frame}")
 
     def save_subset(self, name: str, points: Iterable[int]) -> Config:
         """Name a set of landmarks for stages and weights. Raises `ConfigError` for an empty set or a group's name."""
@@ -303,8 +304,7 @@ class TuningSession:
         """The command line that runs an exported configuration on this material."""
         from workbench.session.exports import track_command  # here: see `_make`
 
-        model = None if self._made is None else self._made.model  # None: the default head, which may wait
-        return track_command(self.material, path, self.config, model)
+        return track_command(self.material, path, self.config, self._made and self._made.model)
 
     # --- listeners ---
 
