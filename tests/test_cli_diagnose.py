@@ -74,6 +74,8 @@ def test_the_list_is_cut_unless_all_frames_are_wanted(run, runs, monkeypatch):
     assert "30 of 50 frames stand out; these are the worst 20, --all lists the others" in short
     assert whole.count(" 0.90 ") == 30
     assert "--all" not in whole
+    record["flagged"] = flagged[:1]
+    assert "1 of 50 frames stands out" in run("diagnose", str(runs / "clean"))[1]
 
 
 def test_one_frame_is_explained_with_what_mends_it_in_a_narrow_terminal(run, runs, tmp_path, monkeypatch):

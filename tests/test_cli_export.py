@@ -13,6 +13,7 @@ from workbench.config import preset
 from workbench.errors import InputError
 from workbench.export import FORMATS, export_track, format_of, read_mapping
 from workbench.export.sources import pictures_of
+from workbench.face.default_head import EARLIER_EDITIONS
 from workbench.frames import VideoWriter, open_frames, write_picture
 from workbench.geometry import write_rig
 from workbench.pipeline.temporal_run import views_of
@@ -190,6 +191,15 @@ def test_an_older_edition_of_the_default_head_is_told(run, stored):
     code, out, _ = run("export", "talk", "--to", "x.glb")
     assert code == 0
     assert "another edition of default-head" in out
+
+
+def test_an_edition_that_fits_as_the_default_head_does_is_not_told(run, stored):
+    track = Track.load(stored / "track.npz")
+    earlier = next(sha256 for sha256, gaze in EARLIER_EDITIONS.items() if not gaze)
+    replace(track, meta={**track.meta, "model": {"name": "default-head", "sha256": earlier}}).save(stored / "track.npz")
+    code, out, _ = run("export", "talk", "--to", "x.glb")
+    assert code == 0
+    assert "another edition" not in out
 
 
 def test_landmarks_alone_make_no_film(head, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 
 from tests.landmark_layouts import openface_csv
 from workbench.cli import screen
+from workbench.config import preset
 from workbench.frames import VideoWriter, open_frames, read_picture
 from workbench.landmarks import dlib_detector
 from workbench.landmarks.alignment import MEAN_SHAPE, frame_from_box, frame_from_points
@@ -18,6 +19,7 @@ from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.network_detector import BUNDLED
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import outer_eye_distance
+from workbench.pipeline import open_source
 from workbench.samples import sample
 from workbench.tracking import Track
 
@@ -282,6 +284,15 @@ def test_another_programs_landmarks_of_photos_that_differ_in_size_are_refused(ru
     code, _, err = run("track", "mixed", "--stills", "--landmarks", "points.npy", "--no-pictures")
     assert code == 2
     assert "points.npy does not say how large its pictures are, and those of mixed differ in size" in err
+
+
+def test_one_of_several_photos_has_its_own_size(tmp_path):
+    (tmp_path / "mixed").mkdir()
+    for index, size in enumerate([(320, 240), (300, 240)]):
+        cv2.imwrite(str(tmp_path / "mixed" / f"{index}.png"), face_picture(size=size))
+    np.save(tmp_path / "points.npy", np.array([expected_points(80, 60, 96)] * 2))
+    source = open_source([tmp_path / "mixed"], preset("joint"), tmp_path / "points.npy", (1, 1))
+    assert source.image_size == (300, 240)
 
 
 @pytest.mark.usefixtures("detector", "photos")

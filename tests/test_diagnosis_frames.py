@@ -164,9 +164,22 @@ def test_a_face_that_the_detector_hardly_sees_is_taken_from_the_nearest_frame_wh
     reason = found.reasons[0]
     assert (reason.code, reason.title) == ("occluded", "The face is hardly visible")
     assert "mean confidence is 0.01" in reason.evidence
+    assert reason.evidence.endswith("; the nearest frame where it is high is 63.")
     moved = reason.change.moved(observations[61]).landmarks
     np.testing.assert_array_equal(moved.points, observations[63].landmarks.points)
     assert (moved.confidence == 1.0).all()
+
+
+def test_a_doubted_face_that_no_other_frame_replaces_is_told_by_the_part_that_is_muted(
+    head, config, clean, fitter, reference
+):
+    observation, (_, context) = clean[0][60], clean[1][60]
+    doubted = replace(observation, landmarks=replace(observation.landmarks, confidence=np.full(68, 0.35)))
+    found = diagnose_frame(head, FrameCase(doubted, context, config, (doubted,)), fitter, reference)
+    (reason,) = (reason for reason in found.reasons if reason.code == "doubted_part")
+    part = reason.title.removeprefix("The detector doubts the ")
+    assert part != "whole face"
+    assert part in reason.change.label
 
 
 def test_a_frame_without_landmarks_cannot_be_diagnosed(head, config, clean):

@@ -1052,6 +1052,26 @@ def test_residuals_in_3d_project_to_the_observed_pixels(head, photo):
     np.testing.assert_allclose(ends[1], fit.observed, atol=0.05)
 
 
+def test_a_head_is_moved_by_its_own_blendshapes_whatever_another_thread_asks_for_meanwhile(head, photo):
+    fit, fitted = TuningSession(head, photo).fit_frame(0), FittedHead(head)
+    blinking = replace(fit, expression=np.ones(len(fit.expression)))  # lids move as far as a person's eyes are wide
+    one, other = (replace(blinking, identity=np.full(50, value)) for value in (-1.0, 1.0))
+    waiting = [other]
+
+    class Lock:
+        """The other thread has its turn as soon as this one lets go for the first time."""
+
+        def __enter__(self):
+            pass
+
+        def __exit__(self, *raised):
+            if waiting:
+                fitted.vertices(waiting.pop())
+
+    fitted._lock = Lock()
+    np.testing.assert_array_equal(fitted.vertices(one), FittedHead(head).vertices(one))
+
+
 def test_a_number_of_the_landmarks_spreads_over_the_face_and_not_to_the_back(head):
     spread = FittedHead(head).surface_values(np.arange(68.0))
     nose, back = head.landmarks.vertices[30][0], int(np.argmax(head.neutral[:, 2]))

@@ -1,5 +1,6 @@
 """Characters in the energies' own renderer: a skin as the texture, hair as something outside of the face."""
 
+import os
 from dataclasses import replace
 from functools import lru_cache
 
@@ -238,6 +239,20 @@ def test_fits_depend_on_a_character_where_renders_show_it():
     face_it = preset("joint").changed(deep={"appearance": "character"})
     assert fits_key(face_it.changed(head={"character": "mei"})) == fits_key(face_it)
     assert plan_of(face_it).look is None
+
+
+def test_a_character_that_is_written_again_is_shown_as_it_is_now(tmp_path):
+    file, config = tmp_path / "me.toml", character_config(str(tmp_path / "me.toml"))
+    shown = []
+    for written, skin in enumerate((find_character(FRINGE).skin, find_character(BALD).skin)):
+        identity = np.zeros(50).tolist()
+        file.write_text(
+            f'[me]\nwords = "me"\nskin = "{skin}"\neyes = "brown"\nbrows = ""\nlashes = "eyelashes01"\n'
+            f'teeth = "teeth_base"\nidentity = {identity}\n'
+        )
+        os.utime(file, (written, written))
+        shown.append(plan_of(config).look.texture.picture)
+    assert np.abs(np.asarray(shown[0]) - np.asarray(shown[1])).max() > 0.1
 
 
 def test_a_character_on_another_model_is_refused(head):

@@ -239,6 +239,12 @@ def test_stepping_goes_through_the_stages_one_iteration_at_a_time(session):
     assert same(session.fit_steps(0, at), session.fit_frame(0))
 
 
+def test_steps_of_a_frame_without_a_face_are_refused(session):
+    for ask in (session.explain_frame, lambda frame: session.fit_steps(frame, 3)):
+        with pytest.raises(InputError, match="Frame 15 has no landmarks; choose a frame with a face"):
+            ask(15)
+
+
 def test_a_coarse_fit_keeps_the_identity_of_the_shot(session):
     exact = session.fit_frame(4)
     session.set(camera={"fov_deg": 30.0})

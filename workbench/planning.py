@@ -11,7 +11,7 @@ from workbench.config import Config, Stage, preset
 from workbench.energies import TABLE, EnergyConstants
 from workbench.errors import ConfigError
 from workbench.face import load_character
-from workbench.face.characters import PLAIN
+from workbench.face.characters import PLAIN, own_file
 from workbench.geometry import read_rig
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.landmarks.schemes import DENSE
@@ -102,9 +102,15 @@ def camera_plan(config: Config) -> CameraPlan:
     )
 
 
-@lru_cache(maxsize=2)
 def _look(character: str) -> CharacterLook:
     """A character as renders show it; raises `ModelError` for one that cannot be read."""
+    file = own_file(character)
+    return _look_of(character, file.stat().st_mtime_ns if file is not None and file.is_file() else None)
+
+
+@lru_cache(maxsize=2)
+def _look_of(character: str, _written_ns: int | None) -> CharacterLook:
+    """A character's look as of when its file was written: a character may be written again."""
     return plain_look() if character == PLAIN else character_look(load_character(character))
 
 

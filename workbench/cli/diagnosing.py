@@ -98,7 +98,8 @@ def _print_flags(record: dict, run: Path, every: bool) -> None:
         table.add_row(str(item["frame"]), f"{item['severity']:.2f}", escape(item["why"]))
     screen.console.print(table)
     rest = "" if len(shown) == len(flagged) else f"; these are the worst {len(shown)}, --all lists the others"
-    screen.console.print(f"{len(flagged)} of {record['frames']} frames stand out{rest}")
+    stand = "stands" if len(flagged) == 1 else "stand"
+    screen.console.print(f"{len(flagged)} of {record['frames']} frames {stand} out{rest}")
     command = escape(f"workbench diagnose {run} --frame {flagged[0]['frame']}")
     screen.console.print(f"[dim]{command}  tells why[/dim]", soft_wrap=True)
 

@@ -123,7 +123,7 @@ def model_of_track(track: "workbench.Track", path: Path | None) -> tuple["workbe
             raise InputError(f"This track was fitted with the model {stored['name']}; name its file with --model.")
         full = workbench.load_default_head(gaze=True)
         model = full if track.expression_names == full.expression_names else workbench.load_default_head()
-    if stored.get("sha256") not in (None, model.fingerprint()):
+    if stored.get("sha256") is not None and not workbench.face.fits_as(model, stored["sha256"]):
         return model, [f"the track was fitted with another edition of {model.name}; the face may differ a little"]
     return model, []
 

@@ -72,14 +72,22 @@ def lasting_name(name: str) -> str:
     return name if ready else str(Path(name).resolve())
 
 
+def own_file(name: str | Path) -> Path | None:
+    """The file of a character of one's own, named by it or its folder; None for a ready one."""
+    if name in _bundled():
+        return None
+    inside = Path(name) / CHARACTER_FILE
+    return inside if inside.is_file() else Path(name)
+
+
 def find_character(name: str | Path) -> Character:
     """A ready character by name, or the first one of a TOML file, or of the one in a folder.
 
     Raises `ModelError` for one that is not there.
     """
-    if name in _bundled():
+    path = own_file(name)
+    if path is None:
         return _bundled()[str(name)]
-    path = Path(name) / CHARACTER_FILE if (Path(name) / CHARACTER_FILE).is_file() else Path(name)
     if isinstance(name, Path) or path.suffix == ".toml":
         return next(iter(read_characters(path).values()))
     raise ModelError(

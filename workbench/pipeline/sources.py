@@ -107,13 +107,15 @@ def canvas(size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
 
 def _given_size(paths: list[Path], frames: Frames) -> tuple[int, int]:
     """The size of the pictures, for landmark files that do not say it. Raises `InputError` where sizes differ."""
-    if frames.kind == "images" and frames.announced_count != 1 and not all(states_size(path) for path in paths):
+    if frames.kind == "images" and not all(states_size(path) for path in paths):
+        # The size of a part of a folder is that of the folder's first photo, which may be no part of it.
         sizes = {frame.picture.shape[1::-1] for frame in frames.iterate()}
         if len(sizes) > 1:
             raise InputError(
                 f"{paths[0]} does not say how large its pictures are, and those of {frames.name} differ in size; track "
                 "them one by one."
             )
+        return next(iter(sizes), frames.image_size)
     return frames.image_size
 
 

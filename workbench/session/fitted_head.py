@@ -27,21 +27,24 @@ class FittedHead:
 
     def personal(self, identity: Float[np.ndarray, "i"]) -> FaceModel:
         """The model of one person; the latest is cached."""
-        with self._lock:
-            if self._identity is None or not np.array_equal(identity, self._identity):
-                self._personal, self._identity = self.model.personal(identity), np.array(identity)
-                self._basis = _basis(self._personal)
-            return self._personal
+        return self._person(identity)[0]
 
     def vertices(self, fit: FrameFit) -> Float[np.ndarray, "v 3"]:
         """Head frame, millimetres, in single precision to halve the memory read for each picture."""
-        personal = self.personal(fit.identity)
-        with self._lock:
-            moved = fit.expression.astype(np.float32) @ self._basis
+        personal, basis = self._person(fit.identity)
+        moved = fit.expression.astype(np.float32) @ basis
         vertices = personal.neutral + moved.reshape(-1, 3)
         if np.any(fit.jaw) or fit.scale != 1.0:
             return posed_vertices(personal, fit.expression, fit.jaw, fit.scale)
         return vertices
+
+    def _person(self, identity: Float[np.ndarray, "i"]) -> tuple[FaceModel, Float[np.ndarray, "k c"]]:
+        """The model of one person and its basis, which belong together whatever other threads ask for."""
+        with self._lock:
+            if self._identity is None or not np.array_equal(identity, self._identity):
+                self._personal, self._identity = self.model.personal(identity), np.array(identity)
+                self._basis = _basis(self._personal)
+            return self._personal, self._basis
 
     def landmarks(self, fit: FrameFit) -> Float[np.ndarray, "points 3"]:
         """The model's landmarks on the surface, head frame; the jaw contour at its frontal position."""

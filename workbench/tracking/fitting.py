@@ -197,7 +197,7 @@ def check_scheme(observation: FrameObservation, model: FaceModel) -> None:
 def with_face(observation: FrameObservation) -> FrameObservation:
     """The observation. Raises `InputError` if it has no landmarks."""
     if observation.landmarks is None:
-        raise InputError(f"Frame {observation.index} has no landmarks; explain a frame with a face.")
+        raise InputError(f"Frame {observation.index} has no landmarks; choose a frame with a face.")
     return observation
 
 

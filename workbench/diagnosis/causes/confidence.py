@@ -24,21 +24,23 @@ def doubted_part(trial: Trial) -> Iterator[Finding]:
     if here > UNSURE:
         return
     if elsewhere - here < CLEARLY_LESS:
-        mask, title, here = np.ones(len(relative), bool), "whole face", float(relative.mean())
-    index, sure = trial.case.observation.index, trial.case.observation.landmarks.confidence[mask]
-    usual = trial.reference.usual_confidence[mask]
+        mask, title = np.ones(len(relative), bool), "whole face"
+    index, usual = trial.case.observation.index, trial.reference.usual_confidence
     others = [
         frame
         for frame in trial.case.shot
-        if frame.landmarks is not None and frame.landmarks.confidence[mask].mean() > 0.8 * usual.mean()
+        if frame.landmarks is not None and frame.landmarks.confidence[mask].mean() > 0.8 * usual[mask].mean()
     ]
     nearest = min(others, key=lambda frame: abs(frame.index - index), default=None)
     if nearest is None or nearest.index == index:
-        change = muted(trial, name)
+        # With the whole face muted there would be nothing to fit to: its worst part is named.
+        mask, title, change = named[name], title_of(name), muted(trial, name)
     else:
         source = nearest.landmarks.points
         places = source if mask.all() else robust_similarity(source, trial.points).to_image(source)
         change = points_change(f"Take the points of the {title} from frame {nearest.index}", places, mask)
+    sure, usual = trial.case.observation.landmarks.confidence[mask], usual[mask]
+    here = float(relative[mask].mean())
     fit, muted_points = trial.refit(change), mask if change.config else None
     yield Finding(
         code="doubted_part",

@@ -227,7 +227,7 @@ def _hardly_seen(trial: Trial) -> Iterator[Finding]:
             if trial.case.config.landmarks.confidence
             else ", yet its points count as if it were sure: landmarks.confidence is off"
         )
-        + (f"; it was last high in frame {nearest.index}." if nearest is not None else "."),
+        + (f"; the nearest frame where it is high is {nearest.index}." if nearest is not None else "."),
         change=change,
         gain=0.0,
         before_percent=trial.error_percent(trial.fit),
