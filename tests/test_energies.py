@@ -23,6 +23,7 @@ from workbench.energies import (
     landmark_errors,
     landmark_residual,
     normal_system,
+    project_landmarks,
     reprojection_with_jacobian,
     residual_of,
     residuals,
@@ -297,7 +298,43 @@ IN_DOUBLE = tuple(name for name, term in TABLE.items() if not term.compares_pict
 def test_normal_equations_are_those_of_all_residuals_by_automatic_differentiation(problem, free, terms, looser):
     """Of terms on single unknowns with the whole second derivative. The flow term places the face's points in single
     precision, like a render."""
+    compare_with_differentiation(*problem, free, terms, looser)
+
+
+def test_normal_equations_are_those_of_all_residuals_where_points_have_covariances(problem):
     energy, parameters = problem
+    energy = energy._replace(observation=energy.observation._replace(whitening=some_whitening(68)))
+    compare_with_differentiation(energy, parameters, FREE_SETS[3], IN_DOUBLE)
+
+
+def some_whitening(count):
+    return jnp.asarray(np.triu(np.random.default_rng(4).uniform(0.2, 1.5, (count, 2, 2))))
+
+
+def test_a_shift_of_all_points_leaves_their_edges_as_they_are(problem):
+    """Also where points have covariances: edges do not count in standard deviations."""
+    energy, parameters = problem
+    terms = ("landmarks", "edges")
+    at = project_landmarks(energy.camera, energy.points, parameters)
+    for whitening in (None, some_whitening(68)):
+        seen = energy.observation._replace(points=at - jnp.array([3.0, -2.0]), whitening=whitening)
+        shifted = energy._replace(observation=seen, omega=jnp.ones(2))
+        found = residuals(shifted, parameters, FREE_SETS[0], terms)
+        assert float(jnp.sum(found["landmarks"] ** 2)) > 1.0
+        np.testing.assert_allclose(found["edges"], 0.0, atol=1e-9)
+    rng = np.random.default_rng(5)
+    apart = energy.observation._replace(points=at + rng.normal(0.0, 2.0, (68, 2)))
+
+    def edges(whitening):
+        seen = energy._replace(observation=apart._replace(whitening=whitening), omega=jnp.ones(2))
+        return residuals(seen, parameters, FREE_SETS[0], terms)["edges"]
+
+    plain, whitened = edges(None), edges(some_whitening(68))
+    np.testing.assert_allclose(whitened, plain, rtol=1e-12)
+
+
+def compare_with_differentiation(energy, parameters, free, terms, looser=1.0):
+    """The normal system against the derivatives of the residuals."""
     energy = energy._replace(omega=factors(free, named=terms, terms=terms))
     start = pack(parameters, free)
 

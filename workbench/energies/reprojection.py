@@ -24,7 +24,7 @@ class Observation(NamedTuple):
     """Pixels that count as 1 in the residual (1 for pixels, 1 % of the eye distance for percent)."""
     whitening: Float[AnyArray, "points 2 2"] | None = None
     """Takes each point's error in pixels to one of unit variance, upper triangular (Wood et al. 2022): such errors
-    count in standard deviations, and `unit_px` is 1. None: errors in every direction count alike."""
+    count in standard deviations, not in `unit_px`. None: errors in every direction count alike."""
 
 
 def points_head(model: PointModel, parameters: FaceParameters) -> Float[AnyArray, "points 3"]:
@@ -45,10 +45,15 @@ def landmark_errors(
     camera: Camera, model: PointModel, parameters: FaceParameters, observation: Observation
 ) -> LandmarkErrors:
     """π(R·P_i + t) − p_i in pixels, or whitened; what each counts, and the unit of residuals."""
-    error = project_landmarks(camera, model, parameters) - observation.points
-    if observation.whitening is not None:
-        error = _whitened(observation.whitening, error)
-    return LandmarkErrors(error, jnp.sqrt(observation.weights), observation.unit_px)
+    return counted_errors(project_landmarks(camera, model, parameters) - observation.points, observation)
+
+
+def counted_errors(error_px: Float[AnyArray, "points 2"], observation: Observation) -> LandmarkErrors:
+    """Errors in pixels as an observation counts them."""
+    root, unit = jnp.sqrt(observation.weights), observation.unit_px
+    if observation.whitening is None:
+        return LandmarkErrors(error_px, root, unit)
+    return LandmarkErrors(_whitened(observation.whitening, error_px), root, unwhitened=error_px / unit)
 
 
 def reprojection_with_jacobian(
@@ -68,9 +73,11 @@ def reprojection_with_jacobian(
     points = points_head(model, parameters)
     points_camera = _turned(points, rotation) + parameters.translation
     pixels, derivative = project_with_derivative(camera, points_camera)
-    scale = jnp.sqrt(observation.weights) / observation.unit_px
+    scale = jnp.sqrt(observation.weights)
     error = pixels - observation.points
-    if observation.whitening is not None:
+    if observation.whitening is None:
+        scale = scale / observation.unit_px
+    else:
         error, derivative = (_whitened(observation.whitening, part) for part in (error, derivative))
     residual = error * scale[:, None]
     by_camera = derivative * scale[:, None, None]

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from workbench.arrays import AnyArray
 from workbench.energies.context import LandmarkErrors, TermContext
-from workbench.energies.reprojection import Observation, landmark_errors, reprojection_with_jacobian
+from workbench.energies.reprojection import Observation, counted_errors, landmark_errors, reprojection_with_jacobian
 from workbench.energies.terms import TABLE, Term, terms_of
 from workbench.face.landmark_model import PointModel
 from workbench.face.parameters import FaceParameters
@@ -181,14 +181,14 @@ def _spread(entries, blocks: tuple[str, ...], parameters: FaceParameters, free: 
 
 
 def _of_landmarks(term: Term, problem: EnergyProblem, parameters: FaceParameters, free: tuple[str, ...]):
-    """Residuals and derivative of a term on the landmarks' errors, through the errors' own derivative."""
-    certain = problem.observation._replace(weights=jnp.ones(len(problem.observation.weights)))
-    error, by_unknown = reprojection_with_jacobian(problem.camera, problem.points, parameters, certain, free)
-    root = jnp.sqrt(problem.observation.weights)
+    """Residuals and derivative of a term on the landmarks' errors, through the derivative of the errors in pixels."""
+    observation = problem.observation
+    plain = Observation(observation.points, jnp.ones(len(observation.weights)), jnp.ones(()))
+    error, by_unknown = reprojection_with_jacobian(problem.camera, problem.points, parameters, plain, free)
 
     def residual(error):
-        errors = LandmarkErrors(error.reshape(-1, 2), root, weighted_edges=problem.context.constants.weighted_edges)
-        return residual_of(term.name)(errors)
+        errors = counted_errors(error.reshape(-1, 2), observation)
+        return residual_of(term.name)(errors._replace(weighted_edges=problem.context.constants.weighted_edges))
 
     values, push = jax.linearize(residual, error)
     return values, jax.vmap(push, in_axes=1, out_axes=1)(by_unknown)

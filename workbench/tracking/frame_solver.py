@@ -222,8 +222,6 @@ def stage_problem(
     eye_distance_mm = jnp.linalg.norm(points.neutral[45] - points.neutral[36])
     eye_distance_px = jnp.mean(jnp.asarray(camera.focal_px)) * eye_distance_mm / parameters.translation[2]
     unit = jnp.where(settings.percent > 0.5, 0.01 * eye_distance_px, 1.0)
-    if frame.whitening is not None:
-        unit = jnp.ones(())  # a whitened error is a number of standard deviations
     weights = landmark_weights * frame.measured[:, 2]
     observation = Observation(frame.measured[:, :2], weights, unit, frame.whitening)
     before = (frame.before_last_pose, frame.last_pose, frame.history)
