@@ -36,7 +36,6 @@ SLOW = (
     "test_documentation.py",
     "test_flow_term.py",
     "test_networks.py",
-    "test_contributing.py",
     "test_time_page.py",
     "test_panel_design.py",
     "test_infill.py",
@@ -61,17 +60,24 @@ BROWSER = (
 )
 """Files that need Chromium as a whole."""
 LONG = (
+    "test_clip_character.py",
+    "test_contributing.py",
     "test_deep_dense.py",
     "test_deep_pipeline.py",
+    "test_diagnosis_schemes.py",
+    "test_filled_lids.py",
     "test_learning.py",
     "test_learning_schemes.py",
+    "test_networks_flownet2.py",
     "test_rendered_flow.py",
+    "test_rendering_character.py",
+    "test_sweep_schemes.py",
     "test_sweep_workers.py",
     "test_through_time.py",
     "test_workers.py",
 )
-"""Files that take renders through networks, differentiate whole fits, run whole systems, or kill and restart the
-processes of pools and clusters; single tests elsewhere have the mark themselves."""
+"""Files that take renders through networks, differentiate whole fits, run whole systems under every landmark scheme,
+paint characters, or kill and restart the processes of pools and clusters; single tests elsewhere have the mark."""
 TRAIN = (
     "test_networks_checkpoints.py",
     "test_networks_fan.py",
