@@ -4,7 +4,7 @@ from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any
 
-from workbench.config import parse_config
+from workbench.config import config_of_track
 from workbench.errors import InputError
 from workbench.frames import Frame, FrameRange, Frames, open_frames
 from workbench.geometry import read_rig
@@ -45,9 +45,9 @@ def view_clips(meta: Mapping[str, Any]) -> dict[str, Path]:
     """
     if meta.get("views") is not None:
         return {name: Path(path) for name, path in meta["views"].items()}
-    stored, paths = meta.get("config"), _inputs(meta)
-    rig = parse_config(stored, "The track's configuration").camera.rig if stored and len(paths) > 1 else None
-    names = read_rig(rig).names[1:] if rig else ()
+    paths = _inputs(meta)
+    config = config_of_track(meta) if len(paths) > 1 else None
+    names = read_rig(config.camera.rig).names[1:] if config is not None and config.camera.rig else ()
     return dict(zip(names, paths[-len(names) :], strict=True)) if len(paths) > len(names) > 0 else {}
 
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from workbench.config import parse_config
+from workbench.config import config_of_track
 from workbench.export.sources import reference_inputs, tracked_part, view_clips
 from workbench.frames import open_frames
 from workbench.pipeline import is_landmark_file
@@ -49,6 +49,6 @@ def material_of_track(track: Track) -> Material:
 
 def _moved(track: Track) -> frozenset[tuple[int, int]]:
     """(frame, point) of the landmarks that the run's configuration moved."""
-    stored = track.meta.get("config")
-    moved = parse_config(stored, "The track's configuration").landmarks.moved if stored else {}
+    config = config_of_track(track.meta)
+    moved = {} if config is None else config.landmarks.moved
     return frozenset((int(frame), int(point)) for frame, places in moved.items() for point in places)
