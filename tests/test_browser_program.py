@@ -322,7 +322,7 @@ class TestOverlay:
         found = asked_of_node(self.LANDMARKS, "makeLandmarks", ask)
         assert found == [[20, 30], [50, 10], [10, 10], [10, 10]]
 
-    @pytest.mark.parametrize(("sent", "told"), [(0, []), (7, [["drop", [3], 10, 20]])], ids=["before", "after"])
+    @pytest.mark.parametrize(("sent", "told"), [(0, []), (7, [["cancel", [3], 10, 20]])], ids=["before", "after"])
     def test_a_cancelled_drag_puts_back_what_python_has_moved(self, sent, told):
         ask = f"""(() => {{
             const told = [], landmarks = {{ release() {{}}, drop() {{}} }};

@@ -345,8 +345,9 @@ def test_a_character_of_ones_own_is_stored_under_a_name_that_holds_everywhere(tm
 
 
 def test_a_stored_character_that_is_gone_is_plain_unless_fits_depend_on_it():
-    stored = preset("joint").model_dump(mode="json") | {"head": {"character": "gone"}}
-    assert config_of_track({"config": stored}).head.character == "plain"
+    for name in ("gone", "gone.toml"):
+        stored = preset("joint").model_dump(mode="json") | {"head": {"character": name}}
+        assert config_of_track({"config": stored}).head.character == "plain"
     assert config_of_track({}) is None
     deep = preset("deep").changed(deep={"appearance": "character"}, head={"character": "mei"}).model_dump(mode="json")
     with pytest.raises(ConfigError, match="no character or file 'gone'"):

@@ -162,7 +162,7 @@ def test_the_example_of_the_documentation_runs(stored, head, tmp_path, monkeypat
         (["talk", "--to", "x.glb", "--to", "x.npz", "--character", "mei"], "x.npz cannot show the character mei"),
         (
             ["talk", "--to", "x.glb", "--character", "mei", "--surface"],
-            "another face model, mei is a character of the default head",
+            "another face model; mei is a character of the default head",
         ),
     ],
 )

@@ -31,6 +31,16 @@ def test_a_change_after_undo_ends_what_could_be_made_again():
     assert history.present == "c"
 
 
+def test_a_drag_back_to_where_it_began_is_no_step():
+    history = History(0, longest=10)
+    history.change(1, "before")
+    for value in (2, 3, 1):
+        history.change(value, "slider", gesture="slider")
+    assert [step.label for step in history.steps] == ["before"]
+    history.change(5, "slider", gesture="slider")
+    assert [step.state for step in history.steps] == [0, 1]
+
+
 def test_a_drag_is_one_step_until_it_is_taken_back():
     history = History(0, longest=10)
     for value in (1, 2, 3):

@@ -264,6 +264,14 @@ def test_pictures_that_end_before_the_fits_are_told(film):
         list(moments(film.truth, [type(film.frames())(film.pictures[:9])]))
 
 
+def test_pictures_of_another_size_than_the_tracked_ones_are_told(film):
+    half = [picture[::2, ::2] for picture in film.pictures]
+    width, height = film.truth[0].image_size
+    told = f"Frame 0 is {width // 2}x{height // 2} in the pictures, and was {width}x{height} when it was tracked"
+    with pytest.raises(InputError, match=told):
+        list(moments(film.truth, [type(film.frames())(half)]))
+
+
 def test_pictures_wait_on_disk_as_in_memory(film, monkeypatch):
     monkeypatch.setattr(moments_module, "MEMORY_BYTES", 100_000)
     spool = PictureSpool()

@@ -199,11 +199,11 @@ class TestFinishedRuns:
     def test_of_a_run_that_is_replaced_nothing_is_left(self, quick, points, tmp_path):
         """Else a later `--resume` would list its films and pictures as those of the new run."""
         quick(points, tmp_path / "out")
-        for name in ("overlay.mp4", "unrefined.npz", "overlay/0000-a.jpg", "stages/0003.jpg", "stages/mine.txt"):
+        for name in ("overlay.mp4", "unrefined.npz", "overlay/0000-a.jpg", "stages/0003.jpg", "stages/me.jpg"):
             (tmp_path / "out" / name).parent.mkdir(exist_ok=True)
             (tmp_path / "out" / name).write_text("of an earlier run")
         made = quick(points, tmp_path / "out", overwrite=True).files
-        mine = tmp_path / "out" / "stages" / "mine.txt"
+        mine = tmp_path / "out" / "stages" / "me.jpg"
         assert {path for path in (tmp_path / "out").rglob("*") if path.is_file()} == {*made, mine}
         assert not (tmp_path / "out" / "overlay").exists()
         assert set(quick(points, tmp_path / "out", resume=True).files) == set(made)

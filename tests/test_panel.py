@@ -768,6 +768,18 @@ def test_arrow_keys_that_follow_each_other_move_all_selected_landmarks_in_one_st
     tools.close()
 
 
+def test_a_cancelled_drag_leaves_no_trace(head, photo):
+    session = TuningSession(head, photo)
+    tools = LandmarkTools(session, FittedHead(head), lambda said: None, Waiting(), lambda: None)
+    session.set(weights={"tau": 0.5})
+    before, steps = session.config, session.undo_steps
+    for kind in ("drag", "drag", "cancel"):
+        tools._on_event(OverlayEvent(kind, (30,), 260.0, 140.0))
+    assert session.config == before
+    assert session.undo_steps == steps
+    tools.close()
+
+
 NAMED_BY_NO_STAGE = {
     "weights.flow",
     "weights.vergence",
@@ -924,9 +936,22 @@ def test_a_diagnosis_is_shown_and_its_change_applied_and_taken_back(panel):
     assert not panel._diagnosing.take_back(applied)
     assert "Other changes came after this one" in panel.status.value
     assert panel.session.config.weights.tau == 7.0
+    panel.session.set(weights={"tau": before.weights.tau})
+    assert not panel._diagnosing.take_back(applied)  # a change there and back is two steps that came after
+    panel.session.undo()
     panel.session.undo()
     assert panel._diagnosing.take_back(applied)
     assert panel.session.config == before
+    assert panel._diagnosing.take_back(applied)
+    assert "undone already" in panel.status.value
+    assert panel.session.config == before
+
+
+def test_a_change_that_the_settings_have_already_is_no_step(panel):
+    mute = Change("Mute the jaw", config={"landmarks": {"weights": {"jaw": 0.0}}})
+    assert panel._diagnosing.apply(mute) is not None
+    assert panel._diagnosing.apply(mute) is None
+    assert "have this change already" in panel.status.value
 
 
 def test_a_change_that_the_session_refuses_is_not_taken_for_applied(panel):

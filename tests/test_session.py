@@ -332,6 +332,15 @@ def test_the_slider_of_a_group_shows_and_changes_what_wider_groups_weigh_it():
     assert jaw.changed(**changed_by(jaw, "group.jaw", 1.0)) == config
 
 
+def test_the_slider_of_a_group_leaves_its_parts_and_subsets_what_they_weigh():
+    config = QUICK.changed(subsets={"mine": (0, 1)}, landmarks={"weights": {"nose_bridge": 0.0, "mine": 0.0}})
+    for group, points, held in (("nose", range(31, 36), 27), ("jaw", range(2, 17), 0)):
+        half = config.changed(**changed_by(config, f"group.{group}", 0.5))
+        assert {half.point_weights()[point] for point in points} == {0.5}
+        assert half.point_weights()[held] == 0.0
+        assert half.changed(**changed_by(half, f"group.{group}", 1.0)) == config
+
+
 def test_the_weight_of_each_point_is_multiplied_for_itself():
     config = weighed(weighed(QUICK, [30], 0.0), [31], 3.0)
     found = rescaled(config, [30, 31, 32], 2.0, IBUG68).point_weights()
@@ -365,7 +374,7 @@ def test_what_a_track_holds_where_it_was_moved_is_not_put_back(session, head):
     with pytest.raises(InputError, match=r"landmark 30 of frame 4 where it was moved, .*; open the clip itself"):
         again.put_back(4, [30])
     again.move(4, 31, (320.0, 222.0))
-    again.put_back(4, [31])
+    again.put_back(4, [30, 31])  # what can be put back is
     assert again.config == session.config
 
 

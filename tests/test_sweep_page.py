@@ -59,6 +59,12 @@ def test_every_setting_that_is_offered_can_be_swept_and_read_back(setting):
     assert value_at(config, setting.path) == pytest.approx(dict(point.values)[setting.path])
 
 
+def test_the_present_value_of_a_group_is_that_of_its_slider():
+    config = preset("joint").changed(landmarks={"weights": {"mouth": 2.0}})
+    assert value_at(config, "landmarks.weights.outer_lips") == 2.0
+    assert value_at(config, "landmarks.weights.jaw") == 1.0
+
+
 def test_settings_are_found_by_plain_words_symbols_and_names():
     assert found_setting(SETTINGS, "STEADY head").path == "weights.tau"
     assert found_setting(SETTINGS, "weights.tau").path == "weights.tau"

@@ -36,6 +36,7 @@ from workbench.sweeps import (
     write_outcome,
 )
 from workbench.sweeps import sweep as sweep_module
+from workbench.sweeps.results import result_key
 from workbench.sweeps.storage import Storage
 from workbench.sweeps.stored_clips import digest_of
 from workbench.sweeps.tasks import FitTask
@@ -54,6 +55,16 @@ def solver(head):
 
 def swept(frames, gaps=(), cuts=()):
     return SweptClip("clip", f"{frames}{gaps}{cuts}", tuple(observations(frames, gaps, cuts)), False)
+
+
+def test_the_order_of_landmark_weights_is_part_of_a_results_key():
+    """Later entries overrule earlier ones."""
+    first, second = (
+        preset("joint").changed(landmarks={"weights": weights})
+        for weights in ({"mouth": 2.0, "all": 1.0}, {"all": 1.0, "mouth": 2.0})
+    )
+    keys = {result_key(config, "clip", [range(3)], ["error"], "head") for config in (first, second)}
+    assert len(keys) == 2
 
 
 @pytest.mark.parametrize("name", ["joint", "face-it", "calibrated"])

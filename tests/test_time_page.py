@@ -166,6 +166,20 @@ def test_a_moved_setting_shows_the_frames_as_fitted_until_it_runs_again(panel):
     assert page.knobs["refinement.sweeps"].value == 1
 
 
+def test_frames_that_infill_did_not_touch_are_not_called_after(panel):
+    panel.go(9)
+    panel.session.temporal.mark(range(4, 6))
+    panel.turn("infill.method", "linear")
+    press(panel, panel.time.go)
+    assert panel.time.side == "after"
+    assert panel.time.fit(9) is panel.fit
+    assert not panel.time.was_changed(panel.fit)
+    assert " · after · " not in panel.status.value
+    panel.go(4)
+    assert panel.wait_idle(60)
+    assert panel.time.was_changed(panel.fit)
+
+
 @pytest.mark.parametrize("knob", [*METHODS, *TIME], ids=lambda knob: knob.path)
 def test_turning_a_knob_changes_the_configuration_and_undo_turns_it_back(knob, panel):
     for value in knob.choices or (knob.high, 1):

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -408,8 +407,9 @@ class TestLoop:
         with pytest.raises(KeyboardInterrupt):
             train(LandmarkTask(), pool_folder, tmp_path / "parts", PLAN, 0, every=2, report=quiet)
         monkeypatch.undo()
-        # What it had told of steps after its last checkpoint, which are repeated.
-        shutil.copy(tmp_path / "whole" / "curves.csv", tmp_path / "parts" / "curves.csv")
+        # What it had told of steps after its last checkpoint, which are repeated, and half a row.
+        told = (tmp_path / "whole" / "curves.csv").read_text()
+        (tmp_path / "parts" / "curves.csv").write_text(told + "\n3")
         lines = []
         resumed = train(LandmarkTask(), pool_folder, tmp_path / "parts", PLAN, 0, every=2, report=lines.append)
         assert [line for line in lines if line.startswith("step 6 of 6")] == lines

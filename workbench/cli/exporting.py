@@ -70,7 +70,7 @@ def export(
     if player is None and (mapping is not None or surface):
         if dress:
             raise InputError(
-                f"--map and --surface are for another face model, {dress} is a character of the default head."
+                f"--map and --surface are for another face model; {dress} is a character of the default head."
             )
         raise InputError("--map and --surface say how a character is moved; name it with --character.")
     given = [path for path in (model, player, mapping) if path is not None]

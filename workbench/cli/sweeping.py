@@ -126,7 +126,7 @@ def _list_objectives() -> None:
 def _print(result, wanted) -> None:
     """The best point of each objective, and of the sum if one was asked for; each setting in a line of its own."""
     settings = "settings (in 95 % of draws)" if any(axis.numeric for axis in result.axes) else "settings"
-    table = screen.table("least", "is", "point", settings, right=("is", "point"))
+    table = screen.table("lowest", "value", "point", settings, right=("value", "point"))
 
     def add(label: str, value: str, number: int, rule) -> None:
         table.add_row(label, value, str(number), escape(_settings(result, number, rule)))

@@ -104,7 +104,7 @@ def training_folder(folder: Path, network: str, overwrite: bool = False, start: 
     with locked(folder):
         begun = (checkpoints / PLAN_FILE).is_file()
         there = [result for result in results if (folder / result).exists()]
-        own = begun or network in WITHOUT_CHECKPOINTS
+        own = begun or (network in WITHOUT_CHECKPOINTS and results[0] in there)
         if overwrite:
             with writing(folder):
                 if begun:

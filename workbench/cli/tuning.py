@@ -12,7 +12,7 @@ from workbench.config import differences, write_config
 from workbench.errors import OutputError
 from workbench.files import check_not_inputs
 
-TUNE_HELP = """Let a clip choose settings: by gradients through the solver (--learn), by search (--search), or
+TUNE_HELP = """Let a clip choose settings: by gradients through the solver (--learn), by search (--search), or \
 by both: the search comes first, and the gradient goes on from its best.
 
 A part of the clip is learned on, one chooses the step to stop at, and one that nothing was chosen by reports.
@@ -110,10 +110,11 @@ def _print(found, path: Path, learns: bool) -> None:
         table.add_row(name.replace("_", "-"), f"{before:.4g}", f"{found.config.provenance.after[name]:.4g}")
     screen.console.print(table)
     screen.console.print(f"held-out change, with its 95 % interval: {found.change}")
-    if found.search is not None and found.search.config == found.base:
+    if found.search is not None and found.search.interrupted:
+        unlearned = ", so nothing was learned yet" if learns else ""
+        screen.console.print(f"The search was interrupted{unlearned}; --resume goes on with it.")
+    elif found.search is not None and found.search.config == found.base:
         screen.console.print("No trial was better than the start.")
-    if learns and found.learning is None:
-        screen.console.print("The search was interrupted, so nothing was learned yet; --resume goes on with it.")
     if found.learning is not None and found.learning.best and found.learning.best_step == 0:
         screen.console.print("No step was better than the start on the frames that choose it: nothing was learned.")
     shown = [str(item) for item in differences(found.base, found.config)]

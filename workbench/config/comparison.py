@@ -1,5 +1,6 @@
 """The differences between two configurations."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,16 +37,20 @@ def differences(before: Config, after: Config) -> list[Difference]:
     """The settings that differ, in the order of the file; `provenance` and `preset` are not settings."""
     old, new = _flat(before), _flat(after)
     paths = [*new, *(path for path in old if path not in new)]
-    found = [Difference(path, old.get(path), new.get(path)) for path in paths if _differ(old.get(path), new.get(path))]
-    weights = before.landmarks.weights, after.landmarks.weights
-    if weights[0] == weights[1] and _differ(*weights):
-        found.append(Difference("landmarks.weights", *weights))
-    return found
+    found = [Difference(path, old.get(path), new.get(path)) for path in paths if old.get(path) != new.get(path)]
+    return [*found, *_reordered(before, after)]
 
 
-def _differ(before: Any, after: Any) -> bool:
-    """Whether two values differ; of tables of weights, whose later entries overrule earlier ones, also in order."""
-    return before != after or (isinstance(before, dict) and list(before) != list(after))
+def _reordered(before: Config, after: Config) -> Iterator[Difference]:
+    """The tables of weights, whose later entries overrule earlier ones, that differ by their order alone."""
+    others = {stage.name: stage.landmarks for stage in after.stages}
+    tables = [("landmarks.weights", before.landmarks.weights, after.landmarks.weights)]
+    tables += [
+        (f"stages.{stage.name}.landmarks", stage.landmarks, others.get(stage.name, {})) for stage in before.stages
+    ]
+    for path, old, new in tables:
+        if old == new and list(old) != list(new):
+            yield Difference(path, old, new)
 
 
 def _flat(config: Config) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from workbench.config.configuration import DEFAULT_PRESET, VERSION, Config, quot
 from workbench.config.presets import preset
 from workbench.config.schedules import PARALLEL_STAGES, Stage
 from workbench.errors import ConfigError
-from workbench.face.characters import PLAIN, is_character
+from workbench.face.characters import PLAIN, is_there
 from workbench.files import atomic_path
 from workbench.reading import checked_file, reading, toml_tables
 
@@ -49,7 +49,7 @@ def config_of_track(meta: Mapping[str, Any]) -> Config | None:
     if not stored:
         return None
     head = stored.get("head")
-    if isinstance(head, dict) and isinstance(name := head.get("character"), str) and not is_character(name):
+    if isinstance(head, dict) and isinstance(name := head.get("character"), str) and not is_there(name):
         plain = parse_config({**stored, "head": {**head, "character": PLAIN}}, origin)
         if not plain.renders_character:
             return plain

@@ -25,9 +25,10 @@ class Section(BaseModel):
     """The tables in which later entries overrule earlier ones, so that their order counts."""
 
     def __eq__(self, other: Any) -> bool:
-        return super().__eq__(other) and all(
-            list(getattr(self, name)) == list(getattr(other, name)) for name in self.in_turn
-        )
+        alike = super().__eq__(other)
+        if alike is not True:  # false, or NotImplemented beside what is no section
+            return alike
+        return all(list(getattr(self, name)) == list(getattr(other, name)) for name in self.in_turn)
 
 
 class CameraConfig(Section):

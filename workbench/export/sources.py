@@ -89,7 +89,7 @@ class TrackedFrames:
             tracked_width, tracked_height = self._sizes.get(frame.index, (width, height))
             if (width, height) != (tracked_width, tracked_height):
                 raise InputError(
-                    f"The pictures of {self._path} are {width}x{height}, those that were tracked "
-                    f"{tracked_width}x{tracked_height}; name the tracked ones."
+                    f"The pictures of {self._path} are {width}x{height} ({frame.name}), those that were tracked "
+                    f"{tracked_width}x{tracked_height}; name the tracked ones with --pictures."
                 )
             yield frame

@@ -66,6 +66,11 @@ def is_character(name: str) -> bool:
     return name.endswith(".toml") or name in _bundled() or (Path(name) / CHARACTER_FILE).is_file()
 
 
+def is_there(name: str) -> bool:
+    """Whether a character can be read: the plain head, a ready one, or the file or folder of one's own."""
+    return name == PLAIN or name in _bundled() or (is_character(name) and Path(name).exists())
+
+
 def lasting_name(name: str) -> str:
     """The name of a character that holds from every folder: a ready one's as it is, one's own as an absolute path."""
     ready = name == PLAIN or name in _bundled() or not Path(name).exists()

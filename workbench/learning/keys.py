@@ -19,4 +19,4 @@ def key_of(config: Config, clip: SweptClip, model: FaceModel, objectives: Weight
         "objectives": dict(objectives.factors),
         **more,
     }
-    return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(read).encode()).hexdigest()

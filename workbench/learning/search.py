@@ -124,6 +124,8 @@ def _study(journal: Path, key: str):
             pruner=optuna.pruners.MedianPruner(n_startup_trials=5),
             load_if_exists=True,
         )
+    except InputError:
+        raise
     except (ValueError, TypeError, LookupError, AttributeError) as error:
         raise InputError(f"{journal} is not a stored search ({error}); leave out --resume to begin anew.") from error
     if not (study.user_attrs or study.trials):

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import socket
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -34,6 +35,8 @@ TIME_OUTPUTS = {UNREFINED: "the fits of single frames, before infill and refinem
 LOCK = "run.lock"
 FILES = (*OUTPUTS, *TIME_OUTPUTS, "overlay.png")
 PICTURE_FOLDERS = ("overlay", *DEEP_OUTPUTS)
+DRAWN = re.compile(r"\d{4,}[-.]")
+"""How the names of pictures begin that a run draws: with the frame's number."""
 PARTS = tuple(f"{name}{PARTS_SUFFIX}" for name in ("track.npz", UNREFINED))
 LOCKED_BYTE = 4096
 """Windows locks single bytes, which then cannot be read: one behind the owner's name."""
@@ -71,9 +74,16 @@ def check_no_results(folder: Path, names: Iterable[str], what: str, remedy: str 
         raise OutputError(f"{folder} already holds {what}; name another folder, or replace it by {remedy}.")
 
 
+def drawn_in(folder: Path) -> list[Path]:
+    """The pictures of frames that a run drew."""
+    return [
+        path for name in PICTURE_FOLDERS for path in sorted((folder / name).glob("*.jpg")) if DRAWN.match(path.name)
+    ]
+
+
 def remove_earlier(folder: Path, made: Iterable[Path]) -> None:
-    """Remove what an earlier run left in a folder, but for the files that a run `made`."""
-    drawn = [path for name in PICTURE_FOLDERS for path in (folder / name).glob("*.jpg")]
+    """Remove what an earlier run left in a folder, but for the files that a run `made`; others of the user's stay."""
+    drawn = drawn_in(folder)
     for path in {*map(folder.joinpath, FILES), *drawn} - set(made):
         with writing(path):
             path.unlink(missing_ok=True)

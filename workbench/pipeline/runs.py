@@ -23,7 +23,7 @@ from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.pictures.overlay_files import write_overlay_video
 from workbench.pipeline.deep_run import track_deep_frames, write_strips
 from workbench.pipeline.deep_sources import open_deep_source
-from workbench.pipeline.output_folder import FILES, PARTS, PICTURE_FOLDERS, remove_earlier, run_folder
+from workbench.pipeline.output_folder import FILES, PARTS, drawn_in, remove_earlier, run_folder
 from workbench.pipeline.provenance import content_hash, software_versions
 from workbench.pipeline.sources import open_source
 from workbench.pipeline.still_pictures import StillPictures
@@ -144,11 +144,10 @@ def _finished(job: _Job, meta: dict[str, Any]) -> RunResult | None:
     made = {name: value for name, value in reader.meta.items() if name not in ("format", "format_version")}
     if _fingerprint(made) == _fingerprint(worked_meta(meta, job.config, job.steps) if job.steps else meta):
         files = [path for path in map(job.folder.joinpath, FILES) if path.exists()]
-        drawn = [path for name in PICTURE_FOLDERS for path in sorted((job.folder / name).glob("*.jpg"))]
         for name in PARTS:
             shutil.rmtree(job.folder / name, ignore_errors=True)
         note = "This run was finished before, and nothing was left to do; --overwrite repeats it."
-        return RunResult(job.folder, summary_of(reader.blocks(), None), (*files, *drawn), (note,))
+        return RunResult(job.folder, summary_of(reader.blocks(), None), (*files, *drawn_in(job.folder)), (note,))
     if job.overwrite:
         return None
     raise OutputError(
@@ -390,8 +389,9 @@ def _names(frames: Frames) -> list[str]:
 def _fingerprint(meta: dict[str, Any]) -> str:
     """The metadata holds all that a run depends on: inputs, configuration, model, versions.
 
-    Of the detector only which one ran counts, not whether it was asked for by name or by "auto".
+    The order of its entries counts, as later landmark weights overrule earlier ones. Of the detector only which one ran
+    counts, not whether it was asked for by name or by "auto".
     """
     landmarks = {**meta["config"]["landmarks"], "detector": meta["detector"]}
     run = {**meta, "config": {**meta["config"], "landmarks": landmarks}}
-    return hashlib.sha256(json.dumps(run, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(run).encode()).hexdigest()

@@ -39,6 +39,11 @@ class History(Generic[State]):
         return self._undo[-1].state if self._undo else None
 
     @property
+    def steps(self) -> tuple[Step[State], ...]:
+        """The steps that can be undone, the newest last."""
+        return tuple(self._undo)
+
+    @property
     def undo_label(self) -> str | None:
         """Label of the change that `undo` would revert."""
         return self._undo[-1].label if self._undo else None
@@ -51,13 +56,16 @@ class History(Generic[State]):
     def change(self, state: State, label: str = "", gesture: Gesture | str | None = None) -> bool:
         """Make this the current state: a new undo step, or part of the last one if it continues the same `gesture`.
 
-        Returns False and adds no step if it equals the current state.
+        Returns False and adds no step if it equals the current state; a gesture that leads back leaves none.
         """
         with self._lock:
             if state == self._present:
                 return False
             if not self._gestures.goes_on(gesture):
                 self._undo = [*self._undo[-self._longest + 1 :], Step(self._present, label)]
+            elif self._undo and self._undo[-1].state == state:  # dragged back to where it was
+                self._undo.pop()
+                self._gestures.end()
             self._redo = []
             self._present = state
         return True

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from workbench.config import Config
-from workbench.config.schedules import weights_in_turn
+from workbench.config.schedules import ALL_GROUPS, weights_in_turn
 from workbench.energies.terms import NODES, TABLE, Term, factor
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT
 from workbench.landmarks.schemes import DENSE, detector_scheme
@@ -227,30 +227,40 @@ def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
         return {"stages": [stage.model_dump() for stage in stages]}
     section, key = path.split(".")
     if section == "group":
-        weights = {name: factor for name, factor in config.landmarks.weights.items() if name != key}
-        unset = value == 1.0 and _group_factor(config, weights, key) == 1.0
-        # Groups come before those that are parts of them, and before single points, because later entries win.
-        groups = {name: factor for name, factor in weights.items() if not name.isdigit()}
-        groups |= {} if unset else {key: float(value)}
-        further = {name: groups.pop(name) for name in FURTHER_GROUPS if name in groups}
-        singles = {name: factor for name, factor in weights.items() if name.isdigit()}
-        return {"landmarks": {"weights": groups | further | singles}}
+        return {"landmarks": {"weights": _with_group(config, key, float(value))}}
     changes: dict[str, Any] = {section: {key: value}}
     if path == "camera.fov_deg":
         changes["camera"]["matrix"] = None
     return changes
 
 
-def _group_factor(config: Config, weights: Mapping[str, float], group: str) -> float | None:
-    """The factor that entries of groups give all points of a group; None where these differ.
+def _with_group(config: Config, group: str, factor: float) -> dict[str, float]:
+    """The landmark weights with another factor of a group; without an entry of it where that changes nothing.
 
-    Of parts of the 68 these count alone: the points beyond them have sliders of their own.
+    Later entries win: its own comes after the groups that it is part of, and before its parts and single points.
     """
+    entries = [entry for entry in config.landmarks.weights.items() if entry[0] != group]
+    groups = [entry for entry in entries if not entry[0].isdigit()]
+    points = _points_of(config, group)
+    wider = [place for place, (name, _) in enumerate(groups, 1) if points <= _points_of(config, name)]
+    place = len(groups) if group in FURTHER_GROUPS else max(wider, default=0)
+    before, after = dict(groups[:place]), dict(groups[place:])
+    own = {} if factor == 1.0 and _group_factor(config, before, group) == 1.0 else {group: factor}
+    return before | own | after | {name: single for name, single in entries if name.isdigit()}
+
+
+def _group_factor(config: Config, weights: Mapping[str, float], group: str) -> float | None:
+    """The factor that entries of groups give all points of a group; None where these differ."""
     entries = {name: factor for name, factor in weights.items() if not name.isdigit()}
     factors = weights_in_turn(entries, config.subsets, 1.0, DENSE)
-    points = DENSE.groups[group]
-    found = {factors[point] for point in ([point for point in points if point < POINT_COUNT] or points)}
+    found = {factors[point] for point in _points_of(config, group)}
     return found.pop() if len(found) == 1 else None
+
+
+def _points_of(config: Config, group: str) -> frozenset[int]:
+    """The points of a group or subset; of parts of the 68 these alone, as those beyond have sliders of their own."""
+    points = {**ALL_GROUPS, **DENSE.groups, **config.subsets}[group]
+    return frozenset(point for point in points if point < POINT_COUNT) or frozenset(points)
 
 
 def effective_weights(config: Config) -> dict[str, float]:

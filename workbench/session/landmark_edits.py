@@ -61,15 +61,16 @@ def put_back(
 ) -> Config:
     """The configuration with points of a frame back at their detected positions.
 
-    Raises `InputError` for one that is among the `undetected`, (frame, point).
+    Those among the `undetected`, (frame, point), stay; raises `InputError` if all do.
     """
-    stored = {key: dict(places) for key, places in config.landmarks.moved.items()}
-    for point in points:
-        if (frame, point) in undetected:
-            raise InputError(
-                f"The track holds landmark {point} of frame {frame} where it was moved, not where it was detected; "
-                "open the clip itself to put it back."
-            )
+    stored, wanted = {key: dict(places) for key, places in config.landmarks.moved.items()}, list(points)
+    known = [point for point in wanted if (frame, point) not in undetected]
+    if wanted and not known:
+        raise InputError(
+            f"The track holds landmark {wanted[0]} of frame {frame} where it was moved, not where it was detected; "
+            "open the clip itself to put it back."
+        )
+    for point in known:
         stored.get(str(frame), {}).pop(str(point), None)
     return _with_landmarks(config, "moved", {key: places for key, places in stored.items() if places})
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from workbench.config import config_of_track
+from workbench.errors import InputError
 from workbench.export.sources import reference_inputs, tracked_part, view_clips
 from workbench.frames import open_frames
 from workbench.pipeline import is_landmark_file
@@ -17,7 +18,10 @@ def material_of_track(track: Track) -> Material:
     Of several cameras the frames are those of the rig's first view. Points that the run's configuration moved by hand
     keep those positions.
     """
-    inputs = tuple(reference_inputs(track.meta))
+    try:
+        inputs, views = tuple(reference_inputs(track.meta)), view_clips(track.meta)
+    except InputError:  # the rig of an older track is gone, and with it which inputs are the first camera's
+        inputs, views = (), {}
     stored = track.meta.get("landmarks")
     observations = []
     for k in range(len(track)):
@@ -42,7 +46,7 @@ def material_of_track(track: Track) -> Material:
         inputs,
         file,
         None if part is None else tuple(part),
-        view_clips(track.meta),
+        views,
         _moved(track),
     )
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from workbench.config import Config
 from workbench.errors import InputError
+from workbench.landmarks.schemes import DENSE
 from workbench.session.knobs import (
     CAMERA,
     CONSTANTS,
@@ -18,6 +19,7 @@ from workbench.session.knobs import (
     Knob,
     Value,
     inert_among,
+    value_of,
 )
 
 ITERATIONS, WINDOW, CALIBRATED = (1, 30), (10, 200), (1, 24)
@@ -87,8 +89,10 @@ def found_setting(settings: tuple[SweepSetting, ...], text: str) -> SweepSetting
 
 
 def value_at(config: Config, path: str) -> Value | None:
-    """What a configuration has at the path of a setting; None for a group of landmarks without a factor."""
+    """What a configuration has at the path of a setting: for a group of landmarks what its slider shows."""
     section, *keys = path.split(".")
+    if keys[:-1] == ["weights"] and keys[-1] in DENSE.groups:
+        return value_of(config, f"group.{keys[-1]}")
     if section == "stages":
         name, key = ".".join(keys[:-1]), keys[-1]
         return next(getattr(stage, key) for stage in config.stages if stage.name == name)

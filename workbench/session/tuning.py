@@ -12,6 +12,7 @@ import workbench
 from workbench.config import DEFAULT_PRESET, Config, Difference, config_of_track, preset
 from workbench.errors import InputError
 from workbench.session.gesture import Gesture
+from workbench.session.history import Step
 from workbench.session.landmark_edits import check_movable, moved, put_back, weighed, with_subset
 from workbench.session.material import Cancelled, Material, Progress, load_material
 from workbench.session.tuned_config import TunedConfig, snapshot_title
@@ -100,6 +101,11 @@ class TuningSession:
     def redo(self) -> str | None:
         """Redo the change that was undone last. Returns its label, None if there is none."""
         return self._tuned.redo()
+
+    @property
+    def undo_steps(self) -> tuple[Step[Config], ...]:
+        """The changes that `undo` would revert, the newest last."""
+        return self._tuned.history.steps
 
     @property
     def undo_label(self) -> str | None:

@@ -20,7 +20,7 @@ UNREAD = {"version", "preset", "provenance", "head", "infill", "refinement", "fl
 
 
 def result_key(config: Config, digest: str, windows: Sequence[range], objectives: Sequence[str], model: str) -> str:
-    """SHA-256 of configuration, input and version: equal keys mean equal numbers."""
+    """SHA-256 of configuration, with the order of its weights, input and version: equal keys mean equal numbers."""
     read = {
         "config": config.model_dump(mode="json", exclude=UNREAD),
         "clip": digest,
@@ -30,7 +30,7 @@ def result_key(config: Config, digest: str, windows: Sequence[range], objectives
         "version": __version__,
         "format": FORMAT,
     }
-    return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(read).encode()).hexdigest()
 
 
 def folds_needed(objectives: Sequence[str]) -> tuple[str, ...]:

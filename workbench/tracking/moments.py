@@ -25,7 +25,8 @@ class Moment(NamedTuple):
 def moments(fits: Iterable[FrameFit], views: Sequence[Frames]) -> Iterator[Moment]:
     """The fits with the pictures of each view, in order; `fits` are all frames of the views from 0 on.
 
-    Raises `InputError` if there are fewer pictures than fits.
+    Raises `InputError` if there are fewer pictures than fits, and for one of the first view that is not as large as the
+    one that was tracked.
     """
     streams = [frames.iterate() for frames in views]
     for fit in fits:
@@ -33,6 +34,12 @@ def moments(fits: Iterable[FrameFit], views: Sequence[Frames]) -> Iterator[Momen
         if len(pictures) < len(views):
             raise InputError(
                 f"The track has a frame {fit.index}, but its pictures end earlier; pass the pictures it was made from."
+            )
+        if pictures and pictures[0].shape[1::-1] != tuple(fit.image_size):
+            (height, width), (tracked_width, tracked_height) = pictures[0].shape[:2], fit.image_size
+            raise InputError(
+                f"Frame {fit.index} is {width}x{height} in the pictures, and was {tracked_width}x{tracked_height} when "
+                "it was tracked; name the tracked pictures."
             )
         yield Moment(fit, pictures)
 

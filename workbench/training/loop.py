@@ -391,11 +391,13 @@ def _save(path: Path, network, optimiser, average, step: int) -> None:
 
 
 def _forget_later_rows(path: Path, step: int) -> None:
-    """Leave what is known up to a step: an interrupted training repeats those after its last checkpoint."""
+    """Leave the whole rows up to a step: an interrupted training repeats those after its last checkpoint."""
     if not path.is_file():
         return
     with path.open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.reader(file) if row[0] == STEP or int(row[0]) <= step]
+        rows = list(csv.reader(file))
+    cells = len(rows[0]) if rows else 0
+    rows = rows[:1] + [row for row in rows[1:] if len(row) == cells and row[0].isdigit() and int(row[0]) <= step]
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(rows)
 

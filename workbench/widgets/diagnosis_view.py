@@ -7,6 +7,7 @@ import ipywidgets as widgets
 
 from workbench.config import Config
 from workbench.diagnosis.records import Change, Diagnosis, Reason
+from workbench.session.history import Step
 
 MOST_REASONS = 5
 
@@ -17,8 +18,8 @@ class DiagnosisView:
     def __init__(
         self,
         ask: Callable[[], None],
-        apply: Callable[[Change], Config | None],
-        take_back: Callable[[Config], bool],
+        apply: Callable[[Change], Step[Config] | None],
+        take_back: Callable[[Step[Config]], bool],
         height_px: int,
     ) -> None:
         """`apply` returns the configuration with a change, or None if it was refused; `take_back` gets that one and
@@ -80,7 +81,7 @@ class DiagnosisView:
             description="undo", tooltip="undo this change", disabled=True, layout=widgets.Layout(width="auto")
         )
 
-        applied: list[Config] = []
+        applied: list[Step[Config]] = []
 
         def on_apply(_button) -> None:
             applied[:] = filter(None, [self._apply(reason.change)])

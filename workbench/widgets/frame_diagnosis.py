@@ -8,6 +8,7 @@ from workbench.config import Config
 from workbench.diagnosis import Change, vertex_uncertainty
 from workbench.errors import WorkbenchError
 from workbench.session import TuningSession
+from workbench.session.history import Step
 from workbench.tracking import FrameFit
 from workbench.widgets.diagnosis_view import DiagnosisView
 from workbench.widgets.status_line import StatusLine
@@ -31,13 +32,23 @@ class FrameDiagnosis:
         self._session, self._status, self._later, self._frame = session, status, later, frame
         self.view = DiagnosisView(self._on_ask, self.apply, self.take_back, height_px)
 
-    def apply(self, change: Change) -> Config | None:
-        """Apply the change proposed by a reason: the configuration with it; None if the session refuses it."""
-        return self._session.config if self._status.guarded(self._session.apply, change, self._frame()) else None
+    def apply(self, change: Change) -> Step[Config] | None:
+        """Apply the change proposed by a reason: its undo step; None if the session refuses it, or has it already."""
+        before = self._session.undo_steps
+        if not self._status.guarded(self._session.apply, change, self._frame()):
+            return None
+        if self._session.undo_steps == before:
+            self._status.say("The settings have this change already.")
+            return None
+        return self._session.undo_steps[-1]
 
-    def take_back(self, applied: Config) -> bool:
-        """Undo the change that led to this configuration; False if other changes came after it."""
-        if self._session.config != applied:
+    def take_back(self, applied: Step[Config]) -> bool:
+        """Undo a change by its step, unless that has been done; False if other changes came after it."""
+        steps = self._session.undo_steps
+        if applied not in steps:
+            self._status.say("This change has been undone already.")
+            return True
+        if steps[-1] != applied:
             self._status.say("Other changes came after this one; undo them first (Ctrl Z).")
             return False
         self._session.undo()

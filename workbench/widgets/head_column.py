@@ -124,7 +124,7 @@ class HeadColumn:
 
     def refresh_comparisons(self) -> None:
         """Update the list of snapshots, and the outline of one that was kept again."""
-        if self._compared and self._compared[2] != id(self._session.snapshots.get(self._compared[0])):
+        if (compared := self._compared) and compared[2] != id(self._session.snapshots.get(compared[0])):
             self._redraw()
         if list(self.compare.options) != (options := self._comparisons()):
             chosen = self.compare.value

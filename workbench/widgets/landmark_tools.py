@@ -46,8 +46,7 @@ class LandmarkTools:
         redraw: Callable[[], None],
     ) -> None:  # fmt: skip
         self._session, self._head, self._said, self._redraw = session, head, said, redraw
-        self.frame = 0
-        self._drags, self._dragging = 0, False
+        self.frame, self._drags, self._dragging, self._before = 0, 0, False, session.config
         self.view = OverlayView(height_px=0, scheme=session.material.scheme, unit=UNITS["%"], at_face=True)
         self.view.on_event(self._on_event)
         self._pictures = PictureLayers(session, head, self.view, said, waiting, self._switch_off)
@@ -191,13 +190,15 @@ class LandmarkTools:
             session.use(rescaled(config, points, WEIGHT_STEPS[event.kind], scheme), "landmark weight")
         elif event.kind in ("drag", "drop"):
             session.move(self.frame, points[0], (event.x, event.y), self._gesture(event))
+        elif event.kind == "cancel":
+            session.use(self._before, "landmark drag", self._gesture(event))
         elif event.kind == "reset":
             session.put_back(self.frame, points)
 
     def _gesture(self, event: OverlayEvent) -> Gesture:
         """A drop after a drag ends the drag; a drop alone is an arrow key, which moves all selected landmarks."""
         if event.kind == "drag" and not self._dragging:
-            self._drags, self._dragging = self._drags + 1, True
+            self._drags, self._dragging, self._before = self._drags + 1, True, self._session.config
         gesture = Gesture(f"move {self.frame}", self._drags if self._dragging else 0)
         self._dragging = event.kind == "drag"
         return gesture

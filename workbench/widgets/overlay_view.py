@@ -120,7 +120,7 @@ def read_event(content: object, count: int = len(IBUG68)) -> OverlayEvent | None
         return None
     if not all(value is None or (isinstance(value, int | float) and math.isfinite(value)) for value in place):
         return None
-    if content["kind"] in ("drag", "drop") and (len(points) != 1 or None in place):
+    if content["kind"] in ("drag", "drop", "cancel") and (len(points) != 1 or None in place):
         return None
     x, y = (None if value is None else float(value) for value in place)
     return OverlayEvent(content["kind"], tuple(points), x, y)

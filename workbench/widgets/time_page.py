@@ -114,19 +114,17 @@ class TimePage:
 
     def fit(self, frame: int) -> FrameFit | None:
         """The fit of a frame on the chosen side; None if the current settings have no result for it."""
-        if not self.is_clip:
-            return None
-        worked = self._session.temporal.result(self.played.whole)
-        pair = None if worked is None else worked.pair(frame)
+        pair = self._pair(frame)
         return None if pair is None else pair[self.side == AFTER]
 
-    def note_of(self, fit: FrameFit) -> str:
-        """A short note on a filled or marked frame; empty for others."""
-        if not self.is_clip:
-            return ""
-        if fit.source == "filled":
-            return f"frame {fit.index}: filled"
-        return f"frame {fit.index}: marked as failed" if self._session.config.infill.named(fit.index) else ""
+    def was_changed(self, fit: FrameFit) -> bool:
+        """Whether a fit is what infill or refinement made of its frame."""
+        before, after = self._pair(fit.index) or (fit, fit)
+        return self.side == AFTER and fit is after and after is not before
+
+    def _pair(self, frame: int) -> tuple[FrameFit, FrameFit] | None:
+        worked = self._session.temporal.result(self.played.whole) if self.is_clip else None
+        return None if worked is None else worked.pair(frame)
 
     def show_frame(self, frame: int) -> None:
         """Update for the shown frame."""

@@ -172,9 +172,7 @@ class TunePage(widgets.HBox):
         self._show_result(found)
         self.said.say(conclusion(found))
 
-    def _told(
-        self, objective: str, _what: str, done: int, total: int, value: float, watched: float | None
-    ) -> None:  # fmt: skip
+    def _told(self, objective: str, _what: str, done: int, total: int, value: float, watched: float | None) -> None:
         self._values.append((value, np.nan if watched is None else watched))
         learned_on, held_out = np.array(self._values).T
         steps = np.arange(1, len(learned_on) + 1, dtype=float)

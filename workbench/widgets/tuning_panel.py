@@ -19,7 +19,7 @@ from workbench.widgets.kernel_comms import lose_no_messages
 from workbench.widgets.late_parts import LateParts
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.panel_layout import arranged, classed, on_turn, style_sheet, tabs, unloaded_note
-from workbench.widgets.time_part import AFTER
+from workbench.widgets.time_part import note_of
 from workbench.widgets.waiting import Waiting, Work, nothing
 
 HEAD_SIZE, TABS_PX = (304, 308), 170
@@ -229,8 +229,7 @@ class TuningPanel(LateParts):
         if self._worker.wait_newer(PAUSE_S):
             return
         self._catch_up()
-        after = self.time.side == AFTER and fit is self.time.fit(frame)
-        self.status.show_fit(fit, len(session), after, self.clip.why(frame))
+        self.status.show_fit(fit, len(session), self.time.was_changed(fit), self.clip.why(frame))
         self._iterations.show(fit, session.explain_frame(frame)[1] if fit.found else (), request.steps)
         self.strip.show_frame(frame)
         self.compare.show_frame(frame)
@@ -239,7 +238,7 @@ class TuningPanel(LateParts):
         self.fit, self._iterations.found = fit, fit.found
         with self.overlay.view.hold_sync():  # one message: two arrive milliseconds apart and are drawn a frame apart
             self.head.show(fit, self.overlay.view)
-            self.overlay.show(fit, self.time.note_of(fit))
+            self.overlay.show(fit, note_of(fit, self.session.config) if self.time.is_clip else "")
 
     def _redraw(self) -> None:
         if self.fit is not None:

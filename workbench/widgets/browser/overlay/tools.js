@@ -120,7 +120,7 @@ export function cancelGesture(overlay, send) {
     landmarks.release(gesture.index);
     if (gesture.sent) {
       landmarks.drop(gesture.index, ...gesture.held);
-      send.event("drop", [gesture.index], ...gesture.held);
+      send.event("cancel", [gesture.index], ...gesture.held);
     }
   }
   overlay.gesture = null;
