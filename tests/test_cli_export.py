@@ -235,7 +235,7 @@ def test_pictures_of_another_size_than_the_tracked_ones_are_refused(command, run
     name, *options = command
     code, _, err = run(name, "talk", *options, "--pictures", "half.mp4")
     assert code == 2
-    assert "The pictures of half.mp4 are 320x240, those that were tracked 640x480" in " ".join(err.split())
+    assert "The pictures of half.mp4 are 320x240 (half#0), those that were tracked 640x480" in " ".join(err.split())
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -247,7 +247,7 @@ def test_in_a_folder_each_picture_is_compared_with_the_one_that_was_tracked(stor
     track.meta["inputs"] = [{"path": str(tmp_path / "shoot.2024"), "sha256": "0" * 64}]
     stream = pictures_of(track).iterate()
     assert [next(stream).index for _ in range(2)] == [0, 1]
-    with pytest.raises(InputError, match="are 320x480, those that were tracked 640x480"):
+    with pytest.raises(InputError, match=r"are 320x480 \(2.png\), those that were tracked 640x480"):
         next(stream)
 
 

@@ -208,7 +208,7 @@ def test_nothing_compiles_when_settings_move(session):
 def test_deep_energies_fits_the_frames_of_the_part_alone_and_once(session, fitted, monkeypatch):
     asked = []
 
-    def fit_frame(frame, config):
+    def fit_frame(frame, config, cancelled):
         asked.append(frame)
         return fitted.run.fits[frame]
 

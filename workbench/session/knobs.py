@@ -238,12 +238,18 @@ def _with_group(config: Config, group: str, factor: float) -> dict[str, float]:
     """The landmark weights with another factor of a group; without an entry of it where that changes nothing.
 
     Later entries win: its own comes after the groups that it is part of, and before its parts and single points.
+    Further points come last, as a group of the 68 may have some of them, too.
     """
     entries = [entry for entry in config.landmarks.weights.items() if entry[0] != group]
-    groups = [entry for entry in entries if not entry[0].isdigit()]
-    points = _points_of(config, group)
-    wider = [place for place, (name, _) in enumerate(groups, 1) if points <= _points_of(config, name)]
-    place = len(groups) if group in FURTHER_GROUPS else max(wider, default=0)
+    ranks = {name: rank for rank, name in enumerate(FURTHER_GROUPS, 1)}
+    groups = sorted((entry for entry in entries if not entry[0].isdigit()), key=lambda entry: ranks.get(entry[0], 0))
+    points, rank = _points_of(config, group), ranks.get(group, 0)
+    wider = [
+        place
+        for place, (name, _) in enumerate(groups, 1)
+        if ranks.get(name, 0) < rank or points <= _points_of(config, name)
+    ]
+    place = max(wider, default=0)
     before, after = dict(groups[:place]), dict(groups[place:])
     own = {} if factor == 1.0 and _group_factor(config, before, group) == 1.0 else {group: factor}
     return before | own | after | {name: single for name, single in entries if name.isdigit()}

@@ -81,7 +81,7 @@ class FrameFit:
     @property
     def landmarks(self) -> Landmarks2D | None:
         """The detector's landmarks; None if it found no face in this view, and in frames made by infill."""
-        if not self.seen:
+        if not self.seen or self.source == "filled":
             return None
         told = len(self.covariance) > 0 and bool(np.isfinite(self.covariance).all())
         return Landmarks2D(self.observed, self.confidence, self.image_size, self.covariance if told else None)

@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import ipywidgets as widgets
 
+import workbench
 from workbench.config import Config
 from workbench.errors import InputError, WorkbenchError
 from workbench.session import TuningSession
 from workbench.session.parts import read_parts
-from workbench.tracking import FrameFit
 from workbench.widgets.controls import narrow, small_button
 
 BEFORE, AFTER = "before", "after"
@@ -118,7 +118,7 @@ class TimePart:
             self._go(change["new"])
 
 
-def note_of(fit: FrameFit, config: Config) -> str:
+def note_of(fit: "workbench.tracking.FrameFit", config: Config) -> str:
     """A short note on a filled or marked frame of a clip; empty for others."""
     if fit.source == "filled":
         return f"frame {fit.index}: filled"
