@@ -434,7 +434,7 @@ class VideoWriter:
     Raises `InputError` for a picture of another size or type, and when the block ends without any picture.
     """
 
-    def __init__(self, path: str | Path, rate: float | int = 25.0, quality: int = 20) -> None:
+    def __init__(self, path: str | Path, rate: float | int = RATE_OF_IMAGES, quality: int = 20) -> None:
         if not 0.001 <= rate <= 1000:
             raise InputError(f"a video needs a rate between 0.001 and 1000 frames per second, got {rate:g}")
         self.path = Path(path)

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 import workbench
 from workbench.config import Config
 from workbench.errors import InputError
-from workbench.frames import Frame, FrameRange, Frames, open_frames, range_notes
+from workbench.frames import RATE_OF_IMAGES, Frame, FrameRange, Frames, open_frames, range_notes
 from workbench.landmarks.files import LandmarkRecord, is_landmark_file, read_landmark_file, states_size
 from workbench.landmarks.formats.records import scheme_of_records, without_gaps
 from workbench.tracking import FrameObservation
@@ -86,7 +86,7 @@ class FileSource:
 class _Canvas:
     """Plain pictures of the sizes that a landmark file names, to draw on."""
 
-    kind, rate, announced_count = "images", 25.0, None
+    kind, rate, announced_count = "images", RATE_OF_IMAGES, None
 
     def __init__(self, source: FileSource):
         self._source = source
