@@ -141,6 +141,18 @@ def test_a_step_whose_note_changes_stays_one_step_and_shows_how_fast_it_goes(mon
     assert "3/4 0.3333 1.0 steps/s 0:00:01" in shown
 
 
+def test_steps_that_take_turns_each_keep_their_speed(monkeypatch):
+    console = screen.Console(width=200, force_terminal=True, file=StringIO(), color_system=None)
+    monkeypatch.setattr(screen, "console", console)
+    monkeypatch.setattr(screen, "Progress", partial(screen.Progress, get_time=count().__next__, auto_refresh=False))
+    with screen.progress_bar() as progress:
+        for done in range(1, 4):
+            progress("flow", done, 9)
+            progress("solve", done, 9)
+    shown = console.file.getvalue().split("\n")
+    assert "frames/s" in [line for line in shown if "solve" in line][-1]
+
+
 def test_the_version_is_told_without_a_command(run):
     assert run("--version")[:2] == (0, f"{workbench.__version__}\n")
 

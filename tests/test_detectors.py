@@ -15,7 +15,7 @@ from workbench.config import LandmarksConfig
 from workbench.errors import ConfigError, InputError, MissingDependencyError
 from workbench.frames import read_picture
 from workbench.landmarks import dlib_detector
-from workbench.landmarks.alignment import MEAN_SHAPE, frame_from_points, grey_face_crop
+from workbench.landmarks.alignment import frame_from_points, grey_face_crop
 from workbench.landmarks.detection import FaceDetection, LandmarkDetector
 from workbench.landmarks.detectors import DETECTORS, chosen_detector, fallback_note, make_detector
 from workbench.landmarks.files import read_landmark_file
@@ -304,13 +304,6 @@ def test_the_network_agrees_with_dlib_on_the_portrait_and_is_sure(aligned, portr
     assert aligned.image_size == (512, 512)
     assert distance(aligned.points, portrait_points, slice(17, None)) < PORTRAIT_TOLERANCE
     assert np.median(aligned.confidence) > SURE
-
-
-def test_weights_without_pupils_answer_none():
-    detector = NetworkDetector(empty_landmark_network((4, 4, 4, 4), 1), KnownFaces())
-    pupils, confidence = detector.pupils(np.zeros((64, 64, 3), np.uint8), 20 * MEAN_SHAPE + 32)
-    assert np.isnan(pupils).all()
-    assert np.array_equal(confidence, [0.0, 0.0])
 
 
 def test_the_networks_confidences_lie_between_0_and_1(network, astronaut, portrait_box, aligned):

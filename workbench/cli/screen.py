@@ -65,9 +65,9 @@ def table(*columns: str, right: tuple[str, ...] = (), whole: tuple[str, ...] = (
 
 @contextmanager
 def progress_bar(unit: str = "frames/s") -> Iterator[Callable[..., None]]:
-    """A bar for one step after the other; yields what tells it `(step, done, total, note="")`. It vanishes at the end.
+    """A bar for the step in progress; yields what tells it `(step, done, total, note="")`. It vanishes at the end.
 
-    `unit` is that of its speed; a note stands beside it.
+    Steps may take turns: each keeps its own speed. `unit` is that of its speed; a note stands beside it.
     """
     bar = Progress(
         SpinnerColumn(),
@@ -86,8 +86,9 @@ def progress_bar(unit: str = "frames/s") -> Iterator[Callable[..., None]]:
 
         def progress(step: str, done: int, total: int | None, note: str = "") -> None:
             if step not in tasks:
-                bar.update(tasks.popitem()[1], visible=False)
                 tasks[step] = bar.add_task(step, total=total, rate="", note="")
+            for other in bar.tasks:
+                other.visible = other.id == tasks[step]
             speed = bar.tasks[tasks[step]].speed
             rate = f"{speed:.{0 if speed >= 10.0 else 1}f} {unit}" if speed else ""
             bar.update(tasks[step], completed=done, total=total, rate=rate, note=note)

@@ -102,20 +102,6 @@ class NetworkDetector:
         landmarks, heat_maps = self._answer(sampled_crop(picture, to_image), picture, to_image, mirrored=False)
         return NetworkLook(landmarks, _probability(heat_maps[:LANDMARKS]), to_image)
 
-    def pupils(
-        self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]
-    ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "2"]]:
-        """The person's right and left pupil near these landmarks, pixels, and their confidences, by one look.
-
-        Behind a shut lid, where it would be. NaN with confidence 0 from weights that know no pupils.
-        """
-        to_image = crop_frame(frame_from_points(points))
-        heat_maps = self._maps(sampled_crop(picture, to_image))[LANDMARKS:]
-        if len(heat_maps) == 0:
-            return np.full((2, 2), np.nan), np.zeros(2)
-        places, confidence = _read(heat_maps, self._calibration)
-        return to_image.to_image(places), np.clip(confidence, 0.0, 1.0)
-
     def _looks(self, picture: np.ndarray, box: Box) -> list[Landmarks2D]:
         """Six looks at a still, in the frame that a first one finds."""
         face = frame_from_points(self._first_look(picture, box).points)

@@ -44,9 +44,8 @@ def carried(face: FaceCrop, picture: UInt8[np.ndarray, "h w 3"], window: int, ro
     `window` is the side of the Lucas-Kanade window, pixels of the crop; a point is lost if it comes back further than
     `round_trip_sides` from where it began.
     """
-    crop, _ = grey_face_crop(picture, face.frame, FLOW_BOX, FLOW_MARGIN)
-    to_crop = _crop_similarity(face.frame)
-    before = to_crop.to_face(face.points).astype(np.float32)
+    crop, to_image = grey_face_crop(picture, face.frame, FLOW_BOX, FLOW_MARGIN)
+    before = to_image.to_face(face.points).astype(np.float32)
     size = (window, window)
     after, found, _ = cv2.calcOpticalFlowPyrLK(face.grey, crop, before[:, None], None, winSize=size)
     back, found_back, _ = cv2.calcOpticalFlowPyrLK(crop, face.grey, after, None, winSize=size)
@@ -54,16 +53,9 @@ def carried(face: FaceCrop, picture: UInt8[np.ndarray, "h w 3"], window: int, ro
     inside = ((after[:, 0] > 0) & (after[:, 0] < crop.shape[0] - 1)).all(axis=1)
     valid = found.ravel().astype(bool) & found_back.ravel().astype(bool) & inside
     valid &= round_trip < round_trip_sides
-    points = to_crop.to_image(after[:, 0].astype(np.float64))
+    points = to_image.to_image(after[:, 0].astype(np.float64))
     if valid.sum() >= 6:
         points[~valid] = fit_similarity(face.points[valid], points[valid]).to_image(face.points[~valid])
     else:
         points = face.points.copy()
     return CarriedPoints(points, valid, round_trip)
-
-
-def _crop_similarity(frame: FaceFrame) -> FaceFrame:
-    """From pixels of the flow crop to pixels of the picture."""
-    size = FLOW_BOX + 2 * FLOW_MARGIN
-    matrix = frame.matrix / FLOW_BOX
-    return FaceFrame(matrix, frame.origin - matrix @ np.full(2, (size - 1) / 2))

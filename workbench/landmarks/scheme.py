@@ -9,11 +9,10 @@ is the one at image left on a frontal face. Some libraries name the same points 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Num
+from jaxtyping import Bool, Float, Num
 
 from workbench.errors import InputError
 
@@ -170,7 +169,9 @@ class LandmarkScheme:
         """True for every point of any of the groups. Raises `InputError` that lists the groups."""
         mask = np.zeros(len(self), bool)
         for name in names:
-            mask[list(_indices(self.groups, name))] = True
+            if name not in self.groups:
+                raise InputError(f"there is no landmark group {name!r}: choose one of {', '.join(self.groups)}")
+            mask[list(self.groups[name])] = True
         return mask
 
 
@@ -186,17 +187,6 @@ def first_68(points: Num[np.ndarray, "..."]) -> Float[np.ndarray, "68 2"]:
     if len(points) < POINT_COUNT:
         raise InputError(f"the iBUG scheme has 68 points, got {len(points)}: convert other schemes first")
     return points[:POINT_COUNT].astype(np.float64)
-
-
-def group_indices(name: str) -> tuple[int, ...]:
-    """The point indices of a group; raises `InputError` that lists the groups."""
-    return _indices(GROUPS, name)
-
-
-def _indices(groups: Mapping[str, tuple[int, ...]], name: str) -> tuple[int, ...]:
-    if name not in groups:
-        raise InputError(f"there is no landmark group {name!r}: choose one of {', '.join(groups)}")
-    return groups[name]
 
 
 def group_mask(*names: str) -> Bool[np.ndarray, "68"]:
@@ -244,8 +234,3 @@ def face_size(points: Float[np.ndarray, "*n points 2"]) -> Float[np.ndarray, "*n
     points = points[..., :POINT_COUNT, :]
     centred = points - points.mean(axis=-2, keepdims=True)
     return np.asarray(EYE_PER_SPREAD * np.sqrt((centred**2).sum(-1).mean(-1)))
-
-
-def polyline_segments() -> Int[np.ndarray, "n 2"]:
-    """The polylines as pairs of point indices."""
-    return np.array([pair for line in POLYLINES for pair in pairwise(line)])
