@@ -241,6 +241,14 @@ class TestShading:
         assert aside[0] > 0.8 > 0.5 > aside[1]
         assert ahead.min() > 0.8
 
+    def test_teeth_are_lit_as_the_lips_are(self, head, shader):
+        """A closed mouth leaves them no light, and renders of smiles would all be black inside."""
+        front = Lighting((Light((0.0, 0.0, -1.0), 1.0),), 0.3)
+        light = shader.light(head.neutral, front, Sky(np.ones((3, 2, 3)))) / 255.0
+        lips = np.intersect1d(head.regions["lips"], np.unique(shader.outer))
+        for part in ("teethU", "teethL", "tongue"):
+            assert light[head.regions[part]].min() > light[lips].mean() > 0.6
+
     def test_what_is_before_the_face_darkens_it(self, head, shader):
         lighting = Lighting((Light((0.0, 0.0, -1.0), 1.0),), 0.1)
         sky = Sky(np.ones((3, 2, 3)))

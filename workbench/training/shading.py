@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from scipy.sparse import csr_matrix, diags
 
 from workbench.face.model import FaceModel
-from workbench.pictures.extras import is_outer
+from workbench.pictures.extras import is_outer, of_regions
 from workbench.pictures.lighting import Light, Lighting
 from workbench.pictures.mesh import corner_sum, vertex_normals
 
@@ -18,6 +18,8 @@ CELL_MM = 3.0
 HIDDEN_MM = (5.0, 11.0)
 """How far behind the first surface a vertex begins to be, and is, in its shadow."""
 SKY_DIRECTIONS = 64
+IN_THE_MOUTH = ("teethU", "teethL", "tongue")
+"""What open lips let light to. How much of it the depth of the mouth leaves is in their pictures and shades."""
 CAST_FROM = 0.12
 """Intensity from which a light casts shadows."""
 
@@ -45,6 +47,9 @@ class Shader:
         neighbours: csr_matrix = self.sums @ self.sums.T
         self.blur = diags(1.0 / np.maximum(np.asarray(neighbours.sum(axis=1))[:, 0], 1.0)) @ neighbours
         self.openness = self._openness(model.neutral)
+        self.in_the_mouth = of_regions(model, IN_THE_MOUTH)
+        self.lips = of_regions(model, ("lips",))
+        self.lips &= self.openness > np.median(self.openness[self.lips])
 
     def light(
         self,
@@ -55,7 +60,8 @@ class Shader:
     ) -> UInt8[np.ndarray, "v 3"]:
         """`Extras.light`: what reaches each vertex, where `lighting` alone would light it without a shadow.
 
-        Camera-frame points in millimetres; `occluders` are points of what else casts shadows.
+        Camera-frame points in millimetres; `occluders` are points of what else casts shadows. Teeth and tongue get
+        what the outer half of the lips gets.
         """
         normals = vertex_normals(points_camera, self.triangles, self.sums)
         skylight = lighting.ambient * self.openness[:, None] * sky.on(normals)
@@ -67,7 +73,10 @@ class Shader:
             if light.intensity >= CAST_FROM:
                 direct = direct * self.reached(points_camera, toward, occluders)[:, None]
             reached = reached + direct
-        return np.rint(255 * np.clip(reached / np.maximum(sent, 1e-3), 0.0, 1.0)).astype(np.uint8)
+        share = np.clip(reached / np.maximum(sent, 1e-3), 0.0, 1.0)
+        # Found as for the skin, there would be none: a resting head's lips are shut.
+        share[self.in_the_mouth] = share[self.lips].mean(axis=0)
+        return np.rint(255 * share).astype(np.uint8)
 
     def reached(
         self,

@@ -55,7 +55,7 @@ class Wardrobe:
         eyes[..., :3] = np.clip(eyes[..., :3] * rng.uniform(0.6, 1.05) * rng.normal(1, 0.03, 3), 0, 255)
         eyes[..., 3] = 255
         mouth = self._picture("teeth", TEETH_PICTURE).copy()
-        mouth[..., :3] = np.clip(mouth[..., :3] * rng.uniform(0.6, 1.15) * [1.0, 1.0, rng.uniform(0.8, 1.0)], 0, 255)
+        mouth[..., :3] = np.clip(mouth[..., :3] * rng.uniform(0.6, 1.5) * [1.0, 1.0, rng.uniform(0.8, 1.0)], 0, 255)
         worn = [
             ("tongue", TONGUE, self._picture("tongue", TONGUE)),
             ("teeth", _one(rng, self.store.styles["teeth"]), mouth),
