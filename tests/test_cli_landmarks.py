@@ -160,6 +160,33 @@ def test_face_chooses_the_face_at_a_point_instead_of_the_largest(run, tmp_path):
     np.testing.assert_allclose(record.landmarks.points, expected_points(20, 60, 60), atol=6e-4)
 
 
+@pytest.mark.usefixtures("detector", "film")
+def test_a_film_that_the_command_does_not_name_is_replaced_only_on_demand(run, tmp_path):
+    (tmp_path / "take.mp4").write_bytes(b"somebody's film")
+    code, _, err = run("landmarks", "film.mp4", "--out", "take.csv")
+    assert code == 2
+    assert "take.mp4 exists already" in err
+    assert "--overwrite" in err
+    assert (tmp_path / "take.mp4").read_bytes() == b"somebody's film"
+    assert not (tmp_path / "take.csv").exists()
+    assert run("landmarks", "film.mp4", "--out", "take.csv", "--no-pictures")[0] == 0
+    assert run("landmarks", "film.mp4", "--out", "take.csv", "--overwrite")[0] == 0
+    assert len(list(open_frames(tmp_path / "take.mp4").iterate())) == 6
+
+
+@pytest.mark.usefixtures("detector", "photos")
+def test_a_table_without_a_name_and_drawn_pictures_are_replaced_only_on_demand(run, tmp_path):
+    (tmp_path / "landmarks").mkdir()
+    (tmp_path / "landmarks" / "note.txt").write_text("not drawn")
+    assert run("landmarks", "photos/0-anna.png")[0] == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert "landmarks.csv exists already" in run("landmarks", "photos/2-couple.png", "--no-pictures")[2]
+    assert "0000-0-anna.jpg exists already" in run("landmarks", "photos/0-anna.png", "--out", "landmarks.csv")[2]
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert run("landmarks", "photos/2-couple.png", "--out", "landmarks.csv", "--no-pictures")[0] == 0
+    assert run("landmarks", "photos/0-anna.png", "--overwrite")[0] == 0
+
+
 # --- what it tells ---
 
 
@@ -192,7 +219,7 @@ def test_many_photos_are_counted_and_not_listed_one_by_one(run, tmp_path):
 @pytest.mark.usefixtures("photos")
 def test_the_detector_is_auto_unless_one_is_named(run, detector):
     run("landmarks", "photos", "--no-pictures")
-    run("landmarks", "photos", "--no-pictures", "--detector", "dlib-hog")
+    run("landmarks", "photos", "--no-pictures", "--overwrite", "--detector", "dlib-hog")
     assert detector == ["auto", "dlib-hog"]
 
 
@@ -200,7 +227,7 @@ def test_the_detector_is_auto_unless_one_is_named(run, detector):
 @pytest.mark.parametrize("command", ["landmarks", "track"])
 def test_who_gets_the_network_for_lack_of_dlib_reads_it_once_and_who_asked_for_it_does_not(run, command):
     note = "dlib is not installed"
-    options = ["--no-pictures", *(["--stills", "--overwrite"] if command == "track" else [])]
+    options = ["--no-pictures", "--overwrite", *(["--stills"] if command == "track" else [])]
     assert run(command, "photos", *options)[1].count(note) == 1
     assert note not in run(command, "photos", *options, "--detector", "network")[1]
 
@@ -210,7 +237,7 @@ def test_who_gets_the_network_for_lack_of_dlib_reads_it_once_and_who_asked_for_i
 @pytest.mark.parametrize("name", ["dlib", "dlib+network"])
 def test_dlibs_licence_is_told_where_dlib_ran_and_only_there(run, command, name, monkeypatch):
     monkeypatch.setattr(dlib_detector, "_notice_given", False)
-    options = ["--no-pictures", *(["--stills", "--overwrite"] if command == "track" else [])]
+    options = ["--no-pictures", "--overwrite", *(["--stills"] if command == "track" else [])]
     assert "300-W" not in run(command, "photos", *options, "--detector", "network")[1]
     assert run(command, "photos", *options, "--detector", name)[1].count("300-W") == 1
 

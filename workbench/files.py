@@ -114,6 +114,12 @@ def check_target(path: str | Path) -> None:
         raise OutputError(f"{path} is a pipe or device and cannot be written as a file; name another file.")
 
 
+def check_new(path: Path, remedy: str = "name another (--out), or add --overwrite") -> None:
+    """Raise `OutputError` where something is there already; `remedy` is what to do then."""
+    if os.path.exists(path):
+        raise OutputError(f"{shortened(path)} exists already; {remedy}.")
+
+
 def check_not_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
     """Raise `OutputError` where a file or folder to be written is one that is read, also through links.
 

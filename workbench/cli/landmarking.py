@@ -17,12 +17,13 @@ from workbench.cli import screen
 from workbench.cli.tracking import DETECTOR_HELP, FACE_HELP, LANDMARKER_HELP, NO_FACE, print_licence_notice, wanted_face
 from workbench.config import DEFAULT_PRESET, preset
 from workbench.errors import InputError
-from workbench.files import check_not_inputs
+from workbench.files import check_new, check_not_inputs
 from workbench.landmarks.scheme import outer_eye_distance
 
 LANDMARKS_HELP = """Find faces and their landmarks, with a confidence for every point; no face model is fitted.
 
-Every picture is treated independently, even in a video. The CSV file is one that [bold]workbench track[/bold] reads.
+Every picture is treated independently, even in a video. The CSV file is one that [bold]workbench track[/bold] reads. \
+Drawn pictures of an earlier call are replaced only with --overwrite.
 
 [bold]Examples[/bold]
 
@@ -37,6 +38,11 @@ Every picture is treated independently, even in a video. The CSV file is one tha
   workbench track photos/ --stills --landmarks found.csv
 """
 
+OUT = Path("landmarks.csv")
+"""The table of a call that names none."""
+DRAWN = "[0-9][0-9][0-9][0-9]*-*.jpg"
+"""What the names of drawn pictures have in common: they begin with the frame's number."""
+OVERWRITE_HELP = f"Replace what --out does not name: {OUT} and drawn pictures."
 UNSURE = 0.5
 """Confidence below which a point is counted as unsure."""
 LISTED = 20
@@ -66,13 +72,15 @@ class Found:
 
 def landmarks(
     inputs: Annotated[list[Path], typer.Argument(help="Photos, a folder or a video.")],
-    out: Annotated[Path, typer.Option(help="CSV file for the landmarks.")] = Path("landmarks.csv"),
+    out: Annotated[Path | None, typer.Option(help=f"CSV file for the landmarks (default: {OUT}).")] = None,
     detector: Annotated[str, typer.Option(help=DETECTOR_HELP)] = "auto",
     face_landmarker: Annotated[Path | None, typer.Option(help=LANDMARKER_HELP)] = None,
     face: Annotated[str | None, typer.Option(help=FACE_HELP)] = None,
     pictures: Annotated[bool, typer.Option(help="Draw the points, coloured by confidence.")] = True,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP)] = False,
 ) -> None:
     """Find faces and landmarks in pictures."""
+    named, out = out is not None, out or OUT
     if out.suffix.lower() != ".csv":
         raise InputError(f"Landmarks are written as .csv, got {out}; name another file.")
     for path in inputs:
@@ -82,7 +90,9 @@ def landmarks(
     settings = preset(DEFAULT_PRESET).changed(landmarks=chosen)
     source = workbench.pipeline.open_source(inputs, settings, None)
     drawn = _drawings(source.frames, out) if pictures else None
-    check_not_inputs([out] if drawn is None else [out, drawn, *_drawn_there(drawn)], inputs)
+    check_not_inputs([out] if drawn is None else [out, drawn, *_files_in(drawn)], inputs)
+    if not overwrite:
+        _check_new(out, drawn, named)
     with screen.progress_bar() as progress:
         try:
             found = _find(source, out, drawn, progress)
@@ -100,8 +110,17 @@ def _drawings(frames: "workbench.frames.Frames", out: Path) -> Path:
     return out.with_suffix(".mp4") if frames.kind == "video" else out.with_suffix("")
 
 
-def _drawn_there(drawn: Path) -> list[Path]:
-    return list(drawn.iterdir()) if drawn.is_dir() else []
+def _files_in(drawn: Path, names: str = "*") -> list[Path]:
+    return sorted(drawn.glob(names)) if drawn.is_dir() else []
+
+
+def _check_new(out: Path, drawn: Path | None, named: bool) -> None:
+    """Raise `OutputError` where a file would be replaced that the command line does not name."""
+    if not named:
+        check_new(out)
+    if drawn is not None:
+        for path in _files_in(drawn, DRAWN) if drawn.is_dir() else [drawn]:
+            check_new(path, "name another table (--out), leave the pictures out (--no-pictures), or add --overwrite")
 
 
 def _find(source: "workbench.pipeline.PictureSource", out: Path, drawn: Path | None, progress: Progress) -> list[Found]:

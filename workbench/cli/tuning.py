@@ -9,8 +9,7 @@ import workbench
 from workbench.cli import screen
 from workbench.cli.tracking import base_config, face_model, named_view
 from workbench.config import differences, write_config
-from workbench.errors import OutputError
-from workbench.files import check_not_inputs
+from workbench.files import check_new, check_not_inputs
 
 TUNE_HELP = """Let a clip choose settings: by gradients through the solver (--learn), by search (--search), or \
 by both: the search comes first, and the gradient goes on from its best.
@@ -72,8 +71,8 @@ def tune(
     path = out or Path(f"{Path(clip).stem}-learned.toml")
     inputs = (clip, landmarks, truth, config, rig, *(place for _, place in views))
     check_not_inputs([path], [Path(name) for name in inputs if name])
-    if path.exists() and not (overwrite or resume):
-        raise OutputError(f"{path} exists already; name another (--out), or add --overwrite.")
+    if not (overwrite or resume):
+        check_new(path)
     head = face_model(model)
     parts = [None if text is None else learning.read_frames(text) for text in (train, watch, held_out)]
     (source,) = sweeps.sources_of(
