@@ -4,11 +4,15 @@ import io
 import json
 import os
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from workbench.errors import InputError, ModelError
+from workbench.frames import open_frames, read_picture, write_picture
+from workbench.landmarks.files import read_landmark_file
+from workbench.pipeline.provenance import content_hash
 from workbench.reading import checked_arrays, checked_file, checked_json, checked_toml, reading
 
 
@@ -44,6 +48,20 @@ def test_long_reasons_are_cut_to_a_line():
         raise ValueError("a" * 5000 + "\nsecond line")
     assert len(str(caught.value)) < 300
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("read", [read_picture, open_frames, read_landmark_file, content_hash])
+def test_a_file_that_may_not_be_read_is_refused_in_one_sentence(read, tmp_path, monkeypatch):
+    path = tmp_path / ("points.xml" if read is read_landmark_file else "photo.png")
+    write_picture(tmp_path / "photo.png", np.zeros((8, 8, 3), np.uint8))
+    (tmp_path / "points.xml").write_text("<dataset></dataset>")
+
+    def refused(self, *_args, **_options):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(InputError, match=rf"{path.name} cannot be .* \(Permission denied\); check that you may read it"):
+        list(read(path))
 
 
 def test_a_pipe_is_refused_without_waiting(tmp_path):

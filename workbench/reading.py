@@ -99,7 +99,8 @@ def checked_content(path: str | Path, kind: str, error: Kind = InputError) -> by
             f"{path} has {size / 1e9:.1f} GB, the limit for {kind} is {MOST_UNPACKED_BYTES / 1e9:.1f} GB; "
             "supply the file as it was published."
         )
-    return path.read_bytes()
+    with reading(path, kind, "check that you may read it", error):
+        return path.read_bytes()
 
 
 def natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
