@@ -7,6 +7,7 @@ import workbench
 from workbench import one_picture
 from workbench.errors import ConfigError, InputError
 from workbench.landmarks.files import LandmarkRecord, write_landmark_file
+from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures.mesh import to_pixels
 from workbench.samples import sample
 from workbench.tracking.records import ARRAYS, stack_fits
@@ -175,13 +176,19 @@ def test_what_is_no_picture_is_refused(given, message):
         workbench.fit(given)
 
 
-def test_what_does_not_belong_to_one_picture_is_refused(portrait, points):
+def test_what_does_not_belong_to_one_picture_is_refused(portrait, points, tmp_path):
     with pytest.raises(InputError, match="68"):
         workbench.fit(portrait, landmarks=points.points[:60])
     with pytest.raises(InputError, match="512 × 512 pixels, this one has 512 × 400"):
         workbench.fit(portrait[:400], landmarks=points)
     with pytest.raises(InputError, match="one face in one picture, it has 240 frames"):
         workbench.fit(portrait, landmarks=sample("performance-landmarks"))
+    write_landmark_file(tmp_path / "none.csv", [LandmarkRecord(0, "points", None, points.image_size)])
+    with pytest.raises(InputError, match=r"none\.csv has no face in its frame"):
+        workbench.fit(portrait, landmarks=tmp_path / "none.csv")
+    for nowhere in (np.zeros((68, 2)), Landmarks2D(np.full((68, 2), 5.0), np.ones(68), points.image_size)):
+        with pytest.raises(InputError, match="All landmarks are at one place"):
+            workbench.fit(portrait, landmarks=nowhere)
     with pytest.raises(InputError, match="no neighbours in time"):
         workbench.fit(portrait, config=workbench.preset("joint").changed(infill={"method": "linear"}))
     with pytest.raises(InputError, match="one view"):

@@ -226,7 +226,9 @@ def _given(landmarks: Landmarks2D | np.ndarray | str | Path, size: tuple[int, in
     if isinstance(landmarks, str | Path):
         landmarks = _read_landmarks(landmarks, size)
     if not isinstance(landmarks, Landmarks2D):
-        return Landmarks2D(np.asarray(landmarks), np.ones(len(landmarks)), size)
+        landmarks = Landmarks2D(np.asarray(landmarks), np.ones(len(landmarks)), size)
+    if landmarks.coincide:
+        raise InputError("All landmarks are at one place, where some programs find no face; give those of a face.")
     if landmarks.image_size != size:
         of, this = ("{} × {}".format(*pixels) for pixels in (landmarks.image_size, size))
         raise InputError(f"The landmarks are of a picture of {of} pixels, this one has {this}; give this one's.")
@@ -235,8 +237,10 @@ def _given(landmarks: Landmarks2D | np.ndarray | str | Path, size: tuple[int, in
 
 def _read_landmarks(path: str | Path, size: tuple[int, int]) -> Landmarks2D:
     records = list(read_landmark_file(path, size))
-    if len(records) != 1 or records[0].landmarks is None:
+    if len(records) != 1:
         raise InputError(f"{path} must hold the landmarks of one face in one picture, it has {len(records)} frames.")
+    if records[0].landmarks is None:
+        raise InputError(f"{path} has no face in its frame; name the landmarks of one, or leave them to the detector.")
     return records[0].landmarks
 
 

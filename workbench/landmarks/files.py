@@ -17,8 +17,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from workbench.errors import InputError
 from workbench.files import atomic_path
 from workbench.landmarks.formats import columns, dlib_xml, nested, own_csv, own_json, pts
@@ -73,7 +71,7 @@ def _records(path: Path, image_size: tuple[int, int] | None) -> Iterator[Landmar
 
 def _with_extent(record: LandmarkRecord) -> LandmarkRecord:
     """The record, without its face if all points of that coincide."""
-    if record.landmarks is None or np.ptp(record.landmarks.points, axis=0).any():
+    if record.landmarks is None or not record.landmarks.coincide:
         return record
     return replace(record, landmarks=None, image_size=record.size)
 

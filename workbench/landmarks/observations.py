@@ -60,6 +60,11 @@ class Landmarks2D:
         """What the points are called."""
         return scheme_of_count(len(self.points))
 
+    @property
+    def coincide(self) -> bool:
+        """Whether all points are at one place, as some programs write them where they find no face."""
+        return not np.ptp(self.points, axis=0).any()
+
 
 def scheme_of_faces(faces: Iterable[Landmarks2D | None]) -> LandmarkScheme:
     """What the points of the first face are called; iBUG's 68 without a face."""
