@@ -25,6 +25,7 @@ from workbench.geometry import yaw_pitch_roll_deg
 from workbench.landmarks import chosen_detector
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
+from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
@@ -62,6 +63,14 @@ def test_options_end_up_in_the_stored_configuration(run, points, tmp_path):
     assert not config.identity.calibrate
     summary = json.loads((tmp_path / "here" / "summary.json").read_text())
     assert summary["camera"]["guessed"] is False
+
+
+def test_a_lens_that_has_the_angle_of_the_guess_is_no_guess_if_it_is_given(run, points, tmp_path):
+    assert "as given" in run("track", "points.csv", "--no-pictures", "--no-identity", "--fov", "45")[1]
+    assert json.loads((tmp_path / "out" / "points" / "summary.json").read_text())["camera"]["guessed"] is False
+    stored = read_config(tmp_path / "out" / "points" / "config.toml")
+    assert plan_of(stored).identity.size == stored.identity.size > 0.0
+    assert plan_of(stored.changed(camera={"fov_known": False})).identity.size == 0.0
 
 
 def test_a_character_of_ones_own_is_stored_where_every_folder_finds_it(run, points, tmp_path):

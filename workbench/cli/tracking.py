@@ -176,7 +176,7 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
     if face is not None:
         landmarks["face"] = wanted_face(face)
     if fov is not None:
-        camera = {"fov_deg": fov, "matrix": None}
+        camera = {"fov_deg": fov, "fov_known": True, "matrix": None}
     if rig is not None:
         camera["rig"] = str(rig)
     deep = {name: value for name, value in (("energy", energy), ("network", network)) if value is not None}

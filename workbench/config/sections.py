@@ -37,6 +37,9 @@ class CameraConfig(Section):
     fov_deg: Annotated[float, Field(gt=0.0, lt=180.0)] = Field(
         45.0, description="Field of view along the longer side, degrees; a guess unless you know it."
     )
+    fov_known: bool = Field(
+        False, description="true: fov_deg is the lens's own even if it is 45, which otherwise counts as a guess."
+    )
     matrix: list[list[float]] | None = Field(None, description="OpenCV camera matrix in pixels; replaces fov_deg.")
     distortion: list[float] = Field([], description="OpenCV distortion, 0, 4, 5 or 8 coefficients.")
     projection: Literal["perspective", "orthographic"] = Field(
@@ -48,7 +51,9 @@ class CameraConfig(Section):
     @property
     def guessed(self) -> bool:
         """Whether nothing is known about the lens."""
-        return self.matrix is None and not self.rig and self.fov_deg == type(self).model_fields["fov_deg"].default
+        if self.matrix is not None or self.rig or self.fov_known:
+            return False
+        return self.fov_deg == type(self).model_fields["fov_deg"].default
 
 
 def _omega(name: str) -> Any:
