@@ -176,7 +176,8 @@ def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
     place = shortened(".".join(str(part) for part in problem["loc"]))
     if problem["type"] == "value_error":
-        return f"{place + ': ' if place else ''}{problem['ctx']['error']}."
+        said = str(problem["ctx"]["error"])
+        return f"{place + ': ' if place else ''}{said}{'' if said.endswith(('.', '?')) else '.'}"
     if problem["type"] == "extra_forbidden":
         known = _known_keys(problem["loc"][:-1])
         near = difflib.get_close_matches(str(problem["loc"][-1]), known, 1)

@@ -33,7 +33,10 @@ def parse_config(stored: Mapping[str, Any], origin: str) -> Config:
     `origin` names it in messages. Raises `ConfigError` like `read_config`.
     """
     stored = _migrated(dict(stored), origin)
-    base = preset(str(stored.get("preset", DEFAULT_PRESET))).model_dump()
+    try:
+        base = preset(str(stored.get("preset", DEFAULT_PRESET))).model_dump()
+    except ConfigError as error:
+        raise ConfigError(f"{origin}: {error}") from None
     for key, value in stored.items():
         base[key] = {**base[key], **value} if isinstance(value, dict) and isinstance(base.get(key), dict) else value
     return validated(base, origin)

@@ -75,7 +75,7 @@ ALL_GROUPS: Mapping[str, tuple[int, ...]] = MappingProxyType(
 
 def unknown_group(name: str, subsets: Mapping[str, Sequence[int]]) -> str | None:
     """What is wrong with the name of a landmark group; None if it is valid."""
-    if name in ALL_GROUPS or name in subsets or (name.isdigit() and int(name) < MOST_POINTS):
+    if name in ALL_GROUPS or name in subsets or (name.isdecimal() and int(name) < MOST_POINTS):
         return None
     near = difflib.get_close_matches(name, [*ALL_GROUPS, *subsets], 1)
     hint = f"did you mean {near[0]!r}?" if near else f"the groups are {', '.join([*ALL_GROUPS, *subsets])}"

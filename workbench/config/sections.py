@@ -2,18 +2,20 @@
 
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator, model_validator
 
 from workbench.energies.terms import NODES, TABLE, Term
 from workbench.face.characters import PLAIN, character_names, is_character
 
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-FrameKey = Annotated[str, Field(pattern=r"^\d+$")]
+FrameKey = Annotated[str, Field(pattern=r"^(0|[1-9][0-9]*)$")]
 PointKey = Annotated[str, Field(pattern=r"^([0-9]|[1-9][0-9]|[12][0-9]{2}|3[0-6][0-9]|37[0-6])$")]
 """A point number from 0 to 376, the last of the largest landmark scheme, as text because TOML keys are text."""
 Detector = Literal[
     "auto", "dlib+network", "network", "network+pupils", "dense", "dlib", "dlib-hog", "dlib-cnn", "mediapipe"
 ]
+MatrixRow = Annotated[list[float], Field(min_length=3, max_length=3)]
 Iterations = Annotated[int, Field(ge=0, le=500)]
 
 
@@ -40,13 +42,23 @@ class CameraConfig(Section):
     fov_known: bool = Field(
         False, description="true: fov_deg is the lens's own even if it is 45, which otherwise counts as a guess."
     )
-    matrix: list[list[float]] | None = Field(None, description="OpenCV camera matrix in pixels; replaces fov_deg.")
+    matrix: Annotated[list[MatrixRow], Field(min_length=3, max_length=3)] | None = Field(
+        None, description="OpenCV camera matrix in pixels; replaces fov_deg."
+    )
     distortion: list[float] = Field([], description="OpenCV distortion, 0, 4, 5 or 8 coefficients.")
     projection: Literal["perspective", "orthographic"] = Field(
         "perspective",
         description="orthographic: no perspective, as with a telephoto lens; the head's scale replaces z.",
     )
     rig: str = Field("", description="Rig file of several cameras (Deep Energies); replaces the camera above.")
+
+    @model_validator(mode="after")
+    def _is_a_lens(self):
+        if self.matrix is not None or self.distortion:
+            from workbench.geometry.camera import camera_from_matrix  # here: it imports JAX
+
+            camera_from_matrix(np.eye(3) if self.matrix is None else np.array(self.matrix), np.array(self.distortion))
+        return self
 
     @property
     def guessed(self) -> bool:
@@ -305,7 +317,7 @@ class RefinementConfig(Section):
         0.0, description="Flow: weight that holds each pose near its value before the pass; mm, 1 rad as 100 mm."
     )
     reestimate: Annotated[int, Field(ge=0, le=10)] = Field(
-        0, description="Number of expression re-fits with the pose held (B.1), each followed by a refinement."
+        0, description="Number of expression re-fits with the pose held (B.1), each after a refinement."
     )
 
 
