@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shlex
 from dataclasses import replace
 
 import numpy as np
@@ -63,6 +64,13 @@ def test_a_broken_frame_heads_the_list_and_the_files(run, runs, tmp_path):
         rows = list(csv.DictReader(stream))
     assert [int(row["frame"]) for row in rows] == [item["frame"] for item in record["flagged"]]
     assert rows[0]["why"] == record["flagged"][0]["why"]
+
+
+def test_the_command_that_tells_why_can_be_copied(run, runs, tmp_path):
+    (tmp_path / "my takes").symlink_to(runs)
+    out = run("diagnose", "my takes/broken")[1]
+    command = next(line for line in out.splitlines() if line.endswith("tells why")).removesuffix("  tells why")
+    assert shlex.split(command) == ["workbench", "diagnose", "my takes/broken", "--frame", str(BROKEN)]
 
 
 def test_the_list_is_cut_unless_all_frames_are_wanted(run, runs, monkeypatch):

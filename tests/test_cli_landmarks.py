@@ -293,13 +293,14 @@ def test_the_next_command_of_a_video_or_a_single_photo_is_no_row_of_stills(run):
 # --- what cannot be done ---
 
 
-def test_another_programs_landmarks_without_their_pictures_are_refused(run, tmp_path):
-    np.save(tmp_path / "points.npy", expected_points(80, 60, 96))
-    code, _, err = run("track", "points.npy", "--no-pictures")
+@pytest.mark.parametrize(("name", "to_copy"), [("points.npy", "points.npy"), ("my points.npy", "'my points.npy'")])
+def test_another_programs_landmarks_without_their_pictures_are_refused(name, to_copy, run, tmp_path):
+    np.save(tmp_path / name, expected_points(80, 60, 96))
+    code, _, err = run("track", name, "--no-pictures")
     assert code == 2
     assert err == (
-        "error: points.npy does not say how large its pictures are: name the clip or photo as well, as in "
-        "`workbench track CLIP --landmarks points.npy`\n"
+        f"error: {name} does not say how large its pictures are: name the clip or photo as well, as in "
+        f"`workbench track CLIP --landmarks {to_copy}`\n"
     )
 
 

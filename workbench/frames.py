@@ -7,6 +7,7 @@ is called again.
 
 import os
 import re
+import shlex
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -402,7 +403,7 @@ class VideoFrames:
         self._note(
             f"{self.path.name}: its frames come at uneven times (frame {index} at {time_s:.2f} s, by an even rate of "
             f"{self.rate:.2f} frames/s at {index / self.rate:.2f} s); films and exports are written at that rate. To "
-            f"keep them in time, convert the clip first: ffmpeg -i {self.path.name} -fps_mode cfr even.mp4"
+            f"keep them in time, convert the clip first: ffmpeg -i {shlex.quote(str(self.path))} -fps_mode cfr even.mp4"
         )
 
     def _note(self, sentence: str) -> None:

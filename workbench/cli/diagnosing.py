@@ -1,5 +1,6 @@
 """`workbench diagnose`: which frames of a track stand out, and why one frame fails."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -100,7 +101,7 @@ def _print_flags(record: dict, run: Path, every: bool) -> None:
     rest = "" if len(shown) == len(flagged) else f"; these are the worst {len(shown)}, --all lists the others"
     stand = "stands" if len(flagged) == 1 else "stand"
     screen.console.print(f"{len(flagged)} of {record['frames']} frames {stand} out{rest}")
-    command = escape(f"workbench diagnose {run} --frame {flagged[0]['frame']}")
+    command = escape(shlex.join(["workbench", "diagnose", str(run), "--frame", str(flagged[0]["frame"])]))
     screen.console.print(f"[dim]{command}  tells why[/dim]", soft_wrap=True)
 
 

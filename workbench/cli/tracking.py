@@ -1,5 +1,6 @@
 """`workbench track` and `workbench demo`."""
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -160,7 +161,8 @@ def _next_steps(out: Path, pictures: bool) -> str:
     """The last line of the demo."""
     clip, portrait = out / "laugh", out / "astronaut"
     look = f"Look at {clip / 'overlay.mp4'} and {portrait / 'overlay.png'}. " if pictures else ""
-    return escape(f"{look}Why a frame is bad: workbench diagnose {clip}. To tune it in the browser: workbench lab.")
+    command = shlex.join(["workbench", "diagnose", str(clip)])
+    return escape(f"{look}Why a frame is bad: {command}. To tune it in the browser: workbench lab.")
 
 
 def _name(given: Path) -> str:

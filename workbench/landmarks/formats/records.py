@@ -1,5 +1,6 @@
 """What every landmark file is read into, and the checks that all layouts share."""
 
+import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -68,7 +69,7 @@ def needed_size(path: Path, image_size: tuple[int, int] | None) -> tuple[int, in
     if image_size is None:
         raise InputError(
             f"{path} does not say how large its pictures are: name the clip or photo as well, as in "
-            f"`workbench track CLIP --landmarks {path.name}`"
+            f"`workbench track CLIP --landmarks {shlex.quote(str(path))}`"
         )
     return image_size
 
