@@ -100,6 +100,7 @@ def test_an_exported_configuration_gives_the_same_numbers_and_an_edited_one_does
         (["track", "points.csv", "--preset", "face-it", "--config", "none.toml"], "not both"),
         (["track", "points.csv", "--fov", "200"], "camera.fov_deg"),
         (["track", "points.csv", "--detector", "magic"], "landmarks.detector"),
+        (["track", "points.csv", "--face-landmarker", "f.task"], "belongs to the detector mediapipe; add --detector"),
         (["track", "points.csv", "--face", "left"], "X,Y"),
         (["track", "points.csv", "--workers", "2"], "--workers and --scheduler belong to Deep Energies"),
         (["track", "points.csv", "--frames", "500-600"], "points.csv holds no frame from 500 to 600"),

@@ -333,6 +333,7 @@ def test_one_of_several_photos_has_its_own_size(tmp_path):
         (["photos", "--out", "landmarks.txt"], "written as .csv, got landmarks.txt"),
         (["points.csv"], "points.csv holds landmarks"),
         (["photos", "--detector", "magic"], "landmarks.detector"),
+        (["photos", "--face-landmarker", "f.task"], "belongs to the detector mediapipe; add --detector"),
         (["photos", "--face", "left"], "X,Y"),
     ],
 )

@@ -121,6 +121,13 @@ class TestFit:
         assert all(0.35 < found.pop(unit) < 0.6 for unit in units)
         assert max(found.values()) < 0.1
 
+    def test_landmarks_without_pupils_are_told(self, head, run, tmp_path):
+        result = track(sample("performance-landmarks"), tmp_path, head, CONFIG, pictures=False, frames=FRAMES)
+        (note,) = result.notes
+        assert "These landmarks have no pupils: eyes do not turn" in note
+        assert "detector network+pupils or dense" in note
+        assert run.notes == ()
+
     def test_pupils_that_nobody_sees_leave_the_gaze_where_it_was(self, seeing_head):
         names = seeing_head.expression_names
         first = looking(seeing_head, eyeLookOutLeft=0.5, eyeLookInRight=0.5)

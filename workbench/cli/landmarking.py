@@ -14,7 +14,15 @@ from rich.table import Table
 
 import workbench
 from workbench.cli import screen
-from workbench.cli.tracking import DETECTOR_HELP, FACE_HELP, LANDMARKER_HELP, NO_FACE, print_licence_notice, wanted_face
+from workbench.cli.tracking import (
+    DETECTOR_HELP,
+    FACE_HELP,
+    LANDMARKER_HELP,
+    NO_FACE,
+    print_licence_notice,
+    wanted_face,
+    with_landmarker,
+)
 from workbench.config import DEFAULT_PRESET, preset
 from workbench.errors import InputError
 from workbench.files import check_new, check_not_inputs
@@ -86,8 +94,9 @@ def landmarks(
     for path in inputs:
         if workbench.pipeline.is_landmark_file(path):
             raise InputError(f"{path} holds landmarks, not a picture to find them in; `workbench track` reads it.")
-    chosen = {"detector": detector, "face_landmarker": str(face_landmarker or ""), "face": wanted_face(face)}
-    settings = preset(DEFAULT_PRESET).changed(landmarks=chosen)
+    settings = preset(DEFAULT_PRESET).changed(landmarks={"detector": detector, "face": wanted_face(face)})
+    if face_landmarker is not None:
+        settings = with_landmarker(settings, face_landmarker)
     source = workbench.pipeline.open_source(inputs, settings, None)
     drawn = _drawings(source.frames, out) if pictures else None
     check_not_inputs([out] if drawn is None else [out, drawn, *_files_in(drawn)], inputs)

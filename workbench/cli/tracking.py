@@ -123,7 +123,7 @@ def track(
     if character is not None:
         settings = settings.changed(head={"character": lasting_name(character)})
     if face_landmarker is not None:
-        settings = settings.changed(landmarks={"face_landmarker": str(face_landmarker)})
+        settings = with_landmarker(settings, face_landmarker)
     folder = out or Path("out") / (_name(inputs[0]) or "run")
     workbench.pipeline.check_inputs_kept(folder, [path for path in (config, model) if path is not None])
     if not settings.traits.renders and (workers > 1 or scheduler):
@@ -224,6 +224,13 @@ def named_view(text: str) -> tuple[str, str]:
     if not (name and sign and place):
         raise ConfigError(f"A view is given as NAME=CLIP, got {text!r}; for example right=right.mp4.")
     return name, place
+
+
+def with_landmarker(config: Config, path: Path) -> Config:
+    """The configuration with the file of `--face-landmarker`; raises `ConfigError` where no detector reads it."""
+    if config.landmarks.detector != "mediapipe":
+        raise ConfigError("--face-landmarker belongs to the detector mediapipe; add --detector mediapipe.")
+    return config.changed(landmarks={"face_landmarker": str(path)})
 
 
 def wanted_face(text: str | None) -> tuple[float, float] | None:

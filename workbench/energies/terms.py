@@ -38,6 +38,8 @@ class Term:
     """Whether it looks at the frame before."""
     compares_pictures: bool = False
     """Whether it compares a frame's pictures with those of the frame before."""
+    of_pupils: bool = False
+    """Whether it is zero where the landmarks have no pupils."""
     key: str = ""
     """The key of its ω in a configuration, as `weights.tau`; empty: `weights.` and the name."""
     deep_key: str = ""
@@ -236,6 +238,7 @@ ROWS = (
         formula="‖g_left − g_right‖²",
         residual="gaze:vergence_residual",
         unknowns=("expression",),
+        of_pupils=True,
         default=0.5,
     ),
     Term(
@@ -246,6 +249,7 @@ ROWS = (
         formula="Σ √((g⁺·g⁻)² + 1) − 1",
         residual="gaze:opposites_residual",
         unknowns=("expression",),
+        of_pupils=True,
         default=1.0,
         presets={"gaze": 3.0, "dense": 3.0},
     ),
@@ -257,6 +261,7 @@ ROWS = (
         formula="hidden·Σ(g_k,t − g_k,t−1)²",
         residual="gaze:gaze_residual",
         unknowns=("expression",),
+        of_pupils=True,
         structure="diagonal",
         links_frames=True,
         default=3.0,

@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 
 from workbench.config import Config, write_config
+from workbench.energies.terms import TABLE
 from workbench.errors import InputError, OutputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.export.sources import input_files
 from workbench.face import FaceModel, dressed_as, fits_as, in_scheme
 from workbench.frames import Frames, ImageFrames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
+from workbench.landmarks.scheme import LandmarkScheme
+from workbench.landmarks.schemes import OF_DETECTORS
 from workbench.pictures.overlay_files import write_overlay_video
 from workbench.pipeline.deep_run import track_deep_frames, write_strips
 from workbench.pipeline.deep_sources import open_deep_source
@@ -206,7 +209,17 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
         remove_earlier(folder, files)
     for finished in dict.fromkeys((writer, written)):  # track.npz comes last: with it a run is finished
         finished.close()
-    return RunResult(folder, summary, files, tuple(notes))
+    return RunResult(folder, summary, files, (*notes, *_blind_terms(config, model.scheme)))
+
+
+def _blind_terms(config: Config, scheme: LandmarkScheme) -> list[str]:
+    """A note where stages name terms of pupils, which landmarks of this scheme do not have."""
+    blind = [name for name, term in TABLE.items() if term.of_pupils and name in config.summed_terms]
+    if not blind or "pupils" in scheme.groups:
+        return []
+    seeing = " or ".join(name for name, seen in OF_DETECTORS.items() if "pupils" in seen.groups)
+    said = f"These landmarks have no pupils: eyes do not turn, and {', '.join(blind)} have no effect"
+    return [f"{said}; take those of the detector {seeing}."]
 
 
 def retrack(
