@@ -138,6 +138,17 @@ def test_the_background_does_not_colour_ears_and_neck(scene, estimate):
     assert np.abs(found.albedo - head.colors / 255.0)[beside].max() < 0.04
 
 
+@pytest.mark.parametrize("named", [("skin", "lips", "brow", "scalp"), ("skin",), ()], ids=len)
+def test_a_model_without_some_regions_has_its_skin_estimated_alike(scene, estimate, named):
+    """Files of other models name neither eyes nor teeth, and some nothing at all."""
+    head, _, vertices, camera, _, picture = scene
+    fewer = replace(head, regions={name: head.regions[name] for name in named})
+    found = estimate_appearance(picture, fewer, vertices, camera)
+    skin = head.in_regions(("skin",)) & (estimate.seen > 0.5) & (found.seen > 0.5)
+    assert skin.sum() > 0.9 * (head.in_regions(("skin",)) & (estimate.seen > 0.5)).sum()
+    assert np.abs(found.albedo - estimate.albedo)[skin].mean() < 0.01
+
+
 def test_an_appearance_is_stored_and_read_again(scene, estimate, tmp_path):
     head = scene[0]
     path = tmp_path / "actor.npz"

@@ -1,11 +1,12 @@
 """The face model as data: neutral, blendshapes, identity basis, jaw, and where its landmarks lie on it."""
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int, Integer, UInt8
+from jaxtyping import Bool, Float, Int, Integer, UInt8
 
 from workbench.errors import ModelError
 from workbench.face.jaw_unit import JAW_RANGE, JAW_SHAPES, USUAL_JAW, JawUnit, fitted_jaw_unit
@@ -97,6 +98,13 @@ class FaceModel:
     def scheme(self) -> LandmarkScheme:
         """What the landmarks are called."""
         return scheme_of_count(len(self.landmarks.vertices))
+
+    def in_regions(self, names: Iterable[str]) -> Bool[np.ndarray, "v"]:
+        """Which vertices lie in one of these regions, as far as the model has them."""
+        inside = np.zeros(len(self.neutral), bool)
+        for name in names:
+            inside[self.regions.get(name, np.zeros(0, int))] = True
+        return inside
 
     def fingerprint(self) -> str:
         """SHA-256 of the shape, blendshapes and landmarks: two models with one fingerprint fit alike.

@@ -1,6 +1,5 @@
 """What can be drawn with a head: its own colours, points and segments in 3D, and a second, translucent head."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -85,15 +84,7 @@ def outer_triangles(model: FaceModel) -> Integer[np.ndarray, "t 3"]:
 
 def is_outer(model: FaceModel) -> Bool[np.ndarray, "t"]:
     """Which of the model's triangles `outer_triangles` keeps."""
-    return ~of_regions(model, INNER_REGIONS)[model.triangles].any(1)
-
-
-def of_regions(model: FaceModel, names: Iterable[str]) -> Bool[np.ndarray, "v"]:
-    """Which of the model's vertices lie in one of these regions, as far as the model has them."""
-    inside = np.zeros(len(model.neutral), bool)
-    for name in names:
-        inside[model.regions.get(name, np.zeros(0, int))] = True
-    return inside
+    return ~model.in_regions(INNER_REGIONS)[model.triangles].any(1)
 
 
 def _balls(centres, radius, colors):

@@ -25,7 +25,6 @@ from workbench.pictures.extras import (
     WET_REGIONS,
     Extras,
     marks_mesh,
-    of_regions,
     outer_triangles,
 )
 from workbench.pictures.lighting import SKIN_SHINE, WET_SHINE, Light, Lighting
@@ -284,7 +283,7 @@ class _Part:
 def _by_shine(
     model: FaceModel, points_of_triangle, shown: Bool[np.ndarray, "t"]
 ) -> tuple[Int[np.ndarray, "a 3"], Int[np.ndarray, "b 3"]]:
-    inside = of_regions(model, WET_REGIONS)[model.triangles].all(1)
+    inside = model.in_regions(WET_REGIONS)[model.triangles].all(1)
     return points_of_triangle[~inside & shown], points_of_triangle[inside & shown]
 
 

@@ -141,7 +141,7 @@ def estimate_appearance(
     pixels = _face_pixels(view, model)
     own = model.colors / 255.0
     smoothing = _smoothing(model)
-    face = _in_regions(model, FACE_REGIONS)
+    face = _face(model)
     albedo = own.copy()
     for _ in range(STEPS):
         light, shade = _solve_light(pixels, albedo)
@@ -157,7 +157,7 @@ def estimate_appearance(
     difference = (pixels.corners @ albedo) * shade - pixels.colors
     residual = float(np.sqrt(np.average((difference**2).mean(axis=1), weights=np.maximum(weights, 1e-9))))
     for names in TINTED_REGIONS:
-        part = _in_regions(model, names)
+        part = model.in_regions(names)
         albedo[part] = np.clip(own[part] * _tint(_part_pixels(view, model, part), own, light), 0.01, 1.0)
     return Appearance(albedo.astype(np.float32), light.astype(np.float32), seen.astype(np.float32), residual)
 
@@ -211,10 +211,10 @@ def _face_pixels(view: _View, model: FaceModel, hidden: Bool[np.ndarray, "h w"] 
     ends, chin = model.landmarks.of(model.neutral)[[0, 16], 2].mean(), model.landmarks.of(model.neutral)[8, 1]
     held = (model.neutral[:, 2] < ends) & (model.neutral[:, 1] < chin)
     # Hair may hang over the scalp's border as the background does over the outline.
-    inner = (view.triangle >= 0) & ~_shows(view, model, _in_regions(model, ("scalp",)))
+    inner = (view.triangle >= 0) & ~_shows(view, model, model.in_regions(("scalp",)))
     if hidden is not None:
         inner &= ~hidden
-    mask = _shows(view, model, _in_regions(model, FACE_REGIONS) & held)
+    mask = _shows(view, model, _face(model) & held)
     mask &= distance_transform_edt(np.pad(inner, 1))[1:-1, 1:-1] > OUTLINE_SHARE * np.sqrt(mask.sum())
     mask = binary_erosion(mask) & (view.facing > LEAST_FACING)
     if mask.sum() < LEAST_PIXELS:
@@ -255,12 +255,10 @@ def _facing(normals, depth, pixels, camera) -> Float[np.ndarray, "h w"]:
     return -(normals * rays).sum(axis=-1) / np.linalg.norm(rays, axis=-1)
 
 
-def _in_regions(model: FaceModel, names: tuple[str, ...]) -> Bool[np.ndarray, "v"]:
-    """Vertices of these regions; all of them for a model that names none."""
-    chosen = np.zeros(len(model.neutral), bool)
-    for name in names:
-        chosen[model.regions.get(name, np.zeros(0, np.int64))] = True
-    return chosen if chosen.any() else ~chosen
+def _face(model: FaceModel) -> Bool[np.ndarray, "v"]:
+    """Vertices that are estimated one by one; all of them for a model that names none."""
+    face = model.in_regions(FACE_REGIONS)
+    return face if face.any() else ~face
 
 
 def _solve_light(pixels: _Pixels, albedo: np.ndarray) -> tuple[Float[np.ndarray, "9 3"], Float[np.ndarray, "p 3"]]:
@@ -314,7 +312,7 @@ def _smoothing(model: FaceModel) -> csr_matrix:
     """Quadratic form of a correction to the albedo: differences between neighbours and mirror images, and its size."""
     count = len(model.neutral)
     edges = np.unique(np.sort(model.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    face = _in_regions(model, FACE_REGIONS)
+    face = _face(model)
     edges = edges[face[edges].all(axis=1)]
     mirrored = np.stack([np.arange(count), model.mirror], axis=1)
     mirrored = mirrored[mirrored[:, 0] < mirrored[:, 1]]

@@ -131,7 +131,7 @@ def completed_skin(
     other = np.maximum(cv2.resize(skins[name], (size, size), interpolation=cv2.INTER_AREA) / 255.0, DARKEST)
     own = np.log(np.maximum(painted.color, DARKEST)) - np.log(other)
     weight = np.clip(painted.seen / FULL_WEIGHT, 0.0, 1.0) * (painted.seen > LEAST_WEIGHT)
-    kept = mapped.of((_in(model, KEPT) | _near_brows(model)).astype(float)) > 0.5
+    kept = mapped.of((model.in_regions(KEPT) | _near_brows(model)).astype(float)) > 0.5
     # What differs from its surroundings all over the clip is no skin: a strand of hair, the rim of glasses.
     middle = _median_color(own, weight)
     trusted = weight * (np.abs((own - middle).mean(axis=-1)) < FOREIGN)
@@ -224,8 +224,8 @@ def _held(model: FaceModel) -> Float[np.ndarray, "v"]:
     ends, chin = landmarks[[0, 16], 2].mean(), landmarks[8, 1]
     places = model.neutral
     held = np.clip((ends - places[:, 2]) / EDGE_MM, 0.0, 1.0) * np.clip((chin - places[:, 1]) / EDGE_MM, 0.0, 1.0)
-    held *= ~_in(model, ("scalp", *PART_REGIONS))
-    inner = places[_in(model, PART_REGIONS)]
+    held *= ~model.in_regions(("scalp", *PART_REGIONS))
+    inner = places[model.in_regions(PART_REGIONS)]
     if len(inner):
         near, far = CLEAR_MM
         held *= np.clip((cKDTree(inner).query(places)[0] - near) / (far - near), 0.0, 1.0)
@@ -238,13 +238,6 @@ def _near_brows(model: FaceModel) -> Bool[np.ndarray, "v"]:
     line = ((1.0 - along) * points[:, :-1] + along * points[:, 1:]).reshape(-1, 3)
     away, nearest = cKDTree(line).query(model.neutral)
     return (away < BROW_MM[0]) & (model.neutral[:, 1] - line[nearest, 1] < BROW_MM[1])
-
-
-def _in(model: FaceModel, names: Sequence[str]) -> Bool[np.ndarray, "v"]:
-    chosen = np.zeros(len(model.neutral), bool)
-    for name in names:
-        chosen[model.regions.get(name, np.zeros(0, np.int64))] = True
-    return chosen
 
 
 def _one_exposure(logs: Float[np.ndarray, "n t 3"], weights: Float[np.ndarray, "n t"]) -> Float[np.ndarray, "n t 3"]:

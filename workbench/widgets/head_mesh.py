@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 from workbench.face.dressed_head import DressedHead
 from workbench.face.model import FaceModel
 from workbench.pictures.background import SLATE
-from workbench.pictures.extras import GHOST_COLOR, OUTLINE_COLOR, WET_REGIONS, is_outer, of_regions
+from workbench.pictures.extras import GHOST_COLOR, OUTLINE_COLOR, WET_REGIONS, is_outer
 from workbench.pictures.head_picture import bundled_texture
 from workbench.pictures.lighting import SKIN_SHINE, STUDIO, WET_SHINE
 from workbench.pictures.mesh import neck_opacity, split_seams
@@ -49,7 +49,7 @@ def surface_message(model: FaceModel, dressed: DressedHead | None = None) -> dic
         "colors": np.ascontiguousarray(model.colors).tobytes(),
         "collar": None if plane is None else plane.tolist(),
         "shown": np.ascontiguousarray(collar_opacity(model, plane), "<f4").tobytes(),
-        "wet": (255 * of_regions(model, WET_REGIONS).astype(np.uint8)).tobytes(),
+        "wet": (255 * model.in_regions(WET_REGIONS).astype(np.uint8)).tobytes(),
         "lights": {
             "from": (directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel().tolist(),
             "strength": [light.intensity * part for light in STUDIO.lights for part in light.color],
