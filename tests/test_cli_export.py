@@ -9,14 +9,18 @@ import trimesh
 from tests.pages import code_blocks, snippet
 from tests.performances import FRAMES, performance
 from tests.stereo_scenes import make_rig
+from workbench.cli.exporting import model_of_track
 from workbench.config import preset
 from workbench.errors import InputError
 from workbench.export import FORMATS, export_track, format_of, read_mapping
 from workbench.export.sources import pictures_of
+from workbench.face import load_default_head
 from workbench.face.default_head import EARLIER_EDITIONS
 from workbench.frames import VideoWriter, open_frames, write_picture
 from workbench.geometry import write_rig
+from workbench.landmarks.schemes import DENSE
 from workbench.pipeline.temporal_run import views_of
+from workbench.samples import sample
 from workbench.session import open_session
 from workbench.tracking import Track
 
@@ -183,6 +187,15 @@ def test_a_track_of_another_model_asks_for_it(run, stored, head):
     assert code == 2
     assert "fitted with the model flame" in err
     assert "--model" in err
+
+
+def test_a_model_gets_the_eyes_units_that_a_run_with_pupils_gave_it():
+    full = load_default_head(gaze=True)
+    track = performance(full)
+    track.meta["scheme"] = DENSE.name
+    model, notes = model_of_track(track, sample("head"))
+    assert model.expression_names == track.expression_names
+    assert not notes
 
 
 def test_an_older_edition_of_the_default_head_is_told(run, stored):

@@ -168,6 +168,13 @@ class TestModel:
         assert one.expression_names == ("opening", *GAZE_NAMES)
         assert (landmark_model(one).gaze[:, 0] == 0.0).all()
 
+    def test_a_file_of_the_default_heads_mesh_need_not_name_its_parts(self, head, dense_head):
+        plain = replace(head, name="mine", regions={}, joints={}, identity_joint_deltas={})
+        made = in_scheme(plain, DENSE)
+        assert np.array_equal(made.landmarks.vertices, dense_head.landmarks.vertices)
+        assert made.expression_names == dense_head.expression_names
+        assert landmark_model(made).gaze is None
+
     def test_the_eyes_turn_to_where_their_units_say(self, dense_head):
         turns = dict(zip(dense_head.expression_names, landmark_model(dense_head).gaze.T, strict=True))
         rest = gaze_deg(dense_head, np.zeros(52))

@@ -115,9 +115,14 @@ def model_of_track(track: "workbench.Track", path: Path | None) -> tuple["workbe
 
     Raises `InputError` for a track of another model than the default head without its file.
     """
+    from workbench.tracking.track_layout import scheme_of
+
     stored = track.meta.get("model") or {}
     if path is not None:
         model = workbench.load_face_model(path)
+        if model.expression_names != track.expression_names:
+            # Runs give a model the scheme of the landmarks, and with it the eyes' units.
+            model = workbench.face.in_scheme(model, scheme_of(track.meta))
     else:
         if stored.get("name", "default-head") != "default-head":
             raise InputError(f"This track was fitted with the model {stored['name']}; name its file with --model.")

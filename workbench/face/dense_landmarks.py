@@ -13,7 +13,7 @@ from workbench.landmarks.scheme import IBUG68, POINT_COUNT, LandmarkScheme
 from workbench.landmarks.schemes import DENSE, DENSE_POINTS
 
 EYEBALLS = ("eyeR", "eyeL")
-"""The regions of the pupils, the person's right one first."""
+"""The default head's regions of the pupils, the person's right one first."""
 _PUPIL_RING = 8
 
 
@@ -36,8 +36,12 @@ def in_scheme(model: FaceModel, scheme: LandmarkScheme) -> FaceModel:
 
 
 def pupil_vertices(model: FaceModel) -> Int[np.ndarray, "2 p"]:
-    """The ring of each eyeball's foremost vertices, the person's right one first, whose middle is the pupil's."""
-    balls = (model.regions[name] for name in EYEBALLS)
+    """The ring of each eyeball's foremost vertices, the person's right one first, whose middle is the pupil's.
+
+    The model has the default head's mesh.
+    """
+    regions = load_default_head().regions
+    balls = (regions[name] for name in EYEBALLS)
     return np.stack([ball[np.argsort(model.neutral[ball, 2])[:_PUPIL_RING]] for ball in balls])
 
 
