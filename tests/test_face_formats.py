@@ -41,6 +41,7 @@ from workbench.errors import ModelError
 from workbench.face import arkit_name, landmark_model, load_default_head, load_face_model
 from workbench.face.formats.landmark_fit import outward
 from workbench.face.formats.pickled_arrays import read_arrays
+from workbench.face.formats.shape_names import arkit_shapes
 from workbench.landmarks.scheme import MIRROR
 from workbench.samples import sample
 from workbench.tracker import FaceTracker
@@ -201,6 +202,14 @@ def test_triangles_face_outwards_and_the_contour_slides(loaded):
     turned = model.contour.of(model.neutral)
     # Turned to the own right, the right side of the contour moves towards the nose.
     assert turned[-1, :8, 2].mean() < turned[0, :8, 2].mean() - 5.0
+
+
+@pytest.mark.parametrize("whole", ["cheekPuff", "Cheek_Puff"])
+def test_halves_beside_the_whole_shape_are_shapes_of_their_own(whole):
+    names = ("cheekPuff_L", whole, "cheekPuff_R")
+    order, deltas, _ = arkit_shapes(names, np.ones((3, 4, 3)), np.tile([0.0, 1.0], (3, 1)))
+    assert order == ("cheekPuff_L", "cheekPuff", "cheekPuff_R")
+    assert (deltas == 1.0).all()
 
 
 def test_gltf_keeps_what_is_inside_the_head_and_leaves_the_body_out(subject, tmp_path):

@@ -1,6 +1,7 @@
 """A statistical basis of a head's own expressions, and Appendix C.2 on it."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,6 +41,26 @@ def test_components_are_sorted_orthogonal_and_of_the_neutral_face(principal, hea
     assert (np.diff(sizes) < 0.0).all()
     np.testing.assert_allclose(flat @ flat.T / np.outer(sizes, sizes), np.eye(10), atol=1e-9)
     np.testing.assert_array_equal(principal.vertices(np.zeros(10)), head.neutral)
+
+
+def test_the_largest_motion_of_a_component_goes_down(principal):
+    along_y = principal.expression_deltas[..., 1]
+    assert (along_y.max(axis=1) > -along_y.min(axis=1)).all()
+
+
+def test_a_component_that_moves_sideways_alone_is_kept(head):
+    sideways = head.expression_deltas * [1.0, 0.0, 0.0]
+    made = principal_expressions(replace(head, expression_deltas=sideways), 3)
+    assert np.abs(made.expression_deltas).max(axis=(1, 2)).min() > 0.1
+
+
+def test_jaw_and_mouth_go_to_one_side_at_a_time(head):
+    names = head.expression_names
+    weights = random_expressions(names, 200, np.random.default_rng(0))
+    for left, right in (("jawLeft", "jawRight"), ("mouthLeft", "mouthRight")):
+        pair = weights[:, [names.index(left), names.index(right)]]
+        assert pair.min(axis=1).max() == 0.0
+        assert ((pair > 0.0).sum(axis=0) > 10).all()
 
 
 def test_a_components_weight_varies_by_one_over_the_faces(principal, head):

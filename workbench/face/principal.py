@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from workbench.errors import ModelError
 from workbench.face.model import FaceModel
+from workbench.face.usual_expressions import ONE_SIDED
 
 DEVIATIONS = 3.0
 """Weights of components run this many standard deviations either way, like those of published models."""
@@ -38,22 +39,31 @@ def principal_expressions(model: FaceModel, count: int = 10, faces: int = 2000, 
     root = np.linalg.qr(weights / np.sqrt(faces), mode="r")
     _, sizes, directions = np.linalg.svd(root @ model.expression_deltas.reshape(len(root), -1), full_matrices=False)
     components = (sizes[:, None] * directions)[:count].reshape(count, *model.neutral.shape)
-    # A sign that the next decomposition keeps: the component's largest motion along y goes down, as a jaw opens.
+    # A sign that the next decomposition keeps: the component's largest motion along y goes down (+y), as a jaw opens.
     along_y = components[..., 1]
     largest = np.take_along_axis(along_y, np.abs(along_y).argmax(axis=1)[:, None], axis=1)
     return replace(
         model,
         name=f"{model.name}-principal-{count}",
         expression_names=tuple(f"expression_{k:03d}" for k in range(count)),
-        expression_deltas=components * -np.sign(largest)[..., None],
+        expression_deltas=components * np.where(largest < 0.0, -1.0, 1.0)[..., None],
         expression_range=np.tile([-DEVIATIONS, DEVIATIONS], (count, 1)),
         fixed_jaw_unit=model.jaw_unit,
     )
 
 
 def random_expressions(names: tuple[str, ...], count: int, rng: np.random.Generator) -> Float[np.ndarray, "n k"]:
-    """Faces as blendshape weights in [0, 1]: a few movements each, whose left and right sides nearly agree."""
+    """Faces as blendshape weights in [0, 1]: a few movements each, whose left and right sides nearly agree.
+
+    Jaw and mouth move to one side at a time.
+    """
     movements = [name.removesuffix("Left").removesuffix("Right") for name in names]
     strengths = {movement: rng.random(count) * (rng.random(count) < AT_WORK) for movement in dict.fromkeys(movements)}
     sides = 1.0 + SIDES_DIFFER * rng.standard_normal((count, len(names)))
-    return np.clip(np.stack([strengths[movement] for movement in movements], axis=1) * sides, 0.0, 1.0)
+    weights = np.clip(np.stack([strengths[movement] for movement in movements], axis=1) * sides, 0.0, 1.0)
+    for left, right in zip(ONE_SIDED[::2], ONE_SIDED[1::2], strict=True):
+        leftward = rng.random(count) < 0.5
+        for name, at_rest in ((left, ~leftward), (right, leftward)):
+            if name in names:
+                weights[at_rest, names.index(name)] = 0.0
+    return weights

@@ -34,12 +34,15 @@ def arkit_shapes(
 ) -> tuple[tuple[str, ...], Float[np.ndarray, "n v 3"], Float[np.ndarray, "n 2"]]:
     """The shapes under ARKit's names where these are known.
 
-    Halves of a shape that ARKit has in one, as ICT-FaceKit's `browInnerUp_L` and `_R`, are added up to it.
+    Halves of a shape that ARKit has in one, as ICT-FaceKit's `browInnerUp_L` and `_R`, are added up to it; beside the
+    whole shape they keep their own names.
     """
     renamed: list[str] = []
-    for name in names:
+    known = [arkit_name(name) for name in names]
+    for name, own in zip(names, known, strict=True):
         whole = _whole(name, names)
-        found = arkit_name(name) or whole
+        whole = None if whole in known else whole
+        found = own or whole
         free = found is not None and (found not in renamed or whole is not None)
         renamed.append(found if found is not None and free else name)
     order = list(dict.fromkeys(renamed))
