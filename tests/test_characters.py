@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from tests.pages import code_blocks, snippet
+from tests.performances import performance
 from workbench.config import config_of_track, preset
 from workbench.errors import ConfigError, InputError, ModelError
+from workbench.export import export_track
 from workbench.face import (
     DressedHead,
     FaceParameters,
@@ -72,6 +74,25 @@ def test_the_heads_geometry_is_the_one_that_tracks_were_made_with():
             digest.update(name.encode() + np.ascontiguousarray(stored[name]).tobytes())
     assert digest.hexdigest() == HEAD_ARRAYS
     assert load_character("mei").model.fingerprint() == load_default_head(gaze=True).fingerprint()
+
+
+def test_a_fit_without_the_eyes_units_wears_the_same_parts():
+    head = dressed("mei")
+    names = load_default_head().expression_names
+    fitted = parameters(head)._replace(expression=np.array([0.7 * (name == "jawOpen") for name in names]))
+    for mine, theirs in zip(head.part_vertices(fitted), head.part_vertices(parameters(head, jawOpen=0.7)), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    with pytest.raises(InputError, match="has 52 blendshapes, 44 without the eyes' units, got 10 weights"):
+        head.vertices(fitted._replace(expression=np.zeros(10)))
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usd"])
+def test_another_model_is_not_exported_as_a_character(suffix, tmp_path):
+    head = load_default_head()
+    other = replace(head, name="other")
+    with pytest.raises(ModelError, match="Characters are for the default head, this is the model other"):
+        export_track(performance(other), other, tmp_path / f"x{suffix}", dressed=dressed("mei"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_landmarks_move_as_they_did_when_a_smile_had_a_ridge():

@@ -110,6 +110,13 @@ def test_a_filled_frame_that_stands_out_is_listed_with_what_it_is(filled, head, 
     assert row.count('<td class="number">–</td>') == 2  # neither error
 
 
+def test_a_model_without_blendshapes_has_a_report(track, head, tmp_path):
+    meta = {**track.meta, "expression_names": []}
+    stiff = replace(track, expression=track.expression[:, :0], meta=meta)
+    write_report(stiff, head.with_expressions(()), tmp_path / "report.html", None)
+    assert "The model has no blendshapes." in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def listed(text, frame):
     """The row of a frame in the table of the worst."""
     rows = text.split("<h2>Worst frames</h2>")[1].split("</table>")[0].split("<tr>")

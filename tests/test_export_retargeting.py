@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from tests.other_heads import half_open
-from tests.performances import FRAMES, GAP, other_character, performance, with_jaw
+from tests.performances import FRAMES, GAP, looking_aside, other_character, performance, with_jaw
 from workbench.errors import InputError, ModelError
 from workbench.export import make_clip, mapping_by_names, read_mapping, retarget, retarget_surface
-from workbench.face import GAZE_NAMES, USUAL_JAW
+from workbench.face import GAZE_NAMES, USUAL_JAW, in_scheme, load_default_head, principal_expressions
+from workbench.landmarks.schemes import DENSE
 from workbench.tracking.track_layout import model_record
 
 IDENTITY = np.random.default_rng(8).normal(0.0, 1.2, 50)
@@ -101,6 +102,26 @@ def test_a_character_with_no_name_in_common_is_refused(track, character):
         retarget(track, strange)
 
 
+def test_components_of_another_basis_are_not_the_same_for_their_names(head):
+    principal = principal_expressions(head, 3)
+    numbered = principal.expression_names
+    with pytest.raises(InputError, match="write a mapping file"):
+        mapping_by_names(numbered, numbered)
+    mapping = mapping_by_names(("jawOpen", *numbered), (*numbered, "jawOpen"))
+    assert mapping.still == numbered
+
+
+def test_the_model_that_was_tracked_plays_its_own_components(head):
+    principal = principal_expressions(head, 3)
+    rng, names = np.random.default_rng(0), principal.expression_names
+    own = performance(head, frames=2, gap=None)
+    meta = {**own.meta, "expression_names": list(names), "model": model_record(principal)}
+    own = replace(own, expression=rng.normal(size=(2, 3)), meta=meta)
+    np.testing.assert_array_equal(retarget(own, principal).expression, own.expression)
+    with pytest.raises(InputError, match="write a mapping file"):
+        retarget(own, replace(principal, expression_deltas=principal.expression_deltas[::-1]))
+
+
 # --- by a mapping file ---
 
 
@@ -165,6 +186,27 @@ def test_a_character_whose_shapes_travel_half_as_far_opens_twice_as_much(track, 
     middle = int(np.nanargmin(np.abs(column(track, "jawOpen") - 0.3)))
     assert column(played, "jawOpen")[middle] == pytest.approx(2.0 * column(track, "jawOpen")[middle], abs=0.05)
     assert np.nanmin(played.expression) >= 0.0
+
+
+def test_further_landmarks_change_no_weight(track, head):
+    dense = in_scheme(load_default_head(gaze=True), DENSE)
+    clip = looking_aside()
+    plain, further = (retarget_surface(clip.track, each, head) for each in (load_default_head(gaze=True), dense))
+    np.testing.assert_allclose(further.expression, plain.expression, atol=1e-9)
+
+
+def test_a_shape_that_cannot_move_keeps_its_weight(track, head):
+    bounds = np.tile([0.0, 1.0], (44, 1))
+    jaw, brow = (head.expression_names.index(name) for name in ("jawOpen", "browInnerUp"))
+    bounds[brow] = 0.3
+    played = retarget_surface(track, head, replace(head, expression_range=bounds))
+    assert (played.expression[track.found, brow] == 0.3).all()
+    free = retarget_surface(track, head, head)
+    np.testing.assert_allclose(played.expression[:, jaw], free.expression[:, jaw], atol=0.01)
+    bounds[:] = 0.0
+    still = retarget_surface(track, head, replace(head, expression_range=bounds))
+    assert (still.expression[track.found] == 0.0).all()
+    assert np.isnan(still.expression[GAP]).all()
 
 
 def test_a_surface_without_correspondence_is_refused(track, head, character):

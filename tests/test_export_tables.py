@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.performances import FRAMES, GAP, performance, with_jaw
 from workbench.errors import InputError, MissingDependencyError
+from workbench.export import export_track
 from workbench.export.live_link import HEADER, LIVE_LINK_SHAPES, head_angles, timecode, write_live_link_csv
 from workbench.export.tables import curve_columns, write_curves, write_parquet
 from workbench.face import USUAL_JAW, load_default_head
@@ -142,6 +143,20 @@ def test_a_track_without_arkits_blendshapes_is_refused(track, tmp_path):
     with pytest.raises(InputError, match="knows ARKit's blendshapes only"):
         write_live_link_csv(strange, tmp_path / "x.csv")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_track_without_blendshapes_is_refused(track, tmp_path):
+    none = replace(track, expression=track.expression[:, :0], meta={**track.meta, "expression_names": []})
+    with pytest.raises(InputError, match="the track has none"):
+        write_live_link_csv(none, tmp_path / "x.arkit.csv")
+
+
+@pytest.mark.parametrize("kind", [".csv", ".arkit.csv", ".parquet", ".npz"])
+def test_times_that_are_made_up_are_told_in_every_format(kind, track, head, tmp_path):
+    still = replace(track, meta={**track.meta, "rate": None})
+    (note,) = export_track(still, head, tmp_path / f"x{kind}").notes
+    assert "25 a second" in note
+    assert export_track(still, head, tmp_path / f"y{kind}", rate=30.0).notes == ()
 
 
 def test_the_motion_of_a_jaw_joint_is_in_the_jaws_blendshapes(track, tmp_path):

@@ -141,9 +141,10 @@ def _played(
         if mapping is not None:
             raise InputError("Give --map or --surface, not both: --surface needs no names.")
         return workbench.export.retarget_surface(track, performer, character), []
-    names = track.expression_names, character.expression_names
-    by_names, read = workbench.export.mapping_by_names, workbench.export.read_mapping
-    found = by_names(*names) if mapping is None else read(mapping, *names)
+    if mapping is None:
+        found = workbench.export.mapping_of_track(track, character)
+    else:
+        found = workbench.export.read_mapping(mapping, track.expression_names, character.expression_names)
     notes = []
     if found.unused:
         notes.append(f"{_some(found.unused)} of the track move nothing on the character")

@@ -4,6 +4,7 @@ from .formats import Exported as Exported
 from .formats import export_track as export_track
 from .retargeting import ShapeMapping as ShapeMapping
 from .retargeting import mapping_by_names as mapping_by_names
+from .retargeting import mapping_of_track as mapping_of_track
 from .retargeting import read_mapping as read_mapping
 from .retargeting import retarget as retarget
 from .retargeting import retarget_surface as retarget_surface

@@ -105,13 +105,20 @@ def make_clip(track: Track, model: FaceModel, shot: int | None = None, rate: flo
     if len(np.unique(np.hstack([track.focal_px, track.image_size])[track.found], axis=0)) > 1:
         notes.append("the pictures have several lenses or sizes; the file has the camera of the first one with a face")
     stored = track.meta.get("rate")
-    if rate is None and not stored:
-        notes.append(f"the input has no frame rate; the frames follow each other at {RATE_OF_IMAGES:g} a second")
+    if rate is None:
+        notes += note_on_rate(track)
     identity, others = main_identity(track)
     if others:
         notes.append(f"the shots have {others + 1} face shapes; the one with the most frames plays all, or use --shot")
     rate = float(rate or stored or RATE_OF_IMAGES)
     return Clip(track, model.personal(identity), rate, tuple(notes))
+
+
+def note_on_rate(track: Track) -> tuple[str, ...]:
+    """What a user should know of a track without a frame rate."""
+    if track.meta.get("rate") or len(track) == 1:
+        return ()
+    return (f"the input has no frame rate; the frames follow each other at {RATE_OF_IMAGES:g} a second",)
 
 
 def without_failures(track: Track) -> Track:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from workbench.errors import InputError
-from workbench.export.clip import check_model, check_rate, make_clip, track_of_shot
+from workbench.export.clip import check_model, check_rate, make_clip, note_on_rate, track_of_shot
 from workbench.export.live_link import write_live_link_csv
 from workbench.export.meshes import write_arrays, write_meshes
 from workbench.export.report import write_report
@@ -14,6 +14,7 @@ from workbench.export.suffixes import MESHES, check_shows_character, format_of, 
 from workbench.export.tables import write_curves, write_parquet
 from workbench.export.usd import write_usd
 from workbench.face import DressedHead, FaceModel
+from workbench.face.dressed_head import check_wears_characters
 from workbench.files import check_not_inputs
 from workbench.frames import RATE_OF_IMAGES, Frames
 from workbench.pictures.overlay_files import write_overlay_video
@@ -51,8 +52,8 @@ def export_track(
     one shot, `rate` replaces the frames per second, `pictures` stands for an input that was moved. `dressed` shows the
     default head as a character: with that person's face in .glb and .usd, with the fitted one in .mp4 and .html. The
     meshes of .obj and .ply go into a folder of that name without the suffix. Raises `InputError` for what cannot be
-    exported, `OutputError` for a file that cannot be written or is an input, and `MissingDependencyError` where a
-    format needs a package that is not installed.
+    exported, `ModelError` for a character on another model than the default head, `OutputError` for a file that cannot
+    be written or is an input, and `MissingDependencyError` where a format needs a package that is not installed.
     """
     path, kind, progress = Path(path), format_of(path), progress or silent
     given = [] if pictures is None else [Path(pictures)]
@@ -60,6 +61,7 @@ def export_track(
     check_model(track, model)
     if dressed is not None:
         check_shows_character(path, dressed.character.name)
+        check_wears_characters(model)
     if shot is not None:
         track = track_of_shot(track, shot)
     check_rate(rate)
@@ -78,7 +80,7 @@ def export_track(
         return _report(track, model, path, pictures, dressed, progress)
     else:
         return _in_3d(track, model, path, kind, dressed, progress)
-    return Exported(path)
+    return Exported(path, note_on_rate(track))
 
 
 def _in_3d(track, model, path: Path, kind: str, dressed: DressedHead | None, progress: Progress) -> Exported:

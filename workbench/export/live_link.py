@@ -19,6 +19,7 @@ from workbench.face.gaze import eye_turns
 from workbench.files import atomic_path
 from workbench.frames import RATE_OF_IMAGES
 from workbench.landmarks.schemes import DENSE
+from workbench.reading import shortened
 from workbench.tracking import Track
 
 _EYE = ("eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp", "eyeSquint", "eyeWide")
@@ -53,7 +54,7 @@ def write_live_link_csv(track: Track, path: str | Path, rate: float | None = Non
     names = track.expression_names
     if not set(names) & set(LIVE_LINK_SHAPES):
         raise InputError(
-            f"Live Link Face knows ARKit's blendshapes only, the track has {', '.join(names[:3])} …; "
+            f"Live Link Face knows ARKit's blendshapes only, the track has {shortened(', '.join(names) or 'none')}; "
             "map them with --character and --map, or write .csv."
         )
     weights = np.zeros((len(track), len(LIVE_LINK_SHAPES)))

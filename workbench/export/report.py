@@ -247,6 +247,8 @@ def _pose(track: Track, flags: FrameFlags) -> str:
 def _expression(track: Track, flags: FrameFlags) -> str:
     if not track.found.any():
         return "<p>No frame has a face.</p>"
+    if not track.expression_names:
+        return "<p>The model has no blendshapes.</p>"
     motion = np.nanstd(track.expression, axis=0)
     names = track.expression_names
     looks = [k for k, name in enumerate(names) if name in GAZE_NAMES]
@@ -260,7 +262,7 @@ def _expression(track: Track, flags: FrameFlags) -> str:
     frames, marked = track.index.astype(float), _marked(track, flags)
     return (
         line_chart(frames, curves, f"weight, the {len(most)} that move most", marked)
-        + (line_chart(frames, gaze, "weight of the eyes' units: where they look", marked) if gaze else "")
+        + line_chart(frames, gaze, "weight of the eyes' units: where they look", marked)
         + f"<details><summary>All {len(names)} weights</summary>{table}</details>"
     )
 

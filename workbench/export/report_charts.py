@@ -30,9 +30,9 @@ def line_chart(
 ) -> str:
     """Curves over frames with a legend; gaps where there is no number, ticks at the `marked` frames that say why.
 
-    Empty for a single frame, over which nothing changes.
+    Empty without a curve, and for a single frame, over which nothing changes.
     """
-    if len(frames) == 1:
+    if not series or len(frames) == 1:
         return ""
     step = -(-len(frames) // MOST_POINTS)
     values = np.stack([np.asarray(curve, float) for curve in series.values()])

@@ -17,8 +17,10 @@ from scipy.optimize import lsq_linear
 from workbench.errors import InputError, ModelError
 from workbench.export.clip import main_identity, without_jaw
 from workbench.export.live_link import LIVE_LINK_SHAPES
-from workbench.face import FaceModel
+from workbench.face import FaceModel, fits_as
+from workbench.face.formats.raw import is_statistical
 from workbench.face.formats.shape_names import arkit_name
+from workbench.landmarks.scheme import POINT_COUNT
 from workbench.reading import checked_file, reading, shortened, toml_tables
 from workbench.tracking import Track
 from workbench.tracking.track_layout import model_record
@@ -46,12 +48,13 @@ class ShapeMapping:
 def mapping_by_names(source_names: tuple[str, ...], target_names: tuple[str, ...]) -> ShapeMapping:
     """Equal names mapped to each other, ARKit's in whatever spelling: `jawOpen`, `JawOpen`, `jaw_open`, `Face.JawOpen`.
 
-    `_L` and `_R` at the end are Left and Right. Raises `InputError` where no name is found in both.
+    `_L` and `_R` at the end are Left and Right. Components of statistical bases have numbers for names, which say
+    nothing of another basis: they are mapped to nothing. Raises `InputError` where no name is found in both.
     """
     matrix = np.zeros((len(source_names), len(target_names)))
     columns = {arkit_name(name) or name: column for column, name in reversed(list(enumerate(target_names)))}
     for row, name in enumerate(source_names):
-        column = columns.get(arkit_name(name) or name)
+        column = None if is_statistical(name) else columns.get(arkit_name(name) or name)
         if column is not None:
             matrix[row, column] = 1.0
     if not matrix.any():
@@ -60,6 +63,18 @@ def mapping_by_names(source_names: tuple[str, ...], target_names: tuple[str, ...
             "write a mapping file."
         )
     return ShapeMapping(source_names, target_names, matrix)
+
+
+def mapping_of_track(track: Track, character: FaceModel) -> ShapeMapping:
+    """Each blendshape of the model that was tracked to itself, those of another character by their names.
+
+    Raises `InputError` as `mapping_by_names` does.
+    """
+    names = track.expression_names, character.expression_names
+    tracked = (track.meta.get("model") or {}).get("sha256")
+    if names[0] == names[1] and tracked is not None and fits_as(character, tracked):
+        return ShapeMapping(*names, np.eye(len(names[0])))
+    return mapping_by_names(*names)
 
 
 def read_mapping(path: str | Path, source_names: tuple[str, ...], target_names: tuple[str, ...]) -> ShapeMapping:
@@ -96,10 +111,10 @@ def _mapping(path: Path, shapes: Any, source_names: tuple[str, ...], target_name
 def retarget(track: Track, character: FaceModel, mapping: ShapeMapping | None = None) -> Track:
     """The track played by the character's blendshapes, on its own neutral face; the pose is the performer's.
 
-    Without `mapping`, names that mean the same are mapped (`mapping_by_names`). Raises `InputError` for a mapping
-    between other blendshapes.
+    Without `mapping`, names that mean the same are mapped (`mapping_by_names`), and all of them to the model that was
+    tracked. Raises `InputError` for a mapping between other blendshapes.
     """
-    mapping = mapping or mapping_by_names(track.expression_names, character.expression_names)
+    mapping = mapping or mapping_of_track(track, character)
     if mapping.source_names != track.expression_names or mapping.target_names != character.expression_names:
         raise InputError("The mapping was made for other blendshapes; make it for this track and this character.")
     return _played(track, character, without_jaw(track).expression @ mapping.matrix)
@@ -110,7 +125,8 @@ def retarget_surface(track: Track, performer: FaceModel, character: FaceModel, s
 
     Each frame minimises ‖Σ w_k c_k − s·Σ v_j p_j‖² + λ‖w‖² over all vertices, for a performer and a character in
     vertex correspondence whose blendshapes may differ in number, name and travel. s is the ratio of their sizes, λ
-    `smoothness` of the mean energy of the character's shapes. Raises `ModelError` for meshes out of correspondence.
+    `smoothness` of the mean energy of the character's shapes. Shapes whose range is one weight keep it. Raises
+    `ModelError` for meshes out of correspondence.
     """
     if performer.neutral.shape != character.neutral.shape or not np.array_equal(
         performer.triangles, character.triangles
@@ -124,16 +140,21 @@ def retarget_surface(track: Track, performer: FaceModel, character: FaceModel, s
     person = performer.personal(main_identity(track)[0])
     moves = _size(character) / _size(person) * person.expression_deltas.reshape(len(person.expression_names), -1)
     shapes = character.expression_deltas.reshape(len(character.expression_names), -1)
+    low, high = character.weight_range().T
+    free = low < high
+    weights = np.where(track.found[:, None], low, np.nan)
+    if not free.any():
+        return _played(track, character, weights)
+    fixed, shapes = low[~free] @ shapes[~free], shapes[free]
     gram = shapes @ shapes.T
     gram += max(float(smoothness), 1e-12) * np.trace(gram) / len(gram) * np.eye(len(gram))
     # The Cholesky factor L of the Gram matrix turns a problem over all vertices into one as small as the weights.
     factor = np.linalg.cholesky(gram)
-    wanted = np.linalg.solve(factor, shapes @ moves.T)
-    weights = np.full((len(track), len(shapes)), np.nan)
-    bounds, expression = character.weight_range().T, without_jaw(track).expression
+    wanted, reached = np.linalg.solve(factor, shapes @ moves.T), np.linalg.solve(factor, shapes @ fixed)
+    bounds, expression = (low[free], high[free]), without_jaw(track).expression
     for position in np.flatnonzero(track.found):
-        goal = wanted @ expression[position]
-        weights[position] = lsq_linear(factor.T, goal, bounds=tuple(bounds), method="bvls", tol=1e-12).x.clip(*bounds)
+        goal = wanted @ expression[position] - reached
+        weights[position, free] = lsq_linear(factor.T, goal, bounds=bounds, method="bvls", tol=1e-12).x.clip(*bounds)
     return _played(track, character, weights)
 
 
@@ -148,7 +169,7 @@ def _played(track: Track, character: FaceModel, weights: Float[np.ndarray, "n t"
 
 def _size(model: FaceModel) -> float:
     """Spread of the 68 landmarks, millimetres."""
-    points = model.landmarks.of(model.neutral)
+    points = model.landmarks.of(model.neutral)[:POINT_COUNT]
     return float(np.sqrt(((points - points.mean(0)) ** 2).sum(1).mean()))
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Integer, UInt8
 
 from workbench.errors import InputError, ModelError
 from workbench.face.characters import PLAIN, SKIN_SUFFIXES, Character, find_character
-from workbench.face.default_head import load_default_head
+from workbench.face.default_head import GAZE_NAMES, load_default_head
 from workbench.face.jaw import posed_vertices
 from workbench.face.model import FaceModel
 from workbench.face.parameters import FaceParameters
@@ -63,10 +63,7 @@ class DressedHead:
     @property
     def shown(self) -> Bool[np.ndarray, "t"]:
         """Triangles of the model that no part replaces."""
-        inner = np.zeros(len(self.model.neutral), bool)
-        for name in REPLACED_REGIONS:
-            inner[self.model.regions[name]] = True
-        return ~inner[self.model.triangles].all(axis=1)
+        return ~self.model.in_regions(REPLACED_REGIONS)[self.model.triangles].all(axis=1)
 
     @property
     def clothed(self) -> bool:
@@ -74,8 +71,13 @@ class DressedHead:
         return any(worn.part.kind == "clothes" for worn in self.worn)
 
     def vertices(self, parameters: FaceParameters) -> Float[np.ndarray, "v 3"]:
-        """Head vertices of these parameters without the pose; an empty identity is the character's."""
-        return posed_vertices(self._person(parameters), parameters.expression, _jaw(parameters), _scale(parameters))
+        """Head vertices of these parameters without the pose; an empty identity is the character's.
+
+        Weights may leave the eyes' units out, as those of fits to points that do not see them; others raise
+        `InputError`.
+        """
+        weights = self._weights(parameters)
+        return posed_vertices(self._person(parameters), weights, _jaw(parameters), _scale(parameters))
 
     def part_vertices(self, parameters: FaceParameters) -> tuple[Float[np.ndarray, "_ 3"], ...]:
         """Vertices of each worn part without the pose: head frame, millimetres."""
@@ -102,6 +104,20 @@ class DressedHead:
         axes = np.arange(3)
         own = np.abs(rest[first, axes] - rest[second, axes])
         return own / np.abs(self.model.neutral[first, axes] - self.model.neutral[second, axes])
+
+    def _weights(self, parameters: FaceParameters) -> Float[np.ndarray, "k"]:
+        given, names = np.asarray(parameters.expression, float), self.model.expression_names
+        without_eyes = [k for k, name in enumerate(names) if name not in GAZE_NAMES]
+        if len(given) == len(names):
+            return given
+        if len(given) != len(without_eyes):
+            raise InputError(
+                f"The character has {len(names)} blendshapes, {len(without_eyes)} without the eyes' units, got "
+                f"{len(given)} weights; give one for each."
+            )
+        weights = np.zeros(len(names))
+        weights[without_eyes] = given
+        return weights
 
     def _person(self, parameters: FaceParameters) -> FaceModel:
         identity = parameters.identity if len(parameters.identity) else self.character.identity
@@ -155,11 +171,16 @@ def dressed_as(character: str, model: FaceModel) -> DressedHead | None:
     """The default head as a character, None for `plain`; raises `ModelError` where the model is another one."""
     if character == PLAIN:
         return None
+    check_wears_characters(model)
+    return load_character(character)
+
+
+def check_wears_characters(model: FaceModel) -> None:
+    """Raise `ModelError` for another model than the default head."""
     if model.name != load_default_head().name:
         raise ModelError(
             f"Characters are for the default head, this is the model {model.name}; leave the character at {PLAIN!r}."
         )
-    return load_character(character)
 
 
 def skin_names() -> tuple[str, ...]:
@@ -195,8 +216,7 @@ def _picture_path(kind: str, style: str) -> Path:
 def _scalp(height: int, width: int) -> Float[np.ndarray, "h w"]:
     """Where the scalp is in a texture of the head, 0 to 1 with a soft edge."""
     model = load_default_head(gaze=True)
-    inside = np.zeros(len(model.neutral), bool)
-    inside[model.regions["scalp"]] = True
+    inside = model.in_regions(("scalp",))
     corners = model.uv[model.triangles_uv[inside[model.triangles].all(axis=1)]] * [1.0, -1.0] + [0.0, 1.0]
     mask = np.zeros((height, width), np.uint8)
     for corner in np.rint(corners * [width, height]).astype(np.int32):

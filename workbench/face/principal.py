@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench.errors import ModelError
+from workbench.face.formats.raw import statistical_names
 from workbench.face.model import FaceModel
 from workbench.face.usual_expressions import ONE_SIDED
 
@@ -45,7 +46,7 @@ def principal_expressions(model: FaceModel, count: int = 10, faces: int = 2000, 
     return replace(
         model,
         name=f"{model.name}-principal-{count}",
-        expression_names=tuple(f"expression_{k:03d}" for k in range(count)),
+        expression_names=statistical_names(count),
         expression_deltas=components * np.where(largest < 0.0, -1.0, 1.0)[..., None],
         expression_range=np.tile([-DEVIATIONS, DEVIATIONS], (count, 1)),
         fixed_jaw_unit=model.jaw_unit,

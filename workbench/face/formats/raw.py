@@ -15,6 +15,8 @@ Y_UP = np.diag([1.0, -1.0, -1.0])
 """From +x subject's left, +y up, +z out of the face (FLAME, Basel, ICT, glTF) to the head frame."""
 STATISTICAL_RANGE = (-3.0, 3.0)
 """Weights of a component of unit variance."""
+COMPONENT = "expression_"
+"""What a component without a name of its own is called, before its number."""
 
 Place = tuple[Integer[np.ndarray, "3"], Float[np.ndarray, "3"]]
 """A point of a mesh: three vertices and their barycentric weights."""
@@ -77,7 +79,12 @@ def embedding_of(places: Mapping[int, Place]) -> Embedding:
 
 def statistical_names(count: int) -> tuple[str, ...]:
     """Names of the components of an expression basis that has none."""
-    return tuple(f"expression_{k:03d}" for k in range(count))
+    return tuple(f"{COMPONENT}{k:03d}" for k in range(count))
+
+
+def is_statistical(name: str) -> bool:
+    """Whether a name is one of `statistical_names`."""
+    return name.startswith(COMPONENT) and name.removeprefix(COMPONENT).isdecimal()
 
 
 def ranges(count: int, bounds: tuple[float, float] = (0.0, 1.0)) -> Float[np.ndarray, "k 2"]:
