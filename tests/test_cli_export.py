@@ -180,6 +180,14 @@ def test_mistakes_are_one_sentence_and_write_nothing(arguments, message, run, st
     assert sorted(tmp_path.rglob("*")) == before
 
 
+def test_a_folder_of_meshes_that_is_there_stops_all_files_before_the_first(run, stored, tmp_path):
+    (tmp_path / "meshes").mkdir()
+    code, _, err = run("export", "talk", "--to", "x.csv", "--to", "meshes.obj")
+    assert code == 2
+    assert "meshes already exists; name another folder" in err
+    assert not (tmp_path / "x.csv").exists()
+
+
 def test_a_track_of_another_model_asks_for_it(run, stored, head):
     track = Track.load(stored / "track.npz")
     replace(track, meta={**track.meta, "model": {"name": "flame", "sha256": "1"}}).save(stored / "track.npz")

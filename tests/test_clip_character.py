@@ -262,6 +262,15 @@ def test_what_is_not_there_is_said_before_the_work(tracked, tmp_path):
     assert not (tmp_path / "me").exists()
 
 
+@pytest.mark.parametrize("name", ["mei", "plain"])
+def test_a_name_that_means_another_character_is_refused(name, tracked, run, tmp_path):
+    tracked.save(tmp_path / "run" / "track.npz")
+    code, _, err = run("character", "run", "--out", name)
+    assert code == 2
+    assert f"--character {name} is the character that comes along; name another folder" in err
+    assert not (tmp_path / name).exists()
+
+
 def test_a_colour_is_three_numbers(tracked, run, tmp_path):
     tracked.save(tmp_path / "run" / "track.npz")
     code, _, err = run("character", "run", "--out", "me", "--hair-color", "red")

@@ -433,6 +433,7 @@ def test_the_list_of_ict_facekit_is_checked(change, message, tmp_path):
         ("vertices = " + "[" * 5000, "nested"),
         ("vertices = [" + "1.5, " * 68 + "]", "whole numbers"),
         ("vertices = [" + "99999, " * 68 + "]", "names vertex 99999"),
+        ("vertices = [-1, " + "0, " * 67 + "]", "names vertex -1, the mesh has 72"),
         ("vertices = [" + "[0, 1, 2], " * 68 + "]\nbarycentric = [" + "[nan, 0, 0], " * 68 + "]", "not finite"),
         ("vertices = [" + "[0, 1, 2], " * 68 + "]\nbarycentric = [" + "[1, 1, 1], " * 68 + "]", "sum to 1"),
         ("vertices = [" + "[0, 1, 2], " * 68 + "]\nbarycentric = [" + "[9, -8, 0], " * 68 + "]", "sum to 1"),

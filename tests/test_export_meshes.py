@@ -359,6 +359,14 @@ def test_pictures_of_a_usd_character_lie_beside_the_stage(worn, dressed):
     np.testing.assert_array_equal(cv2.cvtColor(seen["hair"], cv2.COLOR_BGRA2RGBA), hair)
 
 
+def test_stages_of_one_name_and_two_suffixes_have_pictures_of_their_own(worn, dressed, tmp_path):
+    played, _ = worn
+    for suffix in (".usda", ".usdc"):
+        write_usd(played, tmp_path / f"talk{suffix}", dressed)
+    folders = [path for path in tmp_path.iterdir() if path.is_dir()]
+    assert sorted(folder.name for folder in folders) == ["talk.usda_textures", "talk.usdc_textures"]
+
+
 def test_usd_moves_the_parts_where_the_character_has_them(worn, dressed):
     from pxr import Gf, Usd, UsdGeom, UsdSkel
 

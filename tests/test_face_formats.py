@@ -628,6 +628,7 @@ def file_named(name):
         (flame_with(shapedirs=np.zeros((7, 3, 33))), "FLAME's is"),
         (flame_with(v_template="text"), "is str, not an array"),
         (flame_with(f=np.array([[0, 1, 10**6]])), "names vertex 1000000"),
+        (flame_with(f=np.array([[0, 1, -2]])), "names vertex -2"),
         (flame_with(J_regressor=np.zeros((4, 9))), "J_regressor has shape"),
         (flame_with(weights=np.zeros((4, 9))), "weights has shape"),
         (flame_with(posedirs=np.zeros((4, 9))), "posedirs has shape"),

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.scenes import make_scene
 from workbench.errors import InputError, MissingDependencyError, WorkbenchError
+from workbench.face import load_character
 from workbench.face.model import Embedding
 from workbench.frames import VideoWriter, open_frames, read_picture
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov, project
@@ -30,7 +31,10 @@ from workbench.pictures import (
     write_overlay_picture,
     write_overlay_video,
 )
+from workbench.pictures.extras import NOTHING, Extras
+from workbench.pictures.lighting import STUDIO
 from workbench.pictures.mesh import scaled_camera, split_seams, to_camera, to_pixels
+from workbench.pictures.render_thread import RenderThread
 from workbench.samples import sample
 from workbench.tracking.records import ARRAYS, FrameFit, Track, stack_fits
 
@@ -282,6 +286,37 @@ def test_without_gl_a_plain_picture_and_a_note_come(head, view, monkeypatch):
     picture, note = picture_of_head(head, SIZE, head.neutral, view[0], np.zeros(3), view[1])
     assert picture.std() > 15
     assert "libegl1" in note
+
+
+def test_without_gl_the_note_says_that_a_character_is_not_shown(head, monkeypatch):
+    monkeypatch.setenv(gl_probe.NO_GL_VARIABLE, "1")
+    with head_painter(head, SIZE, dressed=load_character("mei")) as painter:
+        assert "mei needs GL" in painter.note
+
+
+@needs_gl
+def test_colours_stand_alone_after_the_texture_has_changed(head, view):
+    # Where there is no GL it cannot even be imported.
+    from workbench.pictures.head_scene import HeadScene
+
+    white, dark = (np.full((8, 8, 3), shade, np.uint8) for shade in (255, 20))
+    extras, points = Extras(colors=head.colors), to_camera(head.neutral, np.zeros(3), view[1])
+
+    def drawn(scene):
+        def shown(extras):
+            return scene.render(points, view[0], STUDIO, extras).astype(int)
+
+        first = shown(extras)
+        scene.set_texture(dark)
+        return first, shown(extras), shown(NOTHING)
+
+    thread = RenderThread(lambda: HeadScene(head, SIZE, white, 1.0, False), lambda scene: scene.close())
+    try:
+        first, second, textured = thread.submit(drawn).result(60)
+    finally:
+        thread.stop()
+    assert np.abs(first - second).max() <= 1
+    assert textured[..., :3].max() < first[..., :3].max() - 50
 
 
 @needs_gl

@@ -127,6 +127,36 @@ def test_what_was_made_from_the_same_inputs_is_left_as_it_is(counted, tmp_path):
     assert [study.quick for study in calls] == [True, False, False]
 
 
+def test_a_quick_run_leaves_what_was_made_on_all_of_the_data(counted, tmp_path):
+    item, calls = counted
+    reproduction.run([item], tmp_path)
+    assert reproduction.run([item], tmp_path, quick=True) == ((item, False),)
+    assert reproduction.run([item], tmp_path, quick=True, overwrite=True) == ((item, True),)
+    assert [study.quick for study in calls] == [False, True]
+
+
+def test_figures_of_an_earlier_result_do_not_stay(counted, tmp_path, monkeypatch):
+    item, _ = counted
+    square = np.zeros((8, 8, 3), np.uint8)
+    captions = [("one", "two"), ("one",)]
+    module = type("Module", (), {"make": lambda study: Result("x", dict.fromkeys(captions.pop(0), square))})
+    monkeypatch.setattr(studies, "import_module", lambda name: module)
+    for _ in range(2):
+        reproduction.run([item], tmp_path, overwrite=True)
+    assert sorted(path.name for path in (tmp_path / "counted").glob("*.png")) == ["counted-1.png"]
+
+
+def test_a_set_whose_files_changed_makes_an_item_anew(counted, tmp_path):
+    item, calls = counted
+    item, folder = replace(item, reads_set=True), tmp_path / "set"
+    folder.mkdir()
+    for text in ("damaged", "damaged", "whole again"):
+        (folder / "jam1.dat").write_text(text)
+        os.utime(folder / "jam1.dat", (1.0, 1.0))
+        reproduction.run([item], tmp_path / "out", boston=folder)
+    assert len(calls) == len({study.folder for study in calls}) == 2
+
+
 def test_what_an_item_keeps_is_for_one_set_and_ends_with_overwrite(counted, tmp_path):
     """Landmarks found on one set are none of another's."""
     item, calls = counted

@@ -298,6 +298,12 @@ class TestEyes:
         assert row["slope"] == pytest.approx(1.0, abs=0.02)
         assert row["inside 80%"] == pytest.approx(0.8, abs=0.02)
         assert row["open or shut: right"] == 1.0
+        # Of shut eyes, which are far off here, nothing counts but that they are shut.
+        shut = rng.random(4000) < 0.5
+        lost = replace(answers, points=points + 50.0 * shut[:, None, None], is_open=1.0 - shut)
+        row = measured_eyes(lost, lost)["clean, with glasses"]
+        assert row["inside 80%"] == pytest.approx(0.8, abs=0.03)
+        assert row["open or shut: right"] == pytest.approx(0.5, abs=0.05)
 
 
 class TestTraining:

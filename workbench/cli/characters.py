@@ -10,6 +10,7 @@ import workbench
 from workbench.cli import screen
 from workbench.cli.tracking import track_file
 from workbench.errors import InputError
+from workbench.face.characters import PLAIN, character_names
 from workbench.files import check_not_inputs
 
 CHARACTER_HELP = """Make the person in a tracked clip a character: the fitted face, with a skin painted from the clip.
@@ -47,6 +48,8 @@ def character(
     from workbench.export.sources import input_files, pictures_of
     from workbench.pipeline.clip_character import Wardrobe, character_of_clip
 
+    if str(out) in (PLAIN, *character_names()):
+        raise InputError(f"--character {out} is the character that comes along; name another folder.")
     stored = track_file(run)
     track = workbench.Track.load(stored)
     check_not_inputs([out], [stored, *input_files(track.meta)])

@@ -10,7 +10,7 @@ import workbench
 from workbench.cli import screen
 from workbench.cli.tracking import track_file
 from workbench.errors import InputError
-from workbench.export.suffixes import FORMATS, check_shows_character, format_of, place_of
+from workbench.export.suffixes import FORMATS, MESHES, check_free, check_shows_character, format_of, place_of
 from workbench.face.characters import PLAIN, character_names, is_character
 from workbench.files import check_not_inputs
 
@@ -106,6 +106,8 @@ def _check_targets(to: list[Path], character: str | None) -> None:
         other = taken.setdefault(place.absolute(), path)
         if other is not path:
             raise InputError(f"{other} and {path} would both be written to {place}; give each a name of its own.")
+        if format_of(path) in MESHES:
+            check_free(place)
         if character is not None:
             check_shows_character(path, character)
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from workbench.errors import InputError
 from workbench.export.clip import Clip
+from workbench.export.suffixes import check_free
 from workbench.extras import needs
 from workbench.face import FaceModel
 from workbench.files import atomic_path, make_folder, writing
@@ -29,8 +30,7 @@ def write_meshes(
     folder = Path(folder)
     if kind not in KINDS:
         raise InputError(f"Meshes are written as {' or '.join(KINDS)}, got {kind!r}.")
-    if folder.exists():
-        raise InputError(f"{folder} already exists; name another folder for the meshes.")
+    check_free(folder)
     make_folder(folder.parent)
     found = np.flatnonzero(clip.track.found).tolist()
     names = [f"{clip.track.index[position]:06d}.{kind}" for position in found]

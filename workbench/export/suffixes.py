@@ -38,6 +38,12 @@ def place_of(path: str | Path) -> Path:
     return Path(path).with_suffix("") if format_of(path) in MESHES else Path(path)
 
 
+def check_free(folder: Path) -> None:
+    """Raise `InputError` where a folder of meshes already exists: it may hold frames of another export."""
+    if folder.exists():
+        raise InputError(f"{folder} already exists; name another folder for the meshes.")
+
+
 def check_shows_character(path: str | Path, name: str) -> None:
     """Raise `InputError` where the format of `path` cannot show a character."""
     if format_of(path) not in DRESSED:

@@ -20,8 +20,8 @@ def write_usd(clip: Clip, path: str | Path, dressed: DressedHead | None = None) 
     """Write a .usd, .usda, .usdc stage: `/performance/face` (mesh), `skeleton`, `animation`, and `/performance/camera`.
 
     With `dressed` the character plays: its skin as a material, a mesh for each part beside the face, and their pictures
-    in the folder `STEM_textures`; `clip.person` should have its identity. One unit of length is a metre, +y is up. Time
-    codes are the run's frame numbers. Raises `MissingDependencyError` without usd-core.
+    in the folder `FILE_textures` (`talk.usd_textures`); `clip.person` should have its identity. One unit of length is a
+    metre, +y is up. Time codes are the run's frame numbers. Raises `MissingDependencyError` without usd-core.
     """
     with needs("usd"):
         from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel
@@ -45,7 +45,7 @@ def write_usd(clip: Clip, path: str | Path, dressed: DressedHead | None = None) 
             dress_stage(stage, clip, shapes, joints, skeleton, dressed, Path(path))
         _camera(stage, clip)
         # The layer is made under a name that USD has not seen: it keeps layers by name for as long as a program runs.
-        layer = Sdf.Layer.CreateAnonymous(path.suffix if isinstance(path, Path) else Path(path).suffix)
+        layer = Sdf.Layer.CreateAnonymous(Path(path).suffix)
         layer.TransferContent(stage.GetRootLayer())
         try:
             layer.Export(str(temporary))

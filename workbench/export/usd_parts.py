@@ -122,8 +122,8 @@ def distinct(names: Sequence[str]) -> list[str]:
 def dress_stage(
     stage, clip: Clip, shapes: Shapes, joints: tuple[Joint, ...], skeleton, dressed: DressedHead, path: Path
 ) -> None:
-    """Add what a character wears, its materials, and their pictures in the folder `STEM_textures` beside the stage."""
-    folder = path.parent / f"{path.stem}_textures"
+    """Add what a character wears, its materials, and their pictures in the folder `FILE_textures` beside the stage."""
+    folder = path.parent / f"{path.name}_textures"
     define_material(stage, "face", SKIN, _picture(folder, "skin", dressed.skin))
     rest = clip.person.neutral
     for worn, points in zip(dressed.worn, dressed.parts_on(rest, rest), strict=True):

@@ -82,9 +82,15 @@ def check_numbers(path: object, label: str, array: object, shape: Shape, largest
 def check_indices(path: object, label: str, array: object, shape: Shape, count: int) -> None:
     """Raise `ModelError` for an array of another shape, and for indices beyond the `count` things that they name."""
     array = _shaped(path, label, array, shape, "iu")
-    if array.size and not 0 <= array.min() <= array.max() < count:
-        worst = array.min() if array.min() < 0 else array.max()
+    if (worst := index_beyond(array, count)) is not None:
         raise ModelError(f"{path}: {label} names number {worst} of {count}, counted from 0; the file is damaged.")
+
+
+def index_beyond(indices: np.ndarray, count: int) -> int | None:
+    """One of the indices that name none of `count` things; None where all name one."""
+    if not indices.size or 0 <= indices.min() <= indices.max() < count:
+        return None
+    return int(indices.min() if indices.min() < 0 else indices.max())
 
 
 def check_embedding(path: object, label: str, embedding: Embedding, shape: Shape, count: int) -> None:

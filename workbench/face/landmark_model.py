@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from workbench.arrays import AnyArray, Scalar
 from workbench.face.gaze import EYES, eye_turns
-from workbench.face.model import BLINK_SCALE_RANGE, BLINKS, Embedding, FaceModel
+from workbench.face.model import BLINK_SCALE_RANGE, Embedding, FaceModel
 from workbench.face.usual_expressions import UsualExpressions, usual_expressions
 
 LEAST_SEEN_MM = 0.1
@@ -95,13 +95,7 @@ def landmark_model(model: FaceModel) -> LandmarkModel:
         for vertices, barycentric in zip(model.contour.vertices, model.contour.barycentric, strict=True)
     ]
     bounds = np.where(seen_shapes(model)[:, None], model.weight_range(), 0.0)
-    scale = np.ones(len(model.expression_names))
-    scale_identity = np.zeros((len(model.identity_deltas), len(model.expression_names)))
-    for side, name in enumerate(BLINKS):
-        if name in model.expression_names:
-            column = model.expression_names.index(name)
-            scale[column] = model.blink_scale[side]
-            scale_identity[:, column] = model.blink_scale_identity[:, side]
+    scale, scale_identity = model.shape_scales()
     return LandmarkModel(
         inner_neutral=inner.of(model.neutral),
         inner_expression=inner.of(model.expression_deltas),

@@ -89,8 +89,10 @@ class FaceModel:
             raise ModelError(
                 f"{len(self.expression_names)} blendshapes need one range each, got {len(self.expression_range)}."
             )
-        if len(self.landmarks.vertices) not in map(len, SCHEMES.values()) or self.landmarks.vertices.shape[1:] != (3,):
-            raise ModelError(f"The landmark embedding has 68 points, got {len(self.landmarks.vertices)}.")
+        counts = [len(scheme) for scheme in SCHEMES.values()]
+        if len(self.landmarks.vertices) not in counts or self.landmarks.vertices.shape[1:] != (3,):
+            known = " or ".join(map(str, counts))
+            raise ModelError(f"The landmark embedding has {known} points, got {len(self.landmarks.vertices)}.")
         if max(self.triangles.max(initial=0), self.landmarks.vertices.max()) >= vertex_count:
             raise ModelError(f"A triangle or landmark names a vertex beyond the model's {vertex_count}.")
 
@@ -196,6 +198,16 @@ class FaceModel:
             blink_scale_identity=np.zeros((0, 2)),
             fixed_jaw_unit=self.jaw_unit,
         )
+
+    def shape_scales(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "i k"]]:
+        """Travel of each blendshape for the mean identity, and how identity changes it: 1 and 0 but for blinks."""
+        scale = np.ones(len(self.expression_names))
+        by_identity = np.zeros((len(self.identity_deltas), len(self.expression_names)))
+        for side, name in enumerate(BLINKS):
+            if name in self.expression_names:
+                column = self.expression_names.index(name)
+                scale[column], by_identity[:, column] = self.blink_scale[side], self.blink_scale_identity[:, side]
+        return scale, by_identity
 
     def blink_scale_for(self, identity: Float[np.ndarray, "i"]) -> Float[np.ndarray, "2"]:
         """Scale of (eyeBlinkLeft, eyeBlinkRight) with which weight 1 just closes this identity's lids."""

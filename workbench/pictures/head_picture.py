@@ -193,11 +193,11 @@ class HeadRenderer:
 class PlainPainter:
     """`draw_wireframe` with the interface of `HeadRenderer`, for machines without GL."""
 
-    note = NO_GL_NOTE
-
-    def __init__(self, model: FaceModel, size: tuple[int, int]) -> None:
+    def __init__(self, model: FaceModel, size: tuple[int, int], dressed: DressedHead | None = None) -> None:
         _check_size(size)
         self.model, self.size = model, size
+        plain = "" if dressed is None else f" The head is plain: {dressed.character.name} needs GL, too."
+        self.note = NO_GL_NOTE + plain
 
     def render(
         self,
@@ -263,7 +263,7 @@ def head_painter(
 ) -> HeadRenderer | PlainPainter:
     """The best way to draw this model here; `.note` says what is missing, None if nothing is."""
     if not gl_available():
-        return PlainPainter(model, size)
+        return PlainPainter(model, size, dressed)
     return HeadRenderer(model, size, texture, supersampling, fade_neck, dressed)
 
 

@@ -64,6 +64,8 @@ class HeadScene:
         tint = model.colors if texture is None else np.full_like(model.colors, 255)
         self.opacity = opacity.astype(np.uint8)
         self.own_colors = np.column_stack([tint, self.opacity]).astype(np.uint8)
+        self.colored = False
+        """Whether the actors have these colours, with the texture and the parts of now."""
         self.shown_colors: UInt8[np.ndarray, "v 3"] | None = None
         self.shown_light: UInt8[np.ndarray, "v 3"] | None = None
         self.texture = None if texture is None else _texture(texture)
@@ -157,16 +159,14 @@ class HeadScene:
             self.renderer.AddActor(actor)
             if self.lighting is not None:
                 actor.prop.ambient = self.lighting.ambient
-        self.shown_light = None
+        self.colored = False
         self.renderer.SetUseDepthPeeling(bool(self.worn))
         self.renderer.SetMaximumNumberOfPeels(PEELS)
         self.renderer.SetOcclusionRatio(0.0)
 
     def set_texture(self, texture: UInt8[np.ndarray, "th tw 3"]) -> None:
         """Another albedo for a head that was made with one."""
-        self.texture = _texture(texture)
-        for actor in self.actors:
-            actor.texture = self.texture
+        self.texture, self.colored = _texture(texture), False
 
     def set_shine(self, strength: float, exponent: float) -> None:
         """Highlights of the skin: their strength (0 to 1), and how small they are."""
@@ -192,7 +192,7 @@ class HeadScene:
             worn.mesh.point_data.active_normals = np.ascontiguousarray(normals * VTK_AXES, np.float32)
 
     def _set_colors(self, colors: UInt8[np.ndarray, "v 3"] | None, light: UInt8[np.ndarray, "v 3"] | None) -> None:
-        if colors is self.shown_colors and light is self.shown_light:
+        if self.colored and colors is self.shown_colors and light is self.shown_light:
             return
         rgba = self.own_colors if colors is None else np.column_stack([colors, self.opacity])
         if light is not None:
@@ -202,7 +202,7 @@ class HeadScene:
         for mesh, actor in zip(self.meshes, self.actors, strict=True):
             mesh.point_data[COLORS] = rgba[self.vertex_of_point]
             actor.texture = self.texture if colors is None else self.blank
-        self.shown_colors, self.shown_light = colors, light
+        self.shown_colors, self.shown_light, self.colored = colors, light, True
 
     def _set_extras(self, extras: Extras, camera: Camera, pose) -> list[Float[np.ndarray, "_"]]:
         """Show marks and ghost; the depths of their points."""

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from workbench.arrays import AnyArray
 from workbench.face import FaceModel, FaceParameters, JawJoint, jaw_joint, move_jaw
-from workbench.face.model import BLINK_SCALE_RANGE, BLINKS
+from workbench.face.model import BLINK_SCALE_RANGE
 from workbench.geometry import rotation_matrix
 from workbench.rendering.camera import AnyCamera
 from workbench.rendering.renderer import Rendering, render
@@ -40,13 +40,7 @@ class RenderModel(NamedTuple):
 
 def render_model(model: FaceModel) -> RenderModel:
     """What rendering needs of a face model, on JAX's default device; made once."""
-    scale = np.ones(len(model.expression_names))
-    scale_identity = np.zeros((len(model.identity_deltas), len(model.expression_names)))
-    for side, name in enumerate(BLINKS):
-        if name in model.expression_names:
-            column = model.expression_names.index(name)
-            scale[column] = model.blink_scale[side]
-            scale_identity[:, column] = model.blink_scale_identity[:, side]
+    scale, scale_identity = model.shape_scales()
     made = RenderModel(
         neutral=model.neutral.astype(np.float32),
         expression=model.expression_deltas.astype(np.float32),

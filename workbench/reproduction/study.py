@@ -107,16 +107,16 @@ def run(
 ) -> tuple[tuple[Item, bool], ...]:
     """Remake items in `folder`, each in one of its own: figures as PNG, tables as CSV, and `result.json`.
 
-    An item that has been made from the same inputs is left as it is, and one that was interrupted goes on from what it
-    had kept; items that share a folder find there what others of them kept. Returns the items, and whether each was
-    made now. Raises `OutputError` where nothing can be written.
+    An item that has been made from the same inputs is left as it is, with `quick` also one that was made on all of the
+    data, and one that was interrupted goes on from what it had kept; items that share a folder find there what others
+    of them kept. Returns the items, and whether each was made now. Raises `OutputError` where nothing can be written.
     """
     folder, made = make_folder(folder), []
     for item in items:
         own = make_folder(folder / item.name)
         basis = {"version": workbench.__version__, "quick": quick}
         if item.reads_set:
-            basis["boston"] = "" if boston is None else str(boston.resolve())
+            basis["boston"] = "" if boston is None else [str(boston.resolve()), _stamps(boston)]
         if item.reads_clip:
             basis["clip"] = "" if clip is None else [str(clip.resolve()), _stamps(clip)]
         kept = folder / (item.shares or item.name) / f"kept-{_digest(json.dumps(basis).encode())}"
@@ -125,11 +125,14 @@ def run(
             inputs |= {"meshes": _stamps(meshes)}
         if overwrite and not item.shares:
             shutil.rmtree(kept, ignore_errors=True)
-        fresh = overwrite or _stored(own / RESULT).get("inputs") != inputs
+        before = _stored(own / RESULT)
+        fresh = overwrite or before.get("inputs") not in (inputs, inputs | {"quick": False})
         if fresh:
             study = Study(kept, quick, boston, tuple(poses), meshes, progress, clip)
             module, function = item.make.split(":")
             _write(item, getattr(import_module(f"workbench.reproduction.{module}"), function)(study), own, inputs)
+            for name in _files(before) - _files(_stored(own / RESULT)):
+                (own / name).unlink(missing_ok=True)
         made.append((item, fresh))
     return tuple(made)
 
@@ -161,6 +164,11 @@ def _stored(path: Path) -> dict[str, Any]:
         return {}
     with reading(path, "a result", "delete it and run again"):
         return dict(checked_json(checked_content(path, "a result")))
+
+
+def _files(result: Mapping[str, Any]) -> set[str]:
+    """Names of the figures and tables of a result."""
+    return {Path(part["file"]).name for kind in ("figures", "tables") for part in result.get(kind, ())}
 
 
 def _write(item: Item, result: Result, folder: Path, inputs: dict[str, Any]) -> None:

@@ -77,13 +77,9 @@ def iris_vertices(model: FaceModel, eye: str) -> Int[np.ndarray, "8"]:
     return ring[np.argsort(np.arctan2(around[:, 1], np.sign(model.neutral[ring[0], 0]) * around[:, 0]))]
 
 
-def _landmarks_head(model: FaceModel) -> Float[np.ndarray, "68 3"]:
-    return np.einsum("lkc,lk->lc", model.neutral[model.landmarks.vertices], model.landmarks.barycentric)
-
-
 def _parts(model: FaceModel) -> np.ndarray:
     """The part of the face that each vertex belongs to, by the 68 landmarks that are near."""
-    points, landmarks = model.neutral, _landmarks_head(model)
+    points, landmarks = model.neutral, model.landmarks.of(model.neutral)
     part = np.full(len(points), "face", object)
     ear = landmarks[0]
     part[(np.abs(points[:, 0]) > abs(ear[0]) - 1.0) & (points[:, 2] > ear[2] - 10.0)] = "ears"
@@ -95,7 +91,7 @@ def _parts(model: FaceModel) -> np.ndarray:
 
 def _shown(model: FaceModel) -> Bool[np.ndarray, "v"]:
     """Skin, lips and brows between hairline, ears and chin that look outwards; not the inside of mouth and nose."""
-    landmarks = _landmarks_head(model)
+    landmarks = model.landmarks.of(model.neutral)
     kinds = np.zeros(len(model.neutral), bool)
     kinds[np.concatenate([model.regions[name] for name in ("skin", "lips", "brow")])] = True
     below = model.neutral[:, 1] > landmarks[8, 1] + BELOW_CHIN_MM - 0.55 * np.maximum(

@@ -60,18 +60,22 @@ def eye_answers(look: Look, pool: Pool, count: int, hardness: Hardness, seed: in
 
 
 def measured_eyes(clean: EyeAnswers, damaged: EyeAnswers) -> dict[str, Mapping[str, float]]:
-    """The tables of the model card: of open eyes that look no more than 45° away, with and without glasses."""
+    """The tables of the model card: of open eyes that look no more than 45° away, with and without glasses.
+
+    Whether an eye is open is told of all of them.
+    """
     tables: dict[str, Mapping[str, float]] = {}
     for kind, answers in (("clean", clean), ("damaged", damaged)):
         front = (answers.is_open > 0.5) & (np.abs(answers.yaw_deg) < 45.0)
         for name, chosen in (("without glasses", answers.glasses < 0.5), ("with glasses", answers.glasses > 0.5)):
-            errors = answers.errors_percent[front & chosen]
+            seen = front & chosen
+            errors = answers.errors_percent[seen]
             tables[f"{kind}, {name}"] = {
                 "pupil: mean": float(errors[:, 0].mean()),
                 "median": float(np.median(errors[:, 0])),
                 "iris: mean": float(errors[:, 1:].mean()),
-                "slope": answers.slope(front & chosen),
-                **{f"inside {share:.0%}": _held(answers, chosen, share) for share in ELLIPSES},
+                "slope": answers.slope(seen),
+                **{f"inside {share:.0%}": _held(answers, seen, share) for share in ELLIPSES},
                 "open or shut: right": float(((answers.openness > 0.5) == (answers.is_open > 0.5))[chosen].mean()),
             }
     return tables

@@ -15,7 +15,9 @@ from workbench.training.augment import cut_out, exposed, photographed, random_ba
 from workbench.training.loop import Batch, MapsTask, Phase
 from workbench.training.pool import Pool
 
-MOST_FACES = 4
+FACES = (0.15, 0.5, 0.2, 0.15)
+"""Shares of pictures with no face, one, two and so on."""
+MOST_FACES = len(FACES) - 1
 SMALLEST, LARGEST = 16.0, 190.0
 """Box sides in pixels of a 256×256 picture."""
 SPREAD = 0.18
@@ -82,7 +84,7 @@ def crowd(pool: Pool, rng: np.random.Generator, side: int) -> tuple[np.ndarray, 
     if rng.random() < DARK:
         picture = picture * np.float32(rng.uniform(0.03, 0.4))
     boxes = np.zeros((MOST_FACES, 3), np.float32)
-    sizes = np.sort(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST), rng.choice(4, p=[0.15, 0.5, 0.2, 0.15]))))
+    sizes = np.sort(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST), rng.choice(len(FACES), p=FACES))))
     scale = side / 256
     kept = 0
     for size in sizes * scale:

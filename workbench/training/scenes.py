@@ -241,12 +241,8 @@ def landmarks_head(person: FaceModel, vertices: Float[np.ndarray, "v 3"], yaw_de
     """The 68 points of these head-frame vertices, the jaw's contour where a camera sees it at this yaw."""
     yaws = np.radians(np.concatenate([[0.0], person.contour_yaw_deg]))
     blend = np.asarray(contour_blend(yaws, float(np.radians(yaw_deg)), 1.0))[1:]
-    contour = np.tensordot(blend, np.stack([
-        np.einsum("lkc,lk->lc", vertices[v], b)
-        for v, b in zip(person.contour.vertices, person.contour.barycentric, strict=True)
-    ]), axes=1)  # fmt: skip
-    inner = np.einsum("lkc,lk->lc", vertices[person.landmarks.vertices[17:]], person.landmarks.barycentric[17:])
-    return np.concatenate([contour, inner])
+    contour = np.tensordot(blend, person.contour.of(vertices), axes=1)
+    return np.concatenate([contour, person.landmarks.of(vertices)[17:]])
 
 
 def random_pose_deg(rng: np.random.Generator, most_yaw: float = 65.0) -> Float[np.ndarray, "3"]:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from workbench.errors import ModelError
-from workbench.face.checking import check_embedding, check_numbers, whole_numbers
+from workbench.face.checking import check_embedding, check_numbers, index_beyond, whole_numbers
 from workbench.face.formats.pickled_arrays import array_of, read_arrays
 from workbench.face.formats.raw import (
     STATISTICAL_RANGE,
@@ -172,9 +172,11 @@ def _embeddings(
 def _embedding(path: Path, faces: np.ndarray, weights: np.ndarray, triangles: np.ndarray) -> Embedding:
     faces = whole_numbers(path, "the list of triangles", faces)
     faces, weights = (faces[0], weights[0]) if faces.ndim == 2 and len(faces) == 1 else (faces, weights)
-    if weights.shape != (*faces.shape, 3) or faces.min(initial=0) < 0 or faces.max(initial=0) >= len(triangles):
+    worst = index_beyond(faces, len(triangles))
+    if weights.shape != (*faces.shape, 3) or worst is not None:
+        named = faces.max(initial=0) if worst is None else worst
         raise ModelError(
-            f"{path} names triangle {faces.max(initial=0)} with weights {weights.shape}, the model has "
+            f"{path} names triangle {named} with weights {weights.shape}, the model has "
             f"{len(triangles)} triangles; take the embedding that belongs to it."
         )
     return Embedding(triangles[faces].astype(np.int32), np.asarray(weights, float))

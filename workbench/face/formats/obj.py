@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Integer
 
 from workbench.errors import ModelError
-from workbench.face.checking import check_embedding, check_numbers
+from workbench.face.checking import check_embedding, check_numbers, index_beyond
 from workbench.face.formats.raw import Place, RawModel, check_mesh, places_of, ranges, vertex_place
 from workbench.face.model import Embedding
 from workbench.reading import checked_content, checked_file, reading, toml_tables
@@ -127,8 +127,8 @@ def _landmarks(path: Path, stored: dict[str, Any], vertex_count: int) -> dict[in
         raise ModelError(f"{path} needs 68 vertex numbers, or 68 triples with barycentric, got {vertices.shape}.")
     if vertices.dtype.kind != "i":
         raise ModelError(f"{path} needs whole numbers of vertices, counted from 0.")
-    if vertices.min() < 0 or vertices.max() >= vertex_count:
-        raise ModelError(f"{path} names vertex {vertices.max()}, the mesh has {vertex_count}, counted from 0.")
+    if (worst := index_beyond(vertices, vertex_count)) is not None:
+        raise ModelError(f"{path} names vertex {worst}, the mesh has {vertex_count}, counted from 0.")
     if single:
         return {point: vertex_place(int(vertex)) for point, vertex in enumerate(vertices)}
     embedding = Embedding(vertices.astype(np.int32), barycentric)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Integer, UInt8
 
 from workbench.errors import ModelError
-from workbench.face.checking import Shape, check_embedding, check_indices, check_names, check_numbers
+from workbench.face.checking import Shape, check_embedding, check_indices, check_names, check_numbers, index_beyond
 from workbench.face.model import Embedding
 from workbench.reading import shortened
 
@@ -97,10 +97,8 @@ def check_mesh(path: object, vertices: np.ndarray, triangles: np.ndarray, deltas
     count = len(vertices) if vertices.ndim == 2 else 0
     if vertices.shape != (count, 3) or count == 0 or triangles.ndim != 2 or triangles.shape[1:] != (3,):
         raise ModelError(f"{path} holds no triangle mesh: vertices {vertices.shape}, triangles {triangles.shape}.")
-    if triangles.size and (triangles.min() < 0 or triangles.max() >= count):
-        raise ModelError(
-            f"{path}: a triangle names vertex {triangles.max()}, the mesh has {count}; the file is damaged."
-        )
+    if (worst := index_beyond(triangles, count)) is not None:
+        raise ModelError(f"{path}: a triangle names vertex {worst}, the mesh has {count}; the file is damaged.")
     for label, basis in deltas.items():
         if basis.ndim != 3 or basis.shape[1:] != (count, 3):
             raise ModelError(f"{path}: {label} has shape {basis.shape}, expected (n, {count}, 3); the file is damaged.")
