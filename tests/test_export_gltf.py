@@ -15,11 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from tests.other_heads import half_open
 from tests.performances import FRAMES, GAP, gazes, looking_aside, other_character, performance, with_jaw
-from workbench.export import make_clip
+from workbench.export import make_clip, retarget
 from workbench.export.clip import quaternions, to_world
 from workbench.export.gltf import render_corners, write_gltf
 from workbench.export.skinning import CORRECTIVES, eyeball
 from workbench.face import load_character, load_default_head
+from workbench.face.formats.gltf import read_gltf
 from workbench.face.gaze import directions_deg
 from workbench.geometry import project
 
@@ -50,6 +51,36 @@ def glb(clip, tmp_path_factory):
     path = tmp_path_factory.mktemp("gltf") / "face.glb"
     write_gltf(clip, path)
     return path
+
+
+def turned_at_first(model):
+    """A clip whose head is turned, and its mouth open, from the first frame with a face on."""
+    track = performance(model)
+    return make_clip(replace(track, found=track.found & (track.index > FRAMES // 2)), model)
+
+
+def read_shape(path):
+    """The vertices of a file, about their middle, in its unit."""
+    vertices = read_gltf(path).vertices
+    return vertices - vertices.mean(axis=0)
+
+
+@pytest.mark.parametrize("jointless", [False, True])
+def test_a_clip_that_begins_turned_is_read_as_the_upright_face(jointless, head, tmp_path):
+    model = other_character(head, np.zeros(50)) if jointless else head
+    clip = turned_at_first(model) if not jointless else make_clip(retarget(turned_at_first(head).track, model), model)
+    assert np.linalg.norm(clip.track.rotation[np.argmax(clip.track.found)]) > 0.2
+    write_gltf(clip, tmp_path / "turned.glb")
+    truth = to_world(clip.person.neutral[render_corners(clip.person)[0]])
+    np.testing.assert_allclose(read_shape(tmp_path / "turned.glb"), truth - truth.mean(axis=0), atol=1e-5)
+
+
+def test_a_joint_that_stands_otherwise_than_it_was_bound_moves_nothing(glb, tmp_path):
+    document = pygltflib.GLTF2().load(str(glb))
+    jaw = next(node for node in document.nodes if node.name == "jaw")
+    jaw.rotation = Rotation.from_euler("x", 20.0, degrees=True).as_quat().tolist()
+    document.save_binary(str(tmp_path / "open.glb"))
+    np.testing.assert_allclose(read_shape(tmp_path / "open.glb"), read_shape(glb), atol=1e-9)
 
 
 @pytest.fixture(scope="module")

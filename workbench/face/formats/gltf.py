@@ -1,13 +1,14 @@
 """glTF 2.0 with morph targets (.glb, .gltf): the meshes of the face at rest, names from `extras.targetNames`.
 
-Node transforms and skins are applied at the rest pose. Meshes without morph targets are kept where they lie within the
-ones that have some (eyes, teeth); a body is left out. Compressed geometry is refused.
+A file may stand in the pose in which its clip begins. Skins are therefore read as they were bound, and what an
+animation turns stands at the nearest right angle. Meshes without morph targets are kept where they lie within the ones
+that have some (eyes, teeth); a body is left out. Compressed geometry is refused.
 """
 
 import base64
 import struct
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
@@ -17,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from workbench.errors import ModelError
 from workbench.face.checking import FARTHEST
+from workbench.face.formats.placing import nearest_right_angle
 from workbench.face.formats.raw import RawModel, check_mesh, ranges
 from workbench.reading import MOST_UNPACKED_BYTES, checked_content, checked_json, reading, shortened
 
@@ -109,7 +111,7 @@ class _Document:
         if compressed:
             raise ModelError(f"{path} is compressed ({compressed[0]}); export it without compression.")
         self._buffers = [self._buffer(buffer) for buffer in self.json.get("buffers", [])]
-        self._matrices = self._global_matrices()
+        self._matrices = self._matrices_at_rest()
 
     def eyes(self) -> dict[str, np.ndarray]:
         """Centres of the eyes, where nodes are named after them."""
@@ -171,8 +173,7 @@ class _Document:
         skin = self._entry("skins", node["skin"])
         joints = np.stack([self._matrices.get(joint, np.eye(4)) for joint in skin["joints"]])
         if "inverseBindMatrices" in skin:
-            inverse = self._vectors(skin["inverseBindMatrices"], len(joints), 16)
-            joints = joints @ inverse.reshape(-1, 4, 4).transpose(0, 2, 1)
+            joints = joints @ self._inverse_bind(skin)
         weights = self._vectors(attributes["WEIGHTS_0"], count, 4)
         chosen = self._vectors(attributes["JOINTS_0"], count, 4)
         if chosen.dtype.kind not in "iu" or np.any(chosen < 0):
@@ -197,8 +198,35 @@ class _Document:
         linear = _finite(rough["baseColorFactor"][:3] if plain else [0.52, 0.52, 0.52], 3)
         return np.round(255.0 * np.clip(linear, 0.0, 1.0) ** (1.0 / 2.2)).astype(np.uint8)
 
-    def _global_matrices(self) -> dict[int, np.ndarray]:
-        """Node to scene, by node, for the nodes of the scene."""
+    def _matrices_at_rest(self) -> dict[int, np.ndarray]:
+        """Node to scene, by node: joints where their skins were bound, others as no animation turns them."""
+        animations = self.json.get("animations", [])
+        targets = [channel["target"] for animation in animations for channel in animation["channels"]]
+        turned = {target.get("node") for target in targets if target.get("path") == "rotation"}
+        skins = [skin for skin in self.json.get("skins", []) if "inverseBindMatrices" in skin]
+        joints = {joint for skin in skins for joint in skin["joints"]}
+        present = self._global_matrices(turned - joints, {})
+        bound: dict[int, np.ndarray] = {}
+        for skin in skins:
+            inverse = dict(zip(skin["joints"], self._inverse_bind(skin), strict=True))
+            top = next((node for node in present if node in inverse), None)
+            if top is None:
+                continue
+            skinned = bound.get(top, present[top]) @ inverse[top]
+            if top in turned and top not in bound:
+                skinned[:3, :3] = _straightened(skinned[:3, :3])
+                skinned[:3, 3] = present[top][:3, 3] - skinned[:3, :3] @ np.linalg.pinv(inverse[top])[:3, 3]
+            for joint, matrix in inverse.items():
+                bound.setdefault(joint, skinned @ np.linalg.pinv(matrix))
+        return self._global_matrices(turned - joints, bound)
+
+    def _inverse_bind(self, skin: dict) -> np.ndarray:
+        """From the mesh to each joint of a skin, as it was bound."""
+        matrices = self._vectors(skin["inverseBindMatrices"], len(skin["joints"]), 16)
+        return matrices.reshape(-1, 4, 4).transpose(0, 2, 1)
+
+    def _global_matrices(self, straightened: Set[int], bound: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
+        """Node to scene, by node, for the nodes of the scene; those of `bound` as it says."""
         nodes = self.json.get("nodes", [])
         scenes = self.json.get("scenes", [])
         roots = self._entry("scenes", self.json.get("scene", 0)).get("nodes", []) if scenes else range(len(nodes))
@@ -209,7 +237,10 @@ class _Document:
             node = self._entry("nodes", index)
             if index in found:
                 raise ModelError(f"{self._path}: node {index} hangs below two nodes; the file is damaged.")
-            found[index] = parent @ _local_matrix(node)
+            local = _local_matrix(node)
+            if index in straightened:
+                local[:3, :3] = _straightened(local[:3, :3])
+            found[index] = bound.get(index, parent @ local)
             waiting.extend((child, found[index]) for child in node.get("children", []))
         return found
 
@@ -294,6 +325,13 @@ def _local_matrix(node: dict) -> np.ndarray:
     matrix[:3, :3] = rotation * _finite(node.get("scale", [1.0, 1.0, 1.0]), 3)
     matrix[:3, 3] = _finite(node.get("translation", [0.0, 0.0, 0.0]), 3)
     return matrix
+
+
+def _straightened(linear: np.ndarray) -> np.ndarray:
+    """The map with its turn replaced by the nearest one by right angles."""
+    left, _, right = np.linalg.svd(linear)
+    turn = np.sign(np.linalg.det(linear)) * left @ right  # of a mirrored map, that of the one it mirrors
+    return nearest_right_angle(turn) @ turn.T @ linear
 
 
 def _finite(values: Any, count: int) -> np.ndarray:

@@ -76,7 +76,7 @@ def axes_of_joints(raw: RawModel, head: FaceModel) -> Float[np.ndarray, "3 3"]:
         return Y_UP
     pairs = Correspondences(*(np.array([joints[name] for name in shared]) for joints in (head.joints, raw.joints)))
     covariance = (pairs.head - pairs.head.mean(0)).T @ (pairs.file - pairs.file.mean(0))
-    return _nearest_right_angle(covariance)
+    return nearest_right_angle(covariance)
 
 
 def place(points: Correspondences, axes: np.ndarray | None, unit: str | None, path: object) -> Placement:
@@ -92,7 +92,7 @@ def place(points: Correspondences, axes: np.ndarray | None, unit: str | None, pa
     if spread == 0.0:
         raise ModelError(f"{path}: all points of the face that are known lie in one place; the model is damaged.")
     _check_sides(head.T @ file, path)
-    rotation = _nearest_right_angle(head.T @ file) if axes is None else axes
+    rotation = nearest_right_angle(head.T @ file) if axes is None else axes
     scale = float(np.sum(head * (file @ rotation.T)) / spread**2)
     if scale <= 0.0:
         raise ModelError(f"{path}: the eyes or landmarks stand the wrong way round; sides are the subject's.")
@@ -112,7 +112,7 @@ def _right_angles() -> Float[np.ndarray, "24 3 3"]:
     return np.stack([matrix for matrix in signed if np.linalg.det(matrix) > 0.0])
 
 
-def _nearest_right_angle(covariance: np.ndarray) -> np.ndarray:
+def nearest_right_angle(covariance: np.ndarray) -> np.ndarray:
     """The turn by right angles that takes the file's points nearest to the head's; `covariance` is head by file."""
     candidates = _right_angles()
     return candidates[np.argmax(np.einsum("cij,ij->c", candidates, covariance))]
