@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from scipy.sparse import csr_matrix, diags
 
 from workbench.face.model import FaceModel
-from workbench.pictures.extras import is_outer, of_regions
+from workbench.pictures.extras import is_outer
 from workbench.pictures.lighting import Light, Lighting
 from workbench.pictures.mesh import corner_sum, vertex_normals
 
@@ -47,8 +47,8 @@ class Shader:
         neighbours: csr_matrix = self.sums @ self.sums.T
         self.blur = diags(1.0 / np.maximum(np.asarray(neighbours.sum(axis=1))[:, 0], 1.0)) @ neighbours
         self.openness = self._openness(model.neutral)
-        self.in_the_mouth = of_regions(model, IN_THE_MOUTH)
-        self.lips = of_regions(model, ("lips",))
+        self.in_the_mouth = model.in_regions(IN_THE_MOUTH)
+        self.lips = model.in_regions(("lips",))
         self.lips &= self.openness > np.median(self.openness[self.lips])
 
     def light(
