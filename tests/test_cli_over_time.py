@@ -12,9 +12,10 @@ from workbench.face.default_head import EARLIER_EDITIONS
 from workbench.frames import VideoWriter
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
-from workbench.pipeline import track
+from workbench.pipeline import config_of, retrack, track
 from workbench.tracking import Track
 from workbench.tracking.records import SOURCES
+from workbench.tracking.track_writer import TrackWriter
 
 COUNT = 12
 MISSING = (5, 6)
@@ -143,6 +144,44 @@ def test_moved_pictures_are_named(run, talk, clip, tmp_path):
     assert run("infill", "talk", "--clip", str(clip / "clip.mp4"), *QUICK)[0] == 0
 
 
+def test_without_the_pictures_a_method_that_looks_at_none_draws_no_film_and_says_so(run, talk, tmp_path):
+    meta = Track.load(talk / "track.npz").meta
+    meta["inputs"][0]["path"] = "/nowhere/clip.mp4"
+    track = Track.load(talk / "track.npz")
+    type(track)(**{**vars(track), "meta": meta}).save(talk / "track.npz")
+    code, out, _ = run("infill", "talk", "--method", "spline")
+    assert code == 0
+    assert "No film was drawn" in out
+    assert not (tmp_path / "talk-infill" / "overlay.mp4").exists()
+    code, _, err = run("infill", "talk", "--method", "spline", "--clip", "elsewhere.mp4", "--overwrite")
+    assert code == 2
+    assert "no longer at elsewhere.mp4" in err
+
+
+def test_a_run_on_landmarks_alone_refuses_a_method_that_needs_pictures_before_it_fits(run, clip, tmp_path):
+    code, _, err = run("track", str(clip / "points.csv"), "--infill", "flow", "--out", "out", *QUICK)
+    assert code == 2
+    assert "'flow' needs the pictures, and the input has none; track the clip and name the file with" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_interrupted_while_its_film_is_drawn_leaves_nothing_to_go_on_with(
+    run, talk, head, tmp_path, monkeypatch
+):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    config = config_of(Track.load(talk / "track.npz").meta).changed(infill={"method": "linear"})
+    monkeypatch.setattr("workbench.pipeline.runs.write_overlay_video", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        retrack(talk / "track.npz", tmp_path / "new", head, config, ["infill"])
+    assert not (tmp_path / "new" / "track.npz.parts").exists()
+    code, _, err = run("infill", "talk", "--method", "linear", "--out", "new", *QUICK)
+    assert code == 2
+    assert "--overwrite" in err
+    assert "--resume" not in err
+
+
 def test_a_track_of_landmarks_alone_needs_methods_that_look_at_none(run, clip, head, config, tmp_path):
     track(clip / "points.csv", tmp_path / "points", head, config, pictures=False)
     code, _, err = run("infill", "points", *QUICK)
@@ -260,3 +299,23 @@ def test_an_interrupted_run_over_time_goes_on(head, clip, config, tmp_path, monk
     track(clip / "clip.mp4", tmp_path / "whole", head, changed, **given)
     cut, whole = (Track.load(tmp_path / name / "track.npz") for name in ("cut", "whole"))
     assert np.array_equal(cut.rotation, whole.rotation)
+
+
+def test_a_run_over_time_that_is_interrupted_between_its_two_tracks_goes_on(head, clip, config, tmp_path, monkeypatch):
+    changed = config.changed(infill={"method": "linear"})
+    given = {"landmarks": clip / "points.csv", "pictures": False, "resume": True}
+    close = TrackWriter.close
+
+    def cut(writer):
+        if writer.path.name == "track.npz":
+            raise KeyboardInterrupt
+        close(writer)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TrackWriter, "close", cut)
+        with pytest.raises(KeyboardInterrupt):
+            track(clip / "clip.mp4", tmp_path, head, changed, **given)
+    assert (tmp_path / "track.npz.parts").exists()
+    assert not (tmp_path / "unrefined.npz.parts").exists()
+    track(clip / "clip.mp4", tmp_path, head, changed, **given)
+    assert Track.load(tmp_path / "track.npz").found.all()

@@ -6,7 +6,7 @@ import resource
 import shutil
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from workbench.geometry import write_rig
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, write_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import track
+from workbench.pipeline.output_folder import locked
 from workbench.samples import sample
 from workbench.session.recording import Recording
 from workbench.tracking.track_writer import TrackWriter
@@ -222,16 +223,76 @@ class TestFinishedRuns:
         with pytest.raises(OutputError, match="a finished run of another input or configuration"):
             quick(points, tmp_path / "out", resume=True, frames=(0, 2))
 
-    def test_an_interrupted_run_is_not_thrown_away_unasked(self, quick, points, tmp_path):
+    @pytest.fixture
+    def begun(self, quick, points, tmp_path):
+        """The folder of a run that was interrupted after its third frame."""
+
         def interrupt(step, done, total):
             if done == 3:
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
             quick(points, tmp_path / "out", progress=interrupt)
+        return tmp_path / "out"
+
+    def test_an_interrupted_run_is_not_thrown_away_unasked(self, quick, points, begun):
         with pytest.raises(OutputError, match="holds an interrupted run; continue it with --resume"):
-            quick(points, tmp_path / "out")
+            quick(points, begun)
+        assert len(quick(points, begun, resume=True).track) == FRAMES
+
+    def test_an_interrupted_run_of_something_else_is_not_thrown_away_by_resume(self, quick, points, begun):
+        before = content(begun / "track.npz.parts")
+        with pytest.raises(OutputError, match="an interrupted run of another input or configuration; name another"):
+            quick(points, begun, resume=True, frames=(0, 2))
+        assert content(begun / "track.npz.parts") == before
+        assert len(quick(points, begun, resume=True, overwrite=True, frames=(0, 2)).track) == 3
+
+    def test_a_finished_run_beside_the_parts_of_another_does_not_throw_these_away(self, quick, points, tmp_path):
+        quick(points, tmp_path / "out", frames=(0, 2))
+        with pytest.raises(KeyboardInterrupt):
+            quick(
+                points, tmp_path / "out", overwrite=True, progress=lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)
+            )
+        before = content(tmp_path / "out" / "track.npz.parts")
+        with pytest.raises(OutputError, match="an interrupted run of another input"):
+            quick(points, tmp_path / "out", resume=True, frames=(0, 2))
+        assert content(tmp_path / "out" / "track.npz.parts") == before
         assert len(quick(points, tmp_path / "out", resume=True).track) == FRAMES
+
+    @pytest.mark.parametrize("finished", [False, True])
+    def test_a_run_begun_with_other_versions_says_so(self, quick, points, tmp_path, monkeypatch, finished):
+        versions = {"workbench": "1.0", "jax": "0.7"}
+        monkeypatch.setattr("workbench.pipeline.runs.software_versions", lambda: dict(versions))
+
+        def interrupt(step, done, total):
+            if done == 3 and not finished:
+                raise KeyboardInterrupt
+
+        with suppress(KeyboardInterrupt):
+            quick(points, tmp_path / "out", progress=interrupt)
+        versions["jax"] = "0.8"
+        with pytest.raises(
+            OutputError, match=r"run that was begun with other versions \(jax 0\.7, now 0\.8\); install"
+        ):
+            quick(points, tmp_path / "out", resume=True)
+        with pytest.raises(OutputError, match="of another input or configuration"):
+            quick(points, tmp_path / "out", resume=True, frames=(0, 2))
+        versions["jax"] = "0.7"
+        assert len(quick(points, tmp_path / "out", resume=True).track) == FRAMES
+
+    def test_resume_goes_before_overwrite_and_says_how_to_repeat(self, quick, points, tmp_path):
+        quick(points, tmp_path / "out")
+        (note,) = quick(points, tmp_path / "out", resume=True, overwrite=True).notes
+        assert "--overwrite without --resume repeats it" in note
+
+    def test_a_refusal_says_once_how_to_go_on(self, run, points, begun, monkeypatch):
+        monkeypatch.setattr("workbench.cli.tracking.face_model", lambda path: StubModel())
+        command = ("track", "points.csv", "--no-pictures", "--out", "out")
+        err = run(*command)[2]
+        assert err.count("--resume") == 1
+        assert "Finished parts" not in err
+        with locked(begun):
+            assert "--resume" not in run(*command, "--resume")[2]
 
     def test_other_files_of_the_same_names_are_not_replaced_unasked(self, quick, points, tmp_path):
         (tmp_path / "out").mkdir()

@@ -80,6 +80,17 @@ def test_the_mesh_before_the_camera_projects_onto_the_landmarks(found):
     assert np.abs(found.vertices_head.mean(axis=0)).max() < 100.0 < found.vertices_camera[:, 2].min()
 
 
+def test_with_pupils_weights_mesh_and_figure_are_of_the_eyes_too(portrait, points):
+    pupils = [points.points[eye].mean(axis=0) for eye in (slice(36, 42), slice(42, 48))]
+    fit = workbench.fit(portrait, landmarks=np.vstack([points.points, pupils]), config="gaze")
+    assert len(fit.weights) == 52
+    assert "eyeLookInLeft" in fit.weights
+    assert fit.vertices_camera.shape == (fit.triangles.max() + 1, 3)
+    places = fit.model.landmarks.of(fit.vertices_camera)
+    np.testing.assert_allclose(to_pixels(fit.frame.camera, places)[17:], fit.frame.projected[17:], atol=1e-6)
+    assert len(fit.figure().axes) == 2
+
+
 def test_landmarks_come_as_a_record_a_file_or_an_array(portrait, points, tmp_path):
     path = tmp_path / "points.pts"
     write_landmark_file(path, [LandmarkRecord(0, "points", points, points.image_size)])

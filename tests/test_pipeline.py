@@ -2,6 +2,7 @@
 
 import csv
 import json
+from contextlib import nullcontext
 
 import av
 import cv2
@@ -10,7 +11,7 @@ import pytest
 
 from tests.scenes import make_scene
 from workbench.config import preset, read_config
-from workbench.errors import ConfigError, InputError
+from workbench.errors import ConfigError, InputError, OutputError
 from workbench.frames import VideoWriter, open_frames
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file, write_landmark_file
 from workbench.landmarks.formats.own_json import json_text
@@ -146,10 +147,14 @@ def test_an_interrupted_run_resumes_with_the_same_numbers(head, clip, quick, run
 
 
 def test_parts_of_another_configuration_are_not_resumed(head, clip, quick, tmp_path):
+    """Nor thrown away: `overwrite` does that."""
     writer = TrackWriter(tmp_path / "track.npz", {}, "another fingerprint")
+    with pytest.raises(OutputError, match="an interrupted run of another input or configuration"):
+        track(clip, tmp_path, head, quick, pictures=False, resume=True)
     assert writer.parts_folder.is_dir()
     seen = []
-    track(clip, tmp_path, head, quick, progress=lambda *a: seen.append(a[1]), pictures=False, resume=True)
+    options = {"pictures": False, "resume": True, "overwrite": True}
+    track(clip, tmp_path, head, quick, progress=lambda *a: seen.append(a[1]), **options)
     assert seen[0] == 1
 
 
@@ -232,8 +237,11 @@ def test_a_run_on_other_landmarks_is_not_resumed(head, clip, quick, tmp_path, mo
     other, seen = tmp_path / "other.csv", []
     other.write_text(clip.read_text().replace("640,480", "640,481"))
     options = {"pictures": False, "progress": lambda *a: seen.append(a[1]), "resume": True}
-    track(pictures, tmp_path / "out", head, quick, landmarks=other, **options)
-    assert seen[0] == 1
+    with pytest.raises(OutputError, match="an interrupted run of another input or configuration"):
+        track(pictures, tmp_path / "out", head, quick, landmarks=other, **options)
+    assert seen == []
+    track(pictures, tmp_path / "out", head, quick, landmarks=clip, **options)
+    assert seen[0] > 4
 
 
 def test_a_crash_leaves_no_file_under_a_final_name(head, clip, quick, tmp_path):
@@ -334,8 +342,9 @@ def test_a_run_resumes_with_the_detector_that_ran_before_under_whatever_name(
     monkeypatch.setattr(NoFaces, "name", again)
     seen, config = [], preset("joint").changed(landmarks={"detector": again})
     options = {"pictures": False, "resume": True, "progress": lambda *a: seen.append(a[1])}
-    track(tmp_path / "grey.mp4", tmp_path / "out", head, config, **options)
-    assert seen[0] == (6 if goes_on else 1)
+    with nullcontext() if goes_on else pytest.raises(OutputError, match="an interrupted run of another input"):
+        track(tmp_path / "grey.mp4", tmp_path / "out", head, config, **options)
+    assert seen[:1] == ([6] if goes_on else [])
 
 
 @pytest.mark.usefixtures("no_faces")

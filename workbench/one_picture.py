@@ -43,6 +43,7 @@ class PictureFit:
     picture: UInt8[np.ndarray, "h w 3"]
     """RGB."""
     model: FaceModel
+    """The one that was fitted: in the landmarks' scheme, with the eyes' units where that shows them."""
     frame: FrameFit
     """Everything that a track keeps of a frame: camera, identity, jaw, energies, why the stages stopped."""
 
@@ -133,11 +134,12 @@ def fit(
         observation = _observation(picture, landmarks, config, detector)
         seen = cast("Landmarks2D", observation.landmarks)  # given, or else found: no face is an error
         try:
-            frame = _tracker(_Task(model, config, seen.scheme)).push(observation)[-1]
+            tracker = _tracker(_Task(model, config, seen.scheme))
+            frame = tracker.push(observation)[-1]
         except BaseException:
             _tracker.cache_clear()  # it still holds the picture that could not be fitted
             raise
-    return PictureFit(picture, model, replace(frame, shot=0))
+    return PictureFit(picture, tracker.model, replace(frame, shot=0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from rich.table import Table
 import workbench
 from workbench.cli import screen
 from workbench.config import DEFAULT_PRESET, PRESETS, Config, preset, read_config
-from workbench.errors import ConfigError, InputError, LostSchedulerError, OutputError
+from workbench.errors import ConfigError, InputError
 from workbench.face.characters import lasting_name
 from workbench.samples import sample
 
@@ -262,12 +262,6 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
         except KeyboardInterrupt:
             screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept; --resume continues from there")
             raise typer.Exit(130) from None
-        except LostSchedulerError:
-            raise
-        except OutputError as error:
-            if not workbench.pipeline.holds_parts(folder):
-                raise
-            raise OutputError(f"{error} Finished parts are kept; --resume continues from there.") from error
     print_result(result)
     if not result.summary["frames_with_face"]:
         screen.print_error(NO_FACE)

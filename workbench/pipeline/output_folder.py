@@ -37,7 +37,9 @@ FILES = (*OUTPUTS, *TIME_OUTPUTS, "overlay.png")
 PICTURE_FOLDERS = ("overlay", *DEEP_OUTPUTS)
 DRAWN = re.compile(r"\d{4,}[-.]")
 """How the names of pictures begin that a run draws: with the frame's number."""
-PARTS = tuple(f"{name}{PARTS_SUFFIX}" for name in ("track.npz", UNREFINED))
+TRACKS = ("track.npz", UNREFINED)
+"""Tracks that a run writes, each in parts."""
+PARTS = tuple(f"{name}{PARTS_SUFFIX}" for name in TRACKS)
 LOCKED_BYTE = 4096
 """Windows locks single bytes, which then cannot be read: one behind the owner's name."""
 

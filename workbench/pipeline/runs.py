@@ -5,7 +5,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -15,7 +15,7 @@ import numpy as np
 
 from workbench.config import Config, write_config
 from workbench.energies.terms import TABLE
-from workbench.errors import InputError, OutputError
+from workbench.errors import InputError, LostSchedulerError, OutputError
 from workbench.export import summary_of, write_parameter_table, write_summary
 from workbench.export.sources import input_files
 from workbench.face import FaceModel, dressed_as, fits_as, in_scheme
@@ -26,18 +26,18 @@ from workbench.landmarks.schemes import OF_DETECTORS
 from workbench.pictures.overlay_files import write_overlay_video
 from workbench.pipeline.deep_run import track_deep_frames, write_strips
 from workbench.pipeline.deep_sources import open_deep_source
-from workbench.pipeline.output_folder import FILES, PARTS, drawn_in, remove_earlier, run_folder
+from workbench.pipeline.output_folder import FILES, PARTS, TRACKS, drawn_in, holds_parts, remove_earlier, run_folder
 from workbench.pipeline.provenance import content_hash, software_versions
 from workbench.pipeline.sources import open_source
 from workbench.pipeline.still_pictures import StillPictures
-from workbench.pipeline.temporal_run import Step, over_time, views_of, wanted_steps, worked_meta
+from workbench.pipeline.temporal_run import Step, needs_pictures, over_time, views_of, wanted_steps, worked_meta
 from workbench.planning import plan_of
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, FrameObservation, Track
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.track_layout import model_record, scheme_of, scheme_record
 from workbench.tracking.track_reader import TrackReader
-from workbench.tracking.track_writer import UNREFINED, TrackWriter, has_parts
+from workbench.tracking.track_writer import UNREFINED, TrackWriter, begun_run, has_parts
 from workbench.tracking.unwatched import silent
 from workbench.workers import ThisProcess, Workers, working
 
@@ -82,10 +82,10 @@ def track(
     `stills` treats every picture on its own. `landmarks` is a file with the landmarks of the pictures: no detector
     runs. `frames` are the first and last one of a part. `views` are the clips of a rig's other cameras by the views'
     names, `workers` how many processes fit, or who does (`workbench.workers`); both are for Deep Energies. `resume`
-    goes on with an interrupted run of the same input and configuration, `overwrite` replaces what an earlier run left.
-    A run that was interrupted, however, keeps its finished parts for that. Raises `InputError` for an input that cannot
-    be used, `OutputError` for a folder that cannot be written, holds another run, or whose files are inputs, and
-    `LostSchedulerError`.
+    goes on with a run of the same input and configuration by the same versions, whose finished parts are kept when it
+    is interrupted; `overwrite` replaces what an earlier run left. With both, what cannot be gone on with is replaced.
+    Raises `InputError` for an input that cannot be used, `OutputError` for a folder that cannot be written, holds
+    another run, or whose files are inputs, and `LostSchedulerError`.
     """
     paths = [Path(path) for path in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     if not paths:
@@ -105,7 +105,12 @@ def track(
         meta = _meta([*paths, *views.values()], landmarks, job.model, config, stills, source)
         meta["frames"] = None if frames is None else list(frames)
         meta["views"] = {name: str(path) for name, path in views.items()}
-        return _finished(job, meta) or _run(job, source, meta, stills)
+        _check_begun(job, meta)
+        finished = _finished(job, meta)
+        if finished is not None:
+            return finished
+        with _telling_what_is_kept(job.folder):
+            return _run(job, source, meta, stills)
 
 
 @dataclass(frozen=True)
@@ -135,6 +140,40 @@ def _given(path: str | Path | None) -> tuple[Path, ...]:
     return (Path(path),) if path else ()
 
 
+@contextmanager
+def _telling_what_is_kept(folder: Path) -> Iterator[None]:
+    """Say in an `OutputError` that ends a run what is left of it."""
+    try:
+        yield
+    except LostSchedulerError:  # says so itself
+        raise
+    except OutputError as error:
+        if not holds_parts(folder):
+            raise
+        raise OutputError(f"{error} Finished parts are kept; --resume continues from there.") from error
+
+
+def _check_begun(job: _Job, meta: dict[str, Any]) -> None:
+    """Raise `OutputError` where a run to be resumed would begin anew over the parts of another one."""
+    if not job.resume or job.overwrite:
+        return
+    own = [meta, worked_meta(meta, job.config, job.steps)]
+    found = [begun for name in TRACKS if (begun := begun_run(job.folder / name)) is not None]
+    if found and not {fingerprint for fingerprint, _ in found} & set(map(_fingerprint, own)):
+        what = f"an interrupted run {_unlike(found[0][1], own)}"
+        raise OutputError(f"{job.folder} holds {what}, or replace it by --overwrite.")
+
+
+def _unlike(made: dict[str, Any], wanted: Sequence[dict[str, Any]]) -> str:
+    """What another run, by its metadata, has that the wanted one has not, and what to do besides replacing it."""
+    was, now = made.get("versions"), wanted[0]["versions"]
+    if was not in (None, now) and _fingerprint({**made, "versions": now}) in map(_fingerprint, wanted):
+        names = [name for name in {**was, **now} if was.get(name) != now.get(name)]
+        listed = ", ".join(f"{name} {was.get(name, 'none')}, now {now.get(name, 'none')}" for name in names)
+        return f"that was begun with other versions ({listed}); install those again, name another folder"
+    return "of another input or configuration; name another folder"
+
+
 def _finished(job: _Job, meta: dict[str, Any]) -> RunResult | None:
     """The result of a run to be resumed that has nothing left to do; None for others.
 
@@ -145,24 +184,27 @@ def _finished(job: _Job, meta: dict[str, Any]) -> RunResult | None:
         return None
     reader = TrackReader(stored)
     made = {name: value for name, value in reader.meta.items() if name not in ("format", "format_version")}
-    if _fingerprint(made) == _fingerprint(worked_meta(meta, job.config, job.steps) if job.steps else meta):
+    wanted = worked_meta(meta, job.config, job.steps) if job.steps else meta
+    if _fingerprint(made) == _fingerprint(wanted):
         files = [path for path in map(job.folder.joinpath, FILES) if path.exists()]
         for name in PARTS:
             shutil.rmtree(job.folder / name, ignore_errors=True)
-        note = "This run was finished before, and nothing was left to do; --overwrite repeats it."
+        note = "This run was finished before, and nothing was left to do; --overwrite without --resume repeats it."
         return RunResult(job.folder, summary_of(reader.blocks(), None), (*files, *drawn_in(job.folder)), (note,))
     if job.overwrite:
         return None
-    raise OutputError(
-        f"{job.folder} holds a finished run of another input or configuration; name another folder, or replace it by "
-        "--overwrite."
-    )
+    raise OutputError(f"{job.folder} holds a finished run {_unlike(made, [wanted])}, or replace it by --overwrite.")
 
 
 def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     folder, model, config, progress, steps = job.folder, job.model, job.config, job.progress, job.steps
     if steps and stills:
         raise InputError("Unrelated photos have no neighbours in time; leave infill and refinement out, or --stills.")
+    if not source.views and (need := needs_pictures(config, steps)):
+        raise InputError(
+            f"The method {need!r} needs the pictures, and the input has none; track the clip and name the file with "
+            "--landmarks, or choose another method."
+        )
     if steps:
         # Settings of the flow that cannot be used are refused before a clip is fitted for nothing.
         FlowFitter(model, plan_of(config, model.scheme))
@@ -173,7 +215,7 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     writer = TrackWriter(job.fits_path, meta, _fingerprint(meta), job.resume)
     began, already, strips = time.perf_counter(), len(writer), []
     deep = config.traits.renders
-    notes, files = [], ()
+    told, files = [], ()
     with ExitStack() as stack:
         drawn = None
         if stills and job.pictures:
@@ -192,24 +234,24 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
                 writer.discard()
             raise
         if drawn is not None:
-            files, notes = drawn.files(len(writer)), drawn.notes()
+            files, told = drawn.files(len(writer)), drawn.notes()
     written = writer
     if steps:
         written = _over_time(_fits(writer), source.views, model, config, steps, meta, folder, progress, len(writer))
     seconds = time.perf_counter() - began
     summary = summary_of(written.tracks(), seconds if not already else None)
-    notes = [*source.notes(), *notes]
     files = _write_tables(written, summary, model, config, folder) + files
     if job.pictures and deep:
         files += write_strips(strips, tracker.fitter, folder, progress)
     if job.pictures and not stills:
-        files += _write_film(source.frames, written, model, dressed, folder, progress, notes)
+        files += _write_film(source.frames, written, model, dressed, folder, progress, told)
     files = (folder / "track.npz", *((folder / UNREFINED,) if steps else ()), *files)
     if job.overwrite:
         remove_earlier(folder, files)
     for finished in dict.fromkeys((writer, written)):  # track.npz comes last: with it a run is finished
         finished.close()
-    return RunResult(folder, summary, files, (*notes, *_blind_terms(config, model.scheme)))
+    # What was odd in the pictures is known when all of them were read, for the film at the latest.
+    return RunResult(folder, summary, files, (*source.notes(), *told, *_blind_terms(config, model.scheme)))
 
 
 def _blind_terms(config: Config, scheme: LandmarkScheme) -> list[str]:
@@ -238,8 +280,9 @@ def retrack(
     """Infill, refine or re-estimate a stored track into `folder`: a new track and the tables of `track`.
 
     `config` is the track's own (`config_of`) with changes; `clip` and `views` say where the pictures are now, where
-    they were moved. `overwrite` replaces what an earlier run left. Raises `InputError` for a track, model or pictures
-    that cannot be used, and `OutputError` as `track` does.
+    they were moved. Steps that look at no pictures need none; without them no film is drawn. `overwrite` replaces what
+    an earlier run left. Raises `InputError` for a track, model or pictures that cannot be used, and `OutputError` as
+    `track` does.
     """
     folder, progress = Path(folder), progress or silent
     reader = TrackReader(stored)
@@ -248,23 +291,29 @@ def retrack(
     if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
         raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
     dressed = dressed_as(config.head.character, model) if pictures else None
-    opened = views_of(reader.meta, config, clip, views)
+    opened = views_of(reader.meta, config, clip, views, needed=bool(needs_pictures(config, steps)))
     inputs = [reader.path, *_given(clip), *views.values(), *_given(config.camera.rig), *input_files(reader.meta)]
     with run_folder(folder, inputs, False, overwrite):
         began = time.perf_counter()
         origin = {"path": str(reader.path), "sha256": content_hash(reader.path)}
         meta = {**reader.meta, "track": origin}
         writer = _over_time(reader, opened, model, config, steps, meta, folder, progress, len(reader))
-        summary = summary_of(writer.tracks(), time.perf_counter() - began)
-        files = _write_tables(writer, summary, model, config, folder)
+        try:
+            summary = summary_of(writer.tracks(), time.perf_counter() - began)
+            files, told = _write_tables(writer, summary, model, config, folder), []
+            if pictures and opened:
+                files += _write_film(opened[0], writer, model, dressed, folder, progress, told)
+            elif pictures:
+                told.append("No film was drawn, for the pictures of this track are not there; name them with --clip.")
+            files = (folder / "track.npz", *files)
+            if overwrite:
+                remove_earlier(folder, files)
+            writer.close()
+        except BaseException:
+            writer.discard()  # none of these steps goes on where it was interrupted
+            raise
         notes = [note for frames in opened for note in frames.notes]
-        if pictures and opened:
-            files += _write_film(opened[0], writer, model, dressed, folder, progress, notes)
-        files = (folder / "track.npz", *files)
-        if overwrite:
-            remove_earlier(folder, files)
-        writer.close()
-        return RunResult(folder, summary, files, tuple(notes))
+        return RunResult(folder, summary, files, (*notes, *told))
 
 
 def check_model(meta: Mapping[str, Any], model: FaceModel) -> None:

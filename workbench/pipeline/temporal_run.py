@@ -95,11 +95,12 @@ def views_of(
     config: Config,
     pictures: Path | None = None,
     others: Mapping[str, Path] = MappingProxyType({}),
+    needed: bool = True,
 ) -> list[Frames]:
     """The pictures that a track was made from, in each view; empty for a track without those of every view.
 
-    `pictures` and `others` (by the views' names) say where they are now. Raises `InputError` for pictures that are no
-    longer there, for views the rig does not have, and for a track of unrelated photos.
+    `pictures` and `others` (by the views' names) say where they are now. Raises `InputError` for these, and for all
+    that are `needed`, where they are not there; for views the rig does not have, and for a track of unrelated photos.
     """
     if meta.get("stills"):
         raise InputError("This track holds unrelated photos; infill and refinement need frames of a clip.")
@@ -116,8 +117,11 @@ def views_of(
     if not all(paths) or any(map(is_landmark_file, looked_at)):
         return []
     missing = [path for path in looked_at if not path.exists()]
+    said = [path for path in missing if needed or path == pictures or path in others.values()]
+    if said:
+        raise InputError(f"The pictures of this track are no longer at {said[0]}; name them with --clip.")
     if missing:
-        raise InputError(f"The pictures of this track are no longer at {missing[0]}; name them with --clip.")
+        return []
     return [tracked_part(open_frames(group if len(group) > 1 else group[0]), meta) for group in paths]
 
 

@@ -1,11 +1,13 @@
 """A track written as it grows: finished parts on disk, one file at the end, memory independent of its length."""
 
 import io
+import json
 import shutil
 import time
 import zipfile
 from bisect import bisect_right
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ UNREFINED = "unrefined.npz"
 PARTS_SUFFIX = ".parts"
 """Behind a track's name: the folder of its parts, while it grows."""
 FINGERPRINT = "fingerprint"
+"""Beside the parts: what identifies their run, in the first line, and its metadata."""
 PART_FRAMES = 256
 PART_SECONDS = 10.0
 """A killed run loses at most this much work, or at most `PART_FRAMES` frames."""
@@ -52,7 +55,7 @@ class TrackWriter:
         shutil.rmtree(self.parts_folder, ignore_errors=True)
         make_folder(self.parts_folder)
         with atomic_path(self.parts_folder / FINGERPRINT) as temporary:
-            temporary.write_text(fingerprint)
+            temporary.write_text(f"{fingerprint}\n{json.dumps(meta)}", encoding="utf-8")
 
     def state(self) -> dict[str, np.ndarray]:
         """State stored with the latest part; empty if there is none."""
@@ -160,8 +163,22 @@ class TrackWriter:
 
 def has_parts(path: Path, fingerprint: str) -> bool:
     """Whether an interrupted run with this fingerprint left parts at a track's path."""
+    begun = begun_run(path)
+    return begun is not None and begun[0] == fingerprint
+
+
+def begun_run(path: Path) -> tuple[str, dict[str, Any]] | None:
+    """Fingerprint and metadata of the interrupted run that left parts at a track's path; None where none did.
+
+    Without metadata, as in parts of an older workbench, these are empty.
+    """
     stored = _parts_folder(path) / FINGERPRINT
-    return stored.is_file() and stored.read_bytes() == fingerprint.encode()
+    if not stored.is_file():
+        return None
+    fingerprint, _, meta = stored.read_text(encoding="utf-8", errors="replace").partition("\n")
+    with suppress(ValueError):
+        return fingerprint, json.loads(meta)
+    return fingerprint, {}
 
 
 def _parts_folder(path: Path) -> Path:
