@@ -1,8 +1,12 @@
-"""Short clips for sweeps: frames of the sample clip as landmark files and observations."""
+"""Short clips: frames of the sample clip as landmark files and observations, and videos with times of their own."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
+
+import av
+import numpy as np
 
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_landmark_file
 from workbench.samples import sample
@@ -28,3 +32,16 @@ def observations(frames: Sequence[int], gaps: Sequence[int] = (), cuts: Sequence
         for index, frame in enumerate(frames)
     ]
     return [replace(each, landmarks=None) if each.index in gaps else each for each in found]
+
+
+def write_timed_clip(path: Path, pictures: Sequence[np.ndarray], milliseconds: Sequence[float]) -> None:
+    """A video whose pictures are shown at these times."""
+    height, width = pictures[0].shape[:2]
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=30)
+        stream.width, stream.height, stream.codec_context.time_base = width, height, Fraction(1, 1000)
+        for picture, time_ms in zip(pictures, milliseconds, strict=True):
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            frame.pts, frame.time_base = int(time_ms), Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())

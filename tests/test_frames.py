@@ -5,7 +5,6 @@ import resource
 import struct
 import threading
 import zlib
-from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -13,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.short_clips import write_timed_clip
 from workbench.errors import InputError
 from workbench.frames import (
     IMAGE_SUFFIXES,
@@ -189,14 +189,7 @@ def test_frames_at_uneven_times_are_told_with_the_way_to_even_ones(suffix, tmp_p
     """As phones and screen recorders write them: here 30 frames at 33 ms and 30 at 100 ms."""
     path = tmp_path / f"my phone{suffix}"
     milliseconds = np.cumsum([0, *[33] * 30, *[100] * 29])
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("mpeg4", rate=30)
-        stream.width, stream.height, stream.codec_context.time_base = 64, 48, Fraction(1, 1000)
-        for index, time_ms in enumerate(milliseconds):
-            picture = av.VideoFrame.from_ndarray(picture_with_number(index % 12), format="rgb24")
-            picture.pts, picture.time_base = int(time_ms), Fraction(1, 1000)
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode())
+    write_timed_clip(path, [picture_with_number(index % 12) for index in range(60)], milliseconds)
     frames = open_frames(path)
     delivered = list(frames.iterate())
     np.testing.assert_allclose([frame.time_s for frame in delivered], milliseconds / 1000, atol=2e-3)

@@ -136,6 +136,42 @@ def test_photos_and_the_folder_of_their_annotations_are_tracked_together(tmp_pat
     assert (source.count, source.image_size) == (2, SIZE)
 
 
+@pytest.mark.parametrize("layout", ["a folder of .pts", "imglab's, in another order"])
+def test_photos_take_the_annotations_that_name_them(layout, tmp_path):
+    """Else, where one is missing, all photos behind it would have those of another."""
+    photos, given = tmp_path / "photos", tmp_path / "annotations"
+    for folder in (photos, given):
+        folder.mkdir()
+    for name in "abc":
+        cv2.imwrite(str(photos / f"{name}.png"), np.zeros((360, 640, 3), np.uint8))
+    if layout == "a folder of .pts":
+        for name, face in {"a": SMALL, "c": LARGE, "d": SMALL}.items():
+            (given / f"{name}.pts").write_text(ibug_pts(face))
+    else:
+        given = tmp_path / "faces.xml"
+        named = [(f"file='shoot/{name}.png'", [dlib_box(face)]) for name, face in (("c", LARGE), ("a", SMALL))]
+        given.write_text(dlib_xml(named))
+    source = open_source([photos], preset("face-it"), given)
+    first, second, third = source.observations(0, {}, stills=True)
+    np.testing.assert_allclose([first.landmarks.points, third.landmarks.points], [SMALL, LARGE], atol=1e-3)
+    assert second.landmarks is None
+    (alone,) = open_source([photos / "c.png"], preset("face-it"), given).observations(0, {}, stills=True)
+    np.testing.assert_allclose(alone.landmarks.points, LARGE, atol=1e-3)
+    (part,) = open_source([photos], preset("face-it"), given, frames=(2, 2)).observations(0, {}, stills=True)
+    np.testing.assert_allclose(part.landmarks.points, LARGE, atol=1e-3)
+
+
+def test_photos_that_no_annotation_names_take_them_in_their_order(tmp_path):
+    photos, given = tmp_path / "photos", tmp_path / "annotations"
+    for folder in (photos, given):
+        folder.mkdir()
+    for index, face in enumerate((SMALL, LARGE)):
+        cv2.imwrite(str(photos / f"IMG_{index}.png"), np.zeros((360, 640, 3), np.uint8))
+        (given / f"{index}.pts").write_text(ibug_pts(face))
+    seen = open_source([photos], preset("face-it"), given).observations(0, {}, stills=True)
+    np.testing.assert_allclose([each.landmarks.points for each in seen], [SMALL, LARGE], atol=1e-3)
+
+
 # --- face-alignment ---
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.scenes import make_scene
+from tests.short_clips import write_timed_clip
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, OutputError
 from workbench.frames import VideoWriter, open_frames
@@ -17,7 +18,7 @@ from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, read_la
 from workbench.landmarks.formats.own_json import json_text
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.tracking import LandmarkTracker
-from workbench.pipeline import OUTPUTS, track
+from workbench.pipeline import OUTPUTS, retrack, track
 from workbench.pipeline.sources import open_source
 from workbench.samples import sample
 from workbench.tracker import FaceTracker
@@ -211,6 +212,83 @@ def test_frames_that_a_landmark_file_leaves_out_have_no_face_and_the_others_keep
                 assert observation.landmarks is None
             else:
                 np.testing.assert_array_equal(observation.landmarks.points, given[frame].points)
+
+
+@pytest.fixture(params=[".mp4", ".mkv", "/"])
+def pictures(request, tmp_path):
+    """Six pictures: a video whose header counts them, one whose header does not, a folder."""
+    path = tmp_path / f"six{request.param}"
+    if request.param == "/":
+        path.mkdir()
+        for index in range(6):
+            cv2.imwrite(str(path / f"{index}.png"), np.full((48, 64, 3), 120, np.uint8))
+        return path
+    with VideoWriter(path, rate=25) as writer:
+        for _ in range(6):
+            writer.write(np.full((48, 64, 3), 120, np.uint8))
+    return path
+
+
+def points_of(path, count, size=(64, 48)):
+    """A landmark file of this many frames."""
+    places = np.random.default_rng(0).uniform(10.0, 40.0, (68, 2))
+    records = [LandmarkRecord(index, "", Landmarks2D(places, np.ones(68), size), size) for index in range(count)]
+    write_landmark_file(path, records)
+    return path
+
+
+@pytest.mark.parametrize("kept", [False, True], ids=["counted", "kept"])
+@pytest.mark.parametrize("start", [0, 5])
+def test_frames_after_the_last_row_of_a_file_have_no_face(kept, start, pictures, tmp_path):
+    source = open_source([pictures], preset("joint"), points_of(tmp_path / "few.csv", 4), keep_pictures=kept)
+    seen = list(source.observations(start, {}, False))
+    assert [observation.index for observation in seen] == list(range(start, 6))
+    assert [observation.landmarks is not None for observation in seen] == [index < 4 for index in range(start, 6)]
+    assert {observation.image_size for observation in seen} == {(64, 48)}
+    assert source.notes() == []
+
+
+@pytest.mark.parametrize("kept", [False, True], ids=["counted", "kept"])
+def test_a_file_that_goes_on_after_the_last_picture_is_told(kept, pictures, tmp_path):
+    source = open_source([pictures], preset("joint"), points_of(tmp_path / "many.csv", 8), keep_pictures=kept)
+    assert len(list(source.observations(0, {}, False))) == 6
+    assert source.notes() == ["many.csv goes on beyond the last frame of six; the run ends with this."]
+
+
+def test_a_part_of_a_clip_whose_header_does_not_count_ends_with_it(tmp_path):
+    with VideoWriter(tmp_path / "six.mkv", rate=25) as writer:
+        for _ in range(6):
+            writer.write(np.full((48, 64, 3), 120, np.uint8))
+    source = open_source([tmp_path / "six.mkv"], preset("joint"), points_of(tmp_path / "few.csv", 4), (2, 90))
+    faces = [observation.landmarks is not None for observation in source.observations(0, {}, False)]
+    assert faces == [True, True, False, False]
+
+
+@pytest.mark.parametrize("kept", [False, True], ids=["counted", "kept"])
+def test_landmarks_of_pictures_of_another_size_are_refused(kept, pictures, tmp_path):
+    given = points_of(tmp_path / "points.csv", 6, size=(128, 96))
+    source = open_source([pictures], preset("joint"), given, keep_pictures=kept)
+    with pytest.raises(InputError, match="of a picture of 128 × 96 pixels, frame 0 of six has 64 × 48; give the"):
+        list(source.observations(0, {}, False))
+
+
+def test_landmarks_of_several_frames_are_refused_for_one_picture(tmp_path):
+    cv2.imwrite(str(tmp_path / "b.png"), np.full((48, 64, 3), 120, np.uint8))
+    with pytest.raises(InputError, match=r"found\.csv holds the landmarks of several frames, and b is one picture"):
+        open_source([tmp_path / "b.png"], preset("joint"), points_of(tmp_path / "found.csv", 2))
+
+
+def test_what_is_odd_in_a_clip_is_told_where_the_film_reads_it_first(head, tmp_path):
+    pictures = [np.full((48, 64, 3), 120, np.uint8)] * 40
+    write_timed_clip(tmp_path / "phone.mp4", pictures, np.cumsum([0, *[33] * 20, *[100] * 19]))
+    with LandmarkCsvWriter(tmp_path / "points.csv", confidence=False) as writer:
+        for index in range(40):
+            writer.write(LandmarkRecord(index, "", None, (64, 48)))
+    given = {"landmarks": tmp_path / "points.csv"}
+    result = track(tmp_path / "phone.mp4", tmp_path / "out", head, preset("joint"), **given)
+    assert [note for note in result.notes if "uneven times" in note]
+    again = retrack(tmp_path / "out" / "track.npz", tmp_path / "again", head, preset("joint"), ["reestimate"])
+    assert [note for note in again.notes if "uneven times" in note]
 
 
 def test_landmarks_in_disorder_are_refused(clip, tmp_path):

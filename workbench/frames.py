@@ -236,7 +236,8 @@ class FrameRange:
         self._frames, self._first, self._last = frames, first, last
         self._count = count
         self.kind, self.name, self.rate, self.image_size = frames.kind, frames.name, frames.rate, frames.image_size
-        self.announced_count = last - first + 1 if count is None else min(last + 1, count) - first
+        self._length = last - first + 1
+        self.announced_count = None if count is None else min(self._length, count - first)
 
     @property
     def notes(self) -> list[str]:
@@ -246,7 +247,7 @@ class FrameRange:
     def iterate(self, start: int = 0) -> Generator[Frame]:
         """Yield the frames from index `start` of the range on."""
         stream = self._frames.iterate(self._first + _checked_start(start))
-        for index in range(start, self.announced_count):
+        for index in range(start, self._length):
             frame = next(stream, None)
             if frame is None and index == 0:
                 raise InputError(

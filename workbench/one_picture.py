@@ -18,6 +18,7 @@ from workbench.frames import Frame, read_picture
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.files import read_landmark_file
+from workbench.landmarks.formats.records import check_size
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import LandmarkScheme
 from workbench.pictures.mesh import to_camera
@@ -231,9 +232,7 @@ def _given(landmarks: Landmarks2D | np.ndarray | str | Path, size: tuple[int, in
         landmarks = Landmarks2D(np.asarray(landmarks), np.ones(len(landmarks)), size)
     if landmarks.coincide:
         raise InputError("All landmarks are at one place, where some programs find no face; give those of a face.")
-    if landmarks.image_size != size:
-        of, this = ("{} × {}".format(*pixels) for pixels in (landmarks.image_size, size))
-        raise InputError(f"The landmarks are of a picture of {of} pixels, this one has {this}; give this one's.")
+    check_size(landmarks, size, "this one")
     return landmarks
 
 

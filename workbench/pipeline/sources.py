@@ -1,6 +1,6 @@
 """Where a run's frames and landmarks come from: a landmark file here, a detector in `picture_source.py`."""
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from itertools import chain, islice, repeat
 from pathlib import Path
 
@@ -10,9 +10,9 @@ from jaxtyping import UInt8
 import workbench
 from workbench.config import Config
 from workbench.errors import InputError
-from workbench.frames import RATE_OF_IMAGES, Frame, FrameRange, Frames, open_frames, range_notes
+from workbench.frames import RATE_OF_IMAGES, Frame, FrameRange, Frames, ImageFrames, open_frames, range_notes
 from workbench.landmarks.files import LandmarkRecord, is_landmark_file, read_landmark_file, states_size
-from workbench.landmarks.formats.records import scheme_of_records, without_gaps
+from workbench.landmarks.formats.records import by_pictures, check_size, scheme_of_records, without_gaps
 from workbench.tracking import FrameObservation
 from workbench.tracking.observation import motion_of
 
@@ -32,9 +32,11 @@ class FileSource:
         rows: range | None = None,
         keep_pictures: bool = False,
         compare_pictures: bool = False,
+        names: Sequence[str] = (),
     ):
         """`rows`: the part of the file that counts. `keep_pictures` hands the pictures on with the observations,
-        `compare_pictures` with those of the frame before."""
+        `compare_pictures` with those of the frame before. `names` are those of the image files, if they are such."""
+        self._names, self._beyond = names, False
         self._paths, self._rows, self._keep = paths, rows, keep_pictures and frames is not None
         self._compares = compare_pictures and frames is not None
         self._count: int | None = None
@@ -49,23 +51,55 @@ class FileSource:
         self.count = self.frames.announced_count
         self.single_picture = frames is not None and frames.kind == "images" and self.count == 1
         self.views: list[Frames] = [] if frames is None else [frames]
+        if self.single_picture and next(islice(self._records(), 1, None), None) is not None:
+            raise InputError(
+                f"{paths[0]} holds the landmarks of several frames, and {self.frames.name} is one picture; name a file "
+                "with those of this picture."
+            )
 
     def notes(self) -> list[str]:
+        if self.views:
+            told = f"{self._paths[0].name} goes on beyond the last frame of {self.frames.name}; the run ends with this."
+            return [*self.frames.notes, *([told] if self._beyond else [])]
         rows = self._rows
-        ends = [] if rows is None else range_notes(self._paths[-1].name, rows.start, rows.stop - 1, self._count)
-        return list(self.frames.notes) or ends
+        return [] if rows is None else range_notes(self._paths[-1].name, rows.start, rows.stop - 1, self._count)
 
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
         first = max(start - 1, 0) if self._compares else start
-        frames = self.frames.iterate(first) if self._keep or self._compares else iter(())
-        pictures = chain((frame.picture for frame in frames), repeat(None))
+        pictures, records = self._pictures(first), islice(self._records(), start, None)
         before = next(pictures) if first < start else None
-        for index, record in islice(enumerate(self._records()), start, None):
-            picture = next(pictures)
+        # With pictures these are the frames: one without a record has no face.
+        rows = chain(records, repeat(None)) if self.views else records
+        for index, (picture, record) in enumerate(zip(pictures, rows, strict=False), start):
             motion = motion_of(before, picture) if self._compares else None
             kept = picture if self._keep else None
-            yield FrameObservation(index, record.landmarks, record.size, "given", stills, picture=kept, motion=motion)
+            landmarks = None if record is None else record.landmarks
+            size = self._size(index, picture, record)
+            yield FrameObservation(index, landmarks, size, "given", stills, picture=kept, motion=motion)
             before = picture
+        self._beyond = next(records, None) is not None
+
+    def _pictures(self, first: int) -> Iterator[UInt8[np.ndarray, "h w 3"] | None]:
+        """The pictures from a frame on; None for those that are only counted, and without end where there are none."""
+        if not self.views:
+            return repeat(None)
+        if not (self._keep or self._compares) and self.count is not None:
+            return repeat(None, max(self.count - first, 0))
+        return (frame.picture for frame in self.frames.iterate(first))
+
+    def _size(
+        self, index: int, picture: UInt8[np.ndarray, "h w 3"] | None, record: LandmarkRecord | None
+    ) -> tuple[int, int]:
+        """(width, height) of a frame. Raises `InputError` for landmarks of a picture of another size."""
+        if not self.views:
+            return record.size
+        size = self.frames.image_size if picture is None else picture.shape[1::-1]
+        if record is None or record.landmarks is None or record.landmarks.image_size == size:
+            return size
+        if picture is None:  # images may differ in size from the first one
+            picture = next(self.frames.iterate(index)).picture
+        check_size(record.landmarks, picture.shape[1::-1], f"frame {index} of {self.frames.name}")
+        return picture.shape[1::-1]
 
     def state(self) -> dict[str, np.ndarray]:
         return {}
@@ -73,6 +107,9 @@ class FileSource:
     def _records(self) -> Iterator[LandmarkRecord]:
         files = (without_gaps(path, read_landmark_file(path, self._given_size)) for path in self._paths)
         records = chain.from_iterable(files)
+        # A CSV names no pictures, and is not read as a whole.
+        if self._names and self._paths[0].suffix.lower() != ".csv":
+            records = by_pictures(records, self._names)
         if self._rows is None:
             yield from records
             return
@@ -137,9 +174,10 @@ def open_source(
     if of_landmarks:
         return FileSource(paths, None, rows)
     opened = open_frames(paths if len(paths) > 1 else paths[0])
+    names = [path.name for path in opened.paths] if isinstance(opened, ImageFrames) else []
     opened = opened if frames is None else FrameRange(opened, *frames)
     if landmarks is not None:
-        return FileSource([landmarks], opened, rows, keep_pictures, config.compares_pictures)
+        return FileSource([landmarks], opened, rows, keep_pictures, config.compares_pictures, names)
     from workbench.pipeline.picture_source import picture_source  # here: it imports the detectors, which takes seconds
 
     return picture_source(opened, config, keep_pictures)

@@ -48,8 +48,6 @@ class StillPictures:
         return [self._pictures.note] if self._pictures.note else []
 
     def _draw(self, fit: FrameFit, picture: UInt8[np.ndarray, "h w 3"] | None) -> None:
-        if fit.index >= len(self._names):
-            return  # a file may have more landmarks than there are pictures
         picture = self._picture(fit) if picture is None else picture
         if picture is not None:
             self._pictures.add(self._path(fit.index), picture, fit)

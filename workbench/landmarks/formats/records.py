@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +97,32 @@ def without_gaps(path: Path, records: Iterable[LandmarkRecord]) -> Iterator[Land
             yield LandmarkRecord(frame, f"{path.stem}#{frame}", None, record.size)
         yield record
         following = record.frame + 1
+
+
+def by_pictures(records: Iterable[LandmarkRecord], pictures: Sequence[str]) -> Iterator[LandmarkRecord]:
+    """One record for each of these picture files: the one that names it, else one without a face.
+
+    As the records come where none names one of the pictures, and where names (without their suffixes) repeat.
+    """
+    records, stems = list(records), [Path(picture).stem for picture in pictures]
+    named = {Path(record.name).stem: record for record in records}
+    if len(named) < len(records) or len(set(stems)) < len(stems) or named.keys().isdisjoint(stems):
+        yield from records
+        return
+    for frame, (picture, stem) in enumerate(zip(pictures, stems, strict=True)):
+        if stem in named:
+            yield replace(named[stem], frame=frame)
+        else:
+            yield LandmarkRecord(frame, picture, None, records[0].size)
+
+
+def check_size(landmarks: Landmarks2D, size: tuple[int, int], picture: str) -> None:
+    """Raise `InputError` where landmarks are of a picture of another (width, height) than the `picture` has."""
+    if landmarks.image_size != size:
+        of, this = ("{} × {}".format(*pixels) for pixels in (landmarks.image_size, size))
+        raise InputError(
+            f"The landmarks are of a picture of {of} pixels, {picture} has {this}; give the landmarks of {picture}."
+        )
 
 
 def largest_face(faces: Sequence[Landmarks2D]) -> Landmarks2D | None:
