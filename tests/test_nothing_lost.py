@@ -15,12 +15,13 @@ import pytest
 from tests.killed_runs import FRAMES, StubModel, StubTracker, make_fit
 from tests.performances import performance
 from tests.stereo_scenes import make_rig
+from tests.test_pipeline import NoFaces
 from workbench.cli.training import training_folder
 from workbench.config import preset
 from workbench.errors import OutputError
 from workbench.export import FORMATS, export_track
 from workbench.files import atomic_path
-from workbench.frames import VideoWriter
+from workbench.frames import VideoWriter, write_picture
 from workbench.geometry import write_rig
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, write_landmark_file
 from workbench.landmarks.observations import Landmarks2D
@@ -150,6 +151,29 @@ class TestInputsAreNotWrittenOver:
         with pytest.raises(OutputError, match="is an input"):
             track(tmp_path, tmp_path, head, preset("calibrated"))
         assert len(list(tmp_path.iterdir())) == 1
+
+    def test_results_in_a_folder_inside_of_the_pictures_can_be_resumed_and_replaced(self, quick, points, tmp_path):
+        photos = tmp_path / "photos"
+        photos.mkdir()
+        for index in range(FRAMES):
+            write_picture(photos / f"{index}.png", np.zeros((480, 640, 3), np.uint8))
+
+        def interrupt(step, done, total):
+            if done == 3:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            quick(photos, photos / "result", landmarks=points, stills=True, progress=interrupt)
+        for options in ({"resume": True}, {"overwrite": True}):
+            made = quick(photos, photos / "result", landmarks=points, stills=True, **options)
+            assert len(made.track) == FRAMES
+
+    def test_landmarks_of_an_earlier_call_are_no_picture_of_the_folder(self, run, tmp_path, monkeypatch):
+        monkeypatch.setattr("workbench.pipeline.picture_source.make_detector", lambda *_: NoFaces())
+        write_picture(tmp_path / "a.png", np.zeros((48, 64, 3), np.uint8))
+        command = ("landmarks", ".", "--no-pictures")
+        assert run(*command)[0] == 1
+        assert "is an input" not in run(*command)[2]
 
     @pytest.mark.parametrize(
         "arguments",

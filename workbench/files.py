@@ -123,7 +123,7 @@ def check_new(path: Path, remedy: str = "name another (--out), or add --overwrit
 def check_not_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
     """Raise `OutputError` where a file or folder to be written is one that is read, also through links.
 
-    Of a folder that is read, its files count too.
+    Of a folder that is read, its files count too, but no folders inside it: these are not read.
     """
     read = {_place(file): file for path in inputs for file in _with_files(path)}
     for path in outputs:
@@ -135,7 +135,7 @@ def check_not_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
 def _with_files(path: Path) -> Iterator[Path]:
     yield path
     if os.path.isdir(path):
-        yield from path.iterdir()
+        yield from filter(os.path.isfile, path.iterdir())
 
 
 def _place(path: Path) -> tuple[int, int] | None:

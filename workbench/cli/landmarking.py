@@ -99,7 +99,9 @@ def landmarks(
         settings = with_landmarker(settings, face_landmarker)
     source = workbench.pipeline.open_source(inputs, settings, None)
     drawn = _drawings(source.frames, out) if pictures else None
-    check_not_inputs([out] if drawn is None else [out, drawn, *_files_in(drawn)], inputs)
+    # Of a folder the pictures: it may hold the landmarks of an earlier call.
+    read = source.frames.paths if isinstance(source.frames, workbench.frames.ImageFrames) else inputs
+    check_not_inputs([out] if drawn is None else [out, drawn, *_files_in(drawn)], read)
     if not overwrite:
         _check_new(out, drawn, named)
     with screen.progress_bar() as progress:
