@@ -3,20 +3,28 @@
 import json
 import os
 import signal
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tests.killed_runs import make_fit
 from tests.stereo_scenes import make_rig, make_stereo_scene
 from workbench.cli import app
 from workbench.config import preset
 from workbench.errors import InputError, LostSchedulerError
 from workbench.geometry import write_rig
+from workbench.landmarks.alignment import MEAN_SHAPE
+from workbench.landmarks.detection import FaceDetection
 from workbench.landmarks.files import LandmarkCsvWriter
+from workbench.landmarks.observations import Landmarks2D
 from workbench.pipeline import DEEP_OUTPUTS, OUTPUTS, track
+from workbench.pipeline.deep_run import ShownFrames
+from workbench.pipeline.deep_sources import open_deep_source
 from workbench.samples import sample
-from workbench.tracking import Track
+from workbench.tracking import FrameObservation, Track
 from workbench.workers import Failed, workers_for
 
 FRAMES = (4, 7)
@@ -148,6 +156,36 @@ def test_whatever_ends_a_run_it_goes_on_after_its_last_frame(head, quick, whole,
     assert same_numbers(resumed.track, whole)
 
 
+@pytest.mark.long
+def test_a_run_that_goes_on_shows_the_stages_of_frames_before_and_after_its_interruption(head, quick, tmp_path):
+    config, options = quick
+    options = {**options, "pictures": True}
+
+    def interrupt(step, done, total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        track(sample("performance"), tmp_path, head, config, progress=interrupt, **options)
+    track(sample("performance"), tmp_path, head, config, resume=True, **options)
+    assert sorted(path.name for path in (tmp_path / "stages").iterdir()) == [f"000{index}.jpg" for index in range(4)]
+
+
+@pytest.mark.parametrize(("count", "most"), [(None, 12), (100, 12), (500, 3)])
+def test_the_frames_whose_stages_are_shown_are_spread_evenly_whatever_is_known_of_their_number(count, most):
+    shown = ShownFrames(count)
+    for index in range(100):
+        fit = replace(make_fit(index, [0.0]), found=index != 41, failure="blurred" if index in (33, 41) else "")
+        shown.add((FrameObservation(index, None, (64, 48)), None), fit)
+    places = [observation.index for observation, _ in shown.pairs]
+    chosen, failed = places[:-2], places[-2:]
+    assert failed == [33, 41]
+    assert most / 2 <= len(chosen) <= most
+    assert chosen[0] == 0
+    (spacing,) = set(np.diff(chosen))
+    assert 100 - chosen[-1] <= spacing
+
+
 def test_two_cameras_find_the_place_of_the_head_and_one_may_miss_it(head, stereo, tmp_path):
     rig, scene, files = stereo
     config = preset("deep-points").changed(camera={"rig": str(rig)}, identity={"calibrate": False})
@@ -172,6 +210,35 @@ def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):
         track(files["middle"], tmp_path, head, single, views=side)
     with pytest.raises(InputError, match="belong to Deep Energies"):
         track(files["middle"], tmp_path, head, preset("joint"), workers=2)
+
+
+class TwoFaces:
+    """A detector that sees a small face and a large one in every picture."""
+
+    name = "network"
+
+    def detect_faces(self, picture, effort="full"):
+        return [FaceDetection((10.0, 20.0, 40.0, 50.0), 1.0), FaceDetection((60.0, 20.0, 140.0, 100.0), 1.0)]
+
+    def align(self, picture, box):
+        left, top, right, bottom = box
+        points = np.array([left + right, top + bottom]) / 2 + (right - left) * MEAN_SHAPE
+        return Landmarks2D(points, np.ones(68), picture.shape[1::-1])
+
+    def refine(self, picture, points):
+        return Landmarks2D(points, np.ones(68), picture.shape[1::-1])
+
+
+def test_the_face_is_chosen_in_the_first_view_alone(stereo, tmp_path, monkeypatch):
+    """Its pixel says nothing of another camera's picture."""
+    monkeypatch.setattr("workbench.pipeline.picture_source.make_detector", lambda *_: TwoFaces())
+    monkeypatch.setattr("workbench.pipeline.deep_sources.photo_landmarks", lambda network, picture, seen: seen)
+    cv2.imwrite(str(tmp_path / "photo.png"), np.full((120, 160, 3), 90, np.uint8))
+    config = preset("deep-points").changed(camera={"rig": str(stereo[0])}, landmarks={"face": (25.0, 35.0)})
+    source = open_deep_source([tmp_path / "photo.png"], config, None, views={"side": tmp_path / "photo.png"})
+    (seen,) = source.observations(0, {}, stills=True)
+    middles = [landmarks.points[:, 0].mean() for landmarks in (seen.landmarks, *seen.others)]
+    assert middles == pytest.approx([25.0, 100.0], abs=5.0)
 
 
 @pytest.mark.parametrize(

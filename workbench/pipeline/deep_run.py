@@ -24,9 +24,34 @@ BATCH = 16
 BATCH_OF_A_WORKER = 4
 """Many workers get more frames at once, so that few of them wait for the last one of a batch."""
 STRIPS = 12
-"""Frames whose stages are drawn, evenly over the run, and at most as many that failed."""
+"""At most so many frames have their stages drawn, evenly over the run, and as many that failed."""
 
 Pair = tuple[FrameObservation, FrameContext]
+
+
+class ShownFrames:
+    """The frames whose stages are worth a picture, of those that are seen one after the other."""
+
+    def __init__(self, count: int | None) -> None:
+        """`count`: how many there are, if it is known."""
+        self._every = max(1, -(-(count or 0) // STRIPS))
+        self._chosen: list[Pair] = []
+        self._failed: list[Pair] = []
+
+    def add(self, pair: Pair, fit: FrameFit) -> None:
+        """Consider the next frame."""
+        if fit.failure:
+            self._failed = [*self._failed, pair][:STRIPS]
+        elif fit.found and fit.index % self._every == 0:
+            self._chosen.append(pair)
+        if len(self._chosen) > STRIPS:
+            self._every *= 2
+            self._chosen = [pair for pair in self._chosen if pair[0].index % self._every == 0]
+
+    @property
+    def pairs(self) -> list[Pair]:
+        """Those chosen, then those that failed."""
+        return [*self._chosen, *self._failed]
 
 
 def track_deep_frames(
@@ -54,14 +79,12 @@ def track_deep_frames(
             f"Several processes fit frames in any order, and the terms {listed} link each to the one before; use "
             f"--workers 1 without --scheduler, or take {listed} out of the stages' terms."
         )
-    every = max(1, (source.count or STRIPS) // STRIPS)
-    chosen: list[Pair] = []
-    failed: list[Pair] = []
+    shown = ShownFrames(source.count)
     done = len(writer)
     work = FrameWork(tracker.model, tracker.fitter.plan)
     pairs = _pairs(source, tracker, stills)
-    for _ in islice(pairs, done):
-        pass
+    for position, pair in enumerate(islice(pairs, done)):
+        shown.add(pair, writer[position])
     if linked and done:
         tracker.continue_from(writer.state())
 
@@ -79,10 +102,7 @@ def track_deep_frames(
                 writer.add(result)
                 done += 1
                 progress("track", done, source.count)
-                if result.found and observation.index % every == 0 and len(chosen) < STRIPS:
-                    chosen.append((observation, context))
-                elif result.failure and len(failed) < STRIPS:
-                    failed.append((observation, context))
+                shown.add((observation, context), result)
             if not linked or done % BATCH == 0:
                 store()
     except (KeyboardInterrupt, InputError, LostSchedulerError):
@@ -90,7 +110,7 @@ def track_deep_frames(
             store()
         raise
     store()
-    return [*chosen, *failed]
+    return shown.pairs
 
 
 def write_strips(pairs: list[Pair], fitter: DeepFitter, folder: Path, progress) -> tuple[Path, ...]:

@@ -118,5 +118,6 @@ def open_deep_source(
             f"The rig {what}; the input is its first view {names[0]!r}, and the others ({', '.join(names[1:])}) are "
             "given as --view NAME=CLIP."
         )
-    others = [open_source([views[name]], config, None, frames, keep_pictures=True) for name in names[1:]]
+    config_elsewhere = config.changed(landmarks={"face": None})  # a pixel of the first view
+    others = [open_source([views[name]], config_elsewhere, None, frames, keep_pictures=True) for name in names[1:]]
     return RigSource([DeepSource(source, config) for source in (reference, *others)], names)

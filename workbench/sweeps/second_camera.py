@@ -50,7 +50,8 @@ def seen_by_second(
             f"The clip's pictures are {_size(image_size)}, and the rig's first view {first.name!r} is calibrated at "
             f"{_size(first.image_size)}; calibrate it at the size that is used."
         )
-    source = open_source([local_file(camera.clip)], config, None)
+    # The face is chosen by a pixel of the first view.
+    source = open_source([local_file(camera.clip)], config.changed(landmarks={"face": None}), None)
     lens = resized_view(rig.views[place], source.image_size).camera
     points = np.full((frames, 68, 2), np.nan)
     for row, observation in zip(points, source.observations(0, {}, stills), strict=False):
