@@ -43,7 +43,7 @@ from workbench.rendering import (
 )
 from workbench.solvers import judge, propose
 from workbench.tracker import FaceTracker
-from workbench.tracking import FrameContext, Track
+from workbench.tracking import FrameContext, FrameObservation, Track
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_programs import (
     look,
@@ -56,6 +56,7 @@ from workbench.tracking.deep_programs import (
 from workbench.tracking.deep_solver import solve_stage
 from workbench.tracking.deep_target import energy_network
 from workbench.tracking.deep_views import FAR_MM, eyes_per_box, percent_px
+from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.moments import Moment
 from workbench.tracking.plan import StagePlan
 from workbench.tracking.records import FAILURES, meta_array, stack_fits
@@ -613,6 +614,46 @@ def test_a_view_without_a_detection_drops_out(shared, head, rig_file):
     np.testing.assert_allclose(other.rotation, np.asarray(scene.parameters.rotation), atol=0.03)
 
 
+def test_scaled_down_pictures_of_a_rig_give_the_same_head(shared, head, rig_file):
+    """Half the size in the one view, a third in the other: each view's camera is that of its pictures."""
+    fitter = fitter_with(shared, POINTS.changed(camera={"rig": str(rig_file)}))
+    scene = _stereo_scene(fitter, head)
+    whole = fitter.fit(scene.observation(), scene.context())[0]
+    first, second = (_scaled_down(seen, by) for seen, by in zip(scene.landmarks, (2, 3), strict=True))
+    small = FrameObservation(0, first, first.image_size, others=(second,))
+    found = fitter.fit(small, scene.context())[0]
+    np.testing.assert_allclose(found.translation, whole.translation, atol=0.01)
+    np.testing.assert_allclose(found.rotation, whole.rotation, atol=1e-4)
+    np.testing.assert_allclose(found.camera.focal_px, whole.camera.focal_px / 2)
+    shut = replace(found, jaw=np.zeros(6))
+    pictures = tuple(np.zeros((height, width, 3), np.uint8) for width, height in ((360, 270), (240, 180)))
+    again = Reestimator(head, fitter.plan).fit(Moment(shut, pictures))
+    assert np.degrees(again.jaw[0]) == pytest.approx(8.0, abs=1.5)
+    cameras = FlowFitter(head, fitter.plan).views(found, pictures).camera
+    np.testing.assert_allclose(cameras.focal_px, whole.camera.focal_px / np.array([[2.0], [3.0]]))
+    cut = FrameObservation(0, replace(first, image_size=(270, 270)), (270, 270), others=(second,))
+    with pytest.raises(InputError, match="not scaled copies"):
+        fitter.fit(cut, scene.context())
+
+
+def _scaled_down(seen, by):
+    size = tuple(length // by for length in seen.image_size)
+    return Landmarks2D((seen.points + 0.5) / by - 0.5, seen.confidence, size)
+
+
+def test_identity_and_start_come_through_the_rigs_first_camera(shared, head, tmp_path):
+    """Its lens is known: neither a guessed field of view nor a free size of the head takes its place."""
+    write_rig(make_rig((0.0, 30.0), 1300.0, IMAGE_SIZE, 20.0), tmp_path / "rig.toml")
+    config = preset("deep-points").changed(
+        camera={"rig": str(tmp_path / "rig.toml")}, deep={"start": "landmarks", "appearance": "model"}
+    )
+    fitter = fitter_with(shared, config)
+    scene = make_deep_scene(fitter, make_parameters(head, (10.0, 0.0, 0.0), (30.0, 10.0, 1300.0)))
+    start = fitter.problem(scene.observation(), scene.context()).start
+    np.testing.assert_allclose(start.translation, scene.parameters.translation, rtol=0.03, atol=10.0)
+    assert fitter.plan.by_points.identity == fitter.plan.identity
+
+
 def test_a_rig_wants_landmarks_of_every_view(shared, head, rig_file):
     fitter = fitter_with(shared, POINTS.changed(camera={"rig": str(rig_file)}))
     scene = _stereo_scene(fitter, head)
@@ -713,9 +754,10 @@ def test_unknown_blendshapes_are_refused(deep):
     [
         ({"stages": _dumped((Stage(name="j", free=("jaw",)),))}, "stage 'j' frees 'jaw', which takes system"),
         ({"camera": {"projection": "orthographic"}}, "an orthographic camera takes system"),
+        ({"camera": {"rig": "rig.toml"}}, "a rig of several cameras takes system"),
     ],
 )
-def test_face_it_has_neither_jaw_nor_parallel_views(change, words):
+def test_face_it_has_neither_jaw_nor_parallel_views_nor_rigs(change, words):
     with pytest.raises(ConfigError, match=words):
         preset("joint").changed(**change)
 

@@ -210,6 +210,10 @@ def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):
         track(files["middle"], tmp_path, head, single, views=side)
     with pytest.raises(InputError, match="belong to Deep Energies"):
         track(files["middle"], tmp_path, head, preset("joint"), workers=2)
+    write_rig(make_rig((-15.0, 15.0), image_size=(640, 640)), tmp_path / "square.toml")
+    with pytest.raises(InputError, match="are not scaled copies of view 'middle'"):
+        square = single.changed(camera={"rig": str(tmp_path / "square.toml")})
+        track(files["middle"], tmp_path, head, square, views=side)
 
 
 class TwoFaces:
@@ -246,6 +250,7 @@ def test_the_face_is_chosen_in_the_first_view_alone(stereo, tmp_path, monkeypatc
     [
         (["--energy", "deep"], "--energy belongs to Deep Energies"),
         (["--network", "dense"], "--network belongs to Deep Energies"),
+        (["--rig", "rig.toml"], "--rig belongs to Deep Energies"),
         (["--frames", "9-3"], "first and last frame as A-B"),
         (["--frames", "500-600"], "frames 0 to 239"),
         (["--preset", "deep", "--view", "right"], "NAME=CLIP"),

@@ -182,8 +182,9 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
     if rig is not None:
         camera["rig"] = str(rig)
     deep = {name: value for name, value in (("energy", energy), ("network", network)) if value is not None}
-    if deep and not base.traits.reads("deep"):
-        raise ConfigError(f"--{next(iter(deep))} belongs to Deep Energies; add --preset deep.")
+    asked = [*deep, *(camera.keys() & {"rig"})]
+    if asked and not base.traits.reads("deep"):
+        raise ConfigError(f"--{asked[0]} belongs to Deep Energies; add --preset deep.")
     changes = {
         "deep": deep,
         "landmarks": landmarks,

@@ -5,9 +5,10 @@ at `-rotation_view_world.T @ translation_view_world_mm`. The first view is the r
 which a head is solved, and every other view is reached from it by a fixed rotation and translation.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations, repeat
 from typing import NamedTuple
 
 import jax
@@ -121,6 +122,15 @@ class Rig:
             raise InputError(f"The rig has no view {name!r}; its views are {', '.join(self.names)}.")
         return self.names.index(name)
 
+    def resized(self, image_sizes: Sequence[tuple[int, int] | None]) -> "Rig":
+        """The rig for pictures of these sizes (width, height), in the order of the views; those without one stay.
+
+        Raises `InputError` as `resized_view` does.
+        """
+        sizes = zip(self.views, chain(image_sizes, repeat(None)), strict=False)
+        views = tuple(view if size is None else resized_view(view, size) for view, size in sizes)
+        return self if views == self.views else Rig(views)
+
     @cached_property
     def rotation_view_reference(self) -> Float[np.ndarray, "v 3 3"]:
         """For each view, the rotation from the reference camera's frame; the first is the identity."""
@@ -196,6 +206,8 @@ def resized_view(view: View, image_size: tuple[int, int]) -> View:
 
     Raises `InputError` where the aspect differs by more than 1 %: such pictures were cut, not scaled.
     """
+    if tuple(image_size) == view.image_size:
+        return view
     scale = np.array(image_size, float) / np.array(view.image_size, float)
     if abs(scale[0] / scale[1] - 1.0) > ASPECT_TOLERANCE:
         raise InputError(

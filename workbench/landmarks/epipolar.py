@@ -138,8 +138,7 @@ def _undistorted_clip(view: View, clip: Iterable[LandmarkRecord]) -> tuple[View,
     sizes = {landmarks.image_size for landmarks in found.values()}
     if len(sizes) > 1:
         raise InputError(f"The pictures of view {view.name!r} have {len(sizes)} sizes; a clip of a rig has one.")
-    size = sizes.pop()
-    view = view if size == view.image_size else resized_view(view, size)
+    view = resized_view(view, sizes.pop())
     points = undistorted_pixels(view.camera, np.stack([landmarks.points[INNER] for landmarks in found.values()]))
     straight = replace(view, camera=view.camera._replace(distortion=np.zeros(8)))
     return straight, dict(zip(found, points, strict=True))

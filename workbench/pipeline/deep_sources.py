@@ -102,14 +102,16 @@ def open_deep_source(
 ) -> DeepSource | RigSource:
     """The source of a Deep Energies run; `views` are the clips of a rig's other cameras by the views' names.
 
-    Raises `InputError` for views that the rig does not have or that are missing.
+    Raises `InputError` for views that the rig does not have or that are missing, and for clips that are not scaled
+    copies of what it was calibrated with.
     """
     reference = open_source(paths, config, landmarks, frames, keep_pictures=True)
     if not config.camera.rig:
         if views:
             raise InputError("Clips of several views need their calibration; name the rig file (camera.rig, --rig).")
         return DeepSource(reference, config)
-    names = read_rig(config.camera.rig).names
+    rig = read_rig(config.camera.rig)
+    names = rig.names
     unknown = [name for name in views if name not in names[1:]]
     missing = [name for name in names[1:] if name not in views]
     if unknown or missing:
@@ -120,4 +122,6 @@ def open_deep_source(
         )
     config_elsewhere = config.changed(landmarks={"face": None})  # a pixel of the first view
     others = [open_source([views[name]], config_elsewhere, None, frames, keep_pictures=True) for name in names[1:]]
-    return RigSource([DeepSource(source, config) for source in (reference, *others)], names)
+    sources = [DeepSource(source, config) for source in (reference, *others)]
+    rig.resized([source.image_size for source in sources])
+    return RigSource(sources, names)

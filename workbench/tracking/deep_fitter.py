@@ -254,7 +254,7 @@ class DeepFitter(Fitter):
             return None
         last = None if context.last is None or not self.plan.compares_pictures else context.last.parameters
         beyond_mm = FAR_MM - float(start.translation[2]) if self.plan.camera.parallel else 0.0
-        views = flow_views(self.rig, self.camera(observation.image_size))
+        views = flow_views(self.rig, self.camera(observation.image_size), observation.view_sizes)
         return self._flow.link(observation, last, views, self._flow.points, beyond_mm)
 
     def free(self, stage: StagePlan) -> Bool[np.ndarray, "n"]:

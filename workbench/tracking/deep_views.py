@@ -36,13 +36,11 @@ FAR_MM = 1e5
 
 def recorded_camera(plan: Plan, image_size: tuple[int, int]) -> Camera:
     """The camera of the reference view; for an orthographic view, an equivalent distant camera."""
-    if plan.camera.rig is not None:
-        return plan.camera.rig.views[0].camera
-    guessed = plan.camera.of(image_size)
+    camera = plan.camera.of(image_size)
     if not plan.camera.parallel:
-        return guessed
-    scale = _start_scale(plan, guessed)
-    return Camera(np.full(2, scale * FAR_MM), np.asarray(guessed.principal_point_px, float), np.zeros(8))
+        return camera
+    scale = _start_scale(plan, camera)
+    return Camera(np.full(2, scale * FAR_MM), np.asarray(camera.principal_point_px, float), np.zeros(8))
 
 
 def views_of(
@@ -56,7 +54,8 @@ def views_of(
 
     `eyes` is the model's `eyes_per_box`.
 
-    Raises `InputError` if the number of views with landmarks or surroundings is not that of the rig.
+    Raises `InputError` if the number of views with landmarks or surroundings is not that of the rig, and for pictures
+    of another shape than it was calibrated with.
     """
     rig, around = plan.camera.rig, observation.surroundings or _surroundings(plan, observation)
     if rig is None:
@@ -74,6 +73,7 @@ def views_of(
             f"The rig has {len(rig)} views ({', '.join(rig.names)}), but the frame has surroundings of {len(around)}; "
             "give those of each view, or none."
         )
+    rig = rig.resized(observation.view_sizes)
     poses = zip(rig.rotation_view_reference, rig.translation_view_reference_mm, strict=True)
     places = [_Place(view.camera, view.image_size, *pose) for view, pose in zip(rig.views, poses, strict=True)]
     return tuple(

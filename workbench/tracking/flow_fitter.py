@@ -15,6 +15,7 @@ from workbench.rendering import Appearance, estimate_appearance, face_vertices
 from workbench.runtime import COMPUTING
 from workbench.tracking.flow_renders import rendered_cutout
 from workbench.tracking.flow_solver import MOVING, FlowLimits, FlowSolution, solve_flow
+from workbench.tracking.moments import view_sizes
 from workbench.tracking.observation import Pictures
 from workbench.tracking.photo_flow import read_at
 from workbench.tracking.plan import Plan
@@ -51,9 +52,9 @@ class FlowFitter:
         )
         self._appearances: dict[int, Appearance | None] = {}
 
-    def views(self, fit: FrameFit) -> FlowView:
-        """The cameras of a fit, stacked."""
-        return flow_views(self.rig, fit.camera)
+    def views(self, fit: FrameFit, pictures: Pictures = ()) -> FlowView:
+        """The cameras of a fit, stacked; `pictures` are its own, in each view of a rig."""
+        return flow_views(self.rig, fit.camera, view_sizes(fit, self.rig, pictures))
 
     def links(self, neighbour: Neighbour, pictures: Pictures, guess: FaceParameters, views: FlowView) -> Links:
         """As `PointLinker.links`."""

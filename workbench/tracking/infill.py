@@ -154,7 +154,7 @@ def fill_by_flow(
 
 def _by_flow(fitter: FlowFitter, before, after, pictures, advanced) -> list[FaceParameters]:
     anchor = before or after
-    views = fitter.views(anchor.fit)
+    views = fitter.views(anchor.fit, anchor.pictures)
     appearance = fitter.appearance_of_shot(anchor)
     ends = tuple(None if end is None else Neighbour(parameters_of(end.fit), end.pictures) for end in (before, after))
     count = len(pictures)

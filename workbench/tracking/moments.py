@@ -8,6 +8,7 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.frames import Frames
+from workbench.geometry import Rig
 from workbench.tracking.observation import Pictures
 from workbench.tracking.records import FrameFit
 
@@ -42,6 +43,15 @@ def moments(fits: Iterable[FrameFit], views: Sequence[Frames]) -> Iterator[Momen
                 "it was tracked; name the tracked pictures."
             )
         yield Moment(fit, pictures)
+
+
+def view_sizes(fit: FrameFit, rig: Rig | None, pictures: Pictures) -> tuple[tuple[int, int], ...]:
+    """(width, height) of a fit's pictures in each view of a rig; without them, scaled like the reference view's."""
+    if pictures or rig is None:
+        return tuple(picture.shape[1::-1] for picture in pictures)
+    reference, *others = (np.array(view.image_size) for view in rig.views)
+    scale = np.array(fit.image_size) / reference
+    return tuple(tuple(np.rint(size * scale).astype(int).tolist()) for size in (reference, *others))
 
 
 class PictureSpool:

@@ -50,6 +50,14 @@ class FrameObservation:
     """Given where a stage names the flow term; None on a clip's first frame, and without pictures."""
 
     @property
+    def view_sizes(self) -> tuple[tuple[int, int] | None, ...]:
+        """(width, height) of the pictures of each view; None where nothing tells it."""
+        if self.motion is not None:
+            return tuple(picture.shape[1::-1] for picture in self.motion.now)
+        others = (None if landmarks is None else landmarks.image_size for landmarks in self.others)
+        return (self.image_size, *others)
+
+    @property
     def faces(self) -> bool:
         """Whether any view shows a face."""
         return any(landmarks is not None for landmarks in (self.landmarks, *self.others))

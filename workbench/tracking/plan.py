@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench.energies import EnergyConstants
-from workbench.geometry import Camera, Rig, camera_from_fov, camera_from_matrix
+from workbench.geometry import Camera, Rig, camera_from_fov, camera_from_matrix, resized_view
 from workbench.landmarks.observations import Landmarks2D
 from workbench.rendering import CharacterLook
 
@@ -29,7 +29,12 @@ class CameraPlan:
     """Several cameras; replaces the one above."""
 
     def of(self, image_size: tuple[int, int]) -> Camera:
-        """The single camera for pictures of this size (width, height)."""
+        """The single camera for pictures of this size (width, height), or the rig's first one.
+
+        Raises `InputError` for pictures that are not scaled copies of those that the rig was calibrated with.
+        """
+        if self.rig is not None:
+            return resized_view(self.rig.views[0], image_size).camera
         if self.matrix is not None:
             return camera_from_matrix(self.matrix, self.distortion)
         return camera_from_fov(image_size, self.fov_deg)

@@ -101,11 +101,12 @@ def check_pictures(before: Pictures, now: Pictures, views: int) -> None:
         )
 
 
-def flow_views(rig: Rig | None, camera: Camera) -> FlowView:
-    """The cameras of a rig, stacked; without one the single camera."""
+def flow_views(rig: Rig | None, camera: Camera, sizes: Sequence[tuple[int, int] | None] = ()) -> FlowView:
+    """The cameras of a rig for pictures of these sizes, stacked; without one the single camera."""
     if rig is None:
         cameras, rotations, translations = [camera], np.eye(3)[None], np.zeros((1, 3))
     else:
+        rig = rig.resized(sizes)
         cameras = [view.camera for view in rig.views]
         rotations, translations = rig.rotation_view_reference, rig.translation_view_reference_mm
     stacked = Camera(*(np.stack([np.asarray(part, float) for part in parts]) for parts in zip(*cameras, strict=True)))

@@ -13,7 +13,7 @@ from workbench.landmarks.surroundings import Surroundings, seen_around
 from workbench.rendering import Appearance
 from workbench.tracking.fitting import FrameContext
 from workbench.tracking.flow_fitter import parameters_of
-from workbench.tracking.moments import Moment
+from workbench.tracking.moments import Moment, view_sizes
 from workbench.tracking.observation import FrameObservation
 from workbench.tracking.plan import Plan, StagePlan
 from workbench.tracking.records import FrameFit
@@ -34,7 +34,7 @@ def reestimation_stage(plan: Plan) -> StagePlan:
     if not able:
         raise ConfigError("Re-estimation fits the expression, but no enabled stage frees it; enable one that does.")
     last = able[-1]
-    kept = tuple(name for name in last.free if name in ("expression", "jaw"))
+    kept = tuple(name for name in last.free if name in ("expression", "jaw", "jaw_open"))
     return replace(last, name=NAME, free=kept, first_only=False)
 
 
@@ -105,8 +105,8 @@ class Reestimator:
                 f"The track has landmarks of {1 + len(stored)} views, but the rig has {1 + len(views)}; use the rig "
                 "that the track was made with."
             )
-        pairs = zip(stored, views, strict=True)
-        return tuple(_of_view(each, view.image_size) for each, view in pairs)
+        sizes = view_sizes(moment.fit, self._rig, moment.pictures)[1:]
+        return tuple(_of_view(*pair) for pair in zip(stored, sizes, strict=True))
 
     def _appearance(self, moment: Moment, observation: FrameObservation) -> Appearance | None:
         if moment.fit.shot not in self._appearances:

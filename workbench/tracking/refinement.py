@@ -67,7 +67,7 @@ def self_flow_pass(
         solution = fitter.midway(
             *ends,
             parameters_of(here.fit),
-            fitter.views(here.fit),
+            fitter.views(here.fit, here.pictures),
             fitter.plan.refinement.prior,
             fitter.appearance_of_shot(here),
         )
@@ -86,7 +86,7 @@ def plate_flow_pass(
     """
 
     def between(before: Moment, here: Moment, after: Moment) -> FrameFit:
-        views, guess = fitter.views(here.fit), parameters_of(here.fit)
+        views, guess = fitter.views(here.fit, here.pictures), parameters_of(here.fit)
         neighbours = tuple(Neighbour(parameters_of(moment.fit), moment.pictures) for moment in (before, after))
         stay, appearance = fitter.plan.refinement.prior, fitter.appearance_of_shot(here)
         solution = fitter.between(
