@@ -9,6 +9,7 @@ import pytest
 
 from tests.deep_scenes import (
     DEEP,
+    FOV_DEG,
     IMAGE_SIZE,
     POINTS,
     POSE_ONLY,
@@ -25,7 +26,7 @@ from workbench.energies import still
 from workbench.energies.deep import DEEP_TERMS, DeepView, deep_residuals, view_vertices
 from workbench.errors import ConfigError, InputError
 from workbench.face import typical_sizes, unpack
-from workbench.geometry import project, rotation_matrix, write_rig
+from workbench.geometry import camera_from_fov, project, rotation_matrix, write_rig
 from workbench.landmarks.network_detector import bundled_landmark_network, landmark_crop
 from workbench.landmarks.observations import Landmarks2D
 from workbench.networks import Fan, crop_and_resize, landmarks_of, soft_argmax, to_picture
@@ -833,6 +834,20 @@ def test_starting_from_landmarks_begins_near_the_truth(points, truth):
     fitter_with(points, POINTS.changed(deep={"start": "landmarks"}))
     begun = points.solve(points.problem(scene.observation(), scene.context())).start
     assert rotation_error_deg(begun, truth) < 6.0
+
+
+@pytest.mark.filterwarnings("ignore:The stages free first")
+def test_without_perspective_the_landmarks_start_is_as_large_and_where_the_face_is(shared, head):
+    """A head at twice the preset's distance, off the middle: it is half as large as one at that distance."""
+    fitter = fitter_with(
+        shared, preset("deep-parallel").changed(camera={"fov_deg": FOV_DEG}, deep={"start": "landmarks"})
+    )
+    neutral = head.landmarks.of(head.neutral)
+    points = np.asarray(project(camera_from_fov(IMAGE_SIZE, FOV_DEG), neutral + np.array([150.0, -50.0, 1200.0])))
+    seen = FrameObservation(0, Landmarks2D(points, np.ones(68), IMAGE_SIZE), IMAGE_SIZE)
+    problem = fitter.problem(seen, FrameContext(0, fitter.mean_identity(), None, None))
+    start = np.asarray(project_points(problem.scene, problem.views[0], problem.start))
+    assert np.linalg.norm(start - points, axis=1).mean() < 0.1 * np.linalg.norm(points[36] - points[45])
 
 
 def test_a_cancelled_solve_stops_where_it_is(points, truth):

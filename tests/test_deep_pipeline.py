@@ -211,8 +211,8 @@ def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):
     with pytest.raises(InputError, match="belong to Deep Energies"):
         track(files["middle"], tmp_path, head, preset("joint"), workers=2)
     write_rig(make_rig((-15.0, 15.0), image_size=(640, 640)), tmp_path / "square.toml")
+    square = single.changed(camera={"rig": str(tmp_path / "square.toml")})
     with pytest.raises(InputError, match="are not scaled copies of view 'middle'"):
-        square = single.changed(camera={"rig": str(tmp_path / "square.toml")})
         track(files["middle"], tmp_path, head, square, views=side)
 
 

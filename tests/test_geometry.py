@@ -100,6 +100,12 @@ def test_projection_derivative_agrees_with_automatic_differentiation():
     np.testing.assert_allclose(project_with_derivative(camera, points)[1], expected, rtol=1e-9, atol=1e-9)
 
 
+def test_a_field_of_view_may_have_distortion():
+    straight, bent = camera_from_fov((640, 480), 50.0), camera_from_fov((640, 480), 50.0, np.array(COEFFICIENTS[:4]))
+    np.testing.assert_array_equal(bent.distortion, [*COEFFICIENTS[:4], 0.0, 0.0, 0.0, 0.0])
+    assert np.array_equal(bent.focal_px, straight.focal_px)
+
+
 @given(st.floats(10.0, 120.0))
 def test_field_of_view_round_trip_and_centre(fov_deg):
     camera = camera_from_fov((640, 480), fov_deg)
@@ -118,6 +124,9 @@ def test_a_turned_picture_has_the_same_focal_length():
         (lambda: camera_from_matrix(np.eye(4)), "3 × 3"),
         (lambda: camera_from_matrix(np.diag([-1.0, 1.0, 1.0])), "positive focal"),
         (lambda: camera_from_matrix(MATRIX, np.zeros(3)), "coefficients"),
+        (lambda: camera_from_matrix(MATRIX.T), "last row is 0 0 1; transpose"),
+        (lambda: camera_from_matrix(2.0 * MATRIX), "last row is 0 0 1"),
+        (lambda: camera_from_fov((640, 480), 45.0, np.array([0.1])), "coefficients"),
     ],
 )
 def test_impossible_cameras_are_refused(call, message):

@@ -246,12 +246,13 @@ def test_a_slow_drag_is_one_step_of_undo(session, monkeypatch):
     assert session.config == start
 
 
-def test_another_lens_is_calibrated_again_on_the_same_frames(head, seen, frames):
+@pytest.mark.parametrize("change", [{"camera": {"fov_deg": 33.0}}, {"landmarks": {"confidence": False}}], ids=str)
+def test_what_the_shape_depends_on_is_calibrated_again_on_the_same_frames(head, seen, frames, change):
     session = LiveSession(head, detector=seen[0]._landmarks.detector)
     for frame in frames[: FIRST_FRAMES + 1]:
         session.step(frame)
     before = session.identity
-    session.use(session.config.changed(camera={"fov_deg": 33.0}))
+    session.use(session.config.changed(**change))
     session.step(frames[FIRST_FRAMES])
     changed = session.identity
     session.undo()

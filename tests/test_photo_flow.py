@@ -6,8 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from workbench.config import preset
+from workbench.face import FaceParameters
 from workbench.flow import flow_estimator
+from workbench.geometry import Rig, View, camera_from_fov, project
+from workbench.planning import plan_of
+from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.photo_flow import Cutout, cutout_about, photo_flow, read_at
+from workbench.tracking.point_links import Neighbour, flow_views
 
 
 def texture(width=320, height=240):
@@ -60,6 +66,40 @@ def test_places_beyond_the_picture_are_not_trusted():
     places = np.array([[160.0, 120.0], [-5.0, 120.0], [200.0, 250.0]])
     found = photo_flow(flow_estimator("dis"), first, first, places, Cutout(np.array([160.0, 120.0]), 400.0, 192))
     assert found.consistent.tolist() == [True, False, False]
+    assert found.inside.tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize("renders", ["exact", "estimated"])
+def test_points_of_the_face_that_are_outside_the_photo_never_count(head, renders):
+    config = preset("joint").changed(flow={"estimator": "dis", "renders": renders, "points": 300})
+    fitter = FlowFitter(head, plan_of(config))
+    picture, views = texture(), flow_views(None, camera_from_fov((320, 240), 45.0))
+    there = frontal(head, (-230.0, 0.0, 600.0))
+    links = fitter.links(Neighbour(there, (picture,)), (picture,), there, views)
+    outside = links.starts[0, :, 0] < 0.0
+    assert outside.sum() > 20
+    assert not links.weights[0][outside].any()
+    assert links.weights[0].any()
+
+
+def frontal(head, translation, scale=1.0):
+    counts = (3, len(head.expression_names), len(head.identity_deltas), 6)
+    rotation, expression, identity, jaw = map(np.zeros, counts)
+    return FaceParameters(rotation, np.array(translation), expression, identity, jaw, np.full(1, scale))
+
+
+def test_a_percent_is_that_of_the_eyes_in_each_views_picture(head):
+    """A camera twice as far sees them half as large, as does one a head of half the scale."""
+    camera = camera_from_fov((640, 480), 45.0)
+    poses = (np.zeros(3), np.array([0.0, 0.0, 600.0]))
+    rig = Rig(tuple(View(f"{place[2]}", (640, 480), camera, np.eye(3), place) for place in poses))
+    linker = FlowFitter(head, plan_of(preset("joint").changed(flow={"estimator": "dis", "points": 300}))).linker
+    near, far = linker.unit_px(frontal(head, (0.0, 0.0, 600.0)), flow_views(rig, camera))
+    eyes = project(camera, head.landmarks.of(head.neutral)[[36, 45]] + [0.0, 0.0, 600.0])
+    assert near == pytest.approx(0.01 * float(np.linalg.norm(eyes[0] - eyes[1])), rel=0.1)
+    assert far == pytest.approx(near / 2)
+    smaller = linker.unit_px(frontal(head, (0.0, 0.0, 600.0), 0.5), flow_views(rig, camera))
+    np.testing.assert_allclose(smaller, [near / 2, far / 2])
 
 
 def test_fields_are_read_between_pixels():

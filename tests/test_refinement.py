@@ -191,6 +191,8 @@ def test_the_stage_is_the_plans_own_or_its_last():
     deep = reestimation_stage(plan_of(preset("deep")))
     assert deep.enabled
     assert deep.free == ("expression", "jaw")
+    lips = Stage(name="lips", free=("rotation", "expression", "jaw_open"))
+    assert reestimation_stage(plan_of(preset("deep").changed(stages=(lips,)))).free == ("expression", "jaw_open")
     rigid = film_config().model_copy(update={"stages": (Stage(name="pose", free=("rotation",)),)})
     with pytest.raises(ConfigError, match="no enabled stage frees"):
         reestimation_stage(plan_of(rigid))

@@ -249,6 +249,15 @@ def test_show_warns_in_plain_words(run, tmp_path):
     assert "warning: middle and side: 3.0° between the axes" in out
 
 
+def test_a_lens_that_folds_is_told_once_and_without_a_number(run, tmp_path):
+    write_rig(make_rig((0.0, 30.0), distortion=(-3.0,)), tmp_path / "rig.toml")
+    code, out, _ = run("rig", "show", "rig.toml")
+    assert code == 0
+    assert "the distortion folds over" in out
+    assert "nan" not in out
+    assert "is unusual" not in out
+
+
 def test_check_ends_with_0_where_nothing_stands_out_and_with_1_where_something_does(run, files):
     code, out, err = run("rig", "check", "rig.toml", "middle.csv", "side.csv")
     assert (code, err) == (0, "")

@@ -55,6 +55,17 @@ def test_configurations_with_and_without_covariances_are_solved_together(solver,
     assert np.nanmax(np.abs(together[0].projected - together[1].projected)) > 0.01
 
 
+@pytest.mark.parametrize("change", [{"weights": {"irises": 0.0}}, {"confidence": False}], ids=str)
+def test_what_the_face_shape_depends_on_is_never_taken_from_other_settings(head, seen, change):
+    name, clip = seen
+    config = config_of(name)
+    changed = config.changed(landmarks=change)
+    solver = ClipSolver(head)
+    solver.fits([config], clip, clip.shots)
+    (after,), (alone,) = (each.fits([changed], clip, clip.shots) for each in (solver, ClipSolver(head)))
+    np.testing.assert_array_equal(after.projected, alone.projected)
+
+
 def test_folds_hide_the_points_of_a_part_in_every_scheme():
     for scheme in (IBUG68_PUPILS, DENSE):
         hidden = folds_of(("parts",), 2, scheme)[1:, 0]

@@ -9,6 +9,7 @@ import numpy as np
 from workbench.config import Config
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera
+from workbench.landmarks.scheme import LandmarkScheme
 from workbench.planning import plan_of
 from workbench.rendering import Appearance
 from workbench.tracking.fitting import Calibrated, Continuation, Fitter, FrameContext, StageTrace, corrected, with_face
@@ -192,10 +193,16 @@ def calibration_window(shot: Sequence[FrameObservation], window: int) -> Sequenc
 
 
 def identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
-    """Key of the identity of a shot; `window` holds the frames that it is calibrated on."""
+    """Key of the identity of a shot; `window` holds the frames that it is calibrated on, one of them with a face."""
     moved = {key: config.landmarks.moved[key] for item in window if (key := str(item.index)) in config.landmarks.moved}
+    scheme = next(item.landmarks.scheme for item in window if item.landmarks is not None)
+    return f"{identity_settings(config, scheme)}{moved}"
+
+
+def identity_settings(config: Config, scheme: LandmarkScheme) -> str:
+    """Key of everything that an identity depends on besides its frames, whose landmarks are of this scheme."""
     kept = {"system", "camera", "identity", "contour", "subsets"}
     kept |= {"deep"} if config.traits.reads("deep") else set()
     kept |= {"head"} if config.renders_character else set()
     sections = config.model_dump_json(include=kept)
-    return f"{sections}{config.point_weights()}{moved}"
+    return f"{sections}{config.point_weights(scheme)}{config.landmarks.confidence}"

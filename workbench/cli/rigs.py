@@ -150,7 +150,7 @@ def _lens_cells(view: "workbench.geometry.ViewReport") -> list[str]:
     off_x, off_y = view.principal_offset_px
     focal = f"{fx:.1f}" if abs(fx - fy) < 0.05 else f"{fx:.1f}, {fy:.1f}"
     moved = "folded" if np.isnan(view.corner_distortion_px) else f"{view.corner_distortion_px:.1f}"
-    fov = f"{view.fov_deg[0]:.1f}° × {view.fov_deg[1]:.1f}°"
+    fov = " × ".join("folded" if np.isnan(degrees) else f"{degrees:.1f}°" for degrees in view.fov_deg)
     return [f"{width}×{height}", focal, fov, f"{off_x:+.1f}, {off_y:+.1f}", moved]
 
 

@@ -43,7 +43,7 @@ class FlowWeights(NamedTuple):
 
     flow: Scalar
     stay: Scalar
-    """Of the squared distance of blendshapes and jaw from where `FlowPrior` has them."""
+    """Of the squared distance of blendshapes and jaw from where the prior has them."""
     stay_pose: Scalar
     """Of that of the pose; one radian counts as 100 mm."""
     robust: Scalar

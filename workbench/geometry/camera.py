@@ -25,31 +25,45 @@ class Camera(NamedTuple):
     """OpenCV's k1, k2, p1, p2, k3, k4, k5, k6."""
 
 
-def camera_from_fov(image_size: tuple[int, int], fov_deg: float) -> Camera:
-    """Camera of a picture (width, height) whose *longer* side spans `fov_deg`; centred, square pixels, no distortion.
+def camera_from_fov(
+    image_size: tuple[int, int], fov_deg: float, distortion: Float[np.ndarray, "n"] | None = None
+) -> Camera:
+    """Camera of a picture (width, height) whose *longer* side spans `fov_deg`; centred, square pixels.
 
-    The longer side, so that a picture and the same picture turned by 90° get one focal length.
-    Raises `InputError` unless 0 < fov_deg < 180.
+    The longer side, so that a picture and the same picture turned by 90° get one focal length. It spans so much without
+    the distortion, which is as in `camera_from_matrix`. Raises `InputError` unless 0 < fov_deg < 180, and for
+    coefficients that cannot be used.
     """
     if not 0.0 < fov_deg < 180.0:
         raise InputError(f"A field of view lies between 0 and 180 degrees, got {fov_deg:g}; 30 to 70 is usual.")
     width, height = image_size
     focal = 0.5 * max(width, height) / np.tan(0.5 * np.radians(fov_deg))
-    return Camera(np.full(2, focal), np.array([(width - 1) / 2, (height - 1) / 2]), np.zeros(8))
+    return Camera(np.full(2, focal), np.array([(width - 1) / 2, (height - 1) / 2]), _coefficients(distortion))
 
 
 def camera_from_matrix(matrix: Float[np.ndarray, "_ _"], distortion: Float[np.ndarray, "n"] | None = None) -> Camera:
     """Camera of an OpenCV calibration: 3 × 3 matrix in pixels and 0, 4, 5 or 8 distortion coefficients.
 
     Of 12 or 14, as OpenCV stores its rational model, those after the eighth are 0. Raises `InputError` for another
-    shape, skew, a focal length that is not positive, and thin-prism or tilt terms.
+    shape, skew, another last row than 0 0 1, a focal length that is not positive, and thin-prism or tilt terms.
     """
     matrix = np.asarray(matrix, float)
-    coefficients = np.zeros(0) if distortion is None else np.asarray(distortion, float).ravel()
     if matrix.shape != (3, 3):
         raise InputError(f"A camera matrix is 3 × 3, got shape {matrix.shape}; pass OpenCV's camera matrix.")
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0) or abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
         raise InputError("A camera matrix has positive focal lengths and no skew; check the order of its entries.")
+    below = np.array([*matrix[2], matrix[1, 0]])
+    if not np.allclose(below, [0.0, 0.0, 1.0, 0.0], rtol=0.0, atol=1e-6):
+        raise InputError(
+            "A camera matrix holds 0 below its diagonal, and its last row is 0 0 1; transpose one of MATLAB, which has "
+            "the principal point there."
+        )
+    return Camera(matrix[[0, 1], [0, 1]], matrix[:2, 2], _coefficients(distortion))
+
+
+def _coefficients(distortion: Float[np.ndarray, "n"] | None) -> Float[np.ndarray, "8"]:
+    """OpenCV's distortion as eight coefficients; raises `InputError` for those that have another meaning."""
+    coefficients = np.zeros(0) if distortion is None else np.asarray(distortion, float).ravel()
     if len(coefficients) in PADDED_COUNTS:
         if coefficients[8:].any():
             raise InputError(
@@ -64,7 +78,7 @@ def camera_from_matrix(matrix: Float[np.ndarray, "_ _"], distortion: Float[np.nd
         )
     padded = np.zeros(8)
     padded[: len(coefficients)] = coefficients
-    return Camera(matrix[[0, 1], [0, 1]], matrix[:2, 2], padded)
+    return padded
 
 
 def horizontal_fov_deg(camera: Camera, image_size: tuple[int, int]) -> float:

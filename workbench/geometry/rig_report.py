@@ -131,7 +131,7 @@ def _corner_distortion(view: View) -> float:
 def _lens_warnings(view: ViewReport) -> list[str]:
     found = []
     diagonal = float(np.hypot(*view.image_size))
-    if not NARROW_DEG <= view.fov_deg[0] <= WIDE_DEG:
+    if view.fov_deg[0] < NARROW_DEG or view.fov_deg[0] > WIDE_DEG:  # neither of a lens that folds
         found.append(
             f"a field of view of {view.fov_deg[0]:.0f}° is unusual: is the picture size that of the calibration?"
         )

@@ -21,6 +21,7 @@ from workbench.session.gesture import Gesture
 from workbench.session.history import History
 from workbench.session.live_frame import LIVE_SIZE, LiveFrame
 from workbench.session.recording import Recorder, Recording
+from workbench.tracker import identity_settings
 from workbench.tracking import FrameFit, FrameObservation
 from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.fitting import Calibrated, Continuation
@@ -92,7 +93,7 @@ class LiveSession:
         self._landmarks: LandmarkTracker | None = None
         self._fitter, self._fitter_config = FaceItFitter(model, plan_of(config, model.scheme)), config
         self._identity = self._fitter.mean_identity()
-        self._identity_of: tuple[str, Calibration | None] = (_identity_key(config), None)
+        self._identity_of: tuple[str, Calibration | None] = (identity_settings(config, model.scheme), None)
         self._recorder: Recorder | None = None
         self._walk = Walk(self._fitter)
         self._picture: UInt8[np.ndarray, "h w 3"] | None = None
@@ -267,7 +268,7 @@ class LiveSession:
             self._fitter_config = state.config
         elif calibration is self._identity_of[1]:
             return
-        key = (_identity_key(state.config), calibration)
+        key = (identity_settings(state.config, self.model.scheme), calibration)
         if key[0] == self._identity_of[0] and key[1] is self._identity_of[1]:
             return
         self._identity = self._identity_from(state.config, calibration)
@@ -314,12 +315,6 @@ def _check_recording(recorder: Recorder | None, present: Config, config: Config)
 def _layout(config: Config) -> tuple[list[str], tuple[str, ...]]:
     """The stages that run, and the terms of their energies."""
     return [stage.name for stage in config.stages if stage.enabled], config.terms
-
-
-def _identity_key(config: Config) -> str:
-    """Key of everything that an identity depends on besides its frames."""
-    sections = config.model_dump_json(include={"camera", "identity", "contour", "subsets"})
-    return f"{sections}{config.point_weights()}"
 
 
 def _motion(last: Continuation, observation: FrameObservation) -> float:

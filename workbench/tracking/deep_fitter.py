@@ -142,7 +142,7 @@ class DeepFitter(Fitter):
         )
 
     def solve(self, problem: DeepProblem, traced: bool = False, cancelled: Callable[[], bool] = never) -> DeepSolution:
-        """Run all stages in order. Every step is kept, traced or not. `cancelled` is checked before each stage."""
+        """Run all stages in order. Every step is kept, traced or not. `cancelled` is checked before each step."""
         results, seconds, views = [], [], ()
         parameters = problem.start
         for stage in problem.stages if problem.views else ():
@@ -220,7 +220,12 @@ class DeepFitter(Fitter):
         if self.plan.deep.start == "frontal" or observation.landmarks is None:
             return start
         fit = self._points.fit(observation, FrameContext(0, context.identity, None, None))[0]
-        return start._replace(rotation=jnp.asarray(fit.rotation), translation=jnp.asarray(fit.translation))
+        rotation, translation = jnp.asarray(fit.rotation), jnp.asarray(fit.translation)
+        if not self.plan.camera.parallel:
+            return start._replace(rotation=rotation, translation=translation)
+        # In parallel projection a head that is as far again is half as large, at half the offset.
+        nearer = start.translation[2] / translation[2]
+        return start._replace(rotation=rotation, translation=nearer * translation, scale=nearer * start.scale)
 
     def _stage_problem(self, problem: DeepProblem, views: tuple[DeepView, ...], stage: StagePlan) -> StageProblem:
         deep, free = self.plan.deep, self.free(stage)

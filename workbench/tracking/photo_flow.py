@@ -58,6 +58,8 @@ class PhotoFlow(NamedTuple):
     """Pixels of the second photo."""
     consistent: Bool[np.ndarray, "n"]
     """The backward flow returns close to the start, and both positions are inside the pictures."""
+    inside: Bool[np.ndarray, "n"]
+    """Both positions are inside the pictures."""
 
 
 def photo_flow(
@@ -78,7 +80,8 @@ def photo_flow(
     size = np.array([width - 1, height - 1])
     shown = [((at >= 0.0) & (at <= size)).all(axis=1) for at in (places, targets)]
     in_cut = ((inside >= 0.0) & (inside <= cutout.pixels - 1)).all(axis=1)
-    return PhotoFlow(targets, ~hidden & shown[0] & shown[1] & in_cut)
+    seen = shown[0] & shown[1] & in_cut
+    return PhotoFlow(targets, ~hidden & seen, seen)
 
 
 def read_at(field: Float[np.ndarray, "h w *c"], places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n *c"]:

@@ -23,6 +23,7 @@ class CameraPlan:
     matrix: Float[np.ndarray, "3 3"] | None
     """OpenCV's camera matrix, pixels; replaces the field of view."""
     distortion: Float[np.ndarray, "_"]
+    """OpenCV's coefficients, of either camera."""
     parallel: bool
     """Orthographic: the head's scale replaces its distance."""
     rig: Rig | None
@@ -37,7 +38,7 @@ class CameraPlan:
             return resized_view(self.rig.views[0], image_size).camera
         if self.matrix is not None:
             return camera_from_matrix(self.matrix, self.distortion)
-        return camera_from_fov(image_size, self.fov_deg)
+        return camera_from_fov(image_size, self.fov_deg, self.distortion)
 
 
 @dataclass(frozen=True, eq=False)

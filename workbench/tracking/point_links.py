@@ -72,7 +72,8 @@ class PointLinker:
             visible = points_shown(self._render, self.points, neighbour.parameters, views, view, close)
             places.append(found.places)
             # An estimator applied to both pairs makes the same errors at occlusions: those points stay, as published.
-            weights.append((visible & (found.consistent | self._estimates_renders)).astype(float))
+            trusted = found.inside if self._estimates_renders else found.consistent
+            weights.append((visible & trusted).astype(float))
             cutouts.append(cutout)
         return Links(np.stack(places), np.stack(weights), here, tuple(cutouts))
 
@@ -87,10 +88,9 @@ class PointLinker:
 
     def unit_px(self, guess: FaceParameters, views: FlowView) -> Float[np.ndarray, "views"]:
         """One percent of the outer-eye distance in each view's picture."""
-        depth = np.linalg.norm(np.asarray(guess.translation, float))
-        return np.array(
-            [0.01 * self._eyes_mm * float(np.mean(focal)) / depth for focal in np.asarray(views.camera.focal_px)]
-        )
+        places = np.asarray(views.rotation) @ np.asarray(guess.translation, float) + np.asarray(views.translation)
+        percent_mm = 0.01 * self._eyes_mm * np.asarray(guess.scale, float)
+        return percent_mm * np.mean(views.camera.focal_px, axis=1) / np.linalg.norm(places, axis=1)
 
 
 def check_pictures(before: Pictures, now: Pictures, views: int) -> None:
