@@ -655,6 +655,24 @@ def test_identity_and_start_come_through_the_rigs_first_camera(shared, head, tmp
     assert fitter.plan.by_points.identity == fitter.plan.identity
 
 
+@pytest.mark.long
+def test_frames_that_only_another_view_sees_wait_for_the_face_shape(head, rig_file):
+    """The reference view's first face brings it; where none comes within a window, they are fitted without."""
+    brief = {"window": 2, "frames": 2}
+    config = POINTS.changed(camera={"rig": str(rig_file)}, identity=brief, stages=POSE_ONLY)
+    tracker = FaceTracker(head, config)
+    scene = _stereo_scene(tracker.fitter, head)
+    seen = [scene.observation(k) for k in range(6)]
+    aside = [replace(each, landmarks=None) for each in seen]
+    assert not list(tracker.prepare(aside[0]))
+    assert not list(tracker.prepare(seen[1]))
+    shapes = [context.identity for _, context in tracker.prepare(seen[2])]
+    assert len(shapes) == 3
+    assert all(np.array_equal(shape, shapes[-1]) and shape.any() for shape in shapes)
+    tracker = FaceTracker(head, config)
+    assert [len(list(tracker.prepare(each))) for each in aside[:4]] == [0, 2, 0, 2]
+
+
 def test_a_rig_wants_landmarks_of_every_view(shared, head, rig_file):
     fitter = fitter_with(shared, POINTS.changed(camera={"rig": str(rig_file)}))
     scene = _stereo_scene(fitter, head)
@@ -755,6 +773,10 @@ def test_unknown_blendshapes_are_refused(deep):
     [
         ({"stages": _dumped((Stage(name="j", free=("jaw",)),))}, "stage 'j' frees 'jaw', which takes system"),
         ({"camera": {"projection": "orthographic"}}, "an orthographic camera takes system"),
+        (
+            {"stages": _dumped((Stage(name="m", free=("expression",), shapes=("mouth",)),))},
+            "stage 'm' frees single shapes, which takes system",
+        ),
         ({"camera": {"rig": "rig.toml"}}, "a rig of several cameras takes system"),
     ],
 )

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.pages import PAGES
 from tests.scenes import FOV_DEG, IMAGE_SIZE, make_scene, random_expression
-from workbench.config import PRESETS, Config, Stage
+from workbench.config import PRESETS, Config, Stage, preset
 from workbench.diagnosis.identifiability import indistinguishable_groups
 from workbench.errors import InputError
 from workbench.face import contour_blend, landmark_model, model_landmarks
@@ -361,6 +361,54 @@ def test_explaining_a_still_starts_afresh_as_push_does(head):
     pushed = tracker.push(still)[0]
     np.testing.assert_allclose(explained.angles_deg, pushed.angles_deg, atol=1e-6)
     np.testing.assert_allclose(explained.expression, pushed.expression, atol=1e-6)
+
+
+def test_explaining_a_cut_starts_afresh_as_push_does(head):
+    tracker = FaceTracker(head, PRESETS["calibrated"].changed(identity={"window": 1, "frames": 1}))
+    tracker.push(make_scene(head, (-20, 0, 0)).observation(0))
+    after = replace(make_scene(head, (-18, 0, 0), {"jawOpen": 0.3}).observation(1), cut=True)
+    explained, _ = tracker.explain(after)
+    (pushed,) = tracker.push(after)
+    assert (explained.shot, pushed.shot) == (1, 1)
+    np.testing.assert_array_equal(explained.iterations > 0, pushed.iterations > 0)
+    np.testing.assert_allclose(explained.identity, pushed.identity, atol=1e-6)
+    np.testing.assert_allclose(explained.expression, pushed.expression, atol=1e-6)
+
+
+def test_each_stage_has_its_own_row_on_every_frame(head):
+    pose, expression = ("rotation", "translation"), ("expression",)
+    stages = (
+        Stage(name="pose", free=pose, limit=7),
+        Stage(name="first expression", free=expression, when="start", limit=1),
+        Stage(name="joint", free=(*pose, *expression), limit=2),
+    )
+    tracker = FaceTracker(head, EXACT.changed(stages=stages))
+    scene = make_scene(head, (20, 5, 0), {"jawOpen": 0.5})
+    first, later = (tracker.push(scene.observation(k, 1.0))[0] for k in range(2))
+    assert (first.status > 0).all()
+    assert (later.status > 0).tolist() == [True, False, True]
+    assert later.iterations[1] == 0
+    assert np.isnan(later.energies[1]).all()
+    assert np.isfinite(later.energies[[0, 2]]).all()
+
+
+def test_frames_held_back_follow_the_settings_of_their_fit(head):
+    tracker = FaceTracker(head, PRESETS["calibrated"])
+    assert not tracker.push(make_scene(head, (5, 0, 0)).observation(0))
+    tracker.configure(tracker.config.changed(identity={"calibrate": False}))
+    fits = tracker.push(make_scene(head, (6, 0, 0)).observation(1))
+    assert [fit.index for fit in fits] == [0, 1]
+    assert not any(fit.identity.any() for fit in fits)
+
+
+def test_another_system_in_the_middle_of_a_shot_starts_afresh(head):
+    stages = (Stage(name="pose", free=("rotation", "translation"), terms=("tau",), limit=5),)
+    deep = preset("deep-points").changed(stages=stages, identity={"calibrate": False}, deep={"appearance": "model"})
+    tracker, scene = FaceTracker(head, deep), make_scene(head, (10, 0, 0))
+    tracker.push(scene.observation(0))
+    tracker.configure(EXACT)
+    (fit,) = tracker.push(scene.observation(1))
+    np.testing.assert_allclose(fit.angles_deg, (10, 0, 0), atol=0.1)
 
 
 def test_the_status_tells_a_limit_from_convergence(head):

@@ -43,8 +43,11 @@ class FaceTracker:
             self.fitter.calibrate([self.fitter.neutral_observation(image_size)], self._calibration_frames())
 
     def configure(self, config: Config) -> None:
-        """Use another configuration from the next frame on."""
-        self._config, self._walk.fitter = config, configured(self.fitter, plan_of(config, self.model.scheme))
+        """Use another configuration from the next frame on. Another system starts afresh, in the same shot."""
+        fitter = configured(self.fitter, plan_of(config, self.model.scheme))
+        if fitter is not self.fitter:
+            self._walk.last = None
+        self._config, self._walk.fitter = config, fitter
 
     def push(self, observation: FrameObservation) -> list[FrameFit]:
         """Take the next frame; return the fits that are ready, in order."""
@@ -60,16 +63,13 @@ class FaceTracker:
         Only where frames are independent (`Fitter.links_frames`) may they be fitted elsewhere, and in any order.
         """
         observation = corrected(observation, self.config.moved_points(observation.index))
-        if (observation.cut or self.stills) and (self._pending or self._seen):
+        if self._begins_shot(observation):
             yield from self.prepare_rest()
             self._start_shot()
         self._seen = True
         self._pending.append(observation)
-        if not self._calibrated and self._faces_pending():
-            if len(self._pending) < (1 if self.stills else self.config.identity.window):
-                return
-            self._calibrate()
-        yield from self._flush()
+        if not self._waits_for_more():
+            yield from self.prepare_rest()
 
     def fit_prepared(self, observation: FrameObservation, context: FrameContext) -> FrameFit:
         """The fit of a prepared frame; where frames are linked, of the next one."""
@@ -90,22 +90,25 @@ class FaceTracker:
 
     def prepare_rest(self) -> Iterator[tuple[FrameObservation, FrameContext]]:
         """As `prepare`, for the frames still held back."""
-        if not self._calibrated and self._faces_pending():
-            self._calibrate()
+        if self._to_be_calibrated and any(observation.landmarks is not None for observation in self._pending):
+            self._walk.calibrated = self.fitter.calibrate(self._pending, self._calibration_frames())
+            self._calibrated = True
         yield from self._flush()
 
     def explain(self, observation: FrameObservation) -> tuple[FrameFit, tuple[StageTrace, ...]]:
         """Fit one frame as the next `push` would, with every iteration kept; the tracker itself does not move.
 
-        The identity is the calibrated one if the shot has it, else (and for stills) calibrated on this frame alone.
-        Raises `InputError` for a frame without landmarks.
+        The identity is the calibrated one if the shot has it, else (and for stills and cuts) calibrated on this frame
+        alone. Raises `InputError` for a frame without landmarks.
         """
         observation = with_face(corrected(observation, self.config.moved_points(observation.index)))
-        calibrated = self._walk.calibrated
-        if (self.stills or not self._calibrated) and self.fitter.calibrates:
+        shot, calibrated, last = self._walk.shot, self._walk.calibrated, self._walk.last
+        begins = self._begins_shot(observation)
+        if begins:
+            shot, calibrated, last = shot + 1, Calibrated(self.fitter.mean_identity(), {}), None
+        if self.fitter.calibrates and (begins or not self._calibrated):
             calibrated = self.fitter.calibrate([observation], self._calibration_frames())
-        last = None if self.stills else self._walk.last
-        return self.fitter.explain(observation, context_of(observation, self._walk.shot, calibrated, last))
+        return self.fitter.explain(observation, context_of(observation, shot, calibrated, last))
 
     def resume(self, context: FrameContext) -> None:
         """Go on as if the next frame were the one of this context."""
@@ -169,8 +172,22 @@ class FaceTracker:
         self._seen = False
         self._calibrated = not self.fitter.calibrates
 
-    def _faces_pending(self) -> bool:
-        return any(observation.landmarks is not None for observation in self._pending)
+    def _begins_shot(self, observation: FrameObservation) -> bool:
+        return (observation.cut or self.stills) and (bool(self._pending) or self._seen)
+
+    @property
+    def _to_be_calibrated(self) -> bool:
+        return not self._calibrated and self.fitter.calibrates
+
+    def _waits_for_more(self) -> bool:
+        """Whether the shot's face shape is to be calibrated on more frames than there are.
+
+        Frames in which only a rig's other views see the face wait for it, too, but no longer than a window.
+        """
+        if not self._to_be_calibrated or not any(observation.faces for observation in self._pending):
+            return False
+        window = 1 if self.stills else self.config.identity.window
+        return len(calibration_window(self._pending, window) or self._pending) < window
 
     def _flush(self) -> Iterator[tuple[FrameObservation, FrameContext]]:
         pending, self._pending = self._pending, []
@@ -180,10 +197,6 @@ class FaceTracker:
 
     def _calibration_frames(self) -> int:
         return 1 if self.stills else self.config.identity.frames
-
-    def _calibrate(self) -> None:
-        self._walk.calibrated = self.fitter.calibrate(self._pending, self._calibration_frames())
-        self._calibrated = True
 
 
 def calibration_window(shot: Sequence[FrameObservation], window: int) -> Sequence[FrameObservation]:

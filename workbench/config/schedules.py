@@ -35,7 +35,9 @@ class Stage(Section):
     )
     landmarks: dict[str, NonNegative] = Field({"all": 1.0}, description="Weight by group; later entries win.")
     limit: Iterations = Field(15, description="Maximum number of iterations.")
-    when: Literal["always", "start"] = Field("always", description="start: only on the first frame of a shot.")
+    when: Literal["always", "start"] = Field(
+        "always", description="start: only on the first frame of a shot (FACE IT!)."
+    )
     enabled: bool = Field(True, description="false: the stage is skipped.")
 
     @field_validator("free")

@@ -113,9 +113,9 @@ def record_of(solution: FaceItSolution, plan: Plan) -> FrameFit:
     problem, found = solution.problem, solution.report
     observation, context = problem.observation, problem.context
     # Rows are laid out for the stages of a first frame, so that first and later frames can be stacked.
-    rows, running = (len(plan.running(start)) for start in (True, context.last is None))
-    count = int(problem.program.count)
-    place = slice(rows - running, rows - running + count)
+    stages, count = plan.running(start=True), int(problem.program.count)
+    rows = len(stages)
+    place = [k for k, stage in enumerate(stages) if context.last is None or not stage.first_only][:count]
     energies = np.full((rows, len(plan.terms)), np.nan)
     status, iterations = np.full(rows, -1), np.zeros(rows, int)
     energies[place], status[place] = found.energies[:count], found.status[:count]

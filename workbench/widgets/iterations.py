@@ -90,7 +90,8 @@ class Iterations:
 
 def stage_results(fit: FrameFit, traces: tuple[StageTrace, ...]) -> dict[str, str]:
     """Number of steps and final status of each stage, by name."""
-    status = dict(zip([trace.stage for trace in traces], fit.status[-len(traces) :], strict=False))
+    ran = fit.status[fit.status >= 0]
+    status = dict(zip([trace.stage for trace in traces], ran, strict=False))
     return {
         trace.stage: f"{len(trace.energies) - 1} steps {STATUS_NAMES.get(int(status.get(trace.stage, -1)), '')}"
         for trace in traces

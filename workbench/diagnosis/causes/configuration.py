@@ -25,10 +25,8 @@ LEAST_STUCK_PERCENT = 2.0
 
 def not_converged(trial: Trial) -> Iterator[Finding]:
     """A stage stops at its limit (ρ or ε) although more iterations would help."""
-    stages = trial.case.config.running(start=trial.case.context.last is None)
-    status = trial.fit.status[len(trial.fit.status) - len(stages) :]
-    best = None
-    for stage, ended in zip(stages, status, strict=True):
+    stages, best = trial.case.config.running(start=True), None
+    for stage, ended in zip(stages, trial.fit.status, strict=True):
         if ended != Status.ITERATION_LIMIT.value:
             continue
         more = min(stage.limit + MORE_ITERATIONS, LARGEST_LIMIT)
