@@ -1,5 +1,7 @@
 """Deep Energies by behaviour: its energy, its derivatives, its stages, several cameras, failures, no compilations."""
 
+import os
+import shutil
 from dataclasses import replace
 
 import jax
@@ -27,7 +29,7 @@ from workbench.energies.deep import DEEP_TERMS, DeepView, deep_residuals, view_v
 from workbench.errors import ConfigError, InputError
 from workbench.face import typical_sizes, unpack
 from workbench.geometry import camera_from_fov, project, rotation_matrix, write_rig
-from workbench.landmarks.network_detector import bundled_landmark_network, landmark_crop
+from workbench.landmarks.network_detector import BUNDLED, bundled_landmark_network, landmark_crop
 from workbench.landmarks.observations import Landmarks2D
 from workbench.networks import Fan, crop_and_resize, landmarks_of, soft_argmax, to_picture
 from workbench.networks.crop import fan_box_of
@@ -302,6 +304,16 @@ FAN = object.__new__(Fan)
 def test_the_detectors_weights_may_be_the_network_too():
     assert energy_network("landmarks") is bundled_landmark_network()
     assert energy_network("landmarks") is not energy_network("heat-maps")
+
+
+def test_a_file_of_weights_that_is_written_again_is_read_again(tmp_path):
+    file, kinds = tmp_path / "own.safetensors", ("heat_maps", "landmarks")
+    for written, kind in enumerate(kinds, start=1):
+        shutil.copyfile(BUNDLED / f"{kind}.safetensors", file)
+        os.utime(file, (written, written))
+        own, bundled = (jax.tree.leaves(energy_network(name)) for name in (str(file), kind.replace("_", "-")))
+        assert all(np.array_equal(*pair) for pair in zip(own, bundled, strict=True))
+    assert energy_network(str(file)) is energy_network(str(file))
 
 
 @pytest.mark.parametrize(

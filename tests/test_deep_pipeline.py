@@ -14,7 +14,7 @@ from tests.killed_runs import make_fit
 from tests.stereo_scenes import make_rig, make_stereo_scene
 from workbench.cli import app
 from workbench.config import preset
-from workbench.errors import InputError, LostSchedulerError
+from workbench.errors import InputError, LostSchedulerError, OutputError
 from workbench.geometry import write_rig
 from workbench.landmarks.alignment import MEAN_SHAPE
 from workbench.landmarks.detection import FaceDetection
@@ -195,6 +195,25 @@ def test_two_cameras_find_the_place_of_the_head_and_one_may_miss_it(head, stereo
     assert result.track.found.all()
     assert errors[:2].max() < 4.0
     assert np.isfinite(errors[2])
+
+
+def test_a_rig_belongs_to_its_run_and_may_be_moved(head, stereo, tmp_path):
+    _, _, files = stereo
+    rig, folder = tmp_path / "rig.toml", tmp_path / "run"
+    write_rig(make_rig((-15.0, 15.0)), rig)
+    config = preset("deep-points").changed(camera={"rig": str(rig)}, identity={"calibrate": False})
+    options = {"views": {"side": files["side"]}, "pictures": False}
+    track(files["middle"], folder, head, config, **options)
+    assert "nothing was left to do" in track(files["middle"], folder, head, config, resume=True, **options).notes[0]
+    write_rig(make_rig((-15.0, 16.0)), rig)
+    with pytest.raises(OutputError, match="another input or configuration"):
+        track(files["middle"], folder, head, config, resume=True, **options)
+    moved = rig.rename(tmp_path / "moved.toml")
+    refining = ["refine", str(folder), "--method", "averaging", "--no-pictures"]
+    result = CliRunner().invoke(app, refining)
+    assert f"The rig of this track is no longer at {rig}; name it with --rig." in str(result.exception)
+    assert CliRunner().invoke(app, [*refining, "--rig", str(moved)]).exit_code == 0
+    assert Track.load(tmp_path / "run-refine" / "track.npz").meta["config"]["camera"]["rig"] == str(moved)
 
 
 def test_views_that_do_not_fit_the_rig_are_named(head, stereo, tmp_path):

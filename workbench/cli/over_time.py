@@ -53,6 +53,7 @@ Out = Annotated[Path | None, typer.Option(help="Folder for the results (default:
 Model = Annotated[Path | None, typer.Option(help="The face model of the track, if not the default head.")]
 Clip = Annotated[Path | None, typer.Option("--clip", help="The pictures, if they have been moved.")]
 View = Annotated[list[str] | None, typer.Option(help="Clip of another view, if moved, as NAME=CLIP.")]
+Rig = Annotated[Path | None, typer.Option(help="The rig of the track, if moved.")]
 Estimator = Annotated[str | None, typer.Option(help="dis, farneback, network, or a file of weights.")]
 Renders = Annotated[str | None, typer.Option(help="Flow of the renders: exact, estimated, or network.")]
 Pictures = Annotated[bool, typer.Option(help="Write the overlay video.")]
@@ -73,6 +74,7 @@ def infill(
     model: Model = None,
     clip: Clip = None,
     view: View = None,
+    rig: Rig = None,
     pictures: Pictures = True,
     overwrite: Overwrite = False,
 ) -> None:
@@ -84,7 +86,7 @@ def infill(
     if longest is not None:
         section["longest"] = longest
     changes = {"infill": section, "flow": _flow(estimator, renders)}
-    options = {"clip": clip, "pictures": pictures, "overwrite": overwrite}
+    options = {"clip": clip, "rig": rig, "pictures": pictures, "overwrite": overwrite}
     result = _work(run, out, "infill", changes, ["infill"], model, view, **options)
     if not result.summary["frames_filled"]:
         screen.print_error("Nothing was filled: " + (TOO_LONG if longest else NO_NEIGHBOUR if wanted else NO_GAP))
@@ -106,6 +108,7 @@ def refine(
     model: Model = None,
     clip: Clip = None,
     view: View = None,
+    rig: Rig = None,
     pictures: Pictures = True,
     overwrite: Overwrite = False,
 ) -> None:
@@ -115,7 +118,8 @@ def refine(
     section = {"method": method, "reestimate": reestimate} | {k: v for k, v in given.items() if v is not None}
     steps = ["refine", *(["reestimate"] if reestimate else [])]
     changes = {"refinement": section, "flow": _flow(estimator, renders)}
-    _work(run, out, "refine", changes, steps, model, view, clip=clip, pictures=pictures, overwrite=overwrite)
+    options = {"clip": clip, "rig": rig, "pictures": pictures, "overwrite": overwrite}
+    _work(run, out, "refine", changes, steps, model, view, **options)
 
 
 def reestimate(
@@ -124,14 +128,14 @@ def reestimate(
     model: Model = None,
     clip: Clip = None,
     view: View = None,
+    rig: Rig = None,
     pictures: Pictures = True,
     overwrite: Overwrite = False,
 ) -> None:
     """Re-fit the expressions of a track with fixed poses; the result is a new track."""
     changes = {"refinement": {"reestimate": 1}}
-    _work(
-        run, out, "reestimate", changes, ["reestimate"], model, view, clip=clip, pictures=pictures, overwrite=overwrite
-    )
+    options = {"clip": clip, "rig": rig, "pictures": pictures, "overwrite": overwrite}
+    _work(run, out, "reestimate", changes, ["reestimate"], model, view, **options)
 
 
 def _check(method: str, known: list[str]) -> None:
@@ -152,9 +156,11 @@ def _flow(estimator: str | None, renders: str | None) -> dict[str, str]:
     return {name: value for name, value in given.items() if value is not None}
 
 
-def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, view, **options):
+def _work(run: Path, out: Path | None, name: str, changes, steps, model_path, view, rig: Path | None, **options):
     """The result of these steps on a run's track, told."""
     stored = track_file(run)
+    if rig is not None:
+        changes = {**changes, "camera": {"rig": str(rig)}}
     config = workbench.pipeline.config_of(workbench.tracking.TrackReader(stored).meta).changed(**changes)
     model = face_model(model_path)
     home = stored.parent if stored.parent.name not in ("", "..") else stored.resolve().parent

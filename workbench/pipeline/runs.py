@@ -439,7 +439,15 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
         "model": model_record(model),
         **scheme_record(model.scheme),
         "versions": software_versions(),
+        **_named_files(config),
     }
+
+
+def _named_files(config: Config) -> dict[str, Any]:
+    """The files of a configuration that fits depend on, for a track's metadata; nothing where it names none."""
+    named = map(Path, (config.camera.rig, config.deep.network, config.flow.estimator))
+    files = [{"path": str(path), "sha256": content_hash(path)} for path in named if path.is_file()]
+    return {"files": files} if files else {}
 
 
 def _names(frames: Frames) -> list[str]:
@@ -449,7 +457,7 @@ def _names(frames: Frames) -> list[str]:
 
 
 def _fingerprint(meta: dict[str, Any]) -> str:
-    """The metadata holds all that a run depends on: inputs, configuration, model, versions.
+    """The metadata holds all that a run depends on: inputs, configuration and its files, model, versions.
 
     The order of its entries counts, as later landmark weights overrule earlier ones. Of the detector only which one ran
     counts, not whether it was asked for by name or by "auto".

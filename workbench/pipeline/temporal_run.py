@@ -100,10 +100,13 @@ def views_of(
     """The pictures that a track was made from, in each view; empty for a track without those of every view.
 
     `pictures` and `others` (by the views' names) say where they are now. Raises `InputError` for these, and for all
-    that are `needed`, where they are not there; for views the rig does not have, and for a track of unrelated photos.
+    that are `needed`, where they are not there; for a rig that is no longer there, for views that it does not have,
+    and for a track of unrelated photos.
     """
     if meta.get("stills"):
         raise InputError("This track holds unrelated photos; infill and refinement need frames of a clip.")
+    if config.camera.rig and not Path(config.camera.rig).exists():
+        raise InputError(f"The rig of this track is no longer at {config.camera.rig}; name it with --rig.")
     names = read_rig(Path(config.camera.rig)).names if config.camera.rig else ("",)
     unknown = [name for name in others if name not in names[1:]]
     if unknown:

@@ -1,7 +1,8 @@
 """N(F*): the network's landmarks in the photo, in the same crop that a render of this face would get."""
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache, lru_cache, partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -50,7 +51,6 @@ BUNDLED = {"heat-maps": bundled_heat_maps, "landmarks": bundled_landmark_network
 """The networks that come with the package, by what a configuration calls them."""
 
 
-@cache
 def energy_network(name: str) -> EnergyNetwork:
     """N: one of `BUNDLED`, or the network of a weights file: 3D-FAN's or one of our own two kinds.
 
@@ -58,6 +58,12 @@ def energy_network(name: str) -> EnergyNetwork:
     """
     if name in BUNDLED:
         return BUNDLED[name]()
+    return _network_of(name, Path(name).stat().st_mtime_ns if Path(name).is_file() else None)
+
+
+@lru_cache(maxsize=4)
+def _network_of(name: str, _written_ns: int | None) -> EnergyNetwork:
+    """The network of a weights file as of when it was written: training may write it again."""
     weights = read_weights(name)
     if weights.architecture == DENSE_NETWORK:
         return _of_the_scheme(dense_network_from(weights), weights.origin)

@@ -47,7 +47,7 @@ class StageRow:
         )  # fmt: skip
         self.limit = widgets.BoundedIntText(min=0, max=500, tooltip="iteration limit (ρ, ε)", layout=_fixed("44px"))
         self.when = widgets.Dropdown(
-            options=["always", "start"], tooltip="start: only on the first frame of a shot",
+            options=["always", "start"], tooltip="start: only on the first frame of a shot (FACE IT!)",
             layout=_fixed("76px"),
         )  # fmt: skip
         self.result = widgets.Label(layout=widgets.Layout(width="114px", flex="1 0 114px", max_width="260px"))
