@@ -220,16 +220,14 @@ class DeepFitter(Fitter):
         if self.plan.deep.start == "frontal" or observation.landmarks is None:
             return start
         fit = self._points.fit(observation, FrameContext(0, context.identity, None, None))[0]
-        rotation, translation = jnp.asarray(fit.rotation), jnp.asarray(fit.translation)
-        if not self.plan.camera.parallel:
-            return start._replace(rotation=rotation, translation=translation)
         # In parallel projection a head that is as far again is half as large, at half the offset.
-        nearer = start.translation[2] / translation[2]
-        return start._replace(rotation=rotation, translation=nearer * translation, scale=nearer * start.scale)
+        nearer = self.plan.deep.distance_mm / fit.translation[2] if self.plan.camera.parallel else 1.0
+        place = nearer * jnp.asarray(fit.translation)
+        return start._replace(rotation=jnp.asarray(fit.rotation), translation=place, scale=nearer * start.scale)
 
     def _stage_problem(self, problem: DeepProblem, views: tuple[DeepView, ...], stage: StagePlan) -> StageProblem:
         deep, free = self.plan.deep, self.free(stage)
-        lower, upper = self._bounds()
+        lower, upper = map(np.concatenate, parameter_range(self.model, self.plan.solver.bounded))
         return StageProblem(
             scene=problem.scene,
             views=views,
@@ -267,10 +265,6 @@ class DeepFitter(Fitter):
         return np.concatenate(
             free_parameters(self.model, stage.free, stage.shapes, self.plan.camera.parallel, stage.name)
         )
-
-    def _bounds(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        lower, upper = parameter_range(self.model, self.plan.solver.bounded)
-        return np.concatenate(lower), np.concatenate(upper)
 
     def _empty(self, observation: FrameObservation, shot: int) -> FrameFit:
         rows = len(self.plan.running(start=True))
