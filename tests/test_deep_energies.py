@@ -785,10 +785,6 @@ def test_unknown_blendshapes_are_refused(deep):
     [
         ({"stages": _dumped((Stage(name="j", free=("jaw",)),))}, "stage 'j' frees 'jaw', which takes system"),
         ({"camera": {"projection": "orthographic"}}, "an orthographic camera takes system"),
-        (
-            {"stages": _dumped((Stage(name="m", free=("expression",), shapes=("mouth",)),))},
-            "stage 'm' frees single shapes, which takes system",
-        ),
         ({"camera": {"rig": "rig.toml"}}, "a rig of several cameras takes system"),
     ],
 )

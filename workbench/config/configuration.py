@@ -152,8 +152,6 @@ class Config(Section):
             foreign = [name for name in stage.free if name not in self.traits.blocks]
             if foreign:
                 raise ValueError(f"stage {stage.name!r} frees {foreign[0]!r}, which takes system = 'deep-energies'")
-            if self.system == "face-it" and stage.shapes:
-                raise ValueError(f"stage {stage.name!r} frees single shapes, which takes system = 'deep-energies'")
         if self.system == "face-it" and self.camera.projection == "orthographic":
             raise ValueError("an orthographic camera takes system = 'deep-energies'")
         if self.system == "face-it" and self.camera.rig:
