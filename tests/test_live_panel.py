@@ -415,6 +415,42 @@ def test_another_preset_while_recording_is_refused_and_the_menu_goes_back(panel,
     assert panel.preset.value == "joint"
 
 
+def test_an_error_goes_after_some_seconds_of_pictures(panel, camera, frames, monkeypatch):
+    panel.start()
+    play(panel, camera, frames[:1])
+    panel.controls.by_path["weights.tau"].readout.value = "-3"
+    play(panel, camera, frames[1:2])
+    assert panel.view.alert
+    monkeypatch.setattr("workbench.widgets.live_messages.ALERT_S", 0.0)
+    play(panel, camera, frames[2:3])
+    assert (panel.view.alert, panel.view.message) == (False, "")
+
+
+def test_a_preset_keeps_the_detector_and_its_points(panel, camera, frames):
+    panel.preset.value = "dense"
+    assert panel.session.config.stages == preset("dense").stages
+    assert panel.session.config.landmarks.detector == panel.session.base.landmarks.detector
+    panel.start()
+    play(panel, camera, frames[:1])
+    assert len(panel.fit.observed) == 68
+
+
+def test_the_avatar_has_the_shapes_of_the_points_that_are_fitted(head):
+    made = LivePanel(HandCamera(), head, preset("gaze"))
+    assert made.view._mesh["shapes"] == len(made.session.model.expression_names) > len(head.expression_names)
+    made.close()
+
+
+def test_a_configuration_with_a_name_of_its_own_is_in_the_menu(head):
+    config = preset("joint").changed(preset="mine", weights={"tau": 3.0})
+    made = LivePanel(HandCamera(), head, config)
+    assert made.preset.value == "mine"
+    made.preset.value = "face-it"
+    made.preset.value = "mine"
+    assert made.session.config == config
+    made.close()
+
+
 def test_calibration_tells_what_to_do_and_when_it_is_done(panel, camera, frames):
     panel.start()
     play(panel, camera, frames[:1])

@@ -276,6 +276,14 @@ def test_deep_energies_is_refused(head, session):
         session.use(preset("deep-points"))
 
 
+@pytest.mark.parametrize("name", ["gaze", "dense"])
+def test_a_detector_of_other_points_is_refused(name, head):
+    session = LiveSession(head)
+    with pytest.raises(InputError, match="finds other points than this session fits, ibug68; open another"):
+        session.use(preset(name))
+    assert session.config == session.base
+
+
 # --- recording ---
 
 

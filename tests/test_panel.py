@@ -18,6 +18,8 @@ from workbench.diagnosis import Change
 from workbench.errors import ConfigError, StoppedError
 from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
+from workbench.landmarks.scheme import IBUG68
+from workbench.landmarks.schemes import DENSE
 from workbench.samples import sample
 from workbench.session import FittedHead, TuningSession, gesture, material_of_photo, open_session
 from workbench.session.knobs import (
@@ -36,14 +38,17 @@ from workbench.tracking.frame_solver import solve_frame
 from workbench.tracking.identity import calibrate_identity
 from workbench.widgets import FitPlayground, LivePanel, SessionOpener, TuningPanel, knob_control, tuning_panel
 from workbench.widgets.chart_view import ChartView
+from workbench.widgets.controls import Controls
 from workbench.widgets.diagnosis_view import found_text
 from workbench.widgets.film_strip import FilmStrip
+from workbench.widgets.history_bar import HistoryBar
 from workbench.widgets.knob_control import CHANGED, KnobControl, place_of, value_at
 from workbench.widgets.landmark_tools import LandmarkTools
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.light_panel import LightPanel
 from workbench.widgets.overlay_view import OverlayEvent
 from workbench.widgets.stage_editor import StageEditor, landmarks_text, read_landmarks
+from workbench.widgets.status_line import StatusLine
 from workbench.widgets.tuning_panel import Show
 from workbench.widgets.waiting import Waiting
 from workbench.widgets.webgl_head_view import WebGLCanvas
@@ -337,9 +342,10 @@ def test_a_typed_number_is_taken_as_it_is_and_nonsense_is_put_back():
     control.show(0.1)
     control.readout.value = "0,1234"
     assert turned == [0.1234]
-    control.readout.value = "much"
-    assert control.readout.value == "0.1234"
-    assert turned == [0.1234]
+    for nonsense in ("much", "nan", "inf"):
+        control.readout.value = nonsense
+        assert control.readout.value == "0.1234"
+        assert turned == [0.1234]
 
 
 def test_a_refused_number_leaves_the_slider_at_the_old_value(panel):
@@ -421,6 +427,18 @@ def test_the_stage_table_shows_every_stage_and_what_its_system_can_free(name):
     for row in shown_in(editor):
         assert {block for block, toggle in row.free.items() if is_shown(toggle)} == free
         assert all(is_shown(button) for button in row.buttons.values())
+
+
+def test_an_edit_of_a_stage_leaves_its_landmark_weights_unless_their_text_is_changed():
+    config, handed = preset("joint"), []
+    stages = [stage.model_dump() for stage in config.stages]
+    stages[0]["landmarks"] = {"all": 1.0, "jaw": 0.123456789}
+    editor = StageEditor(lambda stages, label: handed.append(stages), lambda what, number: None, 190)
+    editor.show(config.changed(stages=stages))
+    editor._rows[0].limit.value = 7
+    assert handed[-1][0]["landmarks"] == {"all": 1.0, "jaw": 0.123456789}
+    editor._rows[0].landmarks.value = "all 1, jaw 0.5"
+    assert handed[-1][0]["landmarks"] == {"all": 1.0, "jaw": 0.5}
 
 
 def test_a_stage_can_be_added_to_the_longest_schedule_and_taken_away_again():
@@ -550,6 +568,26 @@ def test_undo_redo_presets_and_snapshots(fresh_panel):
     assert fresh_panel.wait_idle()
     assert fresh_panel.head.view.canvas._mesh["worn"]
     assert fresh_panel.head.view.canvas._ghost["vertices"]
+
+
+def test_a_preset_keeps_what_the_landmarks_were_found_with(head, photo):
+    found = {"detector": "network", "face": (10.0, 20.0)}
+    session = TuningSession(head, photo, preset("joint").changed(landmarks=found))
+    HistoryBar(session, StatusLine()).reset.value = "preset:dense"
+    assert session.config.stages == PRESETS["dense"].stages
+    assert session.config.landmarks.weights == PRESETS["dense"].landmarks.weights
+    assert (session.config.landmarks.detector, session.config.landmarks.face) == ("network", (10.0, 20.0))
+
+
+def test_a_snapshot_without_a_name_replaces_none(head, photo):
+    session = TuningSession(head, photo)
+    bar = HistoryBar(session, StatusLine())
+    session.take_snapshot("snapshot 2")
+    session.set(weights={"tau": 3.0})
+    for _ in range(2):
+        bar.take()
+    assert session.snapshots["snapshot 2"] == session.base
+    assert list(session.snapshots) == ["snapshot 2", "snapshot 1", "snapshot 3"]
 
 
 def test_landmarks_are_muted_weighed_moved_put_back_and_named_in_the_picture(panel):
@@ -774,9 +812,14 @@ def test_a_cancelled_drag_leaves_no_trace(head, photo):
     session.set(weights={"tau": 0.5})
     before, steps = session.config, session.undo_steps
     for kind in ("drag", "drag", "cancel"):
-        tools._on_event(OverlayEvent(kind, (30,), 260.0, 140.0))
+        tools.view._handle_custom_msg({"kind": kind, "points": [30], "x": 260.0, "y": 140.0}, [])
     assert session.config == before
     assert session.undo_steps == steps
+    tools.view._handle_custom_msg({"kind": "cancel", "points": [30], "x": 260.0, "y": 140.0}, [])  # of no drag
+    for kind in ("drag", "drop"):
+        tools.view._handle_custom_msg({"kind": kind, "points": [8], "x": 200.0, "y": 240.0}, [])
+    assert set(session.config.landmarks.moved["0"]) == {"8"}
+    assert len(session.undo_steps) == len(steps) + 1
     tools.close()
 
 
@@ -816,6 +859,25 @@ def test_settings_of_the_other_system_are_greyed_out_and_a_sentence_says_why(pan
 
 def controls_of(panel, enabled):
     return {path for path, control in panel.controls.by_path.items() if control.input.disabled != enabled}
+
+
+def test_sliders_of_further_points_act_where_there_are_such_points_whatever_the_detector_is_called():
+    def greyed(config, scheme):
+        controls = Controls(config, lambda path, value: None, scheme=scheme)
+        return {path for path in UNSEEN if controls.by_path[path].input.disabled}
+
+    assert greyed(preset("dense"), IBUG68) == UNSEEN
+    assert greyed(preset("joint"), DENSE) == set()
+
+
+def test_the_field_of_view_is_that_of_a_measured_camera_where_there_is_one():
+    camera = {"matrix": [[900, 0, 320], [0, 900, 240], [0, 0, 1]]}
+    controls = Controls(preset("joint").changed(camera=camera), lambda path, value: None)
+    assert controls.by_path["camera.fov_deg"].input.disabled
+    assert "camera.matrix" in controls.notes["camera"].value
+    controls.show(preset("joint"))
+    assert not controls.by_path["camera.fov_deg"].input.disabled
+    assert controls.notes["camera"].value == ""
 
 
 def test_what_is_greyed_out_changes_no_fit(head, photo):

@@ -20,7 +20,7 @@ from workbench.landmarks.scheme import IBUG68
 from workbench.pipeline import track as run_track
 from workbench.planning import plan_of
 from workbench.samples import sample
-from workbench.session import Material, TuningSession, material_of_photo, material_of_track, open_session
+from workbench.session import Material, TuningSession, material_of_photo, material_of_track, open_session, readiness
 from workbench.session.exports import free_file
 from workbench.session.knobs import changed_by, value_of
 from workbench.session.landmark_edits import LEAST_FACTOR, rescaled, unmuted, weighed
@@ -274,6 +274,13 @@ def test_nothing_compiles_after_the_warm_up(head, photo):
     assert (solve_frame._cache_size(), calibrate_identity._cache_size()) == before
 
 
+def test_getting_ready_is_no_error_where_the_system_is_changed_meanwhile(head, photo, monkeypatch):
+    session = TuningSession(head, photo)
+    monkeypatch.setattr(readiness, "compile_solvers", lambda *what: session.use(preset("deep")))
+    session.warm_up()
+    assert session.config.system == "deep-energies"
+
+
 def test_threads_may_change_and_fit_at_once(session):
     session.fit_clip()
     wrong = []
@@ -385,6 +392,10 @@ def test_a_subset_is_saved_for_stages(session):
     assert session.config.point_weights()[51] == 3.0
     with pytest.raises(ConfigError, match="at least one point"):
         session.save_subset("empty", [])
+    with pytest.raises(ConfigError, match="a subset needs a name"):
+        session.save_subset(" ", [50])
+    with pytest.raises(ConfigError, match=r"'upper, lower'.* leave it out"):
+        session.save_subset("upper, lower", [50])
 
 
 def test_a_frame_outside_the_material_is_refused(session):

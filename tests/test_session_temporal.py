@@ -245,6 +245,16 @@ def test_all_methods_are_compared_and_kept(session):
     assert session.temporal.comparable() == {}
 
 
+def test_results_of_other_settings_of_a_method_are_not_compared(session):
+    session.set(refinement={"method": "averaging", "centre": 0.9})
+    first = session.temporal.run()
+    session.set(refinement={"centre": 0.1})
+    second = session.temporal.run()
+    assert session.temporal.comparable() == {"averaging": second}
+    session.undo()
+    assert session.temporal.comparable() == {"averaging": first} == {"averaging": session.temporal.current}
+
+
 def test_without_a_failed_frame_refinements_alone_are_compared(session):
     names = [name_of(variant) for variant in session.temporal.variants(session.config, (0, 9))]
     assert names == ["averaging", "self", "plate", "hybrid"]

@@ -12,7 +12,7 @@ from workbench.errors import InputError
 from workbench.session import TuningSession
 from workbench.session.sweep_settings import found_setting, place_among, sweep_settings, value_at
 from workbench.session.sweeping import in_groups
-from workbench.sweeps import config_at, points_of, read_axis
+from workbench.sweeps import Point, config_at, points_of, read_axis
 from workbench.widgets.sweep_page import SweepPage, progress_text
 from workbench.widgets.sweep_view import packed
 
@@ -156,6 +156,18 @@ def test_a_click_takes_a_point_as_one_undo_step_and_keeps_the_other_settings(pag
     session.undo()
     page.show_config()
     assert page.note.value == ""
+
+
+def test_a_curve_over_a_stage_stays_where_a_preset_lacks_the_stage(page):
+    result, asked = page.result, page._asked
+    point = Point(0, (("stages.expression.limit", 3),))
+    axes = (read_axis("stages.expression.limit=1..3"),)
+    page.result = replace(result, axes=axes, points=(point, *result.points[1:]))
+    page._session.use(preset("deep"))
+    page.show_config()
+    assert page.view._sent["now"] is None
+    assert "Other settings have changed" in page.note.value
+    page.result, page._asked = result, asked
 
 
 @pytest.mark.parametrize("content", [{"pick": 5}, {"pick": -1}, {"pick": True}, {"pick": "1"}, {}, "pick"])

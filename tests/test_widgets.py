@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from workbench.config import FACE_IT_PRESETS, PRESETS, preset
+from workbench.errors import InputError
 from workbench.frames import read_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.samples import sample
@@ -123,6 +124,21 @@ def test_a_preset_brings_its_bounds_and_stages(playground):
     playground.preset.value = "calibrated"
     assert len(playground.config.stages) == 5
     assert playground.fit.expression.min() >= 0.0
+
+
+def test_a_configuration_with_a_name_of_its_own_is_in_the_menu(head, portrait):
+    config = preset("joint").changed(preset="mine", weights={"sigma_smooth": 7.0})
+    made = FitPlayground(*portrait, head, config)
+    assert made.preset.value == "mine"
+    made.preset.value = "face-it"
+    made.preset.value = "mine"
+    assert made.config.weights.sigma_smooth == 7.0
+    made.close()
+
+
+def test_deep_energies_is_refused(head, portrait):
+    with pytest.raises(InputError, match=r"Deep Energies takes seconds per fit.*use one of"):
+        FitPlayground(*portrait, head, preset("deep"))
 
 
 def test_numbers_that_cannot_be_used_are_explained_and_the_next_move_recovers(playground):

@@ -136,7 +136,9 @@ class Config(Section):
     @model_validator(mode="after")
     def _names_are_known(self):
         for name in self.subsets:
-            if name in ALL_GROUPS or name.isdigit() or not name:
+            if not name.strip():
+                raise ValueError("a subset needs a name: type one")
+            if name in ALL_GROUPS or name.isdigit():
                 raise ValueError(f"a subset cannot be called {name!r}: that is a built-in group or a point number")
         tables = {"landmarks.weights": self.landmarks.weights}
         tables |= {f"stage {stage.name!r}": stage.landmarks for stage in self.stages}

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from workbench.config import Config
 from workbench.config.schedules import ALL_GROUPS, weights_in_turn
 from workbench.energies.terms import NODES, TABLE, Term, factor
-from workbench.landmarks.scheme import GROUPS, POINT_COUNT
+from workbench.landmarks.scheme import GROUPS, POINT_COUNT, LandmarkScheme
 from workbench.landmarks.schemes import DENSE, detector_scheme
 from workbench.session.knob_words import Words, plain_words
 
@@ -179,8 +179,12 @@ def label_of(path: str) -> str:
     return f"{knob.label}, {knob.words.name}"
 
 
-def inert_among(config: Config, paths: Iterable[str]) -> frozenset[str]:
-    """The knobs among these that have no effect under this configuration's system and stages."""
+def inert_among(config: Config, paths: Iterable[str], scheme: LandmarkScheme | None = None) -> frozenset[str]:
+    """The knobs among these that have no effect under this configuration's system and stages.
+
+    `scheme`: of the landmarks that there are; None: of those that the configuration's detector finds.
+    """
+    scheme = detector_scheme(config.landmarks.detector) if scheme is None else scheme
     traits, terms, system = config.traits, config.summed_terms, config.system
     ones = dict.fromkeys(config.omega(), 1.0)
 
@@ -198,8 +202,9 @@ def inert_among(config: Config, paths: Iterable[str]) -> frozenset[str]:
             )
         if section == "group" and key in FURTHER_GROUPS:
             # Renders hold the gaze.
-            seen = key in detector_scheme(config.landmarks.detector).groups
-            return seen and not (key == "irises" and traits.renders)
+            return key in scheme.groups and not (key == "irises" and traits.renders)
+        if path == "camera.fov_deg" and config.camera.matrix is not None:
+            return False
         return traits.reads(path)
 
     return frozenset(path for path in paths if not acts(path))

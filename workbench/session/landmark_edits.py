@@ -76,10 +76,15 @@ def put_back(
 
 
 def with_subset(config: Config, name: str, points: Iterable[int]) -> Config:
-    """The configuration with a named set of landmarks. Raises `ConfigError` for an empty set or the name of a group."""
+    """The configuration with a named set of landmarks.
+
+    Raises `ConfigError` for an empty set, the name of a group, and a comma, which separates groups in a text.
+    """
     points = tuple(sorted({int(point) for point in points}))
     if not points:
         raise ConfigError("A landmark subset needs at least one point; select some first.")
+    if "," in name:
+        raise ConfigError(f"A subset cannot be called {name!r}: a comma separates groups; leave it out.")
     return config.changed(subsets={name: points})
 
 

@@ -131,13 +131,14 @@ class LiveSession:
     def use(self, config: Config, gesture: Gesture | str | None = None) -> None:
         """Change the configuration: a new undo step, or part of the last one within a drag or shortly after it.
 
-        Raises `InputError` for Deep Energies, and for other stages or terms while recording.
+        Raises `InputError` for Deep Energies, a detector of other points, and other stages or terms while recording.
         """
         _check_live(config)
         with self._lock:
             if config == self.config:
                 return
             _check_recording(self._recorder, self.config, config)
+            _check_points(self._detector, self.model, config)
             self._history.change(replace(self._history.present, config=config), gesture=gesture)
 
     def undo(self) -> bool:
@@ -303,6 +304,16 @@ def _check_live(config: Config) -> None:
         raise InputError(
             f"{config.traits.title} takes seconds per frame and cannot follow a camera; use one of "
             f"{', '.join(FACE_IT_PRESETS)}."
+        )
+
+
+def _check_points(given: LandmarkDetector | None, model: FaceModel, config: Config) -> None:
+    """The detector stays, and with it the points that are fitted; one that was `given` needs no name."""
+    name = config.landmarks.detector
+    if given is None and detector_scheme(name) is not model.scheme:
+        raise InputError(
+            f"The detector {name!r} finds other points than this session fits, {model.scheme.name}; open another live "
+            "session or panel with this configuration."
         )
 
 

@@ -19,7 +19,7 @@ from workbench.pipeline import content_hash, is_landmark_file, open_source
 from workbench.tracking import FrameObservation
 
 KEPT_BYTES = 256 << 20
-"""Number of decoded pictures that a session caches."""
+"""Bytes of decoded pictures that a session keeps."""
 FORWARD_FRAMES = 24
 """A frame that lies this little ahead is read by going on: seeking decodes from the key frame before it."""
 CANVAS = 235

@@ -19,7 +19,7 @@ def get_ready(session, cancelled: Cancelled) -> None:
     observations = session.material.observations
     compile_solvers(session.model, session.base, observations[0].image_size, cancelled)
     seen = next((k for k, observation in enumerate(observations) if observation.landmarks is not None), None)
-    if seen is not None:
+    if seen is not None and session.config.traits.diagnosed:  # which may have changed meanwhile
         session.diagnose(seen, cancelled=cancelled)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from workbench.config import Config
 from workbench.errors import InputError
+from workbench.landmarks.scheme import LandmarkScheme
 from workbench.landmarks.schemes import DENSE
 from workbench.session.knobs import (
     CAMERA,
@@ -61,12 +62,13 @@ class SweepSetting:
         return all(word in told for word in text.lower().replace("_", " ").replace("·", " ").split())
 
 
-def sweep_settings(config: Config) -> tuple[SweepSetting, ...]:
-    """The settings that act on the fits of a configuration, in the order of their sliders; each title is there once."""
+def sweep_settings(config: Config, scheme: LandmarkScheme | None = None) -> tuple[SweepSetting, ...]:
+    """The settings that act on the fits of a configuration, in the order of their sliders; each title is there once.
+
+    `scheme` as for `inert_among`.
+    """
     knobs = (*OMEGA, *SOLVE, *CAMERA, *IDENTITY, *CONSTANTS, *LANDMARKS)
-    left_out = inert_among(config, (knob.path for knob in knobs))
-    if config.camera.matrix is not None:
-        left_out |= {"camera.fov_deg"}
+    left_out = inert_among(config, (knob.path for knob in knobs), scheme)
     swept = (knob for knob in knobs if knob.kind in ("log", "linear", "whole") and knob.path not in left_out)
     found = [item for knob in swept for item in _of_knob(config, knob)]
     return (*found, *_without_slider(config))
@@ -89,13 +91,16 @@ def found_setting(settings: tuple[SweepSetting, ...], text: str) -> SweepSetting
 
 
 def value_at(config: Config, path: str) -> Value | None:
-    """What a configuration has at the path of a setting: for a group of landmarks what its slider shows."""
+    """What a configuration has at the path of a setting: for a group of landmarks what its slider shows.
+
+    None for a stage that it has not.
+    """
     section, *keys = path.split(".")
     if keys[:-1] == ["weights"] and keys[-1] in DENSE.groups:
         return value_of(config, f"group.{keys[-1]}")
     if section == "stages":
         name, key = ".".join(keys[:-1]), keys[-1]
-        return next(getattr(stage, key) for stage in config.stages if stage.name == name)
+        return next((getattr(stage, key) for stage in config.stages if stage.name == name), None)
     held = getattr(config, section)
     for key in keys:
         held = held.get(key, 1.0) if isinstance(held, dict) else getattr(held, key)

@@ -10,7 +10,7 @@ from workbench.errors import InputError
 from workbench.frames import FrameRange, Frames
 from workbench.pipeline.temporal_run import STEPS, Step, needs_pictures, over_time, wanted_steps
 from workbench.planning import infill_plan, refinement_plan
-from workbench.session.dependence import fits_key, time_key
+from workbench.session.dependence import TIME_SECTIONS, fits_key, time_key
 from workbench.session.failed_frames import FailedFrames
 from workbench.session.material import Cancelled, Progress
 from workbench.session.part_fits import PartFits
@@ -254,8 +254,9 @@ def work_of(fits: Sequence[FrameFit], config: Config, steps: Sequence[str]) -> i
 
 
 def _setting(config: Config) -> tuple[str, str]:
-    """Key of the settings that results must share to be compared in a chart."""
-    return fits_key(config), config.infill.model_dump_json(exclude={"method"})
+    """Key of the settings that results must share to be compared in a chart: all but the methods and their turns."""
+    methods = {"infill": {"method"}, "refinement": {"method", "sweeps", "reestimate"}}
+    return fits_key(config), config.model_dump_json(include=set(TIME_SECTIONS), exclude=methods)
 
 
 def _order(worked: Worked) -> tuple[int, int]:

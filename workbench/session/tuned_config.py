@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from workbench.config import Config, Difference, differences
+from workbench.config import Config, Difference, differences, preset
 from workbench.errors import ConfigError
 from workbench.session.gesture import Gesture
 from workbench.session.history import History
@@ -12,6 +12,15 @@ HISTORY = 200
 """Maximum number of undo steps."""
 START, NOW = "the start", "now"
 """Names of the first and of the current configuration, which no snapshot may have."""
+
+
+DETECTION = ("detector", "face_landmarker", "face")
+"""Settings that landmarks were found with, which stay while these are in use."""
+
+
+def preset_on(name: str, config: Config) -> Config:
+    """A preset for the landmarks that a configuration has found."""
+    return preset(name).changed(landmarks=config.landmarks.model_dump(include=set(DETECTION)))
 
 
 def snapshot_title(name: str) -> str:

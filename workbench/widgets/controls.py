@@ -1,10 +1,11 @@
 """The knobs of a configuration in pages, with a search over all of them; helpers for buttons and menus."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 
 import ipywidgets as widgets
 
-from workbench.config import Config
+from workbench.config import FACE_IT_PRESETS, Config
+from workbench.landmarks.scheme import LandmarkScheme
 from workbench.session.knobs import CAMERA, CONSTANTS, DEEP, IDENTITY, LANDMARKS, OMEGA, SOLVE, inert_among, value_of
 from workbench.session.knobs import effective_weights as effective_weights_of
 from workbench.widgets.knob_control import KnobControl, Turned
@@ -20,10 +21,14 @@ class Controls:
     """
 
     def __init__(
-        self, config: Config, turned: Turned, height_px: int | None = None, titles: Sequence[str] | None = None
-    ) -> None:
-        """`height_px` None: as high as its place; `titles`: the pages of `PAGES` to show, None: all."""
-        self._start, self._height_px = config, height_px
+        self, config: Config, turned: Turned, height_px: int | None = None, titles: Sequence[str] | None = None,
+        scheme: LandmarkScheme | None = None,
+    ) -> None:  # fmt: skip
+        """`height_px` None: as high as its place; `titles`: the pages of `PAGES` to show, None: all.
+
+        `scheme`: of the landmarks that are fitted; None: of the configuration's detector.
+        """
+        self._start, self._height_px, self._scheme = config, height_px, scheme
         self.by_path: dict[str, KnobControl] = {}
         self.notes: dict[str, widgets.HTML] = {}
         """The note on each page about knobs that currently have no effect."""
@@ -63,16 +68,16 @@ class Controls:
 
     def show(self, config: Config, but: str | None = None) -> None:
         """Set the controls from a configuration, except the one at `but`, which the user is holding."""
-        inert = inert_among(config, self.by_path)
+        inert = inert_among(config, self.by_path, self._scheme)
         for path, control in self.by_path.items():
             value = value_of(config, path)
             if path != but and value != control.value:
                 control.show(value)
             control.enable(path not in inert)
         for title, note in self.notes.items():
-            greyed = [knob.path in inert for knob in PAGES[title]]
-            note.value = _why_inert(config, title, all(greyed)) if any(greyed) else ""
-            note.layout.display = None if any(greyed) else "none"
+            greyed = {knob.path for knob in PAGES[title]} & inert
+            note.value = _why_inert(config, title, greyed) if greyed else ""
+            note.layout.display = None if greyed else "none"
         for path, product in effective_weights_of(config).items():
             if path in self.by_path and self.by_path[path].knob.level:
                 self.by_path[path].effective.value = f"={product:.3g}"
@@ -111,14 +116,19 @@ OF_FACE_IT = (
 SOME_OF_FACE_IT = "Greyed-out settings belong to <b>FACE IT!</b>; those of Deep Energies are on the page <b>deep</b>."
 SOME_OF_DEEP = "Greyed-out settings belong to <b>Deep Energies</b>, or to terms that no stage names."
 NO_SUCH_POINTS = (
-    "The detector (<i>landmarks.detector</i>) does not see the greyed-out points, or Deep Energies does not use them."
+    "The greyed-out points are not among those of the detector (<i>landmarks.detector</i>), or Deep Energies does not "
+    "use them."
 )
+MATRIX_GIVEN = "The configuration has a measured camera (<i>camera.matrix</i>), which holds its field of view."
 NOT_NAMED = "Greyed-out weights belong to a term that no stage names; add it to a stage's <i>terms</i>."
 
 
-def _why_inert(config: Config, title: str, every: bool) -> str:
+def _why_inert(config: Config, title: str, greyed: Set[str]) -> str:
     if title == "points":
         return NO_SUCH_POINTS
+    if greyed == {"camera.fov_deg"}:
+        return MATRIX_GIVEN
+    every = len(greyed) == len(PAGES[title])
     if title == "deep":
         own, whole, some = config.traits.reads("deep"), OF_DEEP, SOME_OF_DEEP
     else:
@@ -161,3 +171,8 @@ def menu(
     return widgets.Dropdown(
         options=options, tooltip=tip, layout=widgets.Layout(width=width, flex="0 0 auto"), **chosen
     )  # fmt: skip
+
+
+def preset_names(config: Config) -> tuple[str, ...]:
+    """The presets of FACE IT!, and what a configuration calls its own."""
+    return tuple(dict.fromkeys([*FACE_IT_PRESETS, config.preset]))

@@ -19,6 +19,7 @@ from workbench.widgets.head_backends import make_head_view
 from workbench.widgets.head_view import Carrier, HeadView
 from workbench.widgets.latest import LatestWins
 from workbench.widgets.panel_layout import classed, wrapped
+from workbench.widgets.status_line import error_text
 from workbench.widgets.waiting import Waiting
 
 COLORINGS = ("skin", "residual", "difference", "blendshape", "uncertainty")
@@ -187,7 +188,7 @@ class HeadColumn:
             self._redraw()
 
     def _failed(self, error: Exception) -> None:
-        self._say(f"{type(error).__name__}: {error}")
+        self._say(error_text(error))
 
     def _key(self, fit: FrameFit) -> tuple:
         return fit.index, fit.expression.tobytes(), fit.rotation.tobytes(), self._session.config

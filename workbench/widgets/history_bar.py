@@ -1,10 +1,12 @@
 """Undo and redo, presets and snapshots of a session."""
 
+import itertools
+
 import ipywidgets as widgets
 
-from workbench.config import PRESETS, preset
+from workbench.config import PRESETS
 from workbench.session import TuningSession
-from workbench.session.tuned_config import snapshot_title
+from workbench.session.tuned_config import preset_on, snapshot_title
 from workbench.widgets.controls import small_button
 from workbench.widgets.panel_layout import classed, group, in_line
 from workbench.widgets.status_line import StatusLine
@@ -52,17 +54,21 @@ class HistoryBar:
             kind, _, name = change["new"].partition(":")
             self.reset.value = ""
             if kind == "preset":
-                self._session.use(preset(name), f"preset {name}")
+                self._session.use(preset_on(name, self._session.base), f"preset {name}")
             elif kind == "start":
                 self._session.use(self._session.base, "the start")
             else:
                 self._status.guarded(self._session.restore_snapshot, name)
 
     def _take(self) -> None:
-        name = self.name.value.strip() or f"snapshot {len(self._session.snapshots) + 1}"
+        name = self.name.value.strip() or self._free_name()
         self._session.take_snapshot(name)
         self.name.value = ""
         self._status.say(f"Kept {name!r}: you can go back to it or compare with it in the menus.")
+
+    def _free_name(self) -> str:
+        numbered = (f"snapshot {number}" for number in itertools.count(1))
+        return next(name for name in numbered if name not in self._session.snapshots)
 
     def _places(self) -> list[tuple[str, str]]:
         presets = [(f"preset {name}", f"preset:{name}") for name in PRESETS]

@@ -125,6 +125,8 @@ class KnobControl:
         try:
             value = float(change["new"].replace(",", "."))
         except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
             if self.value is not None:
                 self._read_out(self.value)
             return

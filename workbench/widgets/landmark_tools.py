@@ -190,7 +190,7 @@ class LandmarkTools:
             session.use(rescaled(config, points, WEIGHT_STEPS[event.kind], scheme), "landmark weight")
         elif event.kind in ("drag", "drop"):
             session.move(self.frame, points[0], (event.x, event.y), self._gesture(event))
-        elif event.kind == "cancel":
+        elif event.kind == "cancel" and self._dragging:
             session.use(self._before, "landmark drag", self._gesture(event))
         elif event.kind == "reset":
             session.put_back(self.frame, points)

@@ -1,5 +1,6 @@
 """Messages over the picture of a live view: instructions, status and errors."""
 
+import time
 from collections.abc import Callable
 
 from workbench.errors import WorkbenchError
@@ -11,16 +12,19 @@ WELCOME = "Press start. Pictures go from the browser to the kernel and nowhere e
 STOPPED = "Stopped; the camera is off."
 READYING = "Getting ready …"
 NEUTRAL = "Look into the camera with a neutral face: mouth closed, brows at rest …"
+ALERT_S = 8.0
+"""An error is shown over a running picture for this time."""
 
 
 class LiveMessages:
     """One message at a time over a view; may be set from any thread."""
 
     def __init__(self, view: LiveView) -> None:
-        self._view = view
+        self._view, self._since = view, 0.0
 
     def say(self, text: str, wrong: bool = False) -> None:
         """Show a message; an empty one removes it."""
+        self._since = time.monotonic()
         with self._view.hold_sync():
             self._view.message, self._view.alert = text, wrong
 
@@ -38,6 +42,7 @@ class LiveMessages:
             self.say(f"Writing failed ({error}); choose another folder.", wrong=True)
 
     def waited(self, session: LiveSession) -> None:
-        """Remove the message if the user no longer has to wait."""
-        if self._view.message == READYING or (self._view.message == NEUTRAL and session.gathering is None):
+        """Remove the message if the user no longer has to wait, or has had time to read what went wrong."""
+        over = self._view.message == READYING or (self._view.message == NEUTRAL and session.gathering is None)
+        if over or (self._view.alert and time.monotonic() - self._since > ALERT_S):
             self.say("")

@@ -48,8 +48,8 @@ class LivePanel(widgets.VBox):
     ) -> None:
         lose_no_messages()
         self._closed = True  # nothing to free until everything is built
-        model = load_default_head() if model is None else model
-        self.session = LiveSession(model, config)
+        self.session = LiveSession(load_default_head() if model is None else model, config)
+        model = self.session.model  # with the detector's points
         self.fit: FrameFit | None = None
         self._lock = threading.RLock()
         self._source: FrameSource | None = None

@@ -5,12 +5,13 @@ from typing import Any
 
 import ipywidgets as widgets
 
-from workbench.config import FACE_IT_PRESETS, Config, preset
+from workbench.config import FACE_IT_PRESETS, Config
 from workbench.errors import WorkbenchError
 from workbench.session.gesture import Gesture
 from workbench.session.knobs import changed_by
 from workbench.session.live import LiveSession
-from workbench.widgets.controls import Controls, menu, small_button
+from workbench.session.tuned_config import preset_on
+from workbench.widgets.controls import Controls, menu, preset_names, small_button
 from workbench.widgets.panel_page import PanelPage
 
 PAGES = ("ω", "ρ ε", "camera", "points", "a b c")
@@ -32,13 +33,13 @@ class LiveSettings:
         height_px: int,
     ) -> None:
         self._session, self._page, self._guarded, self._write, self._quiet = session, page, guarded, write, False
-        self.preset = menu(FACE_IT_PRESETS, "96px", "preset", session.config.preset)
+        self.preset = menu(preset_names(session.config), "96px", "preset", session.config.preset)
         self.preset.observe(self._on_preset, "value")
         self.undo = small_button("↶ undo", "undo the last change or neutral calibration")
         self.undo.on_click(lambda _button: self._guarded(self._on_undo))
         self.defaults = small_button("defaults", "back to the initial settings; undo brings yours back")
         self.defaults.on_click(lambda _button: guarded(self._use, session.base))
-        self.controls = Controls(session.config, self._on_knob, height_px, PAGES)
+        self.controls = Controls(session.config, self._on_knob, height_px, PAGES, session.model.scheme)
         page.on_reset(self.controls.reset)
         self.widgets: tuple[widgets.Widget, ...] = (self.preset, self.undo, self.defaults)
 
@@ -56,7 +57,8 @@ class LiveSettings:
 
     def _on_preset(self, change) -> None:
         if not self._quiet:
-            self._guarded(self._use, preset(change["new"]))
+            name, base = change["new"], self._session.base
+            self._guarded(self._use, preset_on(name, base) if name in FACE_IT_PRESETS else base)
 
     def _use(self, config: Config) -> None:
         try:
@@ -75,6 +77,8 @@ class LiveSettings:
         self.controls.show(config, but)
         self._quiet = True
         try:
+            if config.preset not in self.preset.options:
+                self.preset.options = preset_names(config)
             self.preset.value = config.preset
         finally:
             self._quiet = False

@@ -9,7 +9,6 @@ from pathlib import Path
 import ipywidgets as widgets
 
 from workbench.config import DEFAULT_PRESET, Config, preset
-from workbench.errors import WorkbenchError
 from workbench.landmarks.files import SUFFIXES
 from workbench.samples import sample
 from workbench.session import TuningSession, open_session
@@ -17,6 +16,7 @@ from workbench.tracking import Track
 from workbench.widgets.controls import small_button
 from workbench.widgets.detection_preview import DetectionPreview
 from workbench.widgets.latest import LatestWins
+from workbench.widgets.status_line import error_text
 from workbench.widgets.tuning_panel import TuningPanel
 from workbench.widgets.upload import Upload
 
@@ -147,7 +147,7 @@ class SessionOpener(widgets.VBox):
 
     def _failed(self, error: Exception) -> None:
         self._rest()
-        self._say(str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}", wrong=True)
+        self._say(error_text(error), wrong=True)
 
     def _say(self, text: str, wrong: bool = False) -> None:
         style = " role='alert' style='color:var(--jp-error-color1, #b3261e)'" if wrong else ""

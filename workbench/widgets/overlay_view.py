@@ -11,19 +11,20 @@ import numpy as np
 import traitlets
 from jaxtyping import Float, Num, Shaped, UInt8
 
-from workbench.errors import InputError, WorkbenchError
+from workbench.errors import InputError
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.landmarks.schemes import scheme_of_count
 from workbench.widgets.browser_program import BROWSER, browser_program
 from workbench.widgets.encoded_pictures import layer_bytes, picture_bytes
 from workbench.widgets.head_view import scale_colors
+from workbench.widgets.status_line import error_text
 
 SMALLEST_SCALE = 0.5
 """Smallest end of the automatic colour scale, so that a good fit does not look like a bad one."""
 CALM_STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Automatic scales end at one of these values times a power of ten, so that they rarely change between frames."""
 TOOLS = ("select", "lasso", "move")
-KINDS = ("select", "lasso", "mute", "weight_up", "weight_down", "drag", "drop", "reset")
+KINDS = ("select", "lasso", "mute", "weight_up", "weight_down", "drag", "drop", "cancel", "reset")
 LAYERS: Mapping[str, bool] = {
     "observed": True,
     "model": True,
@@ -52,7 +53,8 @@ class OverlayEvent:
 
     "select" and "lasso" carry the new selection; "mute" (toggle), "weight_up" (double), "weight_down" (halve) and
     "reset" (back to the detected position) carry the selection they apply to; "drag" (while the mouse moves) and
-    "drop" (at its end, or after an arrow key) carry one landmark and its new position.
+    "drop" (at its end, or after an arrow key) carry one landmark and its new position; "cancel" (a drag that was left)
+    carries one landmark and where it was grabbed.
     """
 
     kind: str
@@ -303,14 +305,14 @@ class OverlayView(anywidget.AnyWidget):
             except Exception as error:
                 # The user sees the error where they clicked, and the widget continues.
                 self._failed = True
-                self.message = str(error) if isinstance(error, WorkbenchError) else f"{type(error).__name__}: {error}"
+                self.message = error_text(error)
                 logging.getLogger(__name__).debug("callback of OverlayView failed", exc_info=True)
 
 
 def _checked_points(points: Num[np.ndarray, "..."]) -> Float[np.ndarray, "points 2"]:
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != 2:
-        raise InputError(f"landmarks are an array of shape (68, 2), x and y in pixels; got shape {points.shape}")
+        raise InputError(f"landmarks are an array of shape (points, 2), x and y in pixels; got shape {points.shape}")
     scheme_of_count(len(points))
     return points
 

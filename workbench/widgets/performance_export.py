@@ -83,7 +83,8 @@ class PerformanceExport:
     def show_command(self) -> None:
         """Show the commands that do the same."""
         options = [*(["--shot", str(self.shot.value)] if self.shot.value != ALL_SHOTS else [])]
-        options += ["--fps", self.fps.value.strip()] if self.fps.value.strip() and self._takes_rate else []
+        rate = _with_point(self.fps.value)
+        options += ["--fps", rate] if rate and self._takes_rate else []
         options += ["--character", self.character.value] if self._dressed else []
         text = performance_commands(self._session, self._settings(), typed_path(self.file.value), options)
         self.command.value = f"<code>{html.escape(text)}</code>"
@@ -155,11 +156,16 @@ class PerformanceExport:
             self.said.say(f"{step} {done} of {total} …")
 
 
+def _with_point(text: str) -> str:
+    """A typed number as the command line reads it."""
+    return text.strip().replace(",", ".")
+
+
 def _rate(text: str) -> float | None:
     """Frames per second as typed; None for an empty field. Raises `InputError` for other texts."""
     if not text.strip():
         return None
     try:
-        return float(text.replace(",", "."))
+        return float(_with_point(text))
     except ValueError:
         raise InputError(f"Frames per second are a number such as 25, got {text!r}.") from None

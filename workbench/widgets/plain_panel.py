@@ -31,7 +31,7 @@ class PlainPanel(widgets.VBox):
         self.session, self._closed = session, False
         self.status = StatusLine()
         self.history = HistoryBar(session, self.status)
-        self.controls = Controls(session.base, self._on_knob, SETTINGS_PX)
+        self.controls = Controls(session.base, self._on_knob, SETTINGS_PX, scheme=session.material.scheme)
         self.frame = widgets.IntSlider(
             min=0, max=len(session) - 1, description="frame", continuous_update=False,
             layout=widgets.Layout(width="100%", display=None if len(session) > 1 else "none"),

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from workbench.config import DEFAULT_PRESET, FACE_IT_PRESETS, Config, preset
-from workbench.errors import WorkbenchError
+from workbench.errors import InputError, WorkbenchError
 from workbench.face import DressedHead, FaceModel
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures import HeadPanel, draw_overlay, side_by_side
@@ -17,6 +17,7 @@ from workbench.pictures.overlay import OverlayParts
 from workbench.plots import close_up
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, FrameObservation
+from workbench.widgets.controls import preset_names
 
 PARTS = OverlayParts(text=False)
 JPEG_QUALITY = 90
@@ -71,7 +72,8 @@ class FitPlayground(widgets.VBox):
     """Sliders on one photo: every move re-fits it and shows the overlay, the 3D head and the error.
 
     Callbacks may come from any thread, as in JupyterLab: one lock guards the tracker, and the head is drawn in its own
-    thread. `fit` and `config` hold the latest result; `dressed` shows the default head as a character.
+    thread. `fit` and `config` hold the latest result; `dressed` shows the default head as a character. Raises
+    `InputError` for a Deep Energies configuration.
     """
 
     def __init__(
@@ -83,7 +85,13 @@ class FitPlayground(widgets.VBox):
         dressed: DressedHead | None = None,
     ) -> None:
         config = preset(DEFAULT_PRESET) if config is None else config
-        self._picture, self._model, self._base = picture, model, config
+        self._panel: HeadPanel | None = None  # nothing to free until it is made
+        if not config.traits.real_time:
+            raise InputError(
+                f"{config.traits.title} takes seconds per fit, which no slider can wait for; use one of "
+                f"{', '.join(FACE_IT_PRESETS)}."
+            )
+        self._picture, self._model, self._start, self._base = picture, model, config, config
         self._observation = FrameObservation(0, landmarks, landmarks.image_size)
         self._lock = threading.RLock()
         self._quiet = False
@@ -91,7 +99,7 @@ class FitPlayground(widgets.VBox):
         self._panel = HeadPanel(model, (SIDE_PX, SIDE_PX), dressed=dressed)
         self.config, self.fit = config, None
         self.preset = widgets.Dropdown(
-            options=list(FACE_IT_PRESETS),
+            options=preset_names(config),
             value=config.preset,
             description="preset",
             style={"description_width": "130px"},
@@ -129,7 +137,8 @@ class FitPlayground(widgets.VBox):
 
     def close(self) -> None:
         """Close the widget and its renderer."""
-        self._panel.painter.close()
+        if self._panel is not None:
+            self._panel.painter.close()
         super().close()
 
     def _draw(self, fit: FrameFit) -> UInt8[np.ndarray, "h w 3"]:
@@ -143,7 +152,8 @@ class FitPlayground(widgets.VBox):
 
     def _on_preset(self, change) -> None:
         with self._lock:
-            self._base = preset(change["new"])
+            name = change["new"]
+            self._base = preset(name) if name in FACE_IT_PRESETS else self._start
             self._quiet = True  # one fit for the preset, not one per slider that it moves
             try:
                 for name, value in start_values(self._base).items():

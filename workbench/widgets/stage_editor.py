@@ -31,6 +31,8 @@ class StageRow:
 
     def __init__(self, number: int, changed: Callable[[int, dict], None], act: Callable[[str, int], None]) -> None:
         self._number, self._changed, self._quiet = number, changed, False
+        self._landmarks: dict[str, float] = {}
+        """The weights as they were shown; their text holds six digits of each."""
         self.enabled = widgets.Checkbox(indent=False, tooltip="run this stage", layout=widgets.Layout(width="24px"))
         self.name = widgets.Text(continuous_update=False, tooltip="name", layout=_growing("124px", "180px"))
         self.free = {
@@ -69,7 +71,7 @@ class StageRow:
 
     def show(self, stage: Stage, blocks: Collection[str]) -> None:
         """Show a stage without calling back, with toggles for the parameters that its system can free."""
-        self._quiet = True
+        self._quiet, self._landmarks = True, stage.landmarks
         for block, toggle in self.free.items():
             toggle.layout.display = None if block in blocks else "none"
         try:
@@ -85,7 +87,9 @@ class StageRow:
         if self._quiet:
             return
         try:
-            landmarks, terms = read_landmarks(self.landmarks.value), read_terms(self.terms.value)
+            unread = self.landmarks.value == landmarks_text(self._landmarks)
+            landmarks = self._landmarks if unread else read_landmarks(self.landmarks.value)
+            terms = read_terms(self.terms.value)
         except ConfigError as error:
             self.result.value = str(error)
             return

@@ -113,7 +113,7 @@ class SweepPage(widgets.HBox):
 
     def show_config(self) -> None:
         """Update from the session's configuration."""
-        self._settings = sweep_settings(self._session.config)
+        self._settings = sweep_settings(self._session.config, self._session.material.scheme)
         for choice in self._choices:
             choice.offer(self._settings)
         if self.result is None or self._asked is None:
@@ -249,6 +249,10 @@ def point_words(point: Point, settings: tuple[SweepSetting, ...]) -> str:
 
 
 def same_besides(config: Config, result: SweepResult) -> bool:
-    """Whether a configuration has what a sweep was made with, but for what it swept."""
+    """Whether a configuration has what a sweep was made with, but for what it swept; False if it lacks what was."""
     point, kept = result.points[0], {"provenance"}
-    return config_at(config, point).model_dump(exclude=kept) == result.config(0).model_dump(exclude=kept)
+    try:
+        swept = config_at(config, point)
+    except ConfigError:
+        return False
+    return swept.model_dump(exclude=kept) == result.config(0).model_dump(exclude=kept)

@@ -10,8 +10,9 @@ import numpy as np
 
 from workbench.config import Config
 from workbench.errors import ConfigError, InputError
+from workbench.landmarks.scheme import LandmarkScheme
 from workbench.learning import LEARNABLE, Tuned
-from workbench.learning.learnable import FOV, POINTS
+from workbench.learning.learnable import POINTS
 from workbench.learning.parts import SHARES, read_frames
 from workbench.objectives import TABLE, read_sum
 from workbench.session import TuningSession
@@ -93,7 +94,7 @@ class TunePage(widgets.HBox):
 
     def show_config(self) -> None:
         """Offer what can be learned from the session's configuration."""
-        can = learnable(self._session.config)
+        can = learnable(self._session.config, self._session.material.scheme)
         for path, button in self.learn.items():
             button.layout.display = None if path in can else "none"
 
@@ -134,7 +135,7 @@ class TunePage(widgets.HBox):
 
     def _submit(self) -> None:
         self._explain()
-        can = learnable(self._session.config)
+        can = learnable(self._session.config, self._session.material.scheme)
         learn = tuple(path for path, button in self.learn.items() if button.value and path in can)
         if not learn:
             raise ConfigError("Choose what to learn first, such as steady head.")
@@ -182,11 +183,11 @@ class TunePage(widgets.HBox):
         self.said.say(f"step {done} of {total}{last}")
 
 
-def learnable(config: Config) -> tuple[str, ...]:
-    """The settings with a gradient that act on the fits of a configuration and are above 0."""
+def learnable(config: Config, scheme: LandmarkScheme | None = None) -> tuple[str, ...]:
+    """The settings with a gradient that act on a configuration's fits and are above 0; `scheme`: see `inert_among`."""
     if config.traits.renders:
         return ()
-    left_out = inert_among(config, LEARNABLE) | ({FOV} if config.camera.matrix is not None else set())
+    left_out = inert_among(config, LEARNABLE, scheme)
     return tuple(
         path for path in LEARNABLE if path == POINTS or (path not in left_out and value_at(config, path) > 0.0)
     )

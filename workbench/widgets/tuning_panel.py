@@ -141,7 +141,7 @@ class TuningPanel(LateParts):
 
     def _build_controls(self, parts: ModuleType) -> None:
         session = self.session
-        self.controls = parts.Controls(session.base, self._on_knob)
+        self.controls = parts.Controls(session.base, self._on_knob, scheme=session.material.scheme)
         self.controls.add("time", self.time.widget, self.time.knobs, session.config)
         self.changes = parts.ChangesPage(session, TABS_PX)
         self.history = parts.HistoryBar(session, self.status)

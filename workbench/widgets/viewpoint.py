@@ -38,10 +38,6 @@ class Viewpoint:
         matrix = np.stack([right, np.cross(forward, right), forward])
         return cv2.Rodrigues(matrix)[0][:, 0], -matrix @ self.position
 
-    def vertical_fov_deg(self, height_px: int) -> float:
-        """Vertical field of view, degrees."""
-        return float(2 * np.degrees(np.arctan(0.5 * height_px / self.camera.focal_px[1])))
-
 
 def front_viewpoint(model: FaceModel, size: tuple[int, int]) -> Viewpoint:
     """A frontal portrait, in a picture (width, height)."""
