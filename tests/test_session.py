@@ -25,6 +25,7 @@ from workbench.session.exports import free_file
 from workbench.session.knobs import changed_by, value_of
 from workbench.session.landmark_edits import LEAST_FACTOR, rescaled, unmuted, weighed
 from workbench.session.material import PictureStore
+from workbench.session.performance import performance_track
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation, Track
 from workbench.tracking.face_it_fitter import FaceItFitter
@@ -462,6 +463,13 @@ def long_clip(clip, frames):
     there_and_back = [*shot, *shot[-2:0:-1]]
     observations = [replace(there_and_back[k % len(there_and_back)], index=k, cut=False) for k in range(frames)]
     return Material("long", Watched(observations), PictureStore(None, [IMAGE_SIZE] * frames), stills=False)
+
+
+def test_a_track_whose_pictures_are_gone_keeps_their_rate(session, head):
+    track = session.track
+    track = replace(track, meta=track.meta | {"rate": 60.0, "inputs": [{"path": "/gone/clip.mp4", "sha256": "0"}]})
+    again = performance_track(open_session(track, model=head))
+    assert again.meta["rate"] == 60.0
 
 
 def test_a_fit_in_a_long_clip_does_not_go_through_all_of_it(head, clip):

@@ -1,6 +1,7 @@
 """Infill and refinement in the tuning session: marking, running, comparing, taking back, exporting."""
 
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from typer.testing import CliRunner
 
 from workbench.cli import app
 from workbench.config import preset, read_config
+from workbench.energies.systems import SYSTEMS
 from workbench.errors import InputError, StoppedError
 from workbench.frames import FrameRange, open_frames
 from workbench.pipeline.temporal_run import work_over
@@ -222,6 +224,25 @@ def test_deep_energies_fits_the_frames_of_the_part_alone_and_once(session, fitte
     assert asked == [4, 5, 6, 7, 8, 9]
 
 
+@pytest.mark.parametrize("part", [(4, 9), (14, 19)])
+def test_a_part_whose_frames_continue_each_other_has_the_fits_of_the_whole_clip(part, head, material, monkeypatch):
+    second = replace(material.observations[12], cut=True)
+    material = replace(material, observations=(*material.observations[:12], second, *material.observations[13:]))
+    linked = QUICK.changed(weights={"tau": 5.0}, refinement={"method": "averaging"})
+    expected = TuningSession(head, material, linked).temporal.run(part)
+    monkeypatch.setitem(SYSTEMS, "face-it", replace(SYSTEMS["face-it"], real_time=False))
+    session = TuningSession(head, material, linked.changed(weights={"tau": 0.0}))
+    session.fit_clip()
+    session.use(linked)
+    counted = []
+    assert (
+        session.temporal.run(part, cancelled=lambda: len(counted) == 3, progress=lambda *of: counted.append(of)) is None
+    )
+    found = session.temporal.run(part)
+    assert same(found.before, expected.before)
+    assert same(found.after, expected.after)
+
+
 # --- comparing ---
 
 
@@ -339,6 +360,33 @@ def test_an_exported_configuration_gives_the_same_bits_on_the_command_line(head,
     assert done.exit_code == 0, done.output
     again = Track.load(tmp_path / "again" / "track.npz")
     assert same(worked.after, [again[k] for k in range(len(again))])
+
+
+def test_an_unchanged_configuration_is_exported_with_the_same_metrics_before_and_after(
+    session, head, material, tmp_path
+):
+    base = QUICK.changed(refinement={"method": "averaging"})
+    other = TuningSession(head, material, base)
+    provenance = read_config(other.export(tmp_path / "tuned.toml")).provenance
+    assert provenance.changed == []
+    assert provenance.before == provenance.after
+    assert provenance.after["jitter_deg"] == other.temporal.current.numbers()["jitter_deg"]
+    assert other.run.config == base
+
+
+def test_settings_of_a_rig_are_exported_with_the_metrics_of_single_frames(session, tmp_path):
+    rig = tmp_path / "rig.toml"
+    size = list(session.material.observations[0].image_size)
+    camera = f"image_size = {size}\nmatrix = [[900.0, 0.0, 300.0], [0.0, 900.0, 200.0], [0.0, 0.0, 1.0]]\n"
+    views = [f"[[views]]\nname = '{name}'\n{camera}rotation = [0.0, 0.0, 0.0]\ntranslation = [{x}, 0.0, 0.0]\n"
+             for name, x in (("left", 0.0), ("right", -120.0))]  # fmt: skip
+    rig.write_text("".join(['unit = "mm"\n', *views]))
+    session.set(camera={"rig": str(rig)}, refinement={"method": "averaging"})
+    with pytest.raises(InputError, match="export the settings, and run `workbench track`"):
+        session.temporal.run()
+    stored = read_config(session.export(tmp_path / "tuned.toml"))
+    assert stored.refinement.method == "averaging"
+    assert stored.provenance.after == session.metrics()
 
 
 def test_a_cancelled_export_writes_nothing(session, tmp_path):

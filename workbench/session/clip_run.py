@@ -2,7 +2,7 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,7 +20,7 @@ from workbench.session.dependence import fits_key, stale_frames
 from workbench.session.material import Cancelled, Material, Progress
 from workbench.session.metrics import metrics_of_track
 from workbench.session.observed_frames import ObservedFrames
-from workbench.tracking import FrameFit, Track
+from workbench.tracking import FrameContext, FrameFit, Track
 from workbench.tracking.fitting import Continuation
 from workbench.tracking.records import Fits, stack_fits
 from workbench.tracking.systems import make_fitter
@@ -95,13 +95,20 @@ class ClipRuns:
                 self._keep(run)
         return run
 
-    def base_metrics(self, progress: Progress | None, cancelled: Cancelled) -> dict[str, float] | None:
-        """Errors and jitter under the configuration that the session started from; None if cancelled.
-
-        Fits all frames the first time.
-        """
-        run = self.aside(self._base, progress, cancelled)
-        return None if run is None else run.metrics
+    def walked(
+        self, part: range, config: Config, cancelled: Cancelled = never
+    ) -> Iterator[tuple[FrameFit, FrameContext]]:
+        """The fits of frames in turn, with the context of each, until cancelled; `part` begins with a shot."""
+        walk = Walk(make_fitter(self._model, plan_of(config, self._model.scheme)))
+        for shot, frames in enumerate(self._material.shots):
+            if frames.start not in part:
+                continue
+            walk.shot = shot - 1
+            walk.begin_shot(self._calibrations.of_shot(shot, config, walk.fitter))
+            for frame in frames[: part.stop - frames.start]:
+                if cancelled():
+                    return
+                yield walk.step(self._frames.linked_observation(frame, config))
 
     def continued_from(self, frame: int) -> Continuation | None:
         """The state that a frame was continued from in the last run, in the form that needs no recompilation."""
@@ -125,19 +132,13 @@ class ClipRuns:
             self._kept.pop(next(kept for kept in self._kept if kept != base))
 
     def _fitted(self, config: Config, progress: Progress | None, cancelled: Cancelled) -> Run | None:
-        walk = Walk(make_fitter(self._model, plan_of(config, self._model.scheme)))
-        fits, before = [], []
-        for shot, frames in enumerate(self._material.shots):
-            walk.begin_shot(self._calibrations.of_shot(shot, config, walk.fitter))
-            for frame in frames:
-                if cancelled():
-                    return None
-                fit, context = walk.step(self._frames.linked_observation(frame, config))
-                fits.append(fit)
-                before.append(_on_host(context.last))
-                if progress is not None:
-                    progress("fit", len(fits), len(self._material.observations))
-        return Run(config, Track(meta={}, **stack_fits(fits)), tuple(before))
+        fits, before, count = [], [], len(self._material.observations)
+        for fit, context in self.walked(range(count), config, cancelled):
+            fits.append(fit)
+            before.append(_on_host(context.last))
+            if progress is not None:
+                progress("fit", len(fits), count)
+        return Run(config, Track(meta={}, **stack_fits(fits)), tuple(before)) if len(fits) == count else None
 
 
 def described_track(run: Run, model: FaceModel, stills: bool) -> Track:

@@ -101,6 +101,13 @@ class Material:
     """Clips of a rig's other cameras by the views' names."""
     undetected: frozenset[tuple[int, int]] = frozenset()
     """(frame, point) of landmarks that are known only where a user moved them."""
+    tracked_rate: float | None = None
+    """Frames per second of the pictures that a stored run was tracked on, which may be gone."""
+
+    @property
+    def rate(self) -> float | None:
+        """Frames per second; None where nothing tells them."""
+        return getattr(self.pictures.frames, "rate", None) or self.tracked_rate
 
     @cached_property
     def shots(self) -> tuple[range, ...]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from workbench.config import Config
 from workbench.errors import InputError, StoppedError
+from workbench.planning import plan_of
 from workbench.session.clip_run import Run
 from workbench.session.dependence import fits_key
 from workbench.session.material import Cancelled, Progress
@@ -41,20 +42,36 @@ class PartFits:
     ) -> tuple[FrameFit, ...] | None:
         """The single-frame fits of a part; None if cancelled."""
         first, last = part
-        if not config.traits.real_time and not self.ran(config):
-            single = self.singles(config)
-            for frame in range(first, last + 1):
-                if cancelled():
-                    return None
-                if frame not in single:
-                    try:
-                        single[frame] = self._session.fit_frame(frame, config=config, cancelled=cancelled)
-                    except StoppedError:
-                        return None
-                progress("fit", frame - first + 1, last - first + 1)
-            return tuple(single[frame] for frame in range(first, last + 1))
-        fits = self.whole(config, progress, cancelled)
-        return None if fits is None else fits[first : last + 1]
+        if config.traits.real_time or self.ran(config):
+            fits = self.whole(config, progress, cancelled)
+            return None if fits is None else fits[first : last + 1]
+        frames, single = range(first, last + 1), self.singles(config)
+        if not set(frames) <= set(single):
+            linked = plan_of(config, self._session.model.scheme).linked
+            (self._walked if linked else self._alone)(frames, config, progress, cancelled)
+        return tuple(single[frame] for frame in frames) if set(frames) <= set(single) else None
+
+    def _alone(self, frames: range, config: Config, progress: Progress, cancelled: Cancelled) -> None:
+        """Fit the frames that are missing, each for itself, until cancelled."""
+        single = self.singles(config)
+        for done, frame in enumerate(frames, start=1):
+            if cancelled():
+                return
+            if frame not in single:
+                try:
+                    single[frame] = self._session.fit_frame(frame, config=config, cancelled=cancelled)
+                except StoppedError:
+                    return
+            progress("fit", done, len(frames))
+
+    def _walked(self, frames: range, config: Config, progress: Progress, cancelled: Cancelled) -> None:
+        """Fit the frames in turn, each continuing the one before, from the beginning of their shot, until cancelled."""
+        shots, single = self._session.material.shots, self.singles(config)
+        begin = next(shot.start for shot in shots if frames.start in shot)
+        walked = range(begin, frames.stop)
+        for frame, (fit, _) in zip(walked, self._session.runs.walked(walked, config, cancelled), strict=False):
+            single[frame] = fit
+            progress("fit", frame - begin + 1, len(walked))
 
     def whole(self, config: Config, progress: Progress, cancelled: Cancelled) -> Sequence[FrameFit] | None:
         """The fits of the last complete run if it used this configuration, else of a new run. None if cancelled."""

@@ -31,7 +31,7 @@ def performance_track(
         "views": {name: str(path) for name, path in views.items()},
         "landmarks": None if file is None or not file.exists() else _named(file),
         "frames": None if material.part is None else list(material.part),
-        "rate": getattr(material.pictures.frames, "rate", None),
+        "rate": material.rate,
         "versions": software_versions(),
     }
     return replace(track, meta=track.meta | meta)

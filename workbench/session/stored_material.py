@@ -48,6 +48,7 @@ def material_of_track(track: Track) -> Material:
         None if part is None else tuple(part),
         views,
         _moved(track),
+        track.meta.get("rate"),
     )
 
 

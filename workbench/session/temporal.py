@@ -10,9 +10,10 @@ from workbench.errors import InputError
 from workbench.frames import FrameRange, Frames
 from workbench.pipeline.temporal_run import STEPS, Step, needs_pictures, over_time, wanted_steps
 from workbench.planning import infill_plan, refinement_plan
+from workbench.session.clip_run import Run
 from workbench.session.dependence import TIME_SECTIONS, fits_key, time_key
 from workbench.session.failed_frames import FailedFrames
-from workbench.session.material import Cancelled, Progress
+from workbench.session.material import Cancelled, Material, Progress
 from workbench.session.part_fits import PartFits
 from workbench.session.parts import Part, parts_of
 from workbench.session.worked import Worked, name_of
@@ -93,12 +94,16 @@ class TemporalWork:
         steps = wanted_steps(config)
         if not steps:
             raise InputError("No temporal method is chosen; choose a method of infill or refinement.")
-        self._check_pictures(config, steps)
+        if problem := problem_of(self._session.material, config):
+            raise InputError(problem)
         key = time_key(config), part
         with self._working:
             if key not in self._kept:
+                before = self._fits.fitted(part, config, progress, cancelled)
+                if before is None:
+                    return None
                 try:
-                    found = self._worked(part, config, steps, progress, cancelled)
+                    found = self._worked(part, config, before, progress, cancelled)
                 except _CancelledError:
                     return None
                 with self._lock:
@@ -184,14 +189,29 @@ class TemporalWork:
         found = self.run(None, config, progress, cancelled)
         return None if found is None else found.after
 
+    def after_run(
+        self, run: Run, progress: Progress | None = None, cancelled: Cancelled = never
+    ) -> Sequence[FrameFit] | None:
+        """A run's fits with the infill and refinement of its configuration, as far as they can work on this clip.
+
+        None if cancelled. Nothing is kept of it.
+        """
+        config = run.config
+        alone = self._session.material.stills or len(self._session) < 2
+        if alone or not wanted_steps(config) or problem_of(self._session.material, config):
+            return run.fits
+        with self._working:
+            try:
+                return self._worked(self._fits.part(None), config, run.fits, progress or silent, cancelled).after
+            except _CancelledError:
+                return None
+
     # --- within ---
 
     def _worked(
-        self, part: Part, config: Config, steps: Sequence[Step], progress: Progress, cancelled: Cancelled
+        self, part: Part, config: Config, before: Sequence[FrameFit], progress: Progress, cancelled: Cancelled
     ) -> Worked:
-        before = self._fits.fitted(part, config, progress, cancelled)
-        if before is None:
-            raise _CancelledError
+        steps = wanted_steps(config)
         views, done, total = self._views(part), 0, work_of(before, config, steps)
 
         def told(step: str, _done: int, _total: int | None) -> None:
@@ -229,15 +249,18 @@ class TemporalWork:
         frames = self._session.material.pictures.frames
         return [] if frames is None else [FrameRange(frames, *part)]
 
-    def _check_pictures(self, config: Config, steps) -> None:
-        if config.camera.rig:
-            raise InputError("A session does not hold the other views of a rig; export, and run `workbench track`.")
-        need = needs_pictures(config, steps)
-        if need and not self._session.material.pictures.real:
-            raise InputError(
-                f"The method {need!r} needs pictures, and this material has only landmarks; choose linear, spline, "
-                "averaging or self."
-            )
+
+def problem_of(material: Material, config: Config) -> str:
+    """Why the methods of a configuration cannot work on a material; empty where they can."""
+    if config.camera.rig:
+        return "A session does not hold the other views of a rig; export the settings, and run `workbench track`."
+    need = needs_pictures(config, wanted_steps(config))
+    if need and not material.pictures.real:
+        return (
+            f"The method {need!r} needs pictures, and this material has only landmarks; choose linear, spline, "
+            "averaging or self."
+        )
+    return ""
 
 
 def work_of(fits: Sequence[FrameFit], config: Config, steps: Sequence[str]) -> int:

@@ -295,8 +295,7 @@ class TuningSession:
         """
         path, config = Path(path), self.config
         self._work.exports.check(path, overwrite)
-        fits = self.temporal.fits_by(config, progress, cancelled)
-        if fits is None or not self._work.export(path, config, self.base, fits, progress, cancelled):
+        if not self._work.export(path, config, self.base, progress, cancelled):
             raise InputError(f"The export was cancelled; {path} was not written.")
         self._tuned.exported = config
         self.tell("export")

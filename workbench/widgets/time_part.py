@@ -43,7 +43,7 @@ class TimePart:
         self.sides = widgets.ToggleButtons(options=[BEFORE, AFTER], style={"button_width": "auto"})
         self.sides.add_class("fw-sides")
         self.sides.observe(lambda _change: redraw(), "value")
-        self.rate = getattr(session.material.pictures.frames, "rate", None) or RATE
+        self.rate = session.material.rate or RATE
         """Frames per second of the clip."""
         self.play = widgets.Play(min=0, max=len(session) - 1, show_repeat=True, layout=widgets.Layout(width="auto"))
         self.play.observe(self._on_play, "value")
