@@ -243,11 +243,16 @@ def heavy_tau(rng, frame, config) -> FrameCase:
 
 
 def mirrored(rng, frame, config) -> FrameCase:
-    """The order of the points is that of the flipped picture: in this frame, or in the whole shot."""
+    """The order of the points is that of the flipped picture in this frame."""
     index, points = frame(), clip(config).noisy(rng)
-    which = slice(index, index + 1) if rng.random() < 0.7 else slice(None)
-    points[which] = points[which][:, list(clip(config).head.scheme.mirror)]
+    points[index] = points[index, list(clip(config).head.scheme.mirror)]
     return case_at(index, points, config)
+
+
+def mirrored_throughout(rng, frame, config) -> FrameCase:
+    """The order of the points is that of the flipped picture in the whole shot."""
+    points = clip(config).noisy(rng)[:, list(clip(config).head.scheme.mirror)]
+    return case_at(frame(), points, config)
 
 
 def leaving_the_picture(rng, frame, config) -> FrameCase:
@@ -401,6 +406,7 @@ FAULTS: dict[str, tuple[str, Callable]] = {
 UNMENDED: dict[str, tuple[str, Callable]] = {
     "head turned to profile": ("turned_away", turned_to_profile),
     "unseen cut": ("unseen_cut", unseen_cut),
+    "mirrored shot": ("mirrored_order", mirrored_throughout),
 }
 """The same of faults for which there is a reason, but no change that mends them; the benchmark does not count them."""
 

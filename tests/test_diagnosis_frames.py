@@ -21,9 +21,13 @@ from workbench.diagnosis.causes.order import exchanged_pairs, turning
 from workbench.diagnosis.causes.person import best_factor, fov_with
 from workbench.diagnosis.picture_evidence import carried_by_flow, directional_blur, gradient_energy
 from workbench.errors import InputError
+from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.scheme import GROUPS, MIRROR, face_size
 from workbench.planning import plan_of
-from workbench.tracking import FaceItFitter, Track
+from workbench.samples import sample
+from workbench.session import Material, TuningSession
+from workbench.session.material import PictureStore
+from workbench.tracking import FaceItFitter, FrameContext, Track
 from workbench.tracking.records import stack_fits
 
 # The benchmark's own faults: what it reports and what is tested here cannot drift apart.
@@ -95,6 +99,79 @@ def test_the_right_reason_comes_first_where_no_change_mends(head, fitter, fault)
     assert reason.code == planted.code
     assert 0.3 <= reason.score <= 1.0
     assert any(character.isdigit() for character in reason.evidence)
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """The points of a clip of 60 frames, as a landmark file holds them."""
+    return np.stack([record.landmarks.points for record in read_landmark_file(sample("performance-landmarks"))][:60])
+
+
+def session_on(points, head, name="joint", **sections):
+    observations = tuple(faults.observations_of(points))
+    pictures = PictureStore(None, [faults.clip().size] * len(observations))
+    config = faults.good_config(name).changed(**sections)
+    return TuningSession(head, Material("clip", observations, pictures, stills=False), config)
+
+
+@pytest.mark.parametrize(
+    ("bad", "identity", "changed"),
+    [(6, {"window": 8}, {"window": 60}), (0, {"calibrate": False}, {"calibrate": True}), (12, {"window": 60}, None)],
+    ids=["a bad beginning", "no calibration", "the whole shot already"],
+)
+def test_another_identity_is_promised_where_a_setting_brings_it(head, recorded, bad, identity, changed):
+    points, middle = recorded.copy(), recorded.mean(axis=1, keepdims=True)
+    points[:bad] = ((points - middle) * [1.35, 0.8] + middle)[:bad]
+    session = session_on(points, head, identity=identity)
+    reason = next(item for item in session.diagnose(45).reasons if item.code == "wrong_identity")
+    if changed is None:
+        assert reason.change is None
+        assert reason.after_percent == reason.before_percent
+        assert "Settings do not bring it" in reason.evidence
+        return
+    assert reason.change.config == {"identity": changed}
+    assert reason.after_percent < 0.7 * reason.before_percent
+    session.apply(reason.change, 45)
+    assert session.fit_frame(45).errors[2] == pytest.approx(reason.after_percent, rel=0.05)
+
+
+def test_a_shot_in_mirrored_order_is_told_and_no_change_of_one_frame_is_offered_for_it(head, fitter):
+    case = faults.planted("mirrored shot", 0).case
+    reason = diagnose_frame(head, case, fitter).reasons[0]
+    assert "in the whole shot" in reason.evidence
+    assert reason.change is None
+    assert reason.after_percent == reason.before_percent
+
+
+def test_a_face_that_is_wholly_outside_is_told_and_not_muted(head, recorded):
+    points = recorded[:20].copy()
+    points[10] += [2000.0, 0.0]
+    reason = next(item for item in session_on(points, head).diagnose(10).reasons if item.code == "face_outside")
+    assert reason.change is None
+    assert "the others" not in reason.evidence
+
+
+@pytest.mark.parametrize("fault", ["shifted jaw", "occluded mouth", "face out of frame"])
+def test_a_change_of_a_weight_says_that_it_holds_in_all_frames(head, fitter, fault):
+    reasons = diagnose_frame(head, faults.without_pictures(faults.planted(fault, 0).case), fitter).reasons
+    labels = [item.change.label for item in reasons if item.change and "landmarks" in item.change.config]
+    assert labels
+    assert all(label.endswith("in all frames") for label in labels)
+
+
+def test_landmarks_that_do_not_count_at_all_are_diagnosed(head, recorded):
+    session = session_on(recorded[:20], head, landmarks={"weights": {"all": 0.0}})
+    assert "wrong_focal" not in [item.code for item in session.diagnose(10).reasons]
+
+
+def test_a_dark_photo_is_compared_with_no_frames(head, recorded):
+    (observation,) = faults.observations_of(recorded[:1])
+    config = faults.good_config()
+    context = FrameContext(0, FaceItFitter(head, plan_of(config)).mean_identity(), None, None)
+    black = np.zeros((480, 640, 3), np.uint8)
+    found = diagnose_frame(head, FrameCase(observation, context, config, (observation,), picture=black))
+    (reason,) = (item for item in found.reasons if item.code == "dark_face")
+    assert reason.evidence == "Its median lightness is 0 of 255."
 
 
 @pytest.mark.parametrize("place", [1, 4, 7], ids="{} frames after the freeze began".format)

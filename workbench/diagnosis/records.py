@@ -51,7 +51,11 @@ class FrameCase:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A complete proposed change, which can be applied and undone in one click."""
+    """A proposed change, which can be applied and undone in one click.
+
+    Applied are the configuration, which holds in all frames, and the points of this frame. `calibrate` and `identity`
+    tell a trial what a session's own calibration makes of the configuration.
+    """
 
     label: str
     """Imperative label for a button, such as "Mute the jaw points"."""
@@ -62,7 +66,7 @@ class Change:
     limits: Mapping[str, int] = field(default_factory=dict)
     """New iteration limits of stages by name."""
     calibrate: bool = False
-    """Whether the identity of the shot must be calibrated again with the changed configuration."""
+    """Whether the changed configuration calibrates the identity of the shot again."""
     identity: Float[np.ndarray, "i"] | None = None
     """The identity from that calibration, if `calibrate` is set."""
 

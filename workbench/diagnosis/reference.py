@@ -43,7 +43,7 @@ def jointly(config: Config) -> Config:
 class ShotReference:
     """Usual values of one shot under one configuration. Make it once per shot; its parts are computed on demand.
 
-    `frames` are the observations of the shot to learn from, without the frame under diagnosis.
+    `frames` are the observations of the shot to learn from, evenly spread; the frame under diagnosis may be among them.
     """
 
     def __init__(self, model: FaceModel, config: Config, shot: Sequence[FrameObservation], fitter: FaceItFitter):
@@ -73,17 +73,13 @@ class ShotReference:
 
     def identity_under(self, config: Config) -> Float[np.ndarray, "i"] | None:
         """The identity calibrated on these frames with another configuration (for example another camera)."""
-        if not self.knows_person:
-            return None
+        return self.identity_of(self._sound_frames, config) if self.knows_person else None
+
+    def identity_of(self, frames: Sequence[FrameObservation], config: Config) -> Float[np.ndarray, "i"]:
+        """The identity that a configuration calibrates on these frames."""
         fitter = copy.copy(self._fitter)
         fitter.configure(plan_of(config, self._scheme))
-        return fitter.calibrate(self._sound_frames, config.identity.frames).identity
-
-    def identity_of(self, frames: Sequence[FrameObservation]) -> Float[np.ndarray, "i"]:
-        """The identity calibrated on landmarks other than those of the shot."""
-        count = min(MOST_FRAMES, len(frames))
-        chosen = [frames[k] for k in np.unique(np.round(np.linspace(0, len(frames) - 1, count)).astype(int))]
-        return self._fitter.calibrate(chosen, self.config.identity.frames).identity
+        return fitter.calibrate(frames, config.identity.frames).identity
 
     @cached_property
     def _sound_frames(self) -> list[FrameObservation]:

@@ -73,8 +73,9 @@ class DiagnosisView:
         )
         if reason.change is None:
             return text
+        place = "this frame's points" if reason.change.landmarks else "all frames"
         apply = widgets.Button(
-            description=reason.change.label, tooltip="apply this change; one undo step", button_style="info",
+            description=reason.change.label, tooltip=f"change {place}; one undo step", button_style="info",
             layout=widgets.Layout(width="auto", max_width="100%"),
         )  # fmt: skip
         back = widgets.Button(

@@ -37,6 +37,8 @@ HARDLY_SEEN, SURELY_SEEN = 0.3, 0.6
 """Mean confidence below which the whole face is doubted, and above which another frame may replace it."""
 LEAST_EXCESS = 6.0
 """Minimum nats above the usual for trying parts of the face."""
+MOST_MUTED = 2 / 3
+"""Share of the 68 points up to which those outside the picture may be muted: the others carry the fit alone."""
 COHERENT = 1.0
 """Minimum ratio of the mean offset to the scatter around it for an offset of the whole group."""
 
@@ -44,7 +46,10 @@ COHERENT = 1.0
 def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
     """The jaw contour implies another pose than the other points (Deep Energies Sec. 8.2, Fig. 7)."""
     mask = trial.scheme.group_mask("jaw")
-    change = Change("Give the jaw points a tenth of their weight", config={"landmarks": {"weights": {"jaw": 0.1}}})
+    change = Change(
+        "Give the jaw points a tenth of their weight in all frames",
+        config={"landmarks": {"weights": {"jaw": 0.1}}},
+    )
     fit = trial.refit(change)
     shift = _best_shift(trial, "jaw")
     if shift is None:
@@ -245,18 +250,24 @@ def face_outside(trial: Trial) -> Iterator[Finding]:
     if count < FEWEST_OUTSIDE:
         return
     weights = {str(index): 0.0 for index in np.flatnonzero(mask)}
-    change = Change("Mute the points outside the picture", config={"landmarks": {"weights": weights}})
-    fit = trial.refit(change)
-    before, after = trial.error_percent(trial.fit, mask), trial.error_percent(fit, mask)
+    change = Change("Mute these points in all frames", config={"landmarks": {"weights": weights}})
+    fit, before = trial.fit, trial.error_percent(trial.fit, mask)
+    enough = count <= MOST_MUTED * POINT_COUNT
+    if enough:
+        fit = trial.refit(change)
+    after = trial.error_percent(fit, mask)
+    better = enough and after < before
+    evidence = f"{count} of the 68 points lie on or beyond the edge of the picture, where a detector can only guess"
+    if better:
+        evidence += "; without them the error of the others goes from {before} to {after} % of the eye distance"
     yield Finding(
         code="face_outside",
         title="The face leaves the picture",
-        evidence=f"{count} of the 68 points lie on or beyond the edge of the picture, where a detector can only guess; "
-        f"without them the error of the others goes from {{before}} to {{after}} % of the eye distance.",
-        change=change,
+        evidence=evidence + ".",
+        change=change if better else None,
         gain=trial.gain(fit, doubted=mask),
         before_percent=before,
-        after_percent=after,
+        after_percent=after if better else before,
         doubted=mask,
         direct=min(0.95, 0.5 + 0.05 * count),
         numbers={"points": float(count)},
@@ -265,10 +276,11 @@ def face_outside(trial: Trial) -> Iterator[Finding]:
 
 
 def muted(trial: Trial, name: str) -> Change:
-    """The change that mutes a group, or one of `SIDES` point by point."""
+    """The change that mutes a group, or one of `SIDES` point by point, in all frames."""
     named = name in trial.scheme.groups
     weights = {name: 0.0} if named else {str(point): 0.0 for point in np.flatnonzero(mask_of(trial, name))}
-    return Change(f"Mute the points of the {title_of(name)}", config={"landmarks": {"weights": weights}})
+    label = f"Mute the points of the {title_of(name)} in all frames"
+    return Change(label, config={"landmarks": {"weights": weights}})
 
 
 def title_of(name: str) -> str:

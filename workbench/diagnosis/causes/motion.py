@@ -118,16 +118,17 @@ def motion_blur(trial: Trial) -> Iterator[Finding]:
     sure = float(np.interp(blur.sharpness / limit, [0.3, 1.0], [1.0, 0.5]))
     angle = float(np.degrees(np.arctan2(blur.direction[1], blur.direction[0]))) % 180.0
     before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
+    better = bool(change.landmarks) or after < before
     yield Finding(
         code="motion_blur",
         title="The picture is blurred by motion",
         evidence=f"Along {angle:.0f}° the face has {100 * blur.sharpness:.0f} % of the detail "
         f"{'it has across' if alone else 'of the previous frame'}, and the points scatter "
         f"{along / max(across, 1e-9):.1f} times as much along it as across.",
-        change=change,
+        change=change if better else None,
         gain=gain,
         before_percent=before,
-        after_percent=after,
+        after_percent=after if better else before,
         specificity=sure,
         direct=0.0 if gain <= 0.0 else 0.8 * sure,
         numbers={
@@ -142,10 +143,10 @@ def motion_blur(trial: Trial) -> Iterator[Finding]:
 
 
 def interpolated(trial: Trial, places: Float[np.ndarray, "points 2"] | None) -> Change:
-    """The change that takes the points from the adjacent frames; without any, it trusts this frame's less."""
+    """The change that takes the points from the adjacent frames; without any, it trusts all frames' less."""
     if places is None:
         less = {"landmarks": {"weights": trial.lessened("all", 0.2)}}
-        return Change("Trust the landmarks of this frame less", config=less)
+        return Change("Trust the landmarks less in all frames", config=less)
     both = trial.case.before is not None and trial.case.after is not None
     label = "Interpolate the points from adjacent frames" if both else "Use the points of the adjacent frame"
     return points_change(label, places, trial.scheme.group_mask("all"))

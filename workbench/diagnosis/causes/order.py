@@ -10,6 +10,7 @@ from workbench.diagnosis.records import Change, moved_to
 from workbench.diagnosis.reference import robust_similarity
 from workbench.diagnosis.trial import Finding, Trial, points_change
 from workbench.landmarks.scheme import GROUPS
+from workbench.tracker import calibration_window
 from workbench.tracking import FrameFit
 
 SUSPECT_PERCENT = 4.0
@@ -24,6 +25,7 @@ def mirrored_order(trial: Trial) -> Iterator[Finding]:
 
     In any picture of a face from the front, the turn from the eye line (right to left) to the direction of the mouth is
     clockwise, however the head is rotated; for mirrored points it is the other way, as for a head seen from behind.
+    A whole shot is mended where its points come from: a change moves those of one frame.
     """
     if turning(trial.points) >= 0.0:
         return
@@ -32,23 +34,31 @@ def mirrored_order(trial: Trial) -> Iterator[Finding]:
     whole_shot = len(others) > 1 and float(np.mean([turning(frame.landmarks.points) < 0.0 for frame in others])) > 0.5
     where = "in the whole shot" if whole_shot else "in this frame"
     every = trial.scheme.group_mask("all")
-    change = points_change(f"Exchange the points of left and right {where}", trial.points[places], every)
-    if whole_shot:
+    change = points_change("Exchange the points of left and right in this frame", trial.points[places], every)
+    if whole_shot and trial.case.config.identity.calibrate:
         # The identity was calibrated on mirrored faces.
         mended = [moved_to(frame, frame.landmarks.points[places]) for frame in others]
-        change = replace(change, calibrate=True, identity=trial.reference.identity_of(mended))
+        window = calibration_window(mended, trial.case.config.identity.window)
+        identity = trial.reference.identity_of(window, trial.case.config)
+        change = replace(change, calibrate=True, identity=identity)
     context = trial.case.context._replace(last=None, start=None)
     fit = trial.refit(change, context)
     before, after = trial.error_percent(trial.fit), trial.error_percent(fit)
+    evidence = f"The points {where} are in mirrored order, as if the face were seen from behind; with every point "
+    evidence += "renamed to its mirror partner "
+    if whole_shot:
+        evidence += f"the error here would be {after:.1f} % of the eye distance instead of {before:.1f}. Exchange them "
+        evidence += "where they come from: the pictures or the order of the points were mirrored there."
+    else:
+        evidence += "the error goes from {before} to {after} % of the eye distance."
     yield Finding(
         code="mirrored_order",
         title="Left and right are exchanged in the order of the points",
-        evidence=f"The points {where} are in mirrored order, as if the face were seen from behind; with every point "
-        f"renamed to its mirror partner the error goes from {{before}} to {{after}} % of the eye distance.",
-        change=change,
+        evidence=evidence,
+        change=None if whole_shot else change,
         gain=trial.gain(fit),
         before_percent=before,
-        after_percent=after,
+        after_percent=before if whole_shot else after,
         direct=0.97,
         numbers={"turning": turning(trial.points), "whole_shot": float(whole_shot)},
         outranks=(

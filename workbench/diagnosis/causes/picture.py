@@ -126,13 +126,14 @@ def dark_face(trial: Trial) -> Iterator[Finding]:
     if look.brightness > DARK and not dimmed:
         return
     evidence = f"Its median lightness is {look.brightness:.0f} of 255"
-    evidence += f", against {usually:.0f} in the frames around." if dimmed else ", as in the frames around."
+    if usual is not None:
+        evidence += f", against {usually:.0f} in the frames around" if dimmed else ", as in the frames around"
     absolute = float(np.interp(look.brightness, [VERY_DARK, DARK], [0.85, 0.4]))
     yield _of_whole_face(
         trial,
         code="dark_face",
         title="The face is dark",
-        evidence=evidence,
+        evidence=evidence + ".",
         direct=max(absolute, 0.7 if dimmed else 0.0),
         numbers={"brightness": look.brightness, "usual_brightness": usually},
         lasts=not dimmed,
