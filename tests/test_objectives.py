@@ -17,6 +17,8 @@ from workbench.objectives import (
     ObservedClip,
     SecondView,
     Truth,
+    bootstrap,
+    drawn_means,
     flow_of_pictures,
     folds_of,
     inner_landmarks,
@@ -280,3 +282,12 @@ def test_every_row_says_what_it_cannot_see_and_has_a_function():
         assert row.blind
         assert not (row.says + row.blind).endswith(".")
         assert callable(measure(name))
+
+
+def test_draws_of_a_long_clip_are_made_a_few_at_a_time(monkeypatch):
+    values = np.random.default_rng(3).normal(size=(3, 400))
+    values[1, 20:60] = np.nan
+    at_once = drawn_means(values, draws=40)
+    monkeypatch.setattr(bootstrap, "MOST_AT_ONCE", 3 * 40 * 7)
+    np.testing.assert_array_equal(drawn_means(values, draws=40), at_once)
+    assert np.abs(at_once.mean(0) - np.nanmean(values, axis=1)).max() < 0.05

@@ -1,5 +1,7 @@
 """The language of a sweep's space, the points in it, and the configurations that they are."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -112,12 +114,22 @@ def test_every_kind_of_setting_can_be_swept():
     assert at("schedule=face-it").stages == preset("face-it").stages
 
 
+def test_a_swept_weight_of_landmarks_is_not_covered_by_a_later_entry():
+    base = JOINT.changed(landmarks={"weights": {"mouth": 2.0, "all": 0.5}})
+    weights = at("landmarks.weights.mouth=4.0", base).point_weights()
+    assert weights[60] == 4.0
+    assert weights[0] == 0.5
+
+
 def test_a_preset_is_taken_with_the_clips_camera():
-    base = JOINT.changed(camera={"fov_deg": 33.0}, landmarks={"face": (3.0, 4.0)})
+    landmarks = {"face": (3.0, 4.0), "face_landmarker": "face_landmarker.task"}
+    base = JOINT.changed(camera={"fov_deg": 33.0}, landmarks=landmarks, head={"character": "amara"})
     found = at("preset=face-it", base)
     assert found.weights == preset("face-it").weights
     assert not found.landmarks.confidence
     assert found.landmarks.face == (3.0, 4.0)
+    assert found.landmarks.face_landmarker == "face_landmarker.task"
+    assert found.head == base.head
     assert found.camera.fov_deg == 33.0
 
 
@@ -182,6 +194,20 @@ def test_a_budget_picks_runs_spread_over_the_clip_inside_shots():
     assert [window.start for window in chosen_windows(stills, 5)] == [5, 15, 25, 35, 45]
     with pytest.raises(ConfigError, match="at least one frame"):
         chosen_windows(shots, 0)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "budget"),
+    [([15] * 60 + [20], 200), ([30] * 10, 250), ([219], 210), ([3, 9], 11), ([1] * 30 + [40], 50)],
+)
+def test_a_budget_is_reached_with_short_pieces_where_whole_ones_do_not_suffice(lengths, budget):
+    ends = np.cumsum([0, *lengths])
+    shots = [range(*pair) for pair in itertools.pairwise(ends.tolist())]
+    windows = chosen_windows(shots, budget)
+    frames = [frame for window in windows for frame in window]
+    assert len(frames) == budget
+    assert frames == sorted(set(frames))
+    assert all(any(w.start >= s.start and w.stop <= s.stop for s in shots) for w in windows)
 
 
 def test_parts_are_small_and_never_cut_a_run():

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from workbench.sweeps import (
     SweepResult,
     SweptClip,
     chosen_windows,
+    curves_figure,
     least,
     maps_figure,
     nearest,
@@ -32,6 +34,7 @@ from workbench.sweeps import (
     run_sweep,
     solving,
     sources_of,
+    stored_clips,
     write_figures,
     write_outcome,
 )
@@ -40,6 +43,7 @@ from workbench.sweeps.results import result_key
 from workbench.sweeps.storage import Storage
 from workbench.sweeps.stored_clips import digest_of
 from workbench.sweeps.tasks import FitTask
+from workbench.tracking.records import frame_errors
 from workbench.workers import Failed, ThisProcess
 
 FOV = {"camera": {"fov_deg": 33.0}}
@@ -400,9 +404,80 @@ def test_what_cannot_be_swept_is_told_before_anything_is_done(clips, tmp_path, c
 
 
 def test_an_objective_that_a_clip_cannot_have_is_told(clips, tmp_path):
-    result, _ = do(plan(clips[0], objectives=("error", "rotation")), tmp_path / "s")
-    assert "needs the true rotation of the head (--truth)" in result.failures["one"]
-    assert not result.values
+    with pytest.raises(InputError, match=r"needs the true rotation of the head \(--truth\)"):
+        do(plan(clips[0], objectives=("error", "rotation")), tmp_path / "s")
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_sweep_in_which_nothing_could_be_fitted_ends_in_a_sentence(clips, tmp_path):
+    with pytest.raises(InputError, match=r"None of the clips can be fitted: .*needs the clip's pictures"):
+        do(plan(clips[0], objectives=("error", "flow")), tmp_path / "s")
+
+
+def test_clips_are_found_by_workers_in_another_folder(clips, tmp_path, monkeypatch):
+    class Elsewhere(ThisProcess):
+        """Workers that run in a folder of their own."""
+
+        def results(self, tasks, **how):
+            monkeypatch.chdir(tmp_path)
+            yield from super().results(tasks, **how)
+
+    monkeypatch.chdir(clips[0].parent)
+    wanted = plan(clips[0].name, axes=["weights.tau=1"], objectives=("error",))
+    assert run_sweep(wanted, tmp_path / "s", Elsewhere()).clips == ("one",)
+
+
+def test_clips_of_one_name_are_numbered_past_those_that_are_called_so():
+    names = plan("x/talk.mp4", "y/talk.mp4", "talk-1.mp4", "z/walk.mp4").names
+    assert names == ("talk-2", "talk-3", "talk-1", "walk")
+
+
+def test_points_moved_by_hand_are_what_is_measured(head):
+    session = session_of(head, observations(range(4)))
+    point = session.observation(2).landmarks.points[30] + 40.0
+    session.move(2, 30, tuple(point))
+    found = session.sweep("weights.tau=1", objectives=("error",), frames=None)
+    fits = session.fit_clip(config=found.config(0))
+    np.testing.assert_allclose(found.frames("error", 0), frame_errors(fits)[:, 3], atol=1e-6)
+
+
+def test_no_more_than_two_pictures_are_held_where_their_motion_is_measured(head, monkeypatch):
+    alive = weakref.WeakSet()
+
+    class Opened:
+        single_picture = False
+
+        def observations(self, first, kept, stills):
+            for frame in observations(range(5)):
+                picture = np.zeros((*frame.image_size[::-1], 3), np.uint8).view(Picture)
+                alive.add(picture)
+                assert len(alive) <= 3
+                yield replace(frame, picture=picture)
+                del picture
+
+    class Picture(np.ndarray):
+        __hash__ = object.__hash__
+
+    monkeypatch.setattr(stored_clips, "open_source", lambda *given, **how: Opened())
+    clip = stored_clips.observe(stored_clips.ClipSource("clip", flow=True), FACE_IT, head)
+    assert clip.flow.shape == (5, 68, 2)
+    assert np.isnan(clip.flow[0]).all()
+
+
+def test_a_choice_that_was_not_made_and_a_curve_of_nothing_are_told():
+    found = made_up({(0, "a"): np.ones(5)})
+    with pytest.raises(InputError, match="No point of the sweep was chosen"):
+        found.config(found.steadiest())
+    with pytest.raises(InputError, match="A curve takes a setting"):
+        curves_figure(replace(found, axes=()))
+
+
+def test_figures_of_other_settings_do_not_stay_beside_a_new_table(clips, done, tmp_path):
+    result, _ = done
+    for name in ("curve-weights.range.png", "map.png", "mine.png"):
+        (tmp_path / name).write_bytes(b"")
+    names = write_outcome(result, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {*names, "mine.png"}
 
 
 def test_the_tables_hold_settings_means_and_quartiles(done, tmp_path):

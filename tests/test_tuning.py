@@ -189,6 +189,15 @@ def test_a_search_of_something_else_is_not_gone_on_with(by_tau, other):
     assert len(by_tau.asked) == before
 
 
+def test_a_search_that_goes_on_draws_other_points_than_it_began_with(by_tau):
+    by_tau.searched(AXIS, trials=4)
+    begun = by_tau.asked[:]
+    by_tau.asked.clear()
+    by_tau.searched(AXIS, trials=8)
+    assert len(begun) > 4
+    assert not set(begun[1:]) & set(by_tau.asked)
+
+
 def test_a_journal_that_is_torn_or_none_is_one_sentence(by_tau):
     by_tau.searched("weights.tau=log(5,100)")
     for content in (by_tau.journal.read_text()[:-20], "hello\n", "[1]\n", "{}\n"):
@@ -312,6 +321,11 @@ def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_
         (["--search", "weights.taau=1,2"], "taau"),
         (["--search", "weights.tau=log(1,2,0)"], "weights.tau"),
         (["--learn", "weights.tau", "--preset", "face-it"], "step or a kink"),
+        (
+            ["--learn", "weights.tau", "--objective", "flow", "--train", "0:24", "--held-out", "24:48"],
+            "needs the clip's",
+        ),
+        (["--learn", "weights.tau", "--objective", "rotation"], "needs the true rotation"),
     ],
 )
 def test_what_cannot_be_tuned_is_said_in_a_sentence(clip, tmp_path, options, said):

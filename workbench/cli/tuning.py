@@ -83,7 +83,7 @@ def tune(
         views=views,
         rig=rig,
     )
-    sweeps.check_second([source], sums.names)
+    sweeps.check_sources([source], sums.names)
     seen = learning.observed(source, base, head)
     wanted = learning.Wanted(
         objectives=sums,

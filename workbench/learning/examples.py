@@ -44,7 +44,7 @@ def example_of(
     jobs = [job for job, _ in solver.jobs(config, clip, [frames], kinds)]
     stretches = jax.tree.map(lambda *leaves: np.stack([*map(np.asarray, leaves)]), *map(_stretch_of, jobs))
     counted = np.arange(len(frames)) >= min(SETTLING, len(frames) - 1)
-    return Example(stretches, clip_in(clip, [frames]), counted)
+    return Example(stretches, clip_in(clip, [frames], config), counted)
 
 
 def _stretch_of(job: ChainJob) -> Stretch:

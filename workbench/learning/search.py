@@ -120,7 +120,6 @@ def _study(journal: Path, key: str):
         study = optuna.create_study(
             storage=JournalStorage(JournalFileBackend(str(journal))),
             study_name=STUDY,
-            sampler=optuna.samplers.TPESampler(seed=SEED),
             pruner=optuna.pruners.MedianPruner(n_startup_trials=5),
             load_if_exists=True,
         )
@@ -128,6 +127,8 @@ def _study(journal: Path, key: str):
         raise
     except (ValueError, TypeError, LookupError, AttributeError) as error:
         raise InputError(f"{journal} is not a stored search ({error}); leave out --resume to begin anew.") from error
+    # A search that goes on draws other points than it began with.
+    study.sampler = optuna.samplers.TPESampler(seed=SEED + len(_ended(study)))
     if not (study.user_attrs or study.trials):
         study.set_user_attr(KEY, key)
     if study.user_attrs.get(KEY) != key:

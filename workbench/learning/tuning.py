@@ -19,10 +19,10 @@ from workbench.learning.objective import check_gradient, compiled_slope
 from workbench.learning.parts import Parts
 from workbench.learning.report import Change, change_of
 from workbench.learning.search import Searched, mean_of, searched, value_of
-from workbench.objectives import WeightedSum
+from workbench.objectives import WeightedSum, check_usable
 from workbench.pipeline import content_hash, software_versions
 from workbench.sweeps.clips import SweptClip
-from workbench.sweeps.results import folds_needed, objectives_of
+from workbench.sweeps.results import clip_in, folds_needed, objectives_of
 from workbench.sweeps.solving import ClipSolver
 from workbench.sweeps.space import Axis
 from workbench.sweeps.stored_clips import ClipSource, digest_of, observe
@@ -94,10 +94,11 @@ def tuned(
     with them. An interrupt (Ctrl-C) keeps what was found, and so does `stopped`, which is asked before each step of a
     gradient; after a search that was interrupted no gradient is begun, for the search may yet find a better start.
     Raises `ConfigError` for settings that cannot be learned or searched, and `InputError` for a clip without frames to
-    learn on and for files of another tuning.
+    learn on or without what an objective needs, and for files of another tuning.
     """
     if not (wanted.learn or wanted.search):
         raise ConfigError("There is nothing to tune; name settings to learn (--learn) or to search (--search).")
+    check_usable(wanted.objectives.names, clip_in(clip, clip.shots, config))
     solver, found, search, learning = ClipSolver(model), config, None, None
     if wanted.search:
         stretches = spread(stretches_in(clip, wanted.parts.train), TRAINED)

@@ -21,6 +21,7 @@ from .sums import pareto_set as pareto_set
 from .sums import read_sum as read_sum
 from .table import TABLE as TABLE
 from .table import Objective as Objective
+from .table import check_usable as check_usable
 from .table import lacking as lacking
 from .table import measure as measure
 from .table import measured_by as measured_by

@@ -6,6 +6,8 @@ from jaxtyping import Float, Int
 RUN = 10
 """Frames that a draw takes in a row: neighbours are alike, and one by one would make intervals too narrow."""
 DRAWS = 2000
+MOST_AT_ONCE = 2**20
+"""Sums of runs that are looked at together: 8 MB."""
 SURE_PERCENT = 95.0
 
 
@@ -16,7 +18,11 @@ def drawn_means(values: Float[np.ndarray, "m n"], seed: int = 0, draws: int = DR
     count = -(-frames // run)
     starts = np.random.default_rng(seed).integers(0, frames - run + 1, (draws, count))
     known = np.isfinite(values)
-    sums, counts = (_in_runs(part, run)[starts].sum(1) for part in (np.where(known, values, 0.0), known))
+    at_once = max(1, MOST_AT_ONCE // max(1, count * len(values)))
+    sums, counts = (
+        np.concatenate([runs[starts[first : first + at_once]].sum(1) for first in range(0, draws, at_once)])
+        for runs in (_in_runs(part, run) for part in (np.where(known, values, 0.0), known))
+    )
     return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
 

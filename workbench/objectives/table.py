@@ -184,12 +184,16 @@ def measured_by(names: Iterable[str], clip: ObservedClip, fits: FittedClip) -> d
 
     Raises `InputError` where the clip lacks what an objective needs.
     """
-    found = {}
+    names = tuple(names)
+    check_usable(names, clip)
+    return {name: measure(name)(clip, fits) for name in names}
+
+
+def check_usable(names: Iterable[str], clip: ObservedClip) -> None:
+    """Raise `InputError` where a clip lacks what an objective needs."""
     for name in names:
         if not usable(objective(name), clip):
             raise lacking(name)
-        found[name] = measure(name)(clip, fits)
-    return found
 
 
 def lacking(name: str) -> InputError:

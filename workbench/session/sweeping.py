@@ -54,9 +54,8 @@ class SessionSweeps:
         group of points. Raises `ConfigError` and `InputError` for what cannot be swept or measured.
         """
         axes = tuple(map(read_axis, settings))
-        sweep = Sweep(
-            (ClipSource(self._material.name),), axes, base, read_sampling(sample, seed), tuple(objectives), frames
-        )
+        source = ClipSource(self._material.name, truth=str(truth or ""))
+        sweep = Sweep((source,), axes, base, read_sampling(sample, seed), tuple(objectives), frames)
         points, configs = sweep.checked()
         clip = self.clip(sweep.objectives, truth)
         windows = chosen_windows(clip.shots, frames)

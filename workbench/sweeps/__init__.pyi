@@ -20,7 +20,7 @@ from .space import read_axis as read_axis
 from .space import read_sampling as read_sampling
 from .space import shown as shown
 from .stored_clips import ClipSource as ClipSource
-from .stored_clips import check_second as check_second
+from .stored_clips import check_sources as check_sources
 from .stored_clips import sources_of as sources_of
 from .sweep import USUAL_OBJECTIVES as USUAL_OBJECTIVES
 from .sweep import Sweep as Sweep

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -31,12 +32,12 @@ class SweptClip:
     """As `ObservedClip.flow`, for all frames."""
     second: SecondView | None = None
 
-    @property
+    @cached_property
     def scheme(self) -> LandmarkScheme:
         """What its points are called."""
         return scheme_of_faces(seen.landmarks for seen in self.observations)
 
-    @property
+    @cached_property
     def shots(self) -> tuple[range, ...]:
         """The frames of each shot, as the tracker divides them."""
         starts = [k for k, item in enumerate(self.observations) if k == 0 or item.cut or self.stills]
@@ -55,18 +56,29 @@ def chosen_windows(shots: Sequence[range], budget: int | None) -> tuple[range, .
     total = sum(map(len, shots))
     if budget >= total:
         return tuple(shots)
-    if all(len(shot) == 1 for shot in shots):
-        return tuple(shots[k] for k in _spread(len(shots), budget))
     pieces = [
         range(start, min(start + WINDOW, shot.stop)) for shot in shots for start in range(shot.start, shot.stop, WINDOW)
     ]
-    # Short ends of shots hold too few frames for a second difference; they are taken only if nothing else is there.
-    whole = [piece for piece in pieces if len(piece) == WINDOW] or pieces
+    # Short ends of shots hold few frames for a second difference; they fill what the others leave.
+    chosen = _filled([piece for piece in pieces if len(piece) == WINDOW], budget)
+    short = [piece for piece in pieces if len(piece) < WINDOW]
+    chosen += _filled(short, budget - sum(map(len, chosen)))
+    return tuple(sorted(chosen, key=lambda piece: piece.start))
+
+
+def _filled(pieces: Sequence[range], budget: int) -> list[range]:
+    """Pieces that hold so many frames together, evenly spread, the last one cut; all if they hold no more."""
+    if not pieces or budget < 1:
+        return []
+    lengths = np.array([len(piece) for piece in pieces])
+    wanted = -(-budget // int(lengths.max()))
+    while wanted < len(pieces) and lengths[_spread(len(pieces), wanted)].sum() < budget:
+        wanted += 1
     chosen, left = [], budget
-    for k in _spread(len(whole), -(-budget // WINDOW)):
-        chosen.append(whole[k][:left])
+    for k in _spread(len(pieces), wanted):
+        chosen.append(pieces[k][:left])
         left -= len(chosen[-1])
-    return tuple(piece for piece in chosen if len(piece))
+    return [piece for piece in chosen if len(piece)]
 
 
 def _spread(count: int, wanted: int) -> list[int]:

@@ -24,6 +24,8 @@ from workbench.sweeps.space import Axis, shown
 
 WIDTH = 8.0
 """Inches; at 100 dots an inch that of a notebook's outputs."""
+FIGURES = ("curve-*.png", "map.png", "parallel.png", "pareto.png")
+"""What `write_figures` calls its files."""
 MOST_TICKS = 9
 COLOURS = "viridis_r"
 """Light is good: less is better."""
@@ -34,8 +36,10 @@ def curves_figure(result: SweepResult, axis: Axis | None = None, objectives: Seq
     """Each objective over one setting: the mean over frames, and the quartiles as a band; a ring at the least mean.
 
     With several settings, the curve is that of the best others: the least mean at each value. Samples, which have no
-    values in common, are dots.
+    values in common, are dots. Raises `InputError` for a sweep without settings.
     """
+    if not result.axes:
+        raise InputError("A curve takes a setting, and the sweep has none.")
     axis = axis or result.axes[0]
     sampled = not on_grid(result, axis)
     names = tuple(objectives) or result.objectives

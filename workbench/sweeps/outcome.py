@@ -41,13 +41,15 @@ class SweepResult:
     failures: Mapping[str, str] = field(default_factory=dict)
     """By clip: why it has no numbers."""
 
-    @property
+    @cached_property
     def clips(self) -> tuple[str, ...]:
         """The clips that have numbers."""
         return tuple(dict.fromkeys(clip for _, clip in self.values))
 
-    def config(self, number: int) -> Config:
-        """The configuration of a point."""
+    def config(self, number: int | None) -> Config:
+        """The configuration of a point. Raises `InputError` where none was chosen, as `best` and `steadiest` may."""
+        if number is None:
+            raise InputError("No point of the sweep was chosen: none has a value of what it is chosen by.")
         return config_at(self.base, self.points[number])
 
     def frames(self, objective: str, number: int) -> Float[np.ndarray, "n"]:

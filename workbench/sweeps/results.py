@@ -13,6 +13,7 @@ from workbench.objectives import TABLE, FittedClip, ObservedClip, SecondView, Tr
 from workbench.sweeps.clips import SweptClip, frames_of
 from workbench.sweeps.solving import ClipSolver
 from workbench.sweeps.storage import Storage, packed, unpacked
+from workbench.tracking.fitting import corrected
 
 FORMAT = 1
 UNREAD = {"version", "preset", "provenance", "head", "infill", "refinement", "flow", "deep"}
@@ -45,21 +46,26 @@ def objectives_of(
 
     Raises `InputError` where the clip lacks what an objective needs.
     """
-    seen = clip_in(clip, windows)
     fits = solver.fits(
         configs, clip, windows, folds_needed(names), any(TABLE[name].needs == "surface" for name in names)
     )
-    return [_rows(names, seen, each) for each in fits]
+    seen, found = None, []
+    for k, each in enumerate(fits):
+        if seen is None or configs[k].landmarks.moved != configs[k - 1].landmarks.moved:
+            seen = clip_in(clip, windows, configs[k])
+        found.append(_rows(names, seen, each))
+    return found
 
 
-def clip_in(clip: SweptClip, windows: Sequence[range]) -> ObservedClip:
-    """What objectives look at of some windows of a clip."""
+def clip_in(clip: SweptClip, windows: Sequence[range], config: Config) -> ObservedClip:
+    """What objectives look at of some windows of a clip, with the points that a configuration moves by hand."""
     rows = np.concatenate([np.arange(window.start, window.stop) for window in windows])
     truth = Truth(*(None if part is None else part[rows] for part in clip.truth))
     second = None
     if clip.second is not None:
         second = SecondView(clip.second.placed, clip.second.points[rows])
-    seen = observed_clip(frames_of(clip, windows), truth)
+    frames = [corrected(frame, config.moved_points(frame.index)) for frame in frames_of(clip, windows)]
+    seen = observed_clip(frames, truth)
     return seen._replace(flow=None if clip.flow is None else clip.flow[rows], second=second)
 
 

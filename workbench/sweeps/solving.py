@@ -1,5 +1,6 @@
 """Fits of parts of a clip under many configurations at once, with what cross-validation hides as more of the same."""
 
+from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -169,10 +170,10 @@ class ClipSolver:
         """What is solved for some windows of a clip, with the identity of each: first with everything seen, then what
         the folds see; a job a window. Raises `ConfigError` for a configuration that no batch can solve."""
         setting = setting_of(config, clip.scheme)
-        ends = np.cumsum([*map(len, windows)])
+        ends, starts = np.cumsum([*map(len, windows)]), [shot.start for shot in clip.shots]
         for fold in folds_of(kinds, int(ends[-1]), clip.scheme):
             for window, mask in zip(windows, np.split(fold, ends[:-1]), strict=True):
-                shot = next(shot for shot in clip.shots if window.start in shot)
+                shot = clip.shots[bisect_right(starts, window.start) - 1]
                 calibrated = self._calibrated(setting, clip, shot, mask)
                 yield self._job(setting, clip, window, calibrated, mask), calibrated.identity
 

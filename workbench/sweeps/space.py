@@ -205,8 +205,9 @@ def config_at(base: Config, point: Point) -> Config:
     values = dict(point.values)
     if "preset" in values:
         # What belongs to the clip stays; everything else is the preset's.
-        kept = {name: getattr(base.landmarks, name) for name in ("detector", "face", "moved")}
-        chosen = preset(str(values.pop("preset"))).model_copy(update={"camera": base.camera, "subsets": base.subsets})
+        kept = {name: getattr(base.landmarks, name) for name in ("detector", "face_landmarker", "face", "moved")}
+        of_clip = {name: getattr(base, name) for name in ("camera", "subsets", "head")}
+        chosen = preset(str(values.pop("preset"))).model_copy(update=of_clip)
         base = chosen.changed(landmarks=kept)
     if "schedule" in values:
         base = base.model_copy(update={"stages": preset(str(values.pop("schedule"))).stages})
@@ -250,4 +251,6 @@ def _entry(table: dict[str, Any], keys: Sequence[str], value: Any) -> None:
         if not isinstance(table.get(key), dict):
             table[key] = {}
         table = table[key]
+    # Set last: among weights of landmarks, later entries win.
+    table.pop(keys[-1], None)
     table[keys[-1]] = value

@@ -29,6 +29,11 @@ def is_url(place: str) -> bool:
     return "://" in place
 
 
+def anywhere(place: str) -> str:
+    """A place as it is named in any folder; URLs, and no place at all, as they are."""
+    return place if not place or is_url(place) else str(Path(place).absolute())
+
+
 @dataclass(frozen=True)
 class Storage:
     """A folder by path or URL; made where it is missing."""

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from workbench.objectives import Truth, flow_of_pictures, lacking, objective, ob
 from workbench.pipeline import content_hash, open_source
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.second_camera import SecondCamera, arrays_of, second_of_arrays, seen_by_second
-from workbench.sweeps.storage import Storage, local_file, packed, unpacked
+from workbench.sweeps.storage import Storage, anywhere, local_file, packed, unpacked
 from workbench.tracking import FrameObservation
 
 NO_FACES = "has no face in any frame; look at its pictures, or try another detector (landmarks.detector)."
@@ -46,6 +46,15 @@ class ClipSource:
         """All that it is read from."""
         second = () if self.second is None else (self.second.clip, self.second.rig)
         return tuple(place for place in (self.clip, self.landmarks, self.truth, *second) if place)
+
+    @property
+    def anywhere(self) -> "ClipSource":
+        """The same by names that hold in any folder."""
+        second = self.second
+        if second is not None:
+            second = replace(second, clip=anywhere(second.clip), rig=anywhere(second.rig))
+        here = {name: anywhere(getattr(self, name)) for name in ("clip", "landmarks", "truth")}
+        return replace(self, second=second, **here)
 
     @property
     def name(self) -> str:
@@ -84,15 +93,15 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     clip, landmarks = local_file(source.clip), local_file(source.landmarks) if source.landmarks else None
     opened = open_source([clip], config, landmarks, keep_pictures=source.flow)
     stills = source.stills or opened.single_picture
-    found, pictures = [], []
+    found, flow, before = [], [], None
     for observation in opened.observations(0, {}, stills):
-        pictures.append(observation.picture)
+        if source.flow:
+            flow.append(_flow_since(before, observation))
+            before = observation
         found.append(_without_picture(observation))
     if not any(observation.landmarks is not None for observation in found):
         raise InputError(f"{source.clip} {NO_FACES}")
-    flow = None
-    if source.flow and all(picture is not None for picture in pictures):
-        flow = flow_of_pictures(pictures, observed_clip(found))
+    flow = np.stack(flow) if flow and all(each is not None for each in flow) else None
     truth = Truth()
     if source.truth:
         indices = [observation.index for observation in found]
@@ -102,6 +111,14 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     if source.second is not None:
         second = seen_by_second(source.second, config, len(found), found[0].image_size, stills)
     return SweptClip(source.name, digest, tuple(found), stills, truth, flow, second)
+
+
+def _flow_since(before: FrameObservation | None, now: FrameObservation) -> np.ndarray | None:
+    """How far the picture moved at the landmarks since the frame before; None without a picture."""
+    if now.picture is None:
+        return None
+    pair = [now] if before is None or before.picture is None else [before, now]
+    return flow_of_pictures([each.picture for each in pair], observed_clip(pair))[-1]
 
 
 def _without_picture(observation: FrameObservation) -> FrameObservation:
@@ -201,10 +218,13 @@ def sources_of(
     )
 
 
-def check_second(sources: Sequence[ClipSource], objectives: Iterable[str]) -> None:
-    """Raise `InputError` where an objective looks at a second camera and a clip has none."""
+def check_sources(sources: Sequence[ClipSource], objectives: Iterable[str]) -> None:
+    """Raise `InputError` where an objective looks at a truth or a second camera and a clip has none."""
     for name in objectives:
-        if objective(name).needs == "second" and any(source.second is None for source in sources):
+        needs = objective(name).needs
+        if needs not in (None, "flow") and not all(
+            source.second if needs == "second" else source.truth for source in sources
+        ):
             raise lacking(name)
 
 

@@ -1,8 +1,10 @@
 """A whole sweep: the plan of its points, the tasks, who does them, and what comes of it."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,8 +19,8 @@ from workbench.sweeps.outcome import SweepResult
 from workbench.sweeps.results import folds_needed, result_key, stored_result
 from workbench.sweeps.solving import check_swept
 from workbench.sweeps.space import Axis, Point, Sampling, config_at, points_of
-from workbench.sweeps.storage import Storage, is_url
-from workbench.sweeps.stored_clips import ClipSource, check_second
+from workbench.sweeps.storage import Storage, anywhere
+from workbench.sweeps.stored_clips import ClipSource, check_sources
 from workbench.sweeps.tasks import FitTask, ObserveTask, fingerprint_of
 from workbench.tracking.unwatched import silent
 from workbench.workers import Failed, Workers
@@ -53,19 +55,25 @@ class Sweep:
     @property
     def names(self) -> tuple[str, ...]:
         """The clips' names in tables; clips of the same name are numbered."""
-        names = [source.name for source in self.sources]
-        return tuple(
-            name if names.count(name) == 1 else f"{name}-{names[:k].count(name) + 1}" for k, name in enumerate(names)
-        )
+        counts = Counter(source.name for source in self.sources)
+        taken = {name for name, times in counts.items() if times == 1}
+        names = []
+        for source in self.sources:
+            name = source.name
+            if counts[name] > 1:
+                name = next(free for number in count(1) if (free := f"{source.name}-{number}") not in taken)
+            names.append(name)
+            taken.add(name)
+        return tuple(names)
 
     def checked(self) -> tuple[tuple[Point, ...], tuple[Config, ...]]:
         """The points with their configurations.
 
         Raises `ConfigError` for an unknown setting or objective, an empty range, a value out of range, and for
-        settings that do not act on a fit from landmarks; `InputError` for an objective that needs a second camera where
-        a clip has none.
+        settings that do not act on a fit from landmarks; `InputError` for an objective that needs a truth or a second
+        camera where a clip has none.
         """
-        check_second(self.sources, self.objectives)
+        check_sources(self.sources, self.objectives)
         for axis in self.axes:
             check_axis(axis, self.base)
         points = points_of(self.axes, self.sampling)
@@ -94,10 +102,12 @@ def run_sweep(
 
     A clip that cannot be fitted is told in `SweepResult.failures`, and the rest goes on. Raises `ConfigError` for what
     the sweep asks for, `OutputError` for a place that takes no more or that holds a sweep unless `resume`, `InputError`
-    if no clip can be used. Whatever ends it, finished results stay.
+    if no clip can be used, or fitted at any point. Whatever ends it, finished results stay.
     """
     points, configs = sweep.checked()
-    place = str(place) if is_url(str(place)) else str(Path(place).absolute())
+    # Workers may run in another folder.
+    sweep = replace(sweep, sources=tuple(source.anywhere for source in sweep.sources), model=anywhere(sweep.model))
+    place = anywhere(str(place))
     storage, progress = Storage(place), progress or silent
     if not resume:
         _check_free(storage)
@@ -136,6 +146,8 @@ def run_sweep(
         done += sizes[number]
         progress("fits", done, total)
     values = _gathered(sweep, storage, configs, observed, parts)
+    if not values:
+        raise InputError(f"None of the clips can be fitted: {next(iter(failures.values()))}")
     failures = {name: f"{reason}{_gaps(name, points, values)}" for name, reason in failures.items()}
     return SweepResult(sweep.base, sweep.axes, points, sweep.objectives, values, failures)
 

@@ -1,5 +1,7 @@
 """What a sweep leaves in its folder besides the results: tables, figures, the best configuration."""
 
+from collections.abc import Iterable, Sequence
+from fnmatch import fnmatch
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,7 +11,7 @@ from workbench.config import Config, config_toml
 from workbench.config.sections import Provenance
 from workbench.files import make_folder, writing
 from workbench.objectives import WeightedSum
-from workbench.sweeps.figures import write_figures
+from workbench.sweeps.figures import FIGURES, write_figures
 from workbench.sweeps.outcome import SweepResult
 from workbench.sweeps.storage import is_url
 
@@ -21,7 +23,10 @@ def write_outcome(result: SweepResult, place: str | Path, wanted: WeightedSum | 
     `OutputError` for a place that takes no more.
     """
     if not is_url(str(place)):
-        return _write(result, make_folder(place), wanted)
+        names = _write(result, make_folder(place), wanted)
+        for earlier in _earlier_figures((path.name for path in Path(place).iterdir()), names):
+            (Path(place) / earlier).unlink(missing_ok=True)
+        return names
     import fsspec
 
     with TemporaryDirectory() as folder:
@@ -30,7 +35,15 @@ def write_outcome(result: SweepResult, place: str | Path, wanted: WeightedSum | 
         with writing(place):
             for name in names:
                 system.put_file(str(Path(folder) / name), f"{path.rstrip('/')}/{name}")
+            there = (Path(each).name for each in system.ls(path, detail=False))
+            for earlier in _earlier_figures(there, names):
+                system.rm_file(f"{path.rstrip('/')}/{earlier}")
     return names
+
+
+def _earlier_figures(there: Iterable[str], written: Sequence[str]) -> list[str]:
+    """The figures of other settings, which a sweep that went on has left beside its table."""
+    return [name for name in there if name not in written and any(fnmatch(name, each) for each in FIGURES)]
 
 
 def _write(result: SweepResult, folder: Path, wanted: WeightedSum | None) -> tuple[str, ...]:
