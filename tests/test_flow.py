@@ -32,6 +32,7 @@ from workbench.flow import (
     warp,
     wheel_picture,
 )
+from workbench.flow.estimators import check_pair
 from workbench.flow.network_flow import seen_size
 from workbench.geometry import Camera, camera_from_fov
 from workbench.rendering import (
@@ -233,6 +234,12 @@ class TestEstimators:
             DisFlow()(texture(40, 40), texture(40, 48))
         with pytest.raises(InputError, match="at least 16"):
             FarnebackFlow()(texture(12, 40), texture(12, 40))
+
+    @pytest.mark.parametrize("kind", ["uint16", "float64", "int32"])
+    def test_pictures_of_another_range_are_refused(self, kind):
+        picture = texture(40, 40).astype(kind)
+        with pytest.raises(InputError, match=f"numbers in 0..1, got {kind} up to "):
+            check_pair(picture, picture)
 
 
 class Constant:

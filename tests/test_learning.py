@@ -88,6 +88,8 @@ def test_parts_of_a_clip_do_not_overlap():
         parts_of_clip(100, range(50), None, range(60, 120))
     with pytest.raises(InputError, match="reports"):
         parts_of_clip(100, range(50))
+    with pytest.raises(InputError, match="with or without --watch"):
+        parts_of_clip(100, watch=range(50))
     with pytest.raises(ConfigError, match="FIRST:END"):
         read_frames("5:5")
     with pytest.raises(InputError, match=r"too short to tune on: 1 frame\(s\)"):

@@ -359,6 +359,19 @@ def test_curves_of_tracks_show_each_quantity_of_each_track_with_the_truth_behind
     assert drawn(figure).min() < 100
 
 
+@pytest.mark.parametrize("x", [[0.0, 1.0], [1.0, 2.0], [0.5]])
+def test_a_sweep_of_few_values_is_drawn(x):
+    axis = plots.sweep_figure(np.array(x), {"error": {"one": np.arange(1.0, 1.0 + len(x))}}, "ω").axes[0]
+    drawn = axis.lines[0].get_xdata()
+    assert (np.diff(drawn) > 0.0).all()
+    assert drawn[0] > 0.0
+
+
+def test_a_sweep_of_nothing_above_zero_is_refused():
+    with pytest.raises(InputError, match="at least one value above zero"):
+        plots.sweep_figure(np.zeros(1), {"error": {"one": np.ones(1)}}, "ω")
+
+
 def test_curves_of_tracks_can_show_a_part(short_track):
     figure = plots.track_curves({"fits": short_track}, ("yaw",), frames=(11, 12))
     np.testing.assert_array_equal(figure.axes[0].get_lines()[0].get_xdata(), [11, 12])
@@ -370,6 +383,12 @@ def test_curves_of_tracks_can_be_their_distances_from_the_truth(short_track):
     far, right = figure.axes[0].get_lines()
     np.testing.assert_array_equal(far.get_ydata(), np.full(4, 5.0))
     np.testing.assert_array_equal(right.get_ydata(), np.zeros(4))
+
+
+def test_a_truth_of_other_frames_is_refused(short_track):
+    shorter = Track(meta=short_track.meta, **stack_fits([short_track[k] for k in range(3)]))
+    with pytest.raises(InputError, match="The truth has 3 frames and the track 'fits' 4"):
+        plots.track_curves({"fits": short_track}, truth=shorter)
 
 
 def test_curves_of_tracks_name_the_quantities_there_are(short_track):

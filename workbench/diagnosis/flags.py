@@ -26,6 +26,7 @@ MOST_AT_BOUND = 0.25
 FEWEST_OUTSIDE = 6
 """Number of landmarks outside the picture at which a face is cut off; fewer are a chin touching the edge."""
 STILL_PX = 1e-3
+"""Motion of every landmark below which they are frozen: no detector repeats itself so exactly."""
 
 
 class _Screen(NamedTuple):

@@ -33,20 +33,21 @@ class FrameCase:
     @property
     def before(self) -> FrameObservation | None:
         """The previous frame, if the shot contains it with landmarks."""
-        return self._neighbour(-1)
+        return self.observation_at(self.observation.index - 1)
 
     @property
     def after(self) -> FrameObservation | None:
         """The next frame, if the shot contains it with landmarks."""
-        return self._neighbour(+1)
+        return self.observation_at(self.observation.index + 1)
 
     @cached_property
-    def _by_index(self) -> dict[int, FrameObservation]:
-        return {observation.index: observation for observation in self.shot}
+    def seen(self) -> dict[int, FrameObservation]:
+        """The frames of the shot with landmarks, by index."""
+        return {observation.index: observation for observation in self.shot if observation.landmarks is not None}
 
-    def _neighbour(self, step: int) -> FrameObservation | None:
-        found = self._by_index.get(self.observation.index + step)
-        return found if found is not None and found.landmarks is not None else None
+    def observation_at(self, index: int) -> FrameObservation | None:
+        """A frame of the shot, if that contains it with landmarks."""
+        return self.seen.get(index)
 
 
 @dataclass(frozen=True, eq=False)

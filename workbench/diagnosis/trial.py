@@ -35,6 +35,8 @@ MOTION_SHARE = 0.5
 """Weight of the evidence from motion, which is not independent because the detector uses motion too."""
 SURE = 0.4
 """Usual confidence from which a lower one says something."""
+FEWEST_CARRIED = 10
+"""Landmarks with a known motion from which the picture's is told."""
 FLOW_USUAL = 1.2
 """Factor on the usual motion deviation for points predicted by optical flow."""
 FURTHER_SHARE = 0.05
@@ -233,8 +235,7 @@ class Trial:
 
     def jump(self, group: str) -> tuple[Float[np.ndarray, "2"], float] | None:
         """The jump of a group within the last frames, if there is one (`jump_of`)."""
-        shot = {index: found for index, found in self.case._by_index.items() if found.landmarks is not None}
-        return jump_of(group, self.scheme, self.case.observation, shot, self.reference.steps_of(group))
+        return jump_of(group, self.scheme, self.case.observation, self.case.seen, self.reference.steps_of(group))
 
     @cached_property
     def carried(self) -> Float[np.ndarray, "points 2"] | None:
@@ -244,6 +245,15 @@ class Trial:
             return None
         points = case.before.landmarks.points
         return carried_by_flow(case.previous_picture, case.picture, points, float(face_size(points)))
+
+    @cached_property
+    def picture_steps(self) -> Float[np.ndarray, "n 2"] | None:
+        """Motion of the picture at the landmarks since the previous frame, pixels; None where it is known at few."""
+        if self.carried is None:
+            return None
+        moved = self.carried - self.case.before.landmarks.points
+        known = np.isfinite(moved[:, 0])
+        return moved[known] if known.sum() >= FEWEST_CARRIED else None
 
     def middle(self, points: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
         """Landmarks predicted from the previous and next frames, with the head's motion taken from `points`."""
@@ -294,11 +304,6 @@ class Trial:
         around = near(self.case.observation.index, list(there))
         usual = UsualLook({index: self.reference.look(there[index], pictures) for index in around})
         return usual if usual.known else None
-
-    def observation_at(self, index: int) -> FrameObservation | None:
-        """An observation of the shot by frame index, if it has landmarks."""
-        found = self.case._by_index.get(index)
-        return found if found is not None and found.landmarks is not None else None
 
 
 def shares_of(count: int) -> Float[np.ndarray, "points"]:

@@ -15,6 +15,8 @@ from workbench.errors import InputError
 
 Picture = UInt8[np.ndarray, "_ _ _"] | Float[np.ndarray, "_ _ _"]
 """Height, width, RGB: bytes, or numbers in 0..1."""
+BRIGHTEST = 2.0
+"""Numbers in 0..1 may lie a little beyond, as after resampling; from here on they are of another range."""
 SMALLEST_SIDE = 16
 """Pixels below which there is no flow to find."""
 
@@ -31,7 +33,8 @@ class FlowEstimator(Protocol):
     def __call__(self, first: Picture, second: Picture) -> Float32[np.ndarray, "h w 2"]:
         """Flow in pixels of the pictures: what the first shows at (x, y), the second shows at (x, y) + flow[y, x].
 
-        Raises `InputError` for pictures of two sizes, without three channels, or under 16 pixels wide or high.
+        Raises `InputError` for pictures of two sizes, without three channels, under 16 pixels wide or high, or of
+        another range.
         """
         ...
 
@@ -79,13 +82,21 @@ def check_pair(first: np.ndarray, second: np.ndarray) -> None:
     """Raise `InputError` unless flow can be estimated between these two."""
     if first.shape != second.shape or first.ndim != 3 or first.shape[2] != 3:
         raise InputError(
-            f"flow needs two RGB pictures of one size, got shapes {first.shape} and {second.shape}; resize one of them"
+            f"Flow needs two RGB pictures of one size, got shapes {first.shape} and {second.shape}; resize one of them."
         )
     if min(first.shape[:2]) < SMALLEST_SIDE:
         raise InputError(
-            f"flow needs pictures of at least {SMALLEST_SIDE} × {SMALLEST_SIDE} pixels, got "
-            f"{first.shape[1]} × {first.shape[0]}; use larger ones"
+            f"Flow needs pictures of at least {SMALLEST_SIDE} × {SMALLEST_SIDE} pixels, got "
+            f"{first.shape[1]} × {first.shape[0]}; use larger ones."
         )
+    for picture in map(np.asarray, (first, second)):
+        if picture.dtype == np.uint8:
+            continue
+        if not np.issubdtype(picture.dtype, np.floating) or picture.max() > BRIGHTEST:
+            raise InputError(
+                f"Flow needs pictures of bytes (uint8) or of numbers in 0..1, got {picture.dtype} up to "
+                f"{picture.max():g}; divide by the value of white."
+            )
 
 
 def as_bytes(picture: Picture) -> UInt8[np.ndarray, "h w 3"]:

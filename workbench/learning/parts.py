@@ -42,7 +42,7 @@ def parts_of_clip(
     """The parts of a clip of so many frames: three fifths, one and one if none is given.
 
     Raises `InputError` for a clip that is too short for three parts, for parts outside the clip or that overlap, and
-    where only one of train and held-out is given.
+    where one of train and held-out, or both beside watch, are missing.
     """
     if train is None and held_out is None and watch is None:
         first, second = (round(share * frames) for share in SHARES)
@@ -50,7 +50,10 @@ def parts_of_clip(
         if not (train and watch and held_out):
             raise InputError(f"The clip is too short to tune on: {frames} frame(s); choose a longer one.")
     if train is None or held_out is None:
-        raise InputError("A part to learn on needs a part that reports: give --train and --held-out, or neither.")
+        raise InputError(
+            "A part to learn on needs a part that reports: give --train and --held-out, with or without --watch, or "
+            "none of them."
+        )
     parts = Parts(train, held_out, watch)
     in_order = sorted(parts.named.items(), key=lambda part: part[1].start)
     for name, part in in_order:

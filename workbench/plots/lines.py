@@ -35,8 +35,13 @@ def track_curves(
     first and last, with a grey background. With `truth`, a track of the same frames, the curves are the distances from
     it (Fig. 16).
 
-    Raises `InputError` for a quantity that a track does not have.
+    Raises `InputError` for a quantity that a track does not have, and for a `truth` of other frames.
     """
+    for label, track in tracks.items():
+        if truth is not None and len(track) != len(truth):
+            raise InputError(
+                f"The truth has {len(truth)} frames and the track {label!r} {len(track)}; take the same part of both."
+            )
     rows = -(-len(quantities) // columns)
     figure, axes = subplots(rows, columns, (PAGE_WIDTH, 0.35 + 1.75 * rows))
     for axis, quantity in zip(axes, quantities, strict=False):
@@ -229,12 +234,15 @@ def sweep_figure(
 
     `series` holds one line per label for each quantity. A first `x` of zero is drawn one step left of the others. The
     lowest value of each line has a ring. A quantity that spans more than a factor of ten is also logarithmic. `levels`
-    are dotted lines by quantity, such as the value for the truth.
+    are dotted lines by quantity, such as the value for the truth. Raises `InputError` without an `x` above zero.
     """
-    figure, axes = subplots(1, len(series), (min(2.85 * len(series), 8.6), 3.0))
     places = np.asarray(x, float).copy()
+    positive = places[places > 0.0]
+    if not len(positive):
+        raise InputError("A logarithmic axis needs at least one value above zero.")
+    figure, axes = subplots(1, len(series), (min(2.85 * len(series), 8.6), 3.0))
     if places[0] == 0.0:
-        places[0] = places[1] ** 2 / places[2]
+        places[0] = positive[0] ** 2 / positive[1] if len(positive) > 1 else 0.1 * positive[0]
     for axis, (title, lines) in zip(axes, series.items(), strict=True):
         for (label, values), (color, dash) in zip(lines.items(), cycle(LINES), strict=False):
             least = int(np.nanargmin(values))
@@ -244,7 +252,7 @@ def sweep_figure(
             axis.axhline(levels[title], color=page().soft, linestyle=":", linewidth=1.4)
         axis.set_xscale("log")
         axis.xaxis.set_minor_formatter(NullFormatter())
-        decades = [10.0**power for power in range(-12, 13, 2) if places[1] <= 10.0**power <= places[-1]]
+        decades = [10.0**power for power in range(-12, 13, 2) if positive[0] <= 10.0**power <= positive[-1]]
         ticks = {places[0]: f"{x[0]:g}"} | {place: f"{place:g}" for place in decades}
         axis.set_xticks(list(ticks), list(ticks.values()))
         if not log_where_wide(axis, np.array([*lines.values()])):

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from workbench.diagnosis.causes.groups import SIDES, TITLES, mask_of, muted, title_of
+from workbench.diagnosis.causes.groups import SIDES, TRIED, mask_of, muted, title_of
 from workbench.diagnosis.reference import robust_similarity
 from workbench.diagnosis.trial import Finding, Trial, points_change
 
@@ -17,7 +17,7 @@ CLEARLY_LESS = 0.3
 def doubted_part(trial: Trial) -> Iterator[Finding]:
     """The detector is unsure of a part of which it is sure in the shot's other frames."""
     relative = np.minimum(trial.relative_confidence, 1.0)
-    named = {name: mask_of(trial, name) for name in (*TITLES, *SIDES)}
+    named = {name: mask_of(trial, name) for name in (*TRIED, *SIDES)}
     name = max(named, key=lambda part: relative[~named[part]].mean() - relative[named[part]].mean())
     mask, title = named[name], title_of(name)
     here, elsewhere = float(relative[mask].mean()), float(relative[~mask].mean())

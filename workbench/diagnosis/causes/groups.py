@@ -15,15 +15,8 @@ from workbench.diagnosis.trial import Finding, Trial, points_change
 from workbench.landmarks.scheme import GROUPS, POINT_COUNT
 from workbench.tracking import FrameFit
 
-TITLES = {
-    "jaw": "jaw",
-    "right_brow": "right brow",
-    "left_brow": "left brow",
-    "nose": "nose",
-    "right_eye": "right eye",
-    "left_eye": "left eye",
-    "mouth": "mouth",
-}
+TRIED = ("jaw", "right_brow", "left_brow", "nose", "right_eye", "left_eye", "mouth")
+"""Groups that may be shifted or hidden."""
 SIDES = {
     "right_side": (*range(0, 8), *GROUPS["right_brow"], *GROUPS["right_eye"], 31, 32, 48, 49, 50, 58, 59, 60, 67),
     "left_side": (*range(9, 17), *GROUPS["left_brow"], *GROUPS["left_eye"], 34, 35, 52, 53, 54, 55, 56, 64, 65),
@@ -89,13 +82,11 @@ def jaw_disagrees(trial: Trial) -> Iterator[Finding]:
 
 def group_biased(trial: Trial) -> Iterator[Finding]:
     """All points of a group have the same offset."""
-    for group, title in TITLES.items():
-        if group == "jaw":
-            continue
+    for group in TRIED[1:]:
         shift = _best_shift(trial, group)
         if shift is None or shift.gain <= 0.0 or not _long(trial, shift.vector):
             continue
-        before, after = trial.error_percent(trial.fit), trial.error_percent(shift.fit)
+        before, after, title = trial.error_percent(trial.fit), trial.error_percent(shift.fit), title_of(group)
         yield Finding(
             code="group_biased",
             title=f"The points of the {title} are shifted",
@@ -150,7 +141,7 @@ def _best_shift(trial: Trial, group: str) -> _Shift | None:
     coherent = float(np.clip(np.linalg.norm(mean) / max(scatter, 1e-9) - 1.0, 0.0, 1.0))
     tried = []
     for vector in vectors:
-        change, fit = _shifted_back(trial, mask, vector, TITLES[group])
+        change, fit = _shifted_back(trial, mask, vector, title_of(group))
         nats = offset_nats(trial.percent(mean), usual) - offset_nats(trial.percent(mean - vector), usual)
         if jump is not None and np.linalg.norm(vector - jump[0]) < 0.5 * np.linalg.norm(jump[0]):
             nats += jump[1]
@@ -167,7 +158,7 @@ def occluded(trial: Trial) -> Iterator[Finding]:
         return
     if trial.excess < LEAST_EXCESS and confidence.min() > 0.5 * confidence.max():
         return
-    for name in (*TITLES, *SIDES):
+    for name in (*TRIED, *SIDES):
         mask, change = mask_of(trial, name), muted(trial, name)
         fit = trial.refit(change)
         gain = trial.gain(fit, doubted=mask)
@@ -285,7 +276,7 @@ def muted(trial: Trial, name: str) -> Change:
 
 def title_of(name: str) -> str:
     """A group, or one of `SIDES`, in words."""
-    return TITLES.get(name, name.replace("_", " "))
+    return name.replace("_", " ")
 
 
 def mask_of(trial: Trial, name: str) -> Bool[np.ndarray, "points"]:

@@ -5,11 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from workbench.diagnosis.flags import STILL_PX
 from workbench.diagnosis.records import Change
 from workbench.diagnosis.trial import Finding, Trial, points_change
 
-STILL_PX = 1e-3
-"""Motion of every landmark below which they are frozen: no detector repeats itself so exactly."""
 MOVING_PERCENT = 0.6
 """Median motion of the picture, % of the face's size, above which unmoving landmarks are wrong."""
 DUPLICATE_PERCENT = 0.1
@@ -153,22 +152,20 @@ def interpolated(trial: Trial, places: Float[np.ndarray, "points 2"] | None) -> 
 
 
 def _same(trial: Trial, index: int) -> bool:
-    found = trial.observation_at(index)
+    found = trial.case.observation_at(index)
     return found is not None and bool(np.abs(found.landmarks.points - trial.points).max() <= STILL_PX)
 
 
 def _picture_motion(trial: Trial) -> float | None:
     """Median motion of the picture at the landmarks since the previous frame, %; None without pictures."""
-    if trial.carried is None:
+    if trial.picture_steps is None:
         return None
-    moved = np.linalg.norm(trial.carried - trial.case.before.landmarks.points, axis=1)
-    known = np.isfinite(moved)
-    return float(trial.percent(np.median(moved[known]))) if known.sum() >= 10 else None
+    return float(trial.percent(np.median(np.linalg.norm(trial.picture_steps, axis=1))))
 
 
 def _thawed(trial: Trial, first: int, last: int) -> Float[np.ndarray, "points 2"] | None:
     """The landmarks interpolated between the last valid ones (frame `first`) and the next (`last` + 1), or by flow."""
-    after = trial.observation_at(last + 1)
+    after = trial.case.observation_at(last + 1)
     if after is not None:
         part = (trial.case.observation.index - first) / (last + 1 - first)
         return (1.0 - part) * trial.points + part * after.landmarks.points
@@ -184,7 +181,7 @@ def _step_disagreement(trial: Trial, places: Float[np.ndarray, "points 2"] | Non
     """
     if places is None:
         return 0.0
-    frames = 1 if trial.observation_at(last + 1) is None else trial.case.observation.index - first
+    frames = 1 if trial.case.observation_at(last + 1) is None else trial.case.observation.index - first
     part = np.linalg.norm((places - trial.points) / frames, axis=1)
     moved = np.linalg.norm(trial.carried - trial.case.before.landmarks.points, axis=1)
     return float(trial.percent(np.nanmedian(np.abs(moved - part))))

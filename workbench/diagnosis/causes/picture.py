@@ -293,7 +293,7 @@ def _uncovered(trial: Trial, usual: UsualLook, name: str, mask: Bool[np.ndarray,
     if nearest is None:
         change = muted(trial, name)
         return change, trial.refit(change)
-    source = trial.observation_at(nearest).landmarks.points
+    source = trial.case.observation_at(nearest).landmarks.points
     places = source if slid else robust_similarity(source, trial.points).to_image(source)
     change = points_change(f"Take the hidden points from frame {nearest}", places, mask)
     return change, trial.refit(change)
@@ -309,8 +309,4 @@ def _overlap(surprising: Bool[np.ndarray, "c c"], part: Bool[np.ndarray, "c c"])
 
 def _picture_step(trial: Trial) -> Float[np.ndarray, "2"] | None:
     """Median motion of the picture at the landmarks since the previous frame, pixels; None without pictures."""
-    if trial.carried is None:
-        return None
-    moved = trial.carried - trial.case.before.landmarks.points
-    known = np.isfinite(moved[:, 0])
-    return np.median(moved[known], axis=0) if known.sum() >= 10 else None
+    return None if trial.picture_steps is None else np.median(trial.picture_steps, axis=0)
