@@ -16,6 +16,7 @@ from tests.scenes import turning_clip
 from workbench.config import Config, differences, preset
 from workbench.errors import InputError
 from workbench.export import export_track
+from workbench.export.suffixes import pictures_folder
 from workbench.session import TuningSession, material_of_track
 from workbench.session.comparing import surface
 from workbench.session.knob_words import WORDS, plain_words
@@ -399,6 +400,15 @@ def test_the_changes_follow_snapshots_and_saving(panel, tmp_path):
     panel.turn("weights.sigma_smooth", 0.5)
     assert panel.wait_idle(120)
     assert "1 of them not saved yet" in panel.changes.value
+    panel.session.set(weights={"tau": 0.7})
+    panel.session.export(tmp_path / "two.toml")
+    panel.session.undo()
+    panel.session.undo()
+    panel.changes.show()
+    assert "saved settings are others" in panel.changes.value
+    panel.turn("weights.sigma_smooth", 0.6)
+    assert panel.wait_idle(120)
+    assert "1 of them not saved yet" in panel.changes.value
     panel.session.take_snapshot("half as smooth")
     assert "half as smooth" in panel.changes.value
     panel.session.export(tmp_path / "tuned.toml")
@@ -732,6 +742,44 @@ def test_what_cannot_be_written_is_no_longer_in_progress(panel, monkeypatch):
     bar.export.click()
     assert failed
     assert bar.exported.value == ""
+
+
+def test_saving_settings_can_be_cancelled_and_leaves_no_file(panel, tmp_path):
+    bar = ExportBar(panel.session, lambda job: threads.append(threading.Thread(target=lambda: cancelled(job))), None)
+    threads, failed, shown = [], [], []
+
+    def cancelled(job):
+        try:
+            job()
+        except InputError as error:
+            failed.append(str(error))
+
+    def click(change):
+        shown.append(change["new"])
+        if change["new"] is None:
+            bar.cancel.click()
+
+    bar.cancel.layout.observe(click, "display")
+    bar.file.value = str(tmp_path / "tuned.toml")
+    panel.session.set(weights={"tau": 0.71})
+    bar.export.click()
+    threads[0].start()
+    threads[0].join(300)
+    assert "was cancelled" in failed[0]
+    assert shown == [None, "none"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stage_of_usd_is_downloaded_with_the_pictures_of_its_character(tmp_path):
+    stage = tmp_path / "talk.usda"
+    stage.write_text("#usda 1.0")
+    assert packed(stage) == ("talk.usda", b"#usda 1.0")
+    pictures_folder(stage).mkdir()
+    (pictures_folder(stage) / "skin.png").write_bytes(b"skin")
+    name, content = packed(stage)
+    assert name == "talk.zip"
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert {"talk.usda", "talk.usda_textures/skin.png"} <= set(archive.namelist())
 
 
 def refused(job, failed):

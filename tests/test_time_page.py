@@ -97,6 +97,23 @@ def test_the_part_is_what_the_strip_shows(panel):
     assert panel.time.part.value == ""
 
 
+def test_a_part_that_begins_behind_its_end_goes_to_the_end_of_the_clip(panel):
+    part = panel.time.part
+    for text, frame, what, expected in (
+        ("2-4", 8, "in", f"8-{COUNT - 1}"),
+        ("6-9", 3, "out", "0-3"),
+        ("", COUNT - 1, "in", f"{COUNT - 2}-{COUNT - 1}"),
+        ("", 0, "out", "0-1"),
+        ("2-9", 4, "in", "4-9"),
+    ):
+        part.value = text
+        panel.go(frame)
+        panel.transport.mark(what)
+        assert part.value == expected
+        assert panel.time.played.usable is not None
+    part.value = ""
+
+
 def test_nonsense_in_a_field_is_said_and_changes_nothing(panel):
     page = panel.time
     page.range.value = "many"

@@ -44,6 +44,11 @@ def check_free(folder: Path) -> None:
         raise InputError(f"{folder} already exists; name another folder for the meshes.")
 
 
+def pictures_folder(stage: Path) -> Path:
+    """The folder beside a stage of USD with the pictures of a character."""
+    return stage.parent / f"{stage.name}_textures"
+
+
 def check_shows_character(path: str | Path, name: str) -> None:
     """Raise `InputError` where the format of `path` cannot show a character."""
     if format_of(path) not in DRESSED:

@@ -12,6 +12,7 @@ from jaxtyping import Float, Integer, UInt8
 from workbench.export.clip import Clip, to_world
 from workbench.export.looks import LOOKS, SKIN, STILL_MM, Look
 from workbench.export.skinning import Joint, Shapes, joint_shares, part_joints
+from workbench.export.suffixes import pictures_folder
 from workbench.face import DressedHead, WornPart
 from workbench.files import atomic_path
 
@@ -123,7 +124,7 @@ def dress_stage(
     stage, clip: Clip, shapes: Shapes, joints: tuple[Joint, ...], skeleton, dressed: DressedHead, path: Path
 ) -> None:
     """Add what a character wears, its materials, and their pictures in the folder `FILE_textures` beside the stage."""
-    folder = path.parent / f"{path.name}_textures"
+    folder = pictures_folder(path)
     define_material(stage, "face", SKIN, _picture(folder, "skin", dressed.skin))
     rest = clip.person.neutral
     for worn, points in zip(dressed.worn, dressed.parts_on(rest, rest), strict=True):

@@ -33,6 +33,9 @@ class ExportBar:
         self.overwrite = small_button("overwrite", "replace the existing file")
         self.overwrite.layout.display = "none"
         self.overwrite.on_click(lambda _button: later(self._on_overwrite))
+        self.cancel = small_button("cancel", "stop; no file is written")
+        self.cancel.layout.display = "none"
+        self.cancel.on_click(lambda _button: self.stop())
         self.download = Download(download)
         self.exported = widgets.HTML(layout=widgets.Layout(min_width="0", flex="1 1 auto"))
         self.widgets = (self.file, self.export, self.overwrite, self.download, self.exported)
@@ -72,7 +75,7 @@ class ExportBar:
     def _write(self, path: Path) -> None:
         self._stop.clear()
         self.download.offer(None)
-        self.overwrite.layout.display = "none"
+        self.overwrite.layout.display, self.cancel.layout.display = "none", None
 
         def progress(step: str, done: int, total: int | None) -> None:
             if done % 10 == 0 or done == total:
@@ -83,6 +86,8 @@ class ExportBar:
         except (WorkbenchError, OSError):
             self.exported.value = ""
             raise
+        finally:
+            self.cancel.layout.display = "none"
         self.download.offer(path)
         command = html.escape(self._session.command(path))
         self.exported.value = f"wrote {html.escape(str(path))}; to reproduce the numbers: <code>{command}</code>"

@@ -39,7 +39,7 @@ class ExportDialog:
         close = small_button("✕", "fold this away (E)")
         close.on_click(lambda _button: self.fold())
         rows = [
-            in_line(widgets.HTML(TITLE.format("settings")), *self.settings.widgets, close),
+            in_line(widgets.HTML(TITLE.format("settings")), *self.settings.widgets, self.settings.cancel, close),
             in_line(widgets.HTML(TITLE.format("performance")), options),
             in_line(made.said, made.download),
             in_line(widgets.HTML(TITLE.format("commands")), made.command, copy),

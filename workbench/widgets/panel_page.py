@@ -9,6 +9,7 @@ import anywidget
 import traitlets
 
 from workbench.errors import InputError
+from workbench.export.suffixes import pictures_folder
 from workbench.widgets.browser_program import BROWSER, browser_program
 
 ACTIONS = (
@@ -17,6 +18,7 @@ ACTIONS = (
 )  # fmt: skip
 """Actions that keys request of a panel; the browser does others itself. See `panel/help.js`."""
 
+STAGES = (".usd", ".usda", ".usdc")
 LARGEST_MB = 200
 """Largest file that goes from the browser to Python, or back, in one message."""
 
@@ -64,9 +66,19 @@ class PanelPage(anywidget.AnyWidget):
 
 
 def packed(path: Path) -> tuple[str, bytes]:
-    """Name and content of what is downloaded. Raises `InputError` for what is missing or too large."""
+    """Name and content of what is downloaded; a stage comes with the folder of its pictures, in an archive.
+
+    Raises `InputError` for what is missing or too large.
+    """
     if not path.exists():
         raise InputError(f"{path} is no longer there; write it again.")
+    pictures = pictures_folder(path)
+    if path.suffix in STAGES and pictures.is_dir():
+        with tempfile.TemporaryDirectory() as folder:
+            together = Path(folder, path.stem)
+            shutil.copytree(pictures, together / pictures.name)
+            shutil.copy2(path, together)
+            return packed(together)
     if path.is_file():
         return path.name, _content(path)
     with tempfile.TemporaryDirectory() as folder:

@@ -71,6 +71,17 @@ class TimePart:
         """First and last frame, typed or of the whole clip."""
         return self.usable or (0, len(self._session) - 1)
 
+    def begin_at(self, frame: int) -> None:
+        """Begin the part at a frame, and end it with the clip if it ended by then; it has two frames at least."""
+        end = len(self._session) - 1
+        frame, last = min(frame, end - 1), self.whole[1]
+        self.part.value = f"{frame}-{last if last > frame else end}"
+
+    def end_at(self, frame: int) -> None:
+        """End the part at a frame, and begin it with the clip if it began there or later; two frames at least."""
+        frame, first = max(frame, 1), self.whole[0]
+        self.part.value = f"{first if first < frame else 0}-{frame}"
+
     def shorten(self, slow: bool, frame: int, length: int) -> None:
         """Fill in a short part around a frame once fits are slow, if none is typed; clear it once they are quick."""
         if slow == self._slow:

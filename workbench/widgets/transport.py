@@ -54,14 +54,12 @@ class Transport:
         """Begin ("in") or end ("out") the part at the shown frame, or take the "whole" clip."""
         if self._part is None:
             return
-        first, last = self._part.whole
-        frame = self._frame()
         if what == "whole":
             self._part.part.value = ""
         elif what == "in":
-            self._part.part.value = f"{frame}-{max(last, frame)}"
+            self._part.begin_at(self._frame())
         else:
-            self._part.part.value = f"{min(first, frame)}-{frame}"
+            self._part.end_at(self._frame())
 
     def _show_speed(self) -> None:
         play = self._part.play
