@@ -45,7 +45,7 @@ from workbench.training.landmark_task import LandmarkTask, local_soft_argmax, lo
 from workbench.training.loop import Phase, TrainingPlan, folded_arrays, train
 from workbench.training.measuring import lids_of
 from workbench.training.pool import SHARD, Pool, open_pool
-from workbench.training.recipe import FURTHER_LANDMARK_PLAN, Recipe
+from workbench.training.recipe import FURTHER_LANDMARKS, Recipe
 from workbench.training.scenes import FaceStudio, random_expression, random_lens, random_pose_deg
 from workbench.training.shading import Shader, Sky
 from workbench.training.skin import skin_painter
@@ -485,6 +485,20 @@ class TestLoop:
         with pytest.raises(InputError, match="expected face-energy-finder-1"):
             train(FinderTask(), pool_folder, tmp_path / "other", still, 0, report=quiet, start=start)
 
+    def test_a_plan_keeps_a_share_of_what_it_began_with(self, pool_folder, tmp_path):
+        start = train(LandmarkTask(), pool_folder, tmp_path / "start", PLAN, 0, report=quiet)
+        began, learned, mean = (read_weights(start).arrays, *(
+            read_weights(
+                train(LandmarkTask(), pool_folder, tmp_path / str(share), replace(PLAN, learned=share), 0,
+                      report=quiet, start=start)
+            ).arrays
+            for share in (1.0, 0.25)
+        ))  # fmt: skip
+        assert mean.keys() == learned.keys()
+        for name, weights in mean.items():
+            np.testing.assert_allclose(weights, 0.75 * began[name] + 0.25 * learned[name], atol=1e-7)
+        assert np.abs(learned["head.weight"] - began["head.weight"]).max() > 1e-5
+
     def test_no_pool_is_a_clear_error(self, tmp_path):
         with pytest.raises(InputError, match="no pool of rendered heads: `workbench train landmarks FOLDER` makes"):
             open_pool(tmp_path)
@@ -584,7 +598,7 @@ class TestTrainings:
 
     def test_weights_to_go_on_from_are_followed_by_the_shorter_plan(self):
         recipe = TRAININGS["landmarks"].recipe(quick=False, start=Path("there.safetensors"))
-        assert recipe == Recipe(plan=FURTHER_LANDMARK_PLAN, start=Path("there.safetensors"))
+        assert recipe == replace(FURTHER_LANDMARKS, start=Path("there.safetensors"))
         assert TRAININGS["landmarks"].recipe(quick=False, start=None) == Recipe()
 
     def test_on_a_gpu_pictures_of_faces_are_made_in_batches_and_others_as_always(self):

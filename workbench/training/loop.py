@@ -58,6 +58,9 @@ class TrainingPlan:
     batched: bool = False
     """Whether pictures are made in whole batches where the network computes (`training/batch_studio.py`), or one by
     one by worker processes."""
+    learned: float = 1.0
+    """Share of what was learned in the weights that are kept, the rest being what it began with: a short training on
+    few people makes worse what it was not meant for, and the mean of both hardly does (Wortsman et al., CVPR 2022)."""
 
     @property
     def steps(self) -> int:
@@ -237,7 +240,7 @@ def train(
             report(f"step {step} of {plan.steps}: {numbers_text}; {speed:.2f} steps/s")
         if step % every == 0 or step == plan.steps:
             _save(folder / "checkpoint.pt", network, optimiser, average, step)
-    return export_weights(task, folder)
+    return export_weights(task, folder, start=start)
 
 
 def checked_plan(
@@ -287,13 +290,19 @@ def check_start(task: FurtherTask, plan: TrainingPlan, start: Path) -> None:
         )
 
 
-def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = None) -> Path:
-    """Fold the averaged weights of a training folder's checkpoint and write `weights.safetensors` beside it."""
+def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = None, start: Path | None = None) -> Path:
+    """Fold the averaged weights of a training folder's checkpoint and write `weights.safetensors` beside it.
+
+    `start`: the weights that it began with, which a plan may keep a share of.
+    """
     plan = read_plan(folder / PLAN_FILE)
     network = task.network(plan)
     state = torch.load(folder / "checkpoint.pt", map_location="cpu", weights_only=True)
     network.load_state_dict(state["average"])
     arrays = task.arrays(network)
+    if start is not None and plan.learned < 1.0:
+        began = read_weights(start).arrays
+        arrays = {name: plan.learned * each + (1.0 - plan.learned) * began[name] for name, each in arrays.items()}
     size = {WIDTHS: json.dumps(list(plan.widths)), BLOCKS: json.dumps(plan.blocks)}
     path = folder / "weights.safetensors"
     with atomic_path(path) as temporary:

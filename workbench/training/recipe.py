@@ -44,7 +44,6 @@ from workbench.training.report import DENSE_CURVES, EYE_CURVES, write_regression
 from workbench.training.shipping import write_shipped
 
 LANDMARK_PLAN = TrainingPlan(phases=(Phase(128, 10000, 48, 3e-3), Phase(256, 4000, 24, 1e-3)))
-FURTHER_LANDMARK_PLAN = TrainingPlan(phases=(Phase(256, 9600, 16, 1e-3),))
 FINDER_PLAN = TrainingPlan(
     phases=(Phase(128, 2500, 32, 3e-3), Phase(256, 2500, 24, 2e-3)), widths=(16, 32, 64, 96), blocks=2
 )
@@ -77,6 +76,7 @@ class Recipe:
     """Weights to go on from."""
 
 
+FURTHER_LANDMARKS = Recipe(pictures=3840, plan=TrainingPlan(phases=(Phase(256, 2400, 16, 4e-4),), learned=0.7))
 BATCHED = Recipe(pictures=9600, plan=BATCHED_PLAN)
 QUICK = Recipe(
     pictures=240,

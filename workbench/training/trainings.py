@@ -20,7 +20,7 @@ from workbench.training.recipe import (
     FINDER_PLAN,
     FURTHER_EYES,
     FURTHER_FINDER_PLAN,
-    FURTHER_LANDMARK_PLAN,
+    FURTHER_LANDMARKS,
     QUICK,
     QUICK_DENSE,
     QUICK_EYES,
@@ -67,9 +67,7 @@ class Training:
 
 
 TRAININGS: Mapping[str, Training] = MappingProxyType({
-    "landmarks": Training(
-        train_landmark_network, Recipe(), QUICK, Recipe(plan=FURTHER_LANDMARK_PLAN), LandmarkTask(), BATCHED
-    ),
+    "landmarks": Training(train_landmark_network, Recipe(), QUICK, FURTHER_LANDMARKS, LandmarkTask(), BATCHED),
     "finder": Training(
         train_face_finder, Recipe(plan=FINDER_PLAN), QUICK, Recipe(plan=FURTHER_FINDER_PLAN), FinderTask()
     ),
