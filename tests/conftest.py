@@ -16,8 +16,8 @@ from tests.memory import let_go_of_programs
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).resolve().parent.parent / ".cache" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
-# What tests run once or twice takes longer to compile than to run: neither XLA's newer way of making kernels, nor LLVM's
-# optimisations.
+# What tests run once or twice takes longer to compile than to run: without XLA's newer way of making kernels, and
+# without LLVM's optimisations.
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
 os.environ.setdefault("MPLBACKEND", "agg")
 # Before NumPy and JAX make a thread a core: with two processes their threads wait for one another most of the time.
