@@ -10,6 +10,7 @@ from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.pictures.mesh import to_pixels
 from workbench.samples import sample
+from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.records import ARRAYS, stack_fits
 
 KEPT = [name for name in ARRAYS if name not in ("milliseconds", "source")]
@@ -138,7 +139,7 @@ def test_a_fit_that_failed_does_not_spoil_the_next(portrait, points, monkeypatch
         raise InputError("broken")
 
     with monkeypatch.context() as patch:
-        patch.setattr(one_picture.FaceTracker, "_calibrate", broken)
+        patch.setattr(FaceItFitter, "calibrate", broken)
         with pytest.raises(InputError, match="broken"):
             workbench.fit(portrait, landmarks=points)
     assert_the_same(workbench.fit(portrait, landmarks=points).frame, expected.frame)

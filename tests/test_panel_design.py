@@ -679,7 +679,7 @@ def test_another_format_brings_its_suffix_and_options(export, tmp_path):
     export.fps.value = "12,5"
     export.go.click()
     assert (tmp_path / "talk.arkit.csv").exists()
-    assert "--fps 12,5" in export.command.value
+    assert "--fps 12.5" in export.command.value
     export.format.value = ".html"
     assert export.fps.layout.display == "none"
     assert "--fps" not in export.command.value

@@ -374,21 +374,6 @@ def test_an_unchanged_configuration_is_exported_with_the_same_metrics_before_and
     assert other.run.config == base
 
 
-def test_settings_of_a_rig_are_exported_with_the_metrics_of_single_frames(session, tmp_path):
-    rig = tmp_path / "rig.toml"
-    size = list(session.material.observations[0].image_size)
-    camera = f"image_size = {size}\nmatrix = [[900.0, 0.0, 300.0], [0.0, 900.0, 200.0], [0.0, 0.0, 1.0]]\n"
-    views = [f"[[views]]\nname = '{name}'\n{camera}rotation = [0.0, 0.0, 0.0]\ntranslation = [{x}, 0.0, 0.0]\n"
-             for name, x in (("left", 0.0), ("right", -120.0))]  # fmt: skip
-    rig.write_text("".join(['unit = "mm"\n', *views]))
-    session.set(camera={"rig": str(rig)}, refinement={"method": "averaging"})
-    with pytest.raises(InputError, match="export the settings, and run `workbench track`"):
-        session.temporal.run()
-    stored = read_config(session.export(tmp_path / "tuned.toml"))
-    assert stored.refinement.method == "averaging"
-    assert stored.provenance.after == session.metrics()
-
-
 def test_a_cancelled_export_writes_nothing(session, tmp_path):
     session.set(refinement={"method": "plate"})
     with pytest.raises(InputError, match=r"The export was cancelled; .*tuned\.toml was not written"):

@@ -17,11 +17,8 @@ from workbench.session.material import Cancelled, Material, Progress
 from workbench.session.metrics import metrics_of
 from workbench.session.observed_frames import ObservedFrames
 from workbench.session.sweeping import SessionSweeps
-from workbench.session.temporal import NO_REFINEMENT, TemporalWork
+from workbench.session.temporal import TemporalWork
 from workbench.tracking import FrameContext, Track
-
-ALONE = {"infill": {"method": "none"}, "refinement": NO_REFINEMENT}
-"""Sections of a configuration without anything that uses time."""
 
 
 class SessionWork:
@@ -65,10 +62,9 @@ class SessionWork:
     def export(self, path: Path, config: Config, base: Config, progress: Progress | None, cancelled: Cancelled) -> bool:
         """Write a configuration with the metrics of its fits and of those of the configuration it was tuned from.
 
-        Infill and refinement count in both, but for those of a rig, whose other views are not here. False, and nothing
-        is written, if cancelled.
+        Infill and refinement count in both. False, and nothing is written, if cancelled.
         """
-        fits = self.temporal.fits_by(config.changed(**ALONE) if config.camera.rig else config, progress, cancelled)
+        fits = self.temporal.fits_by(config, progress, cancelled)
         run = None if fits is None else self.runs.aside(base, progress, cancelled)
         before = None if run is None else self.temporal.after_run(run, progress, cancelled)
         if before is None or cancelled():

@@ -253,7 +253,7 @@ class TemporalWork:
 def problem_of(material: Material, config: Config) -> str:
     """Why the methods of a configuration cannot work on a material; empty where they can."""
     if config.camera.rig:
-        return "A session does not hold the other views of a rig; export the settings, and run `workbench track`."
+        return "A session does not hold the other views of a rig; run `workbench infill` or `workbench refine`."
     need = needs_pictures(config, wanted_steps(config))
     if need and not material.pictures.real:
         return (
