@@ -304,6 +304,8 @@ def test_an_interruption_says_how_to_go_on(run, points, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("workbench.pipeline.track", interrupted)
-    code, _, err = run("track", "points.csv")
-    assert code == 130
-    assert "--resume" in err
+    for begun in (True, False):
+        monkeypatch.setattr("workbench.pipeline.holds_parts", lambda folder, begun=begun: begun)
+        code, _, err = run("track", "points.csv")
+        assert code == 130
+        assert ("--resume" in err) is begun

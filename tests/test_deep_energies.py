@@ -28,7 +28,7 @@ from workbench.energies import still
 from workbench.energies.deep import DEEP_TERMS, DeepView, deep_residuals, view_vertices
 from workbench.errors import ConfigError, InputError
 from workbench.face import typical_sizes, unpack
-from workbench.geometry import camera_from_fov, project, rotation_matrix, write_rig
+from workbench.geometry import camera_from_fov, project, read_rig, rotation_matrix, write_rig
 from workbench.landmarks.network_detector import BUNDLED, bundled_landmark_network, landmark_crop
 from workbench.landmarks.observations import Landmarks2D
 from workbench.networks import Fan, crop_and_resize, landmarks_of, soft_argmax, to_picture
@@ -59,6 +59,7 @@ from workbench.tracking.deep_programs import (
 from workbench.tracking.deep_solver import solve_stage
 from workbench.tracking.deep_target import energy_network
 from workbench.tracking.deep_views import FAR_MM, eyes_per_box, percent_px
+from workbench.tracking.face_it_fitter import FaceItFitter
 from workbench.tracking.flow_fitter import FlowFitter
 from workbench.tracking.moments import Moment
 from workbench.tracking.plan import StagePlan
@@ -785,12 +786,19 @@ def test_unknown_blendshapes_are_refused(deep):
     [
         ({"stages": _dumped((Stage(name="j", free=("jaw",)),))}, "stage 'j' frees 'jaw', which takes system"),
         ({"camera": {"projection": "orthographic"}}, "an orthographic camera takes system"),
-        ({"camera": {"rig": "rig.toml"}}, "a rig of several cameras takes system"),
     ],
 )
-def test_face_it_has_neither_jaw_nor_parallel_views_nor_rigs(change, words):
+def test_face_it_has_neither_jaw_nor_parallel_views(change, words):
     with pytest.raises(ConfigError, match=words):
         preset("joint").changed(**change)
+
+
+def test_face_it_looks_through_the_rigs_first_camera(head, rig_file):
+    camera = read_rig(rig_file).views[0].camera
+    fitter = FaceItFitter(head, plan_of(preset("joint").changed(camera={"rig": str(rig_file)})))
+    seen = fitter.plan.camera.of(read_rig(rig_file).views[0].image_size)
+    np.testing.assert_array_equal(seen.focal_px, camera.focal_px)
+    assert not preset("joint").changed(camera={"rig": str(rig_file)}).camera.guessed
 
 
 @pytest.mark.filterwarnings("ignore:The stages free first")

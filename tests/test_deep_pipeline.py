@@ -269,7 +269,7 @@ def test_the_face_is_chosen_in_the_first_view_alone(stereo, tmp_path, monkeypatc
     [
         (["--energy", "deep"], "--energy belongs to Deep Energies"),
         (["--network", "dense"], "--network belongs to Deep Energies"),
-        (["--rig", "rig.toml"], "--rig belongs to Deep Energies"),
+        (["--rig", "rig.toml"], "The rig file rig.toml does not exist"),
         (["--frames", "9-3"], "first and last frame as A-B"),
         (["--frames", "500-600"], "frames 0 to 239"),
         (["--preset", "deep", "--view", "right"], "NAME=CLIP"),

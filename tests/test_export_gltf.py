@@ -1,5 +1,6 @@
 """glTF: valid, named, and the same face in the same place for every other program."""
 
+import copy
 import json
 import os
 import shutil
@@ -73,6 +74,28 @@ def test_a_clip_that_begins_turned_is_read_as_the_upright_face(jointless, head, 
     write_gltf(clip, tmp_path / "turned.glb")
     truth = to_world(clip.person.neutral[render_corners(clip.person)[0]])
     np.testing.assert_allclose(read_shape(tmp_path / "turned.glb"), truth - truth.mean(axis=0), atol=1e-5)
+
+
+def test_an_animated_part_that_carries_no_face_stays_as_it_stands(glb, tmp_path):
+    """Teeth below a jaw that is tilted and animated: what turns them back is part of how they stand."""
+    document = pygltflib.GLTF2().load(str(glb))
+    mesh = copy.deepcopy(next(mesh for mesh in document.meshes if mesh.primitives[0].targets))
+    mesh.primitives[0].targets, mesh.weights = [], []
+    document.meshes.append(mesh)
+    count, (tilted, back) = len(document.nodes), Rotation.from_euler("x", [[30.0], [-30.0]], degrees=True).as_quat()
+    inside = read_gltf(glb).vertices.mean(axis=0) - 0.5 * array(document, mesh.primitives[0].attributes.POSITION).mean(
+        0
+    )
+    hinge = pygltflib.Node(rotation=tilted.tolist(), translation=inside.tolist(), children=[count + 1])
+    teeth = pygltflib.Node(rotation=back.tolist(), scale=[0.5] * 3, mesh=len(document.meshes) - 1)
+    document.nodes += [hinge, teeth]
+    document.scenes[0].nodes.append(count)
+    document.save_binary(str(tmp_path / "still.glb"))
+    document.animations[0].channels[0].target = pygltflib.AnimationChannelTarget(node=count, path="rotation")
+    document.save_binary(str(tmp_path / "animated.glb"))
+    still = read_shape(tmp_path / "still.glb")
+    assert len(still) > len(read_shape(glb))
+    np.testing.assert_allclose(read_shape(tmp_path / "animated.glb"), still, atol=1e-9)
 
 
 def test_a_joint_that_stands_otherwise_than_it_was_bound_moves_nothing(glb, tmp_path):

@@ -466,7 +466,7 @@ class TestPlacesThatCannotBeWritten:
             code, _, err = run("track", "points.csv", "--no-pictures")
         assert code == 2
         assert "cannot be written" in err
-        assert "--resume continues from there" in err
+        assert "the run can be resumed (--resume)" in err
         assert "Traceback" not in err
 
 

@@ -191,7 +191,7 @@ def test_what_is_no_picture_is_refused(given, message):
 def test_what_does_not_belong_to_one_picture_is_refused(portrait, points, tmp_path):
     with pytest.raises(InputError, match="68"):
         workbench.fit(portrait, landmarks=points.points[:60])
-    with pytest.raises(InputError, match="512 × 512 pixels, this one has 512 × 400"):
+    with pytest.raises(InputError, match="512 × 512 pixels, the picture has 512 × 400"):
         workbench.fit(portrait[:400], landmarks=points)
     with pytest.raises(InputError, match="one face in one picture, it has 240 frames"):
         workbench.fit(portrait, landmarks=sample("performance-landmarks"))

@@ -252,7 +252,7 @@ def test_frames_after_the_last_row_of_a_file_have_no_face(kept, start, pictures,
 def test_a_file_that_goes_on_after_the_last_picture_is_told(kept, pictures, tmp_path):
     source = open_source([pictures], preset("joint"), points_of(tmp_path / "many.csv", 8), keep_pictures=kept)
     assert len(list(source.observations(0, {}, False))) == 6
-    assert source.notes() == ["many.csv goes on beyond the last frame of six; the run ends with this."]
+    assert source.notes() == ["many.csv goes on beyond the last frame of six; its later rows are left out."]
 
 
 def test_a_part_of_a_clip_whose_header_does_not_count_ends_with_it(tmp_path):

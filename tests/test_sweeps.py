@@ -441,7 +441,7 @@ def test_points_moved_by_hand_are_what_is_measured(head):
     np.testing.assert_allclose(found.frames("error", 0), frame_errors(fits)[:, 3], atol=1e-6)
 
 
-def test_no_more_than_two_pictures_are_held_where_their_motion_is_measured(head, monkeypatch):
+def test_no_more_than_three_pictures_are_held_where_their_motion_is_measured(head, monkeypatch):
     alive = weakref.WeakSet()
 
     class Opened:
@@ -474,10 +474,16 @@ def test_a_choice_that_was_not_made_and_a_curve_of_nothing_are_told():
 
 def test_figures_of_other_settings_do_not_stay_beside_a_new_table(clips, done, tmp_path):
     result, _ = done
-    for name in ("curve-weights.range.png", "map.png", "mine.png"):
-        (tmp_path / name).write_bytes(b"")
-    names = write_outcome(result, tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {*names, "mine.png"}
+    earlier = ("curve-weights.range.png", "map.png", "mine.png")
+    for folder, before in ((tmp_path / "mine", earlier), (tmp_path / "sweep", (*earlier, "table.csv"))):
+        folder.mkdir()
+        for name in before:
+            (folder / name).write_bytes(b"")
+    # In a folder without an earlier sweep they are somebody else's.
+    names = write_outcome(result, tmp_path / "mine")
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == {*names, *earlier}
+    write_outcome(result, tmp_path / "sweep")
+    assert {path.name for path in (tmp_path / "sweep").iterdir()} == {*names, "mine.png"}
 
 
 def test_the_tables_hold_settings_means_and_quartiles(done, tmp_path):

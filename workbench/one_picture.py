@@ -232,7 +232,7 @@ def _given(landmarks: Landmarks2D | np.ndarray | str | Path, size: tuple[int, in
         landmarks = Landmarks2D(np.asarray(landmarks), np.ones(len(landmarks)), size)
     if landmarks.coincide:
         raise InputError("All landmarks are at one place, where some programs find no face; give those of a face.")
-    check_size(landmarks, size, "this one")
+    check_size(landmarks, size, "the picture")
     return landmarks
 
 

@@ -151,7 +151,7 @@ def _check_network(config: Config, scheme: LandmarkScheme) -> None:
 def _by_points(config: Config, scheme: LandmarkScheme) -> Config:
     """FACE IT!'s configuration for identity and first pose, with this one's camera, landmarks and identity.
 
-    Of a rig it uses the first camera, which no configuration of a user can ask of it.
+    Of a rig it looks through the first camera.
     """
     camera = config.camera.model_copy(update={"projection": "perspective"})
     base = preset("dense" if scheme is DENSE else "joint")

@@ -9,6 +9,7 @@ import numpy as np
 from workbench.config import Config
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera
+from workbench.landmarks.observations import scheme_of_faces
 from workbench.landmarks.scheme import LandmarkScheme
 from workbench.planning import plan_of
 from workbench.rendering import Appearance
@@ -206,9 +207,9 @@ def calibration_window(shot: Sequence[FrameObservation], window: int) -> Sequenc
 
 
 def identity_key(config: Config, window: Sequence[FrameObservation]) -> str:
-    """Key of the identity of a shot; `window` holds the frames that it is calibrated on, one of them with a face."""
+    """Key of the identity of a shot; `window` holds the frames that it is calibrated on."""
     moved = {key: config.landmarks.moved[key] for item in window if (key := str(item.index)) in config.landmarks.moved}
-    scheme = next(item.landmarks.scheme for item in window if item.landmarks is not None)
+    scheme = scheme_of_faces(item.landmarks for item in window)
     return f"{identity_settings(config, scheme)}{moved}"
 
 

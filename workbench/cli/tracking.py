@@ -179,12 +179,13 @@ def _configuration(config, preset_name, detector, fov, face, identity, energy, n
         landmarks["face"] = wanted_face(face)
     if fov is not None:
         camera = {"fov_deg": fov, "fov_known": True, "matrix": None}
+        if base.camera.matrix is not None:
+            camera["distortion"] = []  # of the measured lens
     if rig is not None:
         camera["rig"] = str(rig)
     deep = {name: value for name, value in (("energy", energy), ("network", network)) if value is not None}
-    asked = [*deep, *(camera.keys() & {"rig"})]
-    if asked and not base.traits.reads("deep"):
-        raise ConfigError(f"--{asked[0]} belongs to Deep Energies; add --preset deep.")
+    if deep and not base.traits.reads("deep"):
+        raise ConfigError(f"--{next(iter(deep))} belongs to Deep Energies; add --preset deep.")
     changes = {
         "deep": deep,
         "landmarks": landmarks,
@@ -261,7 +262,9 @@ def _run(inputs, folder, config, model_path: Path | None = None, **options) -> N
         try:
             result = workbench.pipeline.track(inputs, folder, model, config, progress=progress, **options)
         except KeyboardInterrupt:
-            screen.errors.print("[yellow]interrupted[/yellow]: finished parts are kept; --resume continues from there")
+            kept = "finished parts are kept; --resume continues from there"
+            begun = workbench.pipeline.holds_parts(folder)
+            screen.errors.print(f"[yellow]interrupted[/yellow]: {kept if begun else 'nothing was finished yet'}")
             raise typer.Exit(130) from None
     print_result(result)
     if not result.summary["frames_with_face"]:

@@ -156,8 +156,6 @@ class Config(Section):
                 raise ValueError(f"stage {stage.name!r} frees {foreign[0]!r}, which takes system = 'deep-energies'")
         if self.system == "face-it" and self.camera.projection == "orthographic":
             raise ValueError("an orthographic camera takes system = 'deep-energies'")
-        if self.system == "face-it" and self.camera.rig:
-            raise ValueError("a rig of several cameras takes system = 'deep-energies'")
         if not any(stage.enabled and stage.when == "always" for stage in self.stages):
             raise ValueError("no enabled stage runs on every frame: enable one with when = 'always'")
         return self

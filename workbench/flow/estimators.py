@@ -16,7 +16,7 @@ from workbench.errors import InputError
 Picture = UInt8[np.ndarray, "_ _ _"] | Float[np.ndarray, "_ _ _"]
 """Height, width, RGB: bytes, or numbers in 0..1."""
 BRIGHTEST = 2.0
-"""Numbers in 0..1 may lie a little beyond, as after resampling; from here on they are of another range."""
+"""Numbers in 0..1 may lie a little beyond, as after resampling; beyond this they are of another range."""
 SMALLEST_SIDE = 16
 """Pixels below which there is no flow to find."""
 

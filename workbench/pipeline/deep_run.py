@@ -84,7 +84,8 @@ def track_deep_frames(
     work = FrameWork(tracker.model, tracker.fitter.plan)
     pairs = _pairs(source, tracker, stills)
     for position, pair in enumerate(islice(pairs, done)):
-        shown.add(pair, writer[position])
+        if not linked:  # the frame before, which these began with, is not kept
+            shown.add(pair, writer[position])
     if linked and done:
         tracker.continue_from(writer.state())
 

@@ -17,10 +17,10 @@ from workbench.config import Config, write_config
 from workbench.energies.terms import TABLE
 from workbench.errors import InputError, LostSchedulerError, OutputError
 from workbench.export import summary_of, write_parameter_table, write_summary
-from workbench.export.sources import input_files
+from workbench.export.sources import input_files, reference_inputs
 from workbench.face import FaceModel, dressed_as, fits_as, in_scheme
 from workbench.frames import Frames, ImageFrames
-from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
+from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord, is_landmark_file
 from workbench.landmarks.scheme import LandmarkScheme
 from workbench.landmarks.schemes import OF_DETECTORS
 from workbench.pictures.overlay_files import write_overlay_video
@@ -30,7 +30,15 @@ from workbench.pipeline.output_folder import FILES, PARTS, TRACKS, drawn_in, hol
 from workbench.pipeline.provenance import content_hash, software_versions
 from workbench.pipeline.sources import open_source
 from workbench.pipeline.still_pictures import StillPictures
-from workbench.pipeline.temporal_run import Step, needs_pictures, over_time, views_of, wanted_steps, worked_meta
+from workbench.pipeline.temporal_run import (
+    Step,
+    look_at_pictures,
+    needs_pictures,
+    over_time,
+    views_of,
+    wanted_steps,
+    worked_meta,
+)
 from workbench.planning import plan_of
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, FrameObservation, Track
@@ -150,7 +158,7 @@ def _telling_what_is_kept(folder: Path) -> Iterator[None]:
     except OutputError as error:
         if not holds_parts(folder):
             raise
-        raise OutputError(f"{error} Finished parts are kept; --resume continues from there.") from error
+        raise OutputError(f"{error} Finished parts are kept; the run can be resumed (--resume).") from error
 
 
 def _check_begun(job: _Job, meta: dict[str, Any]) -> None:
@@ -291,20 +299,21 @@ def retrack(
     if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
         raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
     dressed = dressed_as(config.head.character, model) if pictures else None
-    opened = views_of(reader.meta, config, clip, views, needed=bool(needs_pictures(config, steps)))
+    opened = views_of(reader.meta, config, clip, views, needed=look_at_pictures(config, steps))
     inputs = [reader.path, *_given(clip), *views.values(), *_given(config.camera.rig), *input_files(reader.meta)]
     with run_folder(folder, inputs, False, overwrite):
         began = time.perf_counter()
         origin = {"path": str(reader.path), "sha256": content_hash(reader.path)}
-        meta = {**reader.meta, "track": origin}
+        of_track = {name: value for name, value in reader.meta.items() if name != "files"}
+        meta = {**of_track, "track": origin, **_named_files(config)}
         writer = _over_time(reader, opened, model, config, steps, meta, folder, progress, len(reader))
         try:
             summary = summary_of(writer.tracks(), time.perf_counter() - began)
             files, told = _write_tables(writer, summary, model, config, folder), []
             if pictures and opened:
                 files += _write_film(opened[0], writer, model, dressed, folder, progress, told)
-            elif pictures:
-                told.append("No film was drawn, for the pictures of this track are not there; name them with --clip.")
+            elif pictures and not any(map(is_landmark_file, reference_inputs(reader.meta))):
+                told.append("No film was drawn: the pictures of this track are no longer there; name them with --clip.")
             files = (folder / "track.npz", *files)
             if overwrite:
                 remove_earlier(folder, files)
@@ -446,7 +455,8 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
 def _named_files(config: Config) -> dict[str, Any]:
     """The files of a configuration that fits depend on, for a track's metadata; nothing where it names none."""
     named = map(Path, (config.camera.rig, config.deep.network, config.flow.estimator))
-    files = [{"path": str(path), "sha256": content_hash(path)} for path in named if path.is_file()]
+    # What comes along is called by words without a suffix.
+    files = [{"path": str(path), "sha256": content_hash(path)} for path in named if path.suffix and path.is_file()]
     return {"files": files} if files else {}
 
 

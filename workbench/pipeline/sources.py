@@ -59,7 +59,8 @@ class FileSource:
 
     def notes(self) -> list[str]:
         if self.views:
-            told = f"{self._paths[0].name} goes on beyond the last frame of {self.frames.name}; the run ends with this."
+            file, clip = self._paths[0].name, self.frames.name
+            told = f"{file} goes on beyond the last frame of {clip}; its later rows are left out."
             return [*self.frames.notes, *([told] if self._beyond else [])]
         rows = self._rows
         return [] if rows is None else range_notes(self._paths[-1].name, rows.start, rows.stop - 1, self._count)
@@ -80,10 +81,13 @@ class FileSource:
         self._beyond = next(records, None) is not None
 
     def _pictures(self, first: int) -> Iterator[UInt8[np.ndarray, "h w 3"] | None]:
-        """The pictures from a frame on; None for those that are only counted, and without end where there are none."""
+        """The pictures from a frame on; None for those that are only counted, and without end where there are none.
+
+        Only images are counted: the header of a video may announce more frames than it has, or fewer.
+        """
         if not self.views:
             return repeat(None)
-        if not (self._keep or self._compares) and self.count is not None:
+        if not (self._keep or self._compares) and self.frames.kind == "images":
             return repeat(None, max(self.count - first, 0))
         return (frame.picture for frame in self.frames.iterate(first))
 
@@ -93,12 +97,13 @@ class FileSource:
         """(width, height) of a frame. Raises `InputError` for landmarks of a picture of another size."""
         if not self.views:
             return record.size
-        size = self.frames.image_size if picture is None else picture.shape[1::-1]
-        if record is None or record.landmarks is None or record.landmarks.image_size == size:
-            return size
-        if picture is None:  # images may differ in size from the first one
-            picture = next(self.frames.iterate(index)).picture
-        check_size(record.landmarks, picture.shape[1::-1], f"frame {index} of {self.frames.name}")
+        landmarks = None if record is None else record.landmarks
+        if picture is None:
+            if landmarks is not None and landmarks.image_size == self.frames.image_size:
+                return landmarks.image_size
+            picture = next(self.frames.iterate(index)).picture  # images may differ in size from the first one
+        if landmarks is not None:
+            check_size(landmarks, picture.shape[1::-1], f"frame {index} of {self.frames.name}")
         return picture.shape[1::-1]
 
     def state(self) -> dict[str, np.ndarray]:

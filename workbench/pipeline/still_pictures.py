@@ -29,7 +29,7 @@ class StillPictures:
 
     def add_missing(self, writer: TrackWriter) -> None:
         """Draw the finished stills of an interrupted run whose pictures are not there."""
-        for position in range(min(len(writer), len(self._names))):
+        for position in range(len(writer)):
             if not self._path(position).exists():
                 self._draw(writer[position], None)
         self.flush()
@@ -40,7 +40,7 @@ class StillPictures:
 
     def files(self, count: int) -> tuple[Path, ...]:
         """The pictures of the first `count` stills."""
-        paths = map(self._path, range(min(count, len(self._names))))
+        paths = map(self._path, range(count))
         return tuple(path for path in paths if path.exists())
 
     def notes(self) -> list[str]:

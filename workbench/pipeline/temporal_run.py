@@ -82,6 +82,13 @@ def needs_pictures(config: Config, steps: Sequence[Step]) -> str:
     return ""
 
 
+def look_at_pictures(config: Config, steps: Sequence[Step]) -> bool:
+    """Whether these steps look at the pictures where there are some, so that results differ without them."""
+    renders = "reestimate" in steps and config.traits.renders
+    lit = "refine" in steps and config.refinement.method == "self" and config.flow.renders != "exact"
+    return renders or lit or bool(needs_pictures(config, steps))
+
+
 def config_of(track_meta: Mapping[str, Any]) -> Config:
     """The configuration that a track was made with. Raises `InputError` for a track without one."""
     config = config_of_track(track_meta)
@@ -116,13 +123,13 @@ def views_of(
         paths[0] = [pictures]
     for name, path in others.items():
         paths[names.index(name)] = [path]
-    looked_at = [path for group in paths for path in group]
-    if not all(paths) or any(map(is_landmark_file, looked_at)):
+    if not all(paths) or any(is_landmark_file(path) for group in paths for path in group):
         return []
-    missing = [path for path in looked_at if not path.exists()]
-    said = [path for path in missing if needed or path == pictures or path in others.values()]
-    if said:
-        raise InputError(f"The pictures of this track are no longer at {said[0]}; name them with --clip.")
+    missing = {path: name for name, group in zip(names, paths, strict=True) for path in group if not path.exists()}
+    for path, name in missing.items():
+        if needed or path == pictures or path in others.values():
+            option = "--clip" if name == names[0] else f"--view {name}=CLIP"
+            raise InputError(f"The pictures of this track are no longer at {path}; name them with {option}.")
     if missing:
         return []
     return [tracked_part(open_frames(group if len(group) > 1 else group[0]), meta) for group in paths]

@@ -203,7 +203,7 @@ def inert_among(config: Config, paths: Iterable[str], scheme: LandmarkScheme | N
         if section == "group" and key in FURTHER_GROUPS:
             # Renders hold the gaze.
             return key in scheme.groups and not (key == "irises" and traits.renders)
-        if path == "camera.fov_deg" and config.camera.matrix is not None:
+        if path == "camera.fov_deg" and (config.camera.matrix is not None or config.camera.rig):
             return False
         return traits.reads(path)
 
@@ -234,8 +234,8 @@ def changed_by(config: Config, path: str, value: Value) -> dict[str, Any]:
     if section == "group":
         return {"landmarks": {"weights": _with_group(config, key, float(value))}}
     changes: dict[str, Any] = {section: {key: value}}
-    if path == "camera.fov_deg":
-        changes["camera"]["matrix"] = None
+    if path == "camera.fov_deg" and config.camera.matrix is not None:
+        changes["camera"] |= {"matrix": None, "distortion": []}
     return changes
 
 

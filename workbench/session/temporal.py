@@ -184,7 +184,7 @@ class TemporalWork:
     ) -> Sequence[FrameFit] | None:
         """The clip's fits as `workbench track` returns them, with infill and refinement if configured."""
         progress = progress or silent
-        if self._session.material.stills or not wanted_steps(config):
+        if self._alone(config):
             return self._fits.whole(config, progress, cancelled)
         found = self.run(None, config, progress, cancelled)
         return None if found is None else found.after
@@ -197,8 +197,7 @@ class TemporalWork:
         None if cancelled. Nothing is kept of it.
         """
         config = run.config
-        alone = self._session.material.stills or len(self._session) < 2
-        if alone or not wanted_steps(config) or problem_of(self._session.material, config):
+        if self._alone(config) or problem_of(self._session.material, config):
             return run.fits
         with self._working:
             try:
@@ -207,6 +206,10 @@ class TemporalWork:
                 return None
 
     # --- within ---
+
+    def _alone(self, config: Config) -> bool:
+        """Whether frames are fitted each for itself and stay as they are."""
+        return self._session.material.stills or len(self._session) < 2 or not wanted_steps(config)
 
     def _worked(
         self, part: Part, config: Config, before: Sequence[FrameFit], progress: Progress, cancelled: Cancelled

@@ -14,13 +14,13 @@ START, NOW = "the start", "now"
 """Names of the first and of the current configuration, which no snapshot may have."""
 
 
-DETECTION = ("detector", "face_landmarker", "face")
-"""Settings that landmarks were found with, which stay while these are in use."""
+OF_CLIP = ("detector", "face_landmarker", "face", "moved")
+"""Settings of landmarks that belong to the clip: how they were found, and which were moved by hand."""
 
 
 def preset_on(name: str, config: Config) -> Config:
-    """A preset for the landmarks that a configuration has found."""
-    return preset(name).changed(landmarks=config.landmarks.model_dump(include=set(DETECTION)))
+    """A preset for the landmarks of a configuration."""
+    return preset(name).changed(landmarks=config.landmarks.model_dump(include=set(OF_CLIP)))
 
 
 def snapshot_title(name: str) -> str:

@@ -1,6 +1,6 @@
 """What a sweep leaves in its folder besides the results: tables, figures, the best configuration."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatch
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,6 +15,8 @@ from workbench.sweeps.figures import FIGURES, write_figures
 from workbench.sweeps.outcome import SweepResult
 from workbench.sweeps.storage import is_url
 
+TABLE = "table.csv"
+
 
 def write_outcome(result: SweepResult, place: str | Path, wanted: WeightedSum | None = None) -> tuple[str, ...]:
     """Write the tables, the figures and the best configuration; returns the names of the files.
@@ -23,8 +25,9 @@ def write_outcome(result: SweepResult, place: str | Path, wanted: WeightedSum | 
     `OutputError` for a place that takes no more.
     """
     if not is_url(str(place)):
-        names = _write(result, make_folder(place), wanted)
-        for earlier in _earlier_figures((path.name for path in Path(place).iterdir()), names):
+        there = [path.name for path in make_folder(place).iterdir()]
+        names = _write(result, Path(place), wanted)
+        for earlier in _earlier_figures(there, names):
             (Path(place) / earlier).unlink(missing_ok=True)
         return names
     import fsspec
@@ -33,23 +36,25 @@ def write_outcome(result: SweepResult, place: str | Path, wanted: WeightedSum | 
         names = _write(result, Path(folder), wanted)
         system, path = fsspec.core.url_to_fs(str(place))
         with writing(place):
+            there = [Path(each).name for each in system.ls(path, detail=False)] if system.exists(path) else []
             for name in names:
                 system.put_file(str(Path(folder) / name), f"{path.rstrip('/')}/{name}")
-            there = (Path(each).name for each in system.ls(path, detail=False))
             for earlier in _earlier_figures(there, names):
                 system.rm_file(f"{path.rstrip('/')}/{earlier}")
     return names
 
 
-def _earlier_figures(there: Iterable[str], written: Sequence[str]) -> list[str]:
-    """The figures of other settings, which a sweep that went on has left beside its table."""
+def _earlier_figures(there: Sequence[str], written: Sequence[str]) -> list[str]:
+    """Of what was there, the figures of other settings; none without the table of an earlier outcome."""
+    if TABLE not in there:
+        return []
     return [name for name in there if name not in written and any(fnmatch(name, each) for each in FIGURES)]
 
 
 def _write(result: SweepResult, folder: Path, wanted: WeightedSum | None) -> tuple[str, ...]:
     wanted = wanted or WeightedSum({result.objectives[0]: 1.0})
-    names = ["table.csv"]
-    result.write_csv(folder / "table.csv")
+    names = [TABLE]
+    result.write_csv(folder / TABLE)
     if find_spec("pyarrow"):
         result.write_parquet(folder / "table.parquet")
         names.append("table.parquet")

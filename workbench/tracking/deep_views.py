@@ -192,13 +192,13 @@ def _view(
 
 
 def _solver_camera(plan: Plan, image_size: tuple[int, int]) -> Camera | OrthographicCamera:
-    guessed = plan.camera.of(image_size)
+    camera = plan.camera.of(image_size)
     if not plan.camera.parallel:
-        return Camera(*(jnp.asarray(part, float) for part in guessed))
-    made = orthographic_camera(image_size, _start_scale(plan, guessed))
+        return Camera(*(jnp.asarray(part, float) for part in camera))
+    made = orthographic_camera(image_size, _start_scale(plan, camera))
     return OrthographicCamera(*(jnp.asarray(part, float) for part in made))
 
 
-def _start_scale(plan: Plan, guessed: Camera) -> float:
+def _start_scale(plan: Plan, camera: Camera) -> float:
     """Pixels per millimetre at the start's distance."""
-    return float(np.mean(np.asarray(guessed.focal_px))) / plan.deep.distance_mm
+    return float(np.mean(np.asarray(camera.focal_px))) / plan.deep.distance_mm

@@ -119,7 +119,7 @@ NO_SUCH_POINTS = (
     "The greyed-out points are not among those of the detector (<i>landmarks.detector</i>), or Deep Energies does not "
     "use them."
 )
-MATRIX_GIVEN = "The configuration has a measured camera (<i>camera.matrix</i>), which holds its field of view."
+CAMERA_GIVEN = "The measured camera (<i>camera.matrix</i> or <i>camera.rig</i>) has a field of view of its own."
 NOT_NAMED = "Greyed-out weights belong to a term that no stage names; add it to a stage's <i>terms</i>."
 
 
@@ -127,7 +127,7 @@ def _why_inert(config: Config, title: str, greyed: Set[str]) -> str:
     if title == "points":
         return NO_SUCH_POINTS
     if greyed == {"camera.fov_deg"}:
-        return MATRIX_GIVEN
+        return CAMERA_GIVEN
     every = len(greyed) == len(PAGES[title])
     if title == "deep":
         own, whole, some = config.traits.reads("deep"), OF_DEEP, SOME_OF_DEEP

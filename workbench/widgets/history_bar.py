@@ -54,7 +54,7 @@ class HistoryBar:
             kind, _, name = change["new"].partition(":")
             self.reset.value = ""
             if kind == "preset":
-                self._session.use(preset_on(name, self._session.base), f"preset {name}")
+                self._session.use(preset_on(name, self._session.config), f"preset {name}")
             elif kind == "start":
                 self._session.use(self._session.base, "the start")
             else:

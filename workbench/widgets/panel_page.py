@@ -18,7 +18,6 @@ ACTIONS = (
 )  # fmt: skip
 """Actions that keys request of a panel; the browser does others itself. See `panel/help.js`."""
 
-STAGES = (".usd", ".usda", ".usdc")
 LARGEST_MB = 200
 """Largest file that goes from the browser to Python, or back, in one message."""
 
@@ -73,7 +72,7 @@ def packed(path: Path) -> tuple[str, bytes]:
     if not path.exists():
         raise InputError(f"{path} is no longer there; write it again.")
     pictures = pictures_folder(path)
-    if path.suffix in STAGES and pictures.is_dir():
+    if path.is_file() and pictures.is_dir():
         with tempfile.TemporaryDirectory() as folder:
             together = Path(folder, path.stem)
             shutil.copytree(pictures, together / pictures.name)

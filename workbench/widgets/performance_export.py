@@ -9,7 +9,7 @@ import ipywidgets as widgets
 
 from workbench.errors import InputError, WorkbenchError
 from workbench.export import export_track
-from workbench.export.suffixes import DRESSED, FORMATS, format_of, pictures_folder
+from workbench.export.suffixes import DRESSED, FORMATS, format_of, pictures_folder, place_of
 from workbench.face import character_names, dressed_as
 from workbench.face.characters import PLAIN
 from workbench.session import TuningSession
@@ -132,7 +132,7 @@ class PerformanceExport:
             raise InputError(
                 f"{path} does not end in the chosen format's suffix {self.format.value}; change one of them."
             )
-        written = [path, *([pictures_folder(path)] if self._dressed and self.format.value == ".usd" else [])]
+        written = [place_of(path), *([pictures_folder(path)] if self._dressed and self.format.value == ".usd" else [])]
         for taken in written:
             if taken.exists():
                 raise InputError(f"{taken} exists already; name another file, or move that one away.")

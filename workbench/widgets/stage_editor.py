@@ -87,8 +87,8 @@ class StageRow:
         if self._quiet:
             return
         try:
-            unread = self.landmarks.value == landmarks_text(self._landmarks)
-            landmarks = self._landmarks if unread else read_landmarks(self.landmarks.value)
+            unchanged = self.landmarks.value == landmarks_text(self._landmarks)
+            landmarks = self._landmarks if unchanged else read_landmarks(self.landmarks.value)
             terms = read_terms(self.terms.value)
         except ConfigError as error:
             self.result.value = str(error)

@@ -74,11 +74,15 @@ class TimePart:
     def begin_at(self, frame: int) -> None:
         """Begin the part at a frame, and end it with the clip if it ended by then; it has two frames at least."""
         end = len(self._session) - 1
+        if end == 0:
+            return
         frame, last = min(frame, end - 1), self.whole[1]
         self.part.value = f"{frame}-{last if last > frame else end}"
 
     def end_at(self, frame: int) -> None:
         """End the part at a frame, and begin it with the clip if it began there or later; two frames at least."""
+        if len(self._session) == 1:
+            return
         frame, first = max(frame, 1), self.whole[0]
         self.part.value = f"{first if first < frame else 0}-{frame}"
 

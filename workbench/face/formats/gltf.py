@@ -199,13 +199,14 @@ class _Document:
         return np.round(255.0 * np.clip(linear, 0.0, 1.0) ** (1.0 / 2.2)).astype(np.uint8)
 
     def _matrices_at_rest(self) -> dict[int, np.ndarray]:
-        """Node to scene, by node: joints where their skins were bound, others as no animation turns them."""
+        """Node to scene, by node: joints where their skins were bound, what carries a face as no animation turns it."""
         animations = self.json.get("animations", [])
         targets = [channel["target"] for animation in animations for channel in animation["channels"]]
         turned = {target.get("node") for target in targets if target.get("path") == "rotation"}
         skins = [skin for skin in self.json.get("skins", []) if "inverseBindMatrices" in skin]
         joints = {joint for skin in skins for joint in skin["joints"]}
-        present = self._global_matrices(turned - joints, {})
+        straightened = (turned - joints) & self._above_faces()
+        present = self._global_matrices(straightened, {})
         bound: dict[int, np.ndarray] = {}
         for skin in skins:
             inverse = dict(zip(skin["joints"], self._inverse_bind(skin), strict=True))
@@ -218,7 +219,19 @@ class _Document:
                 skinned[:3, 3] = present[top][:3, 3] - skinned[:3, :3] @ np.linalg.pinv(inverse[top])[:3, 3]
             for joint, matrix in inverse.items():
                 bound.setdefault(joint, skinned @ np.linalg.pinv(matrix))
-        return self._global_matrices(turned - joints, bound)
+        return self._global_matrices(straightened, bound)
+
+    def _above_faces(self) -> set[int]:
+        """Nodes of meshes with morph targets, and those that they hang below."""
+        nodes, above = self.json.get("nodes", []), set()
+        parents = {child: index for index, node in enumerate(nodes) for child in node.get("children", [])}
+        for index, node in enumerate(nodes):
+            mesh = self._entry("meshes", node["mesh"]) if "mesh" in node else {}
+            if any("targets" in primitive for primitive in mesh.get("primitives", [])):
+                while index is not None and index not in above:
+                    above.add(index)
+                    index = parents.get(index)
+        return above
 
     def _inverse_bind(self, skin: dict) -> np.ndarray:
         """From the mesh to each joint of a skin, as it was bound."""

@@ -102,11 +102,15 @@ def without_gaps(path: Path, records: Iterable[LandmarkRecord]) -> Iterator[Land
 def by_pictures(records: Iterable[LandmarkRecord], pictures: Sequence[str]) -> Iterator[LandmarkRecord]:
     """One record for each of these picture files: the one that names it, else one without a face.
 
-    As the records come where none names one of the pictures, and where names (without their suffixes) repeat.
+    As the records come where none names one of the pictures, where names (without their suffixes) repeat, and where
+    they are numbers of which only some agree, as when one program counts from 0 and another from 1.
     """
     records, stems = list(records), [Path(picture).stem for picture in pictures]
-    named = {Path(record.name).stem: record for record in records}
-    if len(named) < len(records) or len(set(stems)) < len(stems) or named.keys().isdisjoint(stems):
+    # Some layouts name pictures with their suffix, some without, and both names may have other dots.
+    named = {name if (name := record.name) in stems else Path(name).stem: record for record in records}
+    agreeing = len(named.keys() & set(stems))
+    by_chance = agreeing < len(records) == len(pictures) and all(map(str.isdecimal, [*named, *stems]))
+    if len(named) < len(records) or len(set(stems)) < len(stems) or agreeing == 0 or by_chance:
         yield from records
         return
     for frame, (picture, stem) in enumerate(zip(pictures, stems, strict=True)):
