@@ -14,7 +14,15 @@ from workbench.errors import InputError, StoppedError
 from workbench.frames import FrameRange, open_frames
 from workbench.pipeline.temporal_run import work_over
 from workbench.samples import sample
-from workbench.session import Material, TuningSession, load_material, material_of_photo, material_of_track, open_session
+from workbench.session import (
+    Material,
+    TuningSession,
+    load_material,
+    material_of_photo,
+    material_of_track,
+    open_session,
+    temporal,
+)
 from workbench.session.curves import curve, moving_weights
 from workbench.session.material import PictureStore
 from workbench.session.parts import parts_of, parts_text, read_parts
@@ -363,13 +371,16 @@ def test_an_exported_configuration_gives_the_same_bits_on_the_command_line(head,
 
 
 def test_an_unchanged_configuration_is_exported_with_the_same_metrics_before_and_after(
-    session, head, material, tmp_path
+    head, material, tmp_path, monkeypatch
 ):
+    once, over_time = [], temporal.over_time
+    monkeypatch.setattr(temporal, "over_time", lambda *given: once.append(None) or over_time(*given))
     base = QUICK.changed(refinement={"method": "averaging"})
     other = TuningSession(head, material, base)
     provenance = read_config(other.export(tmp_path / "tuned.toml")).provenance
     assert provenance.changed == []
     assert provenance.before == provenance.after
+    assert len(once) == 1
     assert provenance.after["jitter_deg"] == other.temporal.current.numbers()["jitter_deg"]
     assert other.run.config == base
 

@@ -40,7 +40,7 @@ class PartFits:
     def fitted(
         self, part: Part, config: Config, progress: Progress, cancelled: Cancelled
     ) -> tuple[FrameFit, ...] | None:
-        """The single-frame fits of a part; None if cancelled."""
+        """The fits of a part before infill and refinement; None if cancelled."""
         first, last = part
         if config.traits.real_time or self.ran(config):
             fits = self.whole(config, progress, cancelled)
@@ -93,7 +93,7 @@ class PartFits:
         return run if run is not None and fits_key(run.config) == fits_key(config) else None
 
     def singles(self, config: Config) -> dict[int, FrameFit]:
-        """The fits computed one by one under a configuration, by frame."""
+        """The fits computed outside of whole runs under a configuration, by frame."""
         key = fits_key(config)
         with self._lock:
             kept = self._single.setdefault(key, {})

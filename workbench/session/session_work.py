@@ -9,6 +9,7 @@ from workbench.face import FaceModel, in_scheme, load_default_head
 from workbench.learning import Tuned
 from workbench.session.calibrations import Calibrations
 from workbench.session.clip_run import ClipRuns, Run, described_track
+from workbench.session.dependence import time_key
 from workbench.session.diagnosing import Diagnosing, check_diagnosed
 from workbench.session.exports import Exports
 from workbench.session.frame_fits import FrameFits
@@ -64,9 +65,10 @@ class SessionWork:
 
         Infill and refinement count in both. False, and nothing is written, if cancelled.
         """
-        fits = self.temporal.fits_by(config, progress, cancelled)
-        run = None if fits is None else self.runs.aside(base, progress, cancelled)
-        before = None if run is None else self.temporal.after_run(run, progress, cancelled)
+        fits = before = self.temporal.fits_by(config, progress, cancelled)
+        if fits is not None and time_key(base) != time_key(config):
+            run = self.runs.aside(base, progress, cancelled)
+            before = None if run is None else self.temporal.after_run(run, progress, cancelled)
         if before is None or cancelled():
             return False
         self.exports.write(path, config, base, metrics_of(before), metrics_of(fits))

@@ -85,9 +85,10 @@ class TemporalWork:
     ) -> Worked | None:
         """Infill and refine a part (None: the clip) by a configuration (None: the current one); None if cancelled.
 
-        Missing fits are computed first: for the whole clip, or under Deep Energies for the part only. On the whole
-        clip the numbers equal those of `workbench track`; a part is treated like a clip, so its end frames have one
-        neighbour only. Raises `InputError` for photos, if no method is chosen, or if pictures are missing.
+        Missing fits are computed first: for the whole clip, or under Deep Energies for the part only, from the start of
+        its shot where a term links frames. On the whole clip the numbers equal those of `workbench track`; a part is
+        treated like a clip, so its end frames have one neighbour only. Raises `InputError` for photos, if no method is
+        chosen, or if pictures are missing.
         """
         config = self._session.config if config is None else config
         part = self._fits.part(part)
