@@ -308,6 +308,11 @@ def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_
     assert out.with_suffix(".study.log").exists()
     again = CliRunner().invoke(app, [*asked, *parts])
     assert again.exit_code != 0
+    found_before = out.read_text()
+    out.unlink()  # as after an interruption, when only the study is there
+    anew = CliRunner().invoke(app, [*asked, *parts])
+    assert anew.exit_code != 0 and "--resume" in str(anew.exception)
+    out.write_text(found_before)
     more = CliRunner().invoke(app, [*asked[:-4], "--trials", "3", "--out", str(out), "--resume", *parts])
     assert more.exit_code == 0, more.output
 

@@ -73,6 +73,8 @@ def tune(
     check_not_inputs([path], [Path(name) for name in inputs if name])
     if not (overwrite or resume):
         check_new(path)
+        for stored in learning.kept_beside(path):
+            check_new(stored, "go on with that tuning (--resume), or begin anew (--overwrite)")
     head = face_model(model)
     parts = [None if text is None else learning.read_frames(text) for text in (train, watch, held_out)]
     (source,) = sweeps.sources_of(

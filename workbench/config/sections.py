@@ -168,6 +168,8 @@ class LandmarksConfig(Section):
     """Detection and tracking of the points."""
 
     in_turn = ("weights",)
+    of_clip: ClassVar[tuple[str, ...]] = ("detector", "face_landmarker", "face", "moved")
+    """The keys that belong to the clip, how its points were found and which were moved by hand: presets leave them."""
 
     detector: Detector = Field(
         "auto",
@@ -188,6 +190,10 @@ class LandmarksConfig(Section):
     moved: dict[FrameKey, dict[PointKey, tuple[float, float]]] = Field(
         {}, description="Detections corrected by hand: frame number, then point number, then position in pixels."
     )
+
+    def kept_by_presets(self) -> dict[str, Any]:
+        """The values of `of_clip`."""
+        return {name: getattr(self, name) for name in self.of_clip}
 
 
 class DeepConfig(Section):

@@ -3,9 +3,12 @@
 Trained on renders of the default head alone (`workbench/networks/bundled/MODEL_CARD.md` has data, recipe and limits).
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import jax
@@ -40,6 +43,11 @@ DOUBTFUL = 0.8
 LEAST_FACE = 0.3
 """Median confidence of the inner points below which there is no face; of boxes of walls and hands, 99 in 100 are
 below 0.12."""
+STEADY_SIDES, STEADY_CONFIDENCE = 0.02, 0.34
+"""A face may be doubtful, as a profile is, of which half the points are hidden: it counts where six looks at it scatter
+by at most this much (box sides, median of the inner points), and the quarter of them that is surest is this sure."""
+PROMISING = 0.15
+"""Confidence of that quarter at first sight from which six looks are worth their time."""
 CANDIDATES = 8
 """The finder's surest proposals that the landmark network looks at."""
 SMALLEST_SIDE = 16
@@ -47,6 +55,13 @@ SMALLEST_SIDE = 16
 
 _INNER = np.array(GROUPS["inner"])
 BUNDLED = Path(__file__).resolve().parent.parent / "networks" / "bundled"
+
+
+class _Proposal(NamedTuple):
+    """A proposal of the finder's, looked at."""
+
+    look: Landmarks2D
+    score: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +90,20 @@ class NetworkDetector:
         """Faces, the largest first: what the finder finds and the landmark network agrees to.
 
         "quick" looks at the whole picture for upright faces; the others for rolled ones too, and if there is no face at
-        first sight, at ever smaller parts of it until there is one.
+        first sight, at ever smaller parts of it until there is one. What they doubted counts if it stays where it is in
+        other looks, and there is nothing else.
         """
         if min(picture.shape[:2]) < SMALLEST_SIDE:
             return []
-        found = self._finder.find(picture)[:CANDIDATES]
-        faces = self._faces(picture, found, effort)
-        if not faces and effort != "quick":
-            smaller = (self._faces(picture, found[:CANDIDATES], effort) for found in self._finder.find_smaller(picture))
-            faces = next(filter(None, smaller), [])
-        return sorted(faces, key=lambda face: -face.area)
+        quick, doubtful = effort == "quick", []
+        proposals = chain([self._finder.find(picture)], () if quick else self._finder.find_smaller(picture))
+        for found in proposals:
+            seen = [self._proposed(picture, face, quick) for face in found[:CANDIDATES]]
+            sure = [face for face in seen if _sureness(face.look) > LEAST_FACE]
+            if sure:
+                return _boxes(sure)
+            doubtful += seen
+        return [] if quick else _boxes(filter(None, (self._steadied(picture, face) for face in doubtful)))
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
         """The landmarks of the face in `box`: a look that finds its frame, then the mean of six in that frame."""
@@ -104,22 +123,32 @@ class NetworkDetector:
 
     def _looks(self, picture: np.ndarray, box: Box) -> list[Landmarks2D]:
         """Six looks at a still, in the frame that a first one finds."""
-        face = frame_from_points(self._first_look(picture, box).points)
+        return self._looks_about(picture, self._first_look(picture, box))
+
+    def _looks_about(self, picture: np.ndarray, first: Landmarks2D) -> list[Landmarks2D]:
+        face = frame_from_points(first.points)
         return [
             self._look(picture, face.moved(x, y, scale), mirrored)
             for x, y, scale in STILL_MOVES
             for mirrored in (False, True)
         ]
 
-    def _faces(self, picture: np.ndarray, found: list[FoundFace], effort: Effort) -> list[FaceDetection]:
-        """What of the finder's proposals the landmark network takes for a face, with the boxes of its landmarks."""
-        faces = []
-        for box, score in found:
-            upright = effort == "quick"
-            look = self._look(picture, frame_from_box(box)) if upright else self._first_look(picture, box)
-            if _sureness(look) > LEAST_FACE:
-                faces.append((frame_from_points(look.points).box(), score))
-        return [FaceDetection(box, score) for box, score in without_doubles(faces)]
+    def _proposed(self, picture: np.ndarray, found: FoundFace, quick: bool) -> "_Proposal":
+        """What the landmark network sees in a proposal of the finder's."""
+        box, score = found
+        return _Proposal(self._look(picture, frame_from_box(box)) if quick else self._first_look(picture, box), score)
+
+    def _steadied(self, picture: np.ndarray, face: "_Proposal") -> "_Proposal | None":
+        """A doubtful face by the mean of six looks; None unless they agree."""
+        if _surest(face.look.confidence) < PROMISING:
+            return None
+        looks = self._looks_about(picture, face.look)
+        points, confidence = (np.array([getattr(look, name) for look in looks]) for name in ("points", "confidence"))
+        mean = points.mean(axis=0)
+        scatter = np.sqrt(((points - mean) ** 2).sum(axis=-1).mean(axis=0))[_INNER] / frame_from_points(mean).side
+        if np.median(scatter) > STEADY_SIDES or _surest(confidence.mean(axis=0)) < STEADY_CONFIDENCE:
+            return None
+        return _Proposal(replace(face.look, points=mean), face.score)
 
     def _first_look(self, picture: np.ndarray, box: Box) -> Landmarks2D:
         """The upright look at a box, or the surest of several rolled ones where that leaves doubt."""
@@ -214,3 +243,14 @@ def _rolled(face: FaceFrame, roll: float) -> FaceFrame:
 def _sureness(landmarks: Landmarks2D) -> float:
     """Median confidence of the inner points: the contour is a guess on many good faces."""
     return float(np.median(landmarks.confidence[_INNER]))
+
+
+def _surest(confidence: Float[np.ndarray, "points"]) -> float:
+    """The confidence that a quarter of the inner points reach."""
+    return float(np.quantile(confidence[_INNER], 0.75))
+
+
+def _boxes(faces: Iterable[_Proposal]) -> list[FaceDetection]:
+    """The boxes of the landmarks, none twice, the largest first."""
+    found = without_doubles([(frame_from_points(face.look.points).box(), face.score) for face in faces])
+    return sorted((FaceDetection(box, score) for box, score in found), key=lambda face: -face.area)

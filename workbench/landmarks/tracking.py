@@ -27,7 +27,7 @@ from workbench.landmarks.schemes import SCHEMES
 from workbench.landmarks.shot_cuts import correlation, thumbnail_of
 from workbench.landmarks.tracker_options import TrackerOptions
 
-LONGEST_RETRY = 8
+LONGEST_RETRY = 16
 """Times the retry interval: how rare thorough searches become in a long shot without a face."""
 CANDIDATES = 5
 """Faces aligned, at most, when one is chosen."""

@@ -8,5 +8,6 @@ from .report import change_of as change_of
 from .tuning import Tuned as Tuned
 from .tuning import Wanted as Wanted
 from .tuning import inputs_of as inputs_of
+from .tuning import kept_beside as kept_beside
 from .tuning import observed as observed
 from .tuning import tuned as tuned

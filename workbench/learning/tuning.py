@@ -31,6 +31,8 @@ from workbench.tracking.unwatched import never
 STEPS, TRIALS = 24, 40
 TRAINED, WATCHED = 12, 4
 """Stretches that are learned on, and that choose the step, at most."""
+OF_LEARNING, OF_SEARCH = ".learning.json", ".study.log"
+"""What the files end with that an interrupted tuning goes on with."""
 
 Tell = Callable[[str, int, int, float, float | None], None]
 """Called with what is done ("learn", "search"), how many steps of how many, the value and the watched value."""
@@ -90,9 +92,9 @@ def tuned(
 ) -> Tuned:
     """The configuration with the settings that its objective likes best on the part to learn on.
 
-    `place`: files of what was learned (`.learning.json`) and searched (`.study.log`) begin so, and `resume` goes on
-    with them. An interrupt (Ctrl-C) keeps what was found, and so does `stopped`, which is asked before each step of a
-    gradient; after a search that was interrupted no gradient is begun, for the search may yet find a better start.
+    `place`: files of what was learned and searched begin so (`kept_beside`), and `resume` goes on with them. An
+    interrupt (Ctrl-C) keeps what was found, and so does `stopped`, which is asked before each step of a gradient; after
+    a search that was interrupted no gradient is begun, for the search may yet find a better start.
     Raises `ConfigError` for settings that cannot be learned or searched, and `InputError` for a clip without frames to
     learn on or without what an objective needs, and for files of another tuning.
     """
@@ -114,6 +116,11 @@ def tuned(
     before, after = measured(solver, (config, found), clip, wanted)
     result = Tuned(found, config, before, after, learning, search)
     return replace(result, config=found.changed(provenance=_provenance(result, model, wanted, inputs)))
+
+
+def kept_beside(place: Path) -> list[Path]:
+    """The files that an interrupted tuning goes on with, whether they are there or not."""
+    return [place.with_suffix(suffix) for suffix in (OF_LEARNING, OF_SEARCH)]
 
 
 def observed(source: ClipSource, config: Config, model: FaceModel) -> SweptClip:
@@ -150,7 +157,7 @@ def learn_on(
     slope = compiled_slope(config, wanted.objectives, clip.observations[0].image_size, start, train[0])
     parts = {name: [frames.start, frames.stop] for name, frames in wanted.parts.named.items()}
     key = key_of(config, clip, solver.model, wanted.objectives, learn=list(wanted.learn), parts=parts)
-    file = None if place is None else place.with_suffix(".learning.json")
+    file = None if place is None else place.with_suffix(OF_LEARNING)
     goes_on = resume and file is not None and file.exists()
     # A search that went on may have found another start.
     if goes_on and not (wanted.search and read_learning(file).key != key):
@@ -201,7 +208,7 @@ def measured(
 def _study_file(place: Path | None, resume: bool) -> Path:
     if place is None:
         raise ConfigError("A search keeps its study in a file; name the result (--out, out=).")
-    journal = place.with_suffix(".study.log")
+    journal = place.with_suffix(OF_SEARCH)
     if not resume:
         journal.unlink(missing_ok=True)
     return journal

@@ -14,13 +14,9 @@ START, NOW = "the start", "now"
 """Names of the first and of the current configuration, which no snapshot may have."""
 
 
-OF_CLIP = ("detector", "face_landmarker", "face", "moved")
-"""Settings of landmarks that belong to the clip: how they were found, and which were moved by hand."""
-
-
 def preset_on(name: str, config: Config) -> Config:
     """A preset for the landmarks of a configuration."""
-    return preset(name).changed(landmarks=config.landmarks.model_dump(include=set(OF_CLIP)))
+    return preset(name).changed(landmarks=config.landmarks.kept_by_presets())
 
 
 def snapshot_title(name: str) -> str:

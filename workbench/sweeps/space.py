@@ -205,10 +205,9 @@ def config_at(base: Config, point: Point) -> Config:
     values = dict(point.values)
     if "preset" in values:
         # What belongs to the clip stays; everything else is the preset's.
-        kept = {name: getattr(base.landmarks, name) for name in ("detector", "face_landmarker", "face", "moved")}
         of_clip = {name: getattr(base, name) for name in ("camera", "subsets", "head")}
         chosen = preset(str(values.pop("preset"))).model_copy(update=of_clip)
-        base = chosen.changed(landmarks=kept)
+        base = chosen.changed(landmarks=base.landmarks.kept_by_presets())
     if "schedule" in values:
         base = base.model_copy(update={"stages": preset(str(values.pop("schedule"))).stages})
     stored = base.model_dump()

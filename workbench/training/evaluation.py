@@ -18,7 +18,9 @@ CLEAN = Hardness(framing=1.0, damage=0.0, occlusion=0.0)
 """As a detector would frame a face, in a good picture."""
 CONFIDENT_PERCENT = 5.0
 """A landmark counts as found within this many percent of the outer-eye distance."""
-KNOTS = 12
+KNOTS_AT = (0.0, 1 / 600, 1 / 200, 1 / 100, 1 / 50, 1 / 25, *(k / 12 for k in range(1, 13)))
+"""Shares of all landmarks between which a calibration has a knot each: close together where the network is least sure,
+because a wall is told from a hidden point there."""
 LEAST_MASS_STEP = 1e-4
 
 Network = Callable[[UInt8[np.ndarray, "s s 3"]], tuple[Float[np.ndarray, "68 2"], Float[np.ndarray, "68"]]]
@@ -105,14 +107,14 @@ def calibration_of(
     The masses ascend strictly within 0..1, however many landmarks have the same.
     """
     mass, found = answers.mass[:, 17:].ravel(), (answers.errors_percent[:, 17:] < percent).ravel()
-    edges = np.quantile(mass, np.linspace(0, 1, KNOTS + 1))
+    edges = np.quantile(mass, KNOTS_AT)
     knots, shares, weights = [], [], []
     for low, high in pairwise(edges):
         inside = (mass >= low) & (mass <= high)
         knots.append(mass[inside].mean())
         shares.append(found[inside].mean())
         weights.append(inside.sum())
-    place = np.arange(KNOTS)
+    place = np.arange(len(knots))
     knots = np.maximum.accumulate(np.asarray(knots) + LEAST_MASS_STEP * place)
     knots = np.minimum(knots, 1 - LEAST_MASS_STEP * place[::-1])
     return knots, _never_falling(np.asarray(shares), np.asarray(weights, float))
