@@ -41,8 +41,8 @@ OTHER_ROLLS = (-0.9, 0.9)
 DOUBTFUL = 0.8
 """Median confidence of the inner points up to which a look leaves doubt; wrong answers reach 0.7."""
 LEAST_FACE = 0.3
-"""Median confidence of the inner points below which there is no face; of boxes of walls and hands, 99 in 100 are
-below 0.12."""
+"""Median confidence of the inner points below which there is no face for sure; of boxes of walls and hands, 99 in 100
+are below 0.03."""
 STEADY_SIDES, STEADY_CONFIDENCE = 0.02, 0.34
 """A face may be doubtful, as a profile is, of which half the points are hidden: it counts where six looks at it scatter
 by at most this much (box sides, median of the inner points), and the quarter of them that is surest is this sure."""

@@ -1,0 +1,109 @@
+"""Heads that turn to the profile: half of the points are hidden, and the face is followed and fitted all the same."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from workbench.config import preset
+from workbench.face import load_character, load_default_head, posed_vertices
+from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov, yaw_pitch_roll_deg
+from workbench.geometry.camera import project
+from workbench.landmarks import network_detector
+from workbench.landmarks.alignment import frame_from_points, shape_deviation
+from workbench.landmarks.network_detector import NetworkDetector
+from workbench.landmarks.tracker_options import ACCEPT_CONFIDENCE, TrackerOptions, options_for
+from workbench.landmarks.tracking import LandmarkTracker
+from workbench.pictures import HeadRenderer
+from workbench.tracker import FaceTracker
+from workbench.tracking import FrameObservation
+
+SIZE, FOV_DEG = (480, 360), 40.0
+CAMERA = camera_from_fov(SIZE, FOV_DEG)
+PLACE_MM = np.array([0.0, 20.0, 620.0])
+YAWS_DEG = (*range(0, 91, 6), *range(84, -91, -6))
+"""To one profile and through the front to the other."""
+
+
+@cache
+def turned(who: str, yaws_deg: tuple[float, ...], background: tuple[int, int, int] = (120, 125, 130)):
+    """Pictures of a character, and where its landmarks are in them."""
+    dressed = load_character(who, gaze=False)
+    person = dressed.person
+    vertices = posed_vertices(person, np.zeros(len(person.expression_names)), np.zeros(6))
+    pictures, points = [], []
+    with HeadRenderer(person, SIZE, dressed=dressed) as renderer:
+        for yaw in yaws_deg:
+            rotation = axis_angle_from_yaw_pitch_roll(np.array([yaw, 0.0, 0.0]))
+            pictures.append(renderer.render(vertices, CAMERA, rotation, PLACE_MM, background))
+            turn = Rotation.from_rotvec(rotation).as_matrix()
+            points.append(np.asarray(project(CAMERA, person.landmarks.of(vertices) @ turn.T + PLACE_MM)))
+    return pictures, points
+
+
+@pytest.mark.parametrize("pitch_deg", [-15.0, 0.0, 15.0])
+def test_a_turned_face_has_the_shape_of_a_face(pitch_deg):
+    head = load_default_head()
+    points = np.asarray(head.landmarks.of(head.neutral))
+    for yaw_deg in range(-90, 91, 10):
+        seen = Rotation.from_euler("yx", [yaw_deg, pitch_deg], degrees=True).apply(points)[:, :2]
+        assert shape_deviation(3.0 * seen) < 0.06 < TrackerOptions.largest_deviation_sides
+    random = np.random.default_rng(0)
+    assert shape_deviation(random.permutation(points[:, :2])) > TrackerOptions.largest_deviation_sides
+
+
+@pytest.fixture(scope="module")
+def followed():
+    tracker = LandmarkTracker(NetworkDetector(), options_for("network"))
+    return [tracker.step(picture) for picture in turned("ravi", YAWS_DEG)[0]]
+
+
+def test_a_head_is_followed_from_profile_to_profile(followed):
+    assert [each.source for each in followed] == ["detected", *["tracked"] * (len(followed) - 1)]
+    _, points = turned("ravi", YAWS_DEG)
+    apart = np.array(
+        [np.linalg.norm(each.landmarks.points - true, axis=1) for each, true in zip(followed, points, strict=True)]
+    )
+    assert np.median(apart[:, 17:], axis=1).max() < 0.02 * frame_from_points(points[0]).side
+
+
+def test_the_fit_turns_with_it(followed):
+    config = preset("joint").changed(camera={"fov_deg": FOV_DEG})
+    seen = (FrameObservation(k, each.landmarks, SIZE) for k, each in enumerate(followed))
+    fits = FaceTracker(load_default_head(), config).fit_all(seen)
+    found = np.array([yaw_pitch_roll_deg(fit.rotation)[0] for fit in fits])
+    off, turn = np.abs(found - YAWS_DEG), np.abs(YAWS_DEG)
+    assert off[turn < 75].max() < 2.0
+    assert off[turn >= 75].max() < 7.0
+
+
+def test_a_doubtful_face_in_the_dark_counts_if_it_is_steady(monkeypatch):
+    ((picture,), (points,)) = turned("ravi", (-88.0,), (10, 12, 20))
+    noise = np.random.default_rng(0).normal(0.0, 4.0, picture.shape)
+    dark = np.clip(picture * np.array([0.09, 0.11, 0.2]) + noise, 0, 255).astype(np.uint8)
+    detector = NetworkDetector()
+    assert not detector.detect_faces(dark, "quick")
+    (face,) = detector.detect_faces(dark)
+    found = detector.align(dark, face.box).points
+    assert np.median(np.linalg.norm(found - points, axis=1)[17:]) < 0.04 * frame_from_points(points).side
+    monkeypatch.setattr(network_detector, "STEADY_SIDES", 0.001)
+    assert not detector.detect_faces(dark)
+
+
+def test_the_network_is_less_sure_of_a_wall_than_of_a_hidden_point():
+    detector, random = NetworkDetector(), np.random.default_rng(1)
+    rows, columns = np.mgrid[:240, :320]
+    sure = []
+    for _ in range(20):
+        waves = sum(
+            random.uniform(5, 40) * np.sin(random.normal(0, 0.05) * rows + random.normal(0, 0.05) * columns)
+            for _ in range(4)
+        )
+        wall = np.clip(waves[..., None] + random.uniform(40, 200, 3), 0, 255) + random.normal(0, 4, (240, 320, 3))
+        seen = detector.align(np.clip(wall, 0, 255).astype(np.uint8), (80.0, 60.0, 220.0, 200.0))
+        sure.append(np.median(seen.confidence))
+    assert max(sure) < 0.5 * TrackerOptions.keep_confidence < ACCEPT_CONFIDENCE["network"]
+    pictures, _ = turned("ravi", YAWS_DEG)
+    profile = detector.refine(pictures[YAWS_DEG.index(84)], turned("ravi", YAWS_DEG)[1][YAWS_DEG.index(84)])
+    assert np.quantile(profile.confidence, 0.1) > max(sure)
