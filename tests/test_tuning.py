@@ -311,7 +311,8 @@ def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_
     found_before = out.read_text()
     out.unlink()  # as after an interruption, when only the study is there
     anew = CliRunner().invoke(app, [*asked, *parts])
-    assert anew.exit_code != 0 and "--resume" in str(anew.exception)
+    assert anew.exit_code != 0
+    assert "--resume" in str(anew.exception)
     out.write_text(found_before)
     more = CliRunner().invoke(app, [*asked[:-4], "--trials", "3", "--out", str(out), "--resume", *parts])
     assert more.exit_code == 0, more.output
