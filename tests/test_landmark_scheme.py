@@ -7,8 +7,9 @@ import pytest
 
 from workbench.errors import InputError
 from workbench.landmarks import scheme
-from workbench.landmarks.alignment import MEAN_SHAPE, fit_similarity, frame_from_box, frame_from_points, shape_deviation
+from workbench.landmarks.alignment import MEAN_SHAPE, fit_similarity, frame_from_box, frame_from_points
 from workbench.landmarks.observations import Landmarks2D
+from workbench.landmarks.turned_faces import shape_deviation
 
 
 def test_point_36_is_the_subjects_right_eyes_outer_corner_at_image_left_on_a_frontal_face():

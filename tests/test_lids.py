@@ -118,6 +118,7 @@ def test_eyes_of_another_size_are_not_mixed(width):
 
 
 def test_the_mixed_detector_finds_faces_by_the_first_and_lets_the_second_look_at_its_landmarks():
+    """On a face that faces the camera; `test_profiles.py` has the others."""
     found = [FaceDetection((220.0, 140.0, 420.0, 340.0), 1.0)]
     lids = Always("network", face(0.05), faces=[])
     mixed = MixedDetector(Always("dlib", face(0.3), found), lids)

@@ -1,5 +1,6 @@
 """Heads that turn to the profile: half of the points are hidden, and the face is followed and fitted all the same."""
 
+import importlib.util
 from functools import cache
 
 import numpy as np
@@ -11,10 +12,12 @@ from workbench.face import load_character, load_default_head, posed_vertices
 from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov, yaw_pitch_roll_deg
 from workbench.geometry.camera import project
 from workbench.landmarks import network_detector
-from workbench.landmarks.alignment import frame_from_points, shape_deviation
+from workbench.landmarks.alignment import frame_from_points
+from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.network_detector import NetworkDetector
 from workbench.landmarks.tracker_options import ACCEPT_CONFIDENCE, TrackerOptions, options_for
 from workbench.landmarks.tracking import LandmarkTracker
+from workbench.landmarks.turned_faces import shape_deviation, turn_deg
 from workbench.pictures import HeadRenderer
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameObservation
@@ -22,6 +25,10 @@ from workbench.tracking import FrameObservation
 SIZE, FOV_DEG = (480, 360), 40.0
 CAMERA = camera_from_fov(SIZE, FOV_DEG)
 PLACE_MM = np.array([0.0, 20.0, 620.0])
+needs_dlib = pytest.mark.skipif(
+    importlib.util.find_spec("dlib") is None or importlib.util.find_spec("face_recognition_models") is None,
+    reason='dlib is not installed: pip install "face-energy-workbench[dlib]"',
+)
 YAWS_DEG = (*range(0, 91, 6), *range(84, -91, -6))
 """To one profile and through the front to the other."""
 
@@ -43,12 +50,13 @@ def turned(who: str, yaws_deg: tuple[float, ...], background: tuple[int, int, in
 
 
 @pytest.mark.parametrize("pitch_deg", [-15.0, 0.0, 15.0])
-def test_a_turned_face_has_the_shape_of_a_face(pitch_deg):
+def test_a_turned_face_has_the_shape_of_a_face_and_its_shape_tells_the_turn(pitch_deg):
     head = load_default_head()
     points = np.asarray(head.landmarks.of(head.neutral))
     for yaw_deg in range(-90, 91, 10):
         seen = Rotation.from_euler("yx", [yaw_deg, pitch_deg], degrees=True).apply(points)[:, :2]
         assert shape_deviation(3.0 * seen) < 0.06 < TrackerOptions.largest_deviation_sides
+        assert turn_deg(3.0 * seen) == pytest.approx(abs(yaw_deg), abs=7.0 if abs(yaw_deg) <= 70 else 11.0)
     random = np.random.default_rng(0)
     assert shape_deviation(random.permutation(points[:, :2])) > TrackerOptions.largest_deviation_sides
 
@@ -76,6 +84,25 @@ def test_the_fit_turns_with_it(followed):
     off, turn = np.abs(found - YAWS_DEG), np.abs(YAWS_DEG)
     assert off[turn < 75].max() < 2.0
     assert off[turn >= 75].max() < 7.0
+
+
+@needs_dlib
+def test_dlibs_points_give_way_to_the_networks_as_the_head_turns():
+    pictures, points = turned("ravi", YAWS_DEG)
+    tracker = LandmarkTracker(make_detector("dlib+network"), options_for("dlib+network"))
+    found = [tracker.step(picture).landmarks.points for picture in pictures]
+    apart = np.median(np.linalg.norm(np.array(found) - points, axis=2)[:, 17:], axis=1)
+    assert apart.max() < 0.03 * frame_from_points(points[0]).side
+
+
+@needs_dlib
+def test_a_profile_that_dlib_does_not_find_is_the_networks():
+    (picture, *_), (points, *_) = turned("mei", (85.0, 0.0))
+    assert not make_detector("dlib").detect_faces(picture, "quick")
+    mixed = make_detector("dlib+network")
+    (face,) = mixed.detect_faces(picture)
+    found = mixed.align(picture, face.box).points
+    assert np.median(np.linalg.norm(found - points, axis=1)[17:]) < 0.03 * frame_from_points(points).side
 
 
 def test_a_doubtful_face_in_the_dark_counts_if_it_is_steady(monkeypatch):

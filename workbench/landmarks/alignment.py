@@ -32,27 +32,8 @@ MEAN_SHAPE: Float[np.ndarray, "68 2"] = np.array(
 )
 """An average frontal face in the face frame."""
 MEAN_SHAPE.setflags(write=False)
-MEAN_DEPTH: Float[np.ndarray, "68"] = np.array(
-    [
-        *(0.382, 0.355, 0.323, 0.324, 0.305, 0.23, 0.166, 0.108, 0.071),
-        *(0.108, 0.166, 0.23, 0.305, 0.324, 0.323, 0.355, 0.382),
-        *(0.126, 0.064, 0.015, -0.011, -0.018, -0.018, -0.011, 0.015, 0.064, 0.126),
-        *(-0.002, -0.027, -0.077, -0.132, -0.025, -0.051, -0.066, -0.051, -0.025),
-        *(0.1, 0.066, 0.062, 0.073, 0.063, 0.074, 0.073, 0.062, 0.066, 0.1, 0.074, 0.063),
-        *(0.014, -0.047, -0.069, -0.077, -0.069, -0.047, 0.014, -0.028, -0.046, -0.053, -0.046, -0.028),
-        *(0.004, -0.049, -0.052, -0.049, 0.004, -0.046, -0.056, -0.046),
-    ]
-)
-"""Its depth away from the camera, from the default head, as a share of the box."""
-MEAN_DEPTH.setflags(write=False)
-TURNS = np.radians([-90.0, -60.0, -30.0, 0.0, 30.0, 60.0, 90.0])
-"""Yaws of the faces that a shape is compared with."""
 
 _INNER = list(GROUPS["inner"])
-_TURNED = [
-    np.stack([np.cos(yaw) * MEAN_SHAPE[:, 0] + np.sin(yaw) * MEAN_DEPTH, MEAN_SHAPE[:, 1]], axis=1)[_INNER]
-    for yaw in TURNS
-]
 
 
 def rolled(angle_rad: float) -> Float[np.ndarray, "2 2"]:
@@ -125,20 +106,6 @@ def fit_similarity(source: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "
         raise InputError("no similarity can be fitted: the points coincide")
     matrix = np.array([[cosine, -sine], [sine, cosine]]) / size
     return FaceFrame(matrix, target_middle - matrix @ source_middle)
-
-
-def shape_deviation(points: Float[np.ndarray, "points 2"]) -> float:
-    """Mean distance of the inner 51 points from the average face, turned as fits best, in box sides.
-
-    Of faces up to the profile it stays below 0.09.
-    """
-    inner = first_68(points)[_INNER]
-    return min(_apart(shape, inner) for shape in _TURNED)
-
-
-def _apart(shape: Float[np.ndarray, "51 2"], points: Float[np.ndarray, "51 2"]) -> float:
-    frame = fit_similarity(shape, points)
-    return float(np.linalg.norm(frame.to_face(points) - shape, axis=1).mean())
 
 
 def grey_face_crop(

@@ -54,9 +54,9 @@ class TrackerOptions:
                 raise ConfigError(f"tracker option {name} must be positive, got {getattr(self, name)}")
 
 
-ACCEPT_CONFIDENCE = {"network": 0.15, "network+pupils": 0.15, "dense": 0.15}
-"""Of these detectors, whose brows and jaws are rightly less sure than the rest, and on a profile all that is hidden. In
-boxes without a face their median is below 0.03 in 99 of 100 cases."""
+ACCEPT_CONFIDENCE = {"network": 0.25, "network+pupils": 0.25, "dense": 0.25}
+"""Of these detectors, whose brows and jaws are rightly less sure than the rest. In boxes without a face their median is
+below 0.03 in 99 of 100 cases."""
 
 
 def options_for(detector: str, face: tuple[float, float] | None = None) -> TrackerOptions:

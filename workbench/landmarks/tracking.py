@@ -14,10 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from workbench.errors import InputError
-from workbench.landmarks.alignment import (
-    frame_from_points,
-    shape_deviation,
-)
+from workbench.landmarks.alignment import frame_from_points
 from workbench.landmarks.detection import Box, Effort, FaceDetection, LandmarkDetector
 from workbench.landmarks.fusion import fused
 from workbench.landmarks.observations import Landmarks2D
@@ -26,6 +23,7 @@ from workbench.landmarks.scheme import GROUPS, POINT_COUNT
 from workbench.landmarks.schemes import SCHEMES
 from workbench.landmarks.shot_cuts import correlation, thumbnail_of
 from workbench.landmarks.tracker_options import TrackerOptions
+from workbench.landmarks.turned_faces import shape_deviation, sureness
 
 LONGEST_RETRY = 16
 """Times the retry interval: how rare thorough searches become in a long shot without a face."""
@@ -112,7 +110,7 @@ class LandmarkTracker:
         if not self._plausible(picture, refined):
             return self._realign(picture, flow.points) or self._bridge(picture, flow, refined)
         self._bridged = 0
-        doubtful = _sureness(refined) * self._trust < self.options.accept_confidence
+        doubtful = sureness(refined) * self._trust < self.options.accept_confidence
         due = self.options.patience if doubtful else self.options.check_interval
         if self._since_check >= due and self._realign(picture, refined.points) is None:
             return None
@@ -123,7 +121,7 @@ class LandmarkTracker:
         """Align the face near `points` as if it had just been detected; None where there is none."""
         self._since_check = 0
         landmarks = self.detector.align(picture, frame_from_points(points).box())
-        accepted = _sureness(landmarks) >= self.options.accept_confidence
+        accepted = sureness(landmarks) >= self.options.accept_confidence
         if not accepted or not self._plausible(picture, landmarks):
             return None
         self._trust_from(picture, landmarks)
@@ -131,8 +129,8 @@ class LandmarkTracker:
 
     def _trust_from(self, picture: np.ndarray, aligned: Landmarks2D) -> None:
         """`refine` judges less well than `align`: until the next alignment its confidence is scaled to agree here."""
-        quick = _sureness(self.detector.refine(picture, aligned.points))
-        self._trust = min(1.0, _sureness(aligned) / max(quick, 1e-6))
+        quick = sureness(self.detector.refine(picture, aligned.points))
+        self._trust = min(1.0, sureness(aligned) / max(quick, 1e-6))
 
     def _bridge(self, picture: np.ndarray, flow: CarriedPoints, refined: Landmarks2D) -> Landmarks2D | None:
         """Flow alone, for a few frames, if most points are followed surely; with the predictor's low confidence."""
@@ -146,7 +144,7 @@ class LandmarkTracker:
         ratio = frame_from_points(landmarks.points).side / self._side
         # What was lost for a moment must convince again.
         needed = self.options.accept_confidence if self._bridged else self.options.keep_confidence
-        return bool(_sureness(landmarks) >= needed and 0.7 < ratio < 1.4 and self._is_face(picture, landmarks))
+        return bool(sureness(landmarks) >= needed and 0.7 < ratio < 1.4 and self._is_face(picture, landmarks))
 
     def _is_face(self, picture: np.ndarray, landmarks: Landmarks2D) -> bool:
         inner = landmarks.points[list(GROUPS["inner"])]
@@ -161,7 +159,7 @@ class LandmarkTracker:
         """Look for the face where it was, then with the detector; slower searches at intervals only."""
         self._since_check = self._bridged = 0
         landmarks = self._choose(picture, self._detect(picture, "quick"))
-        doubtful = landmarks is None or _sureness(landmarks) < self.options.sure_confidence
+        doubtful = landmarks is None or sureness(landmarks) < self.options.sure_confidence
         if doubtful and self._since_search >= self._retry_after:
             self._since_search = 0
             effort: Effort = "full" if self._retry_after == 0 else "thorough"
@@ -197,13 +195,13 @@ class LandmarkTracker:
         best: tuple[float, Landmarks2D] | None = None
         for face in faces[:CANDIDATES]:
             landmarks = self.detector.align(picture, face.box)
-            sureness = _sureness(landmarks)
-            if sureness < self.options.accept_confidence or not self._is_face(picture, landmarks):
+            sure = sureness(landmarks)
+            if sure < self.options.accept_confidence or not self._is_face(picture, landmarks):
                 continue
             if wanted is not None:
                 return landmarks
-            if best is None or sureness * face.area > best[0]:
-                best = (sureness * face.area, landmarks)
+            if best is None or sure * face.area > best[0]:
+                best = (sure * face.area, landmarks)
         return best[1] if best else None
 
     # --- memory ---
@@ -271,11 +269,6 @@ class LandmarkTracker:
         self._side, self._trust = float(state["side"]), float(state["trust"])
         self._since_check, self._bridged, self._since_search, self._retry_after = check, bridged, search, retry
         self.detections = detections
-
-
-def _sureness(landmarks: Landmarks2D) -> float:
-    """Median confidence of the 68 points: further ones may be hidden on a face that is well seen."""
-    return float(np.median(landmarks.confidence[:POINT_COUNT]))
 
 
 def _distance(box: Box, point: np.ndarray | tuple[float, float]) -> float:
