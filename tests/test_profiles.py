@@ -76,6 +76,15 @@ def test_a_head_is_followed_from_profile_to_profile(followed):
     assert np.median(apart[:, 17:], axis=1).max() < 0.02 * frame_from_points(points[0]).side
 
 
+def test_the_back_of_a_head_is_no_face_and_the_profile_that_returns_is_found():
+    yaws_deg = (*range(60, 181, 8), *range(180, 59, -8))
+    tracker = LandmarkTracker(NetworkDetector(), options_for("network"))
+    found = np.array([tracker.step(picture).landmarks is not None for picture in turned("bruno", yaws_deg)[0]])
+    turn = np.array(yaws_deg)
+    assert found[turn <= 84].all()
+    assert not found[turn >= 140].any()
+
+
 def test_the_fit_turns_with_it(followed):
     config = preset("joint").changed(camera={"fov_deg": FOV_DEG})
     seen = (FrameObservation(k, each.landmarks, SIZE) for k, each in enumerate(followed))
