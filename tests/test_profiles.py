@@ -2,13 +2,16 @@
 
 import importlib.util
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
 from workbench.config import preset
 from workbench.face import load_character, load_default_head, posed_vertices
+from workbench.frames import read_picture
 from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov, yaw_pitch_roll_deg
 from workbench.geometry.camera import project
 from workbench.landmarks import network_detector
@@ -25,6 +28,7 @@ from workbench.tracking import FrameObservation
 SIZE, FOV_DEG = (480, 360), 40.0
 CAMERA = camera_from_fov(SIZE, FOV_DEG)
 PLACE_MM = np.array([0.0, 20.0, 620.0])
+REAL_PHOTOS = Path(__file__).resolve().parents[2] / "shared" / "data" / "aflw2000"
 needs_dlib = pytest.mark.skipif(
     importlib.util.find_spec("dlib") is None or importlib.util.find_spec("face_recognition_models") is None,
     reason='dlib is not installed: pip install "face-energy-workbench[dlib]"',
@@ -93,6 +97,18 @@ def test_the_fit_turns_with_it(followed):
     off, turn = np.abs(found - YAWS_DEG), np.abs(YAWS_DEG)
     assert off[turn < 75].max() < 2.0
     assert off[turn >= 75].max() < 7.0
+
+
+@pytest.mark.skipif(not REAL_PHOTOS.is_dir(), reason="the real photos are not part of the project")
+@pytest.mark.parametrize("name", ["image00251", "image00475"])
+@pytest.mark.parametrize("detector", ["network", "dense", pytest.param("dlib+network", marks=needs_dlib)])
+def test_profiles_of_real_people_are_found(name, detector):
+    truth = loadmat(REAL_PHOTOS / f"{name}.mat")["pt3d_68"][:2].T - 1.0  # 1-based
+    found = LandmarkTracker(make_detector(detector), options_for(detector)).step(
+        read_picture(REAL_PHOTOS / f"{name}.jpg")
+    )
+    apart = np.linalg.norm(found.landmarks.points[:68] - truth, axis=1)[17:]
+    assert np.median(apart) < 0.05 * np.sqrt(np.prod(np.ptp(truth, axis=0)))
 
 
 @needs_dlib
