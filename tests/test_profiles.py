@@ -4,6 +4,7 @@ import importlib.util
 from functools import cache
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.io import loadmat
@@ -18,6 +19,7 @@ from workbench.landmarks import network_detector
 from workbench.landmarks.alignment import frame_from_points
 from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.network_detector import NetworkDetector
+from workbench.landmarks.scheme import error_unit, outer_eye_distance
 from workbench.landmarks.tracker_options import ACCEPT_CONFIDENCE, TrackerOptions, options_for
 from workbench.landmarks.tracking import LandmarkTracker
 from workbench.landmarks.turned_faces import shape_deviation, turn_deg
@@ -63,6 +65,17 @@ def test_a_turned_face_has_the_shape_of_a_face_and_its_shape_tells_the_turn(pitc
         assert turn_deg(3.0 * seen) == pytest.approx(abs(yaw_deg), abs=7.0 if abs(yaw_deg) <= 70 else 11.0)
     random = np.random.default_rng(0)
     assert shape_deviation(random.permutation(points[:, :2])) > TrackerOptions.largest_deviation_sides
+
+
+def test_the_unit_of_errors_is_the_outer_eye_distance_until_that_vanishes():
+    head = load_default_head()
+    points = np.asarray(head.landmarks.of(head.neutral))
+    for yaw_deg in range(-90, 91, 10):
+        seen = Rotation.from_euler("y", yaw_deg, degrees=True).apply(points)[:, :2]
+        if abs(yaw_deg) <= 50:
+            assert error_unit(seen) == outer_eye_distance(seen)
+        assert error_unit(seen) > 0.35 * outer_eye_distance(points[:, :2])
+        np.testing.assert_allclose(error_unit(jnp.asarray(seen)), error_unit(seen))
 
 
 @pytest.fixture(scope="module")

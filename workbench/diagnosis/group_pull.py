@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from workbench.diagnosis.records import Change, GroupPull
 from workbench.diagnosis.trial import Trial
-from workbench.landmarks.scheme import GROUPS, PARTS, LandmarkScheme, outer_eye_distance
+from workbench.landmarks.scheme import GROUPS, PARTS, LandmarkScheme, error_unit
 from workbench.tracking import FrameFit
 
 PULLING_GROUPS = ("jaw", "right_brow", "left_brow", "nose", "eyes", "mouth")
@@ -37,7 +37,7 @@ def _pull(trial: Trial, group: str) -> GroupPull:
     degrees, millimetres = between_poses(trial.fit, without)
     difference = without.expression - trial.fit.expression
     largest = np.argsort(-np.abs(difference), kind="stable")[:MOST_WEIGHTS]
-    offset = 100.0 * (trial.points[mask] - without.projected[mask]) / outer_eye_distance(trial.points)
+    offset = 100.0 * (trial.points[mask] - without.projected[mask]) / error_unit(trial.points)
     return GroupPull(
         group=group,
         rotation_deg=degrees,

@@ -19,7 +19,7 @@ from workbench.landmarks.eyes import IRISES, EyeDetector
 from workbench.landmarks.lids import true_lids
 from workbench.landmarks.network_detector import BUNDLED, CROP_SIDE, NetworkDetector, crop_frame, sampled_crop
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, POINT_COUNT, RIGHT_EYE_OUTER_CORNER
+from workbench.landmarks.scheme import POINT_COUNT, error_unit
 from workbench.landmarks.schemes import DENSE
 from workbench.networks.dense_gain import DenseGain, read_dense_gain
 from workbench.networks.dense_network import DenseNetwork, read_dense_network
@@ -101,6 +101,5 @@ def _unmirrored(places: Places) -> Places:
 def nearness(face: Float[AnyArray, "points 2"], covariance: Float[AnyArray, "n 2 2"]) -> Float[AnyArray, "n"]:
     """How likely each point of a face lies within `NEAR_PERCENT`, were its covariance as large in every direction."""
     library = library_of(face)
-    corners = face[LEFT_EYE_OUTER_CORNER], face[RIGHT_EYE_OUTER_CORNER]
-    radius = 0.01 * NEAR_PERCENT * library.linalg.norm(corners[0] - corners[1])
+    radius = 0.01 * NEAR_PERCENT * error_unit(face)
     return 1.0 - library.exp(-0.5 * radius**2 / library.sqrt(library.linalg.det(covariance)))

@@ -1,7 +1,7 @@
 """What a landmark scheme is, and iBUG's 68 points: groups, names, polylines, mirror, in this one place.
 
 Every scheme begins with the 68 points of iBUG: the numbers of eye corners, lips and jaw contour hold in each, and so do
-the measures below, which read the 68 alone.
+the measures below, which read the 68 alone, of NumPy's arrays or JAX's.
 
 Indices are 0-based (iBUG's own figures and .pts files count from 1). Side names are the SUBJECT's: the right eye
 is the one at image left on a frontal face. Some libraries name the same points by the sides of the image.
@@ -10,6 +10,7 @@ is the one at image left on a frontal face. Some libraries name the same points 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Num
@@ -139,6 +140,8 @@ PARTS = ("jaw", "brows", "nose", "eyes", "irises", "mouth", "ears", "face")
 """Groups whose points are no other's, as far as a scheme has them: the rows of strips and tables."""
 EYE_PER_SPREAD = 1.48
 """Outer-eye distance of a frontal face in units of the root mean square distance of its 68 points from their centre."""
+LEAST_UNIT = 0.5
+"""Of the outer-eye distance from the front: the smallest unit of errors in percent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,14 +213,23 @@ def mirror_points(
     return mirrored
 
 
-def outer_eye_distance(points: Float[np.ndarray, "*n points d"]) -> Float[np.ndarray, "*n"] | float:
+def outer_eye_distance(points: Float[Any, "*n points d"]) -> Float[Any, "*n"] | float:
     """Distance between the outer corners of the eyes (36 to 45), the unit of landmark errors in the literature.
 
-    In the points' unit. Every error in percent is one of this distance between the observed landmarks, in the
-    picture: it shrinks as the head turns. What must not shrink is measured by `face_size`.
+    In the points' unit. In the picture it shrinks as the head turns.
     """
     corners = points[..., LEFT_EYE_OUTER_CORNER, :], points[..., RIGHT_EYE_OUTER_CORNER, :]
-    return np.linalg.norm(corners[0] - corners[1], axis=-1)
+    return ((corners[0] - corners[1]) ** 2).sum(-1) ** 0.5
+
+
+def error_unit(points: Float[Any, "*n points 2"]) -> Float[Any, "*n"] | float:
+    """What every error in percent is a part of, pixels: the outer-eye distance between the observed landmarks.
+
+    On a profile the corners all but coincide: beyond some 60 degrees of yaw it is half of what the distance would be
+    from the front (`face_size`).
+    """
+    distance = outer_eye_distance(points)
+    return distance + (LEAST_UNIT * face_size(points) - distance).clip(0.0)
 
 
 def lip_distance(points: Float[np.ndarray, "*n points d"]) -> Float[np.ndarray, "*n"] | float:
@@ -225,7 +237,7 @@ def lip_distance(points: Float[np.ndarray, "*n points d"]) -> Float[np.ndarray, 
     return np.linalg.norm(points[..., UPPER_LIP_INNER_MIDDLE, :] - points[..., LOWER_LIP_INNER_MIDDLE, :], axis=-1)
 
 
-def face_size(points: Float[np.ndarray, "*n points 2"]) -> Float[np.ndarray, "*n"]:
+def face_size(points: Float[Any, "*n points 2"]) -> Float[Any, "*n"] | float:
     """What the outer-eye distance of the face would be from the front, pixels: from the spread of the 68 points.
 
     Turning the head, exchanging points or losing one eye hardly changes it, unlike the distance itself. Diagnosis
@@ -233,4 +245,4 @@ def face_size(points: Float[np.ndarray, "*n points 2"]) -> Float[np.ndarray, "*n
     """
     points = points[..., :POINT_COUNT, :]
     centred = points - points.mean(axis=-2, keepdims=True)
-    return np.asarray(EYE_PER_SPREAD * np.sqrt((centred**2).sum(-1).mean(-1)))
+    return EYE_PER_SPREAD * (centred**2).sum(-1).mean(-1) ** 0.5

@@ -3,7 +3,7 @@
 from jaxtyping import Float
 
 from workbench.arrays import AnyArray, library_of
-from workbench.landmarks.scheme import LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
+from workbench.landmarks.scheme import error_unit
 from workbench.objectives.records import ObservedClip
 
 
@@ -19,8 +19,8 @@ def length(vectors: Float[AnyArray, "*n d"]) -> Float[AnyArray, "*n"]:
 
 
 def eye_distance(clip: ObservedClip) -> Float[AnyArray, "n"]:
-    """The observed outer-eye distance of each frame, pixels: the unit of every error in percent."""
-    return length(clip.points[:, LEFT_EYE_OUTER_CORNER] - clip.points[:, RIGHT_EYE_OUTER_CORNER])
+    """The observed outer-eye distance of each frame, pixels (`error_unit`)."""
+    return error_unit(clip.points)
 
 
 def mean_known(values: Float[AnyArray, "n m"]) -> Float[AnyArray, "n"]:

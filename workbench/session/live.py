@@ -12,7 +12,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel, in_scheme
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import make_detector
-from workbench.landmarks.scheme import IBUG68, outer_eye_distance
+from workbench.landmarks.scheme import IBUG68, error_unit
 from workbench.landmarks.schemes import detector_scheme
 from workbench.landmarks.tracker_options import options_for
 from workbench.landmarks.tracking import LandmarkTracker
@@ -331,4 +331,4 @@ def _layout(config: Config) -> tuple[list[str], tuple[str, ...]]:
 def _motion(last: Continuation, observation: FrameObservation) -> float:
     """Mean motion of the landmarks since the last frame, in outer-eye distances."""
     before, now = last.points, observation.landmarks.points
-    return float(np.linalg.norm(now - before, axis=1).mean() / outer_eye_distance(before))
+    return float(np.linalg.norm(now - before, axis=1).mean() / error_unit(before))

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from workbench.files import atomic_path
 from workbench.geometry import Camera, yaw_pitch_roll_deg
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import POINT_COUNT, LandmarkScheme, outer_eye_distance
+from workbench.landmarks.scheme import POINT_COUNT, LandmarkScheme, error_unit
 from workbench.landmarks.schemes import scheme_of_count
 from workbench.reading import checked_arrays, checked_file, reading
 from workbench.tracking.track_layout import (
@@ -98,8 +98,8 @@ class FrameFit:
 
     @property
     def residuals_percent(self) -> Float[np.ndarray, "points"]:
-        """`residuals_px` in % of the observed outer-eye distance, like every error in percent."""
-        return 100.0 * self.residuals_px / outer_eye_distance(self.observed)
+        """`residuals_px` in % of the observed outer-eye distance (`error_unit`), like every error in percent."""
+        return 100.0 * self.residuals_px / error_unit(self.observed)
 
     @property
     def angles_deg(self) -> Float[np.ndarray, "3"]:
@@ -169,7 +169,7 @@ class Track:
     def residuals_percent(self) -> Float[np.ndarray, "n points"]:
         """`FrameFit.residuals_percent` of each frame; NaN without a face."""
         residuals = np.linalg.norm(self.projected - self.observed, axis=2)
-        return 100.0 * residuals / outer_eye_distance(self.observed)[:, None]
+        return 100.0 * residuals / error_unit(self.observed)[:, None]
 
     @property
     def angles_deg(self) -> Float[np.ndarray, "n 3"]:
@@ -258,4 +258,4 @@ def _errors(
 ) -> Float[np.ndarray, "n 4"]:
     residuals = np.linalg.norm(projected - observed, axis=2)[:, :POINT_COUNT]
     pixels = np.stack([residuals[:, 17:].mean(1), residuals.mean(1)], axis=1)
-    return np.concatenate([pixels, 100.0 * pixels / outer_eye_distance(observed)[:, None]], axis=1)
+    return np.concatenate([pixels, 100.0 * pixels / error_unit(observed)[:, None]], axis=1)

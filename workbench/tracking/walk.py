@@ -6,7 +6,7 @@ The command line, sessions, the live panel, workers and benchmarks all use it, s
 import numpy as np
 from jaxtyping import Float
 
-from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.scheme import error_unit
 from workbench.tracking.fitting import Calibrated, Continuation, Fitter, FrameContext
 from workbench.tracking.observation import FrameObservation
 from workbench.tracking.records import FrameFit
@@ -58,4 +58,4 @@ def context_of(
 
 def jumped(before: Float[np.ndarray, "points 2"], now: Float[np.ndarray, "points 2"]) -> bool:
     """Whether the landmarks moved so far between two frames that the pose must be restarted."""
-    return bool(np.linalg.norm(now - before, axis=1).mean() > JUMP * outer_eye_distance(before))
+    return bool(np.linalg.norm(now - before, axis=1).mean() > JUMP * error_unit(before))
