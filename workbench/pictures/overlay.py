@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, UInt8
 
 from workbench.face import FaceModel, posed_vertices
 from workbench.landmarks.observations import Landmarks2D
-from workbench.landmarks.scheme import POINT_COUNT, POLYLINES, outer_eye_distance
+from workbench.landmarks.scheme import POINT_COUNT, POLYLINES, error_unit
 from workbench.landmarks.uncertainty import ellipses
 from workbench.pictures.lettering import SMALLEST_PX, fitting_size, text_width, write_text
 from workbench.pictures.mesh import scaled_camera, to_camera, to_pixels
@@ -187,7 +187,7 @@ def _width(unit: float, factor: float) -> int:
 
 def _fineness(points: Float[np.ndarray, "points 2"], unit: float) -> float:
     """Size of marks: by that of the face, and smaller where there are many."""
-    fine = float(np.clip(outer_eye_distance(points) / 90.0, 0.35, unit))
+    fine = float(np.clip(error_unit(points) / 90.0, 0.35, unit))
     return fine if len(points) == POINT_COUNT else CROWDED * fine
 
 

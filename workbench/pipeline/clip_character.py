@@ -21,7 +21,7 @@ from workbench.face import (
 from workbench.face.characters import CHARACTER_FILE, MOST_SIGMA
 from workbench.files import atomic_path, make_folder
 from workbench.frames import Frames
-from workbench.landmarks.scheme import GROUPS, outer_eye_distance
+from workbench.landmarks.scheme import GROUPS, error_unit
 from workbench.pictures.mesh import scaled_camera, to_camera
 from workbench.rendering import render
 from workbench.rendering.skin_texture import SkinView, completed_skin, painted_skin
@@ -182,7 +182,7 @@ def sharpness(picture: UInt8[np.ndarray, "h w 3"], fit: FrameFit) -> float:
 def _view(picture: UInt8[np.ndarray, "h w 3"], fit: FrameFit, person: FaceModel) -> SkinView:
     vertices = posed_vertices(person, fit.expression, fit.jaw, fit.scale)
     placed, camera = to_camera(vertices, fit.rotation, fit.translation), fit.camera
-    factor = LARGEST_EYES_PX / float(outer_eye_distance(fit.observed))
+    factor = LARGEST_EYES_PX / float(error_unit(fit.observed))
     if factor < 1.0:
         size = (round(factor * picture.shape[1]), round(factor * picture.shape[0]))
         picture, camera = cv2.resize(picture, size, interpolation=cv2.INTER_AREA), scaled_camera(camera, factor)

@@ -37,8 +37,9 @@ export function paintLasso(context, path) {
 // The landmarks of a fit. `look`: {layer, colors, limit, lines, ellipses, chosen, subset, hovered}, as assembled in view.js.
 export function paintLandmarks(context, landmarks, view, look) {
   const { layer } = look, { observed } = landmarks, { toScreen } = view;
-  // Marks grow with the size of the face on the screen, measured between the outer eye corners.
-  const eyes = view.scale * Math.hypot(observed(36)[0] - observed(45)[0], observed(36)[1] - observed(45)[1]);
+  // Marks grow with the size of the face on the screen: between the outer eye corners, on a profile from nose to chin.
+  const apart = (a, b) => Math.hypot(observed(a)[0] - observed(b)[0], observed(a)[1] - observed(b)[1]);
+  const eyes = view.scale * Math.max(apart(36, 45), 0.5 * apart(27, 8));
   const all = indices(landmarks), crowd = all.length > FEW ? CROWDED : 1;
   const unit = crowd * clamp(Math.pow((eyes || 80) / 110, 0.7), 0.45, 2.6);
   const pen = { context, landmarks, toScreen, unit, circle: circleOf(context, toScreen) };

@@ -17,11 +17,12 @@ export function fitted([left, top, right, bottom], [width, height]) {
 
 export const wholeBox = ([width, height]) => [-0.5, -0.5, width - 0.5, height - 0.5];
 
-// The bounding box of the face with a margin.
+// The bounding box of the face with a margin: a part of its width, on a profile of its height.
 export function faceBox(places) {
-  const there = places.filter(([x]) => Number.isFinite(x));
-  const xs = there.map(([x]) => x), ys = there.map(([, y]) => y), margin = 0.3 * (Math.max(...xs) - Math.min(...xs));
-  return [Math.min(...xs) - margin, Math.min(...ys) - margin, Math.max(...xs) + margin, Math.max(...ys) + margin];
+  const there = places.filter(([x]) => Number.isFinite(x)), xs = there.map(([x]) => x), ys = there.map(([, y]) => y);
+  const left = Math.min(...xs), right = Math.max(...xs), top = Math.min(...ys), bottom = Math.max(...ys);
+  const margin = 0.3 * Math.max(right - left, 0.75 * (bottom - top));
+  return [left - margin, top - margin, right + margin, bottom + margin];
 }
 
 // The view after turning the wheel; the point under the pointer stays fixed.
