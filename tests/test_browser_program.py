@@ -276,10 +276,12 @@ class TestTimeline:
         few = asked_of_node(self.TRACK, "columnFrames", "[0, 1, 2, 3].map((k) => columnFrames(k, 4, 0, 2, 2))")
         assert few == [[0, 1], [0, 1], [1, 2], [1, 2]]
 
-    def test_next_and_previous_flagged_frame(self):
+    def test_next_and_previous_flagged_frame_go_around_the_ends(self):
         track = "{ count: 6, marks: [4, 5, 4, 4, 5, 4] }"
         ask = f"[[0, 1], [1, 1], [4, 1], [4, -1], [1, -1]].map(([from, step]) => nextFlagged({track}, from, step))"
-        assert asked_of_node(self.TRACK, "nextFlagged", ask) == [1, 4, 4, 1, 1]
+        assert asked_of_node(self.TRACK, "nextFlagged", ask) == [1, 4, 1, 1, 4]
+        none = "nextFlagged({ count: 3, marks: [4, 4, 4] }, 2, 1)"
+        assert asked_of_node(self.TRACK, "nextFlagged", none) == 2
 
     def test_a_pixel_stands_for_the_worst_of_its_own_frames_or_a_flagged_one(self):
         ask = """[[1, 2, 3, 9, 9], [5, 2, 3, 9, 9]].map((largest) =>

@@ -27,11 +27,13 @@ export function columnFrames(column, columns, from, to, count) {
   return [clamp(start, 0, count - 1), clamp(end, 1, count)];
 }
 
-// The next flagged frame in a direction; the frame itself if there is none.
-export function nextFlagged(track, from, step) {
-  let column = from + step;
-  while (column >= 0 && column < track.count && !(track.marks[column] & FLAGGED)) column += step;
-  return column >= 0 && column < track.count ? column : from;
+// The next flagged frame in a direction, around the ends; the frame itself if there is none.
+export function nextFlagged({ count, marks }, from, step) {
+  for (let steps = 1; steps <= count; steps++) {
+    const column = (((from + step * steps) % count) + count) % count;
+    if (marks[column] & FLAGGED) return column;
+  }
+  return from;
 }
 
 // The worst of `count` frames from `first` on (a pixel may cover fractions of frames), or a flagged one.
