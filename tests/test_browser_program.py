@@ -12,6 +12,8 @@ from tests.javascript import asked_of_node, functions, needs_node
 from workbench.errors import InputError
 from workbench.face import load_character
 from workbench.geometry import project
+from workbench.landmarks.alignment import MEAN_SHAPE
+from workbench.landmarks.scheme import error_unit
 from workbench.pictures.mesh import face_normals, to_camera
 from workbench.widgets.browser_program import BROWSER, browser_program
 from workbench.widgets.head_mesh import collar
@@ -265,6 +267,15 @@ class TestPainting:
         asked = "hidden = true, painting.ask(true); for (let k = 0; k < 99; k++) frame(), later()"
         assert self.seen(f"{asked}; seen.push(timers.length, frames.length)") == [0, 0]
         assert self.seen("painting.ask(), painting.stop(), later(), frame()") == []
+
+
+@needs_node
+def test_the_unit_of_errors_is_that_of_the_kernel():
+    """From the front, and squeezed as a profile is."""
+    shapes = [100.0 * MEAN_SHAPE, 100.0 * MEAN_SHAPE * [0.1, 1.0]]
+    ask = f"{json.dumps([shape.tolist() for shape in shapes])}.map((points) => errorUnit((i) => points[i]))"
+    told = asked_of_node(BROWSER / "shared" / "faces.js", "errorUnit", ask)
+    assert told == pytest.approx([error_unit(shape) for shape in shapes])
 
 
 class TestTimeline:

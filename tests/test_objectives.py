@@ -61,7 +61,8 @@ def true_clip(head):
     inner = inner_landmarks(head, truth.rotation, truth.translation, truth.expression, identity)
     second = PlacedCamera(camera_from_fov((640, 480), 40.0), np.eye(3), np.array([-100.0, 0.0, 0.0]))
     there = np.asarray(project(second.camera, inner @ second.rotation_view_reference.T + np.array([-100.0, 0, 0])))
-    others = np.concatenate([np.full((FRAMES, 17, 2), np.nan), there], axis=1)
+    jaw = points[:, :17] + np.array([40.0, 0.0])  # counts for the size of the face alone
+    others = np.concatenate([jaw, there], axis=1)
     flow = np.concatenate([np.full((1, 68, 2), np.nan), np.diff(points, axis=0)])
     follows = np.arange(FRAMES) > 0
     clip = ObservedClip(points, np.ones((FRAMES, 68)), follows, truth, flow, SecondView(second, others))

@@ -557,6 +557,12 @@ class TestEvaluation:
         assert (np.diff(knots) > 0).all()
         assert 0 <= knots[0] < knots[-1] <= 1
 
+    def test_one_picture_is_enough_for_a_calibration(self):
+        mass = np.random.default_rng(0).uniform(0, 1, (1, 68))
+        knots, confidence = calibration_of(answers(np.where(mass > 0.5, 1.0, 20.0), mass))
+        assert (np.diff(knots) > 0).all()
+        assert (np.diff(confidence) >= 0).all()
+
     def test_reliability_of_honest_confidence_lies_on_the_diagonal(self):
         rng = np.random.default_rng(1)
         told = rng.uniform(0, 1, 40000)

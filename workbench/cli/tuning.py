@@ -60,7 +60,7 @@ def tune(
     trials: Annotated[int, typer.Option(min=1, max=10_000, help="Trials of a search.", rich_help_panel=TUNING)] = 40,
     out: Annotated[Path | None, typer.Option(help="The result (default: NAME-learned.toml).")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted tuning.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier result.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier result, and begin anew.")] = False,
 ) -> None:
     """Tune settings on a clip."""
     learning, sweeps = workbench.learning, workbench.sweeps

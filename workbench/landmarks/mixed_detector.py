@@ -18,8 +18,9 @@ TURNED_DEG = (40.0, 55.0)
 """Turns between which the network takes over: dlib's predictor was not trained beyond some 45 degrees."""
 LOOKED_AT_DEG = 35.0
 """Turn of a followed face from which the network looks by itself."""
-LEAST_SURE = 0.25
-"""Of a turned face that the network sees: below, it is dlib's."""
+LEAST_SURE = 0.3
+"""Sureness below which a detector's answer is nothing: the network's on a face that it takes for turned, or dlib's on
+one between `TURNED_DEG`, where its points may have strayed."""
 
 
 class MixedDetector:
@@ -62,9 +63,11 @@ def _turned(seen: Landmarks2D) -> float:
 
 
 def _mean(first: Landmarks2D, second: Landmarks2D, share: float) -> Landmarks2D:
-    """Between two detectors' landmarks, by the share of the second."""
+    """Between two detectors' landmarks, by the share of the second; all its, where the first is unsure."""
     if share == 0.0:
         return first
+    if sureness(first) < LEAST_SURE:
+        return second
     points, confidence = (
         (1.0 - share) * getattr(first, name) + share * getattr(second, name) for name in ("points", "confidence")
     )

@@ -41,8 +41,8 @@ OTHER_ROLLS = (-0.9, 0.9)
 DOUBTFUL = 0.8
 """Median confidence of the inner points up to which a look leaves doubt; wrong answers reach 0.7."""
 LEAST_FACE = 0.3
-"""Median confidence of the inner points below which there is no face for sure; of boxes of walls and hands, 99 in 100
-are below 0.03."""
+"""Median confidence of the inner points from which a face is certain; of boxes of walls and hands, 99 in 100 are below
+0.03."""
 STEADY_SIDES, STEADY_CONFIDENCE = 0.02, 0.34
 """A face may be doubtful, as a profile is, of which half the points are hidden: it counts where six looks at it scatter
 by at most this much (box sides, median of the inner points), and the quarter of them that is surest is this sure."""
@@ -90,8 +90,8 @@ class NetworkDetector:
         """Faces, the largest first: what the finder finds and the landmark network agrees to.
 
         "quick" looks at the whole picture for upright faces; the others for rolled ones too, and if there is no face at
-        first sight, at ever smaller parts of it until there is one. What they doubted counts if it stays where it is in
-        other looks, and there is nothing else.
+        first sight, at ever smaller parts of it until there is one. If nothing is certain, what they doubted counts
+        where it stays in other looks.
         """
         if min(picture.shape[:2]) < SMALLEST_SIDE:
             return []
@@ -99,11 +99,13 @@ class NetworkDetector:
         proposals = chain([self._finder.find(picture)], () if quick else self._finder.find_smaller(picture))
         for found in proposals:
             seen = [self._proposed(picture, face, quick) for face in found[:CANDIDATES]]
-            sure = [face for face in seen if _sureness(face.look) > LEAST_FACE]
+            sure = [face for face in seen if _median_confidence(face.look) > LEAST_FACE]
             if sure:
                 return _boxes(sure)
             doubtful += seen
-        return [] if quick else _boxes(filter(None, (self._steadied(picture, face) for face in doubtful)))
+        promising = [face for face in doubtful if _surest(face.look.confidence) >= PROMISING and not quick]
+        surest = sorted(promising, key=lambda face: -_surest(face.look.confidence))[:CANDIDATES]
+        return _boxes(filter(None, (self._steadied(picture, face) for face in surest)))
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
         """The landmarks of the face in `box`: a look that finds its frame, then the mean of six in that frame."""
@@ -140,8 +142,6 @@ class NetworkDetector:
 
     def _steadied(self, picture: np.ndarray, face: "_Proposal") -> "_Proposal | None":
         """A doubtful face by the mean of six looks; None unless they agree."""
-        if _surest(face.look.confidence) < PROMISING:
-            return None
         looks = self._looks_about(picture, face.look)
         points, confidence = (np.array([getattr(look, name) for look in looks]) for name in ("points", "confidence"))
         mean = points.mean(axis=0)
@@ -155,9 +155,9 @@ class NetworkDetector:
         upright = frame_from_box(box)
         best = self._look(picture, upright)
         for roll in OTHER_ROLLS:
-            if _sureness(best) > DOUBTFUL:
+            if _median_confidence(best) > DOUBTFUL:
                 break
-            best = max(best, self._look(picture, _rolled(upright, roll)), key=_sureness)
+            best = max(best, self._look(picture, _rolled(upright, roll)), key=_median_confidence)
         return best
 
     def _look(self, picture: np.ndarray, face: FaceFrame, mirrored: bool = False) -> Landmarks2D:
@@ -240,7 +240,7 @@ def _rolled(face: FaceFrame, roll: float) -> FaceFrame:
     return FaceFrame(face.matrix @ rolled(roll), face.origin)
 
 
-def _sureness(landmarks: Landmarks2D) -> float:
+def _median_confidence(landmarks: Landmarks2D) -> float:
     """Median confidence of the inner points: the contour is a guess on many good faces."""
     return float(np.median(landmarks.confidence[_INNER]))
 

@@ -141,7 +141,7 @@ PARTS = ("jaw", "brows", "nose", "eyes", "irises", "mouth", "ears", "face")
 EYE_PER_SPREAD = 1.48
 """Outer-eye distance of a frontal face in units of the root mean square distance of its 68 points from their centre."""
 LEAST_UNIT = 0.5
-"""Of the outer-eye distance from the front: the smallest unit of errors in percent."""
+"""Of `face_size`: the smallest unit of errors in percent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,10 +223,10 @@ def outer_eye_distance(points: Float[Any, "*n points d"]) -> Float[Any, "*n"] | 
 
 
 def error_unit(points: Float[Any, "*n points 2"]) -> Float[Any, "*n"] | float:
-    """What every error in percent is a part of, pixels: the outer-eye distance between the observed landmarks.
+    """What every error of a fit in percent is a part of, pixels: the outer-eye distance between the observed landmarks.
 
-    On a profile the corners all but coincide: beyond some 60 degrees of yaw it is half of what the distance would be
-    from the front (`face_size`).
+    On a profile the corners all but coincide: beyond some 60 degrees of yaw it is half of `face_size`, two fifths of
+    what the distance would be from the front.
     """
     distance = outer_eye_distance(points)
     return distance + (LEAST_UNIT * face_size(points) - distance).clip(0.0)

@@ -20,11 +20,11 @@ class TrackerOptions:
     """Frames that flow alone bridges where the predictor fails, as when a hand passes; doubtful fits are checked again
     after as many."""
     accept_confidence: float = 0.3
-    """Median confidence from which a newly aligned face is believed."""
+    """Sureness (`turned_faces.sureness`) from which a newly aligned face is believed."""
     sure_confidence: float = 0.5
-    """Median confidence below which a quickly found face is compared with those of a thorough search."""
+    """Sureness below which a quickly found face is compared with those of a thorough search."""
     keep_confidence: float = 0.1
-    """Median confidence below which a followed face is lost."""
+    """Sureness below which a followed face is lost."""
     cut_correlation: float = 0.5
     """Correlation of consecutive thumbnails below which the shot has changed."""
     flow_window: int = 13
@@ -55,8 +55,8 @@ class TrackerOptions:
 
 
 ACCEPT_CONFIDENCE = {"network": 0.25, "network+pupils": 0.25, "dense": 0.25}
-"""Of these detectors, whose brows and jaws are rightly less sure than the rest. In boxes without a face their median is
-below 0.03 in 99 of 100 cases."""
+"""Of these detectors, whose brows and jaws are rightly less sure than the rest. In boxes without a face their sureness
+is below 0.03 in 99 of 100 cases."""
 
 
 def options_for(detector: str, face: tuple[float, float] | None = None) -> TrackerOptions:

@@ -187,7 +187,7 @@ class LandmarkTracker:
     def _choose(self, picture: np.ndarray, faces: list[FaceDetection]) -> Landmarks2D | None:
         """The face nearest to where it was (or to the point asked for), else the largest; only where landmarks fit.
 
-        Faces of one picture differ in how surely their landmarks fit: area counts times the median confidence.
+        Faces of one picture differ in how surely their landmarks fit: area counts times sureness.
         """
         wanted = self._place if self._place is not None else self.options.face
         if wanted is not None:

@@ -19,7 +19,7 @@ MEAN_DEPTH: Float[np.ndarray, "68"] = np.array(
         *(0.004, -0.049, -0.052, -0.049, 0.004, -0.046, -0.056, -0.046),
     ]
 )
-"""Its depth away from the camera, from the default head, as a share of the box."""
+"""Depth of the average face (`MEAN_SHAPE`) away from the camera in box sides, from the default head."""
 MEAN_DEPTH.setflags(write=False)
 TURNS_DEG = (-90.0, -60.0, -30.0, 0.0, 30.0, 60.0, 90.0)
 """Yaws of the faces that a shape is compared with."""
@@ -37,7 +37,7 @@ _TURNED -= _TURNED.mean(axis=1, keepdims=True)
 
 
 def sureness(landmarks: Landmarks2D) -> float:
-    """Median confidence of the 68 points, of a profile that of the surer half; further points may be hidden on a face
+    """Median confidence of the 68 points; on a profile, that of the surer half. Further points may be hidden on a face
     that is well seen."""
     surer = np.interp(turn_deg(landmarks.points), HALF_HIDDEN_DEG, (0.5, 0.75))
     return float(np.quantile(landmarks.confidence[:POINT_COUNT], surer))
@@ -46,7 +46,7 @@ def sureness(landmarks: Landmarks2D) -> float:
 def shape_deviation(points: Float[np.ndarray, "points 2"]) -> float:
     """Mean distance of the inner 51 points from the average face, turned as fits best, in box sides.
 
-    Of faces up to the profile it stays below 0.09.
+    Of faces up to the profile it stays below 0.09, unless they are raised or lowered by more than 30 degrees as well.
     """
     return float(_deviations(points).min())
 
@@ -54,7 +54,7 @@ def shape_deviation(points: Float[np.ndarray, "points 2"]) -> float:
 def turn_deg(points: Float[np.ndarray, "points 2"]) -> float:
     """By how much a face is turned aside, 0 to 90 degrees, by the shape of its inner 51 points alone.
 
-    To some five degrees, ten near the profile.
+    To some five degrees, ten near the profile; a face that is raised or lowered a lot seems less turned than it is.
     """
     deviations = _deviations(points)
     best = int(deviations.argmin())

@@ -4,7 +4,7 @@ from jaxtyping import Bool, Float
 
 from workbench.arrays import AnyArray, library_of
 from workbench.geometry import project
-from workbench.landmarks.scheme import outer_eye_distance
+from workbench.landmarks.scheme import error_unit
 from workbench.objectives.distances import eye_distance, length, mean_known, since_last
 from workbench.objectives.folds import FOLDS, frame_folds
 from workbench.objectives.records import FittedClip, ObservedClip
@@ -63,7 +63,7 @@ def second_view_error(clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "
     placed, points = clip.second
     there = fits.inner_camera @ placed.rotation_view_reference.T + placed.translation_view_reference_mm
     seen = library_of(fits.inner_camera).asarray(project(placed.camera, there))
-    return 100.0 * mean_known(length(seen - points[:, 17:])) / outer_eye_distance(points)
+    return 100.0 * mean_known(length(seen - points[:, 17:])) / error_unit(points)
 
 
 def solver_steps(clip: ObservedClip, fits: FittedClip) -> Float[AnyArray, "n"]:

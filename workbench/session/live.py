@@ -35,7 +35,7 @@ NEUTRAL_FRAMES = 16
 NEUTRAL_EXPRESSION = 1e4
 """ω of the weights while calibrating on a neutral face: everything observed is identity."""
 STEADY_FACE = 0.02
-"""Largest motion between frames, in outer-eye distances, at which a neutral frame is sharp enough."""
+"""Largest motion between frames, in units of errors (`error_unit`), at which a neutral frame is sharp enough."""
 HISTORY = 100
 """Maximum number of undo steps."""
 
@@ -329,6 +329,6 @@ def _layout(config: Config) -> tuple[list[str], tuple[str, ...]]:
 
 
 def _motion(last: Continuation, observation: FrameObservation) -> float:
-    """Mean motion of the landmarks since the last frame, in outer-eye distances."""
+    """Mean motion of the landmarks since the last frame, in units of errors (`error_unit`)."""
     before, now = last.points, observation.landmarks.points
     return float(np.linalg.norm(now - before, axis=1).mean() / error_unit(before))

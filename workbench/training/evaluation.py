@@ -111,6 +111,8 @@ def calibration_of(
     knots, shares, weights = [], [], []
     for low, high in pairwise(edges):
         inside = (mass >= low) & (mass <= high)
+        if not inside.any():  # few answers
+            continue
         knots.append(mass[inside].mean())
         shares.append(found[inside].mean())
         weights.append(inside.sum())

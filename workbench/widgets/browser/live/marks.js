@@ -1,7 +1,8 @@
+import { errorUnit } from "../shared/faces.js";
 import { clamp } from "../shared/numbers.js";
 
 const MARK = 6; // numbers of a landmark: see `pack_fit`
-const FULL_SCALE = 4.0; // residual at the bright end of the colours, % of the outer-eye distance
+const FULL_SCALE = 4.0; // residual at the bright end of the colours, % of `errorUnit`
 const INK = "rgba(16, 18, 22, 0.7)";
 
 // The camera's picture with the landmarks of its fit, as large as the canvas allows.
@@ -19,7 +20,7 @@ export function paintPicture(canvas, context, fit, lines, colors) {
 
 function paintMarks(context, fit, lines, colors, scale) {
   const at = (i, column) => fit.marks[MARK * i + column];
-  const eyes = Math.hypot(at(36, 0) - at(45, 0), at(36, 1) - at(45, 1));
+  const eyes = errorUnit((i) => [at(i, 0), at(i, 1)]);
   const unit = clamp(Math.pow((scale * eyes || 80) / 110, 0.45), 0.6, 2.0) / scale;
   const colorOf = (i) => colors[Math.round(255 * clamp((100 * at(i, 4)) / eyes / FULL_SCALE, 0, 1))];
   context.lineCap = context.lineJoin = "round";

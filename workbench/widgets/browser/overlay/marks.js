@@ -1,3 +1,4 @@
+import { errorUnit } from "../shared/faces.js";
 import { clamp } from "../shared/numbers.js";
 import { indices } from "./landmarks.js";
 
@@ -37,9 +38,8 @@ export function paintLasso(context, path) {
 // The landmarks of a fit. `look`: {layer, colors, limit, lines, ellipses, chosen, subset, hovered}, as assembled in view.js.
 export function paintLandmarks(context, landmarks, view, look) {
   const { layer } = look, { observed } = landmarks, { toScreen } = view;
-  // Marks grow with the size of the face on the screen: between the outer eye corners, on a profile from nose to chin.
-  const apart = (a, b) => Math.hypot(observed(a)[0] - observed(b)[0], observed(a)[1] - observed(b)[1]);
-  const eyes = view.scale * Math.max(apart(36, 45), 0.5 * apart(27, 8));
+  // Marks grow with the size of the face on the screen.
+  const eyes = view.scale * errorUnit(observed);
   const all = indices(landmarks), crowd = all.length > FEW ? CROWDED : 1;
   const unit = crowd * clamp(Math.pow((eyes || 80) / 110, 0.7), 0.45, 2.6);
   const pen = { context, landmarks, toScreen, unit, circle: circleOf(context, toScreen) };
