@@ -26,15 +26,22 @@ from workbench.geometry import (
     undistorted_pixels,
 )
 from workbench.landmarks.files import LandmarkRecord
-from workbench.landmarks.scheme import GROUPS, LEFT_EYE_OUTER_CORNER, RIGHT_EYE_OUTER_CORNER
+from workbench.landmarks.scheme import (
+    GROUPS,
+    LEFT_EYE_OUTER_CORNER,
+    POINT_COUNT,
+    RIGHT_EYE_OUTER_CORNER,
+    error_unit,
+    first_68,
+)
 
 INNER = np.array(GROUPS["inner"])
 NOSE_TIP, MOUTH_CORNERS = 30, (48, 54)
 SHAPE = np.searchsorted(INNER, [RIGHT_EYE_OUTER_CORNER, LEFT_EYE_OUTER_CORNER, NOSE_TIP, *MOUTH_CORNERS]).tolist()
 """Places among the inner landmarks of those that tell how a triangulated face is turned and how large it is."""
-Points = Float[np.ndarray, "f 51 2"]
+Points = Float[np.ndarray, "f 68 2"]
 Clip = dict[int, np.ndarray]
-"""The inner landmarks of each frame with a face, undistorted pixels."""
+"""The 68 landmarks of each frame with a face, undistorted pixels."""
 MOST_FRAMES = 1500
 """Longer clips are sampled evenly: the medians do not change."""
 MOST_OFFSET = 15
@@ -64,7 +71,7 @@ class PairCheck:
     """Median symmetric epipolar distance over frames and inner landmarks."""
     p95_px: float
     median_percent: float
-    """The median in percent of the eye distance in the pictures."""
+    """The median in percent of the eye distance in the pictures (`error_unit`)."""
     offset: int | None
     """Frame k of the first fits frame k + offset of the second best; None where nothing can be said."""
     offset_median_px: float
@@ -131,7 +138,7 @@ def check_rig(rig: Rig, clips: Sequence[Iterable[LandmarkRecord]]) -> RigCheck:
 
 
 def _undistorted_clip(view: View, clip: Iterable[LandmarkRecord]) -> tuple[View, Clip]:
-    """The view without its distortion and at the size of the clip's pictures, and the clip's inner points for it."""
+    """The view without its distortion and at the size of the clip's pictures, and the clip's points for it."""
     found = {record.frame: record.landmarks for record in clip if record.landmarks is not None}
     if not found:
         raise InputError(f"The landmarks of view {view.name!r} have no face in any frame; nothing can be compared.")
@@ -139,7 +146,7 @@ def _undistorted_clip(view: View, clip: Iterable[LandmarkRecord]) -> tuple[View,
     if len(sizes) > 1:
         raise InputError(f"The pictures of view {view.name!r} have {len(sizes)} sizes; a clip of a rig has one.")
     view = resized_view(view, sizes.pop())
-    points = undistorted_pixels(view.camera, np.stack([landmarks.points[INNER] for landmarks in found.values()]))
+    points = undistorted_pixels(view.camera, np.stack([first_68(landmarks.points) for landmarks in found.values()]))
     straight = replace(view, camera=view.camera._replace(distortion=np.zeros(8)))
     return straight, dict(zip(found, points, strict=True))
 
@@ -149,10 +156,11 @@ def _undistorted_clip(view: View, clip: Iterable[LandmarkRecord]) -> tuple[View,
 
 def _pair_check(rig: Rig, a: int, b: int, points_a: Clip, points_b: Clip) -> PairCheck:
     names, views = (rig.names[a], rig.names[b]), (rig.placed_view(a), rig.placed_view(b))
-    pixels_a, pixels_b = _together(points_a, points_b, 0)
-    distances = epipolar_distance(*views, pixels_a, pixels_b)
+    pixels = _together(points_a, points_b, 0)
+    distances = _off_lines(views, *pixels)
     median = _quantile(distances, 0.5)
-    percent = 100.0 * median / (0.5 * (_eye_distance(pixels_a) + _eye_distance(pixels_b)))
+    units = [float(np.median(error_unit(points))) for points in pixels]
+    percent = 100.0 * median / (0.5 * sum(units))
     offset, best = _best_offset(views, points_a, points_b)
     return PairCheck(
         names, len(points_a.keys() & points_b.keys()), median, _quantile(distances, 0.95), percent, offset, best
@@ -165,7 +173,7 @@ def _best_offset(views: tuple[PlacedCamera, PlacedCamera], points_a: Clip, point
     for shift in range(-MOST_OFFSET, MOST_OFFSET + 1):
         pixels_a, pixels_b = _together(points_a, points_b, shift)
         if len(pixels_a) >= FEW_FRAMES:
-            medians[shift] = _quantile(epipolar_distance(*views, pixels_a, pixels_b), 0.5)
+            medians[shift] = _quantile(_off_lines(views, pixels_a, pixels_b), 0.5)
     if 0 not in medians:
         return None, float("nan")
     best = min(medians, key=lambda shift: medians[shift])
@@ -176,15 +184,16 @@ def _best_offset(views: tuple[PlacedCamera, PlacedCamera], points_a: Clip, point
 def _together(points_a: Clip, points_b: Clip, shift: int) -> tuple[Points, Points]:
     """The points of frames k of the first clip and k + shift of the second where both have a face."""
     frames = _sampled(k for k in points_a if k + shift in points_b)
-    shape = (len(frames), len(INNER), 2)
+    shape = (len(frames), POINT_COUNT, 2)
     return (
         np.array([points_a[k] for k in frames]).reshape(shape),
         np.array([points_b[k + shift] for k in frames]).reshape(shape),
     )
 
 
-def _eye_distance(points: Float[np.ndarray, "f 51 2"]) -> float:
-    return float(np.nanmedian(np.linalg.norm(points[:, SHAPE[1]] - points[:, SHAPE[0]], axis=1)))
+def _off_lines(views: tuple[PlacedCamera, PlacedCamera], a: Points, b: Points) -> Float[np.ndarray, "f 51"]:
+    """How far the inner landmarks are from their epipolar lines, pixels."""
+    return epipolar_distance(*views, a[:, INNER], b[:, INNER])
 
 
 # --- all views together ---
@@ -198,7 +207,9 @@ def _stacked(points: Sequence[Clip]) -> Float[np.ndarray, "v n 2"]:
             counts[frame] = counts.get(frame, 0) + 1
     frames = _sampled(frame for frame, count in counts.items() if count >= 2)
     nothing = np.full((len(INNER), 2), np.nan)
-    return np.stack([np.concatenate([found.get(frame, nothing) for frame in frames]) for found in points])
+    return np.stack(
+        [np.concatenate([found[frame][INNER] if frame in found else nothing for frame in frames]) for found in points]
+    )
 
 
 def _view_checks(rig: Rig, points: Sequence[Clip], stacked: np.ndarray, places: np.ndarray) -> tuple[ViewCheck, ...]:
@@ -267,8 +278,8 @@ def _fit(rig: Rig, points: Sequence[Clip]) -> tuple[float, bool]:
     """Mean of the pairs' median epipolar distances, pixels, and whether the face comes out inside out."""
     medians = []
     for a, b in combinations(range(len(rig)), 2):
-        pixels = _together(points[a], points[b], 0)
-        medians.append(_quantile(epipolar_distance(rig.placed_view(a), rig.placed_view(b), *pixels), 0.5))
+        views = rig.placed_view(a), rig.placed_view(b)
+        medians.append(_quantile(_off_lines(views, *_together(points[a], points[b], 0)), 0.5))
     across, down, nose = np.moveaxis(_triples(triangulate(rig.placed, _stacked(points))), 1, 0)
     outwards = -np.einsum("ni,ni->n", np.cross(across, down), nose)
     return float(np.nanmean(medians)), _quantile(outwards, 0.5) < 0

@@ -3,7 +3,7 @@
 Trained on renders of the default head alone (`workbench/networks/bundled/MODEL_CARD.md` has data, recipe and limits).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain
@@ -103,15 +103,11 @@ class NetworkDetector:
             if sure:
                 return _boxes(sure)
             doubtful += seen
-        promising = [face for face in doubtful if _surest(face.look.confidence) >= PROMISING and not quick]
-        surest = sorted(promising, key=lambda face: -_surest(face.look.confidence))[:CANDIDATES]
-        return _boxes(filter(None, (self._steadied(picture, face) for face in surest)))
+        return [] if quick else _boxes(self._steady(picture, doubtful))
 
     def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
         """The landmarks of the face in `box`: a look that finds its frame, then the mean of six in that frame."""
-        looks = self._looks(picture, box)
-        points = np.mean([look.points for look in looks], axis=0)
-        return replace(looks[0], points=points, confidence=np.mean([look.confidence for look in looks], axis=0))
+        return _mean_look(self._looks(picture, box))
 
     def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]) -> Landmarks2D:
         """The landmarks of the face near `points`, by one look: about 5 ms."""
@@ -140,15 +136,16 @@ class NetworkDetector:
         box, score = found
         return _Proposal(self._look(picture, frame_from_box(box)) if quick else self._first_look(picture, box), score)
 
-    def _steadied(self, picture: np.ndarray, face: "_Proposal") -> "_Proposal | None":
-        """A doubtful face by the mean of six looks; None unless they agree."""
-        looks = self._looks_about(picture, face.look)
-        points, confidence = (np.array([getattr(look, name) for look in looks]) for name in ("points", "confidence"))
-        mean = points.mean(axis=0)
-        scatter = np.sqrt(((points - mean) ** 2).sum(axis=-1).mean(axis=0))[_INNER] / frame_from_points(mean).side
-        if np.median(scatter) > STEADY_SIDES or _surest(confidence.mean(axis=0)) < STEADY_CONFIDENCE:
-            return None
-        return _Proposal(replace(face.look, points=mean), face.score)
+    def _steady(self, picture: np.ndarray, doubtful: list["_Proposal"]) -> Iterator["_Proposal"]:
+        """Of doubtful faces those on which six looks agree, by the mean of these looks."""
+        by_promise = sorted(((_surest(face.look), face) for face in doubtful), key=lambda pair: -pair[0])
+        for promise, face in by_promise[:CANDIDATES]:
+            if promise < PROMISING:
+                return
+            looks = self._looks_about(picture, face.look)
+            mean = _mean_look(looks)
+            if _scatter(looks, mean) <= STEADY_SIDES and _surest(mean) >= STEADY_CONFIDENCE:
+                yield _Proposal(mean, face.score)
 
     def _first_look(self, picture: np.ndarray, box: Box) -> Landmarks2D:
         """The upright look at a box, or the surest of several rolled ones where that leaves doubt."""
@@ -245,9 +242,20 @@ def _median_confidence(landmarks: Landmarks2D) -> float:
     return float(np.median(landmarks.confidence[_INNER]))
 
 
-def _surest(confidence: Float[np.ndarray, "points"]) -> float:
+def _surest(landmarks: Landmarks2D) -> float:
     """The confidence that a quarter of the inner points reach."""
-    return float(np.quantile(confidence[_INNER], 0.75))
+    return float(np.quantile(landmarks.confidence[_INNER], 0.75))
+
+
+def _mean_look(looks: list[Landmarks2D]) -> Landmarks2D:
+    points, confidence = (np.mean([getattr(look, name) for look in looks], axis=0) for name in ("points", "confidence"))
+    return replace(looks[0], points=points, confidence=confidence)
+
+
+def _scatter(looks: list[Landmarks2D], mean: Landmarks2D) -> float:
+    """Root mean square distance of the looks' points from the mean, in box sides; the median of the inner points."""
+    squares = np.mean([((look.points - mean.points) ** 2).sum(axis=-1) for look in looks], axis=0)
+    return float(np.median(np.sqrt(squares)[_INNER])) / frame_from_points(mean.points).side
 
 
 def _boxes(faces: Iterable[_Proposal]) -> list[FaceDetection]:
