@@ -25,7 +25,7 @@ BENCHMARKS = (
     ),
     "panel_scale",
     *("rendering", "rendering_gradient", "rendering_peers", "appearance", "landmark_network", "landmark_photos"),
-    *("dense_landmarks", "dense_batch", "expression_priors", "gaze"),
+    *("dense_landmarks", "dense_batch", "expression_priors", "gaze", "jitter"),
     *("blinks", "deep_energies", "deep_characters", "deep_bundled_clips"),
     *("flow", "infill", "refinement", "temporal_memory", "stills", "characters_drawn"),
     *("sweep_rate", "sweep_scaling", "cluster_plan", "accelerator"),
