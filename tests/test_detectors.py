@@ -13,14 +13,15 @@ import pytest
 
 from workbench.config import LandmarksConfig
 from workbench.errors import ConfigError, InputError, MissingDependencyError
-from workbench.frames import read_picture
+from workbench.frames import open_frames, read_picture
 from workbench.landmarks import dlib_detector
 from workbench.landmarks.alignment import frame_from_points, grey_face_crop
 from workbench.landmarks.detection import FaceDetection, LandmarkDetector
 from workbench.landmarks.detectors import DETECTORS, chosen_detector, fallback_note, make_detector
 from workbench.landmarks.files import read_landmark_file
-from workbench.landmarks.network_detector import CROP_SIDE, NetworkDetector, crop_frame, network_box
-from workbench.landmarks.scheme import MIRROR, outer_eye_distance
+from workbench.landmarks.network_detector import CLEAR, CROP_SIDE, NetworkDetector, crop_frame, network_box
+from workbench.landmarks.scheme import GROUPS, MIRROR, outer_eye_distance
+from workbench.landmarks.turned_faces import sureness
 from workbench.networks import to_picture
 from workbench.networks.face_finder import FaceFinder
 from workbench.networks.landmark_network import empty_landmark_network
@@ -29,6 +30,8 @@ from workbench.runtime import COMPUTING
 from workbench.samples import sample
 
 ASTRONAUT = Path(__file__).resolve().parents[1] / "data_samples" / "astronaut.png"
+LOOKED_AT = [index for index in GROUPS["inner"] if index not in (*GROUPS["right_eye"], *GROUPS["left_eye"])]
+"""Points that are where a look puts them; lids are lowered after it where eyes are narrow."""
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 needs_dlib = pytest.mark.skipif(
@@ -45,6 +48,15 @@ def astronaut():
 @pytest.fixture(scope="module")
 def detector():
     return make_detector("dlib")
+
+
+@pytest.fixture(scope="module")
+def laugh():
+    """Every sixth frame of the clip, with its true landmarks."""
+    truth = np.load(sample("laugh-truth"), allow_pickle=False)["landmarks"]
+    return [
+        (frame.picture, truth[frame.index]) for frame in open_frames(sample("laugh")).iterate() if frame.index % 6 == 0
+    ]
 
 
 # --- by name, and without the package ---
@@ -343,9 +355,27 @@ def test_refining_follows_a_face_that_moved_a_little(network, astronaut, aligned
     assert distance(refined.points, aligned.points + move[:, 2]) < REFINE_TOLERANCE
 
 
+def test_a_clear_face_is_followed_by_one_look(network, laugh):
+    picture, truth = laugh[0]
+    look, refined = network.look(picture, truth).landmarks, network.refine(picture, truth)
+    assert sureness(look) > CLEAR
+    assert np.array_equal(refined.points[LOOKED_AT], look.points[LOOKED_AT])
+    assert np.array_equal(refined.confidence, look.confidence)
+
+
+def test_a_face_in_the_dark_is_looked_at_twice_and_seen_better(network, laugh):
+    rng = np.random.default_rng(0)
+    errors = []
+    for picture, truth in laugh:
+        dark = np.clip(0.08 * picture + rng.normal(0.0, 4.0, picture.shape), 0, 255).astype(np.uint8)
+        answers = network.look(dark, truth).landmarks, network.refine(dark, truth)
+        errors.append([np.linalg.norm((found.points - truth)[LOOKED_AT], axis=1).mean() for found in answers])
+    one, two = np.mean(errors, axis=0)
+    assert two < 0.97 * one
+
+
 def test_a_look_shows_where_the_network_takes_landmarks_to_be(network, astronaut, aligned):
     look = network.look(astronaut, aligned.points)
-    assert np.array_equal(look.landmarks.points, network.refine(astronaut, aligned.points).points)
     assert look.probability.sum(axis=(1, 2)) == pytest.approx(np.ones(68), abs=1e-4)
     side = look.probability.shape[-1]
     row, column = np.divmod(look.probability.reshape(68, -1).argmax(axis=1), side)

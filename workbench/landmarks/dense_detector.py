@@ -5,16 +5,14 @@ how surely each of them all, corrected by what it misses at the 68; pupils and i
 et al., "3D Face Reconstruction with Dense Landmarks" (ECCV 2022).
 """
 
-from dataclasses import replace
 from functools import cache
 
 import jax
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from workbench.arrays import AnyArray, library_of
 from workbench.landmarks.alignment import FaceFrame
-from workbench.landmarks.detection import Box
 from workbench.landmarks.eyes import IRISES, EyeDetector
 from workbench.landmarks.lids import true_lids
 from workbench.landmarks.network_detector import BUNDLED, CROP_SIDE, NetworkDetector, crop_frame, sampled_crop
@@ -50,14 +48,6 @@ class DenseDetector(NetworkDetector):
         self._dense = FrozenDenseNetwork(dense or bundled_dense_network())
         self._gain = bundled_dense_gain() if dense is None else None
         self._eyes = EyeDetector(eyes)
-
-    def align(self, picture: UInt8[np.ndarray, "h w 3"], box: Box) -> Landmarks2D:
-        """The mean of six looks, as the network detector's; a covariance is their mean too: they err alike."""
-        looks = self._looks(picture, box)
-        points, confidence, covariance = (
-            np.mean([getattr(look, name) for look in looks], axis=0) for name in ("points", "confidence", "covariance")
-        )
-        return replace(looks[0], points=points, confidence=confidence, covariance=covariance)
 
     def _look(self, picture: np.ndarray, face: FaceFrame, mirrored: bool = False) -> Landmarks2D:
         to_image = crop_frame(face)

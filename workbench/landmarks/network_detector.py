@@ -22,6 +22,7 @@ from workbench.landmarks.detection import Box, Effort, FaceDetection
 from workbench.landmarks.lids import true_lids
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import GROUPS, MIRROR
+from workbench.landmarks.turned_faces import sureness
 from workbench.networks import BETA, Calibration, CropBox, LandmarkNetwork, place_and_mass, read_landmark_network
 from workbench.networks.face_finder import FaceFinder, FoundFace, read_face_finder, without_doubles
 from workbench.networks.frozen import FrozenNetwork
@@ -40,6 +41,10 @@ OTHER_ROLLS = (-0.9, 0.9)
 """Rolls in radians that are looked at too where the upright look leaves doubt: training went up to 40 degrees."""
 DOUBTFUL = 0.8
 """Median confidence of the inner points up to which a look leaves doubt; wrong answers reach 0.7."""
+CLEAR = 0.9
+"""Sureness (`turned_faces`) below which a followed face is looked at twice, the second time mirrored. On renders that
+takes 4 to 8 percent off the error, in the dark and on profiles most; on a clear face, two looks are not worth a slower
+frame."""
 LEAST_FACE = 0.3
 """Median confidence of the inner points from which a face is certain; of boxes of walls and hands, 99 in 100 are below
 0.03."""
@@ -110,11 +115,13 @@ class NetworkDetector:
         return _mean_look(self._looks(picture, box))
 
     def refine(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]) -> Landmarks2D:
-        """The landmarks of the face near `points`, by one look: about 5 ms."""
-        return self._look(picture, frame_from_points(points))
+        """The landmarks of the face near `points`: by one look, or the mean of two where it is not clear."""
+        face = frame_from_points(points)
+        look = self._look(picture, face)
+        return look if sureness(look) >= CLEAR else _mean_look([look, self._look(picture, face, mirrored=True)])
 
     def look(self, picture: UInt8[np.ndarray, "h w 3"], points: Float[np.ndarray, "points 2"]) -> NetworkLook:
-        """What the network sees in the crop around `points`, before `refine` lowers the lids of narrow eyes."""
+        """What the network sees in the crop around `points`, with the lids as they are: `refine`'s first look."""
         to_image = crop_frame(frame_from_points(points))
         landmarks, heat_maps = self._answer(sampled_crop(picture, to_image), picture, to_image, mirrored=False)
         return NetworkLook(landmarks, _probability(heat_maps[:LANDMARKS]), to_image)
@@ -248,8 +255,9 @@ def _surest(landmarks: Landmarks2D) -> float:
 
 
 def _mean_look(looks: list[Landmarks2D]) -> Landmarks2D:
-    points, confidence = (np.mean([getattr(look, name) for look in looks], axis=0) for name in ("points", "confidence"))
-    return replace(looks[0], points=points, confidence=confidence)
+    """The mean of looks at one face; of covariances too, because looks err alike."""
+    told = ("points", "confidence") if looks[0].covariance is None else ("points", "confidence", "covariance")
+    return replace(looks[0], **{name: np.mean([getattr(look, name) for look in looks], axis=0) for name in told})
 
 
 def _scatter(looks: list[Landmarks2D], mean: Landmarks2D) -> float:
