@@ -15,6 +15,7 @@ from tests.stereo_scenes import make_rig, make_stereo_scene
 from workbench.cli import app
 from workbench.config import preset
 from workbench.errors import InputError, LostSchedulerError, OutputError
+from workbench.frames import VideoWriter
 from workbench.geometry import write_rig
 from workbench.landmarks.alignment import MEAN_SHAPE
 from workbench.landmarks.detection import FaceDetection
@@ -24,6 +25,7 @@ from workbench.pipeline import DEEP_OUTPUTS, OUTPUTS, track
 from workbench.pipeline.deep_run import ShownFrames
 from workbench.pipeline.deep_sources import open_deep_source
 from workbench.samples import sample
+from workbench.session import open_session
 from workbench.tracking import FrameObservation, Track
 from workbench.workers import Failed, workers_for
 
@@ -71,6 +73,15 @@ def test_a_run_leaves_the_same_files_as_face_it_and_the_stages_of_some_frames(ru
     strips = sorted(path.name for path in (run.folder / "stages").iterdir())
     assert strips == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
     assert json.loads((run.folder / "summary.json").read_text())["frames_failed"] == {}
+
+
+def test_a_run_that_is_worked_on_in_a_session_gives_its_own_numbers(run, head):
+    """Its landmarks are what the energy's network saw, and not a detector's to look at anew."""
+    session = open_session(run.track, model=head)
+    session.fit_clip()
+    again = session.track
+    for name in ("observed", "rotation", "translation", "expression", "jaw", "identity"):
+        np.testing.assert_allclose(getattr(again, name), getattr(run.track, name), rtol=0, atol=1e-9, err_msg=name)
 
 
 def test_the_pose_is_close_to_the_clip_s_truth(run):
@@ -250,6 +261,24 @@ class TwoFaces:
 
     def refine(self, picture, points):
         return Landmarks2D(points, np.ones(68), picture.shape[1::-1])
+
+
+def test_a_session_says_that_it_holds_one_camera(head, stereo, config):
+    session = open_session(stereo[2]["middle"], config.changed(camera={"rig": str(stereo[0])}), model=head)
+    with pytest.raises(InputError, match=r"a session takes one camera: leave camera\.rig out there"):
+        session.fit_frame(0)
+
+
+def test_views_of_different_frame_rates_are_told(stereo, config, tmp_path):
+    clips = {name: tmp_path / f"{name}.mp4" for name in stereo[2]}
+    for path, rate in zip(clips.values(), (25, 50), strict=True):
+        with VideoWriter(path, rate) as film:
+            for _ in range(3):
+                film.write(np.zeros((480, 640, 3), np.uint8))
+    reference, *others = clips
+    rig = config.changed(camera={"rig": str(stereo[0])}, landmarks={"detector": "network"})
+    source = open_deep_source([clips[reference]], rig, None, None, {name: clips[name] for name in others})
+    assert any("different frame rates" in note and "25" in note and "50" in note for note in source.notes())
 
 
 def test_the_face_is_chosen_in_the_first_view_alone(stereo, tmp_path, monkeypatch):

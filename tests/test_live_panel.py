@@ -461,6 +461,13 @@ def test_calibration_tells_what_to_do_and_when_it_is_done(panel, camera, frames)
     assert panel.session.calibrated == "neutral face"
 
 
+def test_why_a_neutral_face_is_refused_stands_in_the_panel(panel):
+    panel.session.use(panel.session.config.changed(identity={"calibrate": False}))
+    panel.start()
+    panel.neutral.click()
+    assert "keep the average face" in panel.view.message
+
+
 def test_a_recording_names_the_camera_that_it_was_begun_with(panel, camera, frames):
     panel.start()
     play(panel, camera, frames[:1])

@@ -204,6 +204,13 @@ def test_undo_of_a_neutral_face_in_progress_is_undo_of_nothing_else(session, fra
     assert session.calibrated == "first second"
 
 
+def test_a_neutral_face_is_refused_where_the_settings_keep_the_average_one(session):
+    session.use(session.config.changed(identity={"calibrate": False}))
+    with pytest.raises(InputError, match=r"switch identity\.calibrate on"):
+        session.calibrate_neutral()
+    assert session.gathering is None
+
+
 def test_frames_in_which_the_face_moves_are_no_neutral_ones(session, frames):
     session.step(frames[0])
     session.calibrate_neutral()
@@ -339,6 +346,8 @@ def test_a_recording_without_pictures_holds_none(session, frames, tmp_path):
     recording = session.stop_recording()
     recording.save(tmp_path / "take")
     assert recording.jpegs == ()
+    (tmp_path / "take" / "clip.mp4").write_bytes(b"of an earlier recording")
+    recording.save(tmp_path / "take", overwrite=True)
     assert [path.name for path in (tmp_path / "take").iterdir()] == ["track.npz"]
 
 

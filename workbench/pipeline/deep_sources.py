@@ -10,6 +10,7 @@ import numpy as np
 
 from workbench.config import Config
 from workbench.errors import InputError
+from workbench.frames import Frames
 from workbench.geometry import read_rig
 from workbench.landmarks.observations import Landmarks2D, of_ibug68
 from workbench.landmarks.scheme import IBUG68
@@ -19,6 +20,9 @@ from workbench.pipeline.sources import FileSource, open_source
 from workbench.tracking import FrameObservation
 from workbench.tracking.deep_target import energy_network, network_scheme, photo_landmarks
 from workbench.tracking.observation import PicturePair
+
+SAME_RATE = 1.01
+"""Ratio of two clips' mean frame rates up to which they are taken for one rate: 29.97 and 30 differ by less."""
 
 
 class DeepSource:
@@ -71,7 +75,8 @@ class RigSource:
         unequal = len({count for count in counts.values() if count is not None}) > 1
         listed = ", ".join(f"{name}: {count}" for name, count in counts.items())
         uneven = [f"The views have different numbers of frames ({listed}); the shortest counts."] if unequal else []
-        return [*dict.fromkeys(note for source in self._sources for note in source.notes()), *uneven]
+        notes = dict.fromkeys(note for source in self._sources for note in source.notes())
+        return [*notes, *uneven, *_notes_on_rates(dict(zip(self._names, self.views, strict=True)))]
 
     def observations(self, start: int, state: dict[str, np.ndarray], stills: bool) -> Iterator[FrameObservation]:
         streams = [source.observations(start, {}, stills) for source in self._sources]
@@ -84,6 +89,18 @@ class RigSource:
 
     def state(self) -> dict[str, np.ndarray]:
         return {}
+
+
+def _notes_on_rates(views: Mapping[str, Frames | None]) -> list[str]:
+    """One sentence where videos have different frame rates; none where they have the same."""
+    rates = {name: view.rate for name, view in views.items() if view is not None and view.kind == "video" and view.rate}
+    if not rates or max(rates.values()) <= SAME_RATE * min(rates.values()):
+        return []
+    listed = ", ".join(f"{name}: {rate:.4g}" for name, rate in rates.items())
+    return [
+        f"The views have different frame rates ({listed} frames/s), and frames are matched by number: convert the "
+        "clips to one rate first."
+    ]
 
 
 def _joined(motions: Sequence[PicturePair | None]) -> PicturePair | None:

@@ -159,7 +159,14 @@ class LiveSession:
             return True
 
     def calibrate_neutral(self) -> None:
-        """Treat the next frames with a steady face as neutral: the whole shape seen in them becomes identity."""
+        """Treat the next frames with a steady face as neutral: the whole shape seen in them becomes identity.
+
+        Raises `InputError` where the settings keep the average face.
+        """
+        if not self.config.identity.calibrate:
+            raise InputError(
+                "These settings keep the average face, so a neutral face changes nothing: switch identity.calibrate on."
+            )
         with self._lock:
             self._gathering, self._gathered = "neutral", []
 

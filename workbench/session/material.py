@@ -103,6 +103,8 @@ class Material:
     """(frame, point) of landmarks that are known only where a user moved them."""
     tracked_rate: float | None = None
     """Frames per second of the pictures that a stored run was tracked on, which may be gone."""
+    network: str | None = None
+    """`deep.network` of a stored run of Deep Energies, whose landmarks are this network's answers; else None."""
 
     @property
     def rate(self) -> float | None:

@@ -35,14 +35,15 @@ class ObservedFrames:
         return replace(observation, motion=motion_of(pictures[frame - 1], pictures[frame]))
 
     def _detected(self, frame: int, config: Config, pictured: bool) -> FrameObservation:
-        """A frame as the system needs it: Deep Energies runs its own network on the photo, N(F*)."""
+        """A frame as the system needs it: Deep Energies runs its own network on the photo, N(F*), unless a run did."""
         observation, pictures = self._material.observations[frame], self._material.pictures
         if not config.traits.renders or observation.landmarks is None or not pictures.real:
             return observation
         picture, key = pictures[frame], (frame, config.deep.network)
         if key not in self._targets:
-            network = energy_network(config.deep.network)
-            seen = photo_landmarks(network, picture, observation.landmarks)
+            seen = observation.landmarks
+            if config.deep.network != self._material.network:
+                seen = photo_landmarks(energy_network(config.deep.network), picture, seen)
             self._targets[key] = seen, seen_around(picture, seen)
         landmarks, around = self._targets[key]
         return replace(observation, landmarks=landmarks, surroundings=(around,), picture=picture if pictured else None)

@@ -81,6 +81,8 @@ class Recording:
                     writer.write(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR_RGB))
             inputs = [{"path": str(clip), "sha256": content_hash(clip)}]
             track = replace(track, meta={**track.meta, "inputs": inputs})
+        else:
+            (folder / "clip.mp4").unlink(missing_ok=True)
         track.save(folder / "track.npz")
         return folder / "track.npz"
 

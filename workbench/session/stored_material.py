@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from workbench.config import config_of_track
+from workbench.config import Config, config_of_track
 from workbench.errors import InputError
 from workbench.export.sources import reference_inputs, tracked_part, view_clips
 from workbench.frames import open_frames
@@ -22,7 +22,7 @@ def material_of_track(track: Track) -> Material:
         inputs, views = tuple(reference_inputs(track.meta)), view_clips(track.meta)
     except InputError:  # the rig of an older track is gone, and with it which inputs are the first camera's
         inputs, views = (), {}
-    stored = track.meta.get("landmarks")
+    config, stored = config_of_track(track.meta), track.meta.get("landmarks")
     observations = []
     for k in range(len(track)):
         fit = track[k]
@@ -47,13 +47,13 @@ def material_of_track(track: Track) -> Material:
         file,
         None if part is None else tuple(part),
         views,
-        _moved(track),
+        _moved(config),
         track.meta.get("rate"),
+        config.deep.network if config is not None and config.traits.renders else None,
     )
 
 
-def _moved(track: Track) -> frozenset[tuple[int, int]]:
-    """(frame, point) of the landmarks that the run's configuration moved."""
-    config = config_of_track(track.meta)
+def _moved(config: Config | None) -> frozenset[tuple[int, int]]:
+    """(frame, point) of the landmarks that a run's configuration moved."""
     moved = {} if config is None else config.landmarks.moved
     return frozenset((int(frame), int(point)) for frame, places in moved.items() for point in places)

@@ -66,7 +66,7 @@ def views_of(
     if len(seen) != len(rig):
         raise InputError(
             f"The rig has {len(rig)} views ({', '.join(rig.names)}), but the frame has landmarks of {len(seen)}; "
-            "give one clip for each view."
+            "`workbench track` takes one clip for each view, a session takes one camera: leave camera.rig out there."
         )
     if len(around) != len(rig):
         raise InputError(
