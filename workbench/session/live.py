@@ -12,7 +12,7 @@ from workbench.errors import InputError
 from workbench.face import FaceModel, in_scheme
 from workbench.landmarks.detection import LandmarkDetector
 from workbench.landmarks.detectors import make_detector
-from workbench.landmarks.scheme import IBUG68, error_unit
+from workbench.landmarks.scheme import IBUG68, LandmarkScheme, error_unit
 from workbench.landmarks.schemes import detector_scheme
 from workbench.landmarks.tracker_options import options_for
 from workbench.landmarks.tracking import LandmarkTracker
@@ -163,11 +163,8 @@ class LiveSession:
 
         Raises `InputError` where the settings keep the average face.
         """
-        if not self.config.identity.calibrate:
-            raise InputError(
-                "These settings keep the average face, so a neutral face changes nothing: switch identity.calibrate on."
-            )
         with self._lock:
+            _check_calibrates(self.config)
             self._gathering, self._gathered = "neutral", []
 
     def start_anew(self) -> None:
@@ -279,26 +276,36 @@ class LiveSession:
         key = (identity_settings(state.config, self.model.scheme), calibration)
         if key[0] == self._identity_of[0] and key[1] is self._identity_of[1]:
             return
-        self._identity = self._identity_from(state.config, calibration)
+        self._identity = _identity_from(self._fitter, self.model.scheme, state.config, calibration)
         self._identity_of = key
-
-    def _identity_from(self, config: Config, calibration: Calibration | None) -> Float[np.ndarray, "i"]:
-        if calibration is None or not config.identity.calibrate:
-            return self._fitter.mean_identity()
-        observations = list(calibration.observations)
-        if not calibration.neutral:
-            return self._fitter.calibrate(observations, config.identity.frames).identity
-        shy = config.changed(identity={"expression": NEUTRAL_EXPRESSION})
-        self._fitter.configure(plan_of(shy, self.model.scheme))
-        try:
-            return self._fitter.calibrate(observations, config.identity.frames).identity
-        finally:
-            self._fitter.configure(plan_of(config, self.model.scheme))
 
     def _record(self, fit: FrameFit, frame: LiveFrame) -> None:
         with self._lock:
             if self._recorder is not None:
                 self._recorder.add(fit, frame)
+
+
+def _identity_from(
+    fitter: FaceItFitter, scheme: LandmarkScheme, config: Config, calibration: Calibration | None
+) -> Float[np.ndarray, "i"]:
+    """The identity that a calibration gives under these settings, to which the fitter is set; else the mean one."""
+    if calibration is None or not config.identity.calibrate:
+        return fitter.mean_identity()
+    observations = list(calibration.observations)
+    if not calibration.neutral:
+        return fitter.calibrate(observations, config.identity.frames).identity
+    fitter.configure(plan_of(config.changed(identity={"expression": NEUTRAL_EXPRESSION}), scheme))
+    try:
+        return fitter.calibrate(observations, config.identity.frames).identity
+    finally:
+        fitter.configure(plan_of(config, scheme))
+
+
+def _check_calibrates(config: Config) -> None:
+    if not config.identity.calibrate:
+        raise InputError(
+            "These settings keep the average face, so a neutral face changes nothing: switch identity.calibrate on."
+        )
 
 
 def _wants_first_second(state: LiveState) -> bool:

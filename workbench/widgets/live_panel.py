@@ -8,7 +8,6 @@ import ipywidgets as widgets
 import numpy as np
 
 from workbench.config import Config
-from workbench.errors import InputError
 from workbench.face import FaceModel, dressed_as, load_default_head
 from workbench.runtime import ShortTurns
 from workbench.session.live import LiveSession
@@ -115,12 +114,8 @@ class LivePanel(widgets.VBox):
         if not self.running:
             self.say(NOT_STARTED, wrong=True)
             return
-        try:
-            self.session.calibrate_neutral()
-        except InputError as error:
-            self.say(str(error), wrong=True)
-        else:
-            self.say(NEUTRAL)
+        self.say(NEUTRAL)
+        self._messages.guarded(self.session.calibrate_neutral)
 
     def record(self, on: bool = True) -> None:
         """Start or stop a recording."""
