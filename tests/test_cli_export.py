@@ -23,6 +23,7 @@ from workbench.pipeline.temporal_run import views_of
 from workbench.samples import sample
 from workbench.session import open_session
 from workbench.tracking import Track
+from workbench.tracking.track_layout import file_record
 
 
 @pytest.fixture
@@ -32,7 +33,7 @@ def stored(head, tmp_path):
         for k in range(FRAMES):
             writer.write(np.full((480, 640, 3), 60 + 10 * k, np.uint8))
     track = performance(head)
-    track.meta["inputs"] = [{"path": str(tmp_path / "clip.mp4"), "sha256": "0" * 64}]
+    track.meta["inputs"] = [file_record(tmp_path / "clip.mp4")]
     track.save(tmp_path / "talk" / "track.npz")
     return tmp_path / "talk"
 
@@ -87,6 +88,31 @@ def test_moved_pictures_are_named(run, stored, tmp_path):
     code, out, _ = run("export", "talk", "--to", "report.html")
     assert code == 0
     assert "note: the report has no pictures of the input" in out
+
+
+def test_another_clip_under_the_same_name_is_not_drawn(run, stored, tmp_path):
+    with VideoWriter(tmp_path / "clip.mp4") as writer:
+        for _ in range(FRAMES):
+            writer.write(np.zeros((480, 640, 3), np.uint8))
+    code, _, err = run("export", "talk", "--to", "film.mp4")
+    assert code == 2
+    assert "clip.mp4, where another file is now; name them with --pictures" in " ".join(err.split())
+    assert run("export", "talk", "--to", "film.mp4", "--pictures", "clip.mp4")[0] == 0
+
+
+def test_a_folder_that_was_moved_with_clip_and_run_in_it_is_still_worked_in(run, stored, tmp_path, monkeypatch):
+    (tmp_path / "moved").mkdir()
+    for name in ("clip.mp4", "talk"):
+        (tmp_path / name).rename(tmp_path / "moved" / name)
+    monkeypatch.chdir(tmp_path / "moved")
+    assert run("export", "talk", "--to", "film.mp4")[0] == 0
+    code, _, err = run("export", "talk", "--to", "clip.mp4")
+    assert code == 2
+    assert "clip.mp4 is an input" in err
+    (tmp_path / "moved" / "clip.mp4").write_bytes((tmp_path / "moved" / "film.mp4").read_bytes())
+    code, _, err = run("export", "talk", "--to", "again.mp4")
+    assert code == 2
+    assert f"no longer at {tmp_path / 'clip.mp4'}; name them" in "".join(err.split("\n"))
 
 
 def test_a_rate_of_ones_own(run, stored, tmp_path):

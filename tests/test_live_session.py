@@ -322,18 +322,20 @@ def test_one_frame_alone_is_a_recording():
     assert even_frames([3.0])[0].tolist() == [0]
 
 
-def test_a_recording_is_a_track_that_everything_reads(session, frames, tmp_path):
+def test_a_recording_is_a_track_that_everything_reads(session, frames, tmp_path, monkeypatch):
     session.start_recording()
     fits = [session.step(frame).fit for frame in frames[:8]]
     assert session.recording[0] == 8
     recording = session.stop_recording("a test")
     assert session.recording is None
-    stored = recording.save(tmp_path / "take")
+    monkeypatch.chdir(tmp_path)
+    stored = recording.save("take")
     track = Track.load(stored)
     np.testing.assert_array_equal(track.expression, np.stack([fit.expression for fit in fits]))
     assert track.index.tolist() == list(range(8))
     assert track.meta["rate"] == pytest.approx(RATE)
     assert track.meta["live"]["camera"] == "a test"
+    assert track.meta["inputs"][0]["path"] == str(tmp_path / "take" / "clip.mp4")
     clip = open_frames(track.meta["inputs"][0]["path"])
     assert (clip.announced_count, clip.image_size, clip.rate) == (8, (640, 480), pytest.approx(RATE))
     written = export_track(track, session.model, tmp_path / "take.glb").path

@@ -29,7 +29,7 @@ from workbench.pipeline import track
 from workbench.pipeline.output_folder import locked
 from workbench.samples import sample
 from workbench.session.recording import Recording
-from workbench.tracking.track_writer import TrackWriter
+from workbench.tracking.track_writer import FINGERPRINT, TrackWriter
 from workbench.training import PLAN_FILE
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -211,6 +211,21 @@ class TestInputsAreNotWrittenOver:
         assert "would be written over; name another output" in err.replace("\n", " ")
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
+    @pytest.mark.parametrize("landmarks", [False, True])
+    def test_an_input_is_kept_from_every_folder(self, run, quick, points, tmp_path, monkeypatch, landmarks):
+        shutil.copy(sample("performance"), tmp_path / "talk.mp4")
+        if landmarks:
+            quick("talk.mp4", "out", landmarks=Path("points.csv"), frames=(0, 2))
+        else:
+            quick("points.csv", "out")
+        (tmp_path / "elsewhere").mkdir()
+        monkeypatch.chdir(tmp_path / "elsewhere")
+        before = points.read_bytes()
+        code, _, err = run("export", "../out", "--to", "../points.csv")
+        assert code == 2
+        assert "points.csv is an input" in err
+        assert points.read_bytes() == before
+
 
 class TestFinishedRuns:
     def test_a_finished_run_is_replaced_only_on_demand(self, quick, points, tmp_path):
@@ -308,6 +323,23 @@ class TestFinishedRuns:
         quick(points, tmp_path / "out")
         (note,) = quick(points, tmp_path / "out", resume=True, overwrite=True).notes
         assert "--overwrite without --resume repeats it" in note
+
+    def test_a_run_goes_on_where_it_was_begun_by_relative_names(self, quick, points, begun, monkeypatch):
+        """As an older workbench began it."""
+        monkeypatch.chdir(points.parent)
+        note = begun / "track.npz.parts" / FINGERPRINT
+        note.write_text("another\n" + note.read_text().partition("\n")[2].replace(str(points), points.name))
+        fitted = []
+        made = quick(points.name, begun, resume=True, progress=lambda step, done, total: fitted.append(done))
+        assert fitted[0] == 4
+        assert made.track.meta["inputs"][0]["path"] == str(points)
+
+    def test_a_run_goes_on_in_a_folder_that_was_moved_with_its_input(self, quick, points, begun, tmp_path):
+        (tmp_path / "moved").mkdir()
+        points, begun = (path.rename(tmp_path / "moved" / path.name) for path in (points, begun))
+        fitted = []
+        quick(points, begun, resume=True, progress=lambda step, done, total: fitted.append(done))
+        assert fitted[0] == 4
 
     def test_a_refusal_says_once_how_to_go_on(self, run, points, begun, monkeypatch):
         monkeypatch.setattr("workbench.cli.tracking.face_model", lambda path: StubModel())

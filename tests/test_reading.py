@@ -12,8 +12,7 @@ import pytest
 from workbench.errors import InputError, ModelError
 from workbench.frames import open_frames, read_picture, write_picture
 from workbench.landmarks.files import read_landmark_file
-from workbench.pipeline.provenance import content_hash
-from workbench.reading import checked_arrays, checked_file, checked_json, checked_toml, reading
+from workbench.reading import checked_arrays, checked_file, checked_json, checked_toml, content_hash, reading
 
 
 def archive(**arrays: np.ndarray) -> io.BytesIO:

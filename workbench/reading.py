@@ -6,6 +6,7 @@ file declares are compared with its own size and the limits below before anythin
 `checked_toml`, `checked_arrays`); and whatever a library still raises becomes the project's error (`reading`).
 """
 
+import hashlib
 import json
 import math
 import os
@@ -214,3 +215,14 @@ def array_header(content: IO[bytes] | BufferedIOBase, by_rows: bool = False) -> 
     if any(not isinstance(length, int) or length < 0 for length in shape):
         raise ValueError(f"it holds an array of the shape {shape}")
     return shape, dtype
+
+
+def content_hash(path: Path) -> str:
+    """SHA-256 of a file, or of the files of a folder in order. Raises `InputError` for one that may not be read."""
+    digest = hashlib.sha256()
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    for file in files:
+        if file.is_file():
+            with reading(file, "an input", "check that you may read it"), file.open("rb") as stream:
+                digest.update(hashlib.file_digest(stream, "sha256").digest())
+    return digest.hexdigest()

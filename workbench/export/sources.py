@@ -1,6 +1,7 @@
 """The pictures that a track was made from."""
 
-from collections.abc import Generator, Mapping
+import os
+from collections.abc import Generator, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,23 +10,23 @@ from workbench.errors import InputError
 from workbench.frames import Frame, FrameRange, Frames, open_frames
 from workbench.geometry import read_rig
 from workbench.landmarks.files import is_landmark_file
+from workbench.reading import content_hash
 from workbench.tracking import Track
 
 
 def pictures_of(track: Track, pictures: str | Path | None = None) -> Frames:
     """The frames of the track's input, or of `pictures` in its place; of a part of a clip where it holds one.
 
-    Of several cameras those of the rig's first view. Raises `InputError` where they are not where they were, for a
-    track of landmarks alone, and, as it is read, for a frame of another size than the one that was tracked.
+    Of several cameras those of the rig's first view. Raises `InputError` where they are no longer, or others are, for
+    a track of landmarks alone, and, as it is read, for a frame of another size than the one that was tracked.
     """
     if pictures is not None:
         return TrackedFrames(tracked_part(open_frames(pictures), track.meta), track, pictures)
     paths = reference_inputs(track.meta)
     if not paths or any(map(is_landmark_file, paths)):
         raise InputError("This track was made from landmarks without pictures; name the pictures with --pictures.")
-    missing = [path for path in paths if not path.exists()]
-    if missing:
-        raise InputError(f"The pictures of this track are no longer at {missing[0]}; name them with --pictures.")
+    for told in gone_pictures(track.meta, paths).values():
+        raise InputError(f"{told}; name them with --pictures.")
     return TrackedFrames(tracked_part(open_frames(paths if len(paths) > 1 else paths[0]), track.meta), track, paths[0])
 
 
@@ -44,7 +45,7 @@ def view_clips(meta: Mapping[str, Any]) -> dict[str, Path]:
     Older tracks do not name them: theirs are in the order of the rig. Raises `InputError` if that rig cannot be read.
     """
     if meta.get("views") is not None:
-        return {name: Path(path) for name, path in meta["views"].items()}
+        return {name: _place(path, _hashes(meta).get(path, "")) for name, path in meta["views"].items()}
     paths = _inputs(meta)
     config = config_of_track(meta) if len(paths) > 1 else None
     names = read_rig(config.camera.rig).names[1:] if config is not None and config.camera.rig else ()
@@ -52,13 +53,51 @@ def view_clips(meta: Mapping[str, Any]) -> dict[str, Path]:
 
 
 def _inputs(meta: Mapping[str, Any]) -> list[Path]:
-    return [Path(item["path"]) for item in meta.get("inputs", [])]
+    return [_place(item["path"], item.get("sha256", "")) for item in meta.get("inputs", [])]
 
 
 def input_files(meta: Mapping[str, Any]) -> list[Path]:
     """What a track was made from, by its metadata: files and folders that nothing may be written over."""
-    named = [*meta.get("inputs", []), *filter(None, [meta.get("landmarks")])]
-    return [*(Path(item["path"]) for item in named), *(Path(path) for path in (meta.get("views") or {}).values())]
+    return [*_inputs(meta), *filter(None, [landmark_file(meta)])]
+
+
+def landmark_file(meta: Mapping[str, Any]) -> Path | None:
+    """The file that a track's landmarks come from, by its metadata; None where a detector found them."""
+    named = meta.get("landmarks")
+    return None if named is None else _place(named["path"], named.get("sha256", ""))
+
+
+def gone_pictures(meta: Mapping[str, Any], paths: Iterable[Path]) -> dict[Path, str]:
+    """Those of a track's inputs that are no longer where they were, or others than they were, and how that is said."""
+    hashes, told = _hashes(meta), {}
+    for path in paths:
+        if not os.path.exists(path):
+            told[path] = f"The pictures of this track are no longer at {path}"
+        elif not _holds(path, hashes.get(str(path), "")):
+            told[path] = f"The pictures of this track are no longer at {path}, where another file is now"
+    return told
+
+
+def _hashes(meta: Mapping[str, Any]) -> dict[str, str]:
+    """SHA-256 of a track's inputs by the places that its metadata name; empty where it is not known."""
+    return {item["path"]: item.get("sha256", "") for item in meta.get("inputs", [])}
+
+
+def _place(named: str, sha256: str) -> Path:
+    """Where a file is that a track names: there, or under the current folder, where the end of its path is.
+
+    So a folder that was moved, with clips and runs in it, can still be worked in.
+    """
+    path = Path(named)
+    if os.path.exists(path):
+        return path
+    ends = (Path(*path.parts[first:]) for first in range(1, len(path.parts)))
+    return next((end for end in ends if os.path.exists(end) and _holds(end, sha256)), path)
+
+
+def _holds(path: Path, sha256: str) -> bool:
+    """Whether a file is the one that was hashed. A folder counts as such: what came into it later may be no picture."""
+    return not sha256 or not path.is_file() or content_hash(path) == sha256
 
 
 def tracked_part(frames: Frames, meta: Mapping[str, Any]) -> Frames:

@@ -20,7 +20,8 @@ from workbench.learning.parts import Parts
 from workbench.learning.report import Change, change_of
 from workbench.learning.search import Searched, mean_of, searched, value_of
 from workbench.objectives import WeightedSum, check_usable
-from workbench.pipeline import content_hash, software_versions
+from workbench.pipeline import software_versions
+from workbench.reading import content_hash
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import clip_in, folds_needed, objectives_of
 from workbench.sweeps.solving import ClipSolver

@@ -4,7 +4,6 @@ from .output_folder import TIME_OUTPUTS as TIME_OUTPUTS
 from .output_folder import check_inputs_kept as check_inputs_kept
 from .output_folder import holds_parts as holds_parts
 from .picture_source import PictureSource as PictureSource
-from .provenance import content_hash as content_hash
 from .provenance import software_versions as software_versions
 from .runs import Progress as Progress
 from .runs import RunResult as RunResult

@@ -27,7 +27,7 @@ from workbench.pictures.overlay_files import write_overlay_video
 from workbench.pipeline.deep_run import track_deep_frames, write_strips
 from workbench.pipeline.deep_sources import open_deep_source
 from workbench.pipeline.output_folder import FILES, PARTS, TRACKS, drawn_in, holds_parts, remove_earlier, run_folder
-from workbench.pipeline.provenance import content_hash, software_versions
+from workbench.pipeline.provenance import software_versions
 from workbench.pipeline.sources import open_source
 from workbench.pipeline.still_pictures import StillPictures
 from workbench.pipeline.temporal_run import (
@@ -43,7 +43,7 @@ from workbench.planning import plan_of
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameFit, FrameObservation, Track
 from workbench.tracking.flow_fitter import FlowFitter
-from workbench.tracking.track_layout import model_record, scheme_of, scheme_record
+from workbench.tracking.track_layout import file_record, model_record, scheme_of, scheme_record
 from workbench.tracking.track_reader import TrackReader
 from workbench.tracking.track_writer import UNREFINED, TrackWriter, begun_run, has_parts
 from workbench.tracking.unwatched import silent
@@ -112,7 +112,7 @@ def track(
         job = replace(job, model=in_scheme(model, source.scheme))
         meta = _meta([*paths, *views.values()], landmarks, job.model, config, stills, source)
         meta["frames"] = None if frames is None else list(frames)
-        meta["views"] = {name: str(path) for name, path in views.items()}
+        meta["views"] = {name: str(path.absolute()) for name, path in views.items()}
         _check_begun(job, meta)
         finished = _finished(job, meta)
         if finished is not None:
@@ -166,8 +166,9 @@ def _check_begun(job: _Job, meta: dict[str, Any]) -> None:
     if not job.resume or job.overwrite:
         return
     own = [meta, worked_meta(meta, job.config, job.steps)]
-    found = [begun for name in TRACKS if (begun := begun_run(job.folder / name)) is not None]
-    if found and not {fingerprint for fingerprint, _ in found} & set(map(_fingerprint, own)):
+    places = [job.folder / name for name in TRACKS]
+    found = [begun for place in places if (begun := begun_run(place)) is not None]
+    if found and not any(has_parts(place, _begun_as(place, meta)) for place in places for meta in own):
         what = f"an interrupted run {_unlike(found[0][1], own)}"
         raise OutputError(f"{job.folder} holds {what}, or replace it by --overwrite.")
 
@@ -188,7 +189,7 @@ def _finished(job: _Job, meta: dict[str, Any]) -> RunResult | None:
     Raises `OutputError` where the folder holds a finished run of something else.
     """
     stored = job.folder / "track.npz"
-    if not job.resume or not stored.exists() or has_parts(job.fits_path, _fingerprint(meta)):
+    if not job.resume or not stored.exists() or has_parts(job.fits_path, _begun_as(job.fits_path, meta)):
         return None
     reader = TrackReader(stored)
     made = {name: value for name, value in reader.meta.items() if name not in ("format", "format_version")}
@@ -220,7 +221,7 @@ def _run(job: _Job, source, meta: dict[str, Any], stills: bool) -> RunResult:
     dressed = dressed_as(config.head.character, model) if job.pictures else None
     tracker = FaceTracker(model, config, stills=stills)
     tracker.warm_up(source.image_size)
-    writer = TrackWriter(job.fits_path, meta, _fingerprint(meta), job.resume)
+    writer = TrackWriter(job.fits_path, meta, _begun_as(job.fits_path, meta), job.resume)
     began, already, strips = time.perf_counter(), len(writer), []
     deep = config.traits.renders
     told, files = [], ()
@@ -303,9 +304,8 @@ def retrack(
     inputs = [reader.path, *_given(clip), *views.values(), *_given(config.camera.rig), *input_files(reader.meta)]
     with run_folder(folder, inputs, False, overwrite):
         began = time.perf_counter()
-        origin = {"path": str(reader.path), "sha256": content_hash(reader.path)}
         of_track = {name: value for name, value in reader.meta.items() if name != "files"}
-        meta = {**of_track, "track": origin, **_named_files(config)}
+        meta = {**of_track, "track": file_record(reader.path), **_named_files(config)}
         writer = _over_time(reader, opened, model, config, steps, meta, folder, progress, len(reader))
         try:
             summary = summary_of(writer.tracks(), time.perf_counter() - began)
@@ -438,8 +438,8 @@ def _meta(paths, landmarks: Path | None, model: FaceModel, config: Config, still
         "expression_names": list(model.expression_names),
         "stages": [stage.name for stage in config.stages if stage.enabled],
         "config": json.loads(config.model_dump_json()),
-        "inputs": [{"path": str(path), "sha256": content_hash(path)} for path in paths],
-        "landmarks": None if landmarks is None else {"path": str(landmarks), "sha256": content_hash(landmarks)},
+        "inputs": [file_record(path) for path in paths],
+        "landmarks": None if landmarks is None else file_record(landmarks),
         "detector": source.detector,
         "names": _names(source.frames) if stills else [],
         "stills": stills,
@@ -456,7 +456,7 @@ def _named_files(config: Config) -> dict[str, Any]:
     """The files of a configuration that fits depend on, for a track's metadata; nothing where it names none."""
     named = map(Path, (config.camera.rig, config.deep.network, config.flow.estimator))
     # What comes along is called by words without a suffix.
-    files = [{"path": str(path), "sha256": content_hash(path)} for path in named if path.suffix and path.is_file()]
+    files = [file_record(path) for path in named if path.suffix and path.is_file()]
     return {"files": files} if files else {}
 
 
@@ -470,8 +470,17 @@ def _fingerprint(meta: dict[str, Any]) -> str:
     """The metadata holds all that a run depends on: inputs, configuration and its files, model, versions.
 
     The order of its entries counts, as later landmark weights overrule earlier ones. Of the detector only which one ran
-    counts, not whether it was asked for by name or by "auto".
+    counts, not whether it was asked for by name or by "auto"; of files what they hold, not where they are.
     """
     landmarks = {**meta["config"]["landmarks"], "detector": meta["detector"]}
-    run = {**meta, "config": {**meta["config"], "landmarks": landmarks}}
+    run = {**meta, "config": {**meta["config"], "landmarks": landmarks}, "views": list(meta.get("views") or {})}
+    for name in ("inputs", "files"):
+        run[name] = [item.get("sha256") for item in meta.get(name, [])]
+    run["landmarks"] = (meta.get("landmarks") or {}).get("sha256")
     return hashlib.sha256(json.dumps(run).encode()).hexdigest()
+
+
+def _begun_as(path: Path, meta: dict[str, Any]) -> str:
+    """The fingerprint of a run: the one that its parts at a track's path bear, where an older workbench named them."""
+    begun = begun_run(path)
+    return begun[0] if begun and begun[1] and _fingerprint(begun[1]) == _fingerprint(meta) else _fingerprint(meta)

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from workbench.config import Config, config_of_track
 from workbench.errors import InputError
-from workbench.export.sources import reference_inputs, tracked_part, view_clips
+from workbench.export.sources import gone_pictures, reference_inputs, tracked_part, view_clips
 from workbench.face import FaceModel
 from workbench.frames import Frames, open_frames
 from workbench.geometry import read_rig
@@ -125,12 +125,14 @@ def views_of(
         paths[names.index(name)] = [path]
     if not all(paths) or any(is_landmark_file(path) for group in paths for path in group):
         return []
-    missing = {path: name for name, group in zip(names, paths, strict=True) for path in group if not path.exists()}
-    for path, name in missing.items():
-        if needed or path == pictures or path in others.values():
-            option = "--clip" if name == names[0] else f"--view {name}=CLIP"
-            raise InputError(f"The pictures of this track are no longer at {path}; name them with {option}.")
-    if missing:
+    view_of = {path: name for name, group in zip(names, paths, strict=True) for path in group}
+    given = [path for path in view_of if path == pictures or path in others.values()]
+    gone = gone_pictures({}, given) | gone_pictures(meta, [path for path in view_of if path not in given])
+    for path, told in gone.items():
+        if needed or path in given:
+            option = "--clip" if view_of[path] == names[0] else f"--view {view_of[path]}=CLIP"
+            raise InputError(f"{told}; name them with {option}.")
+    if gone:
         return []
     return [tracked_part(open_frames(group if len(group) > 1 else group[0]), meta) for group in paths]
 

@@ -15,7 +15,8 @@ from workbench.errors import InputError
 from workbench.frames import Frame, Frames
 from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
 from workbench.landmarks.scheme import LandmarkScheme
-from workbench.pipeline import content_hash, is_landmark_file, open_source
+from workbench.pipeline import is_landmark_file, open_source
+from workbench.reading import content_hash
 from workbench.tracking import FrameObservation
 
 KEPT_BYTES = 256 << 20

@@ -5,13 +5,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from workbench.pipeline import content_hash, software_versions
+from workbench.pipeline import software_versions
 from workbench.session.clip_run import Run, described_track
 from workbench.session.exports import model_words
 from workbench.session.material import Cancelled, Progress
 from workbench.session.tuning import TuningSession
 from workbench.tracking import Track
 from workbench.tracking.records import stack_fits
+from workbench.tracking.track_layout import file_record
 from workbench.tracking.unwatched import never
 
 
@@ -27,9 +28,9 @@ def performance_track(
     track = described_track(run, session.model, material.stills)
     file, views = material.landmark_file, {name: path for name, path in material.views.items() if path.exists()}
     meta = {
-        "inputs": [_named(path) for path in (*material.inputs, *views.values()) if path.exists()],
-        "views": {name: str(path) for name, path in views.items()},
-        "landmarks": None if file is None or not file.exists() else _named(file),
+        "inputs": [file_record(path) for path in (*material.inputs, *views.values()) if path.exists()],
+        "views": {name: str(path.absolute()) for name, path in views.items()},
+        "landmarks": None if file is None or not file.exists() else file_record(file),
         "frames": None if material.part is None else list(material.part),
         "rate": material.rate,
         "versions": software_versions(),
@@ -44,7 +45,3 @@ def performance_commands(
     run = Path("out") / session.material.name
     export = ["workbench", "export", run, "--to", file, *options, *model_words(session.model)]
     return f"{session.command(settings)} --out {shlex.quote(str(run))}\n{shlex.join(map(str, export))}"
-
-
-def _named(path: Path) -> dict[str, str]:
-    return {"path": str(path), "sha256": content_hash(path)}

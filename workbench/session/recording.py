@@ -15,12 +15,12 @@ from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.files import make_folder
 from workbench.frames import VideoWriter
-from workbench.pipeline import content_hash, software_versions
+from workbench.pipeline import software_versions
 from workbench.pipeline.output_folder import check_no_results
 from workbench.session.live_frame import LiveFrame
 from workbench.tracking import FrameFit, Track
 from workbench.tracking.records import stack_fits
-from workbench.tracking.track_layout import model_record, scheme_record
+from workbench.tracking.track_layout import file_record, model_record, scheme_record
 
 SLOWEST_RATE = 5.0
 """Lowest frame rate of a recording, in frames per second, however slowly the frames came."""
@@ -79,8 +79,7 @@ class Recording:
             with VideoWriter(clip, rate=track.meta["rate"]) as writer:
                 for jpeg in self.jpegs:
                     writer.write(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR_RGB))
-            inputs = [{"path": str(clip), "sha256": content_hash(clip)}]
-            track = replace(track, meta={**track.meta, "inputs": inputs})
+            track = replace(track, meta={**track.meta, "inputs": [file_record(clip)]})
         else:
             (folder / "clip.mp4").unlink(missing_ok=True)
         track.save(folder / "track.npz")

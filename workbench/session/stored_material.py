@@ -1,10 +1,8 @@
 """The material of a stored run."""
 
-from pathlib import Path
-
 from workbench.config import Config, config_of_track
 from workbench.errors import InputError
-from workbench.export.sources import reference_inputs, tracked_part, view_clips
+from workbench.export.sources import landmark_file, reference_inputs, tracked_part, view_clips
 from workbench.frames import open_frames
 from workbench.pipeline import is_landmark_file
 from workbench.session.material import Material, PictureStore
@@ -22,7 +20,7 @@ def material_of_track(track: Track) -> Material:
         inputs, views = tuple(reference_inputs(track.meta)), view_clips(track.meta)
     except InputError:  # the rig of an older track is gone, and with it which inputs are the first camera's
         inputs, views = (), {}
-    config, stored = config_of_track(track.meta), track.meta.get("landmarks")
+    config = config_of_track(track.meta)
     observations = []
     for k in range(len(track)):
         fit = track[k]
@@ -35,7 +33,6 @@ def material_of_track(track: Track) -> Material:
         frames = tracked_part(open_frames(inputs if len(inputs) > 1 else inputs[0]), track.meta)
     sizes = [observation.image_size for observation in observations]
     name = inputs[0].stem if inputs else "track"
-    file = None if stored is None else Path(stored["path"])
     stills = bool(track.meta.get("stills", False))
     part = track.meta.get("frames")
     return Material(
@@ -44,7 +41,7 @@ def material_of_track(track: Track) -> Material:
         PictureStore(frames, sizes),
         stills,
         inputs,
-        file,
+        landmark_file(track.meta),
         None if part is None else tuple(part),
         views,
         _moved(config),

@@ -14,7 +14,8 @@ from workbench.errors import InputError
 from workbench.face import FaceModel, in_scheme
 from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
 from workbench.objectives import Truth, flow_of_pictures, lacking, objective, observed_clip, read_truth
-from workbench.pipeline import content_hash, open_source
+from workbench.pipeline import open_source
+from workbench.reading import content_hash
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.second_camera import SecondCamera, arrays_of, second_of_arrays, seen_by_second
 from workbench.sweeps.storage import Storage, anywhere, local_file, packed, unpacked

@@ -14,7 +14,7 @@ from workbench.errors import InputError
 from workbench.face import USUAL_JAW, FaceModel, JawUnit
 from workbench.landmarks.scheme import IBUG68, LandmarkScheme
 from workbench.landmarks.schemes import SCHEMES, scheme_named
-from workbench.reading import checked_json, shortened
+from workbench.reading import checked_json, content_hash, shortened
 
 FORMAT = "face-energy-workbench-track"
 FORMAT_VERSION = 4
@@ -148,6 +148,11 @@ def scheme_record(scheme: LandmarkScheme) -> dict[str, str]:
 def scheme_of(meta: Mapping[str, Any]) -> LandmarkScheme:
     """The landmark scheme that the metadata of a track name."""
     return scheme_named(meta.get("scheme", IBUG68.name))
+
+
+def file_record(path: Path) -> dict[str, str]:
+    """What the metadata says of a file or folder: its place, from every folder the same, and what it holds."""
+    return {"path": str(path.absolute()), "sha256": content_hash(path)}
 
 
 def model_record(model: FaceModel) -> dict[str, Any]:
