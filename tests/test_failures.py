@@ -16,7 +16,7 @@ from workbench.pictures import OverlayParts, draw_overlay
 from workbench.planning import infill_plan
 from workbench.tracking.failures import NO_FACE, failure_of_residuals, failures_of, why_failed
 from workbench.tracking.infill import usable_frames
-from workbench.tracking.records import frame_errors
+from workbench.tracking.records import Fits, frame_errors
 from workbench.widgets.status_line import status_of
 
 RECORDED, FAR, UNSEEN, BROKEN = 2, 3, 7, 8
@@ -74,6 +74,7 @@ class TestFailures:
     def test_panel_and_overlay_say_why(self, track):
         fit = track[RECORDED]
         assert ">failed: jaw and face disagree</span>" in status_of(fit, len(track))
+        assert "not seen in this view" in status_of(track[UNSEEN], len(track))
         width, height = fit.image_size
         paper = np.full((height, width, 3), 60, np.uint8)
         only_text = OverlayParts(False, False, False, False, axes=False, legend=False)
@@ -99,6 +100,11 @@ class TestErrorsInPercent:
     def test_the_errors_of_a_frame_are_their_means(self, track):
         percent = track.residuals_percent[FAR]
         np.testing.assert_allclose(track[FAR].errors[1:], [percent[17:].mean(), percent.mean()], rtol=1e-12)
+
+    def test_of_a_frame_they_are_those_of_its_track_and_none_where_nothing_was_seen(self, track):
+        every = [fit.errors for fit in Fits(track)]
+        np.testing.assert_array_equal(frame_errors(track)[:, 1:], every)
+        assert np.isnan(every).all(axis=1).tolist() == (~track.seen).tolist()
 
     def test_a_flagged_error_is_the_one_in_the_tables(self, track):
         error = frame_errors(track)[FAR, 2]

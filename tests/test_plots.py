@@ -225,6 +225,9 @@ def test_the_residual_strip_has_a_row_a_landmark_and_marks_flags(portrait):
     assert np.isnan(values[:, 1]).all()
     eyes = np.linalg.norm(fit.observed[45] - fit.observed[36])
     np.testing.assert_allclose(values[:17, 0], 100 * fit.residuals_px[:17] / eyes)
+    filled = replace(fit, source="filled", observed=fit.projected, confidence=np.zeros(68))
+    shown = plots.residual_strip([fit, filled]).axes[0].images[0].get_array()
+    assert np.isnan(np.ma.filled(shown, np.nan)).all(axis=0).tolist() == [False, True]
     flags = next(line for line in axis.lines if line.get_marker() == "v")
     assert flags.get_xdata().tolist() == [2]
 

@@ -260,7 +260,8 @@ def _draw_mesh(canvas, fit: FrameFit, model: FaceModel, scale: float) -> None:
 def _numbers(fit: FrameFit) -> str:
     yaw, pitch, roll = np.rint(fit.angles_deg) + 0.0  # adding zero turns −0 into 0
     pixels, _, percent = fit.errors
-    error = "filled" if fit.source == "filled" else f"error {pixels:.1f} px ({percent:.1f} %)"
+    error = f"error {pixels:.1f} px ({percent:.1f} %)" if fit.seen else "not seen"
+    error = "filled" if fit.source == "filled" else error
     why = why_failed(fit)
     text = f"frame {fit.index}   {error}   " + (f"failed: {why}   " if why else "")
     return (text + f"yaw {yaw:+.0f}°  pitch {pitch:+.0f}°  roll {roll:+.0f}°").replace("-", "\u2212")

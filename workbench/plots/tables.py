@@ -82,14 +82,14 @@ def heat_map(
 def residual_strip(fits: Sequence[FrameFit], flagged: Sequence[bool] | None = None, frame: int | None = None) -> Figure:
     """Error of every landmark in every frame of a clip, in % of the outer-eye distance, like the panel's timeline.
 
-    Rows are sorted by face part; grey frames have no face. Triangles mark `flagged` frames; a line marks `frame`.
+    Rows are sorted by face part; grey frames have no landmarks. Triangles mark `flagged` frames; a line marks `frame`.
     """
     parts = fits[0].scheme.parts if len(fits) else IBUG68.parts
     order = [point for points in parts.values() for point in points]
     rows = len(order)
     values = np.full((rows, len(fits)), np.nan)
     for column, fit in enumerate(fits):
-        if fit.found:
+        if fit.found and fit.seen:
             values[:, column] = fit.residuals_percent[order]
     figure, axis = one_axis(8.4, 2.5)
     axis.set_facecolor(page().faint)

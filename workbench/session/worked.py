@@ -44,7 +44,7 @@ class Worked:
             if of in metrics:
                 numbers[name] = metrics[of]
         hidden = [
-            replace(after, observed=before.observed).errors[2]
+            replace(after, observed=before.observed, confidence=before.confidence).errors[2]
             for before, after in zip(self.before, self.after, strict=True)
             if after.source == "filled" and before.seen
         ]

@@ -70,7 +70,12 @@ class FrameFit:
 
     @property
     def errors(self) -> tuple[float, float, float]:
-        """Mean error in px over all 68 landmarks, then in % of the outer-eye distance over the inner 51 and all."""
+        """Mean error in px over all 68 landmarks, then in % of the outer-eye distance over the inner 51 and all.
+
+        NaN unless landmarks were observed in this view (`seen`).
+        """
+        if not self.seen:
+            return (np.nan, np.nan, np.nan)
         return tuple(_errors(self.projected[None], self.observed[None])[0, 1:].tolist())
 
     @property
@@ -248,7 +253,7 @@ class Fits(Sequence):
 def frame_errors(track: Track) -> Float[np.ndarray, "n 4"]:
     """Mean errors per frame: in px over the inner 51 and over all 68, then both in % of the outer-eye distance.
 
-    NaN without a face in this view. The last three columns are `FrameFit.errors`.
+    NaN unless landmarks were observed in this view (`seen`). The last three columns are `FrameFit.errors`.
     """
     return np.where(track.seen[:, None], _errors(track.projected, track.observed), np.nan)
 

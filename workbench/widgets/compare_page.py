@@ -170,7 +170,7 @@ class ComparePage(widgets.VBox):
 
 def caption_html(item: Compared, first: bool) -> str:
     """The error of a fit, and how far it is from the first one."""
-    error = f"error <b>{item.fit.errors[2]:.1f} %</b>"
+    error = f"error <b>{item.fit.errors[2]:.1f} %</b>" if item.fit.seen else "not seen"
     if first:
         return error
     pose = f"pose: turned by {item.turned_deg:.1f}° and moved by {item.moved_mm:.0f} mm from the first"

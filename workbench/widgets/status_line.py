@@ -90,14 +90,14 @@ def status_of(fit: FrameFit, frames: int, after: bool = False, flag: str = "") -
     if fit.source == "filled":
         return " · ".join([*where, "filled from its neighbours", angles])
     pixels, inner, every = fit.errors
-    error = f"error <b>{every:.1f} %</b> of the eye distance"
-    more = f"<span style='opacity:.7'>{pixels:.2f} px, without the jaw line {inner:.1f} %</span>"
+    error = [f"error <b>{every:.1f} %</b> of the eye distance"] if fit.seen else ["not seen in this view"]
+    more = [f"<span style='opacity:.7'>{pixels:.2f} px, without the jaw line {inner:.1f} %</span>"] if fit.seen else []
     took = fit.milliseconds[2]
     time = [f"{took:.0f} ms" if took < SLOW_MS else f"{took / 1000:.1f} s"]
     why = why_failed(fit)
     failed = [f"<span style='{WRONG}'>failed: {html.escape(why)}</span>"] if why else []
     flagged = [f"<b>flagged</b>: {html.escape(flag)}"] if flag and not after else []
-    return " · ".join([*where, *(["after"] if after else []), *failed, *flagged, error, angles, *time, more])
+    return " · ".join([*where, *(["after"] if after else []), *failed, *flagged, *error, angles, *time, *more])
 
 
 def degrees(angle: float) -> str:
