@@ -477,13 +477,27 @@ def test_tracks_that_do_not_fit_the_input_are_refused(head, clip, tmp_path):
         HeadPanel(head, (64, 64), view="side")
 
 
-def test_pictures_of_another_size_are_put_on_the_video_canvas(head, tmp_path):
-    for name, shape in (("1.png", (480, 640, 3)), ("2.png", (240, 700, 3))):
-        cv2.imwrite(str(tmp_path / name), np.full(shape, 120, np.uint8))
-    fits = [fit_of(head, 0), replace(fit_of(head, 1), image_size=(700, 240))]
+@pytest.mark.parametrize(("shape", "top", "left"), [((240, 1280, 3), 180, 0), ((960, 320, 3), 0, 240)])
+def test_a_film_shows_pictures_of_another_size_whole_and_in_the_middle(head, tmp_path, shape, top, left):
+    cv2.imwrite(str(tmp_path / "1.png"), np.full((480, 640, 3), 120, np.uint8))
+    cv2.imwrite(str(tmp_path / "2.png"), np.full(shape, 200, np.uint8))
+    fits = [fit_of(head, 0), fit_of(head, 1, found=False)]
     frames = open_frames([tmp_path / "1.png", tmp_path / "2.png"])
     write_overlay_video(frames, track_of(head, fits), head, tmp_path / "overlay.mp4")
-    assert len(list(open_frames(tmp_path / "overlay.mp4").iterate())) == 2
+    _, second = (frame.picture[:480, :640] for frame in open_frames(tmp_path / "overlay.mp4").iterate())
+    bright = second.mean(axis=2) > 160
+    inside = np.zeros((480, 640), bool)
+    inside[top : 480 - top, left : 640 - left] = True
+    assert (bright != inside).mean() < 0.1
+
+
+def test_a_fit_is_drawn_where_it_is_in_a_picture_that_is_scaled_to_fit(head):
+    picture, fit = np.full((480, 640, 3), 90, np.uint8), fit_of(head, noise_px=2.0)
+    dots = OverlayParts(observed=False, residuals=False, lines=False, axes=False, text=False, legend=False)
+    small = draw_overlay(picture, fit, head, dots, within=(320, 400))
+    assert small.shape == (240, 320, 3)
+    drawn = np.argwhere(small.std(axis=2) > 5)[:, ::-1]
+    assert np.linalg.norm((fit.projected[:, None] + 0.5) / 2 - 0.5 - drawn, axis=2).min(axis=1).max() < 1.5
 
 
 def test_the_overlay_still_shows_frame_and_head(head, tmp_path):

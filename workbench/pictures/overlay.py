@@ -57,15 +57,17 @@ def draw_overlay(
     fit: FrameFit,
     model: FaceModel | None = None,
     parts: OverlayParts = ALL_BUT_MESH,
+    within: tuple[int, int] | None = None,
 ) -> UInt8[np.ndarray, "oh ow 3"]:
     """A copy of the RGB frame with the fit drawn into it; a frame without a face says so.
 
     White rings are the observed landmarks, dots the model's, and the line between them is their residual, coloured
     (viridis, readable with colour-blindness) by its length in % of the outer-eye distance. Line widths grow with the
-    face. Pictures whose longer side is under 320 or over 1920 pixels are resized to that. `parts.mesh` needs
-    the `model` of `fit`; `parts.ellipses` hold 80 % of where each point may be, if the detector said so.
+    face. Pictures whose longer side is under 320 or over 1920 pixels are resized to that, or all to fit `within` a
+    (width, height). `parts.mesh` needs the `model` of `fit`; `parts.ellipses` hold 80 % of where each point may be, if
+    the detector said so.
     """
-    scale, canvas = _for_display(picture)
+    scale, canvas = _for_display(picture, within)
     unit = _unit(canvas)
     if not fit.found:
         _label(canvas, f"frame {fit.index}   no face", unit)
@@ -157,10 +159,15 @@ def _scale_colors() -> UInt8[np.ndarray, "256 3"]:
     return cv2.applyColorMap(steps, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1].copy()
 
 
-def _for_display(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[float, UInt8[np.ndarray, "oh ow 3"]]:
+def _for_display(
+    picture: UInt8[np.ndarray, "h w 3"], within: tuple[int, int] | None = None
+) -> tuple[float, UInt8[np.ndarray, "oh ow 3"]]:
     """Scale, and a copy to draw on."""
     height, width = picture.shape[:2]
     size = displayed_size((width, height))
+    if within not in (None, size):
+        scale = min(within[0] / width, within[1] / height)
+        size = max(1, round(width * scale)), max(1, round(height * scale))
     if size == (width, height):
         return 1.0, np.ascontiguousarray(picture).copy()
     scale = max(size) / max(width, height)

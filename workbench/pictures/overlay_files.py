@@ -50,22 +50,23 @@ def write_overlay_video(
     """Write an H.264 video of a tracked input: the frames of `track` with their fits, beside the head in 3D.
 
     A second, streaming pass over the frames that holds two of them at a time; the head is rendered in its own thread
-    while the previous frame is encoded. `dressed` shows the head as a character with the fitted face, `rate` replaces
-    the input's frames per second. `progress` is called with (frames done, frames of the track). Returns a note where
-    the head had to be drawn without GL, else None. Raises `InputError` for an empty track, and if none of its frames is
-    in the input; after any error there is nothing under `path`.
+    while the previous frame is encoded. Frames of another size than the first are scaled to fit into its. `dressed`
+    shows the head as a character with the fitted face, `rate` replaces the input's frames per second. `progress` is
+    called with (frames done, frames of the track). Returns a note where the head had to be drawn without GL, else None.
+    Raises `InputError` for an empty track, and if none of its frames is in the input; after any error there is nothing
+    under `path`.
     """
     if len(track) == 0:
         raise InputError("The track has no frames, so there is nothing to draw; track the input first.")
-    first_width, first_height = displayed_size(frames.image_size)
+    size = displayed_size(frames.image_size)
     with (
-        HeadPanel(model, (first_width, first_height), view, VIDEO_SUPERSAMPLING, dressed) as panel,
+        HeadPanel(model, size, view, VIDEO_SUPERSAMPLING, dressed) as panel,
         VideoWriter(path, rate=rate or frames.rate or RATE_OF_IMAGES) as writer,
     ):
         waiting: tuple[np.ndarray, Future] | None = None
         for frame, fit in _matched(frames, track):
             head = panel.submit(fit)
-            overlay = _on_canvas(draw_overlay(frame.picture, fit, model, parts), (first_width, first_height))
+            overlay = _on_canvas(draw_overlay(frame.picture, fit, model, parts, within=size), size)
             if waiting is not None:
                 _write(writer, waiting, progress, len(track))
             waiting = overlay, head
@@ -224,11 +225,11 @@ def _write(writer: VideoWriter, waiting: tuple[np.ndarray, Future], progress, to
 
 
 def _on_canvas(picture: UInt8[np.ndarray, "h w 3"], size: tuple[int, int]) -> UInt8[np.ndarray, "ch cw 3"]:
-    """The picture cut or padded to (width, height): images of one folder may differ in size, a video may not."""
-    width, height = size
-    if picture.shape[:2] == (height, width):
+    """The picture in the middle of (width, height): images of one folder may differ in size, a video may not."""
+    height, width = picture.shape[:2]
+    if (width, height) == size:
         return picture
     canvas = background_picture(None, size)
-    part = picture[:height, :width]
-    canvas[: part.shape[0], : part.shape[1]] = part
+    left, top = (size[0] - width) // 2, (size[1] - height) // 2
+    canvas[top : top + height, left : left + width] = picture
     return canvas
