@@ -90,6 +90,33 @@ def test_moved_pictures_are_named(run, stored, tmp_path):
     assert "note: the report has no pictures of the input" in out
 
 
+def folder_of_pictures(folder):
+    """The pictures of a performance as files."""
+    folder.mkdir()
+    for k in range(FRAMES):
+        write_picture(folder / f"{k:02d}.png", np.full((480, 640, 3), 60 + 10 * k, np.uint8))
+
+
+def test_a_film_of_moved_pictures_keeps_the_rate_of_the_track(run, stored, tmp_path):
+    track = Track.load(stored / "track.npz")
+    replace(track, meta=track.meta | {"rate": 50.0}).save(stored / "track.npz")
+    folder_of_pictures(tmp_path / "moved")
+    code, out, _ = run("export", "talk", "--to", "film.mp4", "--pictures", "moved")
+    assert code == 0
+    assert "note:" not in out
+    assert open_frames(tmp_path / "film.mp4").rate == 50.0
+
+
+def test_a_film_of_pictures_without_a_rate_says_so(run, stored, tmp_path):
+    folder_of_pictures(tmp_path / "photos")
+    track = Track.load(stored / "track.npz")
+    meta = track.meta | {"rate": None, "inputs": [file_record(tmp_path / "photos")]}
+    replace(track, meta=meta).save(stored / "track.npz")
+    code, out, _ = run("export", "talk", "--to", "film.mp4")
+    assert code == 0
+    assert "note: the input has no frame rate" in out
+
+
 def test_another_clip_under_the_same_name_is_not_drawn(run, stored, tmp_path):
     with VideoWriter(tmp_path / "clip.mp4") as writer:
         for _ in range(FRAMES):

@@ -75,7 +75,7 @@ def export_track(
     elif kind == ".parquet":
         write_parquet(track, path, fps)
     elif kind == ".mp4":
-        return _film(track, model, path, pictures, rate, dressed, progress)
+        return _film(track, model, path, pictures, dressed, progress)
     elif kind == ".html":
         return _report(track, model, path, pictures, dressed, progress)
     else:
@@ -102,14 +102,15 @@ def _in_3d(track, model, path: Path, kind: str, dressed: DressedHead | None, pro
     return Exported(path, clip.notes)
 
 
-def _film(track, model, path: Path, pictures, rate, dressed: DressedHead | None, progress: Progress) -> Exported:
+def _film(track, model, path: Path, pictures, dressed: DressedHead | None, progress: Progress) -> Exported:
     frames = pictures_of(track, pictures)
+    rate = track.meta.get("rate") or frames.rate
 
     def drawn(done: int, total: int) -> None:
         progress("film", done, total)
 
     note = write_overlay_video(frames, track, model, path, drawn, dressed=dressed, rate=rate)
-    return Exported(path, (note,) if note else ())
+    return Exported(path, (*([note] if note else []), *(() if rate else note_on_rate(track))))
 
 
 def _report(track, model, path: Path, pictures, dressed: DressedHead | None, progress: Progress) -> Exported:

@@ -428,7 +428,7 @@ def _write_film(frames, writer, model, dressed, folder, progress, notes) -> tupl
     def drawn(done: int, total: int) -> None:
         progress("overlay", done, total)
 
-    note = write_overlay_video(frames, writer, model, path, drawn, dressed=dressed)
+    note = write_overlay_video(frames, writer, model, path, drawn, dressed=dressed, rate=writer.meta.get("rate"))
     notes += [note] if note else []
     return (path,)
 
