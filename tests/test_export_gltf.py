@@ -19,8 +19,8 @@ from tests.performances import FRAMES, GAP, gazes, looking_aside, other_characte
 from workbench.export import make_clip, retarget
 from workbench.export.clip import quaternions, to_world
 from workbench.export.gltf import render_corners, write_gltf
-from workbench.export.skinning import CORRECTIVES, eyeball
-from workbench.face import load_character, load_default_head
+from workbench.export.skinning import CORRECTIVES, clip_joints, eyeball
+from workbench.face import load_character, load_default_head, load_face_model
 from workbench.face.formats.gltf import read_gltf
 from workbench.face.gaze import directions_deg
 from workbench.geometry import project
@@ -370,6 +370,17 @@ def test_the_khronos_validator_finds_no_fault(glb, head, tmp_path):
     assert validated(tmp_path / "other.glb")["messages"] == []
     write_gltf(make_clip(with_jaw(performance(head)), head), tmp_path / "jaw.glb")
     assert validated(tmp_path / "jaw.glb")["messages"] == []
+
+
+@pytest.mark.parametrize("character", [None, "kofi"])
+def test_a_file_whose_eyes_turn_by_joints_looks_the_same_way_as_a_character(looking, character, tmp_path):
+    write_gltf(looking, tmp_path / "hero.glb", None if character is None else load_character(character))
+    hero = load_face_model(tmp_path / "hero.glb")
+    played = make_clip(retarget(looking.track, hero), hero)
+    turned, wanted = ({joint.name: joint.turns for joint in clip_joints(each)} for each in (played, looking))
+    most = max(np.linalg.norm(wanted[eye], axis=1).max() for eye in BALLS)
+    for eye in BALLS:
+        np.testing.assert_allclose(turned[eye], wanted[eye], atol=0.15 * most)
 
 
 @needs_khronos

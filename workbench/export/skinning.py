@@ -20,6 +20,8 @@ EYEBALL = 0.5
 """Parts of a mesh that lie within this share of the distance between the eyes about one of them are its eyeball."""
 FRONT = 0.7
 """Cosine of the angle from straight ahead up to which an eyeball is its front."""
+BESIDE = 0.5
+"""Cosine of the angle from straight ahead from which on a vertex lies beside the joint."""
 
 
 class Shapes(NamedTuple):
@@ -84,13 +86,21 @@ def _eye(person: FaceModel, name: str, expression: Float[np.ndarray, "n k"]) -> 
 
 
 def eyeball(person: FaceModel, name: str) -> Bool[np.ndarray, "v"]:
-    """Which vertices are the ball of an eye: parts of the mesh of their own that lie about its joint."""
-    count = len(person.neutral)
-    ends = np.concatenate([person.triangles[:, :2], person.triangles[:, 1:]]).T
+    """Which vertices are the ball of an eye: parts of the mesh of their own that lie about its joint.
+
+    Vertices at one place, as along the seams of a texture, belong together. Parts that lie before the joint alone are
+    none (lashes).
+    """
+    _, places = np.unique(person.neutral.round(4), axis=0, return_inverse=True)
+    count = int(places.max()) + 1
+    ends = places[np.concatenate([person.triangles[:, :2], person.triangles[:, 1:]])].T
     _, part = connected_components(coo_array((np.ones(ends.shape[1]), ends), shape=(count, count)), directed=False)
+    part = part[places]
     apart = np.linalg.norm(np.subtract(*(person.joints[eye] for eye in EYES)))
-    far = np.linalg.norm(person.neutral - person.joints[name], axis=1) > EYEBALL * apart
-    return ~np.isin(part, part[far])
+    arms = person.neutral - person.joints[name]
+    length = np.linalg.norm(arms, axis=1)
+    far, aside = length > EYEBALL * apart, arms[:, 2] > -BESIDE * length
+    return ~np.isin(part, part[far]) & np.isin(part, part[aside])
 
 
 def joint_shares(joints: tuple[Joint, ...], count: int) -> Float[np.ndarray, "v 1+j"]:

@@ -20,6 +20,7 @@ from workbench.errors import ModelError
 from workbench.face.checking import FARTHEST
 from workbench.face.formats.placing import nearest_right_angle
 from workbench.face.formats.raw import RawModel, check_mesh, ranges
+from workbench.face.gaze import EYES
 from workbench.reading import MOST_UNPACKED_BYTES, checked_content, checked_json, reading, shortened
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -45,6 +46,18 @@ class _Part(NamedTuple):
     targets: dict[str, np.ndarray]
     color: np.ndarray
     uv: np.ndarray | None
+    eye_weights: np.ndarray
+    """Shares that turn with the joints `EYES`."""
+
+
+class _Binding(NamedTuple):
+    """What the vertices of a primitive hang on."""
+
+    skin: dict[str, Any]
+    joints: np.ndarray
+    """By vertex, up to four numbers in the skin's list."""
+    shares: np.ndarray
+    """Of each of them; their sum is 1."""
 
 
 def read_gltf(path: Path) -> RawModel:
@@ -90,6 +103,7 @@ def _joined(path: Path, parts: list[_Part], eyes: dict[str, np.ndarray]) -> RawM
         expression_deltas=deltas,
         expression_range=ranges(len(names)),
         joints=eyes if len(eyes) == 2 else {},
+        eye_weights=np.concatenate([part.eye_weights for part in parts]) if len(eyes) == 2 else None,
         colors=np.concatenate([np.tile(part.color, (len(part.vertices), 1)) for part in parts]),
         # glTF counts v downwards.
         uv=np.concatenate([part.uv * [1.0, -1.0] + [0.0, 1.0] for part in parts]) if textured else None,
@@ -115,15 +129,15 @@ class _Document:
 
     def eyes(self) -> dict[str, np.ndarray]:
         """Centres of the eyes, where nodes are named after them."""
-        found = {}
-        for index, matrix in self._matrices.items():
-            name = self.json["nodes"][index].get("name", "")
-            if not isinstance(name, str):
-                raise ValueError(f"node {index} has a name that is not text")
-            letters = "".join(letter for letter in name.lower() if letter.isalpha())
-            if letters in EYE_NODES and np.any(matrix[:3, 3]):
-                found[EYE_NODES[letters]] = matrix[:3, 3]
-        return found
+        places = ((self._eye_of(index), matrix[:3, 3]) for index, matrix in self._matrices.items())
+        return {eye: place for eye, place in places if eye and np.any(place)}
+
+    def _eye_of(self, index: int) -> str:
+        """The eye that a node is named after; empty for others."""
+        name = self._entry("nodes", index).get("name", "")
+        if not isinstance(name, str):
+            raise ValueError(f"node {index} has a name that is not text")
+        return EYE_NODES.get("".join(letter for letter in name.lower() if letter.isalpha()), "")
 
     def parts(self) -> Iterator[_Part]:
         """The triangle primitives of the scene."""
@@ -147,7 +161,8 @@ class _Document:
         attributes = primitive["attributes"]
         positions = self._vectors(attributes["POSITION"], None, 3)
         count = len(positions)
-        placing = self._placing(attributes, node, matrix, count)
+        binding = self._binding(attributes, node, count)
+        placing = np.broadcast_to(matrix, (count, 4, 4)) if binding is None else self._placing(binding)
         indices = self._accessor(primitive["indices"]) if "indices" in primitive else np.arange(count)
         if indices.ndim != 1 or indices.dtype.kind not in "iu":
             raise ValueError("the corners of its triangles are not integers")
@@ -164,16 +179,14 @@ class _Document:
             targets=targets,
             color=self._color(primitive),
             uv=self._vectors(attributes["TEXCOORD_0"], count, 2) if "TEXCOORD_0" in attributes else None,
+            eye_weights=np.zeros((count, 2)) if binding is None else self._eye_weights(binding),
         )
 
-    def _placing(self, attributes: dict, node: dict, matrix: np.ndarray, count: int) -> np.ndarray:
-        """One matrix per vertex, from the mesh to the scene: the node's, or the skin's at rest."""
+    def _binding(self, attributes: dict, node: dict, count: int) -> _Binding | None:
+        """What the vertices hang on; None for a mesh without a skin."""
         if "skin" not in node or "JOINTS_0" not in attributes:
-            return np.broadcast_to(matrix, (count, 4, 4))
+            return None
         skin = self._entry("skins", node["skin"])
-        joints = np.stack([self._matrices.get(joint, np.eye(4)) for joint in skin["joints"]])
-        if "inverseBindMatrices" in skin:
-            joints = joints @ self._inverse_bind(skin)
         weights = self._vectors(attributes["WEIGHTS_0"], count, 4)
         chosen = self._vectors(attributes["JOINTS_0"], count, 4)
         if chosen.dtype.kind not in "iu" or np.any(chosen < 0):
@@ -181,7 +194,19 @@ class _Document:
         sums = weights.sum(1, keepdims=True)
         if not np.all(sums > 0.0):
             raise ValueError("vertices of its skin have no weight")
-        return np.einsum("vk,vkij->vij", weights / sums, joints[chosen])
+        return _Binding(skin, chosen, weights / sums)
+
+    def _placing(self, binding: _Binding) -> np.ndarray:
+        """One matrix per vertex, from the mesh to the scene as its skin is at rest."""
+        joints = np.stack([self._matrices.get(joint, np.eye(4)) for joint in binding.skin["joints"]])
+        if "inverseBindMatrices" in binding.skin:
+            joints = joints @ self._inverse_bind(binding.skin)
+        return np.einsum("vk,vkij->vij", binding.shares, joints[binding.joints])
+
+    def _eye_weights(self, binding: _Binding) -> np.ndarray:
+        eyes = [self._eye_of(joint) for joint in binding.skin["joints"]]
+        on_eye = np.array([[name == eye for eye in EYES] for name in eyes], float)
+        return np.einsum("vk,vke->ve", binding.shares, on_eye[binding.joints])
 
     def _vectors(self, index: Any, count: int | None, width: int) -> np.ndarray:
         """An accessor of `count` vectors. Raises ValueError for others."""

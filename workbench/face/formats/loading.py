@@ -13,6 +13,7 @@ from workbench.errors import ModelError
 from workbench.face.checking import check_face_model
 from workbench.face.default_head import load_default_head
 from workbench.face.formats.basel import read_basel_h5, read_basel_mat
+from workbench.face.formats.eye_joints import with_turned_eyes
 from workbench.face.formats.flame import companions, flame_model, is_flame
 from workbench.face.formats.gltf import read_gltf
 from workbench.face.formats.gnm import gnm_model, is_gnm
@@ -162,7 +163,7 @@ def _placed(raw: RawModel, unit: str | None, path: Path) -> FaceModel:
     fit, found = _fitted(raw, dict(zip(names, deltas, strict=True)), vertices, triangles, placement, path)
     yaws, contour = _contour(raw, fit, head, found)
     count, people = len(vertices), raw.people()
-    return FaceModel(
+    model = FaceModel(
         name=raw.name,
         neutral=vertices,
         triangles=triangles,
@@ -185,6 +186,7 @@ def _placed(raw: RawModel, unit: str | None, path: Path) -> FaceModel:
         expression_range=bounds,
         notes=(*raw.notes, _told(raw, placement, fit, found)),
     )
+    return model if raw.eye_weights is None else with_turned_eyes(model, raw.eye_weights)
 
 
 def _fitted(

@@ -43,6 +43,8 @@ class RawModel:
     """Among them leftEye, rightEye (centres) and jaw, where the format knows them."""
     identity_joint_deltas: Mapping[str, Float[np.ndarray, "i 3"]] = field(default_factory=dict)
     jaw_weights: Float[np.ndarray, "v"] | None = None
+    eye_weights: Float[np.ndarray, "v 2"] | None = None
+    """Shares of the vertices that turn with rightEye and leftEye, where the format has joints for them."""
     colors: UInt8[np.ndarray, "v 3"] | None = None
     regions: Mapping[str, Integer[np.ndarray, "_"]] | None = None
     mirror: Integer[np.ndarray, "v"] | None = None
@@ -116,6 +118,7 @@ def check_raw(path: object, raw: RawModel) -> RawModel:
         "the list of blendshapes": (np.arange(len(raw.expression_names)), (shapes,)),
         "the range of weights": (raw.expression_range, (shapes, 2)),
         "the jaw's weights": (raw.jaw_weights, (count,)),
+        "the eyes' weights": (raw.eye_weights, (count, 2)),
         "the colours": (raw.colors, (count, 3)),
         "texture coordinates": (raw.uv, (None, 2)),
         **{f"joint {shortened(name)}": (joint, (3,)) for name, joint in raw.joints.items()},
