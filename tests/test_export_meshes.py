@@ -359,6 +359,30 @@ def test_pictures_of_a_usd_character_lie_beside_the_stage(worn, dressed):
     np.testing.assert_array_equal(cv2.cvtColor(seen["hair"], cv2.COLOR_BGRA2RGBA), hair)
 
 
+@pytest.mark.parametrize("broken", ["workbench.export.usd_parts.cv2.imencode", "workbench.export.usd._camera"])
+def test_what_breaks_off_over_a_usd_character_leaves_its_stage_and_pictures(
+    worn, dressed, tmp_path, monkeypatch, broken
+):
+    def content():
+        return {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+
+    played, _ = worn
+    write_usd(played, tmp_path / "talk.usda", dressed)
+    before = content()
+    other, calls = load_character("mei"), []
+
+    def breaks_off(*arguments):
+        calls.append(arguments)
+        if len(calls) > 3 or broken.endswith("_camera"):
+            raise KeyboardInterrupt
+        return True, np.zeros(1, np.uint8)
+
+    monkeypatch.setattr(broken, breaks_off)
+    with pytest.raises(KeyboardInterrupt):
+        write_usd(played, tmp_path / "talk.usda", other)
+    assert content() == before
+
+
 def test_stages_of_one_name_and_two_suffixes_have_pictures_of_their_own(worn, dressed, tmp_path):
     played, _ = worn
     for suffix in (".usda", ".usdc"):

@@ -1,5 +1,6 @@
 """USD (UsdSkel): joints of head, jaw and eyes, blendshapes by name, camera, animation in time samples."""
 
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +22,13 @@ def write_usd(clip: Clip, path: str | Path, dressed: DressedHead | None = None) 
 
     With `dressed` the character plays: its skin as a material, a mesh for each part beside the face, and their pictures
     in the folder `FILE_textures` (`talk.usd_textures`); `clip.person` should have its identity. One unit of length is a
-    metre, +y is up. Time codes are the run's frame numbers. Raises `MissingDependencyError` without usd-core.
+    metre, +y is up. Time codes are the run's frame numbers. Stage and pictures are renamed to their places once all are
+    written. Raises `MissingDependencyError` without usd-core.
     """
     with needs("usd"):
         from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel
-    with atomic_path(path) as temporary:
+    with ExitStack() as files:
+        temporary = files.enter_context(atomic_path(path))
         stage = Usd.Stage.CreateInMemory(".usda")
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -41,8 +44,9 @@ def write_usd(clip: Clip, path: str | Path, dressed: DressedHead | None = None) 
         binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
         binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
         define_mesh(stage, face_mesh(clip, shapes, joints, dressed), skeleton)
+        pictures: dict[Path, bytes] = {}
         if dressed is not None:
-            dress_stage(stage, clip, shapes, joints, skeleton, dressed, Path(path))
+            pictures = dress_stage(stage, clip, shapes, joints, skeleton, dressed, Path(path))
         _camera(stage, clip)
         # The layer is made under a name that USD has not seen: it keeps layers by name for as long as a program runs.
         layer = Sdf.Layer.CreateAnonymous(Path(path).suffix)
@@ -51,6 +55,8 @@ def write_usd(clip: Clip, path: str | Path, dressed: DressedHead | None = None) 
             layer.Export(str(temporary))
         except Tf.ErrorException as error:  # USD's own way to say that the disk is full
             raise OSError(f"USD could not write it: {error}") from error
+        for place, content in pictures.items():
+            files.enter_context(atomic_path(place)).write_bytes(content)
 
 
 def _skeleton(stage, joints: tuple[Joint, ...]):

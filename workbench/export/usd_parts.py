@@ -14,7 +14,6 @@ from workbench.export.looks import LOOKS, SKIN, STILL_MM, Look
 from workbench.export.skinning import Joint, Shapes, joint_shares, part_joints
 from workbench.export.suffixes import pictures_folder
 from workbench.face import DressedHead, WornPart
-from workbench.files import atomic_path
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,16 +121,25 @@ def distinct(names: Sequence[str]) -> list[str]:
 
 def dress_stage(
     stage, clip: Clip, shapes: Shapes, joints: tuple[Joint, ...], skeleton, dressed: DressedHead, path: Path
-) -> None:
-    """Add what a character wears, its materials, and their pictures in the folder `FILE_textures` beside the stage."""
-    folder = pictures_folder(path)
-    define_material(stage, "face", SKIN, _picture(folder, "skin", dressed.skin))
+) -> dict[Path, bytes]:
+    """Add what a character wears and its materials; returns their pictures (PNG) by their places beside the stage.
+
+    They belong into the folder `FILE_textures`.
+    """
+    folder, pictures = pictures_folder(path), {}
+
+    def named(name: str, picture: UInt8[np.ndarray, "h w _"]) -> str:
+        pictures[folder / f"{name}.png"] = _png(picture)
+        return f"./{folder.name}/{name}.png"
+
+    define_material(stage, "face", SKIN, named("skin", dressed.skin))
     rest = clip.person.neutral
     for worn, points in zip(dressed.worn, dressed.parts_on(rest, rest), strict=True):
         define_mesh(stage, part_mesh(shapes, joints, worn, points), skeleton)
         kind = worn.part.kind
-        picture = None if kind == "corneas" else _picture(folder, kind, worn.picture)
+        picture = None if kind == "corneas" else named(kind, worn.picture)
         define_material(stage, kind, LOOKS[kind], picture)
+    return pictures
 
 
 def define_material(stage, name: str, look: Look, picture: str | None) -> None:
@@ -165,10 +173,6 @@ def define_material(stage, name: str, look: Look, picture: str | None) -> None:
     UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath(f"/performance/{name}")).Bind(material)
 
 
-def _picture(folder: Path, name: str, picture: UInt8[np.ndarray, "h w _"]) -> str:
-    """Write a picture as PNG; its path as the stage names it."""
+def _png(picture: UInt8[np.ndarray, "h w _"]) -> bytes:
     order = cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR
-    encoded = cv2.imencode(".png", cv2.cvtColor(picture, order))[1]
-    with atomic_path(folder / f"{name}.png") as temporary:
-        temporary.write_bytes(encoded.tobytes())
-    return f"./{folder.name}/{name}.png"
+    return cv2.imencode(".png", cv2.cvtColor(picture, order))[1].tobytes()
