@@ -1,6 +1,7 @@
 """Objectives: zero for the truth, right for known faults, blind where they say so, and differentiable."""
 
 from dataclasses import replace
+from itertools import islice
 
 import jax
 import jax.numpy as jnp
@@ -8,9 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.landmark_layouts import dlib_box, dlib_xml
 from workbench.errors import ConfigError, InputError
 from workbench.face import load_default_head
+from workbench.frames import FrameRange, image_names, open_frames, write_picture
 from workbench.geometry import PlacedCamera, camera_from_fov, project
+from workbench.landmarks.files import read_landmark_file
 from workbench.objectives import (
     TABLE,
     FittedClip,
@@ -244,6 +248,20 @@ def test_a_track_is_a_truth_and_a_landmark_file_has_labels(tmp_path, head):
     expected = surface_points(head, *(getattr(track, n)[1:2] for n in ("rotation", "translation", "expression")),
                               track.identity[1:2])  # fmt: skip
     np.testing.assert_array_equal(truth.surface, expected)
+
+
+def test_labels_are_of_the_photos_that_they_name_in_a_part_of_a_folder_too(tmp_path, head):
+    faces = [record.landmarks.points for record in islice(read_landmark_file(sample("performance-landmarks")), 2)]
+    named = zip(("a", "c"), faces, strict=True)
+    (tmp_path / "some.xml").write_text(
+        dlib_xml([(f"file='{name}.png' width='640' height='480'", [dlib_box(face)]) for name, face in named])
+    )
+    for name in "abc":
+        write_picture(tmp_path / f"{name}.png", np.zeros((480, 640, 3), np.uint8))
+    part = image_names(FrameRange(open_frames(tmp_path), 1, 2))
+    labels = read_truth(tmp_path / "some.xml", head, range(2), pictures=part).labels
+    assert np.isnan(labels[0]).all()
+    np.testing.assert_allclose(labels[1], faces[1], atol=1e-3)
 
 
 def test_a_file_that_is_no_truth_says_what_it_should_be(tmp_path, head):

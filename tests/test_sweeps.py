@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 from matplotlib import image
 
+from tests.landmark_layouts import dlib_box, dlib_xml
 from tests.short_clips import observations, write_clip
 from tests.test_nothing_lost import small_disk
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, OutputError
+from workbench.frames import write_picture
 from workbench.objectives import WeightedSum, drawn_means, folds_of
 from workbench.session import Material, TuningSession, sweeping
-from workbench.session.material import PictureStore
+from workbench.session.material import PictureStore, load_material
 from workbench.sweeps import (
     ClipSolver,
+    ClipSource,
     Sampling,
     Sweep,
     SweepResult,
@@ -294,6 +297,28 @@ def test_landmarks_belong_to_the_file_that_found_them(head, clips, tmp_path):
             file.write_text(content)
         digests.add(digest_of(source, config, head))
     assert len(digests) == 3
+
+
+def test_labels_are_compared_with_the_photos_that_they_name(head, tmp_path):
+    faces = dict(zip("abc", (frame.landmarks.points for frame in observations([0, 40, 90])), strict=True))
+
+    def labelled(names):
+        path = tmp_path / f"{names}.xml"
+        size = "width='640' height='480'"
+        path.write_text(dlib_xml([(f"file='{name}.png' {size}", [dlib_box(faces[name])]) for name in names]))
+        return str(path)
+
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for name in faces:
+        write_picture(photos / f"{name}.png", np.zeros((480, 640, 3), np.uint8))
+    source = ClipSource(str(photos), landmarks=labelled("abc"), truth=labelled("ac"), stills=True)
+    labels = stored_clips.observe(source, FACE_IT, head).truth.labels
+    np.testing.assert_allclose(labels[[0, 2]], [faces["a"], faces["c"]], atol=1e-3)
+    assert np.isnan(labels[1]).all()
+    material = load_material(photos, FACE_IT, source.landmarks, stills=True)
+    in_session = sweeping.SessionSweeps(head, material).clip(("labels",), source.truth)
+    np.testing.assert_array_equal(in_session.truth.labels, labels)
 
 
 def test_nothing_is_done_twice_and_points_can_be_added(done, clips, tmp_path):

@@ -224,6 +224,13 @@ class ImageFrames:
             yield Frame(index, read_picture(self.paths[index]), 0.0, self.paths[index].name)
 
 
+def image_names(frames: Frames | None) -> list[str]:
+    """The file names of images, or of a range of them, in their order; none for a video and for no frames."""
+    if isinstance(frames, FrameRange):
+        return image_names(frames._frames)[frames._first : frames._last + 1]
+    return [path.name for path in frames.paths] if isinstance(frames, ImageFrames) else []
+
+
 class FrameRange:
     """Consecutive frames of a stream as a stream of their own, counted from 0; their times are those of the stream."""
 

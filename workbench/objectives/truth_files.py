@@ -8,6 +8,7 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.face import FaceModel
 from workbench.landmarks.files import read_landmark_file
+from workbench.landmarks.formats.records import by_pictures
 from workbench.landmarks.scheme import first_68
 from workbench.objectives.evidence import surface_points
 from workbench.objectives.records import Truth
@@ -16,18 +17,26 @@ from workbench.tracking import Track
 
 
 def read_truth(
-    path: str | Path, model: FaceModel, frames: Sequence[int], image_size: tuple[int, int] | None = None
+    path: str | Path,
+    model: FaceModel,
+    frames: Sequence[int],
+    image_size: tuple[int, int] | None = None,
+    pictures: Sequence[str] = (),
 ) -> Truth:
     """What a file says of these frames of a clip; NaN for those that it does not have.
 
     A `.npz` holds any of `rotation` (n, 3), `translation` (n, 3), `expression` (n, k) with `expression_names` (k),
     `identity` and `landmarks` (n, 68, 2), row by frame, as `data_samples/performance_truth.npz`; or it is a track,
-    whose fits then count as true. A landmark file has labels. Raises `InputError` for anything else.
+    whose fits then count as true. A landmark file has labels; those that name a picture are of that one, by
+    the file names of the clip's `pictures`. Raises `InputError` for anything else.
     """
     path = checked_file(path, "a truth")
     if path.suffix.lower() != ".npz":
-        records = {record.frame: record.landmarks for record in read_landmark_file(path, image_size)}
-        found = [records.get(frame) for frame in frames]
+        records = read_landmark_file(path, image_size)
+        if pictures and path.suffix.lower() != ".csv":  # a CSV names no pictures
+            records = by_pictures(records, pictures)
+        labels = {record.frame: record.landmarks for record in records}
+        found = [labels.get(frame) for frame in frames]
         return Truth(labels=np.stack([_NO_LABELS if each is None else first_68(each.points) for each in found]))
     with (
         reading(path, "a truth", "a track or an archive of rotation, translation, expression, identity, landmarks"),

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 import workbench
 from workbench.config import Config
 from workbench.errors import InputError
-from workbench.frames import RATE_OF_IMAGES, Frame, FrameRange, Frames, ImageFrames, open_frames, range_notes
+from workbench.frames import RATE_OF_IMAGES, Frame, FrameRange, Frames, image_names, open_frames, range_notes
 from workbench.landmarks.files import LandmarkRecord, is_landmark_file, read_landmark_file, states_size
 from workbench.landmarks.formats.records import by_pictures, check_size, scheme_of_records, without_gaps
 from workbench.tracking import FrameObservation
@@ -179,7 +179,7 @@ def open_source(
     if of_landmarks:
         return FileSource(paths, None, rows)
     opened = open_frames(paths if len(paths) > 1 else paths[0])
-    names = [path.name for path in opened.paths] if isinstance(opened, ImageFrames) else []
+    names = image_names(opened)
     opened = opened if frames is None else FrameRange(opened, *frames)
     if landmarks is not None:
         return FileSource([landmarks], opened, rows, keep_pictures, config.compares_pictures, names)

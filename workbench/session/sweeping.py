@@ -8,6 +8,7 @@ import numpy as np
 from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel
+from workbench.frames import image_names
 from workbench.objectives import TABLE, Truth, flow_of_pictures, folds_of, observed_clip, read_truth
 from workbench.session.material import Cancelled, Material, Progress
 from workbench.sweeps import (
@@ -83,7 +84,8 @@ class SessionSweeps:
         known, flow = Truth(), None
         if truth is not None:
             indices = [observation.index for observation in observations]
-            known = read_truth(truth, self._model, indices, observations[0].image_size)
+            names = image_names(material.pictures.frames)
+            known = read_truth(truth, self._model, indices, observations[0].image_size, names)
         if any(TABLE[name].needs == "flow" for name in objectives) and material.pictures.real:
             if self._flow is None:
                 self._flow = flow_of_pictures(material.pictures, observed_clip(observations))

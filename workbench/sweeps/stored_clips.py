@@ -12,6 +12,7 @@ from workbench import __version__
 from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel, in_scheme
+from workbench.frames import image_names
 from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
 from workbench.objectives import Truth, flow_of_pictures, lacking, objective, observed_clip, read_truth
 from workbench.pipeline import open_source
@@ -107,7 +108,8 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     if source.truth:
         indices = [observation.index for observation in found]
         scheme = scheme_of_faces(seen.landmarks for seen in found)
-        truth = read_truth(local_file(source.truth), in_scheme(model, scheme), indices, found[0].image_size)
+        path, names = local_file(source.truth), image_names(opened.frames)
+        truth = read_truth(path, in_scheme(model, scheme), indices, found[0].image_size, names)
     second = None
     if source.second is not None:
         second = seen_by_second(source.second, config, len(found), found[0].image_size, stills)
