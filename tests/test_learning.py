@@ -13,7 +13,7 @@ from workbench.face import load_default_head
 from workbench.learning import objective
 from workbench.learning.chain import fitted_stretch
 from workbench.learning.descent import begin, store, stored
-from workbench.learning.examples import Example, example_of, stretches_in
+from workbench.learning.examples import Example, example_of, size_of, stretches_in
 from workbench.learning.learnable import learned, start_of, weighing_of
 from workbench.learning.parts import parts_of_clip, read_frames
 from workbench.learning.report import change_of
@@ -130,6 +130,14 @@ def test_stretches_neither_cross_cuts_nor_gaps(clip):
     assert stretches_in(torn, range(40), 12) == [range(5, 17), range(21, 33)]
     with pytest.raises(InputError, match="no 12 in a row"):
         stretches_in(torn, range(10, 25), 12)
+
+
+def test_a_gradient_refuses_pictures_of_two_sizes(clip):
+    larger = [replace(frame, image_size=(1280, 960)) for frame in clip.observations[12:24]]
+    mixed = replace(clip, observations=(*clip.observations[:12], *larger))
+    assert size_of(mixed, [range(12, 24)]) == (1280, 960)
+    with pytest.raises(InputError, match=r"differ in size.*--train"):
+        size_of(mixed, [range(12), range(12, 24)])
 
 
 def test_a_learning_is_stored_and_taken_up_only_for_the_same_thing(tmp_path):

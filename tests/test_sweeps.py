@@ -91,6 +91,22 @@ def test_fits_are_those_of_the_tracker_to_the_last_bit(solver, head, name, monke
     assert np.isnan(fits.iterations[[5, 6]]).all()
 
 
+def test_pictures_of_two_sizes_are_fitted_with_a_camera_each_as_the_tracker_does(solver, head):
+    frames = observations(range(12))
+    clip = replace(swept(()), observations=(*frames[:6], *map(enlarged, frames[6:])), digest="two sizes")
+    track = session_of(head, clip.observations).track
+    (fits,) = solver.fits([FACE_IT], clip, clip.shots)
+    for part in NAMES[:4]:
+        np.testing.assert_array_equal(getattr(fits, part), getattr(track, part))
+
+
+def enlarged(frame):
+    size = tuple(2 * side for side in frame.image_size)
+    return replace(
+        frame, image_size=size, landmarks=replace(frame.landmarks, points=2 * frame.landmarks.points, image_size=size)
+    )
+
+
 def test_fits_do_not_depend_on_what_else_is_solved_with_them(solver):
     clip = swept(range(0, 60, 2))
     configs = [FACE_IT.changed(weights={"tau": float(tau)}) for tau in np.geomspace(1e-3, 10, 21)]

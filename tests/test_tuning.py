@@ -241,7 +241,7 @@ class TestASearchBeforeAGradient:
         monkeypatch.setattr(tuning, "descended", descended_once)
 
     def tuned(self, resume=False):
-        clip = SweptClip("clip", "digest", tuple(observations(range(2))), False)
+        clip = SweptClip("clip", "digest", tuple(observations(range(12))), False)
         axes, parts = (read_axis(AXIS),), parts_of_clip(60)
         wanted = Wanted(read_sum("jitter"), parts, ("weights.sigma_smooth",), axes)
         return tuned(load_default_head(), preset("joint"), clip, wanted, place=self.place, resume=resume)

@@ -78,6 +78,17 @@ def stretches_in(clip: SweptClip, frames: range, length: int = LENGTH) -> list[r
     return found
 
 
+def size_of(clip: SweptClip, stretches: Sequence[range]) -> tuple[int, int]:
+    """(width, height) of the pictures of some stretches. Raises `InputError` where they differ."""
+    sizes = {clip.observations[k].image_size for stretch in stretches for k in stretch}
+    if len(sizes) > 1:
+        raise InputError(
+            f"The pictures of {clip.name} differ in size, and a gradient goes through one camera; learn on frames of "
+            "one size (--train), or search (--search)."
+        )
+    return sizes.pop()
+
+
 def spread(stretches: Sequence[range], count: int) -> list[range]:
     """Up to `count` of the stretches, evenly over them."""
     count = min(count, len(stretches))

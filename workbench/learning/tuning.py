@@ -12,7 +12,7 @@ from workbench.config import Config, differences
 from workbench.errors import ConfigError, InputError
 from workbench.face import FaceModel
 from workbench.learning.descent import Learning, Watched, begin, descended, read_learning, stored
-from workbench.learning.examples import example_of, spread, stretches_in
+from workbench.learning.examples import example_of, size_of, spread, stretches_in
 from workbench.learning.keys import key_of
 from workbench.learning.learnable import Logs, learned, limits_of, start_of
 from workbench.learning.objective import check_gradient, compiled_slope
@@ -150,12 +150,11 @@ def learn_on(
     check_gradient(wanted.objectives)
     kinds = folds_needed(wanted.objectives.names)
 
-    train = [
-        example_of(solver, config, clip, window, kinds)
-        for window in spread(stretches_in(clip, wanted.parts.train), TRAINED)
-    ]
+    windows = spread(stretches_in(clip, wanted.parts.train), TRAINED)
+    image_size = size_of(clip, windows)
+    train = [example_of(solver, config, clip, window, kinds) for window in windows]
     watched = None if wanted.parts.watch is None else watched_on(solver, config, clip, wanted)
-    slope = compiled_slope(config, wanted.objectives, clip.observations[0].image_size, start, train[0])
+    slope = compiled_slope(config, wanted.objectives, image_size, start, train[0])
     parts = {name: [frames.start, frames.stop] for name, frames in wanted.parts.named.items()}
     key = key_of(config, clip, solver.model, wanted.objectives, learn=list(wanted.learn), parts=parts)
     file = None if place is None else place.with_suffix(OF_LEARNING)

@@ -76,14 +76,13 @@ class ChainJob:
 
     setting: Setting
     person: LandmarkModel
-    camera: Camera
     frames: ChainFrames
     """On the host; (n, …)."""
 
     @property
     def chain(self) -> Chain:
         """All but the frames."""
-        return Chain(self.camera, self.person, self.setting.numbers, self.setting.first, self.setting.later)
+        return Chain(self.person, self.setting.numbers, self.setting.first, self.setting.later)
 
 
 class SeenFrames(NamedTuple):
@@ -219,18 +218,21 @@ class ClipSolver:
         plan, solved = setting.plan, self._solved(clip.scheme)
         shapes = len(solved.model.expression_names)
         person = solved.landmarks.personal(np.asarray(calibrated.identity, float))
-        camera = plan.camera.of(clip.observations[window.start].image_size)
+        sizes = [clip.observations[k].image_size for k in window]
+        by_size = {size: plan.camera.of(size) for size in set(sizes)}
+        cameras = [by_size[size] for size in sizes]
         seen = self._seen(setting, clip, window, mask)
         starts = (np.zeros((len(window), size)) for size in (3, 3, shapes))
-        frames = ChainFrames(*seen[:3], *starts, whitening=seen.whitening)
+        stacked = Camera(*(np.stack(part) for part in zip(*cameras, strict=True)))
+        frames = ChainFrames(*seen[:3], *starts, stacked, seen.whitening)
         for k in np.flatnonzero(seen.afresh):
             start = calibrated.starts.get(clip.observations[window[k]].index)
             if start is None:
                 used = (plan.point_weights > 0.0) & ~mask[k]
-                pose = initial_pose(camera, person.frontal_neutral(), seen.measured[k, :, :2], used)
+                pose = initial_pose(cameras[k], person.frontal_neutral(), seen.measured[k, :, :2], used)
                 start = FaceParameters(*pose, np.zeros(shapes), np.zeros(0))
             frames.rotation[k], frames.translation[k], frames.expression[k] = start[:3]
-        return ChainJob(setting, person, camera, frames)
+        return ChainJob(setting, person, frames)
 
     def _seen(self, setting: Setting, clip: SweptClip, window: range, mask: Bool[np.ndarray, "n points"]) -> SeenFrames:
         """What the frames of a window show; the same for most settings, so the latest are kept."""

@@ -1,9 +1,9 @@
 """Many chains of frames in one compiled program: settings × parts of clips as its batch axis, frames in their order.
 
 A frame starts from the one before it, as in `walk.py`, so a chain is run through frame by frame; chains know nothing of
-one another. They come as data in blocks of fixed size, each chain with its own camera, person, settings, stages and
-masks: no setting and no length of a clip compiles anything. What a chain's frames are does not depend on the other
-chains of its block, nor on where the blocks are cut, to the last bit.
+one another. They come as data in blocks of fixed size, each chain with its own person, settings, stages and masks,
+each frame with its own camera: no setting and no length of a clip compiles anything. What a chain's frames are does not
+depend on the other chains of its block, nor on where the blocks are cut, to the last bit.
 
 The batch is mapped over, not vectorised. Under `vmap` all chains of a block would take the steps of the slowest one
 through both branches of every condition, which costs more than wide arithmetic saves: one frame already fills a core.
@@ -41,6 +41,8 @@ class ChainFrames(NamedTuple):
     rotation: Float[AnyArray, "*c f 3"]
     translation: Float[AnyArray, "*c f 3"]
     expression: Float[AnyArray, "*c f k"]
+    camera: Camera
+    """That of each frame's picture; (*c, f, …) each."""
     whitening: Float[AnyArray, "*c f points 2 2"] | None = None
     """`Observation.whitening`; None where landmarks have no covariances."""
 
@@ -58,7 +60,6 @@ class ChainState(NamedTuple):
 class Chain(NamedTuple):
     """All that a chain's solves need besides its frames."""
 
-    camera: Camera
     person: LandmarkModel
     settings: SolveSettings
     first: StageProgram
@@ -105,7 +106,7 @@ def _fitted(chain: Chain, method: Method, terms: tuple[str, ...], state: ChainSt
     last_pose, before_last = (jnp.where(frame.afresh, 0.0, pose) for pose in (state.pose, state.last_pose))
     history = (~frame.afresh & (state.count >= 2)).astype(float)
     found = run_stages(
-        chain.camera,
+        frame.camera,
         chain.person,
         chain.settings,
         program,
