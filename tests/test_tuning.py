@@ -260,6 +260,14 @@ class TestASearchBeforeAGradient:
         self.tuned(resume=True)
         assert len(self.begun[-1].values) == 0
 
+    def test_a_tuning_that_begins_anew_leaves_nothing_of_the_earlier_one_to_go_on_with(self):
+        self.tuned()
+        self.found = Searched(preset("joint"), True)
+        self.tuned()
+        self.found = Searched(preset("joint"), False)
+        self.tuned(resume=True)
+        assert [len(begun.values) for begun in self.begun] == [0, 0]
+
     def test_a_learning_belongs_to_its_face_model(self, monkeypatch):
         self.tuned()
         monkeypatch.setattr(FaceModel, "fingerprint", lambda model: "another")

@@ -93,21 +93,27 @@ def tuned(
 ) -> Tuned:
     """The configuration with the settings that its objective likes best on the part to learn on.
 
-    `place`: files of what was learned and searched begin so (`kept_beside`), and `resume` goes on with them. An
-    interrupt (Ctrl-C) keeps what was found, and so does `stopped`, which is asked before each step of a gradient; after
-    a search that was interrupted no gradient is begun, for the search may yet find a better start.
+    `place`: files of what was learned and searched begin so (`kept_beside`); `resume` goes on with them, else those of
+    an earlier tuning are removed. An interrupt (Ctrl-C) keeps what was found, and so does `stopped`, which is asked
+    before each step of a gradient; after a search that was interrupted no gradient is begun, for the search may yet
+    find a better start.
     Raises `ConfigError` for settings that cannot be learned or searched, and `InputError` for a clip without frames to
     learn on or without what an objective needs, and for files of another tuning.
     """
     if not (wanted.learn or wanted.search):
         raise ConfigError("There is nothing to tune; name settings to learn (--learn) or to search (--search).")
     check_usable(wanted.objectives.names, clip_in(clip, clip.shots, config))
+    if wanted.search and place is None:
+        raise ConfigError("A search keeps its study in a file; name the result (--out, place=).")
+    if place is not None and not resume:
+        for earlier in kept_beside(place):
+            earlier.unlink(missing_ok=True)
     solver, found, search, learning = ClipSolver(model), config, None, None
     if wanted.search:
         stretches = spread(stretches_in(clip, wanted.parts.train), TRAINED)
-        journal = _study_file(place, resume)
+        study = place.with_suffix(OF_SEARCH)
         search = searched(
-            solver, config, wanted.search, wanted.objectives, clip, stretches, wanted.trials, journal,
+            solver, config, wanted.search, wanted.objectives, clip, stretches, wanted.trials, study,
             lambda done, total, value: tell("search", done, total, value, None),
         )  # fmt: skip
         found = search.config
@@ -203,15 +209,6 @@ def measured(
         values = wanted.objectives.of(dict(zip(names, rows, strict=True)))
         found.append({part: values[frames.start : frames.stop] for part, frames in wanted.parts.named.items()})
     return found
-
-
-def _study_file(place: Path | None, resume: bool) -> Path:
-    if place is None:
-        raise ConfigError("A search keeps its study in a file; name the result (--out, out=).")
-    journal = place.with_suffix(OF_SEARCH)
-    if not resume:
-        journal.unlink(missing_ok=True)
-    return journal
 
 
 def _provenance(result: Tuned, model: FaceModel, wanted: Wanted, inputs: Sequence[str]) -> dict:
