@@ -16,6 +16,7 @@ from tests.test_nothing_lost import small_disk
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, OutputError
 from workbench.frames import write_picture
+from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.objectives import WeightedSum, drawn_means, folds_of
 from workbench.session import Material, TuningSession, sweeping
 from workbench.session.material import PictureStore, load_material
@@ -406,6 +407,16 @@ def test_a_clip_without_faces_or_files_is_told_and_the_rest_goes_on(done, clips,
         do(plan(empty), tmp_path / "t")
 
 
+def test_a_clip_in_whose_fitted_frames_nothing_has_a_value_is_told(clips, tmp_path):
+    late, frames = tmp_path / "late.csv", observations(range(12), gaps=range(11))
+    write_landmark_file(late, [LandmarkRecord(each.index, "", each.landmarks, each.image_size) for each in frames])
+    result, _ = do(plan(clips[0], late, frames=2), tmp_path / "s")
+    assert result.clips == ("one",)
+    assert "No objective has a value in the frames that were fitted" in result.failures["late"]
+    with pytest.raises(InputError, match="None of the clips can be fitted: No objective has a value"):
+        do(plan(late, frames=2), tmp_path / "t")
+
+
 def test_a_full_disk_ends_a_sweep_in_a_sentence_and_what_was_done_stays(done, clips, tmp_path):
     do(plan(clips[0], axes=["weights.tau=0.01,0.1"]), tmp_path / "s")
     with (
@@ -525,6 +536,14 @@ def test_figures_of_other_settings_do_not_stay_beside_a_new_table(clips, done, t
     assert {path.name for path in (tmp_path / "mine").iterdir()} == {*names, *earlier}
     write_outcome(result, tmp_path / "sweep")
     assert {path.name for path in (tmp_path / "sweep").iterdir()} == {*names, "mine.png"}
+
+
+def test_the_best_of_other_settings_does_not_stay_beside_a_table_without_a_best(done, tmp_path):
+    result, _ = done
+    assert "best.toml" in write_outcome(result, tmp_path)
+    nothing = replace(result, values={place: np.full_like(rows, np.nan) for place, rows in result.values.items()})
+    write_outcome(nothing, tmp_path)
+    assert not (tmp_path / "best.toml").exists()
 
 
 def test_the_tables_hold_settings_means_and_quartiles(done, tmp_path):

@@ -29,6 +29,10 @@ USUAL_OBJECTIVES = ("error", "left-out-points", "jitter", "iterations")
 FITS = 1000
 """Fits of a task at most, folds included: about a second."""
 DEFINITION = "sweep.json"
+NO_VALUES = (
+    "No objective has a value in the frames that were fitted, as where none of them has a face; fit more (--frames), "
+    "or measure something else (--objective)."
+)
 
 Item = TypeVar("Item")
 Progress = Callable[[str, int, int | None], None]
@@ -100,9 +104,10 @@ def run_sweep(
 ) -> SweepResult:
     """Do a sweep, keeping its results in a folder by path or URL; what is there already is not done again.
 
-    A clip that cannot be fitted is told in `SweepResult.failures`, and the rest goes on. Raises `ConfigError` for what
-    the sweep asks for, `OutputError` for a place that takes no more or that holds a sweep unless `resume`, `InputError`
-    if no clip can be used, or fitted at any point. Whatever ends it, finished results stay.
+    A clip that cannot be fitted or measured is told in `SweepResult.failures`, and the rest goes on. Raises
+    `ConfigError` for what the sweep asks for, `OutputError` for a place that takes no more or that holds a sweep unless
+    `resume`, `InputError` if no clip can be used, or fitted and measured at any point. Whatever ends it, finished
+    results stay.
     """
     points, configs = sweep.checked()
     # Workers may run in another folder.
@@ -146,6 +151,9 @@ def run_sweep(
         done += sizes[number]
         progress("fits", done, total)
     values = _gathered(sweep, storage, configs, observed, parts)
+    known = {name for (_, name), rows in values.items() if np.isfinite(rows).any()}
+    failures |= {name: NO_VALUES for _, name in values if name not in known}
+    values = {place: rows for place, rows in values.items() if place[1] in known}
     if not values:
         raise InputError(f"None of the clips can be fitted: {next(iter(failures.values()))}")
     failures = {name: f"{reason}{_gaps(name, points, values)}" for name, reason in failures.items()}

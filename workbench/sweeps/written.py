@@ -15,7 +15,7 @@ from workbench.sweeps.figures import FIGURES, write_figures
 from workbench.sweeps.outcome import SweepResult
 from workbench.sweeps.storage import is_url
 
-TABLE = "table.csv"
+TABLE, BEST = "table.csv", "best.toml"
 
 
 def write_outcome(result: SweepResult, place: str | Path, wanted: WeightedSum | None = None) -> tuple[str, ...]:
@@ -27,7 +27,7 @@ def write_outcome(result: SweepResult, place: str | Path, wanted: WeightedSum | 
     if not is_url(str(place)):
         there = [path.name for path in make_folder(place).iterdir()]
         names = _write(result, Path(place), wanted)
-        for earlier in _earlier_figures(there, names):
+        for earlier in _outdated(there, names):
             (Path(place) / earlier).unlink(missing_ok=True)
         return names
     import fsspec
@@ -39,16 +39,16 @@ def write_outcome(result: SweepResult, place: str | Path, wanted: WeightedSum | 
             there = [Path(each).name for each in system.ls(path, detail=False)] if system.exists(path) else []
             for name in names:
                 system.put_file(str(Path(folder) / name), f"{path.rstrip('/')}/{name}")
-            for earlier in _earlier_figures(there, names):
+            for earlier in _outdated(there, names):
                 system.rm_file(f"{path.rstrip('/')}/{earlier}")
     return names
 
 
-def _earlier_figures(there: Sequence[str], written: Sequence[str]) -> list[str]:
-    """Of what was there, the figures of other settings; none without the table of an earlier outcome."""
+def _outdated(there: Sequence[str], written: Sequence[str]) -> list[str]:
+    """Of what was there, figures and best configuration of an earlier outcome; nothing without its table."""
     if TABLE not in there:
         return []
-    return [name for name in there if name not in written and any(fnmatch(name, each) for each in FIGURES)]
+    return [name for name in there if name not in written and any(fnmatch(name, each) for each in (BEST, *FIGURES))]
 
 
 def _write(result: SweepResult, folder: Path, wanted: WeightedSum | None) -> tuple[str, ...]:
@@ -60,9 +60,9 @@ def _write(result: SweepResult, folder: Path, wanted: WeightedSum | None) -> tup
         names.append("table.parquet")
     best = result.best(wanted)
     if best is not None:
-        with writing(folder / "best.toml"):
-            (folder / "best.toml").write_text(config_toml(best_config(result, best)), encoding="utf-8")
-        names.append("best.toml")
+        with writing(folder / BEST):
+            (folder / BEST).write_text(config_toml(best_config(result, best)), encoding="utf-8")
+        names.append(BEST)
     if result.values:
         with writing(folder):
             names.extend(write_figures(result, folder))
