@@ -1,5 +1,6 @@
 """Learning: gradients through the solver against differences, what has none, parts, bootstrap, and what is stored."""
 
+import re
 from dataclasses import replace
 
 import jax
@@ -7,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from workbench.config import config_toml, preset
+from workbench.config import PRESETS, config_toml, preset
 from workbench.errors import ConfigError, InputError
 from workbench.face import load_default_head
 from workbench.learning import objective
 from workbench.learning.chain import fitted_stretch
 from workbench.learning.descent import begin, store, stored
 from workbench.learning.examples import Example, example_of, size_of, stretches_in
-from workbench.learning.learnable import learned, start_of, weighing_of
+from workbench.learning.learnable import check_smooth, learned, start_of, weighing_of
 from workbench.learning.parts import parts_of_clip, read_frames
 from workbench.learning.report import change_of
 from workbench.objectives import read_sum
@@ -22,6 +23,7 @@ from workbench.planning import plan_of
 from workbench.runtime import SMALL_ARRAYS
 from workbench.samples import sample
 from workbench.sweeps import ClipSolver
+from workbench.sweeps.solving import check_swept
 from workbench.sweeps.stored_clips import ClipSource, observe
 
 CONFIG = preset("joint").changed(camera={"fov_deg": 33.0})
@@ -70,6 +72,21 @@ def test_the_gradient_is_that_of_differences_with_bounds_active_and_through_time
 def test_what_has_no_gradient_is_said(config, path, said):
     with pytest.raises(ConfigError, match=said):
         start_of(config, [path])
+
+
+@pytest.mark.parametrize("check", [check_smooth, check_swept])
+def test_whoever_starts_from_a_renderer_is_sent_to_the_presets_that_work(check):
+    with pytest.raises(ConfigError) as refused:
+        check(preset("deep"))
+
+    def works(name):
+        try:
+            return check(preset(name)) is None
+        except ConfigError:
+            return False
+
+    named = re.search(r"start from (.*) \(--preset\)", str(refused.value))[1]
+    assert set(re.split(", | or ", named)) == set(filter(works, PRESETS))
 
 
 def test_learned_factors_scale_what_was_there():

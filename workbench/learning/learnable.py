@@ -69,9 +69,12 @@ def limits_of(config: Config, paths: Sequence[str]) -> dict[str, tuple[float, fl
 def check_smooth(config: Config) -> None:
     """Raise `ConfigError` unless the fits of a configuration move smoothly with its settings."""
     if config.system != "face-it":
-        raise ConfigError("Gradients through the solver are FACE IT!'s; Deep Energies' settings can be searched.")
+        raise ConfigError(
+            "Gradients go through FACE IT!'s solver, and Deep Energies renders; start from joint, calibrated, gaze or "
+            "dense (--preset)."
+        )
     if config.compares_pictures:
-        raise ConfigError("The flow term has no gradient by settings; switch it off, or search (--search).")
+        raise ConfigError("The flow term has no gradient by settings; take the term 'flow' out of the stages.")
     for name in sorted(config.summed_terms):
         term = TABLE[name]
         if not term.smooth and config.omega()[term.omega_key(config.system)] > 0.0:

@@ -284,7 +284,8 @@ def check_swept(config: Config) -> None:
     """Raise `ConfigError` for a configuration whose frames need more than their landmarks."""
     if config.traits.renders:
         raise ConfigError(
-            "A sweep fits landmarks, and Deep Energies renders; start from joint, calibrated or face-it (--preset)."
+            "A sweep fits landmarks, and Deep Energies renders; start from joint, calibrated, face-it, gaze or dense "
+            "(--preset)."
         )
     if config.compares_pictures:
         raise ConfigError("A sweep fits landmarks without pictures; take the term 'flow' out of the stages.")
