@@ -183,7 +183,7 @@ def test_a_search_of_something_else_is_not_gone_on_with(by_tau, other):
     axes = other.get("axes", ["weights.tau=log(5,100)"])
     other = {name: value for name, value in other.items() if name != "axes"}
     with pytest.raises(
-        InputError, match="was searched with another configuration, clip, objective, part or space; leave"
+        InputError, match="was searched with another configuration, clip, objective, part or space; begin anew"
     ):
         by_tau.searched(*axes, **other)
     assert len(by_tau.asked) == before
@@ -202,7 +202,7 @@ def test_a_journal_that_is_torn_or_none_is_one_sentence(by_tau):
     by_tau.searched("weights.tau=log(5,100)")
     for content in (by_tau.journal.read_text()[:-20], "hello\n", "[1]\n", "{}\n"):
         by_tau.journal.write_text(content)
-        with pytest.raises(InputError, match=r"a.study.log is not a stored search .*leave out --resume"):
+        with pytest.raises(InputError, match=r"a.study.log is not a stored search .*--overwrite in place of --resume"):
             by_tau.searched("weights.tau=log(5,100)")
 
 
@@ -322,8 +322,19 @@ def test_the_command_searches_and_writes_a_configuration_that_says_so(clip, tmp_
     assert anew.exit_code != 0
     assert "--resume" in str(anew.exception)
     out.write_text(found_before)
+    other = [text if text != "jitter+error" else "error" for text in (*asked, *parts)]
+    refused = CliRunner().invoke(app, [*other, "--resume"])
+    assert "--overwrite in place of --resume" in str(refused.exception)
     more = CliRunner().invoke(app, [*asked[:-4], "--trials", "3", "--out", str(out), "--resume", *parts])
     assert more.exit_code == 0, more.output
+    as_told = CliRunner().invoke(app, [*other, "--overwrite"])
+    assert as_told.exit_code == 0, as_told.output
+
+
+def test_a_session_that_searches_without_a_place_is_told_the_option_that_it_has(session):
+    with pytest.raises(ConfigError, match="place=") as refused:
+        session.tune("error", search=[AXIS], **PARTS)
+    assert "out=" not in str(refused.value)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from workbench.errors import InputError
 from workbench.extras import needs
 from workbench.files import atomic_path
 from workbench.learning.examples import Example
+from workbench.learning.keys import ANEW
 from workbench.learning.learnable import FARTHEST, POINTS, Logs
 from workbench.reading import checked_content, checked_json
 from workbench.runtime import COMPUTING
@@ -194,7 +195,7 @@ def read_learning(path: Path) -> Learning:
         if any(len(found.logs[name]) != len(log) for name, log in found.momentum.items()):
             raise ValueError("another number of factors")
     except (ValueError, TypeError, KeyError) as error:
-        raise InputError(f"{path} is not a stored learning ({error}); leave out --resume to begin anew.") from error
+        raise InputError(f"{path} is not a stored learning ({error}); {ANEW}.") from error
     return found
 
 
@@ -202,7 +203,5 @@ def stored(path: Path, key: str) -> Learning:
     """A learning to go on with. Raises `InputError` if the file is not one, or of something else."""
     found = read_learning(path)
     if found.key != key:
-        raise InputError(
-            f"{path} was learned from another configuration, clip, objective or part; leave out --resume to begin anew."
-        )
+        raise InputError(f"{path} was learned from another configuration, clip, objective or part; {ANEW}.")
     return found

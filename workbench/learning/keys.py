@@ -9,6 +9,9 @@ from workbench.face import FaceModel
 from workbench.objectives import WeightedSum
 from workbench.sweeps.clips import SweptClip
 
+ANEW = "begin anew by --overwrite in place of --resume (in a session, without resume=True)"
+"""What to do where it does not belong to it."""
+
 
 def key_of(config: Config, clip: SweptClip, model: FaceModel, objectives: WeightedSum, **more: Any) -> str:
     """SHA-256 of all that a search or a learning goes on from; `more`, plain values, is what they differ in."""

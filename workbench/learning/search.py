@@ -15,7 +15,7 @@ from workbench.config import Config
 from workbench.errors import ConfigError, InputError
 from workbench.extras import needs
 from workbench.files import make_folder
-from workbench.learning.keys import key_of
+from workbench.learning.keys import ANEW, key_of
 from workbench.objectives import WeightedSum
 from workbench.reading import checked_content, checked_json
 from workbench.sweeps.acting import check_axis
@@ -126,16 +126,13 @@ def _study(journal: Path, key: str):
     except InputError:
         raise
     except (ValueError, TypeError, LookupError, AttributeError) as error:
-        raise InputError(f"{journal} is not a stored search ({error}); leave out --resume to begin anew.") from error
+        raise InputError(f"{journal} is not a stored search ({error}); {ANEW}.") from error
     # A search that goes on draws other points than it began with.
     study.sampler = optuna.samplers.TPESampler(seed=SEED + len(_ended(study)))
     if not (study.user_attrs or study.trials):
         study.set_user_attr(KEY, key)
     if study.user_attrs.get(KEY) != key:
-        raise InputError(
-            f"{journal} was searched with another configuration, clip, objective, part or space; leave out --resume to "
-            "begin anew."
-        )
+        raise InputError(f"{journal} was searched with another configuration, clip, objective, part or space; {ANEW}.")
     return study
 
 
