@@ -240,11 +240,11 @@ class TestASearchBeforeAGradient:
 
         monkeypatch.setattr(tuning, "descended", descended_once)
 
-    def tuned(self, resume=False):
+    def tuned(self, resume=False, learn="weights.sigma_smooth", objective="jitter", base="joint"):
         clip = SweptClip("clip", "digest", tuple(observations(range(12))), False)
         axes, parts = (read_axis(AXIS),), parts_of_clip(60)
-        wanted = Wanted(read_sum("jitter"), parts, ("weights.sigma_smooth",), axes)
-        return tuned(load_default_head(), preset("joint"), clip, wanted, place=self.place, resume=resume)
+        wanted = Wanted(read_sum(objective), parts, (learn,), axes)
+        return tuned(load_default_head(), preset(base), clip, wanted, place=self.place, resume=resume)
 
     def test_the_gradient_waits_for_a_search_that_was_interrupted(self):
         self.found = Searched(preset("joint"), True)
@@ -267,6 +267,18 @@ class TestASearchBeforeAGradient:
         self.found = Searched(preset("joint"), False)
         self.tuned(resume=True)
         assert [len(begun.values) for begun in self.begun] == [0, 0]
+
+    @pytest.mark.parametrize(
+        "slip", [{"learn": "weights.tua"}, {"objective": "iterations"}, {"base": "face-it"}], ids=str
+    )
+    def test_what_cannot_be_learned_is_said_before_the_search_and_costs_nothing(self, slip, monkeypatch):
+        self.tuned()
+        asked = []
+        monkeypatch.setattr(tuning, "searched", lambda *given: asked.append(given))
+        with pytest.raises(ConfigError, match=r"gradient|derivative"):
+            self.tuned(**slip)
+        assert not asked
+        assert self.place.with_suffix(".learning.json").exists()
 
     def test_a_learning_belongs_to_its_face_model(self, monkeypatch):
         self.tuned()

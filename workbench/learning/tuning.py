@@ -103,6 +103,9 @@ def tuned(
     if not (wanted.learn or wanted.search):
         raise ConfigError("There is nothing to tune; name settings to learn (--learn) or to search (--search).")
     check_usable(wanted.objectives.names, clip_in(clip, clip.shots, config))
+    if wanted.learn:
+        # Before a search, which may stay at its start.
+        check_learnable(config, clip, wanted)
     if wanted.search and place is None:
         raise ConfigError("A search keeps its study in a file; name the result (--out, place=).")
     if place is not None and not resume:
@@ -110,10 +113,9 @@ def tuned(
             earlier.unlink(missing_ok=True)
     solver, found, search, learning = ClipSolver(model), config, None, None
     if wanted.search:
-        stretches = spread(stretches_in(clip, wanted.parts.train), TRAINED)
         study = place.with_suffix(OF_SEARCH)
         search = searched(
-            solver, config, wanted.search, wanted.objectives, clip, stretches, wanted.trials, study,
+            solver, config, wanted.search, wanted.objectives, clip, trained_on(clip, wanted), wanted.trials, study,
             lambda done, total, value: tell("search", done, total, value, None),
         )  # fmt: skip
         found = search.config
@@ -141,6 +143,18 @@ def inputs_of(source: ClipSource) -> list[str]:
     return [f"{place} sha256:{content_hash(place)}" for place in places if place.exists()]
 
 
+def check_learnable(config: Config, clip: SweptClip, wanted: Wanted) -> None:
+    """Raise `ConfigError` for settings, fits and objectives without a gradient, `InputError` for such frames."""
+    start_of(config, wanted.learn)
+    check_gradient(wanted.objectives)
+    size_of(clip, trained_on(clip, wanted))
+
+
+def trained_on(clip: SweptClip, wanted: Wanted) -> list[range]:
+    """The stretches that are searched and learned on. Raises `InputError` for a part without any."""
+    return spread(stretches_in(clip, wanted.parts.train), TRAINED)
+
+
 def learn_on(
     solver: ClipSolver,
     config: Config,
@@ -153,10 +167,9 @@ def learn_on(
 ) -> Learning:
     """The learning of a configuration's settings by gradient."""
     start = start_of(config, wanted.learn)
-    check_gradient(wanted.objectives)
     kinds = folds_needed(wanted.objectives.names)
 
-    windows = spread(stretches_in(clip, wanted.parts.train), TRAINED)
+    windows = trained_on(clip, wanted)
     image_size = size_of(clip, windows)
     train = [example_of(solver, config, clip, window, kinds) for window in windows]
     watched = None if wanted.parts.watch is None else watched_on(solver, config, clip, wanted)
