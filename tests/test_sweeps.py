@@ -461,9 +461,10 @@ def test_an_objective_that_a_clip_cannot_have_is_told(clips, tmp_path):
     assert not (tmp_path / "s").exists()
 
 
-def test_a_sweep_in_which_nothing_could_be_fitted_ends_in_a_sentence(clips, tmp_path):
-    with pytest.raises(InputError, match=r"None of the clips can be fitted: .*needs the clip's pictures"):
+def test_motion_that_is_asked_for_without_pictures_is_told_before_any_fit(clips, tmp_path):
+    with pytest.raises(InputError, match=r"None of the clips can be used: .*needs the clip's pictures"):
         do(plan(clips[0], objectives=("error", "flow")), tmp_path / "s")
+    do(plan(clips[0]), tmp_path / "s")  # the folder is still free
 
 
 def test_clips_are_found_by_workers_in_another_folder(clips, tmp_path, monkeypatch):

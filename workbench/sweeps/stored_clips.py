@@ -104,6 +104,8 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     if not any(observation.landmarks is not None for observation in found):
         raise InputError(f"{source.clip} {NO_FACES}")
     flow = np.stack(flow) if flow and all(each is not None for each in flow) else None
+    if source.flow and flow is None:
+        raise lacking("flow")
     truth = Truth()
     if source.truth:
         indices = [observation.index for observation in found]
