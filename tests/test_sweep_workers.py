@@ -16,7 +16,7 @@ from workbench.config import preset
 from workbench.errors import LostSchedulerError
 from workbench.sweeps import Sweep, read_axis, run_sweep, sources_of
 from workbench.sweeps import sweep as sweep_module
-from workbench.sweeps.tasks import Observed, ObserveTask
+from workbench.sweeps.tasks import Observed, ObserveTask, model_source
 from workbench.workers import Pool, ThisProcess, dask_workers, guarded
 from workbench.workers.tasks import run as by_itself
 
@@ -132,7 +132,7 @@ def test_an_interrupt_ends_the_command_and_keeps_what_was_done(sweep, expected, 
 
 
 def test_an_observation_is_told_by_its_digest(sweep, tmp_path):
-    task = ObserveTask(sweep.sources[0], sweep.base.model_dump_json(), str(tmp_path))
+    task = ObserveTask(sweep.sources[0], sweep.base.model_dump_json(), str(tmp_path), model_source(""))
     found = guarded(by_itself, task)
     assert isinstance(found, Observed)
     assert found == guarded(by_itself, task)

@@ -18,6 +18,7 @@ from workbench.errors import ConfigError, InputError, OutputError
 from workbench.frames import write_picture
 from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.objectives import WeightedSum, drawn_means, folds_of
+from workbench.samples import sample
 from workbench.session import Material, TuningSession, sweeping
 from workbench.session.material import PictureStore, load_material
 from workbench.sweeps import (
@@ -46,7 +47,7 @@ from workbench.sweeps import sweep as sweep_module
 from workbench.sweeps.results import result_key
 from workbench.sweeps.storage import Storage
 from workbench.sweeps.stored_clips import digest_of
-from workbench.sweeps.tasks import FitTask
+from workbench.sweeps.tasks import FitTask, ModelSource, solver_of
 from workbench.tracking.records import frame_errors
 from workbench.workers import Failed, ThisProcess
 
@@ -336,6 +337,25 @@ def test_labels_are_compared_with_the_photos_that_they_name(head, tmp_path):
     material = load_material(photos, FACE_IT, source.landmarks, stills=True)
     in_session = sweeping.SessionSweeps(head, material).clip(("labels",), source.truth)
     np.testing.assert_array_equal(in_session.truth.labels, labels)
+
+
+def test_a_face_model_that_changed_under_its_name_is_another_one(clips, tmp_path):
+    path = tmp_path / "head.npz"
+    with np.load(sample("head")) as stored:
+        arrays = dict(stored)
+
+    def errors(width):
+        np.savez(path, **{**arrays, "neutral": arrays["neutral"] * np.array([width, 1.0, 1.0], np.float32)})
+        return do(replace(plan(clips[0]), model=str(path)), tmp_path / "s", resume=True)[0].means("error")
+
+    first, wider = errors(1.0), errors(1.3)
+    assert (wider > 1.1 * first).all()
+    np.testing.assert_array_equal(errors(1.0), first)
+
+
+def test_a_worker_with_another_face_model_says_so():
+    with pytest.raises(InputError, match=r"head\.npz is another face model than the sweep began with"):
+        solver_of(ModelSource(str(sample("head")), "the command's"))
 
 
 def test_nothing_is_done_twice_and_points_can_be_added(done, clips, tmp_path):

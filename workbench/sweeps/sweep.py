@@ -21,7 +21,7 @@ from workbench.sweeps.solving import check_swept
 from workbench.sweeps.space import Axis, Point, Sampling, config_at, points_of
 from workbench.sweeps.storage import Storage, anywhere
 from workbench.sweeps.stored_clips import ClipSource, check_sources
-from workbench.sweeps.tasks import FitTask, ObserveTask, fingerprint_of
+from workbench.sweeps.tasks import FitTask, ModelSource, ObserveTask, model_source
 from workbench.tracking.unwatched import silent
 from workbench.workers import Failed, Workers
 
@@ -116,7 +116,8 @@ def run_sweep(
     storage, progress = Storage(place), progress or silent
     if not resume:
         _check_free(storage)
-    observed, failures = _observed(sweep, storage, workers, progress)
+    model = model_source(sweep.model)
+    observed, failures = _observed(sweep, model, storage, workers, progress)
     if not observed:
         raise InputError(f"None of the clips can be used: {next(iter(failures.values()))}")
     # Not before: a name that was misspelt leaves the place free for the same command without the slip.
@@ -134,7 +135,7 @@ def run_sweep(
             chunk,
             sweep.objectives,
             place,
-            sweep.model,
+            model,
         )
         for name in observed
         for part in parts[name]
@@ -150,12 +151,12 @@ def run_sweep(
             failures[tasks[number].name] = result.reason
         done += sizes[number]
         progress("fits", done, total)
-    values = _gathered(sweep, storage, configs, observed, parts)
+    values = _gathered(sweep, model, storage, configs, observed, parts)
     known = {name for (_, name), rows in values.items() if np.isfinite(rows).any()}
     failures |= {name: NO_VALUES for _, name in values if name not in known}
     values = {place: rows for place, rows in values.items() if place[1] in known}
     if not values:
-        raise InputError(f"None of the clips can be fitted: {next(iter(failures.values()))}")
+        raise InputError(f"None of the clips can be fitted: {next(iter(failures.values()), 'No result was stored.')}")
     failures = {name: f"{reason}{_gaps(name, points, values)}" for name, reason in failures.items()}
     return SweepResult(sweep.base, sweep.axes, points, sweep.objectives, values, failures)
 
@@ -182,12 +183,12 @@ def _claim(storage: Storage, sweep: Sweep) -> None:
     storage.write(DEFINITION, json.dumps(sweep.definition(), indent=1).encode())
 
 
-def _observed(sweep: Sweep, storage: Storage, workers: Workers, progress: Progress):
+def _observed(sweep: Sweep, model: ModelSource, storage: Storage, workers: Workers, progress: Progress):
     """The clips by name, with their landmarks stored; and why others have none."""
     text = sweep.base.model_dump_json()
     flow = any(TABLE[name].needs == "flow" for name in sweep.objectives)
     tasks = [
-        ObserveTask(ClipSource(**{**vars(source), "flow": flow}), text, storage.place, sweep.model)
+        ObserveTask(ClipSource(**{**vars(source), "flow": flow}), text, storage.place, model)
         for source in sweep.sources
     ]
     found, failures = {}, {}
@@ -211,12 +212,12 @@ def chunked(items: Sequence[Item], frames: int, objectives: Sequence[str]) -> li
     return [tuple(items[first : first + size]) for first in range(0, len(items), size)]
 
 
-def _gathered(sweep: Sweep, storage: Storage, configs, observed, parts):
+def _gathered(sweep: Sweep, model: ModelSource, storage: Storage, configs, observed, parts):
     """The stored results by point and clip, the parts of a clip in a row; nothing for what is not whole."""
-    model, values = fingerprint_of(sweep.model), {}
+    values = {}
     for number, config in enumerate(configs):
         for name, clip in observed.items():
-            keys = [result_key(config, clip.digest, part, sweep.objectives, model) for part in parts[name]]
+            keys = [result_key(config, clip.digest, part, sweep.objectives, model.fingerprint) for part in parts[name]]
             found = [stored_result(storage, key) for key in keys]
             if all(each is not None for each in found):
                 values[number, name] = np.concatenate(found, axis=1)

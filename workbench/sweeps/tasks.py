@@ -4,10 +4,9 @@ import json
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 from workbench.config import Config, parse_config
-from workbench.errors import OutputError
+from workbench.errors import InputError, OutputError
 from workbench.face import FaceModel, load_default_head, load_face_model
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.results import objectives_of, result_key, store_result, stored_result
@@ -16,6 +15,16 @@ from workbench.sweeps.storage import Storage, local_file
 from workbench.sweeps.stored_clips import ClipSource, digest_of, observe, store_clip, stored_clip
 
 KEPT_CLIPS = 4
+
+
+@dataclass(frozen=True)
+class ModelSource:
+    """Where a face model comes from, and which one it is."""
+
+    place: str
+    """Path or URL; empty: the default head."""
+    fingerprint: str
+    """`FaceModel.fingerprint`."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +44,7 @@ class ObserveTask:
     config: str
     """As JSON."""
     place: str
-    model: str = ""
-    """Path or URL of the face model; empty: the default head."""
+    model: ModelSource
 
     @property
     def clip(self) -> str:
@@ -65,7 +73,7 @@ class FitTask:
     """As JSON."""
     objectives: tuple[str, ...]
     place: str
-    model: str = ""
+    model: ModelSource
 
     @property
     def clip(self) -> str:
@@ -77,7 +85,7 @@ class FitTask:
         storage, solver = Storage(self.place), solver_of(self.model)
         windows = [range(*window) for window in self.windows]
         configs = {
-            result_key(config, self.digest, windows, self.objectives, fingerprint_of(self.model)): config
+            result_key(config, self.digest, windows, self.objectives, self.model.fingerprint): config
             for config in map(config_of, self.configs)
         }
         missing = {key: config for key, config in configs.items() if stored_result(storage, key) is None}
@@ -95,21 +103,25 @@ def config_of(text: str) -> Config:
     return parse_config(json.loads(text), "a sweep's task")
 
 
-@lru_cache(maxsize=2)
-def solver_of(model: str) -> ClipSolver:
-    """This process's solver for a face model."""
-    return ClipSolver(face_model_of(model))
+def model_source(place: str) -> ModelSource:
+    """The face model that a path or URL holds now. Raises `WorkbenchError` if it cannot be read."""
+    return ModelSource(place, _face_model(place).fingerprint())
 
 
 @lru_cache(maxsize=2)
-def fingerprint_of(model: str) -> str:
-    """`FaceModel.fingerprint` of a face model."""
-    return solver_of(model).model.fingerprint()
+def solver_of(model: ModelSource) -> ClipSolver:
+    """This process's solver for a face model. Raises `InputError` where its place holds another one here, or by now."""
+    found = _face_model(model.place)
+    if found.fingerprint() != model.fingerprint:
+        raise InputError(
+            f"{model.place or 'The default head'} is another face model than the sweep began with; give all machines "
+            "the same file and the same version of the workbench, and go on by --resume."
+        )
+    return ClipSolver(found)
 
 
-def face_model_of(model: str) -> FaceModel:
-    """The face model of a path or URL; the default head for an empty one."""
-    return load_face_model(Path(local_file(model))) if model else load_default_head()
+def _face_model(place: str) -> FaceModel:
+    return load_face_model(local_file(place)) if place else load_default_head()
 
 
 _CLIPS: OrderedDict[tuple[str, str], SweptClip] = OrderedDict()
