@@ -16,6 +16,7 @@ from tests.test_nothing_lost import small_disk
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, OutputError
 from workbench.frames import write_picture
+from workbench.landmarks import detectors
 from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.objectives import WeightedSum, drawn_means, folds_of
 from workbench.samples import sample
@@ -304,6 +305,21 @@ def test_a_sweep_that_never_began_leaves_its_folder_free(clips, tmp_path):
     with pytest.raises(InputError, match="None of the clips can be used"):
         do(plan(tmp_path / "misspelt.csv"), tmp_path / "s")
     assert do(plan(clips[0], axes=["weights.tau=1"]), tmp_path / "s")[1] == 12
+
+
+def test_landmarks_belong_to_the_detector_that_runs(head, monkeypatch):
+    """A sweep that is gone on with after dlib was installed finds them anew."""
+    pictures, file = (str(sample(name)) for name in ("performance", "performance-landmarks"))
+
+    def digests(runs, detector="auto"):
+        monkeypatch.setattr(detectors, "_automatic", lambda: runs)
+        config = FACE_IT.changed(landmarks={"detector": detector})
+        return [digest_of(source, config, head) for source in (ClipSource(pictures), ClipSource(pictures, file))]
+
+    detected, given = digests("network")
+    assert digests("dlib+network")[0] != detected
+    assert digests("dlib+network")[1] == given
+    assert detected == digests("network", "network")[0]
 
 
 def test_landmarks_belong_to_the_file_that_found_them(head, clips, tmp_path):

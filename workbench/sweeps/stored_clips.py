@@ -15,7 +15,7 @@ from workbench.face import FaceModel, in_scheme
 from workbench.frames import image_names
 from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
 from workbench.objectives import Truth, flow_of_pictures, lacking, objective, observed_clip, read_truth
-from workbench.pipeline import open_source
+from workbench.pipeline import is_landmark_file, open_source
 from workbench.reading import content_hash
 from workbench.sweeps.clips import SweptClip
 from workbench.sweeps.second_camera import SecondCamera, arrays_of, second_of_arrays, seen_by_second
@@ -70,6 +70,8 @@ def digest_of(source: ClipSource, config: Config, model: FaceModel) -> str:
     for file in files:
         if not file.exists():
             raise InputError(f"{file} does not exist; check the name and the folder.")
+    detection = config.model_dump(mode="json", include={"landmarks": {"detector", "face"}})
+    detection["landmarks"]["detector"] = _detector_of(source, config)
     landmarker = Path(config.landmarks.face_landmarker)
     read = {
         **asdict(source),
@@ -78,13 +80,23 @@ def digest_of(source: ClipSource, config: Config, model: FaceModel) -> str:
         "truth": bool(source.truth),
         "second": source.second and source.second.view,
         "files": [content_hash(file) for file in files],
-        "detector": config.model_dump(mode="json", include={"landmarks": {"detector", "face"}}),
+        "detector": detection,
         "landmarker": content_hash(landmarker) if landmarker.is_file() else "",
         "model": model.fingerprint() if source.truth else "",
         "version": __version__,
         "format": FORMAT,
     }
     return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()
+
+
+def _detector_of(source: ClipSource, config: Config) -> str:
+    """The detector that runs: what "auto" stands for here. As configured where files hold all landmarks."""
+    seen = [*([] if source.landmarks else [source.clip]), *([] if source.second is None else [source.second.clip])]
+    if all(is_landmark_file(Path(place)) for place in seen):
+        return config.landmarks.detector
+    from workbench.landmarks.detectors import chosen_detector  # here: it imports the detectors, which takes seconds
+
+    return chosen_detector(config.landmarks.detector)
 
 
 def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = "") -> SweptClip:
