@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import re
 import weakref
 from dataclasses import replace
@@ -40,6 +41,7 @@ from workbench.sweeps import (
     run_sweep,
     solving,
     sources_of,
+    storage,
     stored_clips,
     write_figures,
     write_outcome,
@@ -629,6 +631,33 @@ def test_mixed_values_go_into_parquet_as_text(clips, tmp_path):
         "{}",
         "{'mouth': 2.0}",
     ]
+
+
+def test_what_a_url_names_is_fetched_again_once_it_has_changed(tmp_path, monkeypatch):
+    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path / "cache")
+    file = tmp_path / "points.csv"
+
+    def fetched(text, changed_s):
+        file.write_text(text)
+        os.utime(file, (changed_s, changed_s))
+        return storage.local_file(f"file://{file}")
+
+    copy = fetched("1.0", 10)
+    first = copy.stat().st_ino
+    assert (copy.read_text(), fetched("2.0", 20).read_text()) == ("1.0", "2.0")
+    second = copy.stat().st_ino
+    assert storage.local_file(f"file://{file}").stat().st_ino == second != first
+
+
+def test_what_a_server_does_not_date_is_fetched_each_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path / "cache")
+    (file := tmp_path / "points.csv").write_text("1.0")
+    undated, dated, later = ({"size": 3, **told} for told in ({}, {"ETag": "a"}, {"ETag": "b"}))
+    assert storage._version_of(undated) == ""
+    assert storage._version_of(dated) != storage._version_of(later)
+    monkeypatch.setattr(storage, "_version_of", lambda info: "")
+    first, second = (storage.local_file(f"file://{file}").stat().st_ino for _ in range(2))
+    assert first != second
 
 
 def test_storage_reads_only_what_was_written_whole(tmp_path):

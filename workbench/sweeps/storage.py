@@ -5,6 +5,7 @@ so that one that was torn all the same is recognised and counts as absent.
 """
 
 import hashlib
+import json
 import shutil
 import uuid
 from collections.abc import Mapping
@@ -22,6 +23,11 @@ from workbench.reading import checked_arrays, reason_of
 from workbench.runtime import cache_folder
 
 _MARK = b"workbench sweep 1 "
+_VERSIONS = {
+    *("etag", "contentmd5", "digest", "sha", "generation"),
+    *("mtime", "lastmodified", "last_modified", "modificationtime", "last_write_time", "updated", "created"),
+}
+"""What file systems of fsspec call the tag or the date of a file, in lower case without hyphens."""
 
 
 def is_url(place: str) -> bool:
@@ -96,9 +102,10 @@ def _digest(content: bytes) -> bytes:
 
 
 def local_file(place: str) -> Path:
-    """A path for an input that a path or URL names; what a URL names is fetched once and kept.
+    """A path for an input that a path or URL names; what a URL names is kept, and fetched again once it has changed.
 
-    Raises `InputError` for a URL that cannot be fetched.
+    Without a mark of its version, as from a server that tells neither tag nor date, it is fetched at each call. Raises
+    `InputError` for a URL that cannot be fetched.
     """
     if not is_url(place):
         return Path(place)
@@ -106,11 +113,17 @@ def local_file(place: str) -> Path:
         import fsspec
     folder = cache_folder() / "inputs" / hashlib.sha256(place.encode()).hexdigest()[:24]
     target = folder / PurePosixPath(place).name
+    note = folder / f"{target.name}.version"
     try:
-        with fsspec.open(place, "rb") as source:
-            if not (target.exists() and target.stat().st_size == getattr(source, "size", None)):
-                with atomic_path(target) as temporary, temporary.open("wb") as copy:
-                    shutil.copyfileobj(source, copy)
+        system, path = fsspec.core.url_to_fs(place)
+        system.invalidate_cache(path)  # an earlier listing does not know what has changed
+        version = _version_of(system.info(path))
+        known = note.read_text(encoding="utf-8") if note.exists() and target.exists() else ""
+        if not version or version != known:
+            with system.open(path, "rb") as source, atomic_path(target) as temporary, temporary.open("wb") as copy:
+                shutil.copyfileobj(source, copy)
+            with atomic_path(note) as temporary:
+                temporary.write_text(version, encoding="utf-8")
     except (ImportError, ValueError) as error:
         raise InputError(f"{place} cannot be opened ({reason_of(error)}); check the address.") from error
     except OSError as error:
@@ -118,6 +131,12 @@ def local_file(place: str) -> Path:
             raise
         raise InputError(f"{place} cannot be fetched ({reason_of(error)}); check the address.") from error
     return target
+
+
+def _version_of(info: Mapping[str, Any]) -> str:
+    """What fsspec knows of a file that changes with its content; empty if nothing does."""
+    marks = {name: str(value) for name, value in info.items() if name.lower().replace("-", "") in _VERSIONS and value}
+    return json.dumps({**marks, "size": info.get("size")}, sort_keys=True) if marks else ""
 
 
 def packed(arrays: Mapping[str, np.ndarray]) -> bytes:
