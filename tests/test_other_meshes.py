@@ -154,6 +154,9 @@ def test_of_two_files_of_a_frame_the_one_with_triangles_counts(meshes, head, ver
 def test_a_folder_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"The folder of meshes .*nowhere does not exist; check the name"):
         read_mesh_folder(tmp_path / "nowhere", FRAMES)
+    (tmp_path / "face.obj").write_bytes(b"")
+    with pytest.raises(InputError, match=r"face\.obj is not a folder"):
+        read_mesh_folder(tmp_path / "face.obj", FRAMES)
 
 
 @pytest.mark.parametrize("with_triangles", [True, False], ids=["triangles", "points"])

@@ -71,8 +71,10 @@ def read_mesh_folder(folder: Path, frames: Collection[int]) -> tuple[tuple[Found
     Their names begin with that of the picture, `frame_N`. Of several files of a frame the first with triangles counts.
     Raises `InputError` where there is no such folder.
     """
-    if not folder.is_dir():
+    if not folder.exists():
         raise InputError(f"The folder of meshes {folder} does not exist; check the name.")
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder; name the one that holds a folder of meshes for each program.")
     found: dict[tuple[str, int], FoundMesh] = {}
     problems = []
     for path in sorted(folder.iterdir()):
