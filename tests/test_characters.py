@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.optional_parts import needs_gl
 from tests.pages import code_blocks, snippet
 from tests.performances import performance
 from workbench.config import config_of_track, preset
@@ -31,7 +32,7 @@ from workbench.face.dressed_head import dress
 from workbench.face.parts import open_parts
 from workbench.frames import write_picture
 from workbench.landmarks.schemes import DENSE
-from workbench.pictures import HeadRenderer, gl_available, head_scene, portrait_view, worn_parts
+from workbench.pictures import HeadRenderer, head_scene, portrait_view, worn_parts
 from workbench.pictures.extras import NOTHING, Extras
 from workbench.pictures.neck import bent, neck_of
 from workbench.samples import sample
@@ -394,9 +395,6 @@ def test_the_guides_python_draws_a_person():
     names: dict = {}
     exec(compile(snippet("load_character"), "documentation", "exec"), names)
     assert names["picture"].shape == (480, 480, 3)
-
-
-needs_gl = pytest.mark.skipif(not gl_available(), reason="no GL here")
 
 
 def drawn(head: DressedHead, size: int = 160, **weights: float) -> np.ndarray:

@@ -1,7 +1,6 @@
 """`workbench landmarks`: what it writes, what it tells, and that `workbench track` goes on from there."""
 
 import hashlib
-import importlib.util
 import sys
 
 import cv2
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.landmark_layouts import openface_csv
+from tests.optional_parts import needs_dlib
 from workbench.cli import screen
 from workbench.config import preset
 from workbench.frames import VideoWriter, open_frames, read_picture
@@ -25,11 +25,6 @@ from workbench.tracking import Track
 
 CONFIDENCE = np.linspace(0.4, 1.0, 68)
 """Of the detector below: point 0 is unsure, point 67 certain."""
-
-needs_dlib = pytest.mark.skipif(
-    importlib.util.find_spec("dlib") is None or importlib.util.find_spec("face_recognition_models") is None,
-    reason='dlib is not installed: pip install "face-energy-workbench[dlib]"',
-)
 
 
 class BrightSquares:

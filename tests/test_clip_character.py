@@ -7,12 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.optional_parts import needs_gl
 from workbench.config import preset
 from workbench.errors import InputError, ModelError
 from workbench.face import DressedHead, find_character, load_character, load_default_head, read_skin, skin_names
 from workbench.frames import open_frames
 from workbench.geometry import axis_angle_from_yaw_pitch_roll, camera_from_fov
-from workbench.pictures import HeadRenderer, gl_available
+from workbench.pictures import HeadRenderer
 from workbench.pictures.mesh import to_camera
 from workbench.pipeline.clip_character import Wardrobe, candidates, character_of_clip, sharpness, usable_fits
 from workbench.rendering.skin_texture import (
@@ -32,7 +33,6 @@ SIZE = 256
 IMAGE = (320, 240)
 SKINS = ("middleage_lightskinned_male2", "old_darkskinned_male", "young_lightskinned_female")
 OVER_SKIN = ("hair", "brows", "lashes")
-needs_gl = pytest.mark.skipif(not gl_available(), reason="no GL here")
 
 
 @lru_cache

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.optional_parts import needs_dlib
 from workbench.config import LandmarksConfig
 from workbench.errors import ConfigError, InputError, MissingDependencyError
 from workbench.frames import open_frames, read_picture
@@ -33,11 +34,6 @@ ASTRONAUT = Path(__file__).resolve().parents[1] / "data_samples" / "astronaut.pn
 LOOKED_AT = [index for index in GROUPS["inner"] if index not in (*GROUPS["right_eye"], *GROUPS["left_eye"])]
 """Points that are where a look puts them; lids are lowered after it where eyes are narrow."""
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-
-needs_dlib = pytest.mark.skipif(
-    importlib.util.find_spec("dlib") is None or importlib.util.find_spec("face_recognition_models") is None,
-    reason='dlib is not installed: pip install "face-energy-workbench[dlib]"',
-)
 
 
 @pytest.fixture(scope="module")

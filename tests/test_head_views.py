@@ -10,6 +10,7 @@ import ipywidgets
 import numpy as np
 import pytest
 
+from tests.optional_parts import needs_gl
 from workbench.errors import InputError, WorkbenchError
 from workbench.face import load_character
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov, project
@@ -37,7 +38,6 @@ TRANSLATION = np.array([25.0, -14.0, 620.0])
 IMAGE_SIZE = (640, 480)
 CAMERA = camera_from_fov(IMAGE_SIZE, 50.0)
 WHITE = np.full((68, 3), 255, np.uint8)
-needs_gl = pytest.mark.skipif(not gl_available(), reason="VTK has no usable GL here")
 
 
 @pytest.fixture(params=["webgl", "pictures"])

@@ -1,6 +1,5 @@
 """Tracking: a portrait moved by known affine maps is followed; cuts, occlusion, several faces, no face, resuming."""
 
-import importlib.util
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.optional_parts import needs_dlib
 from workbench.errors import ConfigError, InputError
 from workbench.frames import open_frames, read_picture
 from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame, frame_from_points
@@ -21,10 +21,6 @@ ASTRONAUT = Path(__file__).resolve().parents[1] / "data_samples" / "astronaut.pn
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SIZE = (480, 360)
 
-needs_dlib = pytest.mark.skipif(
-    importlib.util.find_spec("dlib") is None or importlib.util.find_spec("face_recognition_models") is None,
-    reason='dlib is not installed: pip install "face-energy-workbench[dlib]"',
-)
 
 FACE_IN_ASTRONAUT = FaceFrame(np.eye(2) * 92.0, np.array([222.0, 124.0]))
 

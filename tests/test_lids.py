@@ -1,12 +1,12 @@
 """Blinks: lids that the network reads, on dlib's face; how they pass the tracker and what the fit makes of them."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.optional_parts import needs_dlib
 from workbench.config import preset
 from workbench.face import load_default_head
 from workbench.landmarks.alignment import MEAN_SHAPE, FaceFrame
@@ -22,11 +22,6 @@ REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 CORNERS, UPPER, LOWER = ([36, 39, 42, 45], [37, 38, 43, 44], [41, 40, 47, 46])
 EYES, LIDS = list(GROUPS["eyes"]), sorted(UPPER + LOWER)
 SIZE = (640, 480)
-
-needs_dlib = pytest.mark.skipif(
-    importlib.util.find_spec("dlib") is None or importlib.util.find_spec("face_recognition_models") is None,
-    reason='dlib is not installed: pip install "face-energy-workbench[dlib]"',
-)
 
 
 def face(opening: float, confidence: float = 0.95, shift=(0.0, 0.0)) -> Landmarks2D:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.optional_parts import needs_gl
 from tests.scenes import make_scene
 from workbench.errors import InputError, MissingDependencyError, WorkbenchError
 from workbench.face import load_character
@@ -38,7 +39,6 @@ from workbench.pictures.render_thread import RenderThread
 from workbench.samples import sample
 from workbench.tracking.records import ARRAYS, FrameFit, Track, stack_fits
 
-needs_gl = pytest.mark.skipif(not gl_available(), reason="VTK has no usable GL here")
 SIZE = (200, 160)
 FLAT = Lighting(lights=(), ambient=1.0)
 LENS = Camera(

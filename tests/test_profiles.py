@@ -1,6 +1,5 @@
 """Heads that turn to the profile: half of the points are hidden, and the face is followed and fitted all the same."""
 
-import importlib.util
 from functools import cache
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
+from tests.optional_parts import needs_dlib
 from workbench.config import preset
 from workbench.face import load_character, load_default_head, posed_vertices
 from workbench.frames import read_picture
@@ -31,10 +31,6 @@ SIZE, FOV_DEG = (480, 360), 40.0
 CAMERA = camera_from_fov(SIZE, FOV_DEG)
 PLACE_MM = np.array([0.0, 20.0, 620.0])
 REAL_PHOTOS = Path(__file__).resolve().parents[2] / "shared" / "data" / "aflw2000"
-needs_dlib = pytest.mark.skipif(
-    importlib.util.find_spec("dlib") is None or importlib.util.find_spec("face_recognition_models") is None,
-    reason='dlib is not installed: pip install "face-energy-workbench[dlib]"',
-)
 YAWS_DEG = (*range(0, 91, 6), *range(84, -91, -6))
 """To one profile and through the front to the other."""
 

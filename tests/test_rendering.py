@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
+from tests.optional_parts import needs_gl
 from workbench.errors import InputError
 from workbench.face import FaceParameters, load_default_head
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov, project
-from workbench.pictures import Light, Lighting, gl_available
+from workbench.pictures import Light, Lighting
 from workbench.pictures.mesh import corner_sum
 from workbench.pictures.mesh import vertex_normals as picture_normals
 from workbench.pictures.render_thread import RenderThread
@@ -557,7 +558,7 @@ def vtk_view(head, points_camera, camera, lighting):
         thread.stop()
 
 
-@pytest.mark.skipif(not gl_available(), reason="VTK has no usable GL here")
+@needs_gl
 def test_vtk_draws_the_same_head(head, model, parameters, camera):
     """Another program, another rasteriser: same silhouette, depth and colours, flat and shaded.
 

@@ -8,12 +8,13 @@ import jax
 import numpy as np
 import pytest
 
+from tests.optional_parts import needs_gl
 from workbench.config import preset
 from workbench.errors import ModelError
 from workbench.face import FaceParameters, find_character, load_character, load_default_head, posed_vertices
 from workbench.face.dressed_head import dress
 from workbench.geometry import Camera, axis_angle_from_yaw_pitch_roll, camera_from_fov
-from workbench.pictures import HeadRenderer, gl_available
+from workbench.pictures import HeadRenderer
 from workbench.pictures.mesh import to_camera
 from workbench.planning import plan_of
 from workbench.rendering import (
@@ -125,7 +126,7 @@ def test_a_face_is_found_by_its_texture_where_plain_colours_miss_it(model):
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not gl_available(), reason="no GL here")
+@needs_gl
 def test_hair_hides_what_it_hides_in_the_pictures(model):
     """Against VTK's picture of the same character: what changes as the hair is taken off."""
     character = find_character(FRINGE)

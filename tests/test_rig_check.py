@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.optional_parts import needs_gl
 from tests.stereo_scenes import make_rig, make_stereo_scene, picture_in_view
 from workbench.errors import InputError
 from workbench.geometry import Rig, read_rig, write_rig
@@ -14,7 +15,7 @@ from workbench.landmarks.detectors import make_detector
 from workbench.landmarks.epipolar import check_rig
 from workbench.landmarks.files import LandmarkRecord, write_landmark_file
 from workbench.landmarks.observations import Landmarks2D
-from workbench.pictures import HeadRenderer, gl_available
+from workbench.pictures import HeadRenderer
 
 FRAMES = 40
 NOISE_PX = 0.5
@@ -161,7 +162,7 @@ def test_clips_that_were_scaled_down_evenly_are_compared(stereo):
     assert check_rig(stereo.rig, [stereo.records(0), records]).pairs[0].median_px < 1e-6
 
 
-@pytest.mark.skipif(not gl_available(), reason="no OpenGL")
+@needs_gl
 def test_a_detectors_landmarks_on_rendered_pictures_fit_the_rig(head):
     scene = make_stereo_scene(head, make_rig((-15.0, 15.0)), 3, seed=5)
     detector = make_detector("network")

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import torch
 
+from tests.optional_parts import needs_gl
 from workbench.errors import InputError
 from workbench.flow import DisFlow, end_point_error
 from workbench.networks import read_flow_network
-from workbench.pictures.gl_probe import gl_available
 from workbench.training.flow_augment import CLEAN, PairHardness, augmented_pair
 from workbench.training.flow_measuring import flow_tables, measured_flow
 from workbench.training.flow_pool import SHARD, PairPool, open_pair_pool, shard_files
@@ -91,7 +91,7 @@ class TestPairs:
         assert all((weights >= 0).all() and (weights <= 1).all() for pair in pairs for weights in pair)
 
 
-@pytest.mark.skipif(not gl_available(), reason="VTK finds no OpenGL here")
+@needs_gl
 def test_a_rendered_pair_agrees_with_its_flow(head):
     studio = PairStudio(head, skin_painter(head))
     try:
