@@ -1,5 +1,6 @@
 """The door of every reader: regular files only, declared sizes checked first, one sentence for the rest."""
 
+import hashlib
 import io
 import json
 import os
@@ -61,6 +62,24 @@ def test_a_file_that_may_not_be_read_is_refused_in_one_sentence(read, tmp_path, 
     monkeypatch.setattr(Path, "open", refused)
     with pytest.raises(InputError, match=rf"{path.name} cannot be .*\(Permission denied\); check that you may"):
         list(read(path))
+
+
+def test_a_file_that_stays_as_it_is_is_read_once_for_its_hash(tmp_path, monkeypatch):
+    (tmp_path / "photos").mkdir()
+    clip, photo = tmp_path / "clip.mp4", tmp_path / "photos" / "0.png"
+    for path in (clip, photo):
+        path.write_bytes(b"tracked")
+    read, digest = [], hashlib.file_digest
+    monkeypatch.setattr(hashlib, "file_digest", lambda file, kind: read.append(Path(file.name)) or digest(file, kind))
+    before = [content_hash(path) for path in (clip, photo.parent)]
+    monkeypatch.chdir(tmp_path)
+    assert [content_hash(Path(name)) for name in ("clip.mp4", "photos")] == before
+    assert read == [clip, photo]
+    (tmp_path / "other").write_bytes(b"another")
+    os.utime("other", ns=(0, clip.stat().st_mtime_ns))
+    os.replace("other", clip)
+    photo.write_bytes(b"changed in place")
+    assert not {content_hash(path) for path in (clip, photo.parent)} & set(before)
 
 
 def test_a_pipe_is_refused_without_waiting(tmp_path):

@@ -16,6 +16,7 @@ import tomllib
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from io import BufferedIOBase
 from pathlib import Path
 from typing import IO, Any
@@ -218,11 +219,22 @@ def array_header(content: IO[bytes] | BufferedIOBase, by_rows: bool = False) -> 
 
 
 def content_hash(path: Path) -> str:
-    """SHA-256 of a file, or of the files of a folder in order. Raises `InputError` for one that may not be read."""
+    """SHA-256 of a file, or of the files of a folder in order. Raises `InputError` for one that may not be read.
+
+    A file that stays as it is is read once in a process: clips are large.
+    """
     digest = hashlib.sha256()
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     for file in files:
         if file.is_file():
-            with reading(file, "an input", "check that you may read it"), file.open("rb") as stream:
-                digest.update(hashlib.file_digest(stream, "sha256").digest())
+            with reading(file, "an input", "check that you may read it"):
+                state = file.stat()
+                digest.update(_file_digest(file.absolute(), state.st_size, state.st_mtime_ns, state.st_ctime_ns))
     return digest.hexdigest()
+
+
+@lru_cache(maxsize=1 << 14)
+def _file_digest(path: Path, _size: int, _mtime_ns: int, _ctime_ns: int) -> bytes:
+    """SHA-256 of a file in this state. Its times are two because a copy may bring that of its content along."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").digest()
