@@ -1,5 +1,6 @@
 """`workbench export`: what is typed, what is written, what is told."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -140,6 +141,37 @@ def test_a_folder_that_was_moved_with_clip_and_run_in_it_is_still_worked_in(run,
     code, _, err = run("export", "talk", "--to", "again.mp4")
     assert code == 2
     assert f"no longer at {tmp_path / 'clip.mp4'}; name them" in "".join(err.split("\n"))
+
+
+def test_in_a_copied_folder_the_copied_clip_is_kept_and_drawn(run, stored, tmp_path, monkeypatch):
+    original, copy = tmp_path / "clip.mp4", tmp_path / "copy" / "clip.mp4"
+    shutil.copytree(stored, tmp_path / "copy" / "talk")
+    shutil.copy(original, copy)
+    monkeypatch.chdir(copy.parent)
+    before = copy.read_bytes()
+    code, _, err = run("export", "talk", "--to", "clip.mp4")
+    assert code == 2
+    assert "clip.mp4 is an input" in err
+    assert copy.read_bytes() == before
+    original.write_bytes(b"another clip")
+    assert run("export", "talk", "--to", "film.mp4")[0] == 0
+
+
+def test_another_folder_under_the_same_name_is_not_taken_for_the_moved_one(stored, tmp_path, monkeypatch):
+    photos = tmp_path / "photos"
+    folder_of_pictures(photos)
+    track = Track.load(stored / "track.npz")
+    track.meta["inputs"] = [file_record(photos)]
+    write_picture(photos / "later.png", np.zeros((480, 640, 3), np.uint8))
+    assert pictures_of(track).name == "photos"
+    (photos / "later.png").unlink()
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    photos.rename(tmp_path / "work" / "photos")
+    assert pictures_of(track).name == "photos"
+    write_picture(tmp_path / "work" / "photos" / "0.png", np.ones((480, 640, 3), np.uint8))
+    with pytest.raises(InputError, match=f"no longer at {photos}"):
+        pictures_of(track)
 
 
 def test_a_rate_of_ones_own(run, stored, tmp_path):

@@ -57,8 +57,12 @@ def _inputs(meta: Mapping[str, Any]) -> list[Path]:
 
 
 def input_files(meta: Mapping[str, Any]) -> list[Path]:
-    """What a track was made from, by its metadata: files and folders that nothing may be written over."""
-    return [*_inputs(meta), *filter(None, [landmark_file(meta)])]
+    """What a track was made from, by its metadata: files and folders that nothing may be written over.
+
+    Among them those of a copied folder that is worked in, beside the originals.
+    """
+    named = filter(None, [*meta.get("inputs", []), meta.get("landmarks")])
+    return [place for item in named for place in (Path(item["path"]), *_brought(item["path"], item.get("sha256", "")))]
 
 
 def landmark_file(meta: Mapping[str, Any]) -> Path | None:
@@ -84,20 +88,29 @@ def _hashes(meta: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _place(named: str, sha256: str) -> Path:
-    """Where a file is that a track names: there, or under the current folder, where the end of its path is.
+    """Where a file or folder is that a track names: there, or under the current folder, where the end of its path is.
 
-    So a folder that was moved, with clips and runs in it, can still be worked in.
+    So a folder that was moved or copied, with clips and runs in it, can still be worked in.
     """
+    path, brought = Path(named), _brought(named, sha256)
+    return path if not brought or (os.path.exists(path) and _fits(path, sha256)) else brought[0]
+
+
+def _brought(named: str, sha256: str) -> list[Path]:
+    """What is under the current folder where the end of a path is, and holds the same as what a track names by it."""
     path = Path(named)
-    if os.path.exists(path):
-        return path
-    ends = (Path(*path.parts[first:]) for first in range(1, len(path.parts)))
-    return next((end for end in ends if os.path.exists(end) and _holds(end, sha256)), path)
+    ends = [Path(*path.parts[first:]) for first in range(1, len(path.parts))]
+    there = [end for end in ends if os.path.exists(end) and not (os.path.exists(path) and end.samefile(path))]
+    return [end for end in there if _fits(end, sha256)]
 
 
 def _holds(path: Path, sha256: str) -> bool:
     """Whether a file is the one that was hashed. A folder counts as such: what came into it later may be no picture."""
-    return not sha256 or not path.is_file() or content_hash(path) == sha256
+    return not path.is_file() or _fits(path, sha256)
+
+
+def _fits(path: Path, sha256: str) -> bool:
+    return not sha256 or content_hash(path) == sha256
 
 
 def tracked_part(frames: Frames, meta: Mapping[str, Any]) -> Frames:
