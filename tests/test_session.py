@@ -13,7 +13,7 @@ from tests.scenes import IMAGE_SIZE, make_scene
 from workbench.cli import app
 from workbench.config import PRESETS, preset, read_config
 from workbench.errors import ConfigError, InputError
-from workbench.frames import read_picture
+from workbench.frames import read_picture, write_picture
 from workbench.landmarks.files import read_landmark_file
 from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.scheme import IBUG68
@@ -431,6 +431,17 @@ def test_a_track_whose_pictures_are_gone_is_tuned_on_a_blank_canvas(head, tmp_pa
     material = material_of_track(result.track)
     assert not material.pictures.real
     assert np.ptp(material.pictures[0]) == 0
+
+
+def test_other_pictures_in_the_place_of_the_tracked_ones_are_not_tuned_on(head, tmp_path):
+    photo = tmp_path / "face.png"
+    write_picture(photo, read_picture(sample("astronaut")))
+    result = run_track(photo, tmp_path / "out", head, QUICK, landmarks=sample("astronaut-landmarks"))
+    write_picture(photo, np.zeros((512, 512, 3), np.uint8))
+    session = open_session(result.track, model=head)
+    assert not session.material.pictures.real
+    assert session.material.sources() == []
+    assert performance_track(session).meta["inputs"] == []
 
 
 # --- long clips ---

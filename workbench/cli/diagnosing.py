@@ -110,7 +110,8 @@ def _print_diagnosis(record: dict) -> None:
     errors = f"error inner 51: {inner:.2f} %, all 68: {every:.2f} % of the eye distance"
     screen.console.print(f"[bold]frame {record['frame']}[/bold] of {record['frames']}, {errors}")
     if not record["pictures"]:
-        screen.console.print("[yellow]note:[/yellow] from the landmarks alone; the run had no pictures, or they moved")
+        told = "from the landmarks alone; the run had no pictures, or they moved or changed"
+        screen.console.print(f"[yellow]note:[/yellow] {told}")
     if record["flagged"]:
         screen.console.print(f"flagged: {escape(record['flagged'])}")
     if not record["reasons"]:

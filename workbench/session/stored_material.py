@@ -2,7 +2,7 @@
 
 from workbench.config import Config, config_of_track
 from workbench.errors import InputError
-from workbench.export.sources import landmark_file, reference_inputs, tracked_part, view_clips
+from workbench.export.sources import gone_pictures, landmark_file, reference_inputs, tracked_part, view_clips
 from workbench.frames import open_frames
 from workbench.pipeline import is_landmark_file
 from workbench.session.material import Material, PictureStore
@@ -11,15 +11,16 @@ from workbench.tracking.records import SOURCES
 
 
 def material_of_track(track: Track) -> Material:
-    """The landmarks of a stored run, with its pictures if the files still exist.
+    """The landmarks of a stored run, with its pictures if they are still there as they were tracked.
 
-    Of several cameras the frames are those of the rig's first view. Points that the run's configuration moved by hand
-    keep those positions.
+    Inputs that are gone, or others by now, are none of the material's. Of several cameras the frames are those of the
+    rig's first view. Points that the run's configuration moved by hand keep those positions.
     """
     try:
         inputs, views = tuple(reference_inputs(track.meta)), view_clips(track.meta)
     except InputError:  # the rig of an older track is gone, and with it which inputs are the first camera's
         inputs, views = (), {}
+    gone = gone_pictures(track.meta, (*inputs, *views.values()))
     config = config_of_track(track.meta)
     observations = []
     for k in range(len(track)):
@@ -29,7 +30,7 @@ def material_of_track(track: Track) -> Material:
         source, times = SOURCES[int(track.source[k])], (float(fit.milliseconds[0]), float(fit.milliseconds[1]))
         observations.append(FrameObservation(fit.index, landmarks, fit.image_size, source, cut, times))
     frames = None
-    if inputs and all(path.exists() and not is_landmark_file(path) for path in inputs):
+    if inputs and not any(path in gone or is_landmark_file(path) for path in inputs):
         frames = tracked_part(open_frames(inputs if len(inputs) > 1 else inputs[0]), track.meta)
     sizes = [observation.image_size for observation in observations]
     name = inputs[0].stem if inputs else "track"
@@ -40,10 +41,10 @@ def material_of_track(track: Track) -> Material:
         tuple(observations),
         PictureStore(frames, sizes),
         stills,
-        inputs,
+        () if gone.keys() & set(inputs) else inputs,
         landmark_file(track.meta),
         None if part is None else tuple(part),
-        views,
+        {view: path for view, path in views.items() if path not in gone},
         _moved(config),
         track.meta.get("rate"),
         config.deep.network if config is not None and config.traits.renders else None,
