@@ -324,6 +324,14 @@ class TestFinishedRuns:
         (note,) = quick(points, tmp_path / "out", resume=True, overwrite=True).notes
         assert "--overwrite without --resume repeats it" in note
 
+    @pytest.mark.parametrize("meta", ['{"a": 1}', "[1]", "null", "no JSON"])
+    def test_parts_that_say_nothing_of_their_run_are_those_of_another(self, quick, points, begun, meta):
+        (begun / "track.npz.parts" / FINGERPRINT).write_text(f"another\n{meta}")
+        before = content(begun / "track.npz.parts")
+        with pytest.raises(OutputError, match="an interrupted run of another input or configuration"):
+            quick(points, begun, resume=True)
+        assert content(begun / "track.npz.parts") == before
+
     def test_a_run_goes_on_where_it_was_begun_by_relative_names(self, quick, points, begun, monkeypatch):
         """As an older workbench began it."""
         monkeypatch.chdir(points.parent)

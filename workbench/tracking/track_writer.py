@@ -170,14 +170,16 @@ def has_parts(path: Path, fingerprint: str) -> bool:
 def begun_run(path: Path) -> tuple[str, dict[str, Any]] | None:
     """Fingerprint and metadata of the interrupted run that left parts at a track's path; None where none did.
 
-    Without metadata, as in parts of an older workbench, these are empty.
+    Without the metadata of a run, as in parts of an older workbench, these are empty.
     """
     stored = _parts_folder(path) / FINGERPRINT
     if not stored.is_file():
         return None
-    fingerprint, _, meta = stored.read_text(encoding="utf-8", errors="replace").partition("\n")
+    fingerprint, _, text = stored.read_text(encoding="utf-8", errors="replace").partition("\n")
     with suppress(ValueError):
-        return fingerprint, json.loads(meta)
+        meta = json.loads(text)
+        if isinstance(meta, dict) and {"config", "detector"} <= meta.keys():
+            return fingerprint, meta
     return fingerprint, {}
 
 
