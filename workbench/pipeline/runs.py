@@ -470,7 +470,8 @@ def _fingerprint(meta: dict[str, Any]) -> str:
     """The metadata holds all that a run depends on: inputs, configuration and its files, model, versions.
 
     The order of its entries counts, as later landmark weights overrule earlier ones. Of the detector only which one ran
-    counts, not whether it was asked for by name or by "auto"; of files what they hold, not where they are.
+    counts, not whether it was asked for by name or by "auto"; of inputs what they hold, not where they are. Files
+    that the configuration names count by both.
     """
     landmarks = {**meta["config"]["landmarks"], "detector": meta["detector"]}
     run = {**meta, "config": {**meta["config"], "landmarks": landmarks}, "views": list(meta.get("views") or {})}
