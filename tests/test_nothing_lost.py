@@ -663,3 +663,12 @@ def test_a_recording_is_not_written_over_unasked(head, tmp_path):
     with pytest.raises(OutputError, match="already holds a recording"):
         recording.save(tmp_path / "clips")
     assert recording.save(tmp_path / "take", overwrite=True) == tmp_path / "take" / "track.npz"
+
+
+def test_a_recording_that_does_not_fit_on_the_disk_leaves_an_earlier_one_as_it_was(head, tmp_path):
+    for name in ("track.npz", "clip.mp4"):
+        (tmp_path / name).write_text("an earlier one")
+    before = content(tmp_path)
+    with pytest.raises(OutputError, match=r"track\.npz cannot be written"), small_disk(100):
+        Recording(performance(head), ()).save(tmp_path, overwrite=True)
+    assert content(tmp_path) == before

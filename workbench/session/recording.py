@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel
-from workbench.files import make_folder
+from workbench.files import make_folder, writing
 from workbench.frames import VideoWriter
 from workbench.pipeline import software_versions
 from workbench.pipeline.output_folder import check_no_results
@@ -67,22 +67,23 @@ class Recording:
     def save(self, folder: str | Path, overwrite: bool = False) -> Path:
         """Write track.npz into a folder, and clip.mp4 if pictures were kept; returns the path of the track.
 
-        Raises `OutputError` for a folder that already contains one of them, unless `overwrite` is set.
+        Raises `OutputError` for a folder that already contains one of them, unless `overwrite` is set: then an earlier
+        clip.mp4 is replaced or, once the track is written, deleted. The same for what cannot be written.
         """
         folder = Path(folder)
         if not overwrite:
             check_no_results(folder, ("track.npz", "clip.mp4"), "a recording or a run", "overwrite=True")
         make_folder(folder)
-        track = self.track
+        track, clip = self.track, folder / "clip.mp4"
         if self.jpegs:
-            clip = folder / "clip.mp4"
             with VideoWriter(clip, rate=track.meta["rate"]) as writer:
                 for jpeg in self.jpegs:
                     writer.write(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR_RGB))
             track = replace(track, meta={**track.meta, "inputs": [file_record(clip)]})
-        else:
-            (folder / "clip.mp4").unlink(missing_ok=True)
         track.save(folder / "track.npz")
+        if not self.jpegs:
+            with writing(clip):
+                clip.unlink(missing_ok=True)
         return folder / "track.npz"
 
 
