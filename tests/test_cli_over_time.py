@@ -12,7 +12,7 @@ from workbench.face.default_head import EARLIER_EDITIONS
 from workbench.frames import VideoWriter
 from workbench.landmarks.files import LandmarkCsvWriter, LandmarkRecord
 from workbench.landmarks.observations import Landmarks2D
-from workbench.pipeline import config_of, retrack, track
+from workbench.pipeline import config_of, retrack, temporal_run, track
 from workbench.tracking import Track
 from workbench.tracking.records import SOURCES
 from workbench.tracking.track_writer import TrackWriter
@@ -156,6 +156,12 @@ def test_without_the_pictures_a_method_that_looks_at_none_draws_no_film_and_says
     code, _, err = run("infill", "talk", "--method", "spline", "--clip", "elsewhere.mp4", "--overwrite")
     assert code == 2
     assert "no longer at elsewhere.mp4" in err
+
+
+def test_a_method_that_looks_at_no_pictures_opens_none_where_no_film_is_drawn(run, talk, monkeypatch):
+    for needless in ("gone_pictures", "open_frames"):
+        monkeypatch.setattr(temporal_run, needless, None)
+    assert run("infill", "talk", "--method", "linear", *QUICK)[0] == 0
 
 
 def test_a_run_on_landmarks_alone_refuses_a_method_that_needs_pictures_before_it_fits(run, clip, tmp_path):

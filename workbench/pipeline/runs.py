@@ -300,7 +300,7 @@ def retrack(
     if (folder / "track.npz").exists() and (folder / "track.npz").samefile(reader.path):
         raise InputError(f"{folder} holds the track itself; choose another folder for the new one.")
     dressed = dressed_as(config.head.character, model) if pictures else None
-    opened = views_of(reader.meta, config, clip, views, needed=look_at_pictures(config, steps))
+    opened = views_of(reader.meta, config, clip, views, look_at_pictures(config, steps), pictures)
     inputs = [reader.path, *_given(clip), *views.values(), *_given(config.camera.rig), *input_files(reader.meta)]
     with run_folder(folder, inputs, False, overwrite):
         began = time.perf_counter()

@@ -103,10 +103,12 @@ def views_of(
     pictures: Path | None = None,
     others: Mapping[str, Path] = MappingProxyType({}),
     needed: bool = True,
+    drawn: bool = True,
 ) -> list[Frames]:
     """The pictures that a track was made from, in each view; empty for a track without those of every view.
 
-    `pictures` and `others` (by the views' names) say where they are now. Raises `InputError` for these, and for all
+    `pictures` and `others` (by the views' names) say where they are now. Where the track's own are neither `needed` nor
+    `drawn`, they are left alone; a rig's tell how large its views are. Raises `InputError` for these, and for all
     that are `needed`, where they are not there; for a rig that is no longer there, for views that it does not have,
     and for a track of unrelated photos.
     """
@@ -127,6 +129,8 @@ def views_of(
         return []
     view_of = {path: name for name, group in zip(names, paths, strict=True) for path in group}
     given = [path for path in view_of if path == pictures or path in others.values()]
+    if not (needed or drawn or given or config.camera.rig):
+        return []
     gone = gone_pictures({}, given) | gone_pictures(meta, [path for path in view_of if path not in given])
     for path, told in gone.items():
         if needed or path in given:
