@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from tests.short_clips import observations, write_clip
 from workbench.cli import app
 from workbench.config import preset, read_config
-from workbench.errors import ConfigError, InputError
+from workbench.errors import ConfigError, InputError, MissingDependencyError
 from workbench.face import FaceModel, load_default_head
 from workbench.learning import Wanted, parts_of_clip, search, tuned, tuning
 from workbench.learning.descent import begin, descended, store, stored
@@ -214,9 +214,9 @@ def test_a_journal_that_is_torn_or_none_is_one_sentence(by_tau):
         ("preset=joint,dense", "start from it by --preset dense"),
     ],
 )
-def test_what_has_no_effect_is_not_searched(by_tau, axis, said):
+def test_what_has_no_effect_is_not_searched(axis, said):
     with pytest.raises(ConfigError, match=said):
-        by_tau.searched(axis)
+        search.check_searchable(preset("joint"), [read_axis(axis)])
 
 
 class TestASearchBeforeAGradient:
@@ -240,10 +240,9 @@ class TestASearchBeforeAGradient:
 
         monkeypatch.setattr(tuning, "descended", descended_once)
 
-    def tuned(self, resume=False, learn="weights.sigma_smooth", objective="jitter", base="joint"):
+    def tuned(self, resume=False, learn="weights.sigma_smooth", objective="jitter", base="joint", axes=(AXIS,)):
         clip = SweptClip("clip", "digest", tuple(observations(range(12))), False)
-        axes, parts = (read_axis(AXIS),), parts_of_clip(60)
-        wanted = Wanted(read_sum(objective), parts, (learn,), axes)
+        wanted = Wanted(read_sum(objective), parts_of_clip(60), (learn,), tuple(map(read_axis, axes)))
         return tuned(load_default_head(), preset(base), clip, wanted, place=self.place, resume=resume)
 
     def test_the_gradient_waits_for_a_search_that_was_interrupted(self):
@@ -278,6 +277,31 @@ class TestASearchBeforeAGradient:
         with pytest.raises(ConfigError, match=r"gradient|derivative"):
             self.tuned(**slip)
         assert not asked
+        assert self.place.with_suffix(".learning.json").exists()
+
+    @pytest.mark.parametrize(
+        "axes",
+        [
+            ("weights.tua=1,2",),
+            (AXIS, "landmarks.weights=[{robust=1.0}, {rbust=1.0}]"),
+            ("camera.fov_deg=lin(25,300)",),
+            ("stages.0.limit=-1..30",),
+            ("preset=joint,deep",),
+        ],
+        ids=str,
+    )
+    def test_a_slip_in_what_is_searched_costs_nothing(self, axes):
+        self.tuned()
+        self.place.with_suffix(".study.log").write_text("hours of trials")
+        with pytest.raises(ConfigError):
+            self.tuned(axes=axes)
+        assert all(file.exists() for file in tuning.kept_beside(self.place))
+
+    def test_a_search_without_optuna_costs_nothing(self, monkeypatch):
+        self.tuned()
+        monkeypatch.setattr("importlib.util.find_spec", lambda module: None)
+        with pytest.raises(MissingDependencyError, match="optuna is not installed"):
+            self.tuned()
         assert self.place.with_suffix(".learning.json").exists()
 
     def test_a_learning_belongs_to_its_face_model(self, monkeypatch):

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from workbench.config import Config
-from workbench.errors import ConfigError, InputError
-from workbench.extras import needs
+from workbench.errors import InputError
+from workbench.extras import check_installed, needs
 from workbench.files import make_folder
 from workbench.learning.keys import ANEW, key_of
 from workbench.objectives import WeightedSum
@@ -57,11 +57,10 @@ def searched(
 ) -> Searched:
     """The best configuration of a study, which goes on to `trials` trials in all or until an interrupt (Ctrl-C).
 
-    The configuration itself is measured before the first trial, and stays unless a trial is better. Values that no
-    configuration allows, such as an unknown landmark group, end the search with a `ConfigError`; a journal of another
-    search, or that is none, with an `InputError`.
+    The configuration itself is measured before the first trial, and stays unless a trial is better. The axes are those
+    that `check_searchable` lets pass: values that no configuration allows end the search with a `ConfigError`. Raises
+    `InputError` for a journal of another search, or that is none.
     """
-    check_axes(axes, config)
     spaces, parts = [str(axis) for axis in axes], [[part.start, part.stop] for part in stretches]
     key = key_of(config, clip, solver.model, objectives, axes=spaces, stretches=parts)
     study = _study(journal, key)
@@ -159,12 +158,25 @@ def mean_of(values: Float[np.ndarray, "n"]) -> float:
     return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
 
 
-def check_axes(axes: Sequence[Axis], config: Config) -> None:
-    """Raise `ConfigError` unless there is something to search, and all of it acts on fits to landmarks."""
-    if not axes:
-        raise ConfigError("There is nothing to search; name settings with their values, as stages.pose.limit=1..30.")
+def check_searchable(config: Config, axes: Sequence[Axis]) -> None:
+    """Raise `ConfigError` unless all that the axes set acts on fits to landmarks and is allowed, as far as one look at
+    each tells, and `MissingDependencyError` without Optuna.
+    """
+    check_installed("learn", "optuna")
     for axis in axes:
         check_axis(axis, config)
+    looked_at = {axis.path: _looked_at(axis) for axis in axes}
+    for k in range(max(map(len, looked_at.values()))):
+        point = _point({path: values[k % len(values)] for path, values in looked_at.items()})
+        check_swept(config_at(config, point))
+
+
+def _looked_at(axis: Axis) -> Sequence[Any]:
+    """Values that tell whether an axis is allowed: all of a list, the first and last of a range, two of a scale."""
+    if axis.between is not None:
+        # Within the ends, which may themselves not be allowed and are hardly ever drawn.
+        return [axis.at(0.01), axis.at(0.99)]
+    return axis.values if axis.scale == "list" else [axis.values[0], axis.values[-1]]
 
 
 def _suggested(trial, axes: Sequence[Axis]) -> Point:

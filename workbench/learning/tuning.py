@@ -18,7 +18,7 @@ from workbench.learning.learnable import Logs, learned, limits_of, start_of
 from workbench.learning.objective import check_gradient, compiled_slope
 from workbench.learning.parts import Parts
 from workbench.learning.report import Change, change_of
-from workbench.learning.search import Searched, mean_of, searched, value_of
+from workbench.learning.search import Searched, check_searchable, mean_of, searched, value_of
 from workbench.objectives import WeightedSum, check_usable
 from workbench.pipeline import software_versions
 from workbench.reading import content_hash
@@ -103,11 +103,15 @@ def tuned(
     if not (wanted.learn or wanted.search):
         raise ConfigError("There is nothing to tune; name settings to learn (--learn) or to search (--search).")
     check_usable(wanted.objectives.names, clip_in(clip, clip.shots, config))
+    trained = trained_on(clip, wanted)
     if wanted.learn:
         # Before a search, which may stay at its start.
         check_learnable(config, clip, wanted)
-    if wanted.search and place is None:
-        raise ConfigError("A search keeps its study in a file; name the result (--out, place=).")
+    if wanted.search:
+        if place is None:
+            raise ConfigError("A search keeps its study in a file; name the result (--out, place=).")
+        check_searchable(config, wanted.search)
+    # Not before: a slip costs nothing that is stored.
     if place is not None and not resume:
         for earlier in kept_beside(place):
             earlier.unlink(missing_ok=True)
@@ -115,7 +119,7 @@ def tuned(
     if wanted.search:
         study = place.with_suffix(OF_SEARCH)
         search = searched(
-            solver, config, wanted.search, wanted.objectives, clip, trained_on(clip, wanted), wanted.trials, study,
+            solver, config, wanted.search, wanted.objectives, clip, trained, wanted.trials, study,
             lambda done, total, value: tell("search", done, total, value, None),
         )  # fmt: skip
         found = search.config
