@@ -12,8 +12,9 @@ from workbench.cli import app
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, MissingDependencyError
 from workbench.face import FaceModel, load_default_head
-from workbench.learning import Wanted, parts_of_clip, search, tuned, tuning
+from workbench.learning import Parts, Wanted, parts_of_clip, search, tuned, tuning
 from workbench.learning.descent import begin, descended, store, stored
+from workbench.learning.examples import stretches_in
 from workbench.learning.learnable import FARTHEST, limits_of, start_of
 from workbench.learning.learnable import FOV as FOV_PATH
 from workbench.learning.learnable import learned as scaled
@@ -302,6 +303,19 @@ class TestASearchBeforeAGradient:
         monkeypatch.setattr("importlib.util.find_spec", lambda module: None)
         with pytest.raises(MissingDependencyError, match="optuna is not installed"):
             self.tuned()
+        assert self.place.with_suffix(".learning.json").exists()
+
+    def test_frames_to_watch_without_a_face_are_told_before_the_search(self, monkeypatch):
+        self.tuned()
+        asked = []
+        monkeypatch.setattr(tuning, "searched", lambda *given: asked.append(given))
+        monkeypatch.setattr(tuning, "stretches_in", stretches_in)
+        clip = SweptClip("clip", "digest", tuple(observations(range(36), gaps=range(12, 24))), False)
+        parts = Parts(train=range(12), watch=range(12, 24), held_out=range(24, 36))
+        wanted = Wanted(read_sum("jitter"), parts, ("weights.sigma_smooth",), (read_axis(AXIS),))
+        with pytest.raises(InputError, match=r"Frames 12:24 have no 12 in a row with a face"):
+            tuned(load_default_head(), preset("joint"), clip, wanted, place=self.place)
+        assert not asked
         assert self.place.with_suffix(".learning.json").exists()
 
     def test_a_learning_belongs_to_its_face_model(self, monkeypatch):

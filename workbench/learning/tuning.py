@@ -152,6 +152,8 @@ def check_learnable(config: Config, clip: SweptClip, wanted: Wanted) -> None:
     start_of(config, wanted.learn)
     check_gradient(wanted.objectives)
     size_of(clip, trained_on(clip, wanted))
+    if wanted.parts.watch is not None:
+        stretches_in(clip, wanted.parts.watch)
 
 
 def trained_on(clip: SweptClip, wanted: Wanted) -> list[range]:
