@@ -246,20 +246,25 @@ def test_a_point_without_the_hard_clip_does_not_win():
     assert found.best("error") == 1
 
 
+class Losing(Counting):
+    """The first fits of a clip are lost."""
+
+    def __init__(self, clip):
+        super().__init__()
+        self.clip = clip
+
+    def results(self, tasks, **how):
+        of_clip = [k for k, task in enumerate(tasks) if isinstance(task, FitTask) and task.name == self.clip]
+        kept = [k for k in range(len(tasks)) if k not in of_clip[:1]]
+        yield from ((k, Failed("It died.")) for k in of_clip[:1])
+        for number, result in super().results([tasks[k] for k in kept], **how):
+            yield kept[number], result
+
+
 def test_the_failure_of_a_clip_says_how_many_points_are_without_it(clips, tmp_path, monkeypatch):
-    class Losing(Counting):
-        """The first fits of the second clip are lost."""
-
-        def results(self, tasks, **how):
-            of_second = [k for k, task in enumerate(tasks) if isinstance(task, FitTask) and task.name == "two"]
-            kept = [k for k in range(len(tasks)) if k not in of_second[:1]]
-            yield from ((k, Failed("It died.")) for k in of_second[:1])
-            for number, result in super().results([tasks[k] for k in kept], **how):
-                yield kept[number], result
-
     monkeypatch.setattr(sweep_module, "FITS", 12)
     wanted = plan(*clips, axes=["weights.tau=1,2"], objectives=("error",))
-    result = run_sweep(wanted, tmp_path / "s", Losing())
+    result = run_sweep(wanted, tmp_path / "s", Losing("two"))
     assert result.failures == {"two": "It died. 1 of 2 points are without this clip, and are compared with no other."}
     assert np.isnan(result.means("error")).tolist() == [True, False]
 
@@ -445,14 +450,26 @@ def test_a_clip_without_faces_or_files_is_told_and_the_rest_goes_on(done, clips,
         do(plan(empty), tmp_path / "t")
 
 
-def test_a_clip_in_whose_fitted_frames_nothing_has_a_value_is_told(clips, tmp_path):
-    late, frames = tmp_path / "late.csv", observations(range(12), gaps=range(11))
-    write_landmark_file(late, [LandmarkRecord(each.index, "", each.landmarks, each.image_size) for each in frames])
+@pytest.fixture
+def late(tmp_path):
+    """A clip with a face in its last frame only."""
+    path, frames = tmp_path / "late.csv", observations(range(12), gaps=range(11))
+    write_landmark_file(path, [LandmarkRecord(each.index, "", each.landmarks, each.image_size) for each in frames])
+    return path
+
+
+def test_a_clip_in_whose_fitted_frames_nothing_has_a_value_is_told(clips, late, tmp_path):
     result, _ = do(plan(clips[0], late, frames=2), tmp_path / "s")
     assert result.clips == ("one",)
     assert "No objective has a value in the frames that were fitted" in result.failures["late"]
     with pytest.raises(InputError, match="None of the clips can be fitted: No objective has a value"):
         do(plan(late, frames=2), tmp_path / "t")
+
+
+def test_what_went_wrong_is_told_of_a_clip_without_values_too(clips, late, tmp_path, monkeypatch):
+    monkeypatch.setattr(sweep_module, "FITS", 2)
+    wanted = plan(clips[0], late, axes=["weights.tau=1,2"], objectives=("error",), frames=2)
+    assert run_sweep(wanted, tmp_path / "s", Losing("late")).failures == {"late": "It died."}
 
 
 def test_a_full_disk_ends_a_sweep_in_a_sentence_and_what_was_done_stays(done, clips, tmp_path):

@@ -153,7 +153,7 @@ def run_sweep(
         progress("fits", done, total)
     values = _gathered(sweep, model, storage, configs, observed, parts)
     known = {name for (_, name), rows in values.items() if np.isfinite(rows).any()}
-    failures |= {name: NO_VALUES for _, name in values if name not in known}
+    failures |= {name: NO_VALUES for _, name in values if name not in known and name not in failures}
     values = {place: rows for place, rows in values.items() if place[1] in known}
     if not values:
         raise InputError(f"None of the clips can be fitted: {next(iter(failures.values()), 'No result was stored.')}")
