@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import re
+import shutil
 import weakref
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, OutputError
 from workbench.frames import write_picture
 from workbench.landmarks import detectors
-from workbench.landmarks.files import LandmarkRecord, write_landmark_file
+from workbench.landmarks.files import LandmarkRecord, read_landmark_file, write_landmark_file
 from workbench.objectives import WeightedSum, drawn_means, folds_of
 from workbench.samples import sample
 from workbench.session import Material, TuningSession, sweeping
@@ -43,6 +44,7 @@ from workbench.sweeps import (
     sources_of,
     storage,
     stored_clips,
+    tasks,
     write_figures,
     write_outcome,
 )
@@ -50,7 +52,7 @@ from workbench.sweeps import sweep as sweep_module
 from workbench.sweeps.results import result_key
 from workbench.sweeps.storage import Storage
 from workbench.sweeps.stored_clips import digest_of
-from workbench.sweeps.tasks import FitTask, ModelSource, solver_of
+from workbench.sweeps.tasks import FitTask, ModelSource, ObserveTask, model_source, solver_of
 from workbench.tracking.records import frame_errors
 from workbench.workers import Failed, ThisProcess
 
@@ -664,6 +666,25 @@ def test_what_a_url_names_is_fetched_again_once_it_has_changed(tmp_path, monkeyp
     assert (copy.read_text(), fetched("2.0", 20).read_text()) == ("1.0", "2.0")
     second = copy.stat().st_ino
     assert storage.local_file(f"file://{file}").stat().st_ino == second != first
+
+
+def test_a_clip_by_url_that_changes_while_it_is_read_is_not_stored_under_the_digest_of_the_earlier_one(
+    tmp_path, clips, monkeypatch
+):
+    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path / "cache")
+    file = tmp_path / "points.csv"
+    shutil.copy(clips[0], file)
+
+    def changed_meanwhile(*given):
+        digest = digest_of(*given)
+        shutil.copy(clips[1], file)
+        return digest
+
+    monkeypatch.setattr(tasks, "digest_of", changed_meanwhile)
+    task = ObserveTask(ClipSource(f"file://{file}"), FACE_IT.model_dump_json(), str(tmp_path), model_source(""))
+    stored = stored_clips.stored_clip(Storage(str(tmp_path)), task.run().digest, "points")
+    earlier = next(read_landmark_file(clips[0])).landmarks
+    np.testing.assert_array_equal(stored.observations[0].landmarks.points, earlier.points)
 
 
 def test_what_a_server_does_not_date_is_fetched_each_time(tmp_path, monkeypatch):

@@ -138,6 +138,7 @@ def kept_beside(place: Path) -> list[Path]:
 
 def observed(source: ClipSource, config: Config, model: FaceModel) -> SweptClip:
     """A clip to tune on. Raises `InputError` if it cannot be read or has no face."""
+    source = source.local
     return observe(source, config, model, digest_of(source, config, model))
 
 

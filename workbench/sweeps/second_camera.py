@@ -1,6 +1,7 @@
 """A second camera, which judges the fits that were made to the first one's pictures."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def seen_by_second(
     Raises `InputError` for a view that the rig does not have or that is the first one, and for pictures of another
     size than the rig was calibrated at.
     """
-    rig = read_rig(local_file(camera.rig))
+    rig = read_rig(camera.rig)
     first, place = rig.views[0], rig.index(camera.view)
     if place == 0:
         raise InputError(f"{camera.view!r} is the rig's first view, which is fitted; name another for --view.")
@@ -51,7 +52,7 @@ def seen_by_second(
             f"{_size(first.image_size)}; calibrate it at the size that is used."
         )
     # The face is chosen by a pixel of the first view.
-    source = open_source([local_file(camera.clip)], config.changed(landmarks={"face": None}), None)
+    source = open_source([Path(camera.clip)], config.changed(landmarks={"face": None}), None)
     lens = resized_view(rig.views[place], source.image_size).camera
     points = np.full((frames, 68, 2), np.nan)
     for row, observation in zip(points, source.observations(0, {}, stills), strict=False):

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -52,10 +52,18 @@ class ClipSource:
     @property
     def anywhere(self) -> "ClipSource":
         """The same by names that hold in any folder."""
+        return self._placed(anywhere)
+
+    @property
+    def local(self) -> "ClipSource":
+        """The same by paths; what URLs name is fetched. Raises `InputError` for what cannot be."""
+        return self._placed(lambda place: str(local_file(place)) if place else "")
+
+    def _placed(self, place_of: Callable[[str], str]) -> "ClipSource":
         second = self.second
         if second is not None:
-            second = replace(second, clip=anywhere(second.clip), rig=anywhere(second.rig))
-        here = {name: anywhere(getattr(self, name)) for name in ("clip", "landmarks", "truth")}
+            second = replace(second, clip=place_of(second.clip), rig=place_of(second.rig))
+        here = {name: place_of(getattr(self, name)) for name in ("clip", "landmarks", "truth")}
         return replace(self, second=second, **here)
 
     @property
@@ -65,8 +73,11 @@ class ClipSource:
 
 
 def digest_of(source: ClipSource, config: Config, model: FaceModel) -> str:
-    """SHA-256 of all that a clip's observations are made from. Raises `InputError` for files that are not there."""
-    files = [local_file(place) for place in source.places]
+    """SHA-256 of all that a clip's observations are made from, a `local` one's.
+
+    Raises `InputError` for files that are not there.
+    """
+    files = [Path(place) for place in source.places]
     for file in files:
         if not file.exists():
             raise InputError(f"{file} does not exist; check the name and the folder.")
@@ -100,12 +111,12 @@ def _detector_of(source: ClipSource, config: Config) -> str:
 
 
 def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = "") -> SweptClip:
-    """Find the landmarks of every frame, and what the objectives need besides.
+    """Find the landmarks of every frame of a `local` clip, and what the objectives need besides.
 
     Raises `InputError` for a clip that cannot be read, that has no face, or whose motion is asked for without pictures.
     """
-    clip, landmarks = local_file(source.clip), local_file(source.landmarks) if source.landmarks else None
-    opened = open_source([clip], config, landmarks, keep_pictures=source.flow)
+    landmarks = Path(source.landmarks) if source.landmarks else None
+    opened = open_source([Path(source.clip)], config, landmarks, keep_pictures=source.flow)
     stills = source.stills or opened.single_picture
     found, flow, before = [], [], None
     for observation in opened.observations(0, {}, stills):
@@ -122,8 +133,8 @@ def observe(source: ClipSource, config: Config, model: FaceModel, digest: str = 
     if source.truth:
         indices = [observation.index for observation in found]
         scheme = scheme_of_faces(seen.landmarks for seen in found)
-        path, names = local_file(source.truth), image_names(opened.frames)
-        truth = read_truth(path, in_scheme(model, scheme), indices, found[0].image_size, names)
+        names = image_names(opened.frames)
+        truth = read_truth(source.truth, in_scheme(model, scheme), indices, found[0].image_size, names)
     second = None
     if source.second is not None:
         second = seen_by_second(source.second, config, len(found), found[0].image_size, stills)

@@ -54,10 +54,11 @@ class ObserveTask:
     def run(self) -> Observed:
         """Do it, unless that was done before. Raises `WorkbenchError`."""
         model, config, storage = solver_of(self.model).model, config_of(self.config), Storage(self.place)
-        digest = digest_of(self.source, config, model)
-        clip = stored_clip(storage, digest, self.source.name)
+        source = self.source.local
+        digest = digest_of(source, config, model)
+        clip = stored_clip(storage, digest, source.name)
         if clip is None:
-            clip = observe(self.source, config, model, digest)
+            clip = observe(source, config, model, digest)
             store_clip(storage, clip)
         return Observed(digest, tuple((shot.start, shot.stop) for shot in clip.shots))
 
