@@ -256,12 +256,17 @@ def test_labels_are_of_the_photos_that_they_name_in_a_part_of_a_folder_too(tmp_p
     (tmp_path / "some.xml").write_text(
         dlib_xml([(f"file='{name}.png' width='640' height='480'", [dlib_box(face)]) for name, face in named])
     )
-    for name in "abc":
+    for name in "abcd":
         write_picture(tmp_path / f"{name}.png", np.zeros((480, 640, 3), np.uint8))
-    part = image_names(FrameRange(open_frames(tmp_path), 1, 2))
-    labels = read_truth(tmp_path / "some.xml", head, range(2), pictures=part).labels
-    assert np.isnan(labels[0]).all()
-    np.testing.assert_allclose(labels[1], faces[1], atol=1e-3)
+
+    def labels_from(first):
+        names = image_names(FrameRange(open_frames(tmp_path), first, 3))
+        return read_truth(tmp_path / "some.xml", head, range(4 - first), pictures=names, first=first).labels
+
+    two = labels_from(1)
+    np.testing.assert_allclose(two[1], faces[1], atol=1e-3)
+    assert np.isnan(two[[0, 2]]).all()
+    assert np.isnan(labels_from(3)).all()  # the file names none of these
 
 
 def test_a_file_that_is_no_truth_says_what_it_should_be(tmp_path, head):

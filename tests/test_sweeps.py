@@ -17,7 +17,7 @@ from tests.short_clips import observations, write_clip
 from tests.test_nothing_lost import small_disk
 from workbench.config import preset, read_config
 from workbench.errors import ConfigError, InputError, OutputError
-from workbench.frames import write_picture
+from workbench.frames import FrameRange, open_frames, write_picture
 from workbench.landmarks import detectors
 from workbench.landmarks.files import LandmarkRecord, read_landmark_file, write_landmark_file
 from workbench.objectives import WeightedSum, drawn_means, folds_of
@@ -362,6 +362,11 @@ def test_labels_are_compared_with_the_photos_that_they_name(head, tmp_path):
     material = load_material(photos, FACE_IT, source.landmarks, stills=True)
     in_session = sweeping.SessionSweeps(head, material).clip(("labels",), source.truth)
     np.testing.assert_array_equal(in_session.truth.labels, labels)
+    seen = tuple(replace(each, index=k) for k, each in enumerate(material.observations[1:]))
+    pictures = PictureStore(FrameRange(open_frames(photos), 1, 2), [(640, 480)] * 2)
+    last_two = sweeping.SessionSweeps(head, replace(material, observations=seen, pictures=pictures, part=(1, 2)))
+    np.testing.assert_array_equal(last_two.clip(("labels",), source.truth).truth.labels, labels[1:])
+    assert np.isnan(last_two.clip(("labels",), labelled("a")).truth.labels).all()
 
 
 def test_a_face_model_that_changed_under_its_name_is_another_one(clips, tmp_path):

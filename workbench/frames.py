@@ -225,9 +225,9 @@ class ImageFrames:
 
 
 def image_names(frames: Frames | None) -> list[str]:
-    """The file names of images, or of a range of them, in their order; none for a video and for no frames."""
+    """The file names of images in their order, for a range those of its whole stream; none for a video or no frames."""
     if isinstance(frames, FrameRange):
-        return image_names(frames._frames)[frames._first : frames._last + 1]
+        return image_names(frames._frames)
     return [path.name for path in frames.paths] if isinstance(frames, ImageFrames) else []
 
 

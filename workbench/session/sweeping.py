@@ -84,8 +84,8 @@ class SessionSweeps:
         known, flow = Truth(), None
         if truth is not None:
             indices = [observation.index for observation in observations]
-            names = image_names(material.pictures.frames)
-            known = read_truth(truth, self._model, indices, observations[0].image_size, names)
+            names, first = image_names(material.pictures.frames), 0 if material.part is None else material.part[0]
+            known = read_truth(truth, self._model, indices, observations[0].image_size, names, first)
         if any(TABLE[name].needs == "flow" for name in objectives) and material.pictures.real:
             if self._flow is None:
                 self._flow = flow_of_pictures(material.pictures, observed_clip(observations))
