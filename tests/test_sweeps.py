@@ -342,6 +342,22 @@ def test_landmarks_belong_to_the_file_that_found_them(head, clips, tmp_path):
     assert len(digests) == 3
 
 
+def test_what_names_pictures_belongs_to_their_names(head, tmp_path):
+    (photos := tmp_path / "photos").mkdir()
+    for name in "ab":
+        write_picture(photos / f"{name}.png", np.zeros((480, 640, 3), np.uint8))
+    face = dlib_box(observations([0])[0].landmarks.points)
+    named, counted = tmp_path / "labels.xml", write_clip(tmp_path / "points.csv", range(2))
+    named.write_text(dlib_xml([("file='b.png' width='640' height='480'", [face])]))
+    sources = [ClipSource(str(photos), str(counted), str(named)), ClipSource(str(photos), str(named))]
+    sources += [ClipSource(str(photos), str(counted)), ClipSource(str(photos))]
+    before = [digest_of(source, FACE_IT, head) for source in sources]
+    (photos / "b.png").rename(photos / "c.png")
+    (photos / "a.png").rename(photos / "b.png")
+    after = [digest_of(source, FACE_IT, head) for source in sources]
+    assert [one == other for one, other in zip(before, after, strict=True)] == [False, False, True, True]
+
+
 def test_labels_are_compared_with_the_photos_that_they_name(head, tmp_path):
     faces = dict(zip("abc", (frame.landmarks.points for frame in observations([0, 40, 90])), strict=True))
 

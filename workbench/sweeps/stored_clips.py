@@ -12,7 +12,7 @@ from workbench import __version__
 from workbench.config import Config
 from workbench.errors import InputError
 from workbench.face import FaceModel, in_scheme
-from workbench.frames import image_names
+from workbench.frames import image_names, open_frames
 from workbench.landmarks.observations import Landmarks2D, scheme_of_faces
 from workbench.objectives import Truth, flow_of_pictures, lacking, objective, observed_clip, read_truth
 from workbench.pipeline import is_landmark_file, open_source
@@ -24,6 +24,8 @@ from workbench.tracking import FrameObservation
 
 NO_FACES = "has no face in any frame; look at its pictures, or try another detector (landmarks.detector)."
 FORMAT = 2
+_COUNTED = (".csv", ".npz")
+"""Files of landmarks and truths that count frames, and name no pictures."""
 _TRUTHS = ("rotation", "translation", "expression", "surface", "labels")
 
 
@@ -97,7 +99,17 @@ def digest_of(source: ClipSource, config: Config, model: FaceModel) -> str:
         "version": __version__,
         "format": FORMAT,
     }
+    if names := _names_of_pictures(source):
+        read["pictures"] = names
     return hashlib.sha256(json.dumps(read, sort_keys=True).encode()).hexdigest()
+
+
+def _names_of_pictures(source: ClipSource) -> list[str]:
+    """The names of a clip's pictures where a file may say by them which landmarks or labels are of which; else none."""
+    clip, *files = (Path(place) for place in (source.clip, source.landmarks, source.truth) if place)
+    if is_landmark_file(clip) or all(file.suffix.lower() in _COUNTED for file in files):
+        return []
+    return image_names(open_frames(clip))
 
 
 def _detector_of(source: ClipSource, config: Config) -> str:
