@@ -267,6 +267,9 @@ def test_labels_are_of_the_photos_that_they_name_in_a_part_of_a_folder_too(tmp_p
     np.testing.assert_allclose(two[1], faces[1], atol=1e-3)
     assert np.isnan(two[[0, 2]]).all()
     assert np.isnan(labels_from(3)).all()  # the file names none of these
+    np.save(tmp_path / "two.npy", np.array(faces))
+    unnamed = read_truth(tmp_path / "two.npy", head, range(3), (640, 480), image_names(open_frames(tmp_path)), first=1)
+    np.testing.assert_allclose(unnamed.labels[:2], faces, atol=1e-3)
 
 
 def test_a_file_that_is_no_truth_says_what_it_should_be(tmp_path, head):

@@ -21,7 +21,7 @@ from workbench.pipeline import track as run_track
 from workbench.planning import plan_of
 from workbench.samples import sample
 from workbench.session import Material, TuningSession, material_of_photo, material_of_track, open_session, readiness
-from workbench.session.exports import free_file
+from workbench.session.exports import free_file, track_command
 from workbench.session.knobs import changed_by, value_of
 from workbench.session.landmark_edits import LEAST_FACTOR, rescaled, unmuted, weighed
 from workbench.session.material import PictureStore
@@ -442,6 +442,14 @@ def test_other_pictures_in_the_place_of_the_tracked_ones_are_not_tuned_on(head, 
     assert not session.material.pictures.real
     assert session.material.sources() == []
     assert performance_track(session).meta["inputs"] == []
+
+
+def test_the_command_asks_for_the_clip_of_another_camera_that_is_gone(head, tmp_path):
+    track = run_track(sample("astronaut-landmarks"), tmp_path, head, QUICK, pictures=False).track
+    gone = {"path": "/gone/side.mp4", "sha256": "0"}
+    meta = track.meta | {"inputs": [*track.meta["inputs"], gone], "views": {"side": gone["path"]}}
+    material = material_of_track(replace(track, meta=meta))
+    assert "--view side=CLIP" in track_command(material, "tuned.toml", preset("deep"))
 
 
 # --- long clips ---

@@ -298,10 +298,11 @@ class TestASearchBeforeAGradient:
             self.tuned(axes=axes)
         assert all(file.exists() for file in tuning.kept_beside(self.place))
 
-    def test_a_search_without_optuna_costs_nothing(self, monkeypatch):
+    @pytest.mark.parametrize("lacking", ["optuna", "optax"])
+    def test_a_tuning_that_lacks_a_package_costs_nothing(self, lacking, monkeypatch):
         self.tuned()
-        monkeypatch.setattr("importlib.util.find_spec", lambda module: None)
-        with pytest.raises(MissingDependencyError, match="optuna is not installed"):
+        monkeypatch.setattr("importlib.util.find_spec", lambda module: None if module == lacking else module)
+        with pytest.raises(MissingDependencyError, match=f"{lacking} is not installed"):
             self.tuned()
         assert self.place.with_suffix(".learning.json").exists()
 

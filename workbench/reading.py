@@ -221,16 +221,20 @@ def array_header(content: IO[bytes] | BufferedIOBase, by_rows: bool = False) -> 
 def content_hash(path: Path) -> str:
     """SHA-256 of a file, or of the files of a folder in order. Raises `InputError` for one that may not be read.
 
-    A file that stays as it is is read once in a process: clips are large.
+    Of a folder without what file managers leave in it. An unchanged file is read once in a process: clips are large.
     """
     digest = hashlib.sha256()
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    files = sorted(file for file in path.iterdir() if not _left_behind(file.name)) if path.is_dir() else [path]
     for file in files:
         if file.is_file():
             with reading(file, "an input", "check that you may read it"):
                 state = file.stat()
                 digest.update(_file_digest(file.absolute(), state.st_size, state.st_mtime_ns, state.st_ctime_ns))
     return digest.hexdigest()
+
+
+def _left_behind(name: str) -> bool:
+    return name.startswith(".") or name.casefold() in ("thumbs.db", "desktop.ini")
 
 
 @lru_cache(maxsize=1 << 14)

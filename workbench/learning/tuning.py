@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from workbench.config import Config, differences
 from workbench.errors import ConfigError, InputError
+from workbench.extras import check_installed
 from workbench.face import FaceModel
 from workbench.learning.descent import Learning, Watched, begin, descended, read_learning, stored
 from workbench.learning.examples import example_of, size_of, spread, stretches_in
@@ -149,7 +150,10 @@ def inputs_of(source: ClipSource) -> list[str]:
 
 
 def check_learnable(config: Config, clip: SweptClip, wanted: Wanted) -> None:
-    """Raise `ConfigError` for settings, fits and objectives without a gradient, `InputError` for such frames."""
+    """Raise `ConfigError` for settings, fits and objectives without a gradient, `InputError` for such frames, and
+    `MissingDependencyError` without Optax.
+    """
+    check_installed("learn", "optax")
     start_of(config, wanted.learn)
     check_gradient(wanted.objectives)
     size_of(clip, trained_on(clip, wanted))

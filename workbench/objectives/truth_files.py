@@ -1,7 +1,6 @@
 """What is known of a clip, from a file: a rendered clip's numbers, a track, or labelled landmarks."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,15 +29,14 @@ def read_truth(
     A `.npz` holds any of `rotation` (n, 3), `translation` (n, 3), `expression` (n, k) with `expression_names` (k),
     `identity` and `landmarks` (n, 68, 2), row by frame, as `data_samples/performance_truth.npz`; or it is a track,
     whose fits then count as true. A landmark file has labels; those that name a picture are of that one, by
-    the file names of all `pictures`, of which the clip's frame 0 is the `first`. Raises `InputError` for anything else.
+    the file names of all `pictures`, of which frame 0 is the `first`. Raises `InputError` for anything else.
     """
     path = checked_file(path, "a truth")
     if path.suffix.lower() != ".npz":
         records = read_landmark_file(path, image_size)
         if pictures and path.suffix.lower() != ".csv":  # a CSV names no pictures
-            # Before the part is taken: its own names do not tell labels of other photos from labels without names.
-            named = by_pictures(records, pictures)
-            records = (replace(record, frame=record.frame - first) for record in named)
+            # With all names: those of a part do not tell labels of other photos from labels without names.
+            records = by_pictures(records, pictures, first)
         labels = {record.frame: record.landmarks for record in records}
         found = [labels.get(frame) for frame in frames]
         return Truth(labels=np.stack([_NO_LABELS if each is None else first_68(each.points) for each in found]))

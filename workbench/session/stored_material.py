@@ -1,5 +1,7 @@
 """The material of a stored run."""
 
+from pathlib import Path
+
 from workbench.config import Config, config_of_track
 from workbench.errors import InputError
 from workbench.export.sources import gone_pictures, landmark_file, reference_inputs, tracked_part, view_clips
@@ -8,6 +10,9 @@ from workbench.pipeline import is_landmark_file
 from workbench.session.material import Material, PictureStore
 from workbench.tracking import FrameObservation, Track
 from workbench.tracking.records import SOURCES
+
+A_CLIP = Path("CLIP")
+"""Stands for another camera's clip that is gone, in the command line that tells how a track is made."""
 
 
 def material_of_track(track: Track) -> Material:
@@ -44,7 +49,7 @@ def material_of_track(track: Track) -> Material:
         () if gone.keys() & set(inputs) else inputs,
         landmark_file(track.meta),
         None if part is None else tuple(part),
-        {view: path for view, path in views.items() if path not in gone},
+        {view: A_CLIP if path in gone else path for view, path in views.items()},
         _moved(config),
         track.meta.get("rate"),
         config.deep.network if config is not None and config.traits.renders else None,

@@ -99,8 +99,9 @@ def without_gaps(path: Path, records: Iterable[LandmarkRecord]) -> Iterator[Land
         following = record.frame + 1
 
 
-def by_pictures(records: Iterable[LandmarkRecord], pictures: Sequence[str]) -> Iterator[LandmarkRecord]:
-    """One record for each of these picture files: the one that names it, else one without a face.
+def by_pictures(records: Iterable[LandmarkRecord], pictures: Sequence[str], first: int = 0) -> Iterator[LandmarkRecord]:
+    """One record for each of these picture files from the `first` on, frame 0: the one that names it, else one without
+    a face.
 
     As the records come where none names one of the pictures, where names (without their suffixes) repeat, and where
     they are numbers of which only some agree, as when one program counts from 0 and another from 1.
@@ -113,7 +114,7 @@ def by_pictures(records: Iterable[LandmarkRecord], pictures: Sequence[str]) -> I
     if len(named) < len(records) or len(set(stems)) < len(stems) or agreeing == 0 or by_chance:
         yield from records
         return
-    for frame, (picture, stem) in enumerate(zip(pictures, stems, strict=True)):
+    for frame, (picture, stem) in enumerate(zip(pictures[first:], stems[first:], strict=True)):
         if stem in named:
             yield replace(named[stem], frame=frame)
         else:
