@@ -35,7 +35,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("people", nargs="*", default=PEOPLE, help="names of characters")
     parser.add_argument("--frames", type=int, default=2, help="of each")
-    parser.add_argument("--network", choices=("heat-maps", "landmarks"), default="heat-maps")
+    parser.add_argument("--network", choices=("ensemble", "heat-maps", "landmarks"), default="ensemble")
     options = parser.parse_args()
     head, camera, detector = load_default_head(), camera_from_fov(SIZE, FOV_DEG), NetworkDetector()
     errors: dict[str, list[tuple[float, float]]] = {kind: [] for kind in KINDS}

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
+from workbench.config import preset
 from workbench.face import FaceModel, FaceParameters
 from workbench.geometry import Camera, Rig, View, camera_from_fov
 from workbench.landmarks.network_detector import NetworkDetector
@@ -30,8 +31,10 @@ from workbench.rendering import (
     turned_light,
 )
 from workbench.tracking import FrameContext, FrameObservation
-from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
+from workbench.tracking.deep_target import energy_network, photo_landmarks
 
+NETWORK = preset("deep").deep.network
+"""N of the photos."""
 IMAGE_SIZE = (720, 540)
 FOV_DEG = 40.0
 START_MM = 650.0
@@ -145,7 +148,7 @@ class DeepScenes:
         faces = self._detector.detect_faces(picture)
         if not faces:
             return None
-        return photo_landmarks(bundled_heat_maps(), picture, self._detector.align(picture, faces[0].box))
+        return photo_landmarks(energy_network(NETWORK), picture, self._detector.align(picture, faces[0].box))
 
 
 @cache

@@ -21,7 +21,7 @@ from workbench.tracking.deep_views import holding
 
 IMAGE_SIZE = (720, 540)
 FOV_DEG = 40.0
-DEEP = preset("deep").changed(camera={"fov_deg": FOV_DEG}, deep={"appearance": "model"})
+DEEP = preset("deep").changed(camera={"fov_deg": FOV_DEG}, deep={"appearance": "model", "network": "heat-maps"})
 POINTS = DEEP.changed(deep={"energy": "points"})
 POSE_ONLY = (Stage(name="pose", free=("rotation", "translation"), limit=20),)
 

@@ -28,10 +28,11 @@ from workbench.energies import still
 from workbench.energies.deep import DEEP_TERMS, DeepView, deep_residuals, view_vertices
 from workbench.errors import ConfigError, InputError
 from workbench.face import typical_sizes, unpack
+from workbench.frames import read_picture
 from workbench.geometry import camera_from_fov, project, read_rig, rotation_matrix, write_rig
 from workbench.landmarks.network_detector import BUNDLED, bundled_landmark_network, landmark_crop
 from workbench.landmarks.observations import Landmarks2D
-from workbench.networks import Fan, crop_and_resize, landmarks_of, soft_argmax, to_picture
+from workbench.networks import BETA, Fan, crop_and_resize, landmarks_of, soft_argmax, to_picture
 from workbench.networks.crop import fan_box_of
 from workbench.pictures.mesh import corner_sum, vertex_normals
 from workbench.planning import plan_of
@@ -44,6 +45,7 @@ from workbench.rendering import (
     render,
     shading,
 )
+from workbench.samples import sample
 from workbench.solvers import judge, propose
 from workbench.tracker import FaceTracker
 from workbench.tracking import FrameContext, FrameObservation, Track
@@ -307,6 +309,22 @@ def test_the_detectors_weights_may_be_the_network_too():
     assert energy_network("landmarks") is not energy_network("heat-maps")
 
 
+def test_an_ensemble_sees_the_geometric_mean_of_what_its_networks_see():
+    picture = np.asarray(read_picture(sample("astronaut")), np.float32)[30:286, 96:352].transpose(2, 0, 1) / 255.0
+    parts = [energy_network(name) for name in ("heat-maps", "landmarks")]
+    both = [np.asarray(jax.nn.softmax(BETA * part(picture).reshape(68, -1)), float) for part in parts]
+    mean = np.sqrt(both[0] * both[1])
+    ensemble = energy_network("ensemble")
+    seen = np.asarray(jax.nn.softmax(BETA * ensemble(picture).reshape(68, -1)), float)
+    np.testing.assert_allclose(seen, mean / mean.sum(axis=1, keepdims=True), atol=1e-3)
+
+
+def test_our_preset_has_the_ensemble_and_the_papers_have_one_network():
+    assert preset("deep").deep.network == "ensemble"
+    papers = ("deep-energies", "preselected-points", "orthographic")
+    assert {preset(name).deep.network for name in papers} == {"heat-maps"}
+
+
 def test_a_file_of_weights_that_is_written_again_is_read_again(tmp_path):
     file, kinds = tmp_path / "own.safetensors", ("heat_maps", "landmarks")
     for written, kind in enumerate(kinds, start=1):
@@ -318,7 +336,9 @@ def test_a_file_of_weights_that_is_written_again_is_read_again(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "network", [energy_network("heat-maps"), energy_network("landmarks"), FAN], ids=["ours", "the detector's", "3D-FAN"]
+    "network",
+    [*(energy_network(name) for name in ("heat-maps", "landmarks", "ensemble")), FAN],
+    ids=["ours", "the detector's", "both", "3D-FAN"],
 )
 def test_a_percent_is_one_of_the_models_own_eyes(network, head):
     """As many pixels as ever for the default head and larger ones, more for a face whose eyes are farther apart."""

@@ -37,7 +37,7 @@ FRAME = 0
 def short(energy: str, **changed) -> Config:
     """A solve from too far away, two stages only, with the model's own colours."""
     stages = [stage.model_copy(update={"limit": 6}) for stage in preset("deep").stages[:2]]
-    deep = {"energy": energy, "appearance": "model", "distance_mm": 550.0}
+    deep = {"energy": energy, "appearance": "model", "distance_mm": 550.0, "network": "heat-maps"}
     return preset("deep").changed(
         deep=deep, stages=[stage.model_dump() for stage in stages], identity={"calibrate": False}, **changed
     )

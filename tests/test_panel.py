@@ -329,7 +329,7 @@ def test_a_choice_shows_the_path_of_a_weights_file_among_its_own():
     turned = []
     control = KnobControl(BY_PATH["deep.network"], lambda path, value: turned.append(value))
     control.show("nets/fan.safetensors")
-    assert control.input.options == ("heat-maps", "landmarks", "dense", "nets/fan.safetensors")
+    assert control.input.options == ("ensemble", "heat-maps", "landmarks", "dense", "nets/fan.safetensors")
     assert control.input.value == control.value == "nets/fan.safetensors"
     assert turned == []
     control.input.value = "dense"

@@ -71,7 +71,7 @@ def test_a_person_is_calibrated_on_several_looks(head, photos, detected):
     network = energy_network("heat-maps")
     seen = [photo_landmarks(network, photo, given) for photo, given in zip(photos, detected, strict=True)]
     looked_at = [steadied(network, photo, landmarks) for photo, landmarks in zip(photos, seen, strict=True)]
-    fitter = DeepFitter(head, plan_of(preset("deep").changed(deep={"appearance": "model"})))
+    fitter = DeepFitter(head, plan_of(preset("deep").changed(deep={"appearance": "model", "network": "heat-maps"})))
 
     def shape(landmarks, pictures):
         frames = [

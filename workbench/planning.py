@@ -144,7 +144,7 @@ def _check_network(config: Config, scheme: LandmarkScheme) -> None:
         )
     if config.camera.rig and scheme is DENSE:
         raise ConfigError(
-            'A dense network looks through one camera; set deep.network = "heat-maps" or leave camera.rig empty.'
+            'A dense network looks through one camera; set deep.network = "ensemble" or leave camera.rig empty.'
         )
 
 

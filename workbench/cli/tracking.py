@@ -72,7 +72,9 @@ DETECTOR_HELP = (
 LANDMARKER_HELP = "MediaPipe's model face_landmarker.task, for --detector mediapipe."
 MODEL_HELP = "Face model: FLAME, Basel, GNM, ICT-FaceKit, .glb, OBJ folder (default: the default head)."
 ENERGY_HELP = "deep (network on the render), points (on the mesh) or mixed."
-NETWORK_HELP = "What looks at photo and render: heat-maps or landmarks (68 points), dense (377), or a weights file."
+NETWORK_HELP = (
+    "What looks at photo and render: ensemble, heat-maps, landmarks (68 points), dense (377), or a weights file."
+)
 FRAMES_HELP = "Only frames A-B (or one frame); the results are numbered from the part's start."
 WORKERS_HELP = "Processes on this machine that fit frames: a Dask cluster where it is installed, else a pool."
 SCHEDULER_HELP = "Address of a Dask scheduler whose workers fit frames, as tcp://host:8786."

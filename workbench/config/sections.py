@@ -220,7 +220,8 @@ class DeepConfig(Section):
     network: str = Field(
         "heat-maps",
         description="What looks at photo and render: heat-maps (68 points), landmarks (68, the detector's newer "
-        "weights), dense (377, each with its covariance), or the weights of a network (.safetensors).",
+        "weights), ensemble (68, the mean of both), dense (377, each with its covariance), or the weights of a network "
+        "(.safetensors).",
     )
     edges: NonNegative = _omega("edges")
     regularisation: NonNegative = _omega("regularisation")

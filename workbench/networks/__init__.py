@@ -12,6 +12,7 @@ from workbench.networks.crop import to_crop as to_crop
 from workbench.networks.crop import to_picture as to_picture
 from workbench.networks.crop import within_picture as within_picture
 from workbench.networks.dense_network import DenseNetwork as DenseNetwork
+from workbench.networks.ensemble import EnsembleNetwork as EnsembleNetwork
 from workbench.networks.fan import Fan as Fan
 from workbench.networks.fan import read_fan as read_fan
 from workbench.networks.flow_network import FlowNetwork as FlowNetwork

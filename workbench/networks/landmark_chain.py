@@ -11,13 +11,14 @@ from jaxtyping import Array, Float
 from workbench.arrays import AnyArray, Scalar
 from workbench.networks.crop import INPUT_SIDE, CropBox, crop_and_resize, to_picture, whitening_in_picture
 from workbench.networks.dense_network import DenseNetwork
+from workbench.networks.ensemble import EnsembleNetwork
 from workbench.networks.fan import Fan
 from workbench.networks.landmark_network import LandmarkNetwork
 from workbench.networks.soft_argmax import BETA, soft_argmax
 
 HeatMapNetwork = Callable[[Float[Array, "3 h w"]], Float[Array, "n m m"]]
 """A crop in 0..1 RGB, channels first, to one heat map for each landmark: 3×256×256 to 68×64×64."""
-EnergyNetwork = Fan | LandmarkNetwork | DenseNetwork
+EnergyNetwork = Fan | LandmarkNetwork | EnsembleNetwork | DenseNetwork
 """What Deep Energies may have as N."""
 
 

@@ -22,11 +22,11 @@ from workbench.reproduction.rendered_clip import (
     clip_truth,
     errors_of_pose_and_jaw,
 )
-from workbench.reproduction.study import Study
+from workbench.reproduction.study import NETWORK, Study
 from workbench.tracking import FrameContext, FrameFit, FrameObservation
 from workbench.tracking.deep_fitter import DeepFitter
 from workbench.tracking.deep_solution import DeepSolution
-from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
+from workbench.tracking.deep_target import energy_network, photo_landmarks
 
 QUANTITIES = ("rotation, °", "across, mm", "depth, mm", "jaw, °")
 QUICK_NOTE = "A quick run leaves out what takes the derivative through the network: it takes long to compile."
@@ -66,7 +66,7 @@ def observed(frame: int) -> FrameObservation:
 
 def seen_in(picture: UInt8[np.ndarray, "480 640 3"], frame: int) -> FrameObservation:
     """The same in another picture of this frame."""
-    seen = photo_landmarks(bundled_heat_maps(), picture, clip_landmarks()[frame])
+    seen = photo_landmarks(energy_network(NETWORK), picture, clip_landmarks()[frame])
     return FrameObservation(frame, seen, seen.image_size, picture=picture)
 
 
@@ -138,5 +138,5 @@ def _with_camera(config: Config) -> Config:
     return config.changed(
         camera={"matrix": clip_truth().camera_matrix.tolist()},
         identity={"calibrate": False},
-        deep={"distance_mm": START_MM},
+        deep={"distance_mm": START_MM, "network": NETWORK},
     )

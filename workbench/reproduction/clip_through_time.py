@@ -20,7 +20,7 @@ from workbench.rendering import Appearance
 from workbench.reproduction.film_solves import METHODS, lips_apart_mm
 from workbench.reproduction.gaps import FLOW, LINEAR, SPLINE, FilledGap, fill_gap, flow_figure, pictures_by_frame
 from workbench.reproduction.rendered_clip import FOV_DEG
-from workbench.reproduction.study import Result, Study, Table
+from workbench.reproduction.study import NETWORK, Result, Study, Table
 from workbench.samples import sample
 from workbench.tracker import calibration_window
 from workbench.tracking import FrameContext, FrameFit, FrameObservation, Track
@@ -177,7 +177,7 @@ def _most(changes: Float[np.ndarray, "m"], count: int, good: Bool[np.ndarray, "n
 def _solved(study: Study) -> _Clip:
     """The clip's first frames by a run of the workbench, which is kept and goes on where it was interrupted."""
     count, path = QUICK_FRAMES if study.quick else FRAMES, study.clip or sample("performance")
-    config = preset("deep-points" if study.quick else "deep")
+    config = preset("deep-points" if study.quick else "deep").changed(deep={"network": NETWORK})
     first = 0
     if study.clip is None:
         config, first = config.changed(camera={"fov_deg": FOV_DEG}), FIRST_OF_SAMPLE

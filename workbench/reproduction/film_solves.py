@@ -23,7 +23,7 @@ from workbench.pipeline import Step, work_over
 from workbench.planning import plan_of
 from workbench.reproduction.gaps import FLOW, FilledGap, fill_gap, pictures_by_frame
 from workbench.reproduction.stereo_film import AWAY_MM, AXES, FOV_DEG
-from workbench.reproduction.study import Progress, Study
+from workbench.reproduction.study import NETWORK, Progress, Study
 from workbench.reproduction.talking_film import TalkingFilm
 from workbench.tracking import FrameContext, FrameFit, Track
 from workbench.tracking.deep_fitter import DeepFitter
@@ -122,7 +122,7 @@ def solved(film: TalkingFilm, head: FaceModel, series: str, study: Study) -> Fil
     """The film solved by a series of `PRESETS`: identity and cameras given, the colours from the first frame."""
     camera = {"fov_deg": FOV_DEG} if series.startswith(ONE) else {"rig": str(film.folder / "rig.toml")}
     config = preset(PRESETS[series]).changed(
-        camera=camera, identity={"calibrate": False}, deep={"distance_mm": AWAY_MM}
+        camera=camera, identity={"calibrate": False}, deep={"distance_mm": AWAY_MM, "network": NETWORK}
     )
     # Where the rig's file lies does not matter, but what is in it.
     settings = config.model_dump(mode="json") | {"camera": series, "film": list(map(str, film.timeline))}

@@ -15,9 +15,9 @@ from workbench.landmarks.observations import Landmarks2D
 from workbench.landmarks.surroundings import seen_around
 from workbench.pictures.lighting import STUDIO, Lighting
 from workbench.reproduction.people import FilmStudio, Motion, SimulatedPerson
-from workbench.reproduction.study import Progress
+from workbench.reproduction.study import NETWORK, Progress
 from workbench.tracking import FrameObservation
-from workbench.tracking.deep_target import bundled_heat_maps, photo_landmarks
+from workbench.tracking.deep_target import energy_network, photo_landmarks
 
 SIZE = (720, 540)
 """Of the paper's pictures."""
@@ -156,4 +156,4 @@ def network_landmarks(detector: NetworkDetector, picture: UInt8[np.ndarray, "h w
     faces = detector.detect_faces(picture)
     if not faces:
         return None
-    return photo_landmarks(bundled_heat_maps(), picture, detector.align(picture, faces[0].box))
+    return photo_landmarks(energy_network(NETWORK), picture, detector.align(picture, faces[0].box))

@@ -13,7 +13,7 @@ from workbench.geometry import write_rig, yaw_pitch_roll_deg
 from workbench.planning import plan_of
 from workbench.reproduction.people import Motion
 from workbench.reproduction.stereo_film import AWAY_MM, AXES, FOV_DEG, StereoFilm
-from workbench.reproduction.study import Study
+from workbench.reproduction.study import NETWORK, Study
 from workbench.tracking import FrameContext, FrameFit
 from workbench.tracking.deep_fitter import DeepFitter
 
@@ -28,7 +28,8 @@ def solve_film(
         config = config.changed(camera={"rig": str(rig)})
     else:
         config = config.changed(camera={"fov_deg": FOV_DEG})
-    fitter = DeepFitter(head, plan_of(config.changed(identity={"calibrate": False}, deep={"distance_mm": AWAY_MM})))
+    deep = {"distance_mm": AWAY_MM, "network": NETWORK}
+    fitter = DeepFitter(head, plan_of(config.changed(identity={"calibrate": False}, deep=deep)))
     appearance = fitter.appearance(film.observations[:1], film.identity)
     context, fits = FrameContext(0, film.identity, None, None, appearance), {}
     for k, observation in enumerate(film.observations):

@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import workbench
+from workbench.config import preset
 from workbench.errors import InputError
 from workbench.files import atomic_path, make_folder
 from workbench.frames import write_picture
@@ -26,6 +27,8 @@ from workbench.tracking.unwatched import silent
 
 RESULT = "result.json"
 FIGURE_DPI = 160
+NETWORK = preset("deep-energies").deep.network
+"""N of every study, where `deep` by itself has an ensemble: presets are to differ in what the paper prints."""
 
 
 @dataclass(frozen=True)

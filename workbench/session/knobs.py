@@ -126,9 +126,10 @@ LANDMARKS = (
 FURTHER_GROUPS = ("dense", "irises")
 """Groups of points beyond the 68, in this order after all others: later entries win."""
 DEEP = (
-    Knob("deep.network", "network", "N: heat-maps: 68 points; landmarks: 68, by the detector's newer weights; "
-         "dense: 377, each with its covariance, from landmarks of the detector dense", "choice",
-         choices=("heat-maps", "landmarks", "dense")),
+    Knob("deep.network", "network", "N: ensemble: 68 points, the mean of the next two; heat-maps: 68; landmarks: 68, "
+         "by the detector's newer weights; dense: 377, each with its covariance, from landmarks of the detector dense",
+         "choice",
+         choices=("ensemble", "heat-maps", "landmarks", "dense")),
     Knob("deep.energy", "energy", "N(F*) − N(F): detected in the render, Eq. 2; points on the mesh, C.1; or mixed",
          "choice", choices=("deep", "points", "mixed")),
     Knob("deep.derivative", "derivative", "forward: through renderer and network; broyden: from mesh points, corrected",

@@ -21,6 +21,7 @@ from workbench.networks import (
     CropBox,
     DenseNetwork,
     EnergyNetwork,
+    EnsembleNetwork,
     LandmarkNetwork,
     landmarks_of,
     read_landmark_network,
@@ -42,12 +43,23 @@ LOOKS = 2
 
 @cache
 def bundled_heat_maps() -> LandmarkNetwork:
-    """The heat maps that photo and render go through by default: weights that learned from painted heads, like those we
-    render. The detector's were trained further on photographed skin."""
+    """Heat maps by weights that learned from painted heads, like those we render; photo and render go through them in
+    the papers' presets. The detector's were trained further on photographed skin."""
     return read_landmark_network(BUNDLED_FOLDER / "heat_maps.safetensors")
 
 
-BUNDLED = {"heat-maps": bundled_heat_maps, "landmarks": bundled_landmark_network, "dense": bundled_dense_network}
+@cache
+def bundled_ensemble() -> EnsembleNetwork:
+    """Both of our networks of 68 points as one."""
+    return EnsembleNetwork(bundled_heat_maps(), bundled_landmark_network())
+
+
+BUNDLED = {
+    "ensemble": bundled_ensemble,
+    "heat-maps": bundled_heat_maps,
+    "landmarks": bundled_landmark_network,
+    "dense": bundled_dense_network,
+}
 """The networks that come with the package, by what a configuration calls them."""
 
 

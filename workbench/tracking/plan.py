@@ -93,7 +93,7 @@ class DeepPlan:
     distance_mm: float
     appearance: str
     network: str
-    """N: heat-maps, dense, or a weights file."""
+    """N: one of the bundled networks by its name, or a weights file."""
     tolerance: float
     largest_error: float
     largest_disagreement: float
