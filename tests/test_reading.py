@@ -64,6 +64,14 @@ def test_a_file_that_may_not_be_read_is_refused_in_one_sentence(read, tmp_path, 
         list(read(path))
 
 
+def test_what_file_managers_leave_in_a_folder_does_not_change_it(tmp_path):
+    (tmp_path / "0.png").write_bytes(b"tracked")
+    before = content_hash(tmp_path)
+    for name in (".DS_Store", "Thumbs.db", "desktop.ini"):
+        (tmp_path / name).write_bytes(b"left behind")
+    assert content_hash(tmp_path) == before
+
+
 def test_a_file_that_stays_as_it_is_is_read_once_for_its_hash(tmp_path, monkeypatch):
     (tmp_path / "photos").mkdir()
     clip, photo = tmp_path / "clip.mp4", tmp_path / "photos" / "0.png"

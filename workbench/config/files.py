@@ -83,6 +83,8 @@ def _from_2(stored: dict[str, Any]) -> dict[str, Any]:
     name = stored.get("preset", DEFAULT_PRESET)
     if isinstance(name, str):
         stored = {**stored, "preset": RENAMED_IN_3.get(name, name)}
+    if name == "deep-energies" and isinstance(stored.get("deep", {}), dict):
+        stored = {**stored, "deep": {"network": "heat-maps", **stored.get("deep", {})}}
     if name == "orthographic":
         stored = {"stages": ORTHOGRAPHIC_BEFORE_3, **stored}
     if name != "face-it":

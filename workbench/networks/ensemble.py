@@ -1,4 +1,4 @@
-"""Two landmark networks as one: they err differently, so their mean errs less than either."""
+"""Two landmark networks as one: they err differently, so their mean mostly errs less than either."""
 
 import equinox as eqx
 from jaxtyping import Array, Float

@@ -21,8 +21,9 @@ SEEN_OR_NOT = (
     "own two the seen ones find both better, by less than the frames differ."
 )
 OTHER_PARTS = (
-    "The network is the workbench's own, in place of 3D-FAN, and the renderer its own, in place of OpenDR. The paper's "
-    "frames are of a real performer; here every error is measured against the truth that was rendered."
+    "The network is the workbench's own, in place of 3D-FAN, and the renderer its own, in place of OpenDR. It is one "
+    "network in all presets; deep by itself has an ensemble. The paper's frames are of a real performer; here every "
+    "error is measured against the truth that was rendered."
 )
 
 

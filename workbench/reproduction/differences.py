@@ -86,6 +86,7 @@ def deep_energies(study: Study) -> Result:
         tables=(Table("Mean errors, by what is the paper's", ("", *QUANTITIES, "s per frame"), tuple(rows)),),
         notes=(
             f"Times are those of the computer that made this page, {compiling}.",
+            "All rows have one network; deep by itself has an ensemble.",
             QUICK_NOTE if study.quick else FEW_NOTE,
         ),
     )

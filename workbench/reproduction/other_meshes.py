@@ -74,10 +74,11 @@ def compared(study: Study) -> Result:
         tables=(Table(title, header, tuple(_row(mesh, faces[mesh.frame]) for mesh in meshes)),),
         notes=(
             "The paper shows the other programs on photos of an actor. They are not part of the workbench; their files "
-            "are read. What is common to all depths is taken out of the distance, and axes are read in the way that "
-            "brings a mesh closest to the face. Parallel projection opens the mouth here, where the paper's does not: "
-            "its ten components are those of this head's own expressions, not Basel's. The paper's last columns, two "
-            "cameras with temporal refinement, need another film.",
+            "are read. Ours is the preset deep with one network and not its ensemble. What is common to all depths is "
+            "taken out of the distance, and axes are read in the way that brings a mesh closest to the face. Parallel "
+            "projection opens the mouth here, where the paper's does not: its ten components are those of this head's "
+            "own expressions, not Basel's. The paper's last columns, two cameras with temporal refinement, need "
+            "another film.",
             *((NO_MESHES,) if study.meshes is None else ()),
             *((CROPPED,) if any(mesh.read_as.endswith(IN_CROP) for mesh in meshes) else ()),
             *problems,

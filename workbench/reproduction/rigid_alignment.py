@@ -53,7 +53,7 @@ def compared(study: Study) -> Result:
                 rows.append((f"{label} − {other}", *(f"{value:.2f}" for value in apart)))
     return Result(
         data=f"a rendered film of {frames} frames, 720 × 540, by two cameras {APART_DEG:g}° apart, of a person with "
-        f"{DOTS} painted dots; preset deep with the network's landmarks, the person's shape given.",
+        f"{DOTS} painted dots; preset deep with one network's landmarks, the person's shape given.",
         figures={
             "The head in the poses of each row over the film. The expression in the row of the dots, which tell none, "
             "is that of one camera's solve.": strip

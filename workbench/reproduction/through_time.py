@@ -36,7 +36,8 @@ PITCH, DEPTH, LIPS_APART = 1, 5, 6
 OTHER_PARTS = (
     "The paper's film is of a real performer, with motion blur, and measured against an artist's alignment; ours is "
     "measured against what was rendered. The landmark network is the workbench's own, in place of 3D-FAN. Presets are "
-    "deep and deep-points, our versions of the paper's; the person's shape is given, as in the paper."
+    "deep, with one network and not its ensemble, and deep-points, our versions of the paper's; the person's shape is "
+    "given, as in the paper."
 )
 USUAL_FLOW = (
     "Flow is OpenCV's dense inverse search, in place of FlowNet2, and that of the renders the mesh's exact one; "

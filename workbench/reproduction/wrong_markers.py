@@ -47,8 +47,8 @@ def worked_failure(study: Study) -> Result:
     marker_rows = tuple((label, *_marker_errors(observation)) for label, observation in observations.items())
     return Result(
         data=f"frame {FRAME} of the bundled clip of a rendered head, blurred over {BLUR_PX} pixels as if the camera "
-        "had been jolted, which leads the network astray along the jaw; identity and camera given, preset deep without "
-        "confidences.",
+        "had been jolted, which leads the network astray along the jaw; identity and camera given, preset deep with "
+        "one network and without confidences.",
         figures={
             "After the rigid alignment, after the expression estimation, the two repairs, and the truth. White rings "
             "are the network's markers, the same in all columns; lines lead from them to the model's points.": figure
