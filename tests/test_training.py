@@ -499,6 +499,19 @@ class TestLoop:
             np.testing.assert_allclose(weights, 0.75 * began[name] + 0.25 * learned[name], atol=1e-7)
         assert np.abs(learned["head.weight"] - began["head.weight"]).max() > 1e-5
 
+    def test_what_the_start_lacks_is_kept_as_learned(self, pool_folder, tmp_path):
+        with_pupils = read_weights(train(LandmarkTask(), pool_folder, tmp_path / "start", PLAN, 0, report=quiet))
+        old = {name: array for name, array in with_pupils.arrays.items() if not name.startswith("pupils")}
+        write_weights(tmp_path / "old.safetensors", old, with_pupils.metadata)
+        learned, mean = (
+            read_weights(
+                train(LandmarkTask(), pool_folder, tmp_path / str(share), replace(PLAN, learned=share), 0,
+                      report=quiet, start=tmp_path / "old.safetensors")
+            ).arrays
+            for share in (1.0, 0.25)
+        )  # fmt: skip
+        np.testing.assert_array_equal(mean["pupils.weight"], learned["pupils.weight"])
+
     def test_no_pool_is_a_clear_error(self, tmp_path):
         with pytest.raises(InputError, match="no pool of rendered heads: `workbench train landmarks FOLDER` makes"):
             open_pool(tmp_path)

@@ -293,7 +293,7 @@ def check_start(task: FurtherTask, plan: TrainingPlan, start: Path) -> None:
 def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = None, start: Path | None = None) -> Path:
     """Fold the averaged weights of a training folder's checkpoint and write `weights.safetensors` beside it.
 
-    `start`: the weights that it began with, which a plan may keep a share of.
+    `start`: the weights that it began with, which a plan may keep a share of; what they lack is kept as learned.
     """
     plan = read_plan(folder / PLAN_FILE)
     network = task.network(plan)
@@ -302,7 +302,8 @@ def export_weights(task: Task, folder: Path, metadata: dict[str, str] | None = N
     arrays = task.arrays(network)
     if start is not None and plan.learned < 1.0:
         began = read_weights(start).arrays
-        arrays = {name: plan.learned * each + (1.0 - plan.learned) * began[name] for name, each in arrays.items()}
+        shared = arrays.keys() & began.keys()
+        arrays |= {name: plan.learned * arrays[name] + (1.0 - plan.learned) * began[name] for name in shared}
     size = {WIDTHS: json.dumps(list(plan.widths)), BLOCKS: json.dumps(plan.blocks)}
     path = folder / "weights.safetensors"
     with atomic_path(path) as temporary:
